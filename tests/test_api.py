@@ -210,6 +210,7 @@ def test_a_joint_is_a_system_of_python_control(either: sw.Result) -> None:
     np.testing.assert_allclose(response.response, G, rtol=1e-9)
     with pytest.raises(sw.InvalidInput, match="there is no joint 3"):
         either.state_space(3)
+    assert either.state_space().input_labels == ["motor_torque_1", "motor_torque_2"]
 
 
 def test_without_python_control_the_message_has_the_command(

@@ -17,6 +17,7 @@ from strainwave.display import Display, register
 
 if TYPE_CHECKING:
     from strainwave.api import Result as Result
+    from strainwave.api import check as check
     from strainwave.api import compare as compare
     from strainwave.api import identify as identify
     from strainwave.api import read_result as read_result
@@ -65,7 +66,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _NAMES_OF_MODULE = {
-    "strainwave.api": "Result compare identify read_result read_study",
+    "strainwave.api": "Result check compare identify read_result read_study",
     "strainwave.campaign.store": "read_parameters read_runs",
     "strainwave.domain": (
         "ArmDescription Channel Experiment FrequencyOptions Joint LinearOptions LinkOptions "

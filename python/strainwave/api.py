@@ -20,6 +20,7 @@ from strainwave.domain import (
     FloatArray,
     FrequencyResponse,
     Identification,
+    InputCheck,
     Options,
     Parameter,
     PublishedWarning,
@@ -125,6 +126,16 @@ def identify(
             progress(events.get())
 
     return Result.of(_run_in_thread(run, is_cancelled or (lambda: False), report_progress))
+
+
+def check(study: Study | Path | str, *, data: Data | None = None) -> InputCheck:
+    """Check whether the channels of a study agree with each other and with the study.
+
+    Takes a second or two; `identify` makes the same check first. `data` is that of `identify`. The
+    record has `status`, `relations`, `suspected` and `warnings`. Raises `InvalidInput` if the
+    study or a log is at fault.
+    """
+    return pipeline.check_input(_study_of(study, data or {}), data=data)
 
 
 def read_result(path: Path | str) -> Result:
@@ -428,18 +439,27 @@ class Result:
         text = self.status if self.reason is None else f"{self.status}: {self.reason}"
         return f"<p>{escape(text)}</p>{self.parameters._repr_html_()}"
 
-    def state_space(self, joint: int) -> StateSpace:
-        """Linear model of one joint alone as a python-control object.
+    def state_space(self, joint: int | None = None) -> StateSpace:
+        """Linear model of one joint alone, or of the whole arm, as a python-control object.
 
-        Inputs: motor torque minus Coulomb friction, interaction torque at the link [N m]. Outputs:
-        motor velocity [rad/s], link acceleration [rad/s^2]. States: torsion, motor velocity, link
-        velocity. A gear with several slopes has the middle one. Raises `InvalidInput` if
-        python-control is missing, the gear is rigid, or a parameter is not identified.
+        Inputs of a joint: motor torque minus Coulomb friction, interaction torque at the link
+        [N m]. Outputs: motor velocity [rad/s], link acceleration [rad/s^2]. States: torsion, motor
+        velocity, link velocity. The whole arm, at zero link angles, has these inputs, without
+        interaction torques, and outputs for every joint. A gear with several slopes has the middle
+        one. Raises `InvalidInput` if python-control is missing, the gear of the joint is rigid, or
+        a parameter is not identified.
         """
+        from strainwave.export.linear_arm import linear_arm
         from strainwave.export.state_space import INPUTS, OUTPUTS, STATES, state_space
 
         control = import_optional("control", "a state-space object", "control")
-        system: StateSpace = control.ss(
+        system: StateSpace
+        if joint is None:
+            arm = linear_arm(self._arm())
+            names = {key: list(getattr(arm, key)) for key in ("states", "inputs", "outputs")}
+            system = control.ss(*arm.matrices.values(), name="arm", **names)
+            return system
+        system = control.ss(
             *state_space(self._arm(), joint),
             name=f"joint_{joint}",
             states=list(STATES),

@@ -60,7 +60,7 @@ def _root(
 
 @app.command(
     short_help="Write a draft of a study file from logs.",
-    epilog="Example: strainwave init run1.csv run2.csv --out study.toml",
+    epilog="Example: strainwave init --urdf robot.urdf run1.csv run2.csv --out study.toml",
 )
 def init(
     logs: Annotated[
@@ -69,6 +69,10 @@ def init(
     out: Annotated[
         Path, typer.Option("--out", help="The study file to write.", metavar="STUDY.toml")
     ] = Path("study.toml"),
+    urdf: Annotated[
+        Path | None,
+        typer.Option("--urdf", help="URDF of a serial arm, which places its joints.", metavar="F"),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Write a draft of a study file from logs: guesses with reasons; unknown values are TODO."""
@@ -76,7 +80,7 @@ def init(
 
     with _progress(quiet) as report:
         report("inspecting the logs")
-        draft = start_study(logs, out)
+        draft = start_study(logs, out, urdf)
     if not quiet:
         if draft.limit:
             typer.echo(f"limit: {draft.limit}")
@@ -121,6 +125,35 @@ def identify(
 
         print_summary(identification, out, figures=figures)
     raise typer.Exit(identification.verdict.exit_code)
+
+
+@app.command(
+    short_help="Check whether logs and study agree.",
+    epilog="Example: strainwave check study.toml",
+)
+def check(
+    study: StudyFile,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the check as JSON, and nothing else.")
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Check axes, signs, units, ratios, gravity, delays and clipping, without identification."""
+    from strainwave import pipeline
+
+    with _progress(quiet or as_json) as report:
+        report("checking the input")
+        result = pipeline.check_input(study)
+    if as_json:
+        from strainwave.io.check_document import check_document
+        from strainwave.io.results import to_json
+
+        typer.echo(to_json(check_document(result)).decode(), nl=False)
+    elif not quiet:
+        from strainwave.presentation.terminal import print_check
+
+        print_check(result)
+    raise typer.Exit(result.exit_code)
 
 
 @app.command(

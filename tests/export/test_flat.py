@@ -172,3 +172,35 @@ def test_a_header_marks_missing_values(arm: IdentifiedArm) -> None:
     assert "strainwave_motor_inertia_1 = 0.00015; /* [kg m^2], std 1.5e-06 */" in text
     assert "strainwave_gravity = 9.81; /* [m/s^2], known */" in text
     assert " * Omitted: servo: the study file has its gains.\n" in text
+
+
+def test_a_chain_lists_its_placement_coupling_and_bodies(tmp_path: Path) -> None:
+    study, values = exports.chain(tmp_path, coupling=exports.COUPLING)
+    export = to_json(exports.arm_of(study, values))
+    document = json.loads(export.data)
+    known = {
+        "gravity_y": -0.7,
+        "origin_x_2": 0.06,
+        "origin_roll_2": -1.5,
+        "axis_z_2": 0.8,
+        "coupling_3_2": -0.6,
+        "gear_ratio_2": -0.0125,
+    }
+    assert known.items() <= document["values"].items()
+    for (name, joint), value in values.items():
+        assert document["values"][f"{name}_{joint}"] == value
+    assert document["units"]["link_first_moment_x_3"] == "kg m"
+    assert document["stds"]["link_mass_1"] is None
+    assert any("one of many sets with the same motion" in note for note in export.notes)
+
+
+def test_bodies_replace_estimates_of_single_parameters(tmp_path: Path) -> None:
+    """So that the listed parameters of a link belong to one body; the errors are the estimates'."""
+    arm = exports.arm_of(*exports.chain(tmp_path))
+    estimate = Parameter("link_inertia_zz", 3, 0.5, 0.01, "kg m^2", "tuned")
+    (entry,) = (
+        entry
+        for entry in entries(replace(arm, parameters=(*arm.parameters, estimate)))
+        if entry.name == "link_inertia_zz_3"
+    )
+    assert (entry.value, entry.std) == (arm.links["link_inertia_zz", 3], 0.01)

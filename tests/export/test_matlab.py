@@ -16,6 +16,7 @@ from scipy.io import loadmat
 
 import exports
 from strainwave.export import IdentifiedArm, state_space
+from strainwave.export.linear_arm import linear_arm
 from strainwave.export.matlab import to_mat, to_script
 from strainwave.export.state_space import INPUTS, OUTPUTS, STATES
 
@@ -52,7 +53,7 @@ def test_both_files_note_what_they_leave_out(arm: IdentifiedArm) -> None:
     content = loadmat(io.BytesIO(mat.data), simplify_cells=True)
     assert list(content["notes"]) == list(mat.notes)
     assert "motor_coulomb_friction" in mat.notes[0]
-    assert mat.notes[0].startswith("not in the matrices: ")
+    assert mat.notes[0].startswith("not in the matrices of joints: ")
     for note in script.notes:
         assert f"% {note[:1].upper()}{note[1:]}." in script.data.decode().splitlines()
 
@@ -151,3 +152,16 @@ def test_octave_runs_the_script(octave: str, arm: IdentifiedArm, tmp_path: Path)
             wanted = C @ np.linalg.solve(1j * omega * np.eye(3) - A, B) + D
             found = said["real"][..., k] + 1j * said["imag"][..., k]
             np.testing.assert_allclose(found, wanted, rtol=1e-8)
+
+
+def test_both_files_contain_the_whole_arm(tmp_path: Path) -> None:
+    """Joints behind rigid gears have no model of their own."""
+    arm = exports.arm_of(*exports.chain(tmp_path, ("linear", "rigid", "linear")))
+    content = loadmat(io.BytesIO(to_mat(arm).data), simplify_cells=True)
+    script, wanted = to_script(arm).data.decode(), linear_arm(arm)
+    for name, matrix in wanted.matrices.items():
+        np.testing.assert_array_equal(content["whole_arm"][name], matrix)
+        assert matrix_of(assigned(script, f"whole_arm.{name}", "\n")) == matrix.tolist()
+    assert content["whole_arm"]["states"].tolist() == list(wanted.states)
+    assert [np.size(model["A"]) for model in content["joints"]] == [9, 0, 9]
+    assert re.findall(r"^sys\{(\d)\} =", script, re.MULTILINE) == ["1", "3"]

@@ -20,6 +20,7 @@ from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, coefficients, joint_of
 from strainwave.errors import InvalidInput
 from strainwave.export import state_space
+from strainwave.export.linear_arm import linear_arm
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.export.state_space import to_state_space
@@ -170,3 +171,38 @@ def test_coupled_joints_are_refused(tmp_path: Path) -> None:
     arm = replace(arm, study=replace(arm.study, arm=coupled))
     with pytest.raises(InvalidInput, match="the transmission couples joint 1 with others"):
         state_space(arm, 1)
+
+
+def test_the_file_contains_the_whole_arm(tmp_path: Path) -> None:
+    arm = exports.arm_of(*exports.chain(tmp_path, ("linear", "rigid", "linear")))
+    document = json.loads(to_state_space(arm).data)
+    assert [joint["joint"] for joint in document["joints"]] == [1, 3]
+    whole, wanted = document["whole_arm"], linear_arm(arm)
+    assert {name: whole[name] for name in "ABCD"} == {
+        name: matrix.tolist() for name, matrix in wanted.matrices.items()
+    }
+    assert whole["states"] == list(wanted.states)
+
+
+def test_coupled_joints_have_the_model_of_the_whole_arm_only(tmp_path: Path) -> None:
+    arm = exports.arm_of(*exports.chain(tmp_path, coupling=exports.COUPLING))
+    document = json.loads(to_state_space(arm).data)
+    assert document["joints"] == []
+    assert len(document["whole_arm"]["A"]) == 12
+
+
+def test_a_missing_parameter_of_the_whole_arm_is_noted(tmp_path: Path) -> None:
+    """The joints are modelled without gravity; without joint models the export is refused."""
+    study = exports.two_links(tmp_path, gravity=9.81)
+    values = exports.values_of(study)
+    del values["gravity_torque_1", None]
+    export = to_state_space(exports.arm_of(study, values))
+    document = json.loads(export.data)
+    assert document["whole_arm"] is None
+    assert export.notes[0] == (
+        "omitted: model of the whole arm: gravity_torque_1 is missing, and this format needs it"
+    )
+    study, values = exports.chain(tmp_path, coupling=exports.COUPLING)
+    del values["gear_damping", 1]
+    with pytest.raises(InvalidInput, match="gear_damping of joint 1 is missing"):
+        to_state_space(exports.arm_of(study, values))

@@ -53,8 +53,11 @@ from strainwave.domain.comparison import Outcome as Outcome
 from strainwave.domain.comparison import Protocol as Protocol
 from strainwave.domain.comparison import Tally as Tally
 from strainwave.domain.comparison import outcomes_text as outcomes_text
+from strainwave.domain.consistency import CheckStatus as CheckStatus
+from strainwave.domain.consistency import Consistency as Consistency
+from strainwave.domain.consistency import InputCheck as InputCheck
+from strainwave.domain.consistency import Relation as Relation
 from strainwave.domain.corrections import Correction as Correction
-from strainwave.domain.estimates import Consistency as Consistency
 from strainwave.domain.estimates import Diagnostic as Diagnostic
 from strainwave.domain.estimates import Parameter as Parameter
 from strainwave.domain.estimates import Prediction as Prediction

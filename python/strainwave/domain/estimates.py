@@ -11,13 +11,9 @@ from strainwave.domain.clauses import Clause, Place, Value
 from strainwave.domain.corrections import Correction
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.keys import Key, Keyed
-from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.domain.messages import observation_of, places_text, text_of
 from strainwave.domain.stages import Stage
 from strainwave.domain.study import channel_parts
-
-_LINK_GEOMETRY = ("accelerometer_distance", "link_length")
-"""Keys of the study that affect only predictions of link sensors."""
 
 
 @dataclass(frozen=True, slots=True, init=False)
@@ -114,25 +110,6 @@ class Suspicion:
         """What corrects the fault, as a sentence."""
         text = text_of(self.remedy_clause)
         return text[:1].upper() + text[1:]
-
-
-@dataclass(frozen=True, slots=True)
-class Consistency:
-    """Result of the input check: faults suspected before any fit."""
-
-    suspected: tuple[Suspicion, ...] = ()
-
-    @property
-    def motors_agree(self) -> bool:
-        """Whether all suspected faults concern link sensors, their positions or the link length."""
-        return all(_is_on_link(place) for suspicion in self.suspected for place in suspicion.places)
-
-
-def _is_on_link(place: Place) -> bool:
-    is_link_channel = (
-        place.channel is not None and channel_parts(place.channel)[0] in link_channel_kinds()
-    )
-    return is_link_channel or place.key in _LINK_GEOMETRY
 
 
 @dataclass(frozen=True, slots=True)

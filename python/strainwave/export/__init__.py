@@ -7,6 +7,7 @@ from pathlib import Path
 
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.export.flat import to_c_header, to_json
+from strainwave.export.linear_arm import LinearArm, linear_arm
 from strainwave.export.matlab import to_mat, to_script
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import Export, IdentifiedArm, arm_of, read_arm
@@ -19,9 +20,11 @@ __all__ = [
     "FORMATS",
     "Export",
     "IdentifiedArm",
+    "LinearArm",
     "arm_of",
     "export_arm",
     "export_file",
+    "linear_arm",
     "read_arm",
     "state_space",
 ]

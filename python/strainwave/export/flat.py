@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+from strainwave.domain import ArmDescription
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.link_sensors import key_texts
+from strainwave.domain.units import unit_in
 from strainwave.export.omissions import CORRELATIONS, Part, notes_of, sentence_of
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.io.templates import fill_text
@@ -24,6 +27,10 @@ _JOINT_UNITS = {
     **{key: unit for key, (_, unit) in key_texts().items() if unit},
 }
 _OMISSIONS = {Part.SERVO: "the study file has its gains"}
+_BODIES = (
+    "masses, first moments and inertias of the links are one of many sets with the same motion; "
+    "base_parameters in result.json has the combinations that grouped parameters represent"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +45,8 @@ class Entry:
 
 
 def entries(arm: IdentifiedArm) -> tuple[Entry, ...]:
-    """Numbers of the study, then the identified parameters."""
-    table = kind_of(arm.study.arm).table_of(arm.study.arm)
-    known = [
-        Entry(field.name, getattr(table, field.name), None, _ARM_UNITS[field.name], known=True)
-        for field in fields(table)
-    ]
+    """Numbers of the study, then the identified parameters and the bodies of a serial arm."""
+    known = list(_numbers_of_arm(arm.study.arm))
     for number, joint in enumerate(arm.study.arm.joints, start=1):
         units = _JOINT_UNITS | ({"torque_per_volt": "N/V"} if joint.motion == "prismatic" else {})
         known += [
@@ -54,14 +57,56 @@ def entries(arm: IdentifiedArm) -> tuple[Entry, ...]:
     for p in arm.parameters:
         name = p.name if p.joint is None else f"{p.name}_{p.joint}"
         name = re.sub(r"[\W_]+", "_", name)  # a parameter of one record has the record in brackets
-        entries[name] = Entry(name, p.value, p.std, p.unit)
+        entries[name] = Entry(name, arm.links.get(p.key, p.value), p.std, p.unit)
+    for key, value in arm.links.items():
+        name = "_".join(map(str, key))
+        entries.setdefault(name, Entry(name, value, None, unit_in(arm.study.arm, key)))
     return tuple(entries.values())
+
+
+def _numbers_of_arm(arm: ArmDescription) -> Iterator[Entry]:
+    """Numbers of the `[arm]` table; placement and coupling of joints that the kind does not place.
+
+    The components of a vector have the suffixes x, y and z, roll, pitch and yaw.
+    """
+    table = kind_of(arm).table_of(arm)
+    for field in fields(table):
+        value, unit = getattr(table, field.name), _ARM_UNITS.get(field.name)
+        if unit is None or value is None:
+            continue
+        if isinstance(value, float | int):
+            yield Entry(field.name, value, None, unit, known=True)
+        else:
+            yield from _components(field.name, "", "xyz", value, unit)
+    if kind_of(arm).places_joints:
+        return
+    for number, joint in enumerate(arm.joints, start=1):
+        suffix = f"_{number}"
+        yield from _components("origin", suffix, "xyz", joint.origin.xyz, "m")
+        yield from _components("origin", suffix, ("roll", "pitch", "yaw"), joint.origin.rpy, "rad")
+        yield from _components("axis", suffix, "xyz", joint.axis, "1")
+    for number, row in enumerate(arm.coupling or (), start=1):
+        motors = tuple(str(motor) for motor in range(1, len(row) + 1))
+        yield from _components(f"coupling_{number}", "", motors, row, "1")
+
+
+def _components(
+    name: str, suffix: str, parts: Sequence[str], values: Sequence[float], unit: str
+) -> Iterator[Entry]:
+    for part, value in zip(parts, values, strict=True):
+        yield Entry(f"{name}_{part}{suffix}", value, None, unit, known=True)
+
+
+def _notes(arm: IdentifiedArm) -> tuple[str, ...]:
+    """Notes on omitted parts, and on the meaning of the bodies of a serial arm."""
+    bodies = (_BODIES,) if arm.links else ()
+    return (*notes_of(arm, _OMISSIONS), CORRELATIONS, *bodies)
 
 
 def to_json(arm: IdentifiedArm) -> Export:
     """JSON tables `values`, `stds` and `units` by name; a parameter without value is null."""
     all_entries = entries(arm)
-    notes = (*notes_of(arm, _OMISSIONS), CORRELATIONS)
+    notes = _notes(arm)
     document = {
         "schema": "strainwave/parameters/1",
         "values": {entry.name: entry.value for entry in all_entries},
@@ -75,7 +120,7 @@ def to_json(arm: IdentifiedArm) -> Export:
 
 def to_c_header(arm: IdentifiedArm) -> Export:
     """C header of `static const double`; a comment replaces a parameter without value."""
-    notes = (*notes_of(arm, _OMISSIONS), CORRELATIONS)
+    notes = _notes(arm)
     text = fill_text(
         Path(__file__).with_name("arm.h.j2"),
         entries=entries(arm),

@@ -18,9 +18,10 @@ from strainwave.export.state_space import (
     OMISSIONS,
     OUTPUTS,
     STATES,
+    Models,
     joint_model,
     linearised,
-    state_space,
+    models_of,
 )
 from strainwave.io.templates import fill_text
 
@@ -29,11 +30,14 @@ _ELSEWHERE = (Part.SERVO, Part.UNCERTAINTY)  # not among the numbers of the file
 
 
 def to_mat(arm: IdentifiedArm) -> Export:
-    """MAT-file with structs `parameters`, `parameters_std`, `units`, and `joints` with A, B, C, D.
+    """MAT-file with structs `parameters`, `parameters_std`, `units`, and the models.
 
-    Raises `InvalidInput` if a gear is rigid or a parameter of the models is missing.
+    `joints` has A, B, C, D of each joint, empty for a joint without model, `whole_arm` those of the
+    arm. Errors as for `models_of`.
     """
     from scipy.io import savemat
+
+    models = models_of(arm)
 
     all_entries = entries(arm)
     content: dict[str, Any] = {
@@ -42,60 +46,74 @@ def to_mat(arm: IdentifiedArm) -> Export:
             e.name: _UNKNOWN if e.std is None else e.std for e in all_entries if not e.known
         },
         "units": {e.name: e.unit for e in all_entries},
-        "joints": _joints(arm),
+        "joints": _joints(arm.study.arm.n_joints, models),
         "states": np.array(STATES, dtype=object),
         "inputs": np.array(INPUTS, dtype=object),
         "outputs": np.array(OUTPUTS, dtype=object),
-        "notes": np.array(_notes(arm), dtype=object),
+        "notes": np.array(_notes(arm, models), dtype=object),
     }
+    if models.whole_arm is not None:
+        names = {
+            key: np.array(getattr(models.whole_arm, key), dtype=object)
+            for key in ("states", "inputs", "outputs")
+        }
+        content["whole_arm"] = models.whole_arm.matrices | names
     file = io.BytesIO()
     savemat(file, content, long_field_names=True, oned_as="column")
-    return Export(file.getvalue(), linearised(arm), _notes(arm))
+    return Export(file.getvalue(), linearised(arm), _notes(arm, models))
 
 
-def _joints(arm: IdentifiedArm) -> FloatArray:
+def _joints(count: int, models: Models) -> FloatArray:
     """A struct array, one element per joint."""
-    fields = [(name, object) for name in "ABCD"]
-    array = np.zeros(arm.study.arm.n_joints, dtype=fields)
-    for i in range(arm.study.arm.n_joints):
-        for name, matrix in state_space(arm, i + 1)._asdict().items():
-            array[name][i] = matrix
+    array = np.zeros(count, dtype=[(name, object) for name in "ABCD"])
+    for i in range(count):
+        model = models.joints.get(i + 1)
+        for name in "ABCD":
+            array[name][i] = np.zeros((0, 0)) if model is None else getattr(model, name)
     return array
 
 
-def _notes(arm: IdentifiedArm) -> tuple[str, ...]:
+def _notes(arm: IdentifiedArm, models: Models) -> tuple[str, ...]:
     """Notes on parts that the matrices neglect and parts that the file omits."""
     neglected = names_of(arm, [part for part in OMISSIONS if part not in _ELSEWHERE])
-    matrices = f"not in the matrices: {neglected}: the struct parameters contains the values"
+    matrices = (
+        f"not in the matrices of joints: {neglected}: the struct parameters contains the values"
+    )
     servo = notes_of(arm, {Part.SERVO: "the study file has its gains"})
-    return (matrices, *servo, CORRELATIONS)
+    return (matrices, *models.notes, *servo, CORRELATIONS)
 
 
 def to_script(arm: IdentifiedArm) -> Export:
-    """Script with structs `parameters`, `parameters_std`, and per joint `sys{i}` and `grey(i)`.
+    """Script with structs `parameters`, `parameters_std`, and models.
 
-    Raises `InvalidInput` if a gear is rigid or a parameter of the models is missing.
+    They are `sys{i}` and `grey(i)` of each joint with a model of its own, and `sys_arm` of the
+    whole arm. Errors as for `models_of`.
     """
-    numbers = range(1, arm.study.arm.n_joints + 1)
-    models = [joint_model(arm, number) for number in numbers]
+    models = models_of(arm)
+    joints = [(number, joint_model(arm, number)) for number in models.joints]
     text = fill_text(
         Path(__file__).with_name("arm.m.j2"),
         entries=entries(arm),
         joints=[
-            ({name: getattr(model, name) for name in NAMES}, state_space(arm, number)._asdict())
-            for number, model in zip(numbers, models, strict=True)
+            (
+                number,
+                {name: getattr(joint, name) for name in NAMES},
+                joint.gear_ratio,
+                models.joints[number]._asdict(),
+            )
+            for number, joint in joints
         ],
-        gear_ratios=[model.gear_ratio for model in models],
+        whole_arm=models.whole_arm,
         states=STATES,
         inputs=INPUTS,
         outputs=OUTPUTS,
-        notes=_notes(arm),
+        notes=_notes(arm, models),
         matrix=_matrix,
         names=_names,
         number=lambda value: "NaN" if value is None else repr(value),
         sentence_of=sentence_of,
     )
-    return Export(text.encode(), linearised(arm), _notes(arm))
+    return Export(text.encode(), linearised(arm), _notes(arm, models))
 
 
 def _matrix(matrix: FloatArray) -> str:

@@ -1,8 +1,9 @@
-"""Each joint alone as a linear state-space model of two inertias and a spring."""
+"""Linear state-space models: each joint alone as two inertias and a spring, and the whole arm."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from strainwave.domain.keys import Key, label_of
 from strainwave.dynamics import two_inertia
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, joint_of
 from strainwave.errors import InvalidInput
+from strainwave.export.linear_arm import LinearArm, linear_arm
 from strainwave.export.omissions import Part, notes_of
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.io.joint_covariance import JointCovariance
@@ -22,9 +24,9 @@ INPUTS = ("motor_torque", "interaction_torque")
 OUTPUTS = ("motor_velocity", "link_acceleration")
 _SCHEMA = "strainwave/state-space/1"
 OMISSIONS = {
-    Part.COUPLING: "each joint is modelled alone, with its inertia at q2 = 0; the torque of the "
-    "other link is the input interaction_torque",
-    Part.GRAVITY: "the model is linear",
+    Part.COUPLING: "each joint is modelled alone, with its inertia at zero angles; the torque of "
+    "the other links is the input interaction_torque",
+    Part.GRAVITY: "the models of single joints are linear",
     Part.COULOMB: "the model is linear; subtract Coulomb friction from the input motor_torque",
     Part.OFFSET: "subtract it from the input motor_torque",
     Part.SETTLING: "the model is linear",
@@ -75,7 +77,7 @@ def joint_model(arm: IdentifiedArm, joint: int) -> TwoInertia:
         raise InvalidInput(
             f"the transmission couples joint {joint} with others, so it has no model of its own",
             where=str(arm.study.path),
-            remedy="export to json or c",
+            remedy="use the model of the whole arm",
         )
     values = [
         sum(weight * arm.need(*key) for key, weight in row.items())
@@ -124,9 +126,34 @@ def joint_model_covariance(
     return np.asarray(J @ matrix @ J.T)
 
 
+class Models(NamedTuple):
+    """Linear models of an arm."""
+
+    joints: dict[int, Matrices]  # by number, of elastic joints without coupled motors
+    whole_arm: LinearArm | None
+    notes: tuple[str, ...]
+
+
+def models_of(arm: IdentifiedArm) -> Models:
+    """Models of the joints, and of the whole arm.
+
+    A note reports if a parameter of the whole arm is missing. Raises `InvalidInput` if a parameter
+    of a joint is missing, or one of the whole arm where no joint has a model of its own.
+    """
+    is_coupled, joints = arm.study.arm.is_coupled, enumerate(arm.study.arm.joints, start=1)
+    numbers = [number for number, joint in joints if joint.elastic and not is_coupled]
+    models = {number: state_space(arm, number) for number in numbers}
+    try:
+        return Models(models, linear_arm(arm), ())
+    except InvalidInput as error:
+        if not models:
+            raise
+        return Models(models, None, (f"omitted: model of the whole arm: {error.problem}",))
+
+
 def linearised(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     """Warnings of every linear model of a joint: assumptions, and the stiffness of curved gears."""
-    warnings = arm.warnings + arm.assumed()
+    warnings = arm.warnings + arm.assumed() + arm.assumed_bodies()
     for number, joint in enumerate(arm.study.arm.joints, start=1):
         if joint.law.is_curved:
             note = joint.law.linearised_note
@@ -135,18 +162,27 @@ def linearised(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
 
 
 def to_state_space(arm: IdentifiedArm) -> Export:
-    """The matrices of all joints as JSON; errors as for `state_space`."""
-    joints: list[dict[str, Any]] = []
-    for number in range(1, arm.study.arm.n_joints + 1):
-        matrices = state_space(arm, number)._asdict()
-        joints.append({"joint": number} | {name: M.tolist() for name, M in matrices.items()})
-    notes = notes_of(arm, OMISSIONS)
-    document = {
+    """The matrices of all joints and of the whole arm as JSON; errors as for `models_of`."""
+    models = models_of(arm)
+    notes = models.notes + notes_of(arm, OMISSIONS)
+    document: dict[str, Any] = {
         "schema": _SCHEMA,
         "states": STATES,
         "inputs": INPUTS,
         "outputs": OUTPUTS,
-        "joints": joints,
+        "joints": [
+            {"joint": number, **_as_lists(model._asdict())}
+            for number, model in models.joints.items()
+        ],
+        "whole_arm": None,
         "notes": notes,
     }
+    if models.whole_arm is not None:
+        names = ("states", "inputs", "outputs")
+        whole_arm: dict[str, Any] = {name: getattr(models.whole_arm, name) for name in names}
+        document["whole_arm"] = whole_arm | _as_lists(models.whole_arm.matrices)
     return Export((json.dumps(document, indent=2) + "\n").encode(), linearised(arm), notes)
+
+
+def _as_lists(matrices: Mapping[str, FloatArray]) -> dict[str, Any]:
+    return {name: matrix.tolist() for name, matrix in matrices.items()}

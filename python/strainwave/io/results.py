@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from itertools import starmap
@@ -108,10 +108,10 @@ def to_document(identification: Identification) -> dict[str, Any]:
             {"experiment": name, "fit_percent": fits}
             for name, fits in _check_fits(identification).items()
         ],
-        "warnings": [_warning(w) for w in identification.warnings],
+        "warnings": [warning_entry(w) for w in identification.warnings],
         "timing_s": dict(identification.timing_s),
     }
-    finite: dict[str, Any] = _finite(document)
+    finite: dict[str, Any] = finite_values(document)
     return finite
 
 
@@ -400,20 +400,25 @@ def _short(values: FloatArray) -> list[float]:
     return [float(f"{value:.{_RESPONSE_DIGITS}g}") for value in values.tolist()]
 
 
-def _verdict(verdict: Verdict) -> dict[str, Any]:
+def suspicion_entries(suspicions: Iterable[Suspicion]) -> list[dict[str, Any]]:
+    """Suspected faults as JSON values."""
     suspected = []
-    for one in verdict.suspected:
+    for one in suspicions:
         texts = {"where": one.where, "message": one.message, "remedy": one.remedy}
         sizes = {"factor": one.factor, "delay_s": one.delay_s}
         sizes = {key: size for key, size in sizes.items() if size is not None}
         corrections = [asdict(each) for each in one.corrections]
         suspected.append({"code": one.code, **texts, **sizes, "corrections": corrections})
+    return suspected
+
+
+def _verdict(verdict: Verdict) -> dict[str, Any]:
     return {
         "identified": [*starmap(label_of, verdict.identified)],
         "not_identified": [*starmap(label_of, verdict.not_identified)],
         "rejected": [*starmap(label_of, verdict.rejected)],
         "validated": {"rigid": verdict.validated.rigid, "elastic": verdict.validated.elastic},
-        "suspected": suspected,
+        "suspected": suspicion_entries(verdict.suspected),
     }
 
 
@@ -455,7 +460,7 @@ def _record(record: RecordModel) -> dict[str, Any]:
         entry["state_space"]["held_out"] = None if record.check is None else _check(record.check)
     entry["transfer_function"] = None if record.transfer is None else _joint(record.transfer)
     entry["checks"] = [asdict(check) for check in record.signals.checks]
-    entry["warnings"] += [_warning(w) for w in record.warnings]
+    entry["warnings"] += [warning_entry(w) for w in record.warnings]
     return entry
 
 
@@ -510,7 +515,7 @@ def _joint(joint: JointModel) -> dict[str, Any]:
         "band_hz": joint.band_hz,
         "fit_percent": dict(joint.fit_percent),
         "parameters": [_parameter(p) for p in joint.parameters],
-        "warnings": [_warning(w) for w in joint.warnings],
+        "warnings": [warning_entry(w) for w in joint.warnings],
     }
 
 
@@ -536,7 +541,7 @@ def _state_space(model: StateSpace, modes: Modes | None) -> dict[str, Any]:
         "output_names": model.output_names,
         "fit_percent": _simulated_fit(model),
         "prediction_fit_percent": model.prediction_fit_percent,
-        "warnings": [_warning(w) for w in model.warnings],
+        "warnings": [warning_entry(w) for w in model.warnings],
         **_frequencies(
             None if modes is None else modes.anti_resonance,
             None if modes is None else modes.resonance,
@@ -563,7 +568,7 @@ def _whole_arm(model: ArmModel) -> dict[str, Any]:
         },
         "sensor_gains": [asdict(gain) for gain in model.sensor_gains],
         "criticism": model.criticism and _criticism(model.criticism),
-        "warnings": [_warning(w) for w in model.warnings],
+        "warnings": [warning_entry(w) for w in model.warnings],
     }
 
 
@@ -624,17 +629,18 @@ def _parameter(parameter: Parameter) -> dict[str, Any]:
     }
 
 
-def _warning(warning: Diagnostic) -> dict[str, Any]:
+def warning_entry(warning: Diagnostic) -> dict[str, Any]:
+    """A warning as JSON values."""
     entry = {"code": warning.code, "where": warning.where, "message": warning.message}
     return entry | ({"experiments": warning.experiments} if warning.experiments else {})
 
 
-def _finite(value: Any) -> Any:
+def finite_values(value: Any) -> Any:
     """A value that JSON can hold; numbers that are not finite become null."""
     if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
+        return {key: finite_values(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
+        return [finite_values(entry) for entry in value]
     if isinstance(value, float):  # also NumPy's float64
         return float(value) if math.isfinite(value) else None
     return value

@@ -7,7 +7,7 @@ they are combined into an `Identification`. A `Reporter` has the times and the p
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import Thread
@@ -27,7 +27,6 @@ from strainwave.domain import (
     Suspicion,
 )
 from strainwave.domain.progress import Progress, ProgressEvent, ignore_progress
-from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.identification import amplitude_sweep as sweep
 from strainwave.identification import whole_arm
@@ -38,14 +37,14 @@ from strainwave.io.results import to_document, to_json
 from strainwave.io.study import read_study, with_options
 from strainwave.numerics.parallel import limited, one_blas_thread
 from strainwave.pipeline.elastic_arm import ElasticStages, fit_elastic_arm
-from strainwave.pipeline.inputs import Inputs
+from strainwave.pipeline.input_check import CheckedInputs, check_input, check_inputs
 from strainwave.pipeline.reporter import Reporter
 from strainwave.pipeline.rigid_joints import RigidStage, fit_rigid_joints
 from strainwave.presentation.matplotlib_backend import images
-from strainwave.signals import consistency, hygiene
+from strainwave.signals import consistency
 from strainwave.signals.activity import activity_of
 
-__all__ = ["STAGES", "check_stages", "identify", "with_report_loading", "write"]
+__all__ = ["STAGES", "check_input", "check_stages", "identify", "with_report_loading", "write"]
 
 
 def check_stages(names: str | Sequence[str]) -> tuple[Stage, ...]:
@@ -97,7 +96,8 @@ def identify(
 def _identify(
     study: Study, raw_logs: Sequence[Log], stages: tuple[Stage, ...], reporter: Reporter
 ) -> Identification:
-    check = _check_inputs(study, raw_logs, stages, reporter)
+    with reporter.time_part("consistency", "detecting defects, checking consistency"):
+        check = check_inputs(study, raw_logs, stages)
     inputs = check.inputs
     rigid = RigidStage()
     if check.consistency.motors_agree:  # the rigid model does not use link sensors
@@ -135,39 +135,19 @@ def _identify(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _InputCheck:
-    """The records that the stages use, and the consistency of their channels."""
-
-    inputs: Inputs
-    consistency: Consistency
-    warnings: tuple[Diagnostic, ...]
-
-
-def _check_inputs(
-    study: Study, raw_logs: Sequence[Log], stages: tuple[Stage, ...], reporter: Reporter
-) -> _InputCheck:
-    """Mask defects of sensors and loggers, and check the consistency of the channels."""
-    with reporter.time_part("consistency", "detecting defects, checking consistency"):
-        arm = Arm.of(study.arm)
-        usable, warnings = hygiene.repair_records(raw_logs, arm)
-        warnings = (*(warning for log in raw_logs for warning in log.warnings), *warnings)
-        inputs = Inputs(study, arm, usable, stages)
-        return _InputCheck(inputs, consistency.check_consistency(usable, study), warnings)
-
-
-def _compare_torque_constants(check: _InputCheck, model: RigidModel | None) -> _InputCheck:
+def _compare_torque_constants(check: CheckedInputs, model: RigidModel | None) -> CheckedInputs:
     """Add the ratios of torque constants that the rigid fit estimates to the consistency check."""
     ratios = model.torque_ratios if model is not None else {}
     torques = consistency.suspect_torque_constants(ratios, check.inputs.study)
     if torques is None:
         return check
-    return replace(check, consistency=Consistency((*check.consistency.suspected, torques)))
+    suspected = (*check.consistency.suspected, torques)
+    return replace(check, consistency=replace(check.consistency, suspected=suspected))
 
 
 def _explain_suspicion(
-    check: _InputCheck, model: RigidModel | None, suspicion: Suspicion, reporter: Reporter
-) -> tuple[ElasticStages, _InputCheck]:
+    check: CheckedInputs, model: RigidModel | None, suspicion: Suspicion, reporter: Reporter
+) -> tuple[ElasticStages, CheckedInputs]:
     """Results of the elastic stages if they explain a suspected torque constant; else none."""
     result = fit_elastic_arm(check.inputs, model, reporter)
     arm_model = result.whole_arm

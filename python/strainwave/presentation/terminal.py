@@ -15,10 +15,13 @@ from strainwave.domain import (
     Decision,
     Diagnostic,
     Identification,
+    InputCheck,
     Parameter,
+    Suspicion,
     Tally,
     Verdict,
 )
+from strainwave.domain.consistency import RELATION_TEXTS
 from strainwave.domain.formatting import percent, plus_minus
 from strainwave.domain.keys import Key
 from strainwave.presentation.report import advice, by_severity, gain_sentences, sentence
@@ -67,13 +70,7 @@ def print_summary(
         console.print(Text(trend))
     for clause in gain_sentences(identification):
         console.print(Text(sentence(clause)))
-    groups: dict[str, list[Diagnostic]] = {}
-    for warning in by_severity(identification.warnings):
-        groups.setdefault(warning.code, []).append(warning)
-    for code, warnings in groups.items():
-        console.print()
-        console.print(Text(f"warning [{code}]"), style="yellow")
-        console.print(_warning_table(warnings))
+    _print_warnings(identification.warnings, console)
     console.print()
     for line, style in _verdict_lines(identification.verdict):
         console.print(Text(line), style=style)
@@ -82,15 +79,57 @@ def print_summary(
     console.print(f"{sum(identification.timing_s.values()):.1f} s")
 
 
+def print_check(check: InputCheck, *, console: Console | None = None) -> None:
+    """Print the relations of an input check as a table, warnings, and the suspected faults."""
+    console = console or Console(highlight=False)
+    table = printed_table("relation", "place", number("measured"), number("expected"), "verdict")
+    places: dict[tuple[str, ...], list[str]] = {}
+    for relation in sorted(check.relations, key=lambda each: each.is_consistent):
+        verdict = "consistent" if relation.is_consistent else "contradiction"
+        expected = "> 0" if relation.expected is None else f"{relation.expected:g}"
+        row = RELATION_TEXTS[relation.kind], f"{relation.measured:.4g}", expected, verdict
+        places.setdefault(row, []).append(relation.where)
+    for (text, measured, expected, verdict), names in places.items():
+        style = "" if verdict == "consistent" else _FAULT_STYLE
+        table.add_row(
+            *map(Text, (text, ", ".join(names), measured, expected, verdict)), style=style
+        )
+    console.print(table)
+    _print_warnings(check.warnings, console)
+    console.print()
+    style = _FAULT_STYLE if check.suspected else _STATUS_STYLES["determined"]
+    console.print(Text(f"check: {check.status} (exit code {check.exit_code})"), style=style)
+    for line in _suspicion_lines(check.suspected):
+        console.print(Text(line), style=style)
+    console.print(f"{check.seconds:.1f} s")
+
+
+def _print_warnings(warnings: Sequence[Diagnostic], console: Console) -> None:
+    """Print the warnings of each code, the most serious first."""
+    groups: dict[str, list[Diagnostic]] = {}
+    for warning in by_severity(warnings):
+        groups.setdefault(warning.code, []).append(warning)
+    for code, same in groups.items():
+        console.print()
+        console.print(Text(f"warning [{code}]"), style="yellow")
+        console.print(_warning_table(same))
+
+
+def _suspicion_lines(suspicions: Sequence[Suspicion]) -> Iterator[str]:
+    """Suspected faults with their corrections."""
+    for suspicion in suspicions:
+        yield f"  {suspicion.where}: {suspicion.message}"
+        yield f"    correction: {suspicion.remedy}"
+
+
 def _verdict_lines(verdict: Verdict) -> Iterator[tuple[str, str]]:
     """Status, reasons and corrections, each with its style."""
     style = _STATUS_STYLES.get(verdict.status, _FAULT_STYLE)
     yield f"verdict: {verdict.status} (exit code {verdict.exit_code})", style
     for reason in () if verdict.suspected else verdict.reasons:
         yield f"  {sentence(reason)}", style
-    for suspicion in verdict.suspected:
-        yield f"  {suspicion.where}: {suspicion.message}", style
-        yield f"    correction: {suspicion.remedy}", style
+    for line in _suspicion_lines(verdict.suspected):
+        yield line, style
 
 
 def _warning_table(warnings: Sequence[Diagnostic]) -> Table:

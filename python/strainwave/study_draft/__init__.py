@@ -1,8 +1,9 @@
 """Draft a study file from logs: `strainwave init`.
 
-`inspection` reads the logs. `names` and `signal_features` classify a column, `joints` assigns it to
-a joint, and `joint_columns` and `channels` map columns to channels. `experiment_type` proposes the
-use of each record, and `study_text` writes the study file with a reason for each guess.
+`inspection` reads the logs, and `robot` the joints of a URDF. `names` and `signal_features`
+classify a column, `joints` assigns it to a joint, and `joint_columns` and `channels` map columns to
+channels. `experiment_type` proposes the use of each record, and `study_text` writes the study file
+with a reason for each guess.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from strainwave.study_draft.experiment_type import (
     unchecked_joints,
 )
 from strainwave.study_draft.inspection import Record, find_fullest_record, read_record
+from strainwave.study_draft.robot import Robot
 from strainwave.study_draft.study_text import count_todos, is_elastic, study_text
 
 __all__ = ["StudyDraft", "start_study"]
@@ -39,12 +41,12 @@ class StudyDraft:
     warnings: tuple[str, ...]
 
 
-def start_study(logs: Sequence[Path], out: Path) -> StudyDraft:
-    """Write a draft study file from logs of one arm.
+def start_study(logs: Sequence[Path], out: Path, urdf: Path | None = None) -> StudyDraft:
+    """Write a draft study file from logs of one arm, whose joints `urdf` may place.
 
     Each guess has a comment with its reason; values that cannot be guessed are TODO. Raises
     InvalidInput if a log cannot be read or has no time column, if the logs name their columns
-    differently, or if `out` exists.
+    differently, if they lack a joint of the URDF, or if `out` exists.
     """
     if out.exists():
         raise InvalidInput(
@@ -52,16 +54,14 @@ def start_study(logs: Sequence[Path], out: Path) -> StudyDraft:
             where=str(out),
             remedy="choose another file with --out, or move the existing file",
         )
+    robot = None if urdf is None else Robot.read(urdf)
     records = [read_record(path) for path in logs]
     fullest = find_fullest_record(records)
-    mapping = map_channels(fullest, fullest)
+    mapping = map_channels(fullest, fullest, robot)
     _check_alike(records, fullest, mapping)
     for record in records:
-        add_channels(mapping, record, fullest)
-    elastic = any(facts.link_sensors for facts in mapping.joints)
-    experiments = propose_uses(records, mapping, elastic)
-    if not elastic and any(each.prbs for each in experiments):
-        experiments = propose_uses(records, mapping, True)
+        add_channels(mapping, record, fullest, robot)
+    experiments = propose_uses(records, mapping)
     text = study_text(
         [fullest, *(r for r in records if r is not fullest)], mapping, experiments, out
     )
@@ -84,6 +84,7 @@ def _warnings(
     for record in records:
         for fault in record.faults:
             yield f"{record.path.name}: {fault}"
+    yield from mapping.warnings
     unchecked = unchecked_joints(experiments, len(mapping.joints))
     if is_elastic(mapping, experiments) and unchecked:
         yield (

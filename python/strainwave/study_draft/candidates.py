@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 Sure = Literal["sure", "likely", "unsure"]
@@ -25,13 +26,20 @@ class Guess:
 
 @dataclass(slots=True)
 class JointFacts:
-    """Properties of one joint derived from the columns."""
+    """Properties of one joint derived from the columns, or from a URDF."""
 
+    name: str = ""  # in the URDF
+    joint_side: str = ""  # why its signals are measured behind the gear; empty if they are not
     prismatic: bool = False
     gear_ratio: tuple[float, str] | None = None  # with its reason
     encoder_counts: tuple[int | None, str] | None = None  # None: the step matches no common encoder
     voltage: bool = False  # whether the drive's input is a voltage
     link_sensors: set[str] = field(default_factory=set)
+
+    @property
+    def shows_elasticity(self) -> bool:
+        """Whether a sensor on the link shows the gear's elasticity."""
+        return bool(self.link_sensors) and not self.joint_side
 
 
 @dataclass(slots=True)
@@ -40,7 +48,14 @@ class Mapping:
 
     guesses: dict[str, Guess] = field(default_factory=dict)
     joints: list[JointFacts] = field(default_factory=list)
+    urdf: Path | None = None  # file that places the joints
     unused: dict[str, str] = field(default_factory=dict)  # column -> reason
     missing: dict[str, str] = field(default_factory=dict)  # channel -> description
     limit: str = ""  # why the arm exceeds the supported models
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # notes that the user needs before completing the study
+
+    @property
+    def shows_elasticity(self) -> bool:
+        """Whether a sensor on a link shows the elasticity of a gear."""
+        return any(facts.shows_elasticity for facts in self.joints)

@@ -3,33 +3,88 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
 from strainwave.domain import FloatArray
+from strainwave.errors import InvalidInput
 from strainwave.study_draft.candidates import MIN_RELATED_CORRELATION, Guess, Mapping
 from strainwave.study_draft.inspection import Record
 from strainwave.study_draft.joint_columns import JointColumns
 from strainwave.study_draft.joints import assign_columns
+from strainwave.study_draft.names import parse
+from strainwave.study_draft.robot import Robot
 from strainwave.study_draft.signal_features import proportion, relation
 
 _IMU_AXIS = re.compile(r"[ag][xyz][1-9]")  # channel name of an IMU axis
 
 
-def map_channels(record: Record, fullest: Record) -> Mapping:
-    """Guess the channels of a record; `fullest` is the record with the most columns."""
-    parsed_names, limit, notes = assign_columns(record, fullest)
+def map_channels(record: Record, fullest: Record, robot: Robot | None = None) -> Mapping:
+    """Guess the channels of a record; `fullest` is the record with the most columns.
+
+    Raises InvalidInput if the record has no angle of a joint of `robot`.
+    """
+    assigned = assign_columns(record, fullest, robot)
+    parsed_names = assigned.columns
     n_joints = max((each.number or 1 for each in parsed_names.values()), default=1)
-    mapping = Mapping(limit=limit, notes=notes)
-    for joint in range(1, n_joints + 1):
-        joint_columns = {n: e for n, e in parsed_names.items() if (e.number or 1) == joint}
-        JointColumns(record, joint_columns, joint, mapping).map()
+    mapping = Mapping(limit=assigned.limit, notes=assigned.notes, unused=dict(assigned.unused))
+    if robot is not None:
+        n_joints, mapping.urdf = len(robot.joints), robot.path
+    joints = [
+        JointColumns(
+            record,
+            {name: each for name, each in parsed_names.items() if (each.number or 1) == joint},
+            joint,
+            mapping,
+            has_spatial_links=robot is not None or n_joints > 2,
+        )
+        for joint in range(1, n_joints + 1)
+    ]
+    if robot is not None:
+        _describe_joints(joints, robot, record)
+    for joint in joints:
+        joint.map()
     _map_imus(record, mapping)
     used = {guess.column for guess in mapping.guesses.values()}
     for name, values in record.columns.items():
         if name not in used and name not in mapping.unused:
             mapping.unused[name] = _describe_unused(record, values, mapping)
     return mapping
+
+
+def _describe_joints(joints: Sequence[JointColumns], robot: Robot, record: Record) -> None:
+    """Set what the URDF states about the joints, and on which side of the gears they are logged."""
+    unassigned = [n for n in joints[0].mapping.unused if parse(n).quantity == "angle"]
+    missing = [
+        repr(urdf.name)
+        for joint, urdf in zip(joints, robot.joints, strict=True)
+        if joint.angle is None
+    ]
+    if missing:
+        angles = unassigned or [n for n in record.columns if parse(n).quantity == "angle"]
+        columns = ", ".join(angles or record.columns)
+        raise InvalidInput(
+            f"no column is the angle of the joint {', '.join(missing)}; the columns are {columns}",
+            where=str(record.path),
+            remedy=f"log all {len(joints)} joints that move in {robot.path.name}, and name columns "
+            "by joint names or numbers, such as theta_m1; if a joint stands still in all logs, set "
+            'its type to "fixed" in the URDF',
+        )
+    motions = [(joint.number, joint.scaled_angle()) for joint in joints]
+    within = robot.are_within_limits(motions, record.period)
+    for joint, urdf in zip(joints, robot.joints, strict=True):
+        joint.facts.name, joint.facts.prismatic = urdf.name, urdf.motion == "prismatic"
+        if within and not joint.facts.joint_side:
+            joint.facts.joint_side = f"all angles stay within the limits of {robot.path.name}"
+        joint.exceeded = "" if within is not False else robot.path.name
+    warnings = [f"{name!r} is not used: {joints[0].mapping.unused[name]}" for name in unassigned]
+    if within is False and any(joint.facts.joint_side for joint in joints):
+        warnings.append(
+            f"angles of {record.path.name} exceed the limits of {robot.path.name}: check that both "
+            "belong to the same robot, and the unit"
+        )
+    joints[0].mapping.warnings = tuple(warnings)
 
 
 def _map_imus(record: Record, mapping: Mapping) -> None:
@@ -44,7 +99,9 @@ def _map_imus(record: Record, mapping: Mapping) -> None:
             mapping.joints[number - 1].link_sensors.add("imu")
 
 
-def add_channels(mapping: Mapping, record: Record, fullest: Record) -> None:
+def add_channels(
+    mapping: Mapping, record: Record, fullest: Record, robot: Robot | None = None
+) -> None:
     """Add the channels whose columns are only in `record`, not in `fullest`.
 
     Updates the channels, joint properties and unused columns of `mapping`, which belongs to
@@ -53,7 +110,7 @@ def add_channels(mapping: Mapping, record: Record, fullest: Record) -> None:
     known = {*fullest.columns, *mapping.unused, *(g.column for g in mapping.guesses.values())}
     if known.issuperset(record.columns):
         return
-    extra = map_channels(record, fullest)
+    extra = map_channels(record, fullest, robot)
     for channel, guess in extra.guesses.items():
         if channel not in mapping.guesses and guess.column not in known:
             mapping.guesses[channel] = guess

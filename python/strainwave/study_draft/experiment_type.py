@@ -18,6 +18,7 @@ from strainwave.study_draft.signal_features import (
     levels,
     runs_alike,
     sequence_of,
+    sequence_under_servo,
     smooth_share,
     switches,
 )
@@ -59,14 +60,22 @@ class _JointInput:
     size: float  # standard deviation of the input
 
 
-def propose_uses(
-    records: Sequence[Record], mapping: Mapping, elastic: bool
-) -> list[ExperimentProposal]:
+def propose_uses(records: Sequence[Record], mapping: Mapping) -> list[ExperimentProposal]:
     """Propose a use for every record.
 
-    `elastic` states whether the gear stiffness is to be identified.
+    Gear stiffness is identified if a link sensor or a pseudo-random input shows it.
     """
-    proposals = [_propose_use(record, mapping, elastic) for record in records]
+    numbers = range(1, len(mapping.joints) + 1)
+    inputs = [[_classify_input(record, mapping, j) for j in numbers] for record in records]
+    elastic = mapping.shows_elasticity or any(
+        each.sequence and not mapping.joints[each.joint - 1].joint_side
+        for of_record in inputs
+        for each in of_record
+    )
+    proposals = [
+        _propose_use(record, of_record, mapping, elastic)
+        for record, of_record in zip(records, inputs, strict=True)
+    ]
     _assign_sweeps(proposals)
     _assign_checks(proposals)
     return proposals
@@ -91,11 +100,14 @@ def unchecked_joints(proposals: Sequence[ExperimentProposal], joints: int) -> li
     return [joint for joint in range(1, joints + 1) if joint not in checked]
 
 
-def _propose_use(record: Record, mapping: Mapping, elastic: bool) -> ExperimentProposal:
-    inputs = [_classify_input(record, mapping, j) for j in range(1, len(mapping.joints) + 1)]
+def _propose_use(
+    record: Record, inputs: Sequence[_JointInput], mapping: Mapping, elastic: bool
+) -> ExperimentProposal:
     control: tuple[Control, ...] = tuple("servo" if each.servo else "open" for each in inputs)
-    random_input = max((s for s in inputs if s.kind == "random"), key=_priority, default=None)
     stepped = [s for s in inputs if s.kind == "steps"]
+    # next to a stepped joint, the input of a joint that a servo holds has the noise of its encoder
+    random_inputs = [s for s in inputs if s.kind == "random" and (s.sequence or not stepped)]
+    random_input = max(random_inputs, key=_priority, default=None)
     if random_input is not None and elastic:
         sequence = random_input.sequence
         description = "a pseudo-random sequence" if sequence else "fast and broad"
@@ -121,9 +133,9 @@ def _classify_input(record: Record, mapping: Mapping, joint: int) -> _JointInput
     drive = _column(record, mapping, f"u{joint}", f"torque{joint}")
     reference = _column(record, mapping, f"ref{joint}")
     if drive is None or np.ptp(drive) == 0.0:
-        return _JointInput(
-            joint, "still", None, reference is not None and bool(np.ptp(reference) > 0.0), 0.0
-        )
+        is_moved = reference is not None and bool(np.ptp(reference) > 0.0)
+        is_held = drive is not None and bool(drive[0] != 0.0)  # by the integral of a servo
+        return _JointInput(joint, "still", None, is_moved or is_held, 0.0)
     std = float(np.std(drive))
     input_levels = levels(drive)
     jumps = switches(drive)
@@ -132,6 +144,9 @@ def _classify_input(record: Record, mapping: Mapping, joint: int) -> _JointInput
         return _JointInput(joint, "random", sequence_of(drive, record.period), False, std)
     if input_levels is not None:
         return _JointInput(joint, "steps", None, False, std)
+    sequence = sequence_under_servo(drive, record.period)
+    if sequence is not None:
+        return _JointInput(joint, "random", sequence, servo, std)
     if reference is not None and np.ptp(reference) > 0.0:
         is_stepped = levels(reference) is not None
         return _JointInput(joint, "steps" if is_stepped else "smooth", None, servo, std)

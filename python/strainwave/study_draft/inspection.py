@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 
@@ -14,12 +14,14 @@ from strainwave.errors import InvalidInput
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clocks import MIN_SAMPLES, Track, resample_tracks
 from strainwave.io.logs.tables import MAX_MAGNITUDE, find_invalid_value, open_table
-from strainwave.study_draft.names import UNITS, max_joints, parse
+from strainwave.study_draft.names import UNITS, Quantity, max_joints, parse
 from strainwave.study_draft.signal_features import is_clock, time_unit
 
 _MAX_INVALID_SHARE = (
     0.05  # maximum share of invalid samples; with more, a column cannot be classified
 )
+# quantities of a bag's topics; temperatures have slow topics of their own
+_SAMPLED = frozenset(get_args(Quantity)) - {"time", "temperature"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +127,7 @@ def _joint_limit_remark(columns: Collection[str]) -> str:
 
 def _read_bag(path: Path) -> Record:
     bag = Bag(path)
-    column_names = [name for name in bag.names if parse(name).quantity not in (None, "time")]
+    column_names = [name for name in bag.names if parse(name).quantity in _SAMPLED]
     if not column_names:
         raise InvalidInput(
             "no topic contains signals of a robot arm",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from math import pi
 from typing import NamedTuple
 
@@ -34,6 +35,8 @@ from strainwave.study_draft.signal_features import relation as relation_of
 _MAX_REVERSED_CORRELATION = -0.5  # correlation below which the sensor's sign is reversed
 _SENSORS = {"acceleration": "a", "gyro": "gyro", "deflection": "deflection"}  # with its channel
 _SENSOR_UNITS = {"acceleration": "m/s^2", "gyro": "rad/s", "deflection": "rad"}
+_JOINT_STATE = re.compile(r"(?P<topic>/[^.]*)\.position(?P<joint>\[.*[^\d\]].*\])")
+_AXIS = re.compile(r"(?<![A-Za-z])[xyz](?![A-Za-z])", re.IGNORECASE)  # of an IMU, in a name
 _COUNTS_SCALE = "2 pi / counts per motor turn [rad]"
 
 
@@ -47,28 +50,57 @@ class JointColumns:
     """Mapping of one joint's columns in progress."""
 
     def __init__(
-        self, record: Record, parsed_names: dict[str, ParsedName], number: int, mapping: Mapping
+        self,
+        record: Record,
+        parsed_names: dict[str, ParsedName],
+        number: int,
+        mapping: Mapping,
+        *,
+        has_spatial_links: bool,
     ) -> None:
         self.record = record
         self.parsed_names = parsed_names
         self.number = number
         self.mapping = mapping
+        self.has_spatial_links = has_spatial_links
+        self.exceeded = ""  # URDF with limits that the angles of the arm exceed
         self.facts = JointFacts()
         mapping.joints.append(self.facts)
+        self.angle, self.link_angle = self._choose_angles()
+        self.facts.joint_side = self._joint_states()
 
     def map(self) -> None:
         """Map the angles, then classify the other columns by their relation to the motor angle."""
-        motor, link = self._angles()
+        motor = self.angle
         if motor is None:
             self.mapping.missing[f"theta_m{self.number}"] = "the motor angle [rad at the motor]"
         else:
+            self._angle(motor)
             self._velocity(motor)
             self._encoder(motor)
             self._reference(motor)
-        if motor is not None and link is not None:
-            self._link(motor, link)
+        if motor is not None and self.link_angle is not None:
+            if self.facts.joint_side:
+                self.mapping.unused[self.link_angle] = f"another angle of joint {self.number}"
+            else:
+                self._link(motor, self.link_angle)
         self._input()
+        self._temperature()
         self._sensors(motor)
+
+    def scaled_angle(self) -> FloatArray:
+        """The angle in SI units; zero if its unit is unknown, or if there is none."""
+        scale = None if self.angle is None else self._angle_unit(self.angle).scale
+        if self.angle is None or scale is None:
+            return np.zeros(len(self.record.time))
+        return scale * self._values(self.angle)
+
+    def _joint_states(self) -> str:
+        """Why angle and torque are of the joint: both are of one message of joint states."""
+        match = _JOINT_STATE.fullmatch(self.angle or "")
+        if match is None or f"{match['topic']}.effort{match['joint']}" not in self.parsed_names:
+            return ""
+        return f"{match['topic']} has positions and efforts of the joints"
 
     def _columns_of(self, quantity: str) -> list[str]:
         return [name for name, each in self.parsed_names.items() if each.quantity == quantity]
@@ -82,12 +114,14 @@ class JointColumns:
     def _values(self, column: str) -> FloatArray:
         return self.record.columns[column]
 
-    def _angles(self) -> tuple[str | None, str | None]:
+    def _choose_angles(self) -> tuple[str | None, str | None]:
         """Return the columns of motor angle and link angle.
 
         Names decide; without a side in the name, the angle with the larger range is the motor's.
+        Joint states precede other topics.
         """
         names = sorted(self._columns_of("angle"), key=lambda n: -float(np.ptp(self._values(n))))
+        names.sort(key=lambda name: _JOINT_STATE.fullmatch(name) is None)
         link = [n for n in names if self.parsed_names[n].side == "link"]
         motor = [n for n in names if self.parsed_names[n].side == "motor"]
         no_side = [n for n in names if n not in link + motor]
@@ -97,21 +131,23 @@ class JointColumns:
         for name in names:
             if name not in (motor_angle, link_angle):
                 self.mapping.unused[name] = f"another angle of joint {self.number}"
-        if motor_angle is not None:
-            self._angle(
-                motor_angle, "link" if self.parsed_names[motor_angle].side == "link" else "motor"
-            )
         return motor_angle, link_angle
 
-    def _angle(self, column: str, side: str) -> None:
+    def _angle(self, column: str) -> None:
         each = self.parsed_names[column]
         sure: Sure = "likely" if each.sure else "unsure"
         name_reason = _evidence(each)
         scale, unit_reason, todo = self._angle_unit(column)
-        self.facts.prismatic = each.unit in LINEAR or any(e.unit in LINEAR for e in self._inputs())
-        if side == "link":
+        if not self.facts.name:
+            linear = [e for e in (each, *self._inputs()) if e.unit in LINEAR]
+            self.facts.prismatic = bool(linear)
+        if self.facts.joint_side:
+            unit_reason += "; of the joint"
+        elif each.side == "link":
             scale, todo = None, "1/gear_ratio: motor turns per link turn"
             unit_reason = "an angle of the link; there is no motor angle"
+        elif self.exceeded:
+            unit_reason += f"; angles exceed the limits of {self.exceeded}: those of motors"
         elif each.side is None and not self.facts.prismatic:
             unit_reason += (
                 "; assumed to be the motor angle: if it is the link angle, divide the scale by"
@@ -144,7 +180,8 @@ class JointColumns:
         values = self._values(column)
         if np.all(values == np.round(values)) and np.ptp(values) > 100.0:
             return _AngleUnit(None, "whole numbers: counts?", _COUNTS_SCALE)
-        return _AngleUnit(1.0, "assumed unit rad: the log does not state a unit")
+        assumed = "m" if self.facts.prismatic else "rad"
+        return _AngleUnit(1.0, f"assumed unit {assumed}: the log does not state a unit")
 
     def _relation(self, rate: str, value: str) -> tuple[float, float]:
         return relation_of(self._values(rate), self._values(value), self.record.time)
@@ -175,6 +212,8 @@ class JointColumns:
             self._add("omega_m", column, reason, "sure", scale=nearest)
 
     def _encoder(self, angle: str) -> None:
+        if self.facts.joint_side:
+            return  # drivers of robots round angles to decimals, not to counts
         scale = self.mapping.guesses[f"theta_m{self.number}"].scale
         step = quantum(self._values(angle))
         if scale is None or step is None or self.facts.prismatic:
@@ -227,8 +266,19 @@ class JointColumns:
             )
 
     def _input(self) -> None:
-        for quantity, channel in (("torque", "torque"), ("voltage", "u"), ("current", "torque")):
-            for column in self._columns_of(quantity):
+        """Map the input of the drive, and the torque that a sensor measures behind the gear."""
+        torques = sorted(self._columns_of("torque"), key=self._distance_from_drive)
+        voltages, currents = self._columns_of("voltage"), self._columns_of("current")
+        sensors = [name for name in torques if self.parsed_names[name].side == "link"]
+        if sensors and (len(sensors) < len(torques) or voltages or currents):
+            self._torque_sensor(sensors.pop(0))
+            torques = [n for n in torques if self.parsed_names[n].side != "link"] + sensors
+        for quantity, channel, columns in (
+            ("torque", "torque", torques),
+            ("voltage", "u", voltages),
+            ("current", "torque", currents),
+        ):
+            for column in columns:
                 other = self._mapped_input()
                 if other is not None:
                     reason = f"a {quantity} according to its name; {other!r} is used. If both act: "
@@ -236,9 +286,32 @@ class JointColumns:
                     continue
                 self._add_input(column, quantity, channel)
         if self._mapped_input() is None:
-            self.mapping.missing[f"u{self.number}"] = (
-                "the drive voltage [V]; for a torque, map torque instead"
+            channel, description = (
+                ("torque", "the torque [N m at the joint]; for a voltage, map u instead")
+                if self.facts.joint_side
+                else ("u", "the drive voltage [V]; for a torque, map torque instead")
             )
+            self.mapping.missing[f"{channel}{self.number}"] = description
+
+    def _distance_from_drive(self, torque: str) -> tuple[bool, bool, bool]:
+        """Order of torques: of the angle's topic, of the motor, then without unknown words."""
+        each = self.parsed_names[torque]
+        topic = torque.partition(".")[0] if torque.startswith("/") else ""
+        is_elsewhere = not (topic and (self.angle or "").startswith(f"{topic}."))
+        return is_elsewhere, each.side != "motor", bool(each.unrecognised_word)
+
+    def _torque_sensor(self, column: str) -> None:
+        each = self.parsed_names[column]
+        reason = f"{_evidence(each)}, of the link" + ("" if each.unit else "; assumed unit N m")
+        scale = UNITS["torque"].get(each.unit or "", 1.0)
+        self._add("tau_l", column, reason, "likely" if each.sure else "unsure", scale=scale)
+        self.facts.link_sensors.add("tau_l")
+
+    def _temperature(self) -> None:
+        for column in self._columns_of("temperature")[:1]:
+            each = self.parsed_names[column]
+            unit = "" if each.unit else "; assumed unit degC"
+            self._add("temperature", column, f"{_evidence(each)}, never fitted{unit}", "likely")
 
     def _mapped_input(self) -> str | None:
         """The column of the drive's torque or voltage."""
@@ -261,7 +334,8 @@ class JointColumns:
         if each.word in ("pwm", "duty"):
             scale, todo = None, "volts at full duty"
         if each.unit is None and quantity != "current":
-            reason += f"; assumed unit {'V' if quantity == 'voltage' else 'N m at the motor'}"
+            place = "N m at the joint" if self.facts.joint_side else "N m at the motor"
+            reason += f"; assumed unit {'V' if quantity == 'voltage' else place}"
         self.facts.voltage = channel == "u"
         self._add(
             channel, column, reason, "likely" if each.sure else "unsure", scale=scale, todo=todo
@@ -271,6 +345,8 @@ class JointColumns:
         """Map of each kind of sensor the axis that correlates best with the motor's motion."""
         for quantity, channel in _SENSORS.items():
             columns = [n for n in self._columns_of(quantity) if np.ptp(self._values(n)) > 0.0]
+            if self.has_spatial_links and self._imu(quantity, columns):
+                continue
             correlations = {n: self._motion_correlation(n, quantity, motor) for n in columns}
             column = max(columns, key=lambda name: abs(correlations[name]), default=None)
             if column is None:
@@ -293,6 +369,25 @@ class JointColumns:
             for other in columns:
                 if other != column:
                     self.mapping.unused[other] = "another axis of the same sensor"
+
+    def _imu(self, quantity: str, columns: list[str]) -> bool:
+        """Map the axes x, y, z of an IMU. Returns False if the columns are not such axes."""
+        matches = {name: _AXIS.search(name) for name in columns}
+        axes = {name: match[0].lower() for name, match in matches.items() if match}
+        if quantity == "deflection" or not columns or len(set(axes.values())) < len(columns):
+            return False
+        for name, axis in axes.items():
+            each = self.parsed_names[name]
+            reason = f"{_evidence(each)}; axis {axis} of an IMU"
+            if each.unit is None:
+                reason += f"; assumed unit {_SENSOR_UNITS[quantity]}"
+            if not each.placed:
+                reason += "; no joint in its name: the last joint is assumed"
+            sure: Sure = "likely" if each.sure and each.placed else "unsure"
+            scale = UNITS[each.quantity or "gyro"].get(each.unit or "", 1.0)
+            self._add(f"{quantity[0]}{axis}", name, reason, sure, scale=scale)
+        self.facts.link_sensors.add("imu")
+        return True
 
     def _motion_correlation(self, column: str, quantity: str, motor: str | None) -> float:
         """Correlation with the motor's acceleration or velocity; 0 if that is unknown."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import NamedTuple
 
 from strainwave.domain import FloatArray
 from strainwave.study_draft.inspection import Record
-from strainwave.study_draft.names import ParsedName, max_joints, parse
+from strainwave.study_draft.names import ParsedName, max_joints, number_in, parse
+from strainwave.study_draft.robot import Robot
 from strainwave.study_draft.signal_features import levels, relation
 
 _MIN_DERIVATIVE_CORRELATION = (
@@ -16,25 +18,32 @@ _MIN_DERIVATIVE_CORRELATION = (
 )
 
 
+_ON_LINK = ("acceleration", "gyro", "deflection")  # quantities of sensors on a link
+
+
 class ColumnAssignment(NamedTuple):
     """Quantity and joint of each column."""
 
     columns: dict[str, ParsedName]
-    limit: str  # why joints are omitted; empty if none is
-    notes: tuple[str, ...]
+    limit: str = ""  # why joints are omitted; empty if none is
+    notes: tuple[str, ...] = ()
+    unused: Mapping[str, str] = MappingProxyType({})  # columns of no joint, with the reason
 
 
-def assign_columns(record: Record, fullest: Record) -> ColumnAssignment:
+def assign_columns(record: Record, fullest: Record, robot: Robot | None = None) -> ColumnAssignment:
     """Assign each column a quantity and a joint number.
 
-    Joints count from 1. `fullest` is the record of the same arm that determines the moving joints.
-    Columns of joints beyond `max_joints` are omitted.
+    Joints count from 1. They are those of `robot`; without it, `fullest` is the record of the same
+    arm that determines the moving joints, and columns of joints beyond `max_joints` are omitted.
     """
     parsed_names = {name: parse(name) for name in record.columns}
     notes: list[str] = []
     if not any(each.quantity == "angle" for each in parsed_names.values()):
         parsed_names |= _classify_by_data(record, parsed_names)
         notes.append("no column name indicates an angle: columns were assigned by their data alone")
+    if robot is not None:
+        numbers, unused = _number_by_robot(parsed_names, robot)
+        return ColumnAssignment(numbers, "", tuple(notes), unused)
     numbered = _number_joints(parsed_names)
     joints = sorted({each.number or 1 for each in numbered.values() if each.quantity == "angle"})
     moving = [j for j in joints if _is_moving(fullest, numbered, j)] or joints
@@ -49,7 +58,7 @@ def assign_columns(record: Record, fullest: Record) -> ColumnAssignment:
         )
     order = {joint: k for k, joint in enumerate(chosen, start=1)}
     for name, each in numbered.items():
-        on_link = each.quantity in ("acceleration", "gyro", "deflection")
+        on_link = each.quantity in _ON_LINK
         if each.number is None and chosen and (on_link or len(chosen) == 1):
             # a sensor without a joint in its name is assigned to the last link
             placed = len(chosen) == 1
@@ -57,9 +66,35 @@ def assign_columns(record: Record, fullest: Record) -> ColumnAssignment:
     kept = {
         name: replace(each, number=order[each.number or 1])
         for name, each in numbered.items()
-        if (each.number or 1) in order
+        if (each.number or 1) in order and (each.number or each.quantity != "temperature")
     }
     return ColumnAssignment(kept, limit, tuple(notes))
+
+
+def _number_by_robot(
+    parsed_names: Mapping[str, ParsedName], robot: Robot
+) -> tuple[dict[str, ParsedName], dict[str, str]]:
+    """Number the joints by their names in a URDF, else by numbers; and list the other columns."""
+    matches = robot.named_joints([each.label or name for name, each in parsed_names.items()])
+    by_name, by_number = dict[str, ParsedName](), dict[str, ParsedName]()
+    for name, each in parsed_names.items():
+        match = matches.get(each.label or name)
+        if match is not None:
+            parsed = each if each.label else parse(name, match.words)
+            by_name[name] = replace(parsed, number=match.number, label="")
+        else:
+            number = number_in(each.label) if each.label else each.number
+            by_number[name] = replace(each, number=number, label="")
+    kept, unused, count = by_name, dict[str, str](), len(robot.joints)
+    for name, each in _count_from_one(by_number).items():
+        number = robot.number_of(each.number)
+        if number is not None:
+            kept[name] = replace(each, number=number)
+        elif each.number is None and each.quantity in _ON_LINK:
+            kept[name] = replace(each, number=count, placed=False)
+        elif each.quantity not in (None, "time"):
+            unused[name] = f"no joint that moves in {robot.path.name} has this name or number"
+    return kept, unused
 
 
 def _number_joints(parsed_names: Mapping[str, ParsedName]) -> dict[str, ParsedName]:
@@ -68,18 +103,23 @@ def _number_joints(parsed_names: Mapping[str, ParsedName]) -> dict[str, ParsedNa
         name: replace(each, label=_label(each, parsed_names)) for name, each in parsed_names.items()
     }
     labels = list(dict.fromkeys(each.label for each in parsed_names.values() if each.label))
+    return {
+        name: replace(each, number=labels.index(each.label) + 1) if each.label else each
+        for name, each in _count_from_one(parsed_names).items()
+    }
+
+
+def _count_from_one(parsed_names: Mapping[str, ParsedName]) -> dict[str, ParsedName]:
+    """Increase the numbers of topics and quantities that count from 0."""
     from_zero = {
         _numbering_group(name, each) for name, each in parsed_names.items() if each.number == 0
     }
-    numbered = {}
-    for name, each in parsed_names.items():
-        if each.label:
-            numbered[name] = replace(each, number=labels.index(each.label) + 1)
-        elif each.number is not None and _numbering_group(name, each) in from_zero:
-            numbered[name] = replace(each, number=each.number + 1)
-        else:
-            numbered[name] = each
-    return numbered
+    return {
+        name: replace(each, number=each.number + 1)
+        if each.number is not None and _numbering_group(name, each) in from_zero
+        else each
+        for name, each in parsed_names.items()
+    }
 
 
 def _label(each: ParsedName, parsed_names: Mapping[str, ParsedName]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
 from typing import Literal
@@ -21,10 +22,12 @@ Quantity = Literal[
     "gyro",
     "deflection",
     "reference",
+    "temperature",
 ]
 Side = Literal["motor", "link"]
 
 _WORDS: tuple[tuple[Quantity, str], ...] = (  # the first match applies
+    ("temperature", "temperature temp"),
     ("deflection", "defl deflection twist torsion"),
     ("gyro", "gyro gyr gyros gyroscope angularvelocity angvel angrate"),
     ("acceleration", "a acc accel acceleration accelerometer accelero linearacceleration qdd ddq"),
@@ -60,7 +63,9 @@ _AMBIGUOUS_WORDS = (
     "sp",
 )
 # words of columns that have no quantity
-_IGNORED_WORDS = ("orientation", "quaternion", "temp", "temperature", "status", "id", "seq")
+_IGNORED_WORDS = ("orientation", "quaternion", "status", "id", "seq")
+# words of a torque that a sensor measures behind the gear
+_TORQUE_SENSOR_WORDS = {"sensor", "jts"}
 
 # words that do not distinguish joints
 _GENERIC_WORDS = (
@@ -94,6 +99,7 @@ UNITS: dict[Quantity, dict[str, float]] = {
     "voltage": {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3},
     "torque": {"nm": 1.0, "mnm": 1e-3, "n": 1.0, "kn": 1e3},
     "current": {"a": 1.0, "amp": 1.0, "ma": 1e-3},
+    "temperature": {"degc": 1.0, "celsius": 1.0},
     "acceleration": {"ms2": 1.0, "mps2": 1.0, "mss": 1.0, "g": 9.80665, "mg": 9.80665e-3},
 }
 LINEAR = (*_TRAVEL, "n", "kn", "mps", "mms")
@@ -122,29 +128,34 @@ def max_joints() -> int:
     return max(kind.max_joints for kind in all_kinds())
 
 
-def parse(name: str) -> ParsedName:
-    """Parse a column name."""
+def parse(name: str, joint_words: Sequence[str] = ()) -> ParsedName:
+    """Parse a column name; `joint_words` are those of its words that name the joint."""
     text, label, number = name, "", None
     if name.startswith("/"):  # bag column: /topic.field[joint or index]
         bracket = re.search(r"\[([^\]]*)\]$", name)
         text = name[: bracket.start()] if bracket else name
         label = bracket[1] if bracket and not bracket[1].isdecimal() else ""
+        if label:  # namespaces are names of robots
+            text = text[text.rindex("/") :]
         number = int(bracket[1]) if bracket and bracket[1].isdecimal() else None
         text = re.sub(r"\.data$", "", text)
     tokens = _tokens(text)
+    start = position([token.lower() for token in tokens], joint_words)
+    if start is not None:
+        del tokens[start : start + len(joint_words)]
     if any(token.lower() in _IGNORED_WORDS for token in tokens):
         return ParsedName(None)
     quantity, word = _quantity(tokens)
     unit, words = _unit(tokens, quantity, word)
     if quantity is None and unit is not None:
         quantity = _quantity_of_unit(unit)
-    numbers = [int(token) for token in words if token.isdecimal()]
-    if number is None and numbers:
-        number = numbers[-1]
+    number = _last_number(words) if number is None else number
     lowercase = [token.lower() for token in words]
     sides = [_SIDES[token] for token in lowercase if token in _SIDES]
     if quantity in ("angle", "velocity") and not _COMMAND_WORDS.isdisjoint(lowercase):
         quantity = "reference"
+    if quantity == "torque" and not _TORQUE_SENSOR_WORDS.isdisjoint(lowercase):
+        sides.append("link")
     side = sides[-1] if sides else None
     known_words = {
         word,
@@ -159,6 +170,26 @@ def parse(name: str) -> ParsedName:
     is_channel = re.fullmatch(rf"({'|'.join(channel_kinds())})\d", name) is not None
     sure = is_channel or (bool(word) and word not in _AMBIGUOUS_WORDS)
     return ParsedName(quantity, number, label, unknown_word, unit, side, word, sure)
+
+
+def words_of(name: str) -> tuple[str, ...]:
+    """Return the words and numbers of a name in lower case."""
+    return tuple(token.lower() for token in _tokens(name))
+
+
+def number_in(name: str) -> int | None:
+    """Return the last number in a name, or None."""
+    return _last_number(words_of(name))
+
+
+def _last_number(words: Sequence[str]) -> int | None:
+    return next((int(word) for word in reversed(words) if word.isdecimal()), None)
+
+
+def position(words: Sequence[str], part: Sequence[str]) -> int | None:
+    """Position at which `part` is in `words`, or None."""
+    starts = range(len(words) - len(part) + 1)
+    return next((k for k in starts if tuple(words[k : k + len(part)]) == tuple(part)), None)
 
 
 def _tokens(text: str) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import pi
 from typing import NamedTuple
 
@@ -114,6 +115,34 @@ def sequence_of(values: FloatArray, period: float) -> Prbs | None:
             amplitude = float(f"{np.ptp(two_levels) / 2:.6g}")
             return Prbs(order, float(f"{clock * period:.6g}"), periods, amplitude)
     return None
+
+
+def sequence_under_servo(values: FloatArray, period: float) -> Prbs | None:
+    """Detect a maximum-length sequence that is added to the output of a servo.
+
+    The sequence switches where `values` (n_samples,) jump, up and down in turn; `period` is the
+    sampling period [s].
+    """
+    jumps = np.diff(values)
+    size = np.abs(jumps)
+    n_largest = max(8, len(size) // 100)  # a sequence jumps more often
+    if len(size) <= n_largest:
+        return None
+    limit = 0.5 * float(np.partition(size, -n_largest)[-n_largest])
+    edges = np.flatnonzero(size > limit)
+    rises = jumps[edges] > 0.0
+    if limit == 0.0 or np.any(rises[1:] == rises[:-1]):
+        return None
+    # a torque behind a current loop takes two samples; later the servo responds
+    inner = edges[(edges > 0) & (edges + 2 < len(values))]
+    spans = ((0, 1), (-1, 1), (0, 2))
+    changes = [np.median(np.abs(values[inner + b] - values[inner + a])) for a, b in spans]
+    amplitude = float(max(changes)) / 2.0
+    level = np.concatenate([[not rises[0]], rises])
+    two_levels = np.where(level, amplitude, -amplitude)
+    sequence = sequence_of(np.repeat(two_levels, np.diff([-1, *edges, len(values) - 1])), period)
+    # the response of the servo limits the accuracy
+    return sequence and replace(sequence, amplitude=float(f"{amplitude:.2g}"))
 
 
 def _repeats(high: BoolArray, order: int, clock: float) -> bool:

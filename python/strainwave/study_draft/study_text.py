@@ -36,7 +36,9 @@ def study_text(
         if each.use in ("tuning", "check") and each.joint is not None and "servo" in each.control
     ]
     faults = (f"{each.path.name}: {fault}" for each in records for fault in each.faults)
-    notes = dict.fromkeys((mapping.limit, *mapping.notes, *records[0].notes, *faults))
+    notes = dict.fromkeys(
+        (mapping.limit, *mapping.notes, *mapping.warnings, *records[0].notes, *faults)
+    )
     body = fill_text(
         Path(__file__).with_name("study.toml.j2"),
         mapping=mapping,
@@ -51,7 +53,7 @@ def study_text(
         notes=[note for note in notes if note],
         logs_without=lambda guess: [r.path.name for r in records if guess.column not in r.columns],
         of_bag=lambda guess: any(r.is_bag for r in records if guess.column in r.columns),
-        path_of=lambda record: os.path.relpath(record.path, out.parent).replace(os.sep, "/"),
+        path_of=lambda path: os.path.relpath(path, out.parent).replace(os.sep, "/"),
         entry=_entry,
         line=_line,
         listed=_listed,
@@ -72,7 +74,8 @@ def study_text(
 def _kind(mapping: Mapping) -> str:
     """The simplest kind of arm for the joints; two axes are likely parallel."""
     n_joints = len(mapping.joints)
-    is_chain = n_joints > 2 or (n_joints == 2 and any(facts.prismatic for facts in mapping.joints))
+    slides = any(facts.prismatic for facts in mapping.joints)
+    is_chain = mapping.urdf is not None or n_joints > 2 or (n_joints == 2 and slides)
     return "serial" if is_chain else "planar-two-link" if n_joints == 2 else "single-joint"
 
 
@@ -84,8 +87,9 @@ def count_todos(text: str) -> int:
 
 def is_elastic(mapping: Mapping, experiments: Sequence[ExperimentProposal]) -> bool:
     """Whether the logs identify gear stiffness: a link sensor or a pseudo-random input exists."""
-    sensed = any(facts.link_sensors for facts in mapping.joints)
-    return sensed or any(each.prbs for each in experiments)
+    if all(facts.joint_side for facts in mapping.joints):
+        return False
+    return mapping.shows_elasticity or any(each.prbs for each in experiments)
 
 
 def _line(key: str, value: object, comment: str) -> str:

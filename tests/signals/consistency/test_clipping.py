@@ -22,7 +22,8 @@ def find_clipped_channels(
     step = Experiment("step", "step.csv", "tuning", ("servo",), joint=1)
     channels = {channel: values} | ({} if motor is None else {"theta_m1": motor})
     log = Log(step, TIME, TIME[1], channels)
-    return [each.where for each in clipping.detect_clipping([log], Arm.of(study.arm))]
+    clippings = clipping.measure_clipping([log], Arm.of(study.arm))
+    return [suspicion.where for each in clippings for suspicion in each.suspicions]
 
 
 def rounded(angle: FloatArray, counts: int) -> FloatArray:

@@ -13,9 +13,13 @@ from strainwave.domain import Consistency, Log, Study, Suspicion
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.parallel import one_blas_thread
 from strainwave.signals.consistency.causes import Cause, propose_causes
-from strainwave.signals.consistency.clipping import detect_clipping
+from strainwave.signals.consistency.clipping import measure_clipping
 from strainwave.signals.consistency.evidence import Evidence, collect_evidence
-from strainwave.signals.consistency.observations import Observation, compute_observations
+from strainwave.signals.consistency.observations import (
+    Observation,
+    compute_observations,
+    relations_of,
+)
 from strainwave.signals.consistency.remaining_contradictions import (
     is_reported,
     report_remaining_contradictions,
@@ -42,21 +46,25 @@ _MAX_LIKELY_CAUSES = 3
 def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
     """Compare all channels of all logs with each other and with the study.
 
-    Returns one suspicion per cause that explains contradictions. If the causes do not explain all
-    contradictions, also returns the remaining contradictions with the likely causes, most likely
-    first.
+    Returns all relations, and one suspicion per cause that explains contradictions. If the causes
+    do not explain all contradictions, also returns the remaining contradictions with the likely
+    causes, most likely first.
     """
     with one_blas_thread():
-        suspicions = list(detect_clipping(logs, Arm.of(study.arm)))
+        clippings = list(measure_clipping(logs, Arm.of(study.arm)))
+        suspicions = [suspicion for each in clippings for suspicion in each.suspicions]
         clipped_channels = [p.channel for each in suspicions for p in each.places if p.channel]
         unclipped = collect_evidence(logs, study).without(clipped_channels)
-        suspicions.extend(_explain_contradictions(unclipped))
-    return Consistency(tuple(suspicions))
+        observations = compute_observations(unclipped)
+        suspicions.extend(_explain_contradictions(unclipped, observations))
+    relations = (*(each.relation for each in clippings), *relations_of(observations))
+    return Consistency(tuple(suspicions), relations)
 
 
-def _explain_contradictions(evidence: Evidence) -> list[Suspicion]:
+def _explain_contradictions(
+    evidence: Evidence, observations: Sequence[Observation]
+) -> list[Suspicion]:
     """Select causes greedily: each step takes the cause that leaves the fewest contradictions."""
-    observations = compute_observations(evidence)
     chosen: list[Suspicion] = []
     structured: list[Suspicion] = []  # those of `chosen` without an estimated factor
     likely: list[str] = []

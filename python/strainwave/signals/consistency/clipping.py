@@ -2,60 +2,82 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import Clause, Correction, Log, Place, Suspicion, channel_parts
+from strainwave.domain import Clause, Correction, Log, Place, Relation, Suspicion, channel_parts
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.hygiene.defects import resolution_of
 from strainwave.signals.hygiene.flat_tops import MAX_SATURATED_SHARE, find_saturated_runs
 
-_KINDS = ("a", "gyro", "theta_l", "deflection", "torque", "omega_m")
+_IMU_KINDS = ("ax", "ay", "az", "gx", "gy", "gz")
+_KINDS = ("a", "gyro", *_IMU_KINDS, "theta_l", "deflection", "tau_l", "torque", "omega_m")
 # Kinds whose noise prevents runs of equal samples unless the sensor is saturated.
-_NOISY_KINDS = ("a", "gyro")
+_NOISY_KINDS = ("a", "gyro", *_IMU_KINDS)
 # Share of the motor's range that the motor must cover during a run for the run to count.
 _MIN_MOTOR_MOTION_SHARE = 0.01
 # Sensor resolutions of motion that a constant reading can hide.
 _HIDDEN_RESOLUTIONS = 2.0
 
 
-def detect_clipping(logs: Sequence[Log], arm: Arm) -> Iterator[Suspicion]:
-    """Yield one suspicion per channel that repeatedly stays at its largest or smallest reading."""
+@dataclass(frozen=True, slots=True)
+class Clipping:
+    """Shares of the samples of one channel at its largest or smallest reading, by record."""
+
+    channel: str
+    shares: Mapping[str, float]
+    ranges: Mapping[str, tuple[float, float]]  # smallest and largest reading, by record
+
+    @property
+    def worst(self) -> str:
+        """The record with the largest share."""
+        return max(self.shares, key=lambda record: self.shares[record])
+
+    @property
+    def relation(self) -> Relation:
+        """The largest share as a relation."""
+        share, place = self.shares[self.worst], Place(channel=self.channel)
+        return Relation("clipped", place, share, 0.0, 0.0, share <= MAX_SATURATED_SHARE)
+
+    @property
+    def suspicions(self) -> Iterator[Suspicion]:
+        """A suspicion if the share is too large in a record."""
+        records = [name for name, share in self.shares.items() if share > MAX_SATURATED_SHARE]
+        if not records:
+            return
+        low, high = self.ranges[self.worst]
+        others = tuple(record for record in records if record != self.worst)
+        yield Suspicion(
+            code="clipped",
+            places=(Place(channel=self.channel),),
+            clause=Clause(
+                "clipped",
+                channel=self.channel,
+                low=low,
+                high=high,
+                share=self.shares[self.worst],
+                experiment=self.worst,
+                others=Clause("also-in", records=others) if others else None,
+            ),
+            remedy_clause=Clause("remedy/clipped"),
+            corrections=(Correction("log", self.channel, "unusable", None),),
+        )
+
+
+def measure_clipping(logs: Sequence[Log], arm: Arm) -> Iterator[Clipping]:
+    """Yield the shares of the samples at a sensor's limit, for each sensor channel."""
     for kind in _KINDS:
         for i in range(1, arm.n_joints + 1):
             name = f"{kind}{i}"
-            shares = {
-                log.name: (
-                    _clipped_share(log, name, rests=kind not in _NOISY_KINDS),
-                    log.channels[name],
-                )
-                for log in logs
-                if name in log.channels
-            }
-            records = [
-                record for record, (share, _) in shares.items() if share > MAX_SATURATED_SHARE
-            ]
-            if not records:
-                continue
-            first = max(records, key=lambda record: shares[record][0])
-            share, values = shares[first]
-            others = tuple(record for record in records if record != first)
-            yield Suspicion(
-                code="clipped",
-                places=(Place(channel=name),),
-                clause=Clause(
-                    "clipped",
-                    channel=name,
-                    low=float(values.min()),
-                    high=float(values.max()),
-                    share=share,
-                    experiment=first,
-                    others=Clause("also-in", records=others) if others else None,
-                ),
-                remedy_clause=Clause("remedy/clipped"),
-                corrections=(Correction("log", name, "unusable", None),),
-            )
+            given = [log for log in logs if name in log.channels]
+            if given:
+                rests = kind not in _NOISY_KINDS
+                shares = {log.name: _clipped_share(log, name, rests=rests) for log in given}
+                values = {log.name: log.channels[name] for log in given}
+                ranges = {key: (float(v.min()), float(v.max())) for key, v in values.items()}
+                yield Clipping(name, shares, ranges)
 
 
 def _clipped_share(log: Log, name: str, *, rests: bool) -> float:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.domain import Place, channel_parts
+from strainwave.domain import Place, Relation, channel_parts
 from strainwave.signals.consistency.evidence import Evidence
 from strainwave.signals.consistency.input_delay import pool_delays
 from strainwave.signals.consistency.motors import (
@@ -99,6 +99,9 @@ _MAX_SCALE_ERROR = 0.025
 _LENGTH_TOLERANCE = 0.04
 """Tolerated relative error of link_length if the own-joint scale is correct."""
 
+_ABSOLUTE_KINDS = ("delay", "drift", "input-delay", "tilt")
+"""Kinds whose value is 0 for consistent input; that of others is 1."""
+
 # Minimum explained share of the variance of a link sensor.
 _MIN_EXPLAINED_SHARE = 0.95
 # Minimum explained share for the delay and the parts of a reading to be evaluated.
@@ -142,7 +145,7 @@ class Observation:
             limit = _MIN_EXPLAINED_SHARE if self.is_of_link else _MIN_MOTOR_EXPLAINED_SHARE
             return self.value < limit
         tolerance = self.tolerance or _TOLERANCE[self.kind]
-        if self.kind in ("delay", "drift", "input-delay", "tilt"):
+        if self.kind in _ABSOLUTE_KINDS:
             return abs(self.value) > max(tolerance, _MIN_SIGNIFICANCE * self.std)
         if self.value < 0.0:
             return abs(self.value) > _MIN_SIGNIFICANCE * self.std
@@ -155,6 +158,28 @@ class Observation:
     def weight(self) -> float:
         """Weight of the observation if it contradicts."""
         return _UNEXPLAINED_WEIGHT if self.kind == "explained-share" else 1.0
+
+
+def relations_of(observations: Iterable[Observation]) -> tuple[Relation, ...]:
+    """The observations as relations, each place once with its worst value.
+
+    A low explained share of a motor signal is consistent: friction and servo limits reduce it.
+    """
+    worst: dict[tuple[Kind, Place], Observation] = {}
+    for each in observations:
+        known = worst.setdefault((each.kind, each.place), each)
+        if each.contradicts and not known.contradicts:
+            worst[each.kind, each.place] = each
+    return tuple(_relation(each) for each in worst.values())
+
+
+def _relation(each: Observation) -> Relation:
+    expected: float | None = 0.0 if each.kind in _ABSOLUTE_KINDS else 1.0
+    if each.kind == "inertia":
+        expected = None
+    is_share_of_motor = each.kind == "explained-share" and not each.is_of_link
+    is_consistent = is_share_of_motor or not each.contradicts
+    return Relation(each.kind, each.place, each.value, each.std, expected, is_consistent)
 
 
 def compute_observations(evidence: Evidence) -> tuple[Observation, ...]:
@@ -263,7 +288,7 @@ def _observe_sensor(place: Place, readings: list[Reading]) -> Iterator[Observati
     """Observations of one link channel, averaged over the records `readings`."""
 
     def mean(kind: Kind, values: list[float], stds: list[float]) -> Observation:
-        relative = 1.0 if kind in ("delay", "drift", "tilt") else max(map(abs, values))
+        relative = 1.0 if kind in _ABSOLUTE_KINDS else max(map(abs, values))
         floor = _MODEL_ERROR[kind] * relative
         value, std = pool_estimates(values, [float(np.hypot(d, floor)) for d in stds])
         return Observation(kind, place, value, std)

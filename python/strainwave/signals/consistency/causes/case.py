@@ -130,8 +130,8 @@ def places_of(names: Iterable[str]) -> tuple[Place, ...]:
 
 
 def match_known_factor(factor: float, units: Mapping[Unit, float]) -> tuple[Unit, float] | None:
-    """Name and signed value of the known factor that matches an estimate of either sign."""
+    """Name and signed value of the known factor that matches an estimate; signs are ignored."""
     for unit, known in units.items():
-        if abs(np.log(abs(factor) / known)) < UNIT_TOLERANCE:
+        if abs(np.log(abs(factor / known))) < UNIT_TOLERANCE:
             return unit, float(np.copysign(known, factor))
     return None

@@ -1,0 +1,103 @@
+"""Result of the input check: relations between channels and study, and suspected faults."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from strainwave.domain.clauses import Place
+from strainwave.domain.estimates import Diagnostic, Suspicion
+from strainwave.domain.link_sensors import link_channel_kinds
+from strainwave.domain.messages import places_text
+from strainwave.domain.study import Study, channel_parts
+
+_LINK_GEOMETRY = ("accelerometer_distance", "link_length")
+"""Keys of the study that affect only predictions of link sensors."""
+
+RELATION_TEXTS: Mapping[str, str] = {
+    "clipped": "share of clipped samples",
+    "count": "encoder step / study",
+    "prbs-clock": "command period / prbs clock",
+    "servo-clock": "command period / servo period",
+    "level": "PRBS amplitude / study",
+    "limit": "largest voltage / servo limit",
+    "excited-joint": "PRBS in the stated joint",
+    "reference": "motor velocity / reference",
+    "servo": "voltage / servo output",
+    "velocity": "motor velocity / angle's slope",
+    "scale": "reading / motor motion",
+    "own-joint": "reading / own joint's motion",
+    "origin-motion": "reading / motion of the axis",
+    "gravity": "reading / gravity",
+    "tilt": "gravity left out [g]",
+    "rotation-ratio": "rotation / joints before",
+    "delay": "sensor delay [s]",
+    "drift": "sensor clock drift [s/s]",
+    "input-delay": "command delay [s]",
+    "inertia": "inertia by the torque [kg m^2]",
+    "torque-ratio": "torque of joint 1 / this joint",
+    "explained-share": "explained share",
+}
+"""Kinds of relations, as the terminal names them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Relation:
+    """A number that the channels and the study determine, and its value for consistent input."""
+
+    kind: str  # a key of `RELATION_TEXTS`
+    place: Place
+    measured: float
+    std: float  # standard deviation; 0: not estimated
+    expected: float | None  # None: any positive value
+    is_consistent: bool
+
+    @property
+    def where(self) -> str:
+        """Text of the place."""
+        return places_text((self.place,))
+
+
+@dataclass(frozen=True, slots=True)
+class Consistency:
+    """Result of the input check: relations, and faults suspected before any fit."""
+
+    suspected: tuple[Suspicion, ...] = ()
+    relations: tuple[Relation, ...] = ()
+
+    @property
+    def motors_agree(self) -> bool:
+        """Whether all suspected faults concern link sensors, their positions or the link length."""
+        return all(_is_on_link(place) for suspicion in self.suspected for place in suspicion.places)
+
+
+def _is_on_link(place: Place) -> bool:
+    is_link_channel = (
+        place.channel is not None and channel_parts(place.channel)[0] in link_channel_kinds()
+    )
+    return is_link_channel or place.key in _LINK_GEOMETRY
+
+
+CheckStatus = Literal["consistent", "inconsistent-input"]
+
+
+@dataclass(frozen=True, slots=True)
+class InputCheck:
+    """Consistency of the input of a study, without any identification."""
+
+    study: Study
+    relations: tuple[Relation, ...]
+    suspected: tuple[Suspicion, ...]
+    warnings: tuple[Diagnostic, ...]
+    seconds: float  # for reading and checking
+
+    @property
+    def status(self) -> CheckStatus:
+        """Whether a fault of the input is suspected."""
+        return "inconsistent-input" if self.suspected else "consistent"
+
+    @property
+    def exit_code(self) -> int:
+        """0 if nothing is suspected, otherwise 3."""
+        return 3 if self.suspected else 0

@@ -1,0 +1,36 @@
+"""An input check as plain JSON values."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from strainwave import __version__
+from strainwave.domain import InputCheck
+from strainwave.io.results import finite_values, suspicion_entries, warning_entry
+
+
+def check_document(check: InputCheck) -> dict[str, Any]:
+    """An input check as plain JSON values, in the layout of docs/result.md."""
+    relations = [
+        {
+            "relation": each.kind,
+            "where": each.where,
+            "measured": each.measured,
+            "std": each.std,
+            "expected": each.expected,
+            "consistent": each.is_consistent,
+        }
+        for each in check.relations
+    ]
+    document = {
+        "schema": "strainwave/check/1",
+        "version": __version__,
+        "study": {"path": str(check.study.path), "sha256": check.study.sha256},
+        "status": check.status,
+        "relations": relations,
+        "suspected": suspicion_entries(check.suspected),
+        "warnings": [warning_entry(warning) for warning in check.warnings],
+        "seconds": check.seconds,
+    }
+    finite: dict[str, Any] = finite_values(document)
+    return finite

@@ -1,0 +1,146 @@
+"""Match names in logs to the joints of a URDF file, and angles to the limits of its joints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from strainwave.domain import FloatArray
+from strainwave.errors import InvalidInput
+from strainwave.io.urdf import UrdfJoint, read_urdf
+from strainwave.study_draft.names import max_joints, position, words_of
+
+Words = tuple[str, ...]
+
+# minimum range [rad, m] of an angle that shows whether it is within the limits of a joint: a motor
+# behind 1:100 then moves its joint by a milliradian
+_MIN_RANGE = 0.1
+# share by which logs exceed the limits of a URDF, which are set-points
+_LIMIT_TOLERANCE = 0.2
+
+
+class NamedJoint(NamedTuple):
+    """A joint of the URDF that a name contains."""
+
+    number: int  # from 1
+    words: Words  # words of the name that are the joint's
+
+
+@dataclass(frozen=True)
+class Robot:
+    """The moving joints of a URDF file."""
+
+    path: Path
+    joints: tuple[UrdfJoint, ...]
+
+    @staticmethod
+    def read(path: Path) -> Robot:
+        """Read a URDF file. Raises InvalidInput if it is not one chain of up to seven joints."""
+        joints = read_urdf(path)
+        if len(joints) > max_joints():
+            names = ", ".join(joint.name for joint in joints)
+            raise InvalidInput(
+                f"{len(joints)} joints move ({names}), but an arm has at most {max_joints()}",
+                where=str(path),
+                remedy='set the types of joints that stand still in all logs to "fixed"',
+            )
+        return Robot(path, joints)
+
+    def named_joints(self, names: Iterable[str]) -> dict[str, NamedJoint]:
+        """Joints that the names contain: by their whole names, else by their distinct words.
+
+        The distinct words of `ur10e_wrist_1_joint` are `wrist_1`: the others are common to all
+        joints.
+        """
+        listed = list(names)
+        by_words = [
+            {name: match for name in listed if (match := _longest_match(words, name)) is not None}
+            for words in (self._names, self._distinct_words)
+        ]
+        return max(by_words, key=lambda matches: len({m.number for m in matches.values()}))
+
+    def number_of(self, number: int | None) -> int | None:
+        """Joint from 1 of a number in a name that counts from 1; None if there is none.
+
+        Joints named by numbers alone, such as `joint_2`, have these numbers.
+        """
+        if number is None:
+            return 1 if len(self.joints) == 1 else None
+        own_numbers = [words[0] for words in self._numbers]
+        if len(own_numbers) == len(self.joints):
+            zero_based = "0" in own_numbers
+            own_numbers = [str(int(each) + zero_based) for each in own_numbers]
+        else:
+            own_numbers = [str(k) for k in range(1, len(self.joints) + 1)]
+        return own_numbers.index(str(number)) + 1 if str(number) in own_numbers else None
+
+    def are_within_limits(self, angles: Sequence[tuple[int, FloatArray]], period: float) -> bool:
+        """Whether all angles stay within the limits of position and velocity of their joints.
+
+        `angles` has joint numbers with angles (n_samples,) [rad, m], sampled at `period` [s]. False
+        if no angle moves enough to tell, or if no joint that moves has limits.
+        """
+        tested = False
+        for number, values in angles:
+            joint = self.joints[number - 1]
+            if float(np.ptp(values)) < _MIN_RANGE:
+                continue
+            if joint.lower is not None and joint.upper is not None and joint.upper > joint.lower:
+                tested = True
+                margin = _LIMIT_TOLERANCE * (joint.upper - joint.lower)
+                if values.min() < joint.lower - margin or values.max() > joint.upper + margin:
+                    return False
+            if joint.velocity:
+                tested = True
+                # over a tenth of a second, which averages the rounding of encoders
+                width = max(1, round(0.1 / period))
+                fastest = np.abs(values[width:] - values[:-width]).max(initial=0.0)
+                if fastest > (1.0 + _LIMIT_TOLERANCE) * joint.velocity * width * period:
+                    return False
+        return tested
+
+    @cached_property
+    def _names(self) -> tuple[Words, ...]:
+        return tuple(words_of(joint.name) for joint in self.joints)
+
+    @cached_property
+    def _distinct_words(self) -> tuple[Words, ...]:
+        """Words of each joint without those at the start and the end that all joints share.
+
+        A single letter or number is no name: it may mean anything in a column.
+        """
+        return tuple(
+            words if any(len(word) > 1 and word.isalpha() for word in words) else ()
+            for words in self._stripped
+        )
+
+    @cached_property
+    def _numbers(self) -> tuple[Words, ...]:
+        """Names that differ by a number alone."""
+        return tuple(words for words in self._stripped if len(words) == 1 and words[0].isdecimal())
+
+    @cached_property
+    def _stripped(self) -> tuple[Words, ...]:
+        stripped = self._names
+        for end, rest in ((0, slice(1, None)), (-1, slice(None, -1))):
+            while len(stripped) > 1 and all(len(words) > 1 for words in stripped):
+                if len({words[end] for words in stripped}) > 1:
+                    break
+                stripped = tuple(words[rest] for words in stripped)
+        return stripped
+
+
+def _longest_match(joints: Sequence[Words], name: str) -> NamedJoint | None:
+    """The joint whose words are in a name, next to each other; of several, the longest."""
+    inside = words_of(name)
+    matches = [
+        NamedJoint(number, words)
+        for number, words in enumerate(joints, start=1)
+        if words and position(inside, words) is not None
+    ]
+    return max(matches, key=lambda match: len(match.words), default=None)

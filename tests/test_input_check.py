@@ -1,0 +1,82 @@
+"""`strainwave check`: the input check alone, in the terminal, as JSON and in Python."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+import strainwave as sw
+from strainwave.cli import app
+from strainwave.domain import Channel, InputCheck
+from strainwave.domain.consistency import RELATION_TEXTS
+from strainwave.io.check_document import check_document
+from strainwave.io.study import read_study, write_study
+from strainwave.presentation.terminal import print_check
+from strainwave.signals.consistency.observations import Kind
+
+SMALL_ARM = Path(__file__).parent / "data" / "small-arm" / "study.toml"
+
+
+@pytest.fixture(scope="module")
+def reversed_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small arm with a reversed accelerometer."""
+    study = read_study(SMALL_ARM)
+    files = tuple(replace(e, file=str(SMALL_ARM.parent / e.file)) for e in study.experiments)
+    before = study.channels.get("a1", Channel("a1"))
+    channels = {**study.channels, "a1": replace(before, scale=-before.scale)}
+    path = tmp_path_factory.mktemp("reversed") / "study.toml"
+    write_study(replace(study, experiments=files, channels=channels), path)
+    return path
+
+
+def printed(check: InputCheck) -> str:
+    console = Console(width=160, no_color=True)
+    with console.capture() as capture:
+        print_check(check, console=console)
+    return capture.get()
+
+
+def test_every_kind_of_relation_has_a_text() -> None:
+    assert set(RELATION_TEXTS) == {"clipped", *get_args(Kind)}
+
+
+def test_consistent_input() -> None:
+    check = sw.check(SMALL_ARM)
+    assert (check.status, check.exit_code, check.suspected) == ("consistent", 0, ())
+    assert all(relation.is_consistent for relation in check.relations)
+    text = printed(check)
+    assert "reading / motor motion" in text
+    assert "check: consistent (exit code 0)" in text
+
+
+def test_a_fault_has_the_verdict_of_identify(reversed_study: Path) -> None:
+    check = sw.check(reversed_study)
+    assert (check.status, check.exit_code) == ("inconsistent-input", 3)
+    result = sw.identify(reversed_study, stages="rigid")
+    document = check_document(check)
+    assert document["suspected"] == result.document["verdict"]["suspected"]
+    assert [each["code"] for each in document["suspected"]] == ["wrong-sign"]
+    contradictions = [r for r in document["relations"] if not r["consistent"]]
+    assert {r["where"] for r in contradictions} == {"a1"}
+    assert "a1" in printed(check).splitlines()[1]  # contradictions first
+
+
+def test_stdout_is_json_only(reversed_study: Path) -> None:
+    outcome = CliRunner().invoke(app, ["check", str(reversed_study), "--json"])
+    assert outcome.exit_code == 3
+    document = json.loads(outcome.stdout)
+    assert document["status"] == "inconsistent-input"
+    keys = {"relation", "where", "measured", "std", "expected", "consistent"}
+    assert all(set(each) == keys for each in document["relations"])
+
+
+def test_missing_logs_are_faults_of_the_input(tmp_path: Path) -> None:
+    write_study(read_study(SMALL_ARM), tmp_path / "study.toml")
+    with pytest.raises(sw.InvalidInput, match="does not exist"):
+        sw.check(tmp_path / "study.toml")
