@@ -57,19 +57,13 @@ class Choices:
     viscous: tuple[float, float] = (1.0, 1.0)
 
 
-def drawn(seed: int, series: int = 0, *, small: bool = False) -> Rig:
-    """One arm of the catalogue with its sensors and experiments, by its seed within a series.
-
-    With `small`, the gears have sizes 8 to 14, the anti-resonances exceed 25 Hz, and the encoders
-    have 2,000 counts, sampled at 4 kHz.
-    """
+def drawn(seed: int, series: int = 0) -> Rig:
+    """One arm of the catalogue with its sensors and experiments, by its seed within a series."""
     rng = np.random.default_rng([8, 40, series, seed])
-    return of_choices(rng, SPRINGS[seed % len(SPRINGS)], Choices(), small=small)
+    return of_choices(rng, SPRINGS[seed % len(SPRINGS)], Choices())
 
 
-def of_choices(
-    rng: np.random.Generator, spring: Spring, choices: Choices, *, small: bool = False
-) -> Rig:
+def of_choices(rng: np.random.Generator, spring: Spring, choices: Choices) -> Rig:
     """One arm of the catalogue, drawn from given choices.
 
     The gear of joint 2 has the size of joint 1's or up to two sizes less. A payload m at the tip
@@ -77,15 +71,13 @@ def of_choices(
     `spring` is "linear" or "three-slope".
     """
     sizes = list(choices.sizes)
-    largest = sizes.index(MAX_SMALL_SIZE) + 1 if small else len(sizes)
-    base = int(rng.integers(1 if small else 0, largest))
+    base = int(rng.integers(0, len(sizes)))
     outer = int(rng.integers(max(0, base - 2), base + 1))
     ratios = rng.choice(choices.ratios, 2)
-    counts = 2000 if small else int(rng.choice(choices.counts))
-    sample_time = 2.5e-4 if small else float(rng.choice(choices.sample_times))
+    counts = int(rng.choice(choices.counts))
+    sample_time = float(rng.choice(choices.sample_times))
     bandwidth = between(rng, 50.0, 1000.0)
-    lowest, highest = (25.0, 45.0) if small else (7.0, min(45.0, 0.04 / sample_time))
-    frequency = [between(rng, lowest, highest) for _ in range(2)]
+    frequency = [between(rng, 7.0, min(45.0, 0.04 / sample_time)) for _ in range(2)]
     slopes = [
         _gear_slopes(sizes[k], int(ratio)) for k, ratio in zip((base, outer), ratios, strict=True)
     ]
