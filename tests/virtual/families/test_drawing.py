@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from strainwave.virtual.families import Family, Recorded, draw, record
-from strainwave.virtual.families.catalogue import GEAR_CATALOGUE
+from strainwave.virtual.families.catalogue import GEAR_CATALOGUE, Friction
 from strainwave.virtual.families.causes import cause_names
-from strainwave.virtual.families.description import FAULTS, Friction, Sensors
+from strainwave.virtual.families.description import FAULTS, Sensors
 from strainwave.virtual.families.drawing import VirtualArm
 
 BASE = Family(arms=6)

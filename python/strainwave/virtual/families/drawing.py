@@ -15,7 +15,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.io.logs import read_logs
 from strainwave.signals.hygiene import Kind
 from strainwave.virtual.experiments import derived
-from strainwave.virtual.families.catalogue import Choices, of_choices
+from strainwave.virtual.families.catalogue import of_choices
 from strainwave.virtual.families.causes import (
     NO_CAUSE,
     Cause,
@@ -24,7 +24,7 @@ from strainwave.virtual.families.causes import (
     joint_of,
     sizes_of,
 )
-from strainwave.virtual.families.description import FAULTS, Family, Friction, LinkSensors, Sensors
+from strainwave.virtual.families.description import FAULTS, Family, LinkSensors, Sensors
 from strainwave.virtual.families.input_faults import INPUT_FAULTS, Fault
 from strainwave.virtual.families.rigs import Rig, between
 from strainwave.virtual.families.sensor_defects import DEFECT_SIZES, injected
@@ -69,18 +69,8 @@ class Recorded:
 def draw(family: Family, number: int) -> VirtualArm:
     """Arm of a family by its number, from 0."""
     rngs = {name: _rng((family.seed, number), name) for name in _STREAMS}
-    friction = family.friction or Friction()
-    choices = Choices(
-        sizes=sorted(family.sizes),
-        ratios=family.ratios,
-        counts=family.counts,
-        sample_times=family.sample_times,
-        payload=family.payload,
-        coulomb=friction.coulomb,
-        viscous=friction.viscous,
-    )
     spring = str(rngs["arm"].choice(family.springs))
-    rig = of_choices(rngs["arm"], spring, choices)
+    rig = of_choices(rngs["arm"], spring, family)
     upright = bool(rngs["gravity"].uniform() < family.gravity)
     rig = with_short_records(rig, upright=upright, rng=rngs["gravity"])
     rig = _with_sensors(rig, family.sensors or Sensors(), rngs["sensors"])
