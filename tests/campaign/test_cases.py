@@ -14,7 +14,7 @@ import pytest
 
 import strainwave as sw
 from campaign_rigs import inertia_of, log, rig
-from strainwave.campaign import kinds, worker
+from strainwave.campaign import tasks, worker
 from strainwave.campaign.cases import Hashes, Opened
 from strainwave.campaign.plan import Plan
 from strainwave.campaign.store import Store
@@ -59,7 +59,7 @@ class DrawnCase:
 
 @pytest.fixture(autouse=True)
 def known(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(kinds.KINDS, DrawnCase.kind, DrawnCase)
+    monkeypatch.setitem(tasks.KINDS, DrawnCase.kind, DrawnCase)
 
 
 def task_of(case: DrawnCase, store: Path, **options: Any) -> Task:

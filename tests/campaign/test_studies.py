@@ -10,9 +10,9 @@ import pytest
 
 import strainwave as sw
 from campaign_rigs import STUDY, rig, rigs
-from strainwave.campaign import kinds
 from strainwave.campaign.studies import Selection, find
 from strainwave.campaign.study_files import StudyFile
+from strainwave.campaign.tasks import Task
 
 
 def names(found: Selection, folder: Path | str) -> list[str]:
@@ -140,7 +140,10 @@ def test_a_folder_of_logs_is_hashed_file_by_file(tmp_path: Path) -> None:
 
 def test_a_case_is_restored_from_json(tmp_path: Path) -> None:
     case = find([str(rig(tmp_path))]).cases[0]
-    assert kinds.from_json(kinds.to_json(case)) == case
+    task = Task(
+        case=case, study_sha256="", inputs_sha256="", stages=("rigid",), store="", campaign=""
+    )
+    assert Task.from_json(task.to_json()) == task
 
 
 CAMPAIGN = """\

@@ -75,7 +75,7 @@ def test_bars_and_heat_maps_are_drawn() -> None:
 
 
 def test_error_bars_are_drawn() -> None:
-    points = curves.Points("a", np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([0.1, 0.2]))
+    points = curves.Series("a", np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([0.1, 0.2]))
     (axes,) = draw(curves.scatter([points], "x", "y", "caption")).axes
     (bars,) = axes.containers
     assert bars.has_yerr  # type: ignore[attr-defined]

@@ -1,6 +1,6 @@
 """Cases of a campaign: studies to identify, small enough to be sent to any worker.
 
-A worker opens a case and gets a study with its logs. `strainwave.campaign.kinds` lists the kinds:
+A worker opens a case and gets a study with its logs. `strainwave.campaign.tasks` lists the kinds:
 study files, and virtual arms of a family.
 """
 

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from strainwave.errors import InvalidInput, import_optional
 
@@ -33,34 +33,9 @@ def resolved(path: str, file: str) -> str:
     return f"{file.rsplit('/', 1)[0]}/{path}" if is_url(file) else str(Path(file).parent / path)
 
 
-class Place(Protocol):
-    """A folder whose files have names with slashes relative to it."""
-
-    def __str__(self) -> str: ...
-
-    def put(self, name: str, data: bytes) -> None:
-        """Write a file completely or not at all; OSError if that fails."""
-
-    def get(self, name: str) -> bytes:
-        """A file's bytes; FileNotFoundError if there is none."""
-
-    def names(self, folder: str, ending: str) -> list[str]:
-        """Files of a subfolder by ending, as `folder/file`; none if there is no such folder."""
-
-    def exists(self, name: str) -> bool:
-        """Whether the file exists."""
-
-    def delete(self, names: Iterable[str]) -> None:
-        """Delete files that still exist."""
-
-    @contextmanager
-    def lock(self) -> Iterator[bool]:
-        """Hold the lock of the folder; yields false if another process holds it."""
-
-
 @dataclass(frozen=True)
 class Folder:
-    """A local folder."""
+    """A local folder; `put` raises OSError, `get` FileNotFoundError if that fails."""
 
     path: Path
 
@@ -176,10 +151,9 @@ class Bucket:
             with suppress(FileNotFoundError):
                 system.rm_file(path)
 
-    @contextmanager
-    def lock(self) -> Iterator[bool]:
-        """Yields false: an object store has no locks."""
-        yield False
+
+Place = Folder | Bucket
+"""A folder whose files have names with slashes relative to it."""
 
 
 def place_of(where: Path | str) -> Place:

@@ -10,8 +10,12 @@ from typing import Any
 
 from strainwave import __version__
 from strainwave.campaign.cases import Case
-from strainwave.campaign.kinds import from_json, to_json
+from strainwave.campaign.drawn_arms import DrawnArm
+from strainwave.campaign.study_files import StudyFile
 from strainwave.domain import Stage
+
+KINDS: dict[str, type] = {kind.kind: kind for kind in (StudyFile, DrawnArm)}
+"""Class of each kind; a worker creates a case from its kind and its fields."""
 
 FAILED_STATUS = "failed"
 """Status of a run without a verdict: wrong input, a crash, or the time limit."""
@@ -66,13 +70,14 @@ class Task:
     def to_json(self) -> str:
         """One line."""
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return json.dumps(fields | {"case": to_json(self.case)})
+        return json.dumps(fields | {"case": {"kind": self.case.kind, **vars(self.case)}})
 
     @classmethod
     def from_json(cls, text: str) -> Task:
         """The task of a line."""
         fields = json.loads(text)
-        fields |= {"case": from_json(fields["case"]), "stages": tuple(fields["stages"])}
+        kind = KINDS[fields["case"].pop("kind")]
+        fields |= {"case": kind(**fields["case"]), "stages": tuple(fields["stages"])}
         return cls(**fields)
 
 

@@ -14,7 +14,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design.plan import HELD_CONTROL, LimitBroken, Limits, Planned, clock_of
-from strainwave.experiment_design.predicted_motion import predicted_motion, run, servo_drive
+from strainwave.experiment_design.predicted_motion import predicted_motion, servo_drive
 from strainwave.experiment_design.rigid_motion import (
     N_HARMONICS,
     Fourier,
@@ -76,7 +76,7 @@ def _record(search: Search, values: Values, series: Fourier, name: str, use: Use
     for _ in range(_MAX_ATTEMPTS):
         planned = _drive(search, values, series, periods)
         drive = planned.drive
-        motion = predicted_motion(run(arm, values, drive, drive.tick))
+        motion = predicted_motion(arm, values, drive)
         if motion.use_of(limits) <= 1.0:
             break
         series = replace(series.scaled(_REDUCTION_FACTOR), offset=_REDUCTION_FACTOR * series.offset)
@@ -194,21 +194,8 @@ def quintic(start: Sequence[FloatArray], stop: Sequence[FloatArray], time: Float
     The states are those at `time` 0 and one tick after its last entry. `time` (n_samples,) is
     uniform from zero.
     """
-    T = float(time[-1] + time[1] - time[0])
-    powers = np.arange(6.0)
-    ends = np.array([0.0, T])
-    rows = np.stack([_power_rows(ends, powers, order) for order in range(3)], axis=1)
-    coefficients = np.linalg.solve(rows.reshape(6, 6), np.array([*start, *stop]))
-    angle, velocity, acceleration = (
-        _power_rows(time, powers, order) @ coefficients for order in range(3)
-    )
-    return angle, velocity, acceleration
+    from scipy.interpolate import BPoly
 
-
-def _power_rows(time: FloatArray, powers: FloatArray, order: int) -> FloatArray:
-    """Derivatives of t^p: (n_samples, n_powers)."""
-    factor = np.ones(len(powers))
-    for k in range(order):
-        factor = factor * np.maximum(powers - k, 0)
-    rows: FloatArray = factor * time[:, None] ** np.maximum(powers - order, 0)
-    return rows
+    end = time[-1] + time[1] - time[0]
+    angle = BPoly.from_derivatives([0.0, end], [np.array(start), np.array(stop)])
+    return angle(time), angle.derivative()(time), angle.derivative(2)(time)

@@ -24,6 +24,14 @@ ADD_SERVO = (
     'add the [servo] of the drives to the study: kind = "pi-velocity", period [s], '
     "kp [V s/rad] and ki [V/rad] for each joint, limit [V]"
 )
+LIMITED = (
+    ("angle", "angle", "rad", "--limit-angle"),
+    ("velocity", "motor velocity", "rad/s", "--limit-velocity"),
+    ("voltage", "voltage", "V", "--limit-voltage"),
+    ("gear_torque", "gear torque", "N m", "--limit-torque"),
+)
+"""Field of `Limits` and `PredictedMotion`, name, unit and option of each limited quantity."""
+
 _MAX_ANGLE_LIMIT = 2.0 * np.pi  # [rad] of a link; a larger limit is probably in degrees
 _MAX_VELOCITY_LIMIT = 2000.0  # [rad/s] 19,000 rpm, more than servo motors of robots reach
 _DEFAULT_CLOCK = 1e-3  # [s] of a drive whose servo is not described
@@ -51,27 +59,18 @@ class PredictedMotion:
 
     def use_of(self, limits: Limits) -> float:
         """Largest value over its limit; above 1 a limit is violated."""
-        return max(float((value / limit).max()) for *_, value, limit in self._pairs(limits))
+        return max(float((getattr(self, key) / getattr(limits, key)).max()) for key, *_ in LIMITED)
 
     def broken(self, limits: Limits) -> str:
         """Text of the violated limits with their options; empty if none is violated."""
         return ", ".join(
-            f"the {name} of joint {i + 1} would be {value[i]:.3g} {unit}, above the limit of "
-            f"{limit[i]:.3g} ({option})"
-            for name, unit, option, value, limit in self._pairs(limits)
-            for i in range(len(value))
-            if value[i] > limit[i]
-        )
-
-    def _pairs(
-        self, limits: Limits
-    ) -> tuple[tuple[str, str, str, FloatArray, tuple[float, ...]], ...]:
-        """Name, unit, option, value and limit of each limited quantity."""
-        return (
-            ("angle", "rad", "--limit-angle", self.angle, limits.angle),
-            ("motor velocity", "rad/s", "--limit-velocity", self.velocity, limits.velocity),
-            ("voltage", "V", "--limit-voltage", self.voltage, limits.voltage),
-            ("gear torque", "N m", "--limit-torque", self.gear_torque, limits.gear_torque),
+            f"the {name} of joint {i} would be {value:.3g} {unit}, above the limit of {limit:.3g} "
+            f"({option})"
+            for key, name, unit, option in LIMITED
+            for i, (value, limit) in enumerate(
+                zip(getattr(self, key), getattr(limits, key), strict=True), start=1
+            )
+            if value > limit
         )
 
 

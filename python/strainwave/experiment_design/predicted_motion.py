@@ -34,16 +34,16 @@ def servo_drive(arm: Arm, values: Values, reference: FloatArray) -> Drive:
     )
 
 
-def run(arm: Arm, values: Values, drive: Drive, sample_time: float) -> Trajectory:
+def run(arm: Arm, values: Values, drive: Drive) -> Trajectory:
     """Response of the guessed arm to a drive: limited quantities and accelerometers."""
-    samples = round(len(drive.voltage) * drive.tick / sample_time)
-    return simulate(
-        arm, values, drive, sample_time=sample_time, samples=samples, record=_QUANTITIES
-    )
+    clock = clock_of(arm)
+    samples = round(len(drive.voltage) * drive.tick / clock)
+    return simulate(arm, values, drive, sample_time=clock, samples=samples, record=_QUANTITIES)
 
 
-def predicted_motion(trajectory: Trajectory) -> PredictedMotion:
-    """Peak values of a simulation, and the share of time in which each motor sticks."""
+def predicted_motion(arm: Arm, values: Values, drive: Drive) -> PredictedMotion:
+    """Peak values of the response to a drive, and the share of time in which each motor sticks."""
+    trajectory = run(arm, values, drive)
 
     def peak(name: Quantity) -> FloatArray:
         return np.asarray(np.abs(trajectory[name]).max(axis=0))

@@ -11,7 +11,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.experiment_design.excitation_band import ExcitationBand
 from strainwave.experiment_design.plan import HELD_CONTROL, LimitBroken, Limits, Planned, clock_of
-from strainwave.experiment_design.predicted_motion import predicted_motion, run, servo_drive
+from strainwave.experiment_design.predicted_motion import predicted_motion, servo_drive
 
 _HOLD_PERIODS = 6.0  # of the anti-resonance per level, in which the vibration decays
 _MIN_HOLD, _MAX_HOLD = 0.2, 2.0  # [s] per level
@@ -67,7 +67,7 @@ def _record(
     """One record, reduced until the simulated arm satisfies all limits."""
     for _ in range(_MAX_ATTEMPTS):
         drive, angle = _drive(arm, values, joint, size * np.array(levels), hold)
-        motion = predicted_motion(run(arm, values, drive, drive.tick))
+        motion = predicted_motion(arm, values, drive)
         is_unsaturated = (motion.voltage <= _MAX_VOLTAGE_SHARE * np.array(limits.voltage)).all()
         if is_unsaturated and motion.use_of(limits) <= 1.0:
             break

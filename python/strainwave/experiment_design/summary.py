@@ -14,8 +14,10 @@ from strainwave.domain import Study
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.link_sensors import installed_axes
 from strainwave.experiment_design.command_table import table_name
-from strainwave.experiment_design.plan import Design, Planned, clock_of
+from strainwave.experiment_design.plan import LIMITED, Design, Limits, PredictedMotion, clock_of
 from strainwave.experiment_design.written import HEADER_FILE
+from strainwave.presentation.report.blocks import number
+from strainwave.presentation.terminal import printed_table
 
 _NAMES = ("gear_stiffness", "gear_damping", "motor_inertia", "link_inertia")
 
@@ -51,53 +53,36 @@ def _precision(design: Design) -> Iterator[str]:
         f"sensors: {', '.join(_sensors(design.study))}; predicted half-widths of the 95 %"
         " confidence intervals on the guessed arm:"
     )
-    for number in range(1, design.study.arm.n_joints + 1):
+    for joint in range(1, design.study.arm.n_joints + 1):
         parts = [
             f"{p.name} {100.0 * CI95_STDS * (p.std or 0.0) / abs(p.value or 1.0):.2g} %"
             for p in parameters
-            if p.joint == number
+            if p.joint == joint
         ]
-        yield f"joint {number}: {', '.join(parts)}"
+        yield f"joint {joint}: {', '.join(parts)}"
 
 
 def _sensors(study: Study) -> Iterator[str]:
     """Sensors of each joint."""
-    for number, joint in enumerate(study.arm.joints, start=1):
+    for i, joint in enumerate(study.arm.joints, start=1):
         counts = joint.encoder_counts
-        axes = installed_axes(study.arm, number, study.channels)
+        axes = installed_axes(study.arm, i, study.channels)
         nouns = dict.fromkeys(axis.sensor.noun for axis in axes) or ("no link sensor",)
         encoder = f"encoder of {counts:g} counts" if counts else "encoder"
-        yield f"joint {number}'s {' and '.join((encoder, *nouns))}"
+        yield f"joint {i}'s {' and '.join((encoder, *nouns))}"
 
 
 def _table(design: Design) -> Table:
     """One row per record and joint, followed by the limits."""
-    table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold")
-    table.add_column("predicted, SI units", no_wrap=True)
-    for head in ("joint", "angle", "motor speed", "voltage", "gear torque", "standstill"):
-        table.add_column(head, justify="right")
-    rows = [cells for record in design.records for cells in _rows(record)]
-    limits = design.limits
-    for i in range(design.study.arm.n_joints):
-        bounds = (limits.angle, limits.velocity, limits.voltage, limits.gear_torque)
-        texts = (f"{bound[i]:.3g}" if np.isfinite(bound[i]) else "" for bound in bounds)
-        rows.append(("limit", str(i + 1), *texts, ""))
-    for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
+    heads = ("joint", "angle", "motor speed", "voltage", "gear torque", "standstill")
+    table = printed_table("predicted, SI units", *map(number, heads))
+    table.columns[0].no_wrap = True
+    rows: list[tuple[str, PredictedMotion | Limits]]
+    rows = [(record.experiment.name, record.predicted) for record in design.records]
+    for name, row in (*rows, ("limit", design.limits)):
+        for i in range(design.study.arm.n_joints):
+            sizes = [getattr(row, key)[i] for key, *_ in LIMITED]
+            texts = [f"{size:.3g}" if np.isfinite(size) else "" for size in sizes]
+            rest = f"{100.0 * row.rest_share[i]:.0f} %" if isinstance(row, PredictedMotion) else ""
+            table.add_row(*map(Text, (name, str(i + 1), *texts, rest)))
     return table
-
-
-def _rows(record: Planned) -> list[tuple[str, ...]]:
-    motion = record.predicted
-    return [
-        (
-            record.experiment.name,
-            str(i + 1),
-            f"{motion.angle[i]:.3g}",
-            f"{motion.velocity[i]:.3g}",
-            f"{motion.voltage[i]:.3g}",
-            f"{motion.gear_torque[i]:.3g}",
-            f"{100.0 * motion.rest_share[i]:.0f} %",
-        )
-        for i in range(len(motion.angle))
-    ]

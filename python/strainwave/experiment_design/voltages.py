@@ -63,18 +63,13 @@ class Signal:
         """Period [s]."""
         return self.clock * self.ticks
 
-    def voltage(self, amplitude: float, periods: int) -> FloatArray:
-        """The excitation, one value per tick."""
-        return amplitude * np.tile(self.shape, periods)
-
     def drive(self, amplitude: float, periods: int, control: tuple[Control, ...]) -> Drive:
         """The excitation of this joint.
 
         Servos hold the other controlled joints at zero velocity.
         """
-        excited = self.voltage(amplitude, periods)
-        voltage = np.zeros((len(excited), self.arm.n_joints))
-        voltage[:, self.joint - 1] = excited
+        voltage = np.zeros((periods * self.ticks, self.arm.n_joints))
+        voltage[:, self.joint - 1] = amplitude * np.tile(self.shape, periods)
         start = (0.0,) * self.arm.n_joints
         return Drive(
             tick=self.clock,
@@ -104,13 +99,12 @@ def voltage_record(
     and LimitBroken if no amplitude satisfies the limits.
     """
     signal = _design_signal(arm, values, band, joint, kind, seed)
-    free: tuple[Control, ...] = (FREE_CONTROL,) * arm.n_joints
-    held: tuple[Control, ...] = (HELD_CONTROL,) * arm.n_joints
-    controls: tuple[tuple[Control, ...], ...] = (free, held)
+    kinds = [FREE_CONTROL, HELD_CONTROL]
     if arm.gravity:
-        controls = (held,)
+        kinds = [HELD_CONTROL]
     elif kind == "multisine" or arm.servo is None:
-        controls = (free,)
+        kinds = [FREE_CONTROL]
+    controls = [(control,) * arm.n_joints for control in kinds]
     if kind == "multisine" and arm.gravity:
         raise InvalidInput(
             "an arm under gravity needs a servo, and a study cannot describe a multisine "
@@ -165,7 +159,7 @@ def sweep_records(
     for share in _SWEEP_SHARES:
         amplitude = float(f"{share * original.prbs.amplitude:.2g}")
         drive = signal.drive(amplitude, original.prbs.periods, original.control)
-        motion = predicted_motion(run(arm, values, drive, clock_of(arm)))
+        motion = predicted_motion(arm, values, drive)
         if motion.use_of(limits) > 1.0 + _ROUNDING:  # a free arm drifts even at low amplitudes
             omissions.append(f"at {amplitude:g} V {motion.broken(limits)}")
             continue
@@ -197,7 +191,7 @@ def _limit_error(
     amplitude = _MIN_AMPLITUDE_SHARE * top
     while True:
         drive = signal.drive(amplitude, periods, control)
-        motion = predicted_motion(run(signal.arm, signal.values, drive, clock_of(signal.arm)))
+        motion = predicted_motion(signal.arm, signal.values, drive)
         if (_is_moving(motion, signal.joint) and motion.broken(limits)) or amplitude >= top:
             break
         amplitude = min(1.5 * amplitude, top)
@@ -222,18 +216,14 @@ def _design_signal(
     first = max(1, int(band.low_hz * clock * ticks))
     last = min(int(np.ceil(band.high_hz * clock * ticks)), (ticks - 1) // 2)
     lines = np.arange(first, last + 1, dtype=float)
-    shape = (
-        excitation.prbs(Prbs(order, clock, 1, 1.0))
-        if kind == "prbs"
-        else excitation.multisine(
-            lines,
-            period=clock * ticks,
-            clock=clock,
-            periods=1,
-            peak=1.0,
-            rng=np.random.default_rng([seed, joint]),
+    if kind == "prbs":
+        shape = excitation.prbs(Prbs(order, clock, 1, 1.0))
+    else:
+        rng = np.random.default_rng([seed, joint])
+        period = clock * ticks
+        shape = excitation.multisine(
+            lines, period=period, clock=clock, periods=1, peak=1.0, rng=rng
         )
-    )
     return Signal(arm, values, joint, kind, clock, order, ticks, lines, shape)
 
 
@@ -248,24 +238,19 @@ def _largest_amplitude(
 ) -> tuple[float, PredictedMotion | None]:
     """Largest amplitude within the limits, rounded down, and its predicted motion."""
     top = limits.voltage[signal.joint - 1]
-    sample_time = clock_of(signal.arm)
 
     def predict_within_limits(amplitude: float, count: int) -> PredictedMotion | None:
         drive = signal.drive(amplitude, count, control)
-        motion = predicted_motion(run(signal.arm, signal.values, drive, sample_time))
-        is_free = "servo" not in control
-        is_unsaturated = (
-            is_free or (motion.voltage <= _MAX_VOLTAGE_SHARE * np.array(limits.voltage)).all()
-        )
-        return motion if is_unsaturated and motion.use_of(limits) <= 1.0 + _ROUNDING else None
+        motion = predicted_motion(signal.arm, signal.values, drive)
+        is_saturated = (motion.voltage > _MAX_VOLTAGE_SHARE * np.array(limits.voltage)).any()
+        if "servo" in control and is_saturated:
+            return None
+        return motion if motion.use_of(limits) <= 1.0 + _ROUNDING else None
 
     def motion_at(amplitude: float) -> PredictedMotion | None:
         # the first period alone often violates a limit
-        return (
-            predict_within_limits(amplitude, periods)
-            if predict_within_limits(amplitude, _SETTLING_PERIODS)
-            else None
-        )
+        first = predict_within_limits(amplitude, _SETTLING_PERIODS)
+        return first and predict_within_limits(amplitude, periods)
 
     motion = motion_at(top)
     if motion:
@@ -297,7 +282,7 @@ def _required_periods(signal: Signal, drive: Drive, band: ExcitationBand) -> tup
     """
     arm = signal.arm
     tick = clock_of(arm)
-    trajectory = run(arm, signal.values, drive, tick)
+    trajectory = run(arm, signal.values, drive)
     description = arm.joints[signal.joint - 1]
     ratios = {}
     if description.encoder_counts:

@@ -26,7 +26,7 @@ from strainwave.paper.joint_estimates import (
 from strainwave.paper.rig import Rig, Run
 from strainwave.paper.truth import slopes
 from strainwave.presentation.figures import Figure
-from strainwave.presentation.figures.curves import Points, bode, scatter
+from strainwave.presentation.figures.curves import Series, bode, scatter
 
 PAYLOAD = 3  # [kg]
 _STARTS = (0, 256, 512, 768)  # clocks of the PRBS at which the records start
@@ -235,17 +235,17 @@ def _scatter(joint: int, levels: Sequence[Level]) -> Figure:
     low, high = levels[0].bounds
     square = np.array([level.square for level in levels])
     points = [
-        Points("truth: mean slope", volt, np.array([level.true for level in levels]), true=True)
+        Series("truth: mean slope", volt, np.array([level.true for level in levels]), true=True)
     ]
     if levels[0].joint is None:
-        points.append(Points("state space", volt, square))
+        points.append(Series("state space", volt, square))
     else:
         std = np.array([level.std for level in levels])
         state_space = np.array([level.state_space_square for level in levels])
-        points.append(Points("equations of motion", volt, square, std))
-        points.append(Points("state space", volt, state_space))
-    points.append(Points("with K1", ends, np.full(2, low)))
-    points.append(Points("with K3", ends, np.full(2, high)))
+        points.append(Series("equations of motion", volt, square, std))
+        points.append(Series("state space", volt, state_space))
+    points.append(Series("with K1", ends, np.full(2, low)))
+    points.append(Series("with K3", ends, np.full(2, high)))
     caption = f"Joint {joint}, {PAYLOAD} kg; bars: 95 %"
     return scatter(points, "amplitude [V]", "squared anti-resonance [rad²/s²]", caption)
 

@@ -38,7 +38,7 @@ def test_every_line_has_its_own_style() -> None:
 
 def test_points_with_a_standard_deviation_have_error_bars() -> None:
     x = np.array([2.0, 10.0])
-    points = [curves.Points("model", x, x, np.ones(2)), curves.Points("bound", x, x)]
+    points = [curves.Series("model", x, x, np.ones(2)), curves.Series("bound", x, x)]
     model, bound = marks(curves.scatter(points, "amplitude", "square", "caption"), Line)
     assert model.error is not None
     assert model.error.tolist() == [1.96, 1.96]

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from strainwave.virtual.families import Family, Recorded, draw, record
-from strainwave.virtual.families.catalogue import GEAR_CATALOGUE
+from strainwave.virtual.families.catalogue import GEAR_CATALOGUE, Friction
 from strainwave.virtual.families.causes import cause_names
-from strainwave.virtual.families.description import FAULTS, Friction, Sensors
+from strainwave.virtual.families.description import FAULTS, Sensors
 from strainwave.virtual.families.drawing import VirtualArm
 
 BASE = Family(arms=6)
@@ -90,15 +90,15 @@ def test_arms_are_within_their_distribution() -> None:
         sample_times=(1e-3, 5e-4),
     )
     for arm in arms(family, SOME):
-        assert arm.sample_time in family.sample_times
-        assert arm.study.arm.gravity is None
-        for number, joint in enumerate(arm.study.arm.joints, start=1):
+        assert arm.rig.sample_time in family.sample_times
+        assert arm.rig.study.arm.gravity is None
+        for number, joint in enumerate(arm.rig.study.arm.joints, start=1):
             assert 1.0 / joint.gear_ratio == pytest.approx(50.0) or 1.0 / joint.gear_ratio == (
                 pytest.approx(100.0)
             )
             assert joint.spring == "three-slope"
             assert joint.encoder_counts in family.counts
-            knees = (arm.values["gear_knee_t1", number], arm.values["gear_knee_t2", number])
+            knees = (arm.rig.values["gear_knee_t1", number], arm.rig.values["gear_knee_t2", number])
             assert knees in {GEAR_CATALOGUE[size][0] for size in family.sizes}
             assert joint.accelerometer_distance
 
@@ -110,33 +110,33 @@ def test_factors_are_within_their_bounds() -> None:
     alone = replace(BASE, friction=replace(friction, coulomb=(1.0, 1.0)))
     for number in range(6):
         plain, scaled, other = draw(BASE, number), draw(family, number), draw(alone, number)
-        noise = scaled.noise.accelerometer_density / plain.noise.accelerometer_density
+        noise = scaled.rig.noise.accelerometer_density / plain.rig.noise.accelerometer_density
         assert 4.0 <= noise <= 5.0
-        assert scaled.noise.accelerometer_range <= 5.0 * plain.noise.accelerometer_range
+        assert scaled.rig.noise.accelerometer_range <= 5.0 * plain.rig.noise.accelerometer_range
         # earlier random numbers do not depend on the factors
         key = ("motor_viscous_friction", 1)
-        assert 0.2 <= other.values[key] / plain.values[key] <= 0.5
+        assert 0.2 <= other.rig.values[key] / plain.rig.values[key] <= 0.5
         key = ("motor_coulomb_friction", 1)
-        assert 2.0 <= scaled.values[key] / plain.values[key] <= 3.0
+        assert 2.0 <= scaled.rig.values[key] / plain.rig.values[key] <= 3.0
 
 
 def test_a_payload_is_a_point_mass_at_the_tip() -> None:
     loaded = replace(BASE, payload=(2.0, 2.0))
     for number in range(6):
-        plain, with_payload = draw(BASE, number).values, draw(loaded, number).values
+        plain, with_payload = draw(BASE, number).rig.values, draw(loaded, number).rig.values
         added = {
             name: with_payload[name, None] - plain[name, None]
             for name in ("alpha", "beta", "gamma")
         }
         assert added["gamma"] ** 2 == pytest.approx(added["alpha"] * added["beta"])
-        length = draw(BASE, number).study.arm.joints[1].origin.xyz[0]
+        length = draw(BASE, number).rig.study.arm.joints[1].origin.xyz[0]
         assert added["alpha"] == pytest.approx(2.0 * length**2)
 
 
 def test_shares_match_the_description() -> None:
     family = Family(arms=100, gravity=0.3, faults=0.5)
     drawn = arms(family, range(100))
-    upright = sum(arm.study.arm.gravity is not None for arm in drawn)
+    upright = sum(arm.rig.study.arm.gravity is not None for arm in drawn)
     assert 15 <= upright <= 45  # three standard deviations of a binomial count
     assert 35 <= sum(arm.fault is not None for arm in drawn) <= 65
     assert all(arm.fault is None for arm in arms(BASE))
@@ -158,7 +158,7 @@ def test_all_kinds_are_drawn_by_default() -> None:
 def test_effects_change_the_logs_but_not_the_study(name: str) -> None:
     plain, with_effect = draw(BASE, 1), draw(replace(BASE, effects=(name,)), 1)
     recorded = record(with_effect)
-    assert recorded.study == plain.study
+    assert recorded.study == plain.rig.study
     assert recorded.classes["effect"] == name
     assert not is_identical(recorded, record(plain))
 

@@ -10,7 +10,8 @@ import pytest
 
 from strainwave.errors import InvalidInput
 from strainwave.virtual.families import Family, family_of, fields_of
-from strainwave.virtual.families.description import FAULTS, Friction, Sensors
+from strainwave.virtual.families.catalogue import Friction
+from strainwave.virtual.families.description import FAULTS, Sensors
 
 PATH = Path("campaign.toml")
 EXAMPLES = Path(__file__).parents[3] / "examples" / "campaigns"

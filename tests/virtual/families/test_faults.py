@@ -87,7 +87,7 @@ def is_local(*names: str) -> Callable[[dict[str, list[Pair]]], bool]:
     )
 
 
-ENCODER_COUNTS = float(draw(BASE, 0).study.arm.joints[0].encoder_counts or 0.0)
+ENCODER_COUNTS = float(draw(BASE, 0).rig.study.arm.joints[0].encoder_counts or 0.0)
 LOGS: dict[str, Callable[[dict[str, list[Pair]]], bool]] = {
     "time-unit": lambda channels: round(factor(channels["t"])) in (1000, 1_000_000),
     "time-scale": lambda channels: 0.005 <= abs(factor(channels["t"]) - 1.0) <= 0.05,
@@ -116,7 +116,7 @@ STUDY = {
 @pytest.mark.parametrize("kind", LOGS)
 def test_faults_of_logs_change_the_stated_channels(kind: str) -> None:
     arm, _, faulty = both(kind)
-    assert faulty.study == arm.study
+    assert faulty.study == arm.rig.study
     assert faulty.classes["fault"] == kind
     assert faulty.classes["fault_size"]
     assert LOGS[kind](changed(kind))
@@ -128,7 +128,7 @@ def test_faults_of_the_study_change_one_key_of_one_joint(kind: str) -> None:
     assert not changed(kind)
     differs = [
         (one, other)
-        for one, other in zip(arm.study.arm.joints, faulty.study.arm.joints, strict=True)
+        for one, other in zip(arm.rig.study.arm.joints, faulty.study.arm.joints, strict=True)
         if one != other
     ]
     ((one, other),) = differs

@@ -54,17 +54,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """One line over a common axis, by name."""
-
-    name: str
-    x: FloatArray
-    y: FloatArray
-    true: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Points:
-    """Points with error bars, or a line without, by name."""
+    """One line over a common axis, by name; `scatter` draws points with error bars."""
 
     name: str
     x: FloatArray
@@ -185,13 +175,13 @@ def lines(series: Sequence[Series], axis: str, quantity: str, caption: str) -> F
 def spectrum(series: Sequence[Series], quantity: str, caption: str) -> Figure:
     """Power spectral densities in dB over log frequency; `quantity` is the unit of the density."""
     positive = [
-        Series(s.name, s.x[s.x > 0.0], 0.5 * decibel(s.y[s.x > 0.0]), s.true) for s in series
+        Series(s.name, s.x[s.x > 0.0], 0.5 * decibel(s.y[s.x > 0.0]), true=s.true) for s in series
     ]
     panel = Panel(Axis(f"density [dB re {quantity}]"), _lines(positive))
     return Figure(FREQUENCY_AXIS, (panel,), caption=caption)
 
 
-def scatter(points: Sequence[Points], axis: str, quantity: str, caption: str) -> Figure:
+def scatter(points: Sequence[Series], axis: str, quantity: str, caption: str) -> Figure:
     """Points with 95 % error bars joined by thin lines; lines alone where `std` is None."""
     marks = []
     styles = _styles([p.true for p in points])

@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from annotated_types import Ge, Le, MinLen
 
 from strainwave.domain import Joint, Prbs, Servo, Spring, Study
+from strainwave.domain.arm import NonNegative, Positive
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import planar_two_link
 from strainwave.dynamics.simulation import SensorNoise
@@ -43,56 +45,61 @@ _SERVO_BANDWIDTH = 20.0  # [rad/s] of the velocity loop of a rigid joint
 _KI_RATIO = 12.5  # [1/s] ki over kp
 
 
+Range = tuple[Positive, Positive]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Friction:
+    """Lowest and highest factors on the catalogue's friction: `friction`."""
+
+    coulomb: Range = (1.0, 1.0)
+    viscous: Range = (1.0, 1.0)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choices:
     """Values from which an arm is drawn."""
 
-    sizes: Sequence[int] = tuple(GEAR_CATALOGUE)  # ascending
-    ratios: Sequence[float] = GEAR_RATIOS
-    counts: Sequence[float] = ENCODER_COUNTS
-    sample_times: Sequence[float] = SAMPLE_TIMES  # [s]
-    payload: tuple[float, float] | None = None  # [kg] at the tip
-    coulomb: tuple[float, float] = (1.0, 1.0)  # factor on Coulomb friction
-    # factor on viscous friction
-    viscous: tuple[float, float] = (1.0, 1.0)
+    sizes: Annotated[tuple[int, ...], MinLen(1)] = tuple(GEAR_CATALOGUE)  # of gears
+    ratios: Annotated[tuple[Annotated[float, Ge(10.0), Le(500.0)], ...], MinLen(1)] = GEAR_RATIOS
+    counts: Annotated[tuple[Annotated[int, Ge(100)], ...], MinLen(1)] = ENCODER_COUNTS[1:]
+    sample_times: Annotated[tuple[Annotated[float, Ge(2e-5), Le(2e-3)], ...], MinLen(1)] = (
+        SAMPLE_TIMES[:3]  # [s]
+    )
+    payload: tuple[NonNegative, NonNegative] | None = None  # [kg] at the tip
+    friction: Friction | None = None  # None: the catalogue's
 
 
-def drawn(seed: int, series: int = 0, *, small: bool = False) -> Rig:
-    """One arm of the catalogue with its sensors and experiments, by its seed within a series.
-
-    With `small`, the gears have sizes 8 to 14, the anti-resonances exceed 25 Hz, and the encoders
-    have 2,000 counts, sampled at 4 kHz.
-    """
+def drawn(seed: int, series: int = 0) -> Rig:
+    """One arm of the catalogue with its sensors and experiments, by its seed within a series."""
     rng = np.random.default_rng([8, 40, series, seed])
-    return of_choices(rng, SPRINGS[seed % len(SPRINGS)], Choices(), small=small)
+    choices = Choices(counts=ENCODER_COUNTS, sample_times=SAMPLE_TIMES)
+    return of_choices(rng, SPRINGS[seed % len(SPRINGS)], choices)
 
 
-def of_choices(
-    rng: np.random.Generator, spring: Spring, choices: Choices, *, small: bool = False
-) -> Rig:
+def of_choices(rng: np.random.Generator, spring: Spring, choices: Choices) -> Rig:
     """One arm of the catalogue, drawn from given choices.
 
     The gear of joint 2 has the size of joint 1's or up to two sizes less. A payload m at the tip
     adds m l1^2, m l2^2 and m l1 l2 to alpha, beta and gamma before motors and gains are chosen.
     `spring` is "linear" or "three-slope".
     """
-    sizes = list(choices.sizes)
-    largest = sizes.index(MAX_SMALL_SIZE) + 1 if small else len(sizes)
-    base = int(rng.integers(1 if small else 0, largest))
+    sizes = sorted(choices.sizes)
+    base = int(rng.integers(0, len(sizes)))
     outer = int(rng.integers(max(0, base - 2), base + 1))
     ratios = rng.choice(choices.ratios, 2)
-    counts = 2000 if small else int(rng.choice(choices.counts))
-    sample_time = 2.5e-4 if small else float(rng.choice(choices.sample_times))
+    counts = int(rng.choice(choices.counts))
+    sample_time = float(rng.choice(choices.sample_times))
     bandwidth = between(rng, 50.0, 1000.0)
-    lowest, highest = (25.0, 45.0) if small else (7.0, min(45.0, 0.04 / sample_time))
-    frequency = [between(rng, lowest, highest) for _ in range(2)]
+    frequency = [between(rng, 7.0, min(45.0, 0.04 / sample_time)) for _ in range(2)]
     slopes = [
         _gear_slopes(sizes[k], int(ratio)) for k, ratio in zip((base, outer), ratios, strict=True)
     ]
     inertia = [k[1] / (2.0 * np.pi * f) ** 2 for k, f in zip(slopes, frequency, strict=True)]
+    friction = choices.friction or Friction()
     values, load, length, payload = _draw_links(rng, inertia, choices.payload)
     drives = [
-        _draw_drive(rng, spring, choices, i, size, float(ratio), slopes[i], load[i])
+        _draw_drive(rng, spring, friction, i, size, float(ratio), slopes[i], load[i])
         for i, (size, ratio) in enumerate(zip((sizes[base], sizes[outer]), ratios, strict=True))
     ]
     joints = [
@@ -145,7 +152,7 @@ class _Drive:
 def _draw_drive(
     rng: np.random.Generator,
     spring: Spring,
-    choices: Choices,
+    friction: Friction,
     i: int,
     size: int,
     ratio: float,
@@ -157,8 +164,8 @@ def _draw_drive(
     torque = float(rng.uniform(2.0, 4.5)) * knees[1] * n  # of the motor at full voltage
     motor = n**2 * load * between(rng, 0.2, 1.2)
     dry = float(rng.uniform(0.04, 0.12)) * torque
-    viscous = dry * n * float(rng.uniform(0.15, 0.5)) * _draw_factor(rng, choices.viscous)
-    coulomb = dry * _draw_factor(rng, choices.coulomb)
+    viscous = dry * n * float(rng.uniform(0.15, 0.5)) * _draw_factor(rng, friction.viscous)
+    coulomb = dry * _draw_factor(rng, friction.coulomb)
     damping = 2.0 * between(rng, 0.015, 0.05) * np.sqrt(stiffness * load)
     drive = {
         "motor_inertia": motor,

@@ -10,28 +10,18 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Le, MinLen
 
-from strainwave.domain.arm import NonNegative, Positive
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.study.reader import Reader
-from strainwave.virtual.families.catalogue import GEAR_CATALOGUE, GEAR_RATIOS, SPRINGS
+from strainwave.virtual.families.catalogue import GEAR_CATALOGUE, SPRINGS, Choices, Friction, Range
 from strainwave.virtual.families.causes import cause_names
 from strainwave.virtual.families.input_faults import INPUT_FAULTS
 from strainwave.virtual.families.sensor_defects import DEFECT_SIZES
 
 Share = Annotated[float, Ge(0.0), Le(1.0)]
-Range = tuple[Positive, Positive]
 LinkSensors = Literal["accelerometer", "gyro", "accelerometer-and-gyro", "encoder", "none"]
 
 FAULTS: tuple[str, ...] = (*INPUT_FAULTS, *DEFECT_SIZES)
 """Kinds of faults: errors of the study and its logs, then defects of sensors."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Friction:
-    """Lowest and highest factors on the catalogue's friction: `friction`."""
-
-    coulomb: Range = (1.0, 1.0)
-    viscous: Range = (1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,24 +33,13 @@ class Sensors:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Family:
+class Family(Choices):
     """Distribution of arms. Seed and number determine an arm."""
 
     arms: Annotated[int, Ge(1)]  # number of arms
     seed: Annotated[int, Ge(0)] = 0
-    sizes: Annotated[tuple[int, ...], MinLen(1)] = tuple(GEAR_CATALOGUE)  # of gears
-    ratios: Annotated[tuple[Annotated[float, Ge(10.0), Le(500.0)], ...], MinLen(1)] = GEAR_RATIOS
     springs: Annotated[tuple[str, ...], MinLen(1)] = SPRINGS
-    counts: Annotated[tuple[Annotated[int, Ge(100)], ...], MinLen(1)] = (
-        *(2000, 4096, 8192),
-        *(65536, 1_000_000),
-    )
-    sample_times: Annotated[
-        tuple[Annotated[float, Ge(2e-5), Le(2e-3)], ...], MinLen(1)  # [s]
-    ] = (2e-3, 1e-3, 5e-4)
-    payload: tuple[NonNegative, NonNegative] | None = None  # [kg] at the tip
     gravity: Share = 0.0  # share of arms with gravity in the plane of motion
-    friction: Friction | None = None  # None: the catalogue's
     sensors: Sensors | None = None  # None: the sensors of the default rig
     faults: Share | tuple[str, ...] = 0.0  # share of arms with a fault, or kinds of faults
     effects: Share | tuple[str, ...] = 0.0  # unmentioned effects: share of arms, or names

@@ -12,11 +12,10 @@ from strainwave.domain import Channel, FloatArray, Log, Study
 from strainwave.domain.arm import Joint
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import SensorNoise
 from strainwave.io.logs import read_logs
 from strainwave.signals.hygiene import Kind
 from strainwave.virtual.experiments import derived
-from strainwave.virtual.families.catalogue import Choices, of_choices
+from strainwave.virtual.families.catalogue import of_choices
 from strainwave.virtual.families.causes import (
     NO_CAUSE,
     Cause,
@@ -25,7 +24,7 @@ from strainwave.virtual.families.causes import (
     joint_of,
     sizes_of,
 )
-from strainwave.virtual.families.description import FAULTS, Family, Friction, LinkSensors, Sensors
+from strainwave.virtual.families.description import FAULTS, Family, LinkSensors, Sensors
 from strainwave.virtual.families.input_faults import INPUT_FAULTS, Fault
 from strainwave.virtual.families.rigs import Rig, between
 from strainwave.virtual.families.sensor_defects import DEFECT_SIZES, injected
@@ -47,32 +46,12 @@ class VirtualArm:
     seed: tuple[int, int]  # seed of the family, number of the arm
 
     @property
-    def study(self) -> Study:
-        """Study without the fault."""
-        return self.rig.study
-
-    @property
-    def values(self) -> Values:
-        """True values by name and joint."""
-        return self.rig.values
-
-    @property
-    def noise(self) -> SensorNoise:
-        """Errors of its sensors."""
-        return self.rig.noise
-
-    @property
-    def sample_time(self) -> float:
-        """Sample time [s] of records that excite the gears."""
-        return self.rig.sample_time
-
-    @property
     def truth(self) -> Values:
         """True values of the reported parameters by name and joint.
 
         Coulomb friction that varies between records has no true value.
         """
-        values = derived(self.values, self.study.arm)
+        values = derived(self.rig.values, self.rig.study.arm)
         if self.cause.name == "friction-by-record":
             del values["motor_coulomb_friction", self.cause.joint]
         return values
@@ -90,18 +69,8 @@ class Recorded:
 def draw(family: Family, number: int) -> VirtualArm:
     """Arm of a family by its number, from 0."""
     rngs = {name: _rng((family.seed, number), name) for name in _STREAMS}
-    friction = family.friction or Friction()
-    choices = Choices(
-        sizes=sorted(family.sizes),
-        ratios=family.ratios,
-        counts=family.counts,
-        sample_times=family.sample_times,
-        payload=family.payload,
-        coulomb=friction.coulomb,
-        viscous=friction.viscous,
-    )
     spring = str(rngs["arm"].choice(family.springs))
-    rig = of_choices(rngs["arm"], spring, choices)
+    rig = of_choices(rngs["arm"], spring, family)
     upright = bool(rngs["gravity"].uniform() < family.gravity)
     rig = with_short_records(rig, upright=upright, rng=rngs["gravity"])
     rig = _with_sensors(rig, family.sensors or Sensors(), rngs["sensors"])
@@ -112,18 +81,16 @@ def draw(family: Family, number: int) -> VirtualArm:
 
 def record(arm: VirtualArm) -> Recorded:
     """Simulate an arm's experiments and inject its fault into study or logs."""
-    study, plant_arm = arm.study, Arm.of(arm.study.arm)
+    rig, study = arm.rig, arm.rig.study
     motion = int(_rng(arm.seed, "motion").integers(2**31))
     data: dict[str, dict[str, FloatArray]] = {}
-    for k, (experiment, plan) in enumerate(
-        zip(study.experiments, plans(arm.rig, motion), strict=True)
-    ):
+    for k, (experiment, plan) in enumerate(zip(study.experiments, plans(rig, motion), strict=True)):
         rng = np.random.default_rng([*arm.seed, _STREAMS.index("records"), k])
         plant = OwnPlant(arm.cause, k)
         data[experiment.name] = record_experiment(
-            study, plant_arm, plan, arm.values, arm.noise, rng, plant
+            study, Arm.of(study.arm), plan, rig.values, rig.noise, rng, plant
         )
-    classes: dict[str, Any] = dict(arm.rig.classes)
+    classes: dict[str, Any] = dict(rig.classes)
     if arm.cause.name != NO_CAUSE:
         sizes = {name: float(size) for name, size in arm.cause.sizes.items()}
         classes |= {"effect": arm.cause.name, "joint": arm.cause.joint, "sizes": sizes}
