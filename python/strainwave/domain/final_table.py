@@ -31,7 +31,7 @@ from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.joint_models import JointModel
 from strainwave.domain.keys import Key, Row
 from strainwave.domain.kinds import kind_of
-from strainwave.domain.link_sensors import link_channel_kinds, link_keys
+from strainwave.domain.link_sensors import constant_of, link_channel_kinds, link_keys
 from strainwave.domain.parameter_table import base_name, family_of, is_friction, parameter_table
 from strainwave.domain.ranges import is_physical, physical_range
 from strainwave.domain.signals import Activity
@@ -52,6 +52,8 @@ _MOTOR_CHANNELS = frozenset({"u", "torque", "theta_m", "omega_m", "ref"})
 _MIN_STDS_BELOW_ZERO = 2.0
 # share of a joint's rms torque below which the half-width of a confidence interval is negligible
 _MAX_NEGLIGIBLE_SHARE = 0.02
+# half-width of the interval of a sensor's place, whose zero is arbitrary
+_MAX_PLACE_HALF_WIDTH = {"m": 0.01, "rad": 0.05}
 _FAULT_REASON = Clause("reason/fault")
 _CONTRADICTION_REASON = Clause("reason/contradiction")
 _IMPLAUSIBLE_REASON = Clause("reason/implausible")
@@ -368,6 +370,8 @@ def _is_identified(p: Parameter, study: Study, levels: Mapping[int, Activity]) -
     half = half_width(p)
     if p.value is None or half is None or not half < float("inf"):
         return False
+    if constant_of(p.key) is not None and p.unit in _MAX_PLACE_HALF_WIDTH:
+        return half < _MAX_PLACE_HALF_WIDTH[p.unit]
     return half < abs(p.value) or _is_negligible(p, study, levels)
 
 
