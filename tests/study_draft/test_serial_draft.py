@@ -179,6 +179,36 @@ def test_motor_angles_leave_gear_ratios_open(tmp_path: Path) -> None:
     assert text.replace("\n# ", " ").count(reason) == 6
 
 
+def test_joints_that_move_one_at_a_time_are_classified_by_their_own_records(tmp_path: Path) -> None:
+    """The only motion of a joint is fitted, not kept for validation."""
+    path = urdf(tmp_path, JOINTS[:4])
+    logs = []
+    for moving in (1, 2, 4):
+        columns = joint_motion(path, moving, duration=4.0 + moving)
+        for number in {1, 2, 3, 4} - {moving}:
+            noise = ENCODER * np.random.default_rng(number).normal(size=(2, len(columns["t"])))
+            columns |= {f"q{number}": 0.3 + noise[0], f"dq{number}": 10.0 * noise[1]}
+        logs.append(tmp_path / f"joint-{moving}.csv")
+        write_log(logs[-1], columns)
+    draft = start_study(logs, tmp_path / "study.toml", path)
+    assert {f"omega_m{number}" for number in (1, 2, 4)} <= set(draft.channels)
+    assert draft.warnings == (
+        "joint 3 (elbow_joint) stands still in all logs: record a motion of it",
+    )
+    assert {each.use for each in read_study(tmp_path / "study.toml").experiments} == {"motion"}
+
+
+def test_missing_torques_are_named(tmp_path: Path) -> None:
+    path = urdf(tmp_path)
+    columns = joint_motion(path, duration=4.0)
+    del columns["tau4"]
+    write_log(tmp_path / "run.csv", columns)
+    draft = start_study([tmp_path / "run.csv"], tmp_path / "study.toml", path)
+    assert draft.n_todos == 1
+    (warning,) = draft.warnings
+    assert warning.startswith("no column was found for torque4, the torque [N m at the joint]")
+
+
 # --- without a URDF ---------------------------------------------------------------------------
 
 

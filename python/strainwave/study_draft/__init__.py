@@ -12,6 +12,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import write_whole
 from strainwave.study_draft.candidates import Mapping
@@ -26,6 +28,8 @@ from strainwave.study_draft.robot import Robot
 from strainwave.study_draft.study_text import count_todos, is_elastic, study_text
 
 __all__ = ["StudyDraft", "start_study"]
+
+_MIN_MOTION = 0.01  # [rad, m] of an angle; the noise of one that stands still is below
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +61,7 @@ def start_study(logs: Sequence[Path], out: Path, urdf: Path | None = None) -> St
     robot = None if urdf is None else Robot.read(urdf)
     records = [read_record(path) for path in logs]
     fullest = find_fullest_record(records)
-    mapping = map_channels(fullest, fullest, robot)
+    mapping = map_channels(fullest, fullest, robot, records)
     _check_alike(records, fullest, mapping)
     for record in records:
         add_channels(mapping, record, fullest, robot)
@@ -85,6 +89,16 @@ def _warnings(
         for fault in record.faults:
             yield f"{record.path.name}: {fault}"
     yield from mapping.warnings
+    for channel, description in mapping.missing.items():
+        yield f"no column was found for {channel}, {description}"
+    for number, facts in enumerate(mapping.joints, start=1):
+        guess = mapping.guesses.get(f"theta_m{number}")
+        if guess is None or guess.scale is None:
+            continue
+        largest = max(float(np.ptp(record.columns[guess.column])) for record in records)
+        if guess.scale * largest < _MIN_MOTION:
+            name = f" ({facts.name})" if facts.name else ""
+            yield f"joint {number}{name} stands still in all logs: record a motion of it"
     unchecked = unchecked_joints(experiments, len(mapping.joints))
     if is_elastic(mapping, experiments) and unchecked:
         yield (

@@ -10,6 +10,8 @@ Sure = Literal["sure", "likely", "unsure"]
 
 MIN_RELATED_CORRELATION = 0.9
 """Minimum correlation at which two columns count as related."""
+MIN_RANGE_SHARE = 0.1
+"""Share of its largest range above which a joint moves in a record."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,15 +14,18 @@ from strainwave.study_draft.inspection import Record
 from strainwave.study_draft.joint_columns import JointColumns
 from strainwave.study_draft.joints import assign_columns
 from strainwave.study_draft.names import parse
-from strainwave.study_draft.robot import Robot
+from strainwave.study_draft.robot import Motion, Robot
 from strainwave.study_draft.signal_features import proportion, relation
 
 _IMU_AXIS = re.compile(r"[ag][xyz][1-9]")  # channel name of an IMU axis
 
 
-def map_channels(record: Record, fullest: Record, robot: Robot | None = None) -> Mapping:
+def map_channels(
+    record: Record, fullest: Record, robot: Robot | None = None, others: Sequence[Record] = ()
+) -> Mapping:
     """Guess the channels of a record; `fullest` is the record with the most columns.
 
+    A joint that hardly moves in the record is classified by one of `others` in which it moves.
     Raises InvalidInput if the record has no angle of a joint of `robot`.
     """
     assigned = assign_columns(record, fullest, robot)
@@ -41,6 +44,8 @@ def map_channels(record: Record, fullest: Record, robot: Robot | None = None) ->
         )
         for joint in range(1, n_joints + 1)
     ]
+    for each in joints:
+        each.choose_record(others)
     if robot is not None:
         _describe_joints(joints, robot, record)
     for joint in joints:
@@ -71,8 +76,8 @@ def _describe_joints(joints: Sequence[JointColumns], robot: Robot, record: Recor
             "by joint names or numbers, such as theta_m1; if a joint stands still in all logs, set "
             'its type to "fixed" in the URDF',
         )
-    motions = [(joint.number, joint.scaled_angle()) for joint in joints]
-    within = robot.are_within_limits(motions, record.period)
+    motions = [Motion(j.number, j.scaled_angle(), j.record.period) for j in joints]
+    within = robot.are_within_limits(motions)
     for joint, urdf in zip(joints, robot.joints, strict=True):
         joint.facts.name, joint.facts.prismatic = urdf.name, urdf.motion == "prismatic"
         if within and not joint.facts.joint_side:

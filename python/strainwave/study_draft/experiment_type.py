@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import Control, FloatArray, Prbs, Use
-from strainwave.study_draft.candidates import Mapping
+from strainwave.study_draft.candidates import MIN_RANGE_SHARE, Mapping
 from strainwave.study_draft.inspection import Record
 from strainwave.study_draft.signal_features import (
     levels,
@@ -77,7 +77,7 @@ def propose_uses(records: Sequence[Record], mapping: Mapping) -> list[Experiment
         for record, of_record in zip(records, inputs, strict=True)
     ]
     _assign_sweeps(proposals)
-    _assign_checks(proposals)
+    _assign_checks(proposals, mapping)
     return proposals
 
 
@@ -160,6 +160,20 @@ def _priority(joint_input: _JointInput) -> float:
     return joint_input.size * (1e6 if joint_input.sequence else 1.0)
 
 
+def _replaceable(
+    motions: Sequence[ExperimentProposal], mapping: Mapping
+) -> list[ExperimentProposal]:
+    """Motions of which each joint moves in another motion too."""
+    angles = [f"theta_m{joint}" for joint in range(1, len(mapping.joints) + 1)]
+    columns = [[_column(each.record, mapping, name) for name in angles] for each in motions]
+    ranges = np.array(
+        [[0.0 if c is None else float(np.ptp(c)) for c in each] for each in columns]
+    ).reshape(len(motions), len(angles))
+    moves = (ranges > MIN_RANGE_SHARE * ranges.max(axis=0, initial=0.0)).astype(int)
+    is_alone = ((moves == 1) & (moves.sum(axis=0) == 1)).any(axis=1)
+    return [each for each, alone in zip(motions, is_alone, strict=True) if not alone]
+
+
 def _moves_all(record: Record, mapping: Mapping) -> bool:
     references = [_column(record, mapping, f"ref{j}") for j in range(1, len(mapping.joints) + 1)]
     return all(each is not None and np.ptp(each) > 0.0 for each in references)
@@ -194,15 +208,22 @@ def _amplitude(each: ExperimentProposal) -> float:
     return each.prbs.amplitude if each.prbs else 0.0
 
 
-def _assign_checks(proposals: list[ExperimentProposal]) -> None:
-    """Select validation records: by name, else the shortest of several motion records."""
+def _assign_checks(proposals: list[ExperimentProposal], mapping: Mapping) -> None:
+    """Select validation records: by name, else the shortest motion whose joints others move too."""
     for each in proposals:
         if _CHECK_NAME.search(each.record.name) and each.use in ("motion", "tuning"):
             each.become("check", "; a validation record according to its name")
     motions = [each for each in proposals if each.use == "motion"]
-    if len(motions) > 1 and not any(e.use == "check" and e.joint is None for e in proposals):
+    replaceable = _replaceable(motions, mapping)
+    if (
+        len(motions) > 1
+        and replaceable
+        and not any(e.use == "check" and e.joint is None for e in proposals)
+    ):
         # of records with equal duration, the last
-        shortest = min(reversed(motions), key=lambda each: round(float(np.ptp(each.record.time))))
+        shortest = min(
+            reversed(replaceable), key=lambda each: round(float(np.ptp(each.record.time)))
+        )
         shortest.become("check", "; the shortest of several: used for validation")
     excited = {each.joint for each in proposals if each.use == "frequency"}
     for each in proposals:

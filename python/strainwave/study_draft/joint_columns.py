@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from math import pi
 from typing import NamedTuple
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.study_draft.candidates import (
+    MIN_RANGE_SHARE,
     MIN_RELATED_CORRELATION,
     Guess,
     JointFacts,
@@ -87,6 +89,16 @@ class JointColumns:
         self._input()
         self._temperature()
         self._sensors(motor)
+
+    def choose_record(self, others: Sequence[Record]) -> None:
+        """Classify the columns by another record if the joint hardly moves in the fullest."""
+        if self.angle is None:
+            return
+        column, names = self.angle, self.parsed_names.keys()
+        records = [self.record, *(each for each in others if names <= each.columns.keys())]
+        ranges = [float(np.ptp(each.columns[column])) for each in records]
+        if ranges[0] < MIN_RANGE_SHARE * max(ranges):
+            self.record = records[int(np.argmax(ranges))]
 
     def scaled_angle(self) -> FloatArray:
         """The angle in SI units; zero if its unit is unknown, or if there is none."""

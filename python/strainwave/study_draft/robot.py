@@ -24,6 +24,14 @@ _MIN_RANGE = 0.1
 _LIMIT_TOLERANCE = 0.2
 
 
+class Motion(NamedTuple):
+    """Motion of a joint in a record."""
+
+    joint: int  # from 1
+    angle: FloatArray  # (n_samples,) [rad, m]
+    period: float  # [s] sampling period
+
+
 class NamedJoint(NamedTuple):
     """A joint of the URDF that a name contains."""
 
@@ -79,14 +87,13 @@ class Robot:
             own_numbers = [str(k) for k in range(1, len(self.joints) + 1)]
         return own_numbers.index(str(number)) + 1 if str(number) in own_numbers else None
 
-    def are_within_limits(self, angles: Sequence[tuple[int, FloatArray]], period: float) -> bool:
+    def are_within_limits(self, motions: Sequence[Motion]) -> bool | None:
         """Whether all angles stay within the limits of position and velocity of their joints.
 
-        `angles` has joint numbers with angles (n_samples,) [rad, m], sampled at `period` [s]. False
-        if no angle moves enough to tell, or if no joint that moves has limits.
+        None if no angle moves enough to tell, or if no joint that moves has limits.
         """
-        tested = False
-        for number, values in angles:
+        tested = None
+        for number, values, period in motions:
             joint = self.joints[number - 1]
             if float(np.ptp(values)) < _MIN_RANGE:
                 continue

@@ -34,7 +34,9 @@ _IMPROPER_COST = 1e9  # cost of a point without positive definite inertia matrix
 _MIN_DISTANCE = 0.35  # difference of a coordinate above which two minima are distinct
 # [rad/s] highest anti-resonance of a typical gear with its load
 _MAX_ANTI_RESONANCE = 2.0 * np.pi * 80.0
-_MAX_COST_RATIO = 4.0  # ratio to the least sum of squares up to which a point is an alternative
+# ratio to the least sum of squares of every motor up to which a point is an alternative
+_MAX_COST_RATIO = 4.0
+_MAX_DESCENTS = 8  # from alternatives; each usually corrects the stiffness of one joint
 _ROBUST_SCALE = 0.02  # scale of the robust loss, as a share of the motor velocity
 # bounds of least squares around the starting value: log k, log d_G, log odds of the share
 _COORDINATE_BOUNDS = np.array([np.log(10.0), np.log(100.0), 4.0])
@@ -75,14 +77,14 @@ def minima(family: Family, pieces: Sequence[Piece], few_lines: Sequence[Piece]) 
             distinct_minima.append((least_cost, point))
     distinct_minima.sort(key=lambda each: each[0])
     (least_cost, best), *others = distinct_minima
-    alternative_points = (*(p for _, p in others), *_alternatives(family, best, few_lines))
-    points = np.array([best, *alternative_points])
-    cost = sum((_costs(family, points, each) for each in records), np.zeros(len(points)))
+    least_cost, best = _descend(family, least_cost, best, records)
+    points = np.array([best, *(p for _, p in others), *_alternatives(family, best, records)])
+    costs = _costs_by_joint(family, points, records)
+    is_near = np.all(costs <= _MAX_COST_RATIO * costs[0], axis=1)
     unknown = np.full((len(best), len(best)), np.nan)
     alternatives = [
-        Minimum(point, float(point_cost), unknown, _fits(family, point, records))
-        for point_cost, point in zip(cost[1:], points[1:], strict=True)
-        if point_cost < _MAX_COST_RATIO * cost[0]
+        Minimum(points[k], float(costs[k].sum()), unknown, _fits(family, points[k], records))
+        for k in np.flatnonzero(is_near)[1:]
     ]
     return [
         _with_covariance(family, best, least_cost, records),
@@ -90,15 +92,28 @@ def minima(family: Family, pieces: Sequence[Piece], few_lines: Sequence[Piece]) 
     ]
 
 
+def _descend(
+    family: Family, cost: float, point: FloatArray, records: Sequence[_PieceInPosture]
+) -> tuple[float, FloatArray]:
+    """Minimum from the alternative of least objective, as long as it is below that of the point."""
+    for _ in range(_MAX_DESCENTS):
+        alternatives = np.array(list(_alternatives(family, point, records)))
+        objectives = _objectives(family, alternatives, records)
+        if not objectives.size or objectives.min() >= cost:
+            break
+        point, cost = _minimize(family, alternatives[objectives.argmin()], records)
+    return cost, point
+
+
 def _alternatives(
-    family: Family, best: FloatArray, records: Sequence[Piece]
+    family: Family, best: FloatArray, records: Sequence[_PieceInPosture]
 ) -> Iterator[FloatArray]:
     """The best point with other stiffnesses of one joint, over the whole band.
 
     If the motor contributes most of its joint's inertia, its velocity depends only weakly on the
     gear. The anti-resonance is then uncertain over a wide band.
     """
-    line_frequencies = np.concatenate([piece.s.imag for piece in records])
+    line_frequencies = np.concatenate([piece.s.imag for piece, _ in records])
     link_inertia = family.parts(best)["link_inertia"]
     for i in range(family.n_joints):
         for ring in np.geomspace(
@@ -256,6 +271,30 @@ def _costs(family: Family, points: FloatArray, piece_in_posture: _PieceInPosture
     return np.asarray(sum(costs, np.zeros(len(points))))
 
 
+def _costs_by_joint(
+    family: Family, points: FloatArray, records: Sequence[_PieceInPosture]
+) -> FloatArray:
+    """Sums of squared errors of each motor over all pieces, (n_points, n_joints)."""
+    costs = np.zeros((len(points), family.n_joints))
+    for record in records:
+        errors = _errors(family, points, record)
+        for i, (error, _) in zip(record[0].rows, errors, strict=True):
+            costs[:, i] += np.sum(np.abs(error) ** 2, axis=-1)
+    return costs
+
+
+def _objectives(
+    family: Family, points: FloatArray, records: Sequence[_PieceInPosture]
+) -> FloatArray:
+    """Objectives of `_minimize`, (n_points,)."""
+    residuals = [_prior_residuals(family, points)]
+    for record in records:
+        for error, _ in _errors(family, points, record):
+            residuals += [error.real, error.imag]
+    losses = [np.sum(np.sqrt(1.0 + (x / _ROBUST_SCALE) ** 2) - 1.0, axis=-1) for x in residuals]
+    return np.asarray(_ROBUST_SCALE**2 * sum(losses, np.zeros(len(points))))
+
+
 def _residual(
     family: Family, point: FloatArray, records: Sequence[_PieceInPosture], tilt: float = 0.0
 ) -> FloatArray:
@@ -275,11 +314,14 @@ def _line_weights(piece: Piece, tilt: float) -> FloatArray:
 
 
 def _prior_residuals(family: Family, point: FloatArray) -> FloatArray:
-    """Residuals of motor inertias that the rigid model gives, scaled like the velocity errors."""
+    """Residuals (..., n_known) of known motor inertias at points (..., n_coordinates).
+
+    The rigid model gives these inertias. The residuals are scaled like the velocity errors.
+    """
     identified = np.flatnonzero(~np.isnan(family.known_share))
     if not identified.size or family.total_inertia is None:
-        return np.zeros(0)
-    motor = family.parts(point)["motor_inertia"][identified]
+        return np.zeros((*point.shape[:-1], 0))
+    motor = family.parts(point)["motor_inertia"][..., identified]
     known_inertia = family.known_share[identified] * family.total_inertia[identified]
     return np.asarray(
         _ROBUST_SCALE * np.log(motor / known_inertia) / family.known_deviation[identified]

@@ -112,6 +112,10 @@ class Dataset:
         inputs = self._inputs(values)
         simulated = [key for key in directions if not constant_of(key)]
         core_directions = inputs.directions(simulated)
+        if not directions and not self.initial_states:  # a plain run is several times faster
+            channels = self.filtered_channels(self.run(values, initial, self.quantities()), values)
+            channels = (channels + self.step_error_correction) * self.sensor_scales(values)
+            return channels + self.drifts(values), np.zeros((*channels.shape, 0))
         resonates = self._has_resonant_mount(values)
         runs = sensitivities(
             self._arm_at(values),

@@ -23,8 +23,8 @@ from strainwave.identification.whole_arm.search.solver import search_minimum
 from strainwave.numerics.coordinate_search import Choice, CoordinateSearch
 
 MAX_SEARCHED_SETS = 4
-EVALUATIONS_PER_ROUND = 8  # of the search from each set
-MAX_ROUNDS = 4  # of these searches
+EVALUATIONS_PER_ROUND = 3  # of the search from each set
+MAX_ROUNDS = 11  # of these searches
 MAX_COST_RATIO = 3.0  # to the least cost; a set of larger cost is dropped
 LIMIT_SHARE = 1e-3  # of a range: distance within which a stiffness counts as at the limit
 _NO_START = "the arm cannot be simulated with any start values of the earlier stages"
@@ -118,12 +118,14 @@ def _best_starts(
         except NotIdentifiable as failure:
             failures.append(failure)
             return np.inf
-        start = np.zeros(len(objective.space.unknowns))
-        linearised = objective.linearise(start)
-        if linearised is None:
+        space = objective.space
+        plain = objective.replace_unknowns(space.fix_values(space.start_values))
+        simulated = plain.linearise(np.zeros(0))
+        if simulated is None:
             return np.inf
-        searches[choice] = _SearchState(joints, Fit(objective, start, linearised.cost, 0))
-        return linearised.cost
+        start = np.zeros(len(space.unknowns))
+        searches[choice] = _SearchState(joints, Fit(objective, start, simulated.cost, 0))
+        return simulated.cost
 
     search = CoordinateSearch(lambda choices: map(cost_of, choices))
     numbers = [{id(joint): k for k, joint in enumerate(each)} for each in models]
