@@ -203,4 +203,4 @@ def test_bodies_replace_estimates_of_single_parameters(tmp_path: Path) -> None:
         for entry in entries(replace(arm, parameters=(*arm.parameters, estimate)))
         if entry.name == "link_inertia_zz_3"
     )
-    assert (entry.value, entry.std) == (arm.links["link_inertia_zz", 3], 0.01)
+    assert (entry.value, entry.std) == (arm.standard["link_inertia_zz", 3], 0.01)

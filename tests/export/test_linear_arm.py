@@ -114,17 +114,6 @@ def test_one_joint_is_its_own_model(tmp_path: Path) -> None:
         np.testing.assert_allclose(found[:, 0], wanted[:, 0], rtol=1e-9)
 
 
-def test_motors_in_the_links_count_once(tmp_path: Path) -> None:
-    """Without a separate motor inertia only that of the link counts."""
-    study, values = exports.chain(tmp_path, ("rigid",) * 3)
-    del values["motor_inertia", 1]
-    base = Arm.of(study.arm)
-    M = base.inertia_matrix(np.array([values[key] for key in base.base_names]), np.zeros(3))
-    reflected = np.diag([0.0, 2e-4 / 0.0125**2, 2e-4 / 0.02**2])
-    B = linear_arm(exports.arm_of(study, values)).B[3:]
-    np.testing.assert_allclose((M + reflected) @ B, np.diag([100.0, -80.0, 50.0]), atol=1e-9)
-
-
 def test_a_missing_parameter_is_refused(tmp_path: Path) -> None:
     study, values = exports.chain(tmp_path)
     del values["gear_damping", 2]

@@ -17,6 +17,7 @@ from strainwave.domain.quantities import Quantity
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
+from strainwave.errors import InvalidInput
 from strainwave.export.coordinates import coordinates_of
 from strainwave.export.mjcf import to_mjcf
 
@@ -300,13 +301,20 @@ def test_a_chain_moves_as_in_the_simulation(
     assert largest_difference(mujoco, study, values, 3.0) < 1e-6
 
 
-def test_motors_that_rigid_motion_does_not_separate_are_part_of_the_links(
+def test_motors_without_estimate_have_the_inertia_of_the_standard_parameters(
     mujoco: ModuleType, tmp_path: Path
 ) -> None:
+    """Behind rigid gears only: an elastic joint needs an estimate."""
     study, values = exports.chain(tmp_path, ("rigid",) * 3)
-    del values["motor_inertia", 1]
-    model = mujoco.MjModel.from_xml_string(to_mjcf(exports.arm_of(study, values)).data.decode())
-    np.testing.assert_allclose(model.dof_armature, [0.0, 2e-4 / 0.0125**2, 2e-4 / 0.02**2])
+    arm = exports.arm_of(study, values)
+    others = tuple(p for p in arm.parameters if p.key != ("motor_inertia", 1))
+    arm = replace(arm, parameters=others, standard=arm.standard | {("motor_inertia", 1): 3e-4})
+    model = mujoco.MjModel.from_xml_string(to_mjcf(arm).data.decode())
+    np.testing.assert_allclose(model.dof_armature, [3.0, 2e-4 / 0.0125**2, 2e-4 / 0.02**2])
+    elastic = exports.arm_of(*exports.chain(tmp_path))
+    others = tuple(p for p in elastic.parameters if p.key != ("motor_inertia", 1))
+    with pytest.raises(InvalidInput, match="motor_inertia of joint 1 is missing"):
+        to_mjcf(replace(elastic, parameters=others))
 
 
 def test_joints_have_the_names_of_the_study(mujoco: ModuleType, tmp_path: Path) -> None:

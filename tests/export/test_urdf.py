@@ -240,6 +240,6 @@ def test_a_chain_without_consistent_links_is_refused(tmp_path: Path) -> None:
         del values[f"link_{name}", 2]
     with pytest.raises(InvalidInput, match="m2 is missing"):
         to_urdf(exports.arm_of(study, values))
-    arm = replace(exports.arm_of(*exports.chain(tmp_path)), links={})
+    arm = replace(exports.arm_of(*exports.chain(tmp_path)), standard={})
     with pytest.raises(InvalidInput, match="link_mass of joint 1 is missing"):
         to_urdf(arm)

@@ -9,6 +9,7 @@ and Park, 2020). It is a representative, not an estimate.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import cache
 
@@ -18,12 +19,15 @@ from strainwave.domain.arm import ArmDescription, LinkPrior
 from strainwave.domain.arrays import FloatArray
 from strainwave.errors import NumericalFailure
 
-_MAX_STEPS = 200
+_MAX_STEPS = 50  # for one weight; usually 5 to 20
 _TOLERANCE = 1e-12  # expected decrease of the cost
 _MIN_DECREASE = 0.1  # of the cost in a step, relative to the decrease of its quadratic model
 _MIN_SHARE = 1e-8  # of a step
-# of the combinations: a full weight from the start leads along the border of the consistent sets
-_WEIGHTS = np.logspace(-5.0, 0.0, 11)
+# weights of the combinations: a full weight from the start leads along the border of the
+# consistent sets
+_FIRST_WEIGHT = 1e-5
+_FACTOR = math.sqrt(10.0)  # from one weight to the next; smaller after a failure
+_MIN_FACTOR = 1.02
 _GUESSED_MASS = 3.0  # [kg] of a link without prior
 _GUESSED_LENGTH = 0.2  # [m] of a link that carries no joint
 _GUESSED_RADIUS = 0.4  # radius of gyration over the link's length
@@ -41,15 +45,24 @@ def consistent_links(
     inverses = [np.asarray(np.linalg.inv(_pseudo_inertia(np.array(p)))) for p in priors]
     pull = np.concatenate([_basis_products(inverse) for inverse in inverses])
     values = np.concatenate([np.array(prior) for prior in priors])
-    for weight in _WEIGHTS:
-        values = _minimise(values, pull, weight * rows, weight * target)
+    reached, factor = _FIRST_WEIGHT / _FACTOR, _FACTOR
+    while reached < 1.0:
+        weight = min(1.0, factor * reached)
+        minimum = _minimise(values, pull, weight * rows, weight * target)
+        if minimum is not None:
+            values, reached = minimum, weight
+        elif (factor := math.sqrt(factor)) < _MIN_FACTOR:
+            raise NumericalFailure("no physically consistent links agree with the base parameters")
     return values
 
 
 def _minimise(
     values: FloatArray, pull: FloatArray, rows: FloatArray, target: FloatArray
-) -> FloatArray:
-    """Minimum of pull . p - log det P(p) + |rows p - target|^2/2 by Newton's method."""
+) -> FloatArray | None:
+    """Minimum of pull . p - log det P(p) + |rows p - target|^2/2 by Newton's method.
+
+    None if it takes too many steps: from far away they lead along the border.
+    """
 
     def cost(values: FloatArray) -> float:
         residual = rows @ values - target
@@ -58,11 +71,13 @@ def _minimise(
     for _ in range(_MAX_STEPS):
         roots, gradient = _barrier(values)
         slope = pull + gradient
-        # the step minimises |roots step + roots^-T slope|^2 + |rows step + residual|^2
-        stacked = np.concatenate([roots, rows])
+        # the step minimises |roots step + roots^-T slope|^2 + |rows step + residual|^2; with
+        # roots step as unknown, links near the border of the consistent sets do not dominate
+        stacked = np.concatenate([np.eye(len(roots)), np.linalg.solve(roots.T, rows.T).T])
         right = np.concatenate([-np.linalg.solve(roots.T, slope), target - rows @ values])
-        step = np.linalg.lstsq(stacked, right, rcond=None)[0]
-        decrease = float(np.sum((stacked @ step) ** 2))
+        whitened = np.linalg.lstsq(stacked, right, rcond=None)[0]
+        decrease = float(np.sum((stacked @ whitened) ** 2))
+        step = np.asarray(np.linalg.solve(roots, whitened))
         if decrease < _TOLERANCE:
             return values
         share, before = min(1.0, _longest_step(values, step)), cost(values)
@@ -71,7 +86,7 @@ def _minimise(
             if share < _MIN_SHARE:
                 return values  # rounding limits the cost
         values = values + share * step
-    raise NumericalFailure("no physically consistent links agree with the base parameters")
+    return None
 
 
 def guessed_priors(arm: ArmDescription) -> tuple[LinkPrior, ...]:

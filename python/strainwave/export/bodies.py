@@ -59,11 +59,6 @@ def gravity_warnings(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     return (Diagnostic("gravity-torque", place, law=law, error=error, keys=keys),)
 
 
-def holds_motor(arm: IdentifiedArm, joint: int) -> bool:
-    """Whether the bodies include the motor of a joint behind a rigid gear.
-
-    They do for a single joint, and for joints of a serial arm whose motor inertia rigid motion does
-    not separate.
-    """
-    is_part_of_links = bool(arm.links) and arm.values.get(("motor_inertia", joint)) is None
-    return is_rigid_drive(arm.study.arm) or (is_part_of_links and not arm.joint(joint).elastic)
+def holds_motor(arm: IdentifiedArm) -> bool:
+    """Whether the inertia of the link includes the motor: a single link behind a rigid gear."""
+    return is_rigid_drive(arm.study.arm)

@@ -57,8 +57,8 @@ def entries(arm: IdentifiedArm) -> tuple[Entry, ...]:
     for p in arm.parameters:
         name = p.name if p.joint is None else f"{p.name}_{p.joint}"
         name = re.sub(r"[\W_]+", "_", name)  # a parameter of one record has the record in brackets
-        entries[name] = Entry(name, arm.links.get(p.key, p.value), p.std, p.unit)
-    for key, value in arm.links.items():
+        entries[name] = Entry(name, arm.standard.get(p.key, p.value), p.std, p.unit)
+    for key, value in arm.standard.items():
         name = "_".join(map(str, key))
         entries.setdefault(name, Entry(name, value, None, unit_in(arm.study.arm, key)))
     return tuple(entries.values())
@@ -99,7 +99,7 @@ def _components(
 
 def _notes(arm: IdentifiedArm) -> tuple[str, ...]:
     """Notes on omitted parts, and on the meaning of the bodies of a serial arm."""
-    bodies = (_BODIES,) if arm.links else ()
+    bodies = (_BODIES,) if arm.standard else ()
     return (*notes_of(arm, _OMISSIONS), CORRELATIONS, *bodies)
 
 

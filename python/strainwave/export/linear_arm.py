@@ -15,9 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.domain.base_parameters import MOTOR_INERTIA
 from strainwave.dynamics.arm import Arm
-from strainwave.export.bodies import holds_motor
 from strainwave.export.coordinates import coordinates_of
 from strainwave.export.source import IdentifiedArm
 
@@ -67,11 +65,8 @@ def linear_arm(arm: IdentifiedArm) -> LinearArm:
         laws = ((number, arm.joint(number).law) for number in coordinates.elastic)
         return [arm.need(name or law.linearised_by, number) for number, law in laws]
 
-    rotors = [
-        0.0 if _is_in_links(arm, number) else arm.need(MOTOR_INERTIA, number) for number in numbers
-    ]
     none = [0.0] * len(coordinates.elastic)
-    M = combine(rotors, none, inertia)
+    M = combine(of_motors("motor_inertia"), none, inertia)
     viscous = np.diag(of_motors("link_viscous_friction"))
     damping = combine(of_motors("motor_viscous_friction"), of_gears("gear_damping"), viscous)
     K = combine([0.0] * n, of_gears(), gravity)
@@ -93,11 +88,6 @@ def linear_arm(arm: IdentifiedArm) -> LinearArm:
         C=np.vstack([velocities, A[-n:]]),
         D=np.vstack([np.zeros((n, n)), B[-n:]]),
     )  # fmt: skip
-
-
-def _is_in_links(arm: IdentifiedArm, number: int) -> bool:
-    """Whether the standard parameters of the links include the inertia of a motor."""
-    return bool(arm.links) and holds_motor(arm, number)
 
 
 def _links_at_rest(arm: IdentifiedArm) -> tuple[FloatArray, FloatArray]:

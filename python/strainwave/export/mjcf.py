@@ -121,7 +121,7 @@ def _link(
         viscous += arm.need("motor_viscous_friction", number) / n2
         friction = arm.need("motor_coulomb_friction", number) / abs(joint.gear_ratio)
         attributes |= {"frictionloss": numbers(friction), **_settling(arm, number)}
-        if not holds_motor(arm, number):
+        if not holds_motor(arm):
             attributes["armature"] = numbers(arm.need("motor_inertia", number) / n2)
     ET.SubElement(element, "joint", attributes, damping=numbers(viscous))
     x, y, _ = axes_about(joint.axis)
@@ -198,7 +198,7 @@ def _shared_motor(
 ) -> None:
     """A motor behind a rigid gear that turns with several joints."""
     attributes = {"name": f"motor{number}", **_settling(arm, number)}
-    if not holds_motor(arm, number):
+    if not holds_motor(arm):
         attributes["armature"] = numbers(arm.need("motor_inertia", number))
     viscous = numbers(arm.need("motor_viscous_friction", number))
     coulomb = numbers(arm.need("motor_coulomb_friction", number))

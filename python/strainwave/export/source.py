@@ -18,7 +18,7 @@ from strainwave.domain import (
     is_physical,
     physical_range,
 )
-from strainwave.domain.base_parameters import base_parameters
+from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters
 from strainwave.domain.combinations import is_rigid_drive, lumped_inertias
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import kind_of
@@ -30,7 +30,7 @@ from strainwave.io.results import (
     parameters_of,
     read_document,
     result_path,
-    standard_links_of,
+    standard_parameters_of,
     study_of,
 )
 from strainwave.io.study import read_study
@@ -54,18 +54,24 @@ class IdentifiedArm:
     source: str  # file of the parameters, for messages
     warnings: tuple[Diagnostic, ...] = ()  # of every export
     rejected: tuple[str, ...] = ()  # "gear_damping 2": rejected by the verdict, here without value
-    links: Values = field(default_factory=dict)  # consistent standard parameters of a serial arm
+    # consistent standard parameters of a serial arm, and motor inertias that agree with them
+    standard: Values = field(default_factory=dict)
 
     @property
     def values(self) -> Values:
         """(name, joint) -> value, including values that follow from the identified ones.
 
-        If the viscous friction of the link is not identified, the motor has the total.
+        If the viscous friction of the link is not identified, the motor has the total. A serial arm
+        has its standard parameters, with the motor inertias of rigid joints.
         """
         identified = self._identified()
         for number in self._joints_with_total_friction():
             identified.pop(("motor_viscous_friction", number), None)
-        return complete_values(identified, self.study.arm) | self.links
+        return complete_values(identified, self.study.arm) | {
+            (name, joint): value
+            for (name, joint), value in self.standard.items()
+            if not (name == MOTOR_INERTIA and joint and self.joint(joint).elastic)
+        }
 
     def need(self, name: str, joint: int | None = None) -> float:
         """The value of a parameter [SI]; `InvalidInput` if it is missing, null or not physical."""
@@ -116,7 +122,7 @@ class IdentifiedArm:
 
     def assumed_bodies(self) -> tuple[Diagnostic, ...]:
         """A warning if the bodies of a serial arm have base parameters that are not identified."""
-        columns = base_parameters(self.study.arm).columns if self.links else ()
+        columns = base_parameters(self.study.arm).columns if self.standard else ()
         identified = self._identified()
         names = tuple(column.label for column in columns if column.key not in identified)
         place = Place(file=self.source)
@@ -174,8 +180,8 @@ def arm_of(
         study, warnings = _study_from_file(document, path, study_path)
     _check_joints(parameters, study, path)
     accepted, rejected = _drop_rejected(parameters, document, path)
-    links = standard_links_of(document, study.arm, str(path))
-    return IdentifiedArm(study, accepted, str(path), warnings, rejected, links)
+    standard = standard_parameters_of(document, study.arm, str(path))
+    return IdentifiedArm(study, accepted, str(path), warnings, rejected, standard)
 
 
 def _study_from_file(

@@ -7,9 +7,8 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from strainwave.domain.combinations import is_rigid_drive
 from strainwave.domain.core_arm import transmission
-from strainwave.export.bodies import gravity_warnings, link_bodies
+from strainwave.export.bodies import gravity_warnings, holds_motor, link_bodies
 from strainwave.export.markup import comment_text, numbers
 from strainwave.export.omissions import Part, notes_of, sentence_of
 from strainwave.export.source import Export, IdentifiedArm
@@ -39,10 +38,11 @@ def to_urdf(arm: IdentifiedArm) -> Export:
     bodies = link_bodies(arm, arm.study.arm.gravity_size)
     joints = arm.study.arm.joints
     reasons = dict(_OMISSIONS)
-    if is_rigid_drive(arm.study.arm):  # the inertia of the link includes its motor
+    if holds_motor(arm):  # the inertia of the link includes it
         del reasons[Part.MOTOR_INERTIA]
     notes = notes_of(arm, reasons)
     # speeds of the motors per speed of each joint alone; transmissions may couple them
+    inertias = arm.standard | arm.values
     speeds = np.abs(np.linalg.inv(transmission(arm.study.arm)))
 
     def viscous_friction(number: int) -> float:
@@ -57,9 +57,11 @@ def to_urdf(arm: IdentifiedArm) -> Export:
     def motor_inertia(number: int) -> float | None:
         """m_M/n^2 of all its motors at the link; None: unknown, or part of the link."""
         motors = (np.flatnonzero(speeds[:, number - 1]) + 1).tolist()
-        is_known = all(arm.values.get(("motor_inertia", motor)) is not None for motor in motors)
-        is_separate = is_known and not is_rigid_drive(arm.study.arm)
-        return at_link("motor_inertia", number, 2) if is_separate else None
+        is_known = all(("motor_inertia", motor) in inertias for motor in motors)
+        if holds_motor(arm) or not is_known:
+            return None
+        weights = speeds[[motor - 1 for motor in motors], number - 1] ** 2
+        return float(weights @ [inertias["motor_inertia", motor] for motor in motors])
 
     def at_link(name: str, number: int, power: int) -> float:
         """A property of the motors that turn with one joint, seen from the joint."""

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from strainwave.domain import Identification
+from strainwave.domain import Identification, Parameter
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters
 from strainwave.domain.consistent_links import consistent_links, priors_of
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import Key, Values, label_of
 from strainwave.domain.kinds import RigidColumn
 from strainwave.errors import NumericalFailure
 from strainwave.io.joint_covariance import JointCovariance
@@ -35,31 +36,45 @@ def base_name_of(column: RigidColumn, leading: Key) -> str:
     return standard_name(leading) + (_REGROUPED if len(column.parts) > 1 else "")
 
 
-def base_parameter_entries(identification: Identification) -> list[dict[str, Any]]:
-    """The entry `base_parameters`; empty unless the arm's parameters are those of its links."""
+@dataclass(frozen=True, slots=True)
+class BaseParameter:
+    """A base parameter under its name in the literature."""
+
+    name: str
+    combination: Mapping[str, float]  # weights of standard parameters by `standard_name`
+    estimate: Parameter
+
+
+def base_parameter_list(identification: Identification) -> list[BaseParameter]:
+    """Base parameters in the final table; none unless the arm's parameters are those of links."""
     arm = identification.study.arm
     base = base_parameters(arm)
     if not base.has_groups:
         return []
     keys: list[Key] = [*base.links, *((MOTOR_INERTIA, i + 1) for i in range(arm.n_joints))]
-    final = {(p.name, p.joint): p for p in identification.parameters}
-    entries = []
-    for column, at in zip(base.columns, base.independent, strict=True):
-        parameter = final.get(column.key)
-        if parameter is None:
-            continue
-        entries.append(
-            {
-                "name": base_name_of(column, keys[at]),
-                "combination": {standard_name(k): w for k, w in column.parts.items()},
-                "value": parameter.value,
-                "std": parameter.std,
-                "ci95": parameter.ci95,
-                "unit": parameter.unit,
-                "stage": parameter.stage,
-            }
+    final = {p.key: p for p in identification.parameters}
+    return [
+        BaseParameter(
+            base_name_of(column, keys[at]),
+            {standard_name(key): weight for key, weight in column.parts.items()},
+            final[column.key],
         )
-    return entries
+        for column, at in zip(base.columns, base.independent, strict=True)
+        if column.key in final
+    ]
+
+
+def base_parameter_entries(identification: Identification) -> list[dict[str, Any]]:
+    """The entry `base_parameters`."""
+    keys = ("value", "std", "ci95", "unit", "stage")
+    return [
+        {
+            "name": one.name,
+            "combination": dict(one.combination),
+            **{key: getattr(one.estimate, key) for key in keys},
+        }
+        for one in base_parameter_list(identification)
+    ]
 
 
 def standard_parameter_entries(
@@ -67,51 +82,58 @@ def standard_parameter_entries(
 ) -> dict[str, float] | None:
     """The entry `standard_parameters`: bodies nearest to the prior that have the base parameters.
 
-    The bodies include the inertia of motors that rigid motion does not separate from them, which
-    have no entry. None unless a base parameter has a covariance.
+    Motors without estimate have the inertia that the bodies leave. None unless a base parameter has
+    a covariance.
     """
     arm = identification.study.arm
     if covariance is None or not base_parameters(arm).has_groups:
         return None
     values = {p.label: p.value for p in identification.parameters}
-    links = links_near_prior(arm, values, covariance)
-    if links is None:
+    parameters = standard_near_prior(arm, values, covariance)
+    if parameters is None:
         return None
-    motors = ((MOTOR_INERTIA, i + 1) for i in range(arm.n_joints))
-    known = {standard_name(key): values.get(f"{key[0]} {key[1]}") for key in motors}
-    named = {standard_name(key): value for key, value in links.items()}
-    return named | {name: value for name, value in known.items() if value is not None}
+    return {standard_name(key): value for key, value in parameters.items()}
 
 
-def links_near_prior(
+def standard_near_prior(
     arm: ArmDescription, values: Mapping[str, float | None], covariance: JointCovariance
-) -> dict[Key, float] | None:
-    """Consistent standard parameters of the links; None if no set agrees with the estimates.
+) -> Values | None:
+    """Consistent links, and motor inertias; None if no set agrees with the estimates.
 
-    `values` are the estimates by label; `covariance` is that of some of them. Motors without
-    estimate are part of the links.
+    `values` are the estimates by label; `covariance` is that of some of them. The base parameters
+    limit the links only as far as motors without estimate cannot have the difference.
     """
     base = base_parameters(arm)
     n_links, names = len(base.links), list(covariance.names)
     known = [k for k, column in enumerate(base.columns) if column.label in names]
     known = [k for k in known if base.rows[k, :n_links].any()]
-    motors = [f"{MOTOR_INERTIA} {i + 1}" for i in range(arm.n_joints)]
     if not known:
         return None
-    rows = base.rows[known]
-    inertias = np.array([values.get(motor) or 0.0 for motor in motors])
+    motors: list[Key] = [(MOTOR_INERTIA, i + 1) for i in range(arm.n_joints)]
+    estimates = [values.get(label_of(*motor)) for motor in motors]
+    inertias = np.array([estimate or 0.0 for estimate in estimates])
     target = np.array([values[base.columns[k].label] for k in known], dtype=float)
-    target -= rows[:, n_links:] @ inertias
+    target -= base.rows[known, n_links:] @ inertias
     places = [names.index(base.columns[k].label) for k in known]
     matrix = covariance.matrix[np.ix_(places, places)]
     floor = _MIN_RELATIVE_STD * np.abs(target).max()
     factor = np.linalg.cholesky(matrix + floor**2 * np.eye(len(places)))
-    try:
-        links = consistent_links(
-            priors_of(arm),
-            np.asarray(np.linalg.solve(factor, rows[:, :n_links])),
-            np.asarray(np.linalg.solve(factor, target)),
-        )
-    except NumericalFailure:
-        return None
-    return dict(zip(base.links, links.tolist(), strict=True))
+    rows = np.asarray(np.linalg.solve(factor, base.rows[known]))
+    target = np.asarray(np.linalg.solve(factor, target))
+    free = [i for i, estimate in enumerate(estimates) if estimate is None]
+    while True:
+        of_motors = rows[:, [n_links + i for i in free]]
+        directions = np.linalg.svd(of_motors)[0][:, np.linalg.matrix_rank(of_motors) :].T
+        try:
+            links = consistent_links(
+                priors_of(arm), directions @ rows[:, :n_links], directions @ target
+            )
+        except NumericalFailure:
+            return None
+        inertias[free] = np.linalg.lstsq(of_motors, target - rows[:, :n_links] @ links)[0]
+        negative = [i for i in free if inertias[i] < 0.0]
+        if not negative:
+            break
+        inertias[negative] = 0.0
+        free = [i for i in free if i not in negative]
+    return dict(zip([*base.links, *motors], [*links.tolist(), *inertias.tolist()], strict=True))

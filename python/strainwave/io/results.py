@@ -41,7 +41,7 @@ from strainwave.domain import (
     Validation,
     Verdict,
 )
-from strainwave.domain.base_parameters import base_parameters
+from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters
 from strainwave.domain.keys import Key, Values, label_of
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
@@ -184,10 +184,13 @@ def parameters_of(document: Mapping[str, Any], source: str = "the result") -> tu
     return entries
 
 
-def standard_links_of(
+def standard_parameters_of(
     document: Mapping[str, Any], arm: ArmDescription, source: str = "the result"
 ) -> Values:
-    """Physically consistent standard parameters of the links; empty if the result has none."""
+    """Physically consistent standard parameters; empty if the result has none.
+
+    Files of earlier versions do not contain motor inertias without estimate.
+    """
     place = f"{source}: standard_parameters"
     entries: dict[str, float] = _validated(
         dict[str, float], document.get("standard_parameters") or {}, place
@@ -198,6 +201,8 @@ def standard_links_of(
             raise InvalidInput(
                 f"{name} is missing or not a finite number", where=place, remedy=NOT_A_RESULT
             )
+    motors: list[Key] = [(MOTOR_INERTIA, i + 1) for i in range(arm.n_joints)]
+    names |= {standard_name(key): key for key in motors if standard_name(key) in entries}
     return {key: entries[name] for name, key in names.items()}
 
 

@@ -62,6 +62,8 @@ def draw(figure: Record) -> Figure:
     axes: list[Axes] = []
     for k, panel in enumerate(figure.panels):
         axes.append(canvas.add_subplot(grid[k], sharex=axes[0] if axes else None))
+        if figure.has_equal_scales:
+            axes[k].set_aspect("equal", adjustable="datalim")
         for mark in panel.marks:
             _mark(canvas, axes[k], mark)
         _vertical(axes[k], panel)
@@ -131,6 +133,15 @@ def _points(axes: Axes, mark: Line | Markers) -> None:
     if isinstance(mark, Markers):
         style["marker"] = _SYMBOLS[mark.symbol]
         style |= {"markerfacecolor": "none"} if mark.symbol == "circle-open" else {}
+        for label, at_x, at_y in zip(mark.labels, x, mark.y, strict=False):
+            axes.annotate(
+                label,
+                (at_x, at_y),
+                xytext=(4.0, 4.0),
+                textcoords="offset points",
+                fontsize=_FONT_SIZE,
+                parse_math=False,
+            )
     if mark.error is None:
         axes.plot(x, mark.y, **style)
     else:

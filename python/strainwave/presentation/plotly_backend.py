@@ -60,6 +60,8 @@ def plotly(figure: Figure) -> dict[str, Any]:
     layout: dict[str, Any] = {"xaxis": _horizontal(figure.x) | {"anchor": f"y{_number(k)}"}}
     for k, (panel, domain) in enumerate(zip(figure.panels, domains, strict=True)):
         layout[f"yaxis{_number(k)}"] = axis = _axis(panel.axis) | {"domain": domain}
+        if figure.has_equal_scales:
+            axis |= {"scaleanchor": "x"}
         if len(domains) > _MAX_PANELS_WITH_LONG_TITLES:
             axis["title"]["text"] = panel.axis.title.replace(" [", "<br>[")
         if panel.axis.log and _decades(panel) > _MAX_DECADES_WITH_DIGITS:
@@ -149,6 +151,9 @@ def _points(mark: Line | Markers, numbers: _Numbers) -> dict[str, Any]:
     if mark.size:
         trace["marker"] = {"color": mark.colour, "size": mark.size}
     if isinstance(mark, Markers):
+        if mark.labels:
+            label = {"text": list(mark.labels), "textposition": "top right"}
+            trace |= {"mode": "markers+text", **label}
         trace["marker"] |= {"opacity": mark.opacity} if mark.opacity < 1.0 else {}
         if mark.symbol != "circle":
             line = {"width": _SYMBOL_LINE_WIDTH}

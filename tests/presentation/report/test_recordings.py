@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import exports
 from elastic_results import elastic_identification, log, study
 from figure_parts import line, names
 from strainwave.domain import ArmDescription, Imu, Joint
@@ -87,3 +89,13 @@ def test_constants_that_no_joint_has_are_left_out() -> None:
     assert table["gear ratio n"][0] == "0.013"
     assert table["IMU position"][:2] == ["not given", "estimated"]
     assert np.size(table["gravity in the plane of motion"]) == 1
+
+
+def test_placed_joints_have_frames_and_the_vector_of_gravity() -> None:
+    table = rows(exports.chain(Path("nowhere"), coupling=exports.COUPLING)[0].arm)
+    assert table["position"][1:] == ["0.06, 0.02, 0.14", "0.4, 0, -0.05", "m", "origin.xyz"]
+    assert table["orientation"][1] == "-1.5, 0.2, 0"
+    assert table["axis"][1] == "0, 0.6, 0.8"
+    assert table["gear ratio n"][1] == "-0.0125 (1:-80)"
+    assert table["gravity"] == ["0.4, -0.7, -9.6 m/s²"]
+    assert table["transmission, weights of the motors in joint 3"] == ["0, -0.6, 1"]

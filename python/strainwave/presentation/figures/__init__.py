@@ -83,6 +83,7 @@ class Markers:
     opacity: float = 1.0
     error: FloatArray | None = None  # half-length of a vertical error bar at each point
     symbol: Symbol = "circle"
+    labels: tuple[str, ...] = ()  # text beside each point
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,6 +164,7 @@ class Figure:
     panels: tuple[Panel, ...]  # from the top
     uprights: tuple[Upright, ...] = ()
     caption: str = ""
+    has_equal_scales: bool = False  # whether both axes have the same scale
 
     @property
     def marks(self) -> list[Mark]:

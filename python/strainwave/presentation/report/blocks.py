@@ -16,6 +16,7 @@ Mark = Literal["", "good", "doubt", "bad"]
 Row = Sequence["str | Cell"]
 FigureKind = Literal[
     "parameters",
+    "arm",
     "bode",
     "amplitude",
     "sweep",

@@ -10,6 +10,7 @@ import numpy as np
 
 from strainwave.domain import (
     CONDITION_TEXTS,
+    ArmDescription,
     ArmModel,
     Identification,
     JointModel,
@@ -20,11 +21,14 @@ from strainwave.domain.base_parameters import link_inertia
 from strainwave.domain.combinations import value_of
 from strainwave.domain.formatting import percent
 from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.kinds import kind_of
 from strainwave.domain.options import changed_options
 from strainwave.errors import InvalidInput, suggest_name
+from strainwave.io.base_parameters import base_parameter_list
 from strainwave.presentation.figures import MAX_POINTS, Figure
 from strainwave.presentation.report import (
     amplitudes,
+    arm_picture,
     bode,
     correlations,
     elastic,
@@ -48,7 +52,11 @@ from strainwave.presentation.report.blocks import (
     table,
 )
 from strainwave.presentation.report.document import document
-from strainwave.presentation.report.parameters import descriptions_table, parameter_table
+from strainwave.presentation.report.parameters import (
+    base_parameter_table,
+    descriptions_table,
+    parameter_table,
+)
 from strainwave.presentation.report.pole_zero import pole_zero_map
 from strainwave.presentation.report.predictions import prediction_figure
 from strainwave.presentation.report.recordings import recordings
@@ -89,8 +97,9 @@ def find_figure(identification: Identification, name: FigureName) -> Figure:
 def _sections(result: Identification) -> list[Section]:
     parts = (
         ("verdict", "Verdict", (verdict(result),)),
-        ("rig", "Rig constants", rig_constants(result.study.arm)),
+        ("rig", "Rig constants", _rig_blocks(result.study.arm)),
         ("parameters", "Parameters", _parameter_blocks(result)),
+        ("base-parameters", "Base parameters", _base_parameter_blocks(result)),
         ("responses", "Frequency responses", _response_blocks(result)),
         ("poles", "Poles and zeros", _pole_blocks(result)),
         ("gears", "Gear stiffness", _gear_blocks(result)),
@@ -103,6 +112,26 @@ def _sections(result: Identification) -> list[Section]:
         ("making", "Provenance", _provenance_blocks(result)),
     )
     return [Section(key, title, tuple(blocks)) for key, title, blocks in parts]
+
+
+def _rig_blocks(arm: ArmDescription) -> Iterator[Block]:
+    """A picture of an arm whose joints the study places, and the constants."""
+    if not kind_of(arm).places_joints:
+        figure, words = arm_picture.arm_picture(arm), arm_picture.describe(arm)
+        yield Plot(FigureName("arm"), "Joints of the arm", figure, words)
+    yield from rig_constants(arm)
+
+
+def _base_parameter_blocks(result: Identification) -> Iterator[Block]:
+    """The combinations of standard parameters that motion determines."""
+    parameters = base_parameter_list(result)
+    if parameters:
+        yield paragraph(
+            "Motion determines these combinations of masses m, first moments mx, my, mz, inertias "
+            "Ixx to Izz about the origin of the joint's frame, and motor inertias; the number of a "
+            "parameter is that of its joint."
+        )
+    yield from base_parameter_table(parameters)
 
 
 def _parameter_blocks(result: Identification) -> Iterator[Block]:

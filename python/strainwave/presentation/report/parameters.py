@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
-from strainwave.domain import Decision
+from strainwave.domain import Clause, Decision, Parameter
 from strainwave.domain.formatting import plus_minus
 from strainwave.domain.messages import text_of
 from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameter_words import parameter_descriptions
+from strainwave.io.base_parameters import BaseParameter
 from strainwave.presentation.report.blocks import (
     Cell,
     Group,
@@ -56,13 +57,54 @@ def parameter_table(decisions: Sequence[Decision]) -> Iterator[Table]:
     return table("Parameters", _HEADS, rows, heading=False)
 
 
+def base_parameter_table(parameters: Sequence[BaseParameter]) -> Iterator[Table]:
+    """Base parameters of a serial arm with their combinations of standard parameters."""
+    rows: list[Row] = [
+        (
+            one.name,
+            prose(combination_text(one.combination)),
+            *_numbers(one.estimate)[:2],
+            _unit(one.estimate),
+            *_numbers(one.estimate)[2:],
+            one.estimate.stage,
+        )
+        for one in parameters
+    ]
+    heads = ("name", "combination", *_HEADS[2:])
+    return table("Base parameters", heads, rows, heading=False)
+
+
+def combination_text(combination: Mapping[str, float]) -> str:
+    """Sum of weighted standard parameters: Izz2 + 0.16 m3 - 0.4 mz3."""
+    text = ""
+    for name, weight in combination.items():
+        size = "" if abs(weight) == 1.0 else f"{abs(weight):.5g} "
+        sign = " - " if weight < 0.0 else " + "
+        text += f"{sign}{size}{name}" if text else f"{sign.strip(' +')}{size}{name}"
+    return text
+
+
 def _row(decision: Decision) -> Row:
     p = decision.parameter
+    numbers = _numbers(p, decision.rejected)
+    words = parameter_descriptions().get(base_name(p.name))
+    link = f"#{_key(base_name(p.name))}" if words else ""
+    return (
+        Cell(p.name, href=link, tip=words.description if words else ""),
+        Cell(words.symbol if words else "", "symbol"),
+        *numbers[:2],
+        _unit(p),
+        *numbers[2:],
+        p.stage,
+    )
+
+
+def _numbers(p: Parameter, rejected: Clause | None = None) -> list[Cell]:
+    """Value, standard deviation, 95 % interval, and its half-width in percent."""
     value, std = plus_minus(p.value, p.std)
     if p.value is None:
-        value = "rejected" if decision.rejected else "not identified"
-        reason = decision.rejected
-        interval = text_of(reason) if reason else "not identifiable from these data"
+        value = "rejected" if rejected else "not identified"
+        interval = text_of(rejected) if rejected else "not identifiable from these data"
         std = half = ""
     elif p.ci95 is None:
         interval, half = "not known", ""
@@ -70,16 +112,11 @@ def _row(decision: Decision) -> Row:
         low, high = p.ci95
         interval = f"{_like(value, low)} … {_like(value, high)}"
         half = _relative(0.5 * (high - low), p.value)
-    words = parameter_descriptions().get(base_name(p.name))
-    link = f"#{_key(base_name(p.name))}" if words else ""
-    return (
-        Cell(p.name, href=link, tip=words.description if words else ""),
-        Cell(words.symbol if words else "", "symbol"),
-        *map(number, (value, std)),
-        p.unit.replace("^2", "²").replace("^3", "³").replace(" ", "\N{NO-BREAK SPACE}"),
-        *map(number, (interval, half)),
-        p.stage,
-    )
+    return [number(text) for text in (value, std, interval, half)]
+
+
+def _unit(p: Parameter) -> str:
+    return p.unit.replace("^2", "²").replace("^3", "³").replace(" ", "\N{NO-BREAK SPACE}")
 
 
 def _key(name: str) -> str:

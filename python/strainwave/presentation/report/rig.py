@@ -8,6 +8,7 @@ from functools import partial
 from typing import NamedTuple
 
 from strainwave.domain import ArmDescription, Joint
+from strainwave.domain.kinds import kind_of
 from strainwave.domain.link_sensors import key_texts
 from strainwave.presentation.report.blocks import Block, Cell, Facts, Row, number, table
 
@@ -50,6 +51,13 @@ class _JointConstant(NamedTuple):
 
 
 def _joint_constants(arm: ArmDescription) -> Iterator[_JointConstant]:
+    if not kind_of(arm).places_joints:
+        yield _JointConstant("name", "name", "", lambda joint: joint.name or "")
+        yield _JointConstant("position", "origin.xyz", "m", lambda one: _vector(one.origin.xyz))
+        yield _JointConstant(
+            "orientation", "origin.rpy", "rad", lambda one: _vector(one.origin.rpy)
+        )
+        yield _JointConstant("axis", "axis", "", lambda joint: _vector(joint.axis))
     is_prismatic = any(joint.motion == "prismatic" for joint in arm.joints)
     if is_prismatic:
         yield _JointConstant("motion", "motion", "", lambda joint: joint.motion)
@@ -64,13 +72,13 @@ def _joint_constants(arm: ArmDescription) -> Iterator[_JointConstant]:
     ):
         yield _JointConstant(title, key, unit, partial(_format_constant, key))
     for title, key, unit in (("IMU position", "xyz", "m"), ("IMU orientation", "rpy", "rad")):
-        yield _JointConstant(title, f"imu.{key}", unit, partial(_format_vector, key))
+        yield _JointConstant(title, f"imu.{key}", unit, partial(_format_imu, key))
 
 
 def _format_ratio(joint: Joint) -> str:
     """The gear ratio, and its inverse if that is close to an integer."""
     inverse = 1.0 / joint.gear_ratio
-    is_round = abs(inverse - round(inverse)) < 1e-6 * inverse and inverse > 1.5
+    is_round = abs(inverse - round(inverse)) < 1e-6 * abs(inverse) and abs(inverse) > 1.5
     return f"{joint.gear_ratio:.6g}" + (f" (1:{round(inverse)})" if is_round else "")
 
 
@@ -79,11 +87,15 @@ def _format_constant(key: str, joint: Joint) -> str:
     return "" if value is None else f"{value:.6g}"
 
 
-def _format_vector(key: str, joint: Joint) -> str:
+def _format_imu(key: str, joint: Joint) -> str:
     if joint.imu is None:
         return ""
     values = getattr(joint.imu, key)
-    return "estimated" if values is None else ", ".join(f"{value:g}" for value in values)
+    return "estimated" if values is None else _vector(values)
+
+
+def _vector(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:g}" for value in values)
 
 
 def _constant_row(title: str, key: str, unit: str, values: Sequence[str]) -> Row:
@@ -92,10 +104,13 @@ def _constant_row(title: str, key: str, unit: str, values: Sequence[str]) -> Row
 
 
 def _arm_facts(arm: ArmDescription) -> Iterator[tuple[str, str]]:
-    for i, joint in enumerate(arm.joints[1:], start=1):
-        length = math.hypot(*joint.origin.xyz)
-        yield f"link length, axis {i} to axis {i + 1}", f"{length:g} m"
-    if arm.n_joints > 1:
+    if not kind_of(arm).places_joints:
+        yield "gravity", f"{_vector(arm.gravity)} m/s²" if arm.gravity else "none"
+        for number, row in enumerate(arm.coupling or (), start=1):
+            yield f"transmission, weights of the motors in joint {number}", _vector(row)
+    elif arm.n_joints > 1:
+        length = math.hypot(*arm.joints[1].origin.xyz)
+        yield "link length, axis 1 to axis 2", f"{length:g} m"
         gravity = f"{arm.gravity_size:g} m/s²" if arm.gravity else "none: horizontal motion"
         yield "gravity in the plane of motion", gravity
     if arm.servo is not None:

@@ -1,0 +1,97 @@
+"""Standard parameters of results agree with the base parameters and belong to bodies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import exports
+from serial_chains import parameters_of, random_body
+from strainwave.domain.arm import ArmDescription, Urdf
+from strainwave.domain.base_parameters import BaseParameters, base_parameters
+from strainwave.domain.consistent_links import is_consistent
+from strainwave.domain.keys import Key, Values
+from strainwave.domain.kinds.bodies import LINK_PARAMETERS
+from strainwave.io.base_parameters import standard_name, standard_near_prior
+from strainwave.io.joint_covariance import JointCovariance
+
+ARM = exports.chain(Path("nowhere"), ("rigid",) * 3)[0].arm
+MOTORS: list[Key] = [("motor_inertia", number) for number in (1, 2, 3)]
+
+
+def vector(base: BaseParameters, values: Values) -> np.ndarray:
+    return np.array([values[key] for key in (*base.links, *MOTORS)])
+
+
+def near_prior(
+    arm: ArmDescription, values: Values, *, with_motors: bool
+) -> tuple[BaseParameters, Values]:
+    """Standard parameters from exact base parameters with errors of 0.1 %."""
+    base = base_parameters(arm)
+    exact = base.rows @ vector(base, values)
+    labels = [column.label for column in base.columns]
+    scale = np.abs(exact).max()
+    covariance = JointCovariance("rigid", tuple(labels), (1e-3 * scale) ** 2 * np.eye(len(labels)))
+    estimates = dict(zip(labels, exact.tolist(), strict=True))
+    if with_motors:
+        estimates |= {f"{name} {joint}": values[name, joint] for name, joint in MOTORS}
+    found = standard_near_prior(arm, estimates, covariance)
+    assert found is not None
+    return base, found
+
+
+def drawn_values(seed: int) -> Values:
+    random = np.random.default_rng(seed)
+    values: Values = {motor: float(random.uniform(1e-5, 5e-4)) for motor in MOTORS}
+    for number in (1, 2, 3):
+        body = zip(LINK_PARAMETERS, parameters_of(random_body(random)), strict=True)
+        values |= {(f"link_{name}", number): float(value) for name, value in body}
+    return values
+
+
+def links_of(values: Values) -> list[tuple[float, ...]]:
+    return [
+        tuple(values[f"link_{name}", number] for name in LINK_PARAMETERS) for number in (1, 2, 3)
+    ]
+
+
+@settings(max_examples=10)
+@given(seed=st.integers(0, 2**31), with_motors=st.booleans())
+def test_they_agree_with_the_base_parameters(seed: int, with_motors: bool) -> None:
+    """Motors without estimate have the inertia that remains: it is not negative."""
+    values = drawn_values(seed)
+    arm = replace(ARM, urdf=Urdf("arm.urdf", tuple(links_of(drawn_values(seed + 1)))))
+    base, found = near_prior(arm, values, with_motors=with_motors)
+    assert all(is_consistent(link) for link in links_of(found))
+    assert all(found[motor] >= 0.0 for motor in MOTORS)
+    exact = base.rows @ vector(base, values)
+    # the prior weighs as much as a few standard deviations
+    np.testing.assert_allclose(
+        base.rows @ vector(base, found), exact, atol=0.02 * np.abs(exact).max()
+    )
+
+
+def test_a_correct_prior_leaves_the_inertia_of_the_motors() -> None:
+    values = drawn_values(3)
+    arm = replace(ARM, urdf=Urdf("arm.urdf", tuple(links_of(values))))
+    _, found = near_prior(arm, values, with_motors=False)
+    for key, value in values.items():
+        assert found[key] == pytest.approx(value, rel=1e-3, abs=1e-5), standard_name(key)
+
+
+def test_a_prior_that_is_too_heavy_leaves_no_motor() -> None:
+    values = drawn_values(3)
+    heavy = [tuple(20.0 * value for value in link) for link in links_of(values)]
+    arm = replace(ARM, urdf=Urdf("arm.urdf", tuple(heavy)))
+    base, found = near_prior(arm, values, with_motors=False)
+    assert found["motor_inertia", 1] == 0.0
+    assert is_consistent(links_of(found)[0])
+    exact = base.rows @ vector(base, values)
+    np.testing.assert_allclose(
+        base.rows @ vector(base, found), exact, atol=0.05 * np.abs(exact).max()
+    )
