@@ -74,7 +74,6 @@ def healthy_arm(rng: np.random.Generator, visits: int) -> Histories:
     return Histories(
         (ArmHistory("arm", visit_list, tuple(parameters)),),
         ("temperature",) if warm else (),
-        "recorded",
     )
 
 

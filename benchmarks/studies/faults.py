@@ -26,7 +26,7 @@ from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import STAGES, identify
 from strainwave.virtual.experiments import derived
 from strainwave.virtual.families import catalogue
-from strainwave.virtual.families.input_faults import Fault, inject_every_fault
+from strainwave.virtual.families.input_faults import INPUT_FAULTS, Fault
 
 _MAX_HARMLESS = 0.03  # relative error of a value
 _SOURCES = {"rig": arms.draw_rig, "catalogue": catalogue.drawn}
@@ -39,8 +39,9 @@ def evaluate(n_faults: int, seed: int, stages: tuple[str, ...], path: Path, valu
     true_values = derived(values, study.arm)
     faults = [Fault("none", "", (), logs, study)]
     rng = np.random.default_rng([seed, len(logs[0]), int(1e6 * values["alpha", None])])
-    for fault, _ in zip(inject_every_fault(logs, study, rng), range(n_faults), strict=False):
-        faults.append(fault)
+    for kind in rng.permutation(list(INPUT_FAULTS)).tolist()[:n_faults]:
+        joint = int(rng.integers(1, study.arm.n_joints + 1))
+        faults.append(INPUT_FAULTS[kind](logs, study, joint, rng))
     return {"faults": [_outcome(path.parent, fault, true_values, stages) for fault in faults]}
 
 

@@ -64,12 +64,13 @@ def suggest_name(name: str, known: Iterable[str]) -> str:
     return f"; did you mean '{spellings[matches[0]]}'?" if matches else ""
 
 
-def import_optional(module: str, purpose: str, requirement: str) -> Any:
+def import_optional(module: str, purpose: str, requirement: str, where: str | None = None) -> Any:
     """Import an optional package; raise `InvalidInput` with the pip command if it is missing."""
     try:
         return import_module(module)
     except ImportError as error:
         raise InvalidInput(
             f"{purpose} needs {module.partition('.')[0]}, which is not installed",
+            where=where,
             remedy=f"pip install {requirement}",
         ) from error

@@ -50,7 +50,7 @@ def test_changed_arms_come_first(fleet: Trend) -> None:
 
 
 def test_the_same_store_gives_the_same_result(fleet: Trend) -> None:
-    again = trend(Histories(tuple(arm.history for arm in fleet.arms), (), "recorded"))
+    again = trend(Histories(tuple(arm.history for arm in fleet.arms), ()))
     assert [arm.p for arm in again.arms] == [arm.p for arm in fleet.arms]
 
 
@@ -84,7 +84,7 @@ def test_many_arms_of_one_visit_bring_a_hint(fleet: Trend) -> None:
     """Each visit has its own folder, and --arm is missing."""
     arm = fleet.arms[0].history
     single_visits = [replace(arm, arm=visit.run, visits=(visit,)) for visit in arm.visits]
-    notes = trend(Histories((arm, *single_visits), (), "recorded")).notes
+    notes = trend(Histories((arm, *single_visits), ())).notes
     assert len(notes) == 1
     assert notes[0].startswith("24 of 25 arms have one visit; an arm is the folder")
     assert "--arm" in notes[0]

@@ -30,7 +30,7 @@ def worker_name(process: int | None = None) -> str:
 
 
 def record_of(
-    task: Task, opened: Opened, identification: Identification, *, started: datetime, seconds: float
+    task: Task, opened: Opened, identification: Identification, *, started: datetime
 ) -> Record:
     """Record of a run with a verdict; `opened` has the true values of a virtual arm."""
     verdict = identification.verdict
@@ -40,7 +40,7 @@ def record_of(
         "exit_code": verdict.exit_code,
         "message": "; ".join(verdict.reasons),
         "started": started,
-        "seconds": seconds,
+        "seconds": (now() - started).total_seconds(),
         "worker": worker_name(),
         "result": f"results/{task.run}/result.json",
         "identified": [*starmap(label_of, verdict.identified)],
@@ -64,7 +64,6 @@ def failure_of(
     *,
     exit_code: int,
     started: datetime,
-    seconds: float,
     status: str = FAILED_STATUS,
     worker: str = "",
     classes: Mapping[str, Any] | None = None,
@@ -77,7 +76,7 @@ def failure_of(
             "exit_code": exit_code,
             "message": message,
             "started": started,
-            "seconds": seconds,
+            "seconds": (now() - started).total_seconds(),
             "worker": worker or worker_name(),
             "classes": json.dumps(dict(classes)) if classes else None,
         }

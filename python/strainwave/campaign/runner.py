@@ -229,10 +229,7 @@ def failed(
     recorded = store.recorded(task.run)
     if recorded is not None and recorded.started >= started:
         return Outcome.of(recorded._asdict())
-    seconds = (now() - started).total_seconds()
-    record = failure_of(
-        task, message, exit_code=exit_code, started=started, seconds=seconds, worker=worker
-    )
+    record = failure_of(task, message, exit_code=exit_code, started=started, worker=worker)
     return Outcome.of(record.row, unrecorded=store.try_write(record))
 
 

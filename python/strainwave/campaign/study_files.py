@@ -16,8 +16,6 @@ from strainwave.campaign.cases import Hashes, Opened
 from strainwave.campaign.places import file_system, is_url, resolved
 from strainwave.errors import InvalidInput
 
-_BLOCK = 2**20  # bytes read at a time, so that large logs need little memory
-
 
 @dataclass(frozen=True)
 class StudyFile:
@@ -93,25 +91,16 @@ def _version_at_url(location: str) -> str:
     system, path = file_system(location)
     info = system.info(path)
     versions = (
-        "ETag",
-        "etag",
-        "md5",
-        "checksum",
-        "LastModified",
-        "last_modified",
-        "mtime",
-        "created",
+        *("ETag", "etag", "md5", "checksum"),
+        *("LastModified", "last_modified", "mtime", "created"),
     )
     known = [str(info[key]) for key in versions if info.get(key) is not None]
     return f"{info.get('size')} {' '.join(known)}"
 
 
 def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
     with path.open("rb") as file:
-        while block := file.read(_BLOCK):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _copy_study(url: str, folder: Path) -> Path:

@@ -14,14 +14,13 @@ import os
 import resource
 import signal
 import sys
-import time
 from collections.abc import Callable, Mapping
 from typing import Any, TextIO
 
 from strainwave import __version__
 from strainwave.campaign.rows import failure_of, now, record_of
 from strainwave.campaign.store import Record, Store
-from strainwave.campaign.tasks import Outcome, Task
+from strainwave.campaign.tasks import FAILED_STATUS, Outcome, Task
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 
 Perform = Callable[[Task], Record]
@@ -36,18 +35,12 @@ def perform(task: Task) -> Record:
     """
     from strainwave import pipeline
 
-    started, start = now(), time.perf_counter()
+    started = now()
     classes: Mapping[str, Any] = {}
 
-    def failed(message: str, exit_code: int, status: str = "failed") -> Record:
+    def failed(message: str, exit_code: int, status: str = FAILED_STATUS) -> Record:
         return failure_of(
-            task,
-            message,
-            exit_code=exit_code,
-            started=started,
-            seconds=time.perf_counter() - start,
-            status=status,
-            classes=classes,
+            task, message, exit_code=exit_code, started=started, status=status, classes=classes
         )
 
     try:
@@ -61,8 +54,7 @@ def perform(task: Task) -> Record:
                 options=task.options or None,
                 threads=1,
             )
-            seconds = time.perf_counter() - start
-            return record_of(task, opened, identification, started=started, seconds=seconds)
+            return record_of(task, opened, identification, started=started)
     except InvalidInput as error:
         return failed(str(error), 2)
     except (NotIdentifiable, NumericalFailure) as error:

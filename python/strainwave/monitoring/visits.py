@@ -78,7 +78,6 @@ class Histories:
 
     arms: tuple[ArmHistory, ...]
     covariates: tuple[str, ...]
-    time_from: str  # source of the times: "started" or "recorded"
     notes: tuple[str, ...] = field(default=())
 
 
@@ -115,12 +114,12 @@ def read_histories(
             "later run"
         )
     arm_namer = _arm_namer(arm, set(runs[0]))
-    visits, time_from, dropped = _group_visits(latest.values(), arm_namer, conditions)
+    visits, started, dropped = _group_visits(latest.values(), arm_namer, conditions)
     if dropped:
         notes.append(
             f"{dropped} visits are omitted: they have no complete row in the table of covariates"
         )
-    if time_from == "started":
+    if started:
         notes.append(
             "times are those of the runs, not of the recordings; give the recording times in the "
             "column time of --covariates, or as a group named time in --arm"
@@ -132,7 +131,7 @@ def read_histories(
         _arm_history(name, sorted(arm_visits, key=lambda v: (v.time, v.study)), by_run)
         for name, arm_visits in visits.items()
     )
-    return Histories(arms, conditions.names, time_from, tuple(notes))
+    return Histories(arms, conditions.names, tuple(notes))
 
 
 def read_conditions(path: Path) -> Conditions:
@@ -221,7 +220,7 @@ def _folder(study: str) -> str:
 
 class _GroupedVisits(NamedTuple):
     visits: dict[str, list[Visit]]  # by arm
-    time_from: str  # source of their times
+    started: bool  # whether any time is that of a run
     dropped: int  # visits without covariates
 
 
@@ -231,9 +230,8 @@ def _group_visits(
     conditions: Conditions,
 ) -> _GroupedVisits:
     visits: dict[str, list[Visit]] = {}
-    sources: Counter[str] = Counter()
     names = {*conditions.values, *conditions.times}
-    dropped = unnamed = 0
+    dropped = unnamed = n_started = 0
     for row in rows:
         study = str(row["study"])
         arm, time_text = arm_namer(row)
@@ -245,12 +243,12 @@ def _group_visits(
             dropped += 1
             continue
         if key is not None and key in conditions.times:
-            time, source = conditions.times[key], "covariates"
+            time = conditions.times[key]
         elif time_text is not None:
-            time, source = parse_time(time_text, f"study {study}"), "--arm"
+            time = parse_time(time_text, f"study {study}")
         else:
-            time, source = parse_time(row["started"], f"run {row['run']}"), "started"
-        sources[source] += 1
+            time = parse_time(row["started"], f"run {row['run']}")
+            n_started += 1
         covariates = conditions.values[key] if conditions.names and key is not None else ()
         visits.setdefault(arm, []).append(Visit(str(row["run"]), study, time, covariates))
     if unnamed and not visits:
@@ -262,7 +260,7 @@ def _group_visits(
             "no study of the table of covariates is in the store",
             remedy="write the studies as in the column `study` of the store",
         )
-    return _GroupedVisits(visits, "started" if "started" in sources else "recorded", dropped)
+    return _GroupedVisits(visits, n_started > 0, dropped)
 
 
 def _find_row(study: str, names: Collection[str]) -> str | None:

@@ -14,9 +14,7 @@ from strainwave.paper.joint_estimates import (
     curve,
     errors_of,
     estimated_curve,
-    large_error,
     response_of,
-    small_error,
 )
 from strainwave.paper.rig import Rig
 from strainwave.presentation.figures.curves import Curve, bode
@@ -44,12 +42,20 @@ def inputs(rig: Rig) -> Comparison:
         values[f"decoupled_db_{joint}"] = good.response_db
         values[f"motor_only_db_{joint}"] = poor.response_db
         criteria += [
-            small_error(
-                f"joint {joint}, error of the anti-resonance [%]", good.anti_resonance_percent
+            criterion_of(
+                "small-error",
+                abs(good.anti_resonance_percent),
+                what=f"joint {joint}, error of the anti-resonance",
             ),
-            small_error(f"joint {joint}, error of the resonance [%]", good.resonance_percent),
-            large_error(
-                f"joint {joint} by motor input only, larger error of both [%]", poor.worst_percent
+            criterion_of(
+                "small-error",
+                abs(good.resonance_percent),
+                what=f"joint {joint}, error of the resonance",
+            ),
+            criterion_of(
+                "large-error",
+                poor.worst_percent,
+                what=f"joint {joint} by motor input only, larger error of both",
             ),
         ]
         worst.append(poor.response_db)
@@ -94,13 +100,16 @@ def outputs(rig: Rig, payloads: Sequence[int]) -> Comparison:
     return comparison_of(
         11,
         criteria=(
-            small_error("two outputs, largest error of the anti-resonance [%]", worst[two]),
+            criterion_of(
+                "small-error", worst[two], what="two outputs, largest error of the anti-resonance"
+            ),
             criterion_of("payload-ratio", _least_ratio(hz[two])),
-            large_error(
-                "one output, largest error of the anti-resonance [%]",
+            criterion_of(
+                "large-error",
                 worst[one],
-                "the motor velocity alone shows the anti-resonance as well, once the interaction "
-                "torque is an input",
+                what="one output, largest error of the anti-resonance",
+                otherwise="the motor velocity alone shows the anti-resonance as well, once the "
+                "interaction torque is an input",
             ),
         ),
         evidence=tuple(evidence),

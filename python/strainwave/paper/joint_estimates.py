@@ -11,7 +11,6 @@ from strainwave.domain import (
     ArmModel,
     ComplexArray,
     ContinuousStateSpace,
-    Criterion,
     Decoupled,
     Diagnostic,
     Evidence,
@@ -33,9 +32,7 @@ from strainwave.statespace import frequency_response, remove_alternating_poles, 
 
 LINES_HZ = np.geomspace(1.0, 100.0, 240)  # of frequency responses
 JUDGED_HZ = (3.0, 60.0)  # band of response errors: around anti-resonance and resonance
-MAX_SMALL_ERROR = 5.0  # [%] of a frequency
 _GROWTH_SAMPLE_TIME = 1e-3  # [s] of the discrete-time poles of a physical model
-_SMALL_ERROR_REASON = "5 % in a frequency are 10 % in a stiffness, which counts as well known"
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,21 +101,6 @@ def growth_of(joint: TwoInertia) -> float:
     """Largest modulus of a joint's discrete-time poles at 1 ms."""
     slowest = float(np.linalg.eigvals(state_space(joint).A).real.max())
     return float(np.exp(slowest * _GROWTH_SAMPLE_TIME))
-
-
-def small_error(name: str, percent: float, otherwise: str = "") -> Criterion:
-    """Criterion that the error of a frequency is small. `otherwise` explains a large error."""
-    return Criterion(name, abs(percent), "at most", MAX_SMALL_ERROR, _SMALL_ERROR_REASON, otherwise)
-
-
-def large_error(name: str, percent: float, otherwise: str = "") -> Criterion:
-    """Criterion that the error of a frequency is large; a missing frequency has an infinite error.
-
-    `otherwise` explains a small error.
-    """
-    return Criterion(
-        name, abs(percent), "at least", MAX_SMALL_ERROR, _SMALL_ERROR_REASON, otherwise
-    )
 
 
 def response_of(joint: TwoInertia, frequencies_hz: FloatArray = LINES_HZ) -> FrequencyResponse:

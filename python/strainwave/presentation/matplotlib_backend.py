@@ -5,7 +5,7 @@ from __future__ import annotations
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
-from strainwave.errors import InvalidInput
+from strainwave.errors import import_optional
 from strainwave.presentation.figures import (
     FREQUENCY_TICKS,
     SOLID,
@@ -42,13 +42,7 @@ _SYMBOLS = {"circle": "o", "circle-open": "o", "x": "x"}
 
 def require_matplotlib() -> None:
     """Raise InvalidInput with the remedy if Matplotlib is not installed."""
-    try:
-        import matplotlib.figure  # noqa: F401 - only to see whether it is installed
-    except ImportError:
-        raise InvalidInput(
-            "drawing figures needs Matplotlib, which is not installed",
-            remedy="install it with: pip install 'strainwave[plot]'",
-        ) from None
+    import_optional("matplotlib", "drawing figures", "'strainwave[plot]'")
 
 
 def draw(figure: Record) -> Figure:

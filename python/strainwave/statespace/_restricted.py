@@ -48,7 +48,9 @@ def restrict_steps(
     if covariance is None:
         return matrices
     T = balancing(matrices)
-    change = _change_of_coordinates(matrices, T)
+    # the entries in other coordinates are linear in the entries, so unit vectors give the Jacobian
+    units = map(evaluator.unpack, np.eye(len(covariance)))
+    change = np.stack([unit.transformed(T).pack() for unit in units], axis=1)
     start, transformed_covariance = matrices.transformed(T), change @ covariance @ change.T
     values, slope = start.pack(), _gradient(evaluator, start, transformed_covariance)
     step = -transformed_covariance @ slope
@@ -59,19 +61,6 @@ def restrict_steps(
             return evaluator.unpack(values + step).transformed(np.asarray(np.linalg.inv(T)))
         step = 0.5 * step
     return matrices
-
-
-def _change_of_coordinates(matrices: Matrices, T: FloatArray) -> FloatArray:
-    """Jacobian (n_entries, n_entries) of the packed entries for the state transformation T."""
-    m, p = matrices.B.shape[1], len(matrices.C)
-    dual = np.linalg.inv(T).T
-    parts = [np.kron(T, dual), np.kron(T, np.eye(m)), np.kron(np.eye(p), dual), np.eye(p * m)]
-    parts += [np.kron(T, np.eye(p)), np.kron(np.eye(len(matrices.initial_states)), T)]
-    block = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    jacobian = np.zeros((len(block), len(block)))
-    for k, part in enumerate(parts):
-        jacobian[np.ix_(block == k, block == k)] = part
-    return jacobian
 
 
 def _cost(evaluator: Evaluator, values: FloatArray) -> float:

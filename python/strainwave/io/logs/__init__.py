@@ -68,31 +68,29 @@ def read_log(study: Study, experiment: Experiment, data: Any = None) -> Log:
     path, replaces the study's file. The log carries a warning for each correction and each
     doubtful value. Raises InvalidInput if the file, a column or a value is invalid.
     """
-    table, path = _open(study, experiment, data)
-    sources = _sources(study, experiment, table, path)
+    table = _open(study, experiment, data)
+    sources = _sources(study, experiment, table)
     tracks, warnings = _tracks(table, sources, experiment)
     time, columns, clock_warnings = resample_tracks(
-        tracks, _command_columns(sources, experiment), experiment, path
+        tracks, _command_columns(sources, experiment), experiment, table.path
     )
     channels = {
         name: channel.scale * _with_added(name, channel, experiment, columns) + channel.offset
         for name, channel in sources.items()
         if name != "t"
     }
-    warnings += clock_warnings + _check_constants(channels, study, experiment, path)
+    warnings += clock_warnings + _check_constants(channels, study, experiment, table.path)
     del columns, tracks
     release_reader_memory()
     sample_time = float((time[-1] - time[0]) / (len(time) - 1))
     return Log(experiment, time, sample_time, channels, tuple(warnings))
 
 
-def _open(study: Study, experiment: Experiment, data: Any) -> tuple[Table | Bag, Path]:
-    """Return an experiment's table, and the path or name for messages."""
+def _open(study: Study, experiment: Experiment, data: Any) -> Table | Bag:
     if data is not None and not isinstance(data, str | Path):
-        name = f"data[{experiment.name!r}]"
-        return open_memory_table(data, name), Path(name)
+        return open_memory_table(data, f"data[{experiment.name!r}]")
     path = study.log_path(experiment) if data is None else Path(data)
-    return (Bag(path) if is_bag(path) else open_table(path)), path
+    return Bag(path) if is_bag(path) else open_table(path)
 
 
 def _tracks(
@@ -117,9 +115,7 @@ def _command_columns(sources: dict[str, Channel], experiment: Experiment) -> set
     return {column for name, column in columns if name.startswith(_COMMAND_PREFIXES)}
 
 
-def _sources(
-    study: Study, experiment: Experiment, table: Table | Bag, path: Path
-) -> dict[str, Channel]:
+def _sources(study: Study, experiment: Experiment, table: Table | Bag) -> dict[str, Channel]:
     """Return the source column of each channel; required channels must have one."""
     sources = {}
     for name in channel_names(study.arm.n_joints):
@@ -128,18 +124,18 @@ def _sources(
             # a recorded topic without the field indicates a wrong field, not a missing sensor
             misnamed = isinstance(table, Bag) and table.has_topic_of(channel.column)
             if name == "t" or name.startswith("theta_m") or misnamed:
-                raise _missing_mapped_column(name, channel, table, path)
+                raise _missing_mapped_column(name, channel, table)
             continue  # absent in this log
         if channel is not None or name in table.names:
             sources[name] = channel or Channel(name)
     for channel_name, column in experiment.add.items():
         if column not in table.names:
-            raise _missing_column(column, f"which the study adds to '{channel_name}'", table, path)
+            what = f"which the study adds to '{channel_name}'"
+            raise table.missing_column_error(column, what)
         if channel_name not in sources:
-            raise _missing_column(
-                channel_name, "to which the study adds another column", table, path
-            )
-    _check_required(sources, study, table, path)
+            what = "to which the study adds another column"
+            raise table.missing_column_error(channel_name, what)
+    _check_required(sources, study, table)
     return sources
 
 
@@ -149,9 +145,9 @@ def _check_mapped(study: Study, read: Sequence[Log], data: Data) -> None:
         if name == "t" or not read or any(name in log.channels for log in read):
             continue
         first = read[0].experiment
-        table, path = _open(study, first, data.get(first.name))
+        table = _open(study, first, data.get(first.name))
         if len(read) == 1 or isinstance(table, Bag):  # a bag's error lists its topics
-            raise _missing_mapped_column(name, channel, table, path)
+            raise _missing_mapped_column(name, channel, table)
         raise InvalidInput(
             f"no log has the column '{channel.column}', which [channels] names for '{name}'",
             where=str(study.path),
@@ -160,15 +156,11 @@ def _check_mapped(study: Study, read: Sequence[Log], data: Data) -> None:
         )
 
 
-def _missing_mapped_column(
-    name: str, channel: Channel, table: Table | Bag, path: Path
-) -> InvalidInput:
-    return _missing_column(channel.column, f"which [channels] names for '{name}'", table, path)
+def _missing_mapped_column(name: str, channel: Channel, table: Table | Bag) -> InvalidInput:
+    return table.missing_column_error(channel.column, f"which [channels] names for '{name}'")
 
 
-def _check_required(
-    sources: dict[str, Channel], study: Study, table: Table | Bag, path: Path
-) -> None:
+def _check_required(sources: dict[str, Channel], study: Study, table: Table | Bag) -> None:
     required = [f"theta_m{i}" for i in range(1, study.arm.n_joints + 1)]
     if not isinstance(table, Bag):
         required = ["t", *required]
@@ -180,33 +172,20 @@ def _check_required(
         )
     for name in required:
         if name not in sources:
-            raise _missing_column(name, "which every log must contain", table, path)
+            raise table.missing_column_error(name, "which every log must contain")
     for i, joint in enumerate(study.arm.joints, start=1):
         if f"u{i}" not in sources and f"torque{i}" not in sources:
             for name in (f"u{i}", f"torque{i}"):
                 if name in study.channels:
-                    raise _missing_mapped_column(name, study.channels[name], table, path)
-            raise _missing_column(
-                f"u{i}", f"and no column 'torque{i}': the log has no motor input", table, path
-            )
+                    raise _missing_mapped_column(name, study.channels[name], table)
+            what = f"and no column 'torque{i}': the log has no motor input"
+            raise table.missing_column_error(f"u{i}", what)
         if f"torque{i}" not in sources and joint.torque_per_volt is None:
             raise InvalidInput(
                 f"joint {i} has a voltage log but no torque_per_volt",
                 where=str(study.path),
                 remedy=f"add torque_per_volt to [[joint]] {i}",
             )
-
-
-def _missing_column(column: str, what: str, table: Table | Bag, path: Path) -> InvalidInput:
-    if isinstance(table, Bag):
-        return table.build_missing_column_error(column, what)
-    available = ", ".join(table.names[:20]) + (", ..." if len(table.names) > 20 else "")
-    available += suggest_name(column, table.names)
-    return InvalidInput(
-        f"there is no column '{column}', {what}",
-        where=str(path),
-        remedy=f"map it in [channels] of the study; the file has: {available}",
-    )
 
 
 def _with_added(

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from strainwave.domain import Diagnostic, IntArray, Place
-from strainwave.errors import InvalidInput, suggest_name
+from strainwave.errors import InvalidInput, import_optional, suggest_name
 from strainwave.io.logs.clocks import Track
 from strainwave.io.logs.messages import list_numbers, parse_field, read_number, read_stamp
 
@@ -157,12 +157,8 @@ class Bag:
         """Whether the bag has the topic of a column."""
         return topic_of(column) in self._topics
 
-    def build_missing_column_error(self, column: str, what: str) -> InvalidInput:
-        """Return the error for a missing column.
-
-        `what` states the purpose of the column.
-        """
-        where = str(self.path)
+    def missing_column_error(self, column: str, what: str) -> InvalidInput:
+        """The error for a missing column; `what` states the purpose of the column."""
         name = topic_of(column)
         topic = self._topics.get(name)
         if topic is None:
@@ -189,7 +185,7 @@ class Bag:
                 f"its messages have: {available or 'no numbers'}"
                 f"{suggest_name(missing_field, fields)}"
             )
-        return InvalidInput(f"{problem}, {what}", where=where, remedy=remedy)
+        return InvalidInput(f"{problem}, {what}", where=str(self.path), remedy=remedy)
 
 
 def topic_of(column: str) -> str:
@@ -199,15 +195,10 @@ def topic_of(column: str) -> str:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[AnyReader]:
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise InvalidInput(
-            "reading bags needs rosbags, which is not installed",
-            where=str(path),
-            remedy="pip install 'strainwave[bags]'",
-        ) from error
+    import_optional("rosbags.highlevel", "reading bags", "'strainwave[bags]'", str(path))
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
     if path.is_dir() and not (path / "metadata.yaml").exists():
         raise InvalidInput(
             "is a directory without metadata.yaml, and therefore not a bag",

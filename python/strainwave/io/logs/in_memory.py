@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from strainwave.domain import FloatArray
@@ -36,7 +37,7 @@ def open_memory_table(data: Any, where: str) -> Table:
     def read(column_names: Sequence[str]) -> dict[str, FloatArray]:
         return vectors({name: data[name] for name in column_names}, where, "column")
 
-    return Table(names, read)
+    return Table(Path(where), names, read)
 
 
 def _names(data: Any) -> list[Any] | None:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.errors import InvalidInput
+from strainwave.errors import InvalidInput, import_optional, suggest_name
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
 from strainwave.io.logs import mat
 
@@ -40,9 +40,20 @@ class Table:
     location for messages.
     """
 
+    path: Path  # or name of a table in memory, for messages
     names: Sequence[str]
     read: Callable[[Sequence[str]], dict[str, FloatArray]]
     row_name: Callable[[int], str] = lambda row: f"row {row + 1}"
+
+    def missing_column_error(self, column: str, what: str) -> InvalidInput:
+        """The error for a missing column; `what` states the purpose of the column."""
+        available = ", ".join(self.names[:20]) + (", ..." if len(self.names) > 20 else "")
+        available += suggest_name(column, self.names)
+        return InvalidInput(
+            f"there is no column '{column}', {what}",
+            where=str(self.path),
+            remedy=f"map it in [channels] of the study; the file has: {available}",
+        )
 
 
 def open_table(path: Path) -> Table:
@@ -122,7 +133,7 @@ def _csv_table(data: bytes, path: Path) -> Table:
     names = _split(header, delimiter)
     _check_header(names, path, skipped + 1)
     file = _Csv(data, path, names, delimiter, skipped)
-    return Table(names, file.read, lambda row: f"line {file.line_of(row)}")
+    return Table(path, names, file.read, lambda row: f"line {file.line_of(row)}")
 
 
 def _header_line(data: bytes, path: Path) -> tuple[int, str]:
@@ -282,7 +293,7 @@ def _open_parquet(path: Path) -> Table:
         return {name: _numbers(table[name], f"{path}, column {name!r}") for name in column_names}
 
     _check_header(names, path, 1)
-    return Table(names, read)
+    return Table(path, names, read)
 
 
 def _damaged(
@@ -338,18 +349,12 @@ def _open_mat(path: Path) -> Table:
             raise damaged(error) from error
         return vectors(variables, str(path), "variable")
 
-    return Table(list(names), read, _element)
+    return Table(path, list(names), read, _element)
 
 
 def _open_hdf5(path: Path) -> Table:
-    try:
-        import h5py
-    except ImportError as error:
-        raise InvalidInput(
-            "reading HDF5 and MAT v7.3 files needs h5py, which is not installed",
-            where=str(path),
-            remedy="pip install 'strainwave[hdf5]'",
-        ) from error
+    purpose = "reading HDF5 and MAT v7.3 files"
+    h5py = import_optional("h5py", purpose, "'strainwave[hdf5]'", str(path))
     data = read_bytes(path, "the log")
     datasets: dict[str, Any] = {}
 
@@ -366,7 +371,7 @@ def _open_hdf5(path: Path) -> Table:
     def read(names: Sequence[str]) -> dict[str, FloatArray]:
         return vectors({name: datasets[name] for name in names}, str(path), "variable")
 
-    return Table(list(datasets), read, _element)
+    return Table(path, list(datasets), read, _element)
 
 
 def _element(row: int) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from functools import singledispatch
 
 from strainwave.domain import (
@@ -13,7 +13,6 @@ from strainwave.domain import (
     Identification,
     JointModel,
     Log,
-    Mode,
     Parameter,
     Prediction,
     RecordModel,
@@ -133,13 +132,10 @@ def _rows(parameters: Iterable[Parameter]) -> list[tuple[str, ...]]:
 
 
 def _modes(joint: JointModel) -> list[tuple[str, ...]]:
-    modes: Mapping[str, Mode | None] = {
-        "anti-resonance": joint.anti_resonance,
-        "resonance": joint.resonance,
-    }
+    modes = (("anti-resonance", joint.anti_resonance), ("resonance", joint.resonance))
     return [
         (name, str(joint.joint), *plus_minus(mode.frequency_hz, mode.frequency_std_hz), "Hz")
-        for name, mode in modes.items()
+        for name, mode in modes
         if mode is not None
     ]
 

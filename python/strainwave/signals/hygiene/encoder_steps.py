@@ -7,7 +7,7 @@ import numpy as np
 from strainwave.domain import Log
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.hygiene.defects import Defect, count_of, encoder_kinds, of_kinds
-from strainwave.signals.hygiene.frozen import is_end_of_freeze
+from strainwave.signals.hygiene.frozen import find_frozen_before
 from strainwave.signals.hygiene.isolated import Jump, classify_jumps
 from strainwave.signals.standstill import runs_of
 
@@ -20,7 +20,7 @@ def detect(log: Log, arm: Arm) -> list[Defect]:
     for name, x in of_kinds(log, encoder_kinds()).items():
         _, isolated_steps = classify_jumps(x, count_of(name, arm))
         rest_runs = runs_of(np.diff(x) == 0.0)
-        steps = [jump for jump in isolated_steps if not is_end_of_freeze(x, jump, rest_runs)]
+        steps = [jump for jump in isolated_steps if not find_frozen_before(x, jump, rest_runs)]
         wraps = _are_overflows(steps)
         detections += [
             Defect("encoder-steps", name, step.sample, step.sample + 1, step.size, wraps=wraps)

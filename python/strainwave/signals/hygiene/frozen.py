@@ -82,19 +82,12 @@ def _is_moving(angle: FloatArray, start: int, stop: int, count: float) -> bool:
     return bool(is_beyond_noise and np.count_nonzero(np.diff(stretch)) > _MIN_MOTION_COUNTS)
 
 
-def is_end_of_freeze(x: FloatArray, jump: Jump, rest_runs: IntArray) -> bool:
-    """Whether a step of an encoder is the motion that it missed in a frozen stretch.
+def find_frozen_before(x: FloatArray, jump: Jump, rest_runs: IntArray) -> tuple[int, int] | None:
+    """Stretch in which an encoder missed the motion of a jump, or None.
 
-    `rest_runs` contains the runs of zero increments, (n_runs, 2).
-    """
-    return _frozen_before(x, jump, rest_runs) is not None
-
-
-def _frozen_before(x: FloatArray, jump: Jump, rest_runs: IntArray) -> tuple[int, int] | None:
-    """Frozen stretch that ends with a jump, or None.
-
-    The stretch is frozen if the velocities on both sides predict the jump, or if the motor moves
-    after a rest that is unusually long.
+    `rest_runs` contains the runs of zero increments, (n_runs, 2). The stretch is frozen if the
+    velocities on both sides predict the jump, or if the motor moves after a rest that is unusually
+    long.
     """
     end = jump.sample - 1  # the increment that is the jump
     k = int(np.searchsorted(rest_runs[:, 1], end))
@@ -148,7 +141,7 @@ def _find_frozen_encoder(x: FloatArray, count: float) -> Iterator[tuple[int, int
     if not len(rest_runs):
         return
     _, isolated_steps = classify_jumps(x, count)
-    spans = [_frozen_before(x, jump, rest_runs) for jump in isolated_steps]
+    spans = [find_frozen_before(x, jump, rest_runs) for jump in isolated_steps]
     frozen = {span for span in spans if span is not None}
     abrupt = _MIN_ABRUPT_RATIO * max(
         usual_change(np.abs(np.diff(increment))), count or resolution_of(x)

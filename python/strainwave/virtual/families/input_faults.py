@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -173,10 +173,3 @@ INPUT_FAULTS: Mapping[str, FaultInjector] = {
     "clipped-sensor": _clipped,
 }
 """Injectors of faults by kind; their arguments are logs, study, joint from 1, and generator."""
-
-
-def inject_every_fault(logs: Logs, study: Study, rng: np.random.Generator) -> Iterator[Fault]:
-    """Every kind of fault once for clean logs, in random order, with random joint and size."""
-    kinds = list(INPUT_FAULTS.values())
-    for k in rng.permutation(len(kinds)).tolist():
-        yield kinds[k](logs, study, int(rng.integers(1, study.arm.n_joints + 1)), rng)
