@@ -68,7 +68,8 @@ def study_text(
         " other values are guesses; each comment states the reason, and whether the guess is sure,"
         " likely or unsure. docs/study.md describes every key. When the file is complete, run"
     )
-    return f"{head}\n#     strainwave identify {out.name} --out results\n\n{body}"
+    commands = (f"check {out.name}", f"identify {out.name} --out results")
+    return "\n".join([head, *(f"#     strainwave {each}" for each in commands), "", body])
 
 
 def _kind(mapping: Mapping) -> str:
