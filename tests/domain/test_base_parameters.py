@@ -120,3 +120,18 @@ def test_groups_of_a_chain_are_those_of_the_literature() -> None:
     assert columns["grouped_link_inertia_zz", 2] == pytest.approx(
         {("link_inertia_zz", 2): 1.0, ("motor_inertia", 2): 0.02**-2}
     )
+
+
+@pytest.mark.parametrize("text", ["1.57", "1.571", "1.5707", "1.5708", "1.5707963", "1.570796327"])
+def test_rounded_right_angles_have_the_base_parameters_of_exact_ones(text: str) -> None:
+    """Axes that are almost parallel would have more: 41 instead of 40 here."""
+
+    def chain(angle: float) -> ArmDescription:
+        turns = ((angle * (k % 2), 0.0, -2.0 * np.pi if k == 5 else 0.0) for k in range(6))
+        joints = (Joint("rigid", 1.0, origin=Origin((0.05, 0.1, 0.3), turn)) for turn in turns)
+        return ArmDescription("serial", tuple(joints), (0.0, 0.0, -9.81))
+
+    exact = chain(0.5 * np.pi)
+    assert chain(float(text)) == exact
+    assert len(base_parameters(exact).columns) == 40
+    assert Origin(rpy=(1.58, 0.02, -0.5)).rpy == (1.58, 0.02, -0.5)

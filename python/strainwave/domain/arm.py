@@ -30,12 +30,28 @@ LinkPrior = tuple[float, ...]  # the ten standard parameters of a link, in the o
 _PLANAR_PROGRAMS = ("planar-two-link", "single-joint")  # kinds with a compiled program
 
 
+def _without_rounding(angle: float) -> float:
+    """The multiple of pi/2 that an angle [rad] such as 1.5708 or 3.14 has the first digits of."""
+    text = repr(float(angle))
+    digits = len(text.partition(".")[2])
+    if "e" in text or digits < 2:
+        return angle
+    multiple = round(angle / (0.5 * math.pi)) * 0.5 * math.pi
+    truncated = math.trunc(multiple * 10**digits) / 10**digits
+    return multiple if angle in (round(multiple, digits), truncated) else angle
+
+
 @dataclass(frozen=True, slots=True)
 class Origin:
     """Frame of a joint at zero angle in the frame of the link before it, as in URDF."""
 
     xyz: Vector = (0.0, 0.0, 0.0)  # [m]
     rpy: Vector = (0.0, 0.0, 0.0)  # [rad] roll, pitch and yaw
+
+    def __post_init__(self) -> None:
+        # axes that are parallel but for rounding would have base parameters that no motion shows
+        roll, pitch, yaw = (_without_rounding(angle) for angle in self.rpy)
+        object.__setattr__(self, "rpy", (roll, pitch, yaw))
 
 
 @dataclass(frozen=True, slots=True)

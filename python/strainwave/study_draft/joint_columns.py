@@ -335,8 +335,9 @@ class JointColumns:
         each = self.parsed_names[column]
         scale: float | None = UNITS[each.quantity or "voltage"].get(each.unit or "", 1.0)
         todo, reason = "", _evidence(each)
+        side = "joint" if self.facts.joint_side else "motor"
         if quantity == "current":
-            scale, todo = None, "torque constant [N m/A], at the motor; times 1e-3 for mA"
+            scale, todo = None, f"torque constant [N m/A], at the {side}; times 1e-3 for mA"
         input_levels = levels(self._values(column))
         if input_levels is not None and len(input_levels) > 1:
             reason += f"; it has {len(input_levels)} levels"
@@ -346,8 +347,7 @@ class JointColumns:
         if each.word in ("pwm", "duty"):
             scale, todo = None, "volts at full duty"
         if each.unit is None and quantity != "current":
-            place = "N m at the joint" if self.facts.joint_side else "N m at the motor"
-            reason += f"; assumed unit {'V' if quantity == 'voltage' else place}"
+            reason += f"; assumed unit {'V' if quantity == 'voltage' else f'N m at the {side}'}"
         self.facts.voltage = channel == "u"
         self._add(
             channel, column, reason, "likely" if each.sure else "unsure", scale=scale, todo=todo
