@@ -79,6 +79,12 @@ def test_a_urdf_places_the_joints(tmp_path: Path) -> None:
     assert arm.joint_names == ("one", "two")
 
 
+def test_a_joint_slides_as_in_the_urdf(tmp_path: Path) -> None:
+    urdf = _URDF.replace('name="two" type="revolute"', 'name="two" type="prismatic"')
+    arm = _read(tmp_path, _PLACED_BY_URDF + _RECORD, urdf)
+    assert [joint.motion for joint in arm.joints] == ["revolute", "prismatic"]
+
+
 @pytest.mark.parametrize("text", [_STUDY, _PLACED_BY_URDF + _RECORD])
 def test_a_written_study_reads_back_equal(tmp_path: Path, text: str) -> None:
     arm = _read(tmp_path, text)
@@ -113,6 +119,10 @@ def test_a_result_places_the_joints_without_the_urdf(tmp_path: Path) -> None:
         (
             _PLACED_BY_URDF.replace("[[joint]]", "[[joint]]\naxis = [0.0, 0.0, 1.0]", 1) + _RECORD,
             "'axis' is given, but the URDF determines it",
+        ),
+        (
+            _PLACED_BY_URDF.replace("[[joint]]", '[[joint]]\nmotion = "prismatic"', 1) + _RECORD,
+            "'motion' is 'prismatic', but the joint 'one' of the URDF is revolute",
         ),
         (
             '[arm]\nkind = "planar-two-link"\nlink_length = 0.35\n'

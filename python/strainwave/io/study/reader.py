@@ -156,7 +156,8 @@ class Reader:
         described = []
         for index, joint in enumerate(joints):
             placed = self._placed(kind, joint, index, urdf)
-            described.append(self._joint(joint, index, placed))
+            motion = {"motion": self._motion(joint, index, urdf[index])} if urdf else {}
+            described.append(self._joint({**joint, **motion}, index, placed))
         self._check_names(described)
         for fault in kind.faults(table, described):
             raise InvalidInput(
@@ -202,6 +203,17 @@ class Reader:
                 remedy=f"remove {key}" if urdf else 'remove it, or use kind = "serial"',
             )
         return placed
+
+    def _motion(self, joint: Mapping[str, Any], index: int, urdf: UrdfJoint) -> str:
+        """The motion of a joint in the URDF, which the study may repeat."""
+        if joint.get("motion", urdf.motion) != urdf.motion:
+            raise InvalidInput(
+                f"'motion' is {_abbreviated(joint['motion'])}, but the joint {urdf.name!r} of the "
+                f"URDF is {urdf.motion}",
+                where=self.place("joint", index, "motion"),
+                remedy="remove motion, or correct the URDF",
+            )
+        return urdf.motion
 
     def _coupling(self, kind: Kind[Any], table: Mapping[str, Any] | None) -> Matrix | None:
         """Coupling of `[transmission]`, which kinds that place their joints do not have."""
