@@ -8,9 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain.arm import ArmDescription, Joint, Servo, Vector
+from strainwave.domain.consistent_links import consistent_links, priors_of
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds.base import Fault, Kind
+from strainwave.domain.kinds.bodies import LINK_PARAMETERS
 from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positive, require_positive
+from strainwave.domain.units import unit_in
 
 _MAX_JOINTS = 7  # of the compiled core
 # standard deviation of a base parameter at the start, relative to the largest of its unit
@@ -61,11 +64,9 @@ class SerialChain(Kind[SerialTable]):
 
         A motor without a usable estimate gets its usual share of the joint's inertia.
         """
-        from strainwave.domain.base_parameters import base_parameters
-        from strainwave.domain.consistent_links import consistent_links, priors_of
-
-        base, priors = base_parameters(arm), priors_of(arm)
-        n_links = len(base.links)
+        numbers = range(1, arm.n_joints + 1)
+        links: list[Key] = [(f"link_{name}", i) for i in numbers for name in LINK_PARAMETERS]
+        n_links = len(links)
         motors, rejected = dict(estimates.motor), Values()
         for number, joint in enumerate(arm.joints, start=1):
             if is_positive(motors[number]):
@@ -74,16 +75,19 @@ class SerialChain(Kind[SerialTable]):
             link = require_positive("link_inertia", estimates.link[number])
             motors[number] = MOTOR_SHARE / (1.0 - MOTOR_SHARE) * joint.gear_ratio**2 * link
         known = [
-            (row, estimates.rigid[column.key], column.unit)
-            for row, column in zip(base.rows, base.columns, strict=True)
-            if estimates.rigid.get(column.key) is not None and row[:n_links].any()
+            key
+            for key, row in estimates.combinations.items()
+            if estimates.rigid.get(key) is not None and not row.keys().isdisjoint(links)
         ]
-        rows = np.array([row for row, _, _ in known])
-        target = np.array([value for _, value, _ in known], dtype=float)
-        target -= rows[:, n_links:] @ np.array([motors[i + 1] for i in range(arm.n_joints)])
-        units = [unit for _, _, unit in known]
+        parts: list[Key] = [*links, *(("motor_inertia", i) for i in numbers)]
+        rows = np.array(
+            [[estimates.combinations[key].get(part, 0.0) for part in parts] for key in known]
+        )
+        target = np.array([estimates.rigid[key] for key in known], dtype=float)
+        target -= rows[:, n_links:] @ np.array([motors[i] for i in numbers])
+        units = [unit_in(arm, key) for key in known]
         largest = {unit: np.abs(target[[u == unit for u in units]]).max() for unit in units}
         std = _START_TOLERANCE * np.array([largest[unit] for unit in units])
-        links = consistent_links(priors, rows[:, :n_links] / std[:, None], target / std)
-        start: dict[Key, float] = dict(zip(base.links, links.tolist(), strict=True))
+        values = consistent_links(priors_of(arm), rows[:, :n_links] / std[:, None], target / std)
+        start: Values = dict(zip(links, values.tolist(), strict=True))
         return start | {("motor_inertia", i): value for i, value in motors.items()}, rejected

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import Key, Row
 from strainwave.errors import NotIdentifiable
 
 MOTOR_SHARE = 0.5
@@ -24,6 +24,7 @@ class StageInertias:
     motor: Mapping[int, float]  # [kg m^2] by joint, from 1
     link: Mapping[int, float]  # [kg m^2] by joint, from 1
     rigid: Mapping[Key, float | None]  # None: not identified
+    combinations: Mapping[Key, Row]  # of link parameters and motor inertias, in the rigid model
 
     def require_rigid(self, name: str) -> float:
         """Return a parameter of the arm that only the rigid model provides.

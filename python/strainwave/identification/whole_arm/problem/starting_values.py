@@ -52,6 +52,7 @@ def starting_values_of(
         motor={number: joint.values["motor_inertia"] for number, joint in models.items()},
         link={number: _link_inertia(joint, rigid, arm) for number, joint in models.items()},
         rigid=rigid,
+        combinations={column.key: column.parts for column in arm.base.columns},
     )
     start, rejected = kind_of(arm).starting_inertias(arm, estimates)
     for key in (key for key in arm.base.separate_links if key not in start):
