@@ -198,6 +198,22 @@ def test_joints_that_move_one_at_a_time_are_classified_by_their_own_records(tmp_
     assert {each.use for each in read_study(tmp_path / "study.toml").experiments} == {"motion"}
 
 
+def test_the_velocity_reference_is_used_of_several_references(tmp_path: Path) -> None:
+    path = urdf(tmp_path, JOINTS[:3])
+    columns = joint_motion(path, duration=4.0)
+    references = {}
+    for k, name in enumerate(JOINTS[:3], start=1):
+        velocity = columns[f"dq{k}"]
+        references[f"desired.velocities {name}"] = velocity
+        references[f"desired.accelerations {name}"] = np.gradient(velocity, columns["t"])
+    write_log(tmp_path / "run.csv", columns | references)
+    start_study([tmp_path / "run.csv"], tmp_path / "study.toml", path)
+    channels = read_study(tmp_path / "study.toml").channels
+    assert channels["ref2"].column == f"desired.velocities {JOINTS[1]}"
+    text = (tmp_path / "study.toml").read_text()
+    assert f'"desired.accelerations {JOINTS[1]}": another reference of joint 2' in text
+
+
 def test_missing_torques_are_named(tmp_path: Path) -> None:
     path = urdf(tmp_path)
     columns = joint_motion(path, duration=4.0)

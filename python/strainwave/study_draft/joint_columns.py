@@ -198,14 +198,21 @@ class JointColumns:
     def _relation(self, rate: str, value: str) -> tuple[float, float]:
         return relation_of(self._values(rate), self._values(value), self.record.time)
 
+    def _by_relation(self, quantity: str, angle: str) -> list[str]:
+        """Columns of a quantity; first the one that is most like the derivative of the angle."""
+        return sorted(self._columns_of(quantity), key=lambda n: -self._relation(n, angle)[0])
+
     def _unit_pair(self, angle: str, velocity: str) -> UnitPair | None:
         r, ratio = self._relation(velocity, angle)
         return unit_pair(ratio) if r > MIN_RELATED_CORRELATION else None
 
     def _velocity(self, angle: str) -> None:
         angle_scale = self.mapping.guesses[f"theta_m{self.number}"].scale
-        for column in self._columns_of("velocity"):
+        for column in self._by_relation("velocity", angle):
             r, ratio = self._relation(column, angle)
+            if f"omega_m{self.number}" in self.mapping.guesses:
+                self.mapping.unused[column] = f"another velocity of joint {self.number}"
+                continue
             agrees = r > MIN_RELATED_CORRELATION and ratio > 0.0
             if not agrees or angle_scale is None:
                 reason = f"a velocity according to its name, but not of {angle!r} (r = {r:.2f})"
@@ -239,7 +246,10 @@ class JointColumns:
             self.facts.encoder_counts = (common_counts, reason) if common_counts else (None, reason)
 
     def _reference(self, angle: str) -> None:
-        for column in self._columns_of("reference"):
+        for column in self._by_relation("reference", angle):
+            if f"ref{self.number}" in self.mapping.guesses:
+                self.mapping.unused[column] = f"another reference of joint {self.number}"
+                continue
             values, each = self._values(column), self.parsed_names[column]
             velocity_r, _ = self._relation(column, angle)
             centred_angle = self._values(angle) - self._values(angle).mean()
