@@ -108,6 +108,7 @@ def test_a_result_places_the_joints_without_the_urdf(tmp_path: Path) -> None:
     [
         (_STUDY.replace("axis = [0.0, 1.0, 0.0]", "axis = [0.0, 0.0, 0.0]"), "length zero"),
         (_STUDY.replace("[0.5, 1.0]", "[1.0, 0.0]"), "'coupling' is singular"),
+        (_STUDY.replace("linear", "rigid", 1), "joins the joints 2 and 1, of which one is rigid"),
         (_STUDY.replace("[[1.0, 0.0], [0.5, 1.0]]", "[[1.0]]"), "2 rows and 2 columns"),
         (_STUDY + '[channels]\ntheta_m3 = "q3"\n', "'theta_m3' is not a channel"),
         (_STUDY.replace("-9.81", "-9810.0"), "if 9810 is in mm/s^2, set 9.81"),

@@ -74,7 +74,7 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
                     remedy=f"move '{name}' to the effects of joint 1",
                 )
     if arm.coupling is not None:
-        _check_coupling(arm.coupling, arm.n_joints, reader.place("transmission", None, "coupling"))
+        _check_coupling(arm.coupling, arm, reader.place("transmission", None, "coupling"))
     if arm.servo is not None:
         for key in ("kp", "ki", "position_gain"):
             gains = getattr(arm.servo, key)
@@ -82,7 +82,8 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
                 _check_count(gains, arm.n_joints, reader.place("servo", None, key), key)
 
 
-def _check_coupling(coupling: Matrix, count: int, place: str) -> None:
+def _check_coupling(coupling: Matrix, arm: ArmDescription, place: str) -> None:
+    count = arm.n_joints
     if len(coupling) != count or any(len(row) != count for row in coupling):
         raise InvalidInput(
             f"'coupling' is not a matrix of {count} rows and {count} columns",
@@ -95,6 +96,14 @@ def _check_coupling(coupling: Matrix, count: int, place: str) -> None:
             where=place,
             remedy="correct the matrix; each joint needs its own motor",
         )
+    is_elastic = [joint.elastic for joint in arm.joints]
+    for row, column in np.argwhere(np.array(coupling)).tolist():
+        if is_elastic[row] != is_elastic[column]:
+            raise InvalidInput(
+                f"'coupling' joins the joints {row + 1} and {column + 1}, of which one is rigid",
+                where=place,
+                remedy="set spring so that both are rigid or both elastic",
+            )
 
 
 def check_options(study: Study, reader: Reader) -> None:
