@@ -232,14 +232,15 @@ def excite(
     study: StudyFile,
     out: Out,
     limit_angle: Annotated[
-        str, typer.Option("--limit-angle", help="Largest link angle on either side of zero [rad].")
-    ],
+        str | None,
+        typer.Option("--limit-angle", help="Largest link angle on either side of zero [rad]."),
+    ] = None,
     limit_velocity: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--limit-velocity", help="Largest motor velocity [rad/s]; or one per joint: 180,150."
         ),
-    ],
+    ] = None,
     parameters: Annotated[
         Path | None,
         typer.Option(
@@ -256,6 +257,12 @@ def excite(
         str | None,
         typer.Option(
             "--limit-torque", help="Largest gear torque at the link [N m]; default: no limit."
+        ),
+    ] = None,
+    limit_distance: Annotated[
+        str | None,
+        typer.Option(
+            "--limit-distance", help="Smallest distance of the links' centre lines [m]; default: 0."
         ),
     ] = None,
     kind: Annotated[
@@ -276,6 +283,7 @@ def excite(
             limit_velocity=limit_velocity,
             limit_voltage=limit_voltage,
             limit_torque=limit_torque,
+            limit_distance=limit_distance,
             kind=kind,
             seed=seed,
             progress=report,

@@ -37,6 +37,7 @@ from strainwave.experiment_design.voltages import Kind, sweep_records, voltage_r
 from strainwave.experiment_design.written import write
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
+from strainwave.io.urdf import read_urdf
 
 __all__ = ["Design", "Limits", "Planned", "design", "excite_study_file"]
 
@@ -51,10 +52,11 @@ def excite_study_file(
     parameters_path: Path | None,
     folder: Path,
     *,
-    limit_angle: str,
-    limit_velocity: str,
+    limit_angle: str | None,
+    limit_velocity: str | None,
     limit_voltage: str | None,
     limit_torque: str | None,
+    limit_distance: str | None,
     kind: str,
     seed: int,
     progress: Callable[[str], None],
@@ -84,7 +86,15 @@ def excite_study_file(
         )
     study = read_study(study_path, logs_exist=False, experiments_exist=False)
     values = read_parameters(parameters_path)
-    limits = limits_of(study.arm, limit_angle, limit_velocity, limit_voltage, limit_torque)
+    limits = limits_of(
+        study.arm,
+        limit_angle,
+        limit_velocity,
+        limit_voltage,
+        limit_torque,
+        distance=limit_distance,
+        urdf=read_urdf(study.path.parent / study.arm.urdf.file) if study.arm.urdf else (),
+    )
     excitation_kind: Kind = "prbs" if kind == "prbs" else "multisine"
     planned = design(study, values, limits, kind=excitation_kind, seed=seed, progress=progress)
     write(planned, folder)
@@ -111,7 +121,7 @@ def design(
     """
     arm = Arm.of(study.arm)
     arm.parameter_vector(values)  # raises InvalidInput if a parameter is missing
-    bands = {j: band_of(arm, values, j) for j in range(1, arm.n_joints + 1)}
+    bands = {j: band_of(arm, values, j, limits.centre) for j in range(1, arm.n_joints + 1)}
     warnings = _check_servo(study, bands)
     lowest = min((b.anti_resonance_hz for b in bands.values() if b), default=None)
     records: tuple[Planned, ...] = ()

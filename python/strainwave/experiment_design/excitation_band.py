@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from strainwave.domain import FloatArray
+from strainwave.domain.base_parameters import link_inertia
 from strainwave.domain.combinations import value_of
 from strainwave.domain.keys import Values
 from strainwave.domain.parameters import complete_values
@@ -41,12 +43,14 @@ class ExcitationBand:
         return max(MIN_RESONANCE_LINES / self.width_hz, 1.0 / self.low_hz)
 
 
-def band_of(arm: Arm, values: Values, joint: int) -> ExcitationBand | None:
+def band_of(
+    arm: Arm, values: Values, joint: int, posture: FloatArray | None = None
+) -> ExcitationBand | None:
     """Band of one joint, from 1, with the others at rest; None if the gear is rigid.
 
-    The zeros of (17) give omega_a^2 = k/m_L and the width (d_L + d_G)/m_L with the inertia of the
-    stretched arm; the poles give omega_r. The margin covers the motion of other joints and the
-    posture.
+    The zeros of (17) give omega_a^2 = k/m_L and the width (d_L + d_G)/m_L; the poles give omega_r.
+    The link inertia is that in a posture (n_joints,); without one, that of the stretched arm. The
+    margin covers the motion of other joints and other postures.
     """
     known = complete_values(values, arm)
     drive = arm.joints[joint - 1]
@@ -56,7 +60,7 @@ def band_of(arm: Arm, values: Values, joint: int) -> ExcitationBand | None:
         TwoInertia(
             motor_inertia=known["motor_inertia", joint],
             motor_viscous_friction=known["motor_viscous_friction", joint],
-            link_inertia=value_of(arm.link_inertia(joint), known),
+            link_inertia=value_of(link_inertia(arm, joint, posture), known),
             link_viscous_friction=known["link_viscous_friction", joint],
             gear_stiffness=stiffness,
             gear_damping=known["gear_damping", joint],

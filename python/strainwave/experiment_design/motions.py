@@ -8,12 +8,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from strainwave.domain import Experiment, FloatArray, Use
+from strainwave.domain import Experiment, FloatArray, Parameter, Use
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
-from strainwave.experiment_design.plan import HELD_CONTROL, LimitBroken, Limits, Planned, clock_of
+from strainwave.experiment_design.plan import (
+    HELD_CONTROL,
+    LimitBroken,
+    Limits,
+    Planned,
+    Waypoints,
+    clock_of,
+)
 from strainwave.experiment_design.predicted_motion import predicted_motion, servo_drive
 from strainwave.experiment_design.rigid_motion import (
     N_HARMONICS,
@@ -21,15 +28,21 @@ from strainwave.experiment_design.rigid_motion import (
     Motion,
     Search,
     condition_number,
-    full_regressor,
     optimise,
 )
+from strainwave.experiment_design.rigid_precision import (
+    TORQUE_ERROR,
+    predicted_rigid_parameters,
+    reference_sizes,
+    standard_deviations,
+)
+from strainwave.experiment_design.self_distance import smallest_distance
 
 _MAX_MOTION_HZ = 1.0  # highest frequency of the motion
 _MIN_RESONANCE_RATIO = 12.0  # anti-resonance over motion: the error of a rigid gear is 1/12^2
 _MAX_PERIODS = 20  # 160 s or more, as a period takes at least 8 s
 _TARGET_RELATIVE_STD = 0.002  # of each rigid parameter, due to the noise of the encoders
-_LOW_PASS_RATIO = 5.0  # bandwidth of the rigid step over the highest frequency of the motion
+_WAYPOINTS_PER_CYCLE = 16  # of the highest harmonic; quintic splines then err by less than 1e-6
 _LEAD_TIMES = np.arange(1.0, 10.5, 0.5)  # [s] candidates for lead-in and lead-out
 _REDUCTION_FACTOR = 0.93  # per attempt, if the simulated arm violates a limit
 _MAX_ATTEMPTS = 20  # reduce the motion to 1/4
@@ -55,10 +68,19 @@ def motion_records(
     tick = clock_of(arm)
     period = tick * round(N_HARMONICS / top / tick)
     search = Search(arm, values, limits, period)
-    rest = np.zeros((1, arm.n_joints))
-    if not search.within((rest, rest, rest)):
+    rest, posture = np.zeros((1, arm.n_joints)), limits.centre[None]
+    distance = float(smallest_distance(arm, values, posture, limits.distance)[0])
+    if distance < limits.distance:
         raise InvalidInput(
-            "the drives are too weak to hold the guessed arm at zero angles",
+            f"two links are {distance:.3g} m apart in the posture in which records begin",
+            where="--limit-distance",
+            remedy="lower the limit, or move the range of --limit-angle or of the URDF, whose "
+            "middle is this posture",
+        )
+    if not search.within((posture, rest, rest)):
+        raise InvalidInput(
+            "the drives are too weak to hold the guessed arm at "
+            f"{'the middle of the angle limits' if limits.posture else 'zero angles'}",
             where="--limit-voltage",
             remedy="check torque_per_volt, the gravity torques and the voltage limit",
         )
@@ -76,10 +98,12 @@ def _record(search: Search, values: Values, series: Fourier, name: str, use: Use
     for _ in range(_MAX_ATTEMPTS):
         planned = _drive(search, values, series, periods)
         drive = planned.drive
-        motion = predicted_motion(arm, values, drive)
+        motion = predicted_motion(arm, values, drive, limits)
         if motion.use_of(limits) <= 1.0:
             break
-        series = replace(series.scaled(_REDUCTION_FACTOR), offset=_REDUCTION_FACTOR * series.offset)
+        centre = limits.centre
+        offset = centre + _REDUCTION_FACTOR * (series.offset - centre)
+        series = replace(series.scaled(_REDUCTION_FACTOR), offset=offset)
     else:
         raise LimitBroken(
             f"no motion of the guessed arm satisfies the limits: even in a small motion "
@@ -102,13 +126,25 @@ def _record(search: Search, values: Values, series: Fourier, name: str, use: Use
             f"{planned.lead:g} s of lead-in and of lead-out",
         ),
         condition_number=condition,
+        precision=_precision(search, values, series, periods),
+        waypoints=planned.waypoints,
     )
+
+
+def _precision(
+    search: Search, values: Values, series: Fourier, periods: int
+) -> tuple[Parameter, ...]:
+    """Predicted rigid parameters of a record."""
+    motion, top_hz = series.at(search.time), N_HARMONICS / series.period
+    std = standard_deviations(search, motion, top_hz, TORQUE_ERROR)
+    return tuple(predicted_rigid_parameters(search.arm, values, std / np.sqrt(periods)))
 
 
 class _PlannedDrive(NamedTuple):
     drive: Drive
     motor_angle: FloatArray  # intended
     lead: float  # [s] before and after the motion
+    waypoints: Waypoints
 
 
 def _drive(search: Search, values: Values, series: Fourier, periods: int) -> _PlannedDrive:
@@ -116,7 +152,7 @@ def _drive(search: Search, values: Values, series: Fourier, periods: int) -> _Pl
     arm = search.arm
     tick = clock_of(arm)
     zero = np.zeros(arm.n_joints)
-    rest = (zero, zero, zero)
+    rest = (search.limits.centre, zero, zero)
     joint_state = [x[0] for x in series.at(np.zeros(1))]
     for lead in _LEAD_TIMES:
         time = _ticks(lead, tick)
@@ -124,11 +160,28 @@ def _drive(search: Search, values: Values, series: Fourier, periods: int) -> _Pl
         if search.within(lead_in) and search.within(lead_out):
             break
     steady = series.at(_ticks(periods * series.period, tick))
-    links = np.concatenate([lead_in[0], steady[0], lead_out[0]])
-    angle = arm.motor_accelerations(links)
+    parts = zip(lead_in, steady, lead_out, strict=True)
+    angles, velocities, accelerations = (np.concatenate(x) for x in parts)
+    angle = arm.motor_accelerations(angles)
+    waypoints = _waypoints((angles, velocities, accelerations), tick, series, rest)
     # the servo differentiates the encoder reading, so its reference is the difference of the angle
     reference = np.diff(angle, axis=0, append=angle[-1:]) / tick
-    return _PlannedDrive(servo_drive(arm, values, reference), angle, float(lead))
+    return _PlannedDrive(
+        servo_drive(arm, values, search.limits, reference),
+        angle,
+        float(lead),
+        waypoints,
+    )
+
+
+def _waypoints(
+    links: Motion, tick: float, series: Fourier, rest: Sequence[FloatArray]
+) -> Waypoints:
+    """Points of a link motion from which a controller interpolates it, and of rest at its end."""
+    interval = series.period / (N_HARMONICS * _WAYPOINTS_PER_CYCLE)
+    index = np.arange(0, len(links[0]), max(1, int(interval / tick)))
+    states = (np.vstack([x[index], last]) for x, last in zip(links, rest, strict=True))
+    return Waypoints(tick * np.append(index, len(links[0])), *states)
 
 
 def _ticks(duration: float, tick: float) -> FloatArray:
@@ -137,28 +190,13 @@ def _ticks(duration: float, tick: float) -> FloatArray:
 
 
 def _periods(search: Search, values: Values, series: Fourier) -> tuple[int, str]:
-    """Number of periods, and its reason.
-
-    The encoder's rounding has the variance q^2/12 at each tick. After the rigid step's low-pass B
-    it becomes an error of the acceleration with variance (2 pi)^4 B^5/5 S, S = 2 tick q^2/12.
-    Multiplied by the rigid inertia it is an error of the torque, independent 2 B times per second.
-    """
+    """Number of periods that the noise of the encoders requires, and its reason."""
     arm = search.arm
     single = "1 period, because a repetition only averages noise"
-    counts = [joint.encoder_counts for joint in arm.joints]
-    if not all(counts):
+    if not all(joint.encoder_counts for joint in arm.joints):
         return 1, f"{single}; the encoder noise is unknown"
-    motion = series.at(search.time)
-    phi = full_regressor(arm, motion)
-    bandwidth = _LOW_PASS_RATIO * N_HARMONICS / series.period
-    rounding = np.array([2.0 * np.pi / count for count in counts if count])
-    density = 2.0 * clock_of(arm) * rounding**2 / 12.0
-    acceleration = np.sqrt((2.0 * np.pi) ** 4 * bandwidth**5 / 5.0 * density)
-    rows = phi / (_inertia_at_motor(search) * acceleration)[:, None]
-    n_independent = 2.0 * bandwidth * series.period
-    rows = rows.reshape(-1, rows.shape[2]) * np.sqrt(n_independent / len(motion[0]))
-    std = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
-    sizes = _sizes(arm, values)
+    std = standard_deviations(search, series.at(search.time), N_HARMONICS / series.period)
+    sizes = reference_sizes(arm, values)
     worst = max(s / sizes[k] for k, s in enumerate(std) if k in sizes)
     required_periods = int(np.ceil((worst / _TARGET_RELATIVE_STD) ** 2))
     if required_periods == 1:
@@ -171,21 +209,6 @@ def _periods(search: Search, values: Values, series: Fourier) -> tuple[int, str]
     remaining = 100.0 * worst / np.sqrt(periods)
     text = f"{count}, for a standard deviation of {remaining:.2g} % of the worst parameter"
     return periods, f"{text} due to encoder noise"
-
-
-def _inertia_at_motor(search: Search) -> FloatArray:
-    """Inertia at each motor with the arm stretched: (n_joints,)."""
-    n = search.arm.n_joints
-    rest, of_motors = np.zeros((n, n)), search.arm.links_of(np.eye(n))
-    accelerated = search.arm.inverse_dynamics(search.vector, rest, rest, of_motors)
-    static = search.arm.inverse_dynamics(search.vector, rest, rest, rest)
-    return np.diagonal(accelerated - static)
-
-
-def _sizes(arm: Arm, values: Values) -> dict[int, float]:
-    """Magnitudes of the guessed rigid parameters that are not zero, by column of the regressor."""
-    sizes = [abs(values.get(column.key, 0.0)) for column in arm.rigid_columns]
-    return {k: size for k, size in enumerate(sizes) if size > 0.0}
 
 
 def quintic(start: Sequence[FloatArray], stop: Sequence[FloatArray], time: FloatArray) -> Motion:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from strainwave.domain import (
 )
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
+from strainwave.io.urdf import UrdfJoint
 
 FREE_CONTROL: Control = "open"
 HELD_CONTROL: Control = "servo"
@@ -34,6 +37,7 @@ LIMITED = (
 
 _MAX_ANGLE_LIMIT = 2.0 * np.pi  # [rad] of a link; a larger limit is probably in degrees
 _MAX_VELOCITY_LIMIT = 2000.0  # [rad/s] 19,000 rpm, more than servo motors of robots reach
+_MIN_DISTANCE = 1e-9  # [m] that avoids division by zero
 _DEFAULT_CLOCK = 1e-3  # [s] of a drive whose servo is not described
 
 
@@ -41,29 +45,41 @@ _DEFAULT_CLOCK = 1e-3  # [s] of a drive whose servo is not described
 class Limits:
     """Limits of all experiments, one number per joint."""
 
-    angle: tuple[float, ...]  # [rad] magnitude of the link angle
+    angle: tuple[float, ...]  # [rad] of the link, to both sides of `posture`
     velocity: tuple[float, ...]  # [rad/s] of the motor
     voltage: tuple[float, ...]  # [V] of the drive; [N m] if torque is commanded
     gear_torque: tuple[float, ...]  # [N m] link side; infinite: no limit
+    # [rad] link angles from which `angle` counts and at which records begin; empty: zeros
+    posture: tuple[float, ...] = ()
+    distance: float = 0.0  # [m] smallest between the centre lines of two links
+
+    @property
+    def centre(self) -> FloatArray:
+        """Link angles in the middle of the limits: (n_joints,) [rad]."""
+        return np.array(self.posture or (0.0,) * len(self.angle))
 
 
 @dataclass(frozen=True, slots=True)
 class PredictedMotion:
     """Peak values of a simulated record of the guessed arm."""
 
-    angle: FloatArray  # (n_joints,) [rad] of the links
+    angle: FloatArray  # (n_joints,) [rad] of the links, from the limits' posture
     velocity: FloatArray  # (n_joints,) [rad/s] of the motors
     voltage: FloatArray  # (n_joints,) [V]
     gear_torque: FloatArray  # (n_joints,) [N m]
     rest_share: FloatArray  # (n_joints,) share of the time in which the motor sticks
+    distance: float  # [m] smallest between two links; infinite if none can touch
 
     def use_of(self, limits: Limits) -> float:
         """Largest value over its limit; above 1 a limit is violated."""
-        return max(float((getattr(self, key) / getattr(limits, key)).max()) for key, *_ in LIMITED)
+        of_joints = max(
+            float((getattr(self, key) / getattr(limits, key)).max()) for key, *_ in LIMITED
+        )
+        return max(of_joints, limits.distance / max(self.distance, _MIN_DISTANCE))
 
     def broken(self, limits: Limits) -> str:
         """Text of the violated limits with their options; empty if none is violated."""
-        return ", ".join(
+        texts = [
             f"the {name} of joint {i} would be {value:.3g} {unit}, above the limit of {limit:.3g} "
             f"({option})"
             for key, name, unit, option in LIMITED
@@ -71,11 +87,27 @@ class PredictedMotion:
                 zip(getattr(self, key), getattr(limits, key), strict=True), start=1
             )
             if value > limit
-        )
+        ]
+        if self.distance < limits.distance:
+            texts.append(
+                f"the distance of two links would be {self.distance:.3g} m, below the limit of "
+                f"{limits.distance:.3g} (--limit-distance)"
+            )
+        return ", ".join(texts)
 
 
 class LimitBroken(InvalidInput):
     """No amplitude of an experiment keeps the guessed arm within its limits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Waypoints:
+    """Points of a motion of the links: arrays (n_points, n_joints) of rad or m."""
+
+    time: FloatArray  # (n_points,) [s]
+    angle: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +121,8 @@ class Planned:
     predicted: PredictedMotion
     reasons: tuple[str, ...]  # of excitation and duration, one clause each
     condition_number: float | None = None  # of the rigid regressor, columns scaled
+    precision: tuple[Parameter, ...] = ()  # predicted for the rigid step with this record alone
+    waypoints: Waypoints | None = None  # of a smooth motion
 
     @property
     def duration(self) -> float:
@@ -108,12 +142,20 @@ class Design:
 
 
 def limits_of(
-    arm: ArmDescription, angle: str, velocity: str, voltage: str | None, gear_torque: str | None
+    arm: ArmDescription,
+    angle: str | None,
+    velocity: str | None,
+    voltage: str | None,
+    gear_torque: str | None,
+    *,
+    distance: str | None = None,
+    urdf: Sequence[UrdfJoint] = (),
 ) -> Limits:
     """Limits from texts of the command line: one positive number, or one per joint with commas.
 
-    The servo's limit applies to the voltage in addition; without a servo a voltage limit is
-    required. Raises InvalidInput if a number is missing, not positive or implausible.
+    The limits of `urdf`, the joints of the arm's URDF, apply in addition, and the servo's to the
+    voltage; without a servo a voltage limit is required. A torque limit of a rigid joint limits its
+    voltage. Raises InvalidInput if a number is missing, not positive or implausible.
     """
     if voltage is None and arm.servo is None:
         raise InvalidInput(
@@ -121,7 +163,7 @@ def limits_of(
             where="--limit-voltage",
             remedy=f"set it in V, or {ADD_SERVO}",
         )
-    unlimited = (float("inf"),) * arm.n_joints
+    unlimited = (np.inf,) * arm.n_joints
 
     def numbers(text: str | None, option: str) -> tuple[float, ...]:
         return unlimited if text is None else _numbers(text, arm.n_joints, option)
@@ -131,14 +173,74 @@ def limits_of(
     for i, joint in enumerate(arm.joints):
         if joint.motion == "revolute":
             _check_plausible(angles[i], velocities[i], i + 1)
-    top = arm.servo.limit if arm.servo else float("inf")
-    voltages = tuple(min(each, top) for each in numbers(voltage, "--limit-voltage"))
-    return Limits(angles, velocities, voltages, numbers(gear_torque, "--limit-torque"))
+    of_urdf = [_UrdfLimits.of(joint) for joint in urdf] or [_UrdfLimits()] * arm.n_joints
+    ratios = [abs(joint.gear_ratio) for joint in arm.joints]
+    low = np.maximum([each.lower for each in of_urdf], -np.array(angles))
+    high = np.minimum([each.upper for each in of_urdf], angles)
+    links = np.array([each.velocity for each in of_urdf])
+    motors = np.minimum(velocities, links / ratios)
+    _check_limited(high - low, "the angle of joint", "--limit-angle", "rad")
+    _check_limited(motors, "the velocity of joint", "--limit-velocity", "rad/s of the motor")
+    gears = np.minimum(numbers(gear_torque, "--limit-torque"), [each.effort for each in of_urdf])
+    top = arm.servo.limit if arm.servo else np.inf
+    voltages = np.minimum(numbers(voltage, "--limit-voltage"), top)
+    for i, joint in enumerate(arm.joints):
+        if not joint.elastic:  # the gear transmits what the motor gives
+            voltages[i] = min(voltages[i], gears[i] * ratios[i] / joint.torque_per_command)
+    centre = 0.5 * (low + high)
+    return Limits(
+        angle=tuple((0.5 * (high - low)).tolist()),
+        velocity=tuple(motors.tolist()),
+        voltage=tuple(voltages.tolist()),
+        gear_torque=tuple(gears.tolist()),
+        posture=tuple(centre.tolist()) if centre.any() else (),
+        distance=0.0 if distance is None else _numbers(distance, 1, "--limit-distance")[0],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _UrdfLimits:
+    """Limits of one joint of a URDF; infinite where it gives none."""
+
+    lower: float = -np.inf  # [rad, m] of the link
+    upper: float = np.inf
+    velocity: float = np.inf  # [rad/s, m/s] of the link
+    effort: float = np.inf  # [N m, N] at the link
+
+    @classmethod
+    def of(cls, joint: UrdfJoint) -> Self:
+        """Limits of a joint; URDF files write zero for an unknown velocity or effort."""
+        return cls(
+            lower=-np.inf if joint.lower is None else joint.lower,
+            upper=np.inf if joint.upper is None else joint.upper,
+            velocity=joint.velocity or np.inf,
+            effort=joint.effort or np.inf,
+        )
+
+
+def _check_limited(ranges: FloatArray, quantity: str, option: str, unit: str) -> None:
+    """Raise InvalidInput if a range is infinite or empty."""
+    for number, value in enumerate(ranges.tolist(), start=1):
+        if np.isinf(value):
+            raise InvalidInput(
+                f"{quantity} {number} has no limit",
+                where=option,
+                remedy=f"set the limits in {unit}; a URDF that the study names may give them",
+            )
+        if value <= 0.0:
+            raise InvalidInput(
+                f"the limit of {quantity} {number} excludes all that the URDF permits",
+                where=option,
+                remedy="widen it, or correct the limits in the URDF",
+            )
 
 
 def _check_plausible(angle: float, velocity: float, joint: int) -> None:
-    """Raise InvalidInput if a limit seems to be in degrees or revolutions per minute."""
-    if angle > _MAX_ANGLE_LIMIT:
+    """Raise InvalidInput if a limit seems to be in degrees or revolutions per minute.
+
+    An infinite limit is not given.
+    """
+    if _MAX_ANGLE_LIMIT < angle < np.inf:
         raise InvalidInput(
             f"the angle limit of joint {joint} is {angle:g} rad, more than a full turn in each "
             "direction",
@@ -146,7 +248,7 @@ def _check_plausible(angle: float, velocity: float, joint: int) -> None:
             remedy=f"use rad: {angle:g} degrees are {np.radians(angle):.4g} rad; the largest "
             "limit, for a joint without stops, is 6.28",
         )
-    if velocity > _MAX_VELOCITY_LIMIT:
+    if _MAX_VELOCITY_LIMIT < velocity < np.inf:
         raise InvalidInput(
             f"the velocity limit of joint {joint} is {velocity:g} rad/s, "
             f"{velocity * 30.0 / np.pi:.0f} rpm at the motor",

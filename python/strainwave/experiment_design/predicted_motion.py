@@ -9,7 +9,10 @@ from strainwave.domain.keys import Values
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Trajectory, simulate
-from strainwave.experiment_design.plan import PredictedMotion, clock_of
+from strainwave.experiment_design.plan import Limits, PredictedMotion, clock_of
+from strainwave.experiment_design.self_distance import smallest_distance
+
+_DISTANCE_INTERVAL = 0.01  # [s] between compared postures; links move by millimetres in it
 
 _QUANTITIES: tuple[Quantity, ...] = (
     "link_angle",
@@ -21,9 +24,14 @@ _QUANTITIES: tuple[Quantity, ...] = (
 )
 
 
-def servo_drive(arm: Arm, values: Values, reference: FloatArray) -> Drive:
-    """Drive of servos that follow references (n_ticks, n_joints), from rest at zero angles."""
-    start = (0.0,) * arm.n_joints
+def start_of(arm: Arm, limits: Limits) -> tuple[float, ...]:
+    """Motor angles [rad] at which records begin: the posture in the middle of the limits."""
+    return tuple(arm.motor_accelerations(limits.centre).tolist())
+
+
+def servo_drive(arm: Arm, values: Values, limits: Limits, reference: FloatArray) -> Drive:
+    """Drive of servos that follow references (n_ticks, n_joints), from rest."""
+    start = start_of(arm, limits)
     return Drive(
         tick=clock_of(arm),
         voltage=np.zeros_like(reference),
@@ -41,17 +49,20 @@ def run(arm: Arm, values: Values, drive: Drive) -> Trajectory:
     return simulate(arm, values, drive, sample_time=clock, samples=samples, record=_QUANTITIES)
 
 
-def predicted_motion(arm: Arm, values: Values, drive: Drive) -> PredictedMotion:
-    """Peak values of the response to a drive, and the share of time in which each motor sticks."""
+def predicted_motion(arm: Arm, values: Values, drive: Drive, limits: Limits) -> PredictedMotion:
+    """Peak values of the guessed arm's response, and the share of time in which motors stick."""
     trajectory = run(arm, values, drive)
 
     def peak(name: Quantity) -> FloatArray:
         return np.asarray(np.abs(trajectory[name]).max(axis=0))
 
+    angle = trajectory["link_angle"]
+    compared = angle[:: max(1, int(_DISTANCE_INTERVAL / clock_of(arm)))]
     return PredictedMotion(
-        angle=peak("link_angle"),
+        angle=np.asarray(np.abs(angle - limits.centre).max(axis=0)),
         velocity=peak("motor_velocity"),
         voltage=peak("voltage"),
         gear_torque=peak("gear_torque"),
         rest_share=np.asarray((trajectory["sliding"] == 0.0).mean(axis=0)),
+        distance=float(smallest_distance(arm, values, compared, limits.distance).min()),
     )

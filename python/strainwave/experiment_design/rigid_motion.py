@@ -9,6 +9,7 @@ shape.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,8 @@ from strainwave.domain import FloatArray
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.experiment_design.plan import Limits
-from strainwave.numerics.parallel import one_blas_thread
+from strainwave.experiment_design.self_distance import smallest_distance
+from strainwave.numerics.parallel import one_blas_thread, run_parallel
 
 N_HARMONICS = 8  # a period of 8 s or more stays below 1 Hz
 _N_SAMPLES = 128  # per period: 16 per period of the highest harmonic
@@ -30,6 +32,8 @@ _FRICTION_SMOOTHING = 0.01  # of the largest velocity, over which the sign of fr
 _MAX_OFFSET_SHARE = 0.8  # of the angle limit for the centre of a series
 # Usable share of each limit. Servo error, vibration and the lead-in take the rest.
 _ANGLE_SHARE, _VELOCITY_SHARE, _VOLTAGE_SHARE = 0.95, 0.90, 0.80
+_DISTANCE_FACTOR = 1.1  # distance between links at which the search aims, over its limit
+_DISTANCE_WEIGHT = 100.0  # 10 % less than that distance costs as much as e times the condition
 
 Motion = tuple[FloatArray, FloatArray, FloatArray]
 """(n_samples, n_joints) link angles, velocities, accelerations."""
@@ -124,16 +128,19 @@ def optimise(
     with one_blas_thread():
         candidates = rng.normal(size=(_N_RANDOM_SERIES, search.n_unknowns))
         best = candidates[np.argsort(search.cost(candidates))][:starts]
-        results = [
-            minimize(
-                search.with_gradient,
-                x,
-                jac=True,
-                method="L-BFGS-B",
-                options={"maxiter": _MAX_ITERATIONS},
-            )
-            for x in best
-        ]
+        results = run_parallel(
+            [
+                partial(
+                    minimize,
+                    search.with_gradient,
+                    x,
+                    jac=True,
+                    method="L-BFGS-B",
+                    options={"maxiter": _MAX_ITERATIONS},
+                )
+                for x in best
+            ]
+        )
     return tuple(search.series(r.x) for r in sorted(results, key=lambda result: result.fun))
 
 
@@ -152,14 +159,24 @@ class Search:
 
     def __init__(self, arm: Arm, values: Values, limits: Limits, period: float) -> None:
         self.arm, self.limits, self.period = arm, limits, period
-        self.vector = arm.parameter_vector(values)
+        self.values, self.vector = values, arm.parameter_vector(values)
         self.time: FloatArray = period / _N_SAMPLES * np.arange(_N_SAMPLES, dtype=np.float64)
         self.waves = waves(period, N_HARMONICS, self.time)
         self.n_unknowns = arm.n_joints * (2 * N_HARMONICS + 1)
 
     def cost(self, points: FloatArray) -> FloatArray:
         """Logarithm of the condition numbers of the feasible series of points."""
-        return np.log(condition_number(self.arm, self.limits, self.motion_of(points)))
+        motion = self.motion_of(points)
+        return np.log(condition_number(self.arm, self.limits, motion)) + self._nearness(motion)
+
+    def _nearness(self, motion: Motion) -> FloatArray:
+        """Cost of links that come too near to each other: (...)."""
+        limit = _DISTANCE_FACTOR * self.limits.distance
+        if limit == 0.0:
+            return np.zeros(motion[0].shape[:-2])
+        distance = smallest_distance(self.arm, self.values, motion[0], self.limits.distance)
+        missing = np.maximum(0.0, 1.0 - distance.min(axis=-1) / limit)
+        return np.asarray(_DISTANCE_WEIGHT * missing**2)
 
     def with_gradient(self, point: FloatArray) -> tuple[float, FloatArray]:
         """Cost of a point and its forward differences, in one evaluation."""
@@ -180,14 +197,15 @@ class Search:
         n = self.arm.n_joints
         table = points.reshape(*points.shape[:-1], -1, n)
         limit = _ANGLE_SHARE * np.array(self.limits.angle)
-        offset = _MAX_OFFSET_SHARE * limit * np.tanh(table[..., :1, :])
+        shift = _MAX_OFFSET_SHARE * limit * np.tanh(table[..., :1, :])
+        offset = self.limits.centre + shift
         sine, cosine = table[..., 1 : N_HARMONICS + 1, :], table[..., N_HARMONICS + 1 :, :]
         angle, velocity, acceleration = Fourier(
             self.period, np.zeros_like(offset), sine, cosine
         ).of(self.waves)
         fastest = self.arm.link_velocity_limits(_VELOCITY_SHARE * np.array(self.limits.velocity))
         highest, lowest = (f(angle, axis=-2, keepdims=True) for f in (np.max, np.min))
-        room = np.minimum((limit - offset) / highest, (limit + offset) / -lowest)
+        room = np.minimum((limit - shift) / highest, (limit + shift) / -lowest)
         scale = np.minimum(room, fastest / np.abs(velocity).max(axis=-2, keepdims=True))
         scaled = (scale * angle, scale * velocity, scale * acceleration)
         factor = self._voltage_factor(offset, scaled)
@@ -232,7 +250,8 @@ class Search:
     def within(self, motion: Motion) -> bool:
         """Whether a motion satisfies all limits with a margin."""
         fastest = self.arm.link_velocity_limits(_VELOCITY_SHARE * np.array(self.limits.velocity))
-        is_near = np.abs(motion[0]).max(0) <= _ANGLE_SHARE * np.array(self.limits.angle) + 1e-12
+        moved = np.abs(motion[0] - self.limits.centre).max(0)
+        is_near = moved <= _ANGLE_SHARE * np.array(self.limits.angle) + 1e-12
         is_slow = np.abs(motion[1]).max(0) <= fastest + 1e-12
         if not (is_near.all() and is_slow.all()):
             return False

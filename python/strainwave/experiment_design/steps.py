@@ -11,7 +11,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.experiment_design.excitation_band import ExcitationBand
 from strainwave.experiment_design.plan import HELD_CONTROL, LimitBroken, Limits, Planned, clock_of
-from strainwave.experiment_design.predicted_motion import predicted_motion, servo_drive
+from strainwave.experiment_design.predicted_motion import predicted_motion, servo_drive, start_of
 
 _HOLD_PERIODS = 6.0  # of the anti-resonance per level, in which the vibration decays
 _MIN_HOLD, _MAX_HOLD = 0.2, 2.0  # [s] per level
@@ -66,8 +66,8 @@ def _record(
 ) -> Planned:
     """One record, reduced until the simulated arm satisfies all limits."""
     for _ in range(_MAX_ATTEMPTS):
-        drive, angle = _drive(arm, values, joint, size * np.array(levels), hold)
-        motion = predicted_motion(arm, values, drive)
+        drive, angle = _drive(arm, values, limits, joint, size * np.array(levels), hold)
+        motion = predicted_motion(arm, values, drive, limits)
         is_unsaturated = (motion.voltage <= _MAX_VOLTAGE_SHARE * np.array(limits.voltage)).all()
         if is_unsaturated and motion.use_of(limits) <= 1.0:
             break
@@ -96,12 +96,12 @@ def _record(
 
 
 def _drive(
-    arm: Arm, values: Values, joint: int, levels: FloatArray, hold: float
+    arm: Arm, values: Values, limits: Limits, joint: int, levels: FloatArray, hold: float
 ) -> tuple[Drive, FloatArray]:
     """References of a complete record, and the intended motor angles."""
     tick = clock_of(arm)
     steps = excitation.steps(levels, hold=hold, clock=tick)
     reference = np.zeros((len(steps), arm.n_joints))
     reference[:, joint - 1] = steps
-    angle = tick * np.concatenate([np.zeros((1, arm.n_joints)), np.cumsum(reference, axis=0)[:-1]])
-    return servo_drive(arm, values, reference), angle
+    moved = tick * np.concatenate([np.zeros((1, arm.n_joints)), np.cumsum(reference, axis=0)[:-1]])
+    return servo_drive(arm, values, limits, reference), moved + start_of(arm, limits)

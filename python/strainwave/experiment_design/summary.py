@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -14,8 +15,10 @@ from strainwave.domain import Study
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.link_sensors import installed_axes
 from strainwave.experiment_design.command_table import table_name
+from strainwave.experiment_design.joint_trajectory import trajectory_name
 from strainwave.experiment_design.plan import LIMITED, Design, Limits, PredictedMotion, clock_of
-from strainwave.experiment_design.written import HEADER_FILE
+from strainwave.experiment_design.written import HEADER_FILE, PRECISION_FILE
+from strainwave.io.base_parameters import base_parameter_entries
 from strainwave.presentation.report.blocks import number
 from strainwave.presentation.terminal import printed_table
 
@@ -38,7 +41,9 @@ def print_design(design: Design, folder: Path) -> None:
     for warning in design.warnings:
         text = Text(f"warning [{warning.code}] {warning.where}: {warning.message}")
         console.print(text, style="yellow")
-    for name in (*map(table_name, design.study.experiments), HEADER_FILE, "study.toml"):
+    trajectories = [trajectory_name(r.experiment) for r in design.records if r.waypoints]
+    tables = map(table_name, design.study.experiments)
+    for name in (*tables, *trajectories, HEADER_FILE, PRECISION_FILE, "study.toml"):
         console.print(Text(f"written: {folder / name}"), soft_wrap=True)
     logs = ", ".join(record.experiment.file for record in design.records)
     console.print(Text(f"to be recorded, next to study.toml: {logs}"), soft_wrap=True)
@@ -47,6 +52,7 @@ def print_design(design: Design, folder: Path) -> None:
 def _precision(design: Design) -> Iterator[str]:
     """Planned sensors, and the predicted confidence intervals of gears and inertias."""
     parameters = [p for p in design.precision if p.name.startswith(_NAMES) and p.value and p.std]
+    yield from _base_precision(design)
     if not parameters:
         return
     yield (
@@ -60,6 +66,25 @@ def _precision(design: Design) -> Iterator[str]:
             if p.joint == joint
         ]
         yield f"joint {joint}: {', '.join(parts)}"
+
+
+def _base_precision(design: Design) -> Iterator[str]:
+    """Largest predicted half-width of the base parameters of a chain, by unit."""
+    entries = base_parameter_entries(design.study.arm, design.records[0].precision)
+    by_unit: dict[str, list[dict[str, Any]]] = {}
+    for entry in entries:
+        by_unit.setdefault(entry["unit"], []).append(entry)
+    if any(entry["std"] is None for entry in entries):
+        yield "the motion does not determine all base parameters"
+    elif entries:
+        texts = []
+        for unit, group in by_unit.items():
+            widest = max(group, key=lambda entry: float(entry["std"]))
+            largest = max(abs(entry["value"]) for entry in group)
+            width = CI95_STDS * widest["std"]
+            share = f" ({100.0 * width / largest:.2g} % of the largest)" if largest else ""
+            texts.append(f"{widest['name']} {width:.2g} {unit}{share}")
+        yield f"widest predicted half-widths of base parameters: {', '.join(texts)}"
 
 
 def _sensors(study: Study) -> Iterator[str]:

@@ -26,7 +26,7 @@ from strainwave.experiment_design.plan import (
     PredictedMotion,
     clock_of,
 )
-from strainwave.experiment_design.predicted_motion import predicted_motion, run
+from strainwave.experiment_design.predicted_motion import predicted_motion, run, start_of
 
 Kind = Literal["prbs", "multisine"]
 
@@ -50,6 +50,7 @@ class Signal:
 
     arm: Arm
     values: Values
+    limits: Limits
     joint: int  # from 1
     kind: Kind
     clock: float  # [s]
@@ -70,7 +71,7 @@ class Signal:
         """
         voltage = np.zeros((periods * self.ticks, self.arm.n_joints))
         voltage[:, self.joint - 1] = amplitude * np.tile(self.shape, periods)
-        start = (0.0,) * self.arm.n_joints
+        start = start_of(self.arm, self.limits)
         return Drive(
             tick=self.clock,
             voltage=voltage,
@@ -98,7 +99,7 @@ def voltage_record(
     `seed` is that of a multisine's phases. Raises InvalidInput if a multisine would need a servo,
     and LimitBroken if no amplitude satisfies the limits.
     """
-    signal = _design_signal(arm, values, band, joint, kind, seed)
+    signal = _design_signal(arm, values, limits, band, joint, kind, seed)
     kinds = [FREE_CONTROL, HELD_CONTROL]
     if arm.gravity:
         kinds = [HELD_CONTROL]
@@ -154,12 +155,12 @@ def sweep_records(
     original = full.experiment
     if original.prbs is None or original.joint is None:
         return (), ()
-    signal = _design_signal(arm, values, band, original.joint, "prbs", seed)
+    signal = _design_signal(arm, values, limits, band, original.joint, "prbs", seed)
     planned, omissions = [], []
     for share in _SWEEP_SHARES:
         amplitude = float(f"{share * original.prbs.amplitude:.2g}")
         drive = signal.drive(amplitude, original.prbs.periods, original.control)
-        motion = predicted_motion(arm, values, drive)
+        motion = predicted_motion(arm, values, drive, limits)
         if motion.use_of(limits) > 1.0 + _ROUNDING:  # a free arm drifts even at low amplitudes
             omissions.append(f"at {amplitude:g} V {motion.broken(limits)}")
             continue
@@ -191,7 +192,7 @@ def _limit_error(
     amplitude = _MIN_AMPLITUDE_SHARE * top
     while True:
         drive = signal.drive(amplitude, periods, control)
-        motion = predicted_motion(signal.arm, signal.values, drive)
+        motion = predicted_motion(signal.arm, signal.values, drive, limits)
         if (_is_moving(motion, signal.joint) and motion.broken(limits)) or amplitude >= top:
             break
         amplitude = min(1.5 * amplitude, top)
@@ -205,7 +206,13 @@ def _limit_error(
 
 
 def _design_signal(
-    arm: Arm, values: Values, band: ExcitationBand, joint: int, kind: Kind, seed: int
+    arm: Arm,
+    values: Values,
+    limits: Limits,
+    band: ExcitationBand,
+    joint: int,
+    kind: Kind,
+    seed: int,
 ) -> Signal:
     """PRBS with clock and order, or multisine with lines, for a band."""
     tick = clock_of(arm)
@@ -224,7 +231,7 @@ def _design_signal(
         shape = excitation.multisine(
             lines, period=period, clock=clock, periods=1, peak=1.0, rng=rng
         )
-    return Signal(arm, values, joint, kind, clock, order, ticks, lines, shape)
+    return Signal(arm, values, limits, joint, kind, clock, order, ticks, lines, shape)
 
 
 def _excited_band(signal: Signal) -> tuple[float, float]:
@@ -241,7 +248,7 @@ def _largest_amplitude(
 
     def predict_within_limits(amplitude: float, count: int) -> PredictedMotion | None:
         drive = signal.drive(amplitude, count, control)
-        motion = predicted_motion(signal.arm, signal.values, drive)
+        motion = predicted_motion(signal.arm, signal.values, drive, limits)
         is_saturated = (motion.voltage > _MAX_VOLTAGE_SHARE * np.array(limits.voltage)).any()
         if "servo" in control and is_saturated:
             return None

@@ -1,35 +1,60 @@
-"""Files of a design: tables, a C header with the same arrays, and the study file."""
+"""Files of a design: tables, a C header, trajectories, predicted intervals, the study file."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 
 from strainwave.domain import FloatArray, Study
 from strainwave.experiment_design.command_table import applied_columns, table_name
+from strainwave.experiment_design.joint_trajectory import trajectory_name, trajectory_text
 from strainwave.experiment_design.plan import Design, Planned
 from strainwave.io.atomic_files import write_whole
-from strainwave.io.study import write_study
+from strainwave.io.base_parameters import base_parameter_entries
+from strainwave.io.results import parameter_entry, to_json
+from strainwave.io.study import copy_to, write_study
 from strainwave.io.templates import fill_text
 
 HEADER_FILE = "excitation.h"
+PRECISION_FILE = "predicted.json"
 
 
 def write(design: Design, folder: Path) -> None:
-    """Write one table per record, the header, and study.toml, whose logs do not exist yet.
+    """Write tables, trajectories, the header, predictions, and study.toml, whose logs are missing.
 
     Creates the folder. Raises InvalidInput if it cannot be written.
     """
-    contents = {
-        table_name(record.experiment): _csv(_columns(design.study, record)).encode()
+    study = copy_to(design.study, folder)
+    contents = {name: text.encode() for name, text in _texts(design).items()}
+    write_whole(folder, contents)
+    write_study(study, study.path)
+
+
+def _texts(design: Design) -> dict[str, str]:
+    """Contents of the files of a design, by name."""
+    texts = {
+        table_name(record.experiment): _csv(_columns(design.study, record))
         for record in design.records
     }
-    contents[HEADER_FILE] = _c_header(design).encode()
-    write_whole(folder, contents)
-    study = replace(design.study, path=folder / "study.toml")
-    write_study(study, study.path)
+    names = design.study.arm.joint_names
+    texts |= {
+        trajectory_name(record.experiment): trajectory_text(names, record.waypoints)
+        for record in design.records
+        if record.waypoints is not None
+    }
+    return texts | {HEADER_FILE: _c_header(design), PRECISION_FILE: _predicted(design)}
+
+
+def _predicted(design: Design) -> str:
+    """Predicted parameters with intervals, in the layout of result.json."""
+    rigid = design.records[0].precision
+    base = base_parameter_entries(design.study.arm, rigid)
+    final = {p.key: p for p in (*rigid, *design.precision)}  # the whole-arm fit comes last
+    document = {"parameters": [parameter_entry(p) for p in final.values()]} | (
+        {"base_parameters": base} if base else {}
+    )
+    return to_json(document).decode()
 
 
 def _columns(study: Study, record: Planned) -> dict[str, FloatArray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,14 +45,15 @@ class BaseParameter:
     estimate: Parameter
 
 
-def base_parameter_list(identification: Identification) -> list[BaseParameter]:
-    """Base parameters in the final table; none unless the arm's parameters are those of links."""
-    arm = identification.study.arm
+def base_parameter_list(
+    arm: ArmDescription, parameters: Iterable[Parameter]
+) -> list[BaseParameter]:
+    """Base parameters among estimates; none unless the arm's parameters are those of links."""
     base = base_parameters(arm)
     if not base.has_groups:
         return []
     keys: list[Key] = [*base.links, *((MOTOR_INERTIA, i + 1) for i in range(arm.n_joints))]
-    final = {p.key: p for p in identification.parameters}
+    final = {p.key: p for p in parameters}
     return [
         BaseParameter(
             base_name_of(column, keys[at]),
@@ -64,7 +65,9 @@ def base_parameter_list(identification: Identification) -> list[BaseParameter]:
     ]
 
 
-def base_parameter_entries(identification: Identification) -> list[dict[str, Any]]:
+def base_parameter_entries(
+    arm: ArmDescription, parameters: Iterable[Parameter]
+) -> list[dict[str, Any]]:
     """The entry `base_parameters`."""
     keys = ("value", "std", "ci95", "unit", "stage")
     return [
@@ -73,7 +76,7 @@ def base_parameter_entries(identification: Identification) -> list[dict[str, Any
             "combination": dict(one.combination),
             **{key: getattr(one.estimate, key) for key in keys},
         }
-        for one in base_parameter_list(identification)
+        for one in base_parameter_list(arm, parameters)
     ]
 
 

@@ -100,7 +100,7 @@ def to_document(identification: Identification) -> dict[str, Any]:
         "status": verdict.status,
         "reason": "; ".join(verdict.reasons) or None,
         "verdict": _verdict(verdict),
-        "parameters": [_parameter(p) for p in identification.parameters],
+        "parameters": [parameter_entry(p) for p in identification.parameters],
         "covariance": covariance_document(covariance),
         **_base_parameters(identification, covariance),
         "stages": stages,
@@ -119,7 +119,7 @@ def _base_parameters(
     identification: Identification, covariance: JointCovariance | None
 ) -> dict[str, Any]:
     """Base and standard parameters of a serial arm; nothing for other arms."""
-    base = base_parameter_entries(identification)
+    base = base_parameter_entries(identification.study.arm, identification.parameters)
     if not base:
         return {}
     standard = standard_parameter_entries(identification, covariance)
@@ -432,13 +432,13 @@ def _rigid(model: RigidModel) -> dict[str, Any]:
     ratios = [{"joint": joint, "value": value, "std": std} for joint, (value, std) in pairs]
     return {
         "status": model.status,
-        "parameters": [_parameter(p) for p in model.parameters],
+        "parameters": [parameter_entry(p) for p in model.parameters],
         "fit_percent": {name: dict(fits) for name, fits in model.fit_percent.items()},
         "condition_number": model.condition_number,
         "bandwidth_hz": model.bandwidth_hz,
         "decimation": model.decimation,
         "n_rows": model.n_rows,
-        "load_friction": [_parameter(p) for p in model.load_friction],
+        "load_friction": [parameter_entry(p) for p in model.load_friction],
         "torque_ratio": next((ratio for ratio in ratios if ratio["joint"] == 2), None),
         "torque_ratios": ratios,
     }
@@ -519,7 +519,7 @@ def _joint(joint: JointModel) -> dict[str, Any]:
         **_frequencies(joint.anti_resonance, joint.resonance),
         "band_hz": joint.band_hz,
         "fit_percent": dict(joint.fit_percent),
-        "parameters": [_parameter(p) for p in joint.parameters],
+        "parameters": [parameter_entry(p) for p in joint.parameters],
         "warnings": [warning_entry(w) for w in joint.warnings],
     }
 
@@ -565,7 +565,7 @@ def _whole_arm(model: ArmModel) -> dict[str, Any]:
         "status": model.status,
         "end": model.end,
         "iterations": model.iterations,
-        "parameters": [_parameter(p) for p in model.parameters],
+        "parameters": [parameter_entry(p) for p in model.parameters],
         "correlations": _correlations(model),
         "fit_percent": {name: dict(fits) for name, fits in model.fit_percent.items()},
         "initial_fit_percent": {
@@ -602,7 +602,7 @@ def _criticism(criticism: Criticism) -> dict[str, Any]:
             {
                 "joint": cause.joint,
                 "effect": cause.effect,
-                "parameters": [_parameter(p) for p in cause.parameters],
+                "parameters": [parameter_entry(p) for p in cause.parameters],
                 "gain": cause.gain,
                 "share": cause.share,
                 "shifts": [asdict(shift) for shift in cause.shifts],
@@ -622,7 +622,8 @@ def _correlations(model: ArmModel) -> list[list[float]]:
     return correlations
 
 
-def _parameter(parameter: Parameter) -> dict[str, Any]:
+def parameter_entry(parameter: Parameter) -> dict[str, Any]:
+    """One entry of the list `parameters`."""
     return {
         "name": parameter.name,
         "joint": parameter.joint,

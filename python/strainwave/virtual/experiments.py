@@ -98,7 +98,8 @@ def simulate_study(
         experiments.append(replace(experiment, file=file, start=None, stop=None, add={}))
     for experiment, columns in zip(experiments, logs_columns, strict=True):
         logs.write_log(folder / experiment.file, columns)
-    copy = replace(study, path=folder / "study.toml", experiments=tuple(experiments), channels={})
+    copy = studies.copy_to(study, folder)
+    copy = replace(copy, experiments=tuple(experiments), channels={})
     studies.write_study(copy, copy.path)
     return len(experiments)
 

@@ -22,7 +22,7 @@ from strainwave.io.study.flags import Flag, parse_flag
 from strainwave.io.study.reader import Reader
 from strainwave.io.toml_files import parse_toml
 
-__all__ = ["check_study", "document_of", "read_study", "with_options", "write_study"]
+__all__ = ["check_study", "copy_to", "document_of", "read_study", "with_options", "write_study"]
 
 _TODO = re.compile(r'\s*(\w+)\s*=\s*(?:"?TODO\b|\[\s*TODO\b|\{[^#]*=\s*"?TODO\b)')
 
@@ -131,6 +131,21 @@ def write_study(study: Study, path: Path) -> None:
     import tomli_w
 
     write_whole(path.parent, {path.name: tomli_w.dumps(document_of(study)).encode()})
+
+
+def copy_to(study: Study, folder: Path) -> Study:
+    """The study with its file in another folder, to which the URDF of its arm is copied.
+
+    Raises InvalidInput if the URDF cannot be read or written.
+    """
+    copy = dataclasses.replace(study, path=folder / "study.toml")
+    urdf = study.arm.urdf
+    if urdf is None:
+        return copy
+    name = Path(urdf.file).name
+    write_whole(folder, {name: read_bytes(study.path.parent / urdf.file, "the URDF")})
+    arm = dataclasses.replace(study.arm, urdf=dataclasses.replace(urdf, file=name))
+    return dataclasses.replace(copy, arm=arm)
 
 
 def document_of(study: Study) -> dict[str, Any]:

@@ -124,7 +124,7 @@ def _rig_blocks(arm: ArmDescription) -> Iterator[Block]:
 
 def _base_parameter_blocks(result: Identification) -> Iterator[Block]:
     """The combinations of standard parameters that motion determines."""
-    parameters = base_parameter_list(result)
+    parameters = base_parameter_list(result.study.arm, result.parameters)
     if parameters:
         yield paragraph(
             "Motion determines these combinations of masses m, first moments mx, my, mz, inertias "

@@ -123,8 +123,12 @@ def _rigid_rows(arm: Arm, keys: Sequence[Key], values: Mapping[Key, float]) -> I
 def _parameters(
     arm: Arm, keys: Sequence[Key], values: Mapping[Key, float], covariance: FloatArray
 ) -> Iterator[Parameter]:
-    """Unknowns and reported combinations with their 95 % confidence intervals."""
-    rows: dict[Key, Row] = {key: {key: 1.0} for key in keys}
+    """Unknowns and reported combinations with their 95 % confidence intervals.
+
+    Parameters of links of which motion determines combinations only are omitted.
+    """
+    omitted = arm.base.links if arm.base.has_groups else ()
+    rows: dict[Key, Row] = {key: {key: 1.0} for key in keys if key not in omitted}
     rows |= {key: row for key, row in arm.reported.items() if key not in arm.lumped_inertias}
     for key, parts in rows.items():
         weights = combination(keys, parts)

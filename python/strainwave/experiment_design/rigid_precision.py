@@ -1,0 +1,91 @@
+"""Confidence intervals of the rigid parameters that a motion would give."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from strainwave.domain import FloatArray, Parameter
+from strainwave.domain.combinations import value_of
+from strainwave.domain.keys import Values
+from strainwave.domain.parameters import complete_values
+from strainwave.dynamics.arm import Arm
+from strainwave.experiment_design.plan import clock_of
+from strainwave.experiment_design.rigid_motion import Motion, Search, full_regressor
+
+LOW_PASS_RATIO = 5.0
+"""Bandwidth of the rigid step over the highest frequency of the motion."""
+
+TORQUE_ERROR = 0.01
+"""Error of a motor's torque over its rms value: friction and drives of a rig vary by this much."""
+
+
+def standard_deviations(
+    search: Search, motion: Motion, top_hz: float, torque_error: float = 0.0
+) -> FloatArray:
+    """Standard deviations of `Arm.rigid_columns` after one period of a motion.
+
+    The encoder's rounding has the variance q^2/12 at each tick. After the rigid step's low-pass B
+    it becomes an error of the acceleration with variance (2 pi)^4 B^5/5 S, S = 2 tick q^2/12.
+    Multiplied by the rigid inertia it is an error of the torque, independent 2 B times per second.
+    `torque_error` is a further error of each torque over its rms value. `motion` has one period of
+    `search`, `top_hz` is its highest frequency. Infinite for parameters that the motion does not
+    determine.
+    """
+    arm = search.arm
+    bandwidth = LOW_PASS_RATIO * top_hz
+    rounding = np.array([joint.encoder_resolution for joint in arm.joints])
+    density = 2.0 * clock_of(arm) * rounding**2 / 12.0
+    acceleration = np.sqrt((2.0 * np.pi) ** 4 * bandwidth**5 / 5.0 * density)
+    torque = arm.inverse_dynamics(search.vector, *motion)
+    further = torque_error * np.sqrt(np.mean(torque**2, axis=0))
+    error = np.hypot(_inertia_at_motor(search) * acceleration, further)
+    rows = full_regressor(arm, motion) / error[:, None]
+    n_independent = 2.0 * bandwidth * search.period
+    rows = rows.reshape(-1, rows.shape[2]) * np.sqrt(n_independent / len(motion[0]))
+    norms = np.linalg.norm(rows, axis=0)
+    scale = np.where(norms > 0.0, norms, 1.0)
+    _, singular, directions = np.linalg.svd(rows / scale, full_matrices=False)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.linalg.norm(directions / singular[:, None], axis=0) / scale)
+
+
+def predicted_rigid_parameters(arm: Arm, values: Values, std: FloatArray) -> Iterator[Parameter]:
+    """The guessed rigid parameters with their predicted intervals."""
+    known = complete_values(values, arm)
+    for column, each in zip(arm.rigid_columns, std.tolist(), strict=True):
+        parts = {key: weight for key, weight in column.parts.items() if key in known}
+        value = value_of(parts, known)
+        if np.isfinite(each):
+            yield Parameter.estimated(column.key, value, each, column.unit, "rigid")
+        else:
+            yield Parameter(*column.key, None, None, column.unit, "rigid")
+
+
+def reference_sizes(arm: Arm, values: Values) -> dict[int, float]:
+    """Sizes by which standard deviations are judged, by column; parameters of size zero have none.
+
+    They are the guessed magnitudes. Base parameters that combine parameters of links may be nearly
+    zero, so the largest of the same unit counts.
+    """
+    sizes = [abs(values.get(column.key, 0.0)) for column in arm.rigid_columns]
+    if arm.base.has_groups:
+        known = complete_values(values, arm)
+        columns = arm.base.columns
+        of_base = [abs(value_of(column.parts, known)) for column in columns]
+        for k, column in enumerate(columns):
+            alike = [
+                size for size, c in zip(of_base, columns, strict=True) if c.unit == column.unit
+            ]
+            sizes[k] = max(alike)
+    return {k: size for k, size in enumerate(sizes) if size > 0.0}
+
+
+def _inertia_at_motor(search: Search) -> FloatArray:
+    """Inertia at each motor with the arm stretched: (n_joints,)."""
+    n = search.arm.n_joints
+    rest, of_motors = np.zeros((n, n)), search.arm.links_of(np.eye(n))
+    accelerated = search.arm.inverse_dynamics(search.vector, rest, rest, of_motors)
+    static = search.arm.inverse_dynamics(search.vector, rest, rest, rest)
+    return np.diagonal(accelerated - static)
