@@ -72,6 +72,15 @@ def compiled(header: bytes, source: str, folder: Path) -> str:
 
 def test_a_program_with_the_header_has_the_numbers(arm: IdentifiedArm, tmp_path: Path) -> None:
     assert "gamma" in dict(name for name, _ in arm.values.items())  # a function of <math.h>
+    check_numbers(arm, tmp_path)
+
+
+def test_a_program_with_the_header_of_a_chain_has_the_numbers(tmp_path: Path) -> None:
+    check_numbers(exports.arm_of(*exports.chain(tmp_path, coupling=exports.COUPLING)), tmp_path)
+
+
+def check_numbers(arm: IdentifiedArm, tmp_path: Path) -> None:
+    """A compiled program prints every number of the header with all digits."""
     reported = [entry for entry in entries(arm) if entry.value is not None]
     prints = "".join(f'printf("%.17g\\n", {HEADER_PREFIX}{entry.name});' for entry in reported)
     source = f"int main(void) {{ {prints} return 0; }}\n"
