@@ -253,7 +253,7 @@ def test_invalid_chains_are_rejected() -> None:
     still = np.zeros((1, 1))
     for place, value, message in [
         (0, 0.0, "link_mass of joint 1 is 0, but must be positive"),
-        (4, 0.2, "link_inertia_xx of joint 1 is 0.2, but must be that of a body"),
+        (9, -0.03, "must be such that the inertia matrix is positive definite in every posture"),
     ]:
         values = [*body]
         values[place] = value

@@ -13,6 +13,7 @@ use super::{Arm, Name, Transmission};
 use crate::parameter::Parameter;
 use crate::scalar::{Real, Work, run_out_of_line};
 use placement::Placement;
+use std::f64::consts::TAU;
 use vector::{cross, dot, plus, scaled, splat, times};
 
 /// Largest number of joints of a chain, for which programs are compiled.
@@ -141,23 +142,29 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
         (0..self.count).flat_map(of).collect()
     }
 
-    /// The pseudo-inertia matrix of a body (Wensing, Kim and Slotine, IEEE RA-L 3(1), 2018) is
-    /// positive definite. If those of all links are, the inertia matrix is too.
-    fn check(&self, values: &[f64], _: &[Option<f64>; N]) -> Result<(), (usize, &'static str)> {
-        for (i, body) in values
-            .as_chunks::<LINK_PARAMETER_COUNT>()
-            .0
-            .iter()
-            .enumerate()
-            .take(self.count)
-        {
-            let first = i * LINK_PARAMETER_COUNT;
-            if body[0] <= 0.0 {
-                return Err((first, "positive"));
+    /// The links need not be bodies: motion determines combinations of their parameters, and one
+    /// set that has them stands for all others. The inertia matrix is positive definite in postures
+    /// all over the workspace.
+    fn check(
+        &self,
+        values: &[f64],
+        reflected: &[Option<f64>; N],
+    ) -> Result<(), (usize, &'static str)> {
+        let bodies = values.chunks(LINK_PARAMETER_COUNT).take(self.count);
+        if let Some(i) = bodies.into_iter().position(|body| body[0] <= 0.0) {
+            return Err((i * LINK_PARAMETER_COUNT, "positive"));
+        }
+        let base = self.base(values);
+        for k in 0..CHECKED_POSTURES {
+            let angle = |i: usize| TAU * (GOLDEN_RATIO * (k * (i + 1)) as f64).fract();
+            let at = self.posture(&std::array::from_fn(angle));
+            let mut inertia = self.inertia(&base, &at);
+            for i in 0..N {
+                inertia[i][i] += reflected[i].unwrap_or(0.0);
             }
-            if !is_body(body) {
-                let must = "that of a body: the link's pseudo-inertia matrix positive definite";
-                return Err((first + 4, must));
+            if let Some(i) = improper_joint(inertia, self.count) {
+                let must = "such that the inertia matrix is positive definite in every posture";
+                return Err((i * LINK_PARAMETER_COUNT + 4, must));
             }
         }
         Ok(())
@@ -329,31 +336,26 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
     }
 }
 
-/// Whether ten parameters belong to a body: [[S, h], [h', m]] has a Cholesky factor, where S =
-/// tr(I)/2 - I is the second moment of mass.
-fn is_body(&[mass, x, y, z, xx, xy, yy, xz, yz, zz]: &[f64; LINK_PARAMETER_COUNT]) -> bool {
-    let half = 0.5 * (xx + yy + zz);
-    let mut l = [
-        [half - xx, -xy, -xz, x],
-        [-xy, half - yy, -yz, y],
-        [-xz, -yz, half - zz, z],
-        [x, y, z, mass],
-    ];
-    for j in 0..4 {
-        for k in 0..j {
-            for i in j..4 {
-                l[i][j] -= l[i][k] * l[j][k];
+/// Postures in which the inertia matrix is checked; the first has all angles zero.
+const CHECKED_POSTURES: usize = 16;
+/// Its multiples modulo one are spread evenly.
+const GOLDEN_RATIO: f64 = 1.618_033_988_749_895;
+
+/// The joint, from 0, next to the end of the chain that can be accelerated without inertia while
+/// the joints before it are held.
+fn improper_joint<const N: usize>(mut inertia: [[f64; N]; N], joints: usize) -> Option<usize> {
+    for j in (0..joints).rev() {
+        let pivot = inertia[j][j];
+        if pivot.is_nan() || pivot <= 0.0 {
+            return Some(j);
+        }
+        for i in 0..j {
+            for k in 0..j {
+                inertia[i][k] -= inertia[i][j] * inertia[j][k] / pivot;
             }
         }
-        if l[j][j].is_nan() || l[j][j] <= 0.0 {
-            return false;
-        }
-        let root = l[j][j].sqrt();
-        for i in j..4 {
-            l[i][j] /= root;
-        }
     }
-    true
+    None
 }
 
 /// Recursions compiled as separate functions, because every stage of every step calls them:

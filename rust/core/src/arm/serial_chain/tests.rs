@@ -133,6 +133,7 @@ fn impossible_inertias_are_rejected() {
         arm.check(&values, &[None; 2]).map_err(|(index, _)| index)
     };
     assert_eq!(changed(10, 0.0), Err(10));
-    assert_eq!(changed(11, 3.0), Err(14)); // center of mass farther out than the inertia about the origin allows
-    assert_eq!(changed(4, 1.0), Err(4)); // larger than the sum of the other two
+    assert_eq!(changed(9, -10.0), Err(4));
+    assert_eq!(changed(19, -10.0), Err(4)); // a body on a prismatic joint turns about the first
+    assert_eq!(changed(4, 1.0), Ok(())); // no body has it, but other links give the same torques
 }
