@@ -141,6 +141,7 @@ def known_family(study: Study, values: Values) -> Family:
         base=np.array([parameters.get(key, 0.0) for key in arm.base_names]),
         known_share=np.array([np.nan, motor[1] / total[1]]),
         known_deviation=np.array([np.nan, 0.02]),
+        viscous_std=np.zeros(2),
         base_per_motor=arm.base.links_per_motor,
     )
 
@@ -229,8 +230,18 @@ def chain_arm(n: int) -> tuple[LinearArm, Family, FloatArray]:
     known_share[in_sums] = np.nan
     base = arm.links_of_rigid() @ arm.base.rows @ np.concatenate([link, motor])
     deviation = np.full(n, 0.02)
-    per_motor = arm.base.links_per_motor
-    family = Family(arm, ratio, total, viscous, coulomb, base, known_share, deviation, per_motor)
+    family = Family(
+        arm,
+        ratio,
+        total,
+        viscous,
+        coulomb,
+        base,
+        known_share,
+        deviation,
+        viscous_std=np.zeros(n),
+        base_per_motor=arm.base.links_per_motor,
+    )
     return linear, family, link
 
 

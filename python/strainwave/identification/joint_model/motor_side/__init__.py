@@ -100,10 +100,10 @@ def _models(
 
 
 def _covariance(minimum: Minimum, family: Family, i: int) -> FloatArray:
-    """Covariance (6, 6) of one joint's physical parameters, without the errors of the rigid model.
+    """Covariance (6, 6) of one joint's physical parameters.
 
-    Only the sum of the viscous frictions is determined, so their split has a variance of its full
-    size.
+    Of the errors of the rigid model it has that of the total viscous friction. Only this sum is
+    determined, so its split has a variance of its full size.
     """
     columns = []
     for step in _DIFFERENCE_STEP * np.eye(len(minimum.point)):
@@ -118,4 +118,6 @@ def _covariance(minimum: Minimum, family: Family, i: int) -> FloatArray:
     split = np.zeros(len(NAMES))
     split[motor] = parts[VISCOUS[0]][i]
     split[link] = -split[motor] / family.ratio[i] ** 2
-    return np.asarray(covariance + np.outer(split, split))
+    total = np.abs(split)
+    total *= family.viscous_std[i] / (parts[VISCOUS[0]][i] + family.ratio[i] ** 2 * total[link])
+    return np.asarray(covariance + np.outer(split, split) + np.outer(total, total))

@@ -72,6 +72,7 @@ class Family:
     base: FloatArray  # (n_base,) base parameters, those of link inertias replaced
     known_share: FloatArray  # (n_joints,) motor's share of c_1 from the rigid model; NaN: unknown
     known_deviation: FloatArray  # (n_joints,) standard deviation of the log of that inertia
+    viscous_std: FloatArray  # (n_joints,) standard deviation of c_0; zero if it is a coordinate
     # (n_base, n_joints) change of `base` per motor inertia where motion determines combinations
     base_per_motor: FloatArray
 
@@ -176,7 +177,7 @@ def family_of(model: RigidModel | None, arm: Arm) -> Family:
     if model is None:
         base = np.zeros(len(arm.base_names))
         fixed = np.zeros((len(base), n))
-        return Family(arm, ratio, None, None, None, base, unknown, unknown, fixed)
+        return Family(arm, ratio, None, None, None, base, unknown, unknown, np.zeros(n), fixed)
     total = total_inertias(model, arm)
     share, share_std = unknown.copy(), unknown.copy()
     for parameter in model.parameters:
@@ -187,6 +188,7 @@ def family_of(model: RigidModel | None, arm: Arm) -> Family:
             relative_std = (parameter.std or 0.0) / parameter.value
             share_std[i] = max(relative_std, _MIN_RELATIVE_STD)
     numbers = range(1, n + 1)
+    stds = {parameter.key: parameter.std or 0.0 for parameter in model.parameters}
     viscous = [model.value("total_viscous_friction", i) or 0.0 for i in numbers]
     coulomb = [model.value("motor_coulomb_friction", i) or 0.0 for i in numbers]
     return Family(
@@ -198,6 +200,7 @@ def family_of(model: RigidModel | None, arm: Arm) -> Family:
         base_parameters(model, arm),
         share,
         share_std,
+        np.array([stds["total_viscous_friction", i] for i in numbers]),
         _base_per_motor(model, arm),
     )
 

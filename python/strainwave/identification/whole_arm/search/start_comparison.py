@@ -25,7 +25,8 @@ from strainwave.numerics.coordinate_search import Choice, CoordinateSearch
 MAX_SEARCHED_SETS = 4
 EVALUATIONS_PER_ROUND = 3  # of the search from each set
 MAX_ROUNDS = 11  # of these searches
-MAX_COST_RATIO = 3.0  # to the least cost; a set of larger cost is dropped
+# to the least cost; a set of larger cost is dropped. Standing motors add their noise to all costs
+MAX_COST_RATIO = 1.5
 LIMIT_SHARE = 1e-3  # of a range: distance within which a stiffness counts as at the limit
 _NO_START = "the arm cannot be simulated with any start values of the earlier stages"
 
