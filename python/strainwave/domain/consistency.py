@@ -36,6 +36,7 @@ RELATION_TEXTS: Mapping[str, str] = {
     "drift": "sensor clock drift [s/s]",
     "input-delay": "command delay [s]",
     "inertia": "inertia by the torque [kg m^2]",
+    "torque-fit": "unexplained torque / best geometry",
     "torque-ratio": "torque of joint 1 / this joint",
     "explained-share": "explained share",
 }

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from strainwave.domain.arm import ArmDescription, Matrix
 from strainwave.domain.clauses import Clause
 from strainwave.domain.kinds import change_arm_keys
 from strainwave.domain.study import Channel, Experiment, Study
@@ -15,10 +16,15 @@ from strainwave.domain.study import Channel, Experiment, Study
 class Correction:
     """One key of study.toml, or one property of the logs, and its corrected value."""
 
-    table: Literal["arm", "joint", "channels", "experiment", "log"]
-    entry: str  # number of the joint, name of the channel or experiment; "" of [arm]
+    table: Literal["arm", "joint", "channels", "experiment", "transmission", "log"]
+    entry: str  # number of the joint, name of the channel or experiment; "" of other tables
     key: str  # of a log: "delay_s", "clock", "high_pass_hz", "unusable"
-    value: float | str | None  # None: the key is removed
+    value: float | str | tuple[float, ...] | Matrix | None  # None: the key is removed
+
+    @property
+    def number(self) -> float:
+        """The value as a number; zero if it is none."""
+        return self.value if isinstance(self.value, float | int) else 0.0
 
 
 def apply_corrections(study: Study, corrections: Sequence[Correction]) -> Study:
@@ -28,8 +34,10 @@ def apply_corrections(study: Study, corrections: Sequence[Correction]) -> Study:
             arm = change_arm_keys(study.arm, **{correction.key: correction.value})
             study = replace(study, arm=arm)
         elif correction.table == "joint":
+            study = replace(study, arm=_with_joint(study.arm, correction))
+        elif correction.table == "transmission":
             changes = {correction.key: correction.value}
-            study = replace(study, arm=study.arm.with_joint(int(correction.entry), **changes))
+            study = replace(study, arm=replace(study.arm, **changes))  # type: ignore[arg-type]
         elif correction.table == "channels":
             before = study.channels.get(correction.entry) or Channel(correction.entry)
             after = replace(before, **{correction.key: correction.value})  # type: ignore[arg-type]
@@ -45,9 +53,19 @@ def apply_corrections(study: Study, corrections: Sequence[Correction]) -> Study:
     return study
 
 
+def _with_joint(arm: ArmDescription, correction: Correction) -> ArmDescription:
+    """The arm with another value of a key of one joint, or of a part of it: "origin.xyz"."""
+    number, value = int(correction.entry), correction.value
+    key, _, part = correction.key.partition(".")
+    if not part:
+        return arm.with_joint(number, **{key: value})
+    whole = getattr(arm.joints[number - 1], key)
+    return arm.with_joint(number, **{key: replace(whole, **{part: value})})
+
+
 def _correct_experiment(experiment: Experiment, correction: Correction) -> Experiment:
     if correction.key == "prbs.amplitude" and experiment.prbs is not None:
-        prbs = replace(experiment.prbs, amplitude=float(correction.value or 0.0))
+        prbs = replace(experiment.prbs, amplitude=correction.value)  # type: ignore[arg-type]
         return replace(experiment, prbs=prbs)
     return replace(experiment, **{correction.key: correction.value})  # type: ignore[arg-type]
 
@@ -63,15 +81,25 @@ def _step(after: Study, correction: Correction) -> Clause:
     if correction.table == "channels":
         return Clause("step/channel", line=channel_line(after, entry))
     if correction.table == "log":
-        change = float(value or 0.0)
+        change = correction.number
         side = "earlier" if change > 0.0 else "later"
         step = f"step/{key}"
         return Clause(step, channel=entry, delay=abs(change), side=side, spacing=1.0 + change)
     table = Clause(f"table/{correction.table}", entry=entry)
+    if after.arm.urdf is not None and key.partition(".")[0] in ("origin", "axis"):
+        table = Clause("table/urdf", entry=entry, file=after.arm.urdf.file)
     if value is None:
         return Clause("step/remove", key=key, table=table)
+    if isinstance(value, tuple):
+        return Clause("step/set-list", key=key, value=_list_text(value), table=table)
     step = "step/set" if isinstance(value, float) else "step/set-count"
     return Clause(step, key=key, value=value, table=table)
+
+
+def _list_text(value: tuple[float, ...] | Matrix) -> str:
+    """A vector or a matrix as a TOML value."""
+    entries = (f"{e:.5g}" if isinstance(e, float | int) else _list_text(e) for e in value)
+    return f"[{', '.join(entries)}]"
 
 
 def channel_line(study: Study, name: str) -> str:

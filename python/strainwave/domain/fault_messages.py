@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 _SCALE = "{channel} is {ratio:.4g} times the value that {basis} implies: "
+_BETTER = "the torques of all joints agree with one arm {ratio:.3g} times better"
 
 FAULTS: Mapping[str, str] = {
     # observations, by code or "code/variant"
@@ -33,6 +34,22 @@ FAULTS: Mapping[str, str] = {
     " {corrected:.4g} m{hint}",
     "wrong-geometry/length": "{channel} reads {ratio:.4g} times the motion of axis {joint} that"
     " link_length = {stated:.4g} m implies",
+    "wrong-geometry/axis": _BETTER + " if the axis of joint {joint} is {corrected} in the joint's"
+    " frame; the study states {stated}",
+    "wrong-sign/axis": _BETTER
+    + " if joint {joint} turns in the opposite direction: its axis or its"
+    " gear_ratio has the wrong sign",
+    "wrong-geometry/gravity": _BETTER + " if gravity is {corrected} m/s^2 in the frame of the base;"
+    " the study states {stated}",
+    "wrong-geometry/zero": _BETTER + " if the zero of joint {joint} is moved by {angle:.3g} rad:"
+    " the encoder's zero is not that of the arm's description",
+    "wrong-geometry/frame": _BETTER + " if the frame of joint {joint} is moved by {length:.3g} m"
+    " and turned by {angle:.3g} rad: its origin is wrong",
+    "wrong-geometry/robot": _BETTER + " if the frames of the joints are moved by up to"
+    " {length:.3g} m and turned by up to {angle:.3g} rad: the origins describe another arm",
+    "wrong-geometry/coupling": _BETTER + " if the coupling of the motors is {corrected}",
+    "wrong-gear-ratio/torques": _BETTER + " if the link of joint {joint} turns {corrected:.4g}"
+    " times per motor turn; the study states gear_ratio = {stated:.4g}",
     "swapped-channels": "{pairs!a}: the channels of joints {joints!a} are exchanged",
     "swapped-channels/one-kind": "{first} follows joint {other}, and {second} follows joint"
     " {joint}: the two channels are exchanged",
@@ -83,6 +100,8 @@ FAULTS: Mapping[str, str] = {
     "contradiction/input-delay": "{place} is {value:.4g} s later than the torque that moves the"
     " motor",
     "contradiction/drift": "the delay of {place} grows by {value:.4g} s per second",
+    "contradiction/torque-fit": "{place}: the unexplained variance of the torques is {value:.3g}"
+    " times that with another geometry",
     "contradiction/inertia": "joint {joint} accelerates against its torque: {place} or"
     " theta_m{joint} has the wrong sign",
     "contradiction/excited-joint": "the test signal of {place} is not in the command of joint"
@@ -111,6 +130,11 @@ FAULTS: Mapping[str, str] = {
     "remedy/sensor-clock": "{steps!s}, or record all channels with one clock",
     "remedy/distance": "{steps!s} (from the axis of joint {joint}), or, if the scale of the sensor"
     " is wrong, {other!s}",
+    "remedy/axis": "{steps!s}, or change the sign of gear_ratio of [[joint]] {joint}",
+    "remedy/frame": "compare the origins in the description of the arm with drawings of the robot; "
+    "{steps!s}",
+    "remedy/robot": "use the description of this robot: compare the lengths between its axes with"
+    " drawings, and its zero posture with that of the encoders",
     "remedy/gear": "{steps!s}; motor and link then turn in the same direction",
     "remedy/clipped": "reduce the amplitude, or use a sensor with a larger range; until then,"
     " remove the channel from the study",
@@ -124,6 +148,7 @@ FAULTS: Mapping[str, str] = {
     "step/channel": "set {line}",
     "step/set": "set {key} = {value:.7g} in {table}",
     "step/set-count": "set {key} = {value} in {table}",
+    "step/set-list": "set {key} = {value} in {table}",
     "step/remove": "remove {key} from {table}",
     "step/delay_s": "shift {channel} by {delay!m:.3g} ms to {side} times in every log",
     "step/clock": "resample {channel} at {spacing:.7g} times its spacing in every log",
@@ -132,6 +157,8 @@ FAULTS: Mapping[str, str] = {
     "step/unusable": "remove or rename the column of {channel} in the logs to exclude it",
     "table/arm": "[arm]",
     "table/joint": "[[joint]] {entry}",
+    "table/transmission": "[transmission]",
+    "table/urdf": "joint {entry} of {file}",
     "table/experiment": "[[experiment]] {entry}",
     # experiments that separate the causes, by code
     "isolate/swapped-channels": "({number}) swapped channels: move one joint at a time, and note"

@@ -17,7 +17,9 @@ from typing import Self
 import numpy as np
 
 from strainwave.domain import FloatArray, Joint
-from strainwave.domain.link_sensors.rotations import axes_about
+from strainwave.domain.link_sensors import sensor_of
+from strainwave.domain.link_sensors.imu import ImuGyros
+from strainwave.domain.link_sensors.rotations import attitude, axes_about
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate
 
@@ -71,6 +73,28 @@ def accelerometer_parts(arm: Arm, motion: JointMotion, i: int) -> AccelerometerP
     if arm.gravity_size:
         gravity = JointMotion.at_rest(motion.angle).links(arm)[:, i, 6:] @ _direction(joint)
     return AccelerometerParts(_rotation(joint, link), force - gravity, gravity)
+
+
+def imu_parts(arm: Arm, motion: JointMotion, kind: str, i: int) -> dict[str, FloatArray] | None:
+    """Parts of the reading of one axis of the IMU on link i, from 0: of motion and of gravity.
+
+    A gyro reads w . e, an accelerometer (f + dw x r + w x (w x r)) . e, where r is the place and e
+    the axis of the sensor. None if the study does not give them.
+    """
+    case, sensor = arm.joints[i].imu, sensor_of(arm.joints[i], kind)
+    if case is None or case.rpy is None or sensor is None:
+        return None
+    axis = attitude(case.rpy)[:, sensor.channel_kinds.index(kind)]
+    link = motion.links(arm)[:, i]
+    rate, turning, force = link[:, :3], link[:, 3:6], link[:, 6:]
+    if isinstance(sensor, ImuGyros):
+        return {"own-joint": rate @ axis}
+    if case.xyz is None:
+        return None
+    place = np.array(case.xyz)
+    rotation = np.cross(turning, place) + np.cross(rate, np.cross(rate, place))
+    gravity = JointMotion.at_rest(motion.angle).links(arm)[:, i, 6:] @ axis
+    return {"own-joint": (force + rotation) @ axis - gravity, "gravity": gravity}
 
 
 def read_accelerometer(arm: Arm, motion: JointMotion, i: int) -> FloatArray:

@@ -157,10 +157,10 @@ def apply_remedy(given: Input, corrections: Sequence[Correction]) -> Input:
             if each.table != "log" or each.entry not in columns:
                 continue
             if each.key == "delay_s":
-                at = log.time + float(each.value or 0.0)
+                at = log.time + each.number
                 columns[each.entry] = np.interp(at, log.time, columns[each.entry])
             elif each.key == "clock":
-                at = log.time + float(each.value or 0.0) * (log.time - log.time[0])
+                at = log.time + each.number * (log.time - log.time[0])
                 columns[each.entry] = np.interp(at, log.time, columns[each.entry])
             else:
                 del columns[each.entry]

@@ -51,4 +51,5 @@ def arm_keys(arm: ArmDescription) -> tuple[str, ...]:
 def change_arm_keys(arm: ArmDescription, **values: Any) -> ArmDescription:
     """The arm with other values of keys of its `[arm]` table, such as `gravity`."""
     kind = kind_of(arm)
-    return kind.construct(replace(kind.table_of(arm), **values), arm.joints, arm.servo)
+    changed = kind.construct(replace(kind.table_of(arm), **values), arm.joints, arm.servo)
+    return replace(changed, coupling=arm.coupling, urdf=arm.urdf)

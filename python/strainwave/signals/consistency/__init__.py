@@ -7,7 +7,10 @@ the check reports that cause.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from strainwave.domain import Consistency, Log, Study, Suspicion
 from strainwave.dynamics.arm import Arm
@@ -15,6 +18,7 @@ from strainwave.numerics.parallel import one_blas_thread
 from strainwave.signals.consistency.causes import Cause, propose_causes
 from strainwave.signals.consistency.clipping import measure_clipping
 from strainwave.signals.consistency.evidence import Evidence, collect_evidence
+from strainwave.signals.consistency.geometry import search_geometry
 from strainwave.signals.consistency.observations import (
     Observation,
     compute_observations,
@@ -55,7 +59,8 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
         suspicions = [suspicion for each in clippings for suspicion in each.suspicions]
         clipped_channels = [p.channel for each in suspicions for p in each.places if p.channel]
         unclipped = collect_evidence(logs, study).without(clipped_channels)
-        observations = compute_observations(unclipped)
+        unclipped = replace(unclipped, geometries=search_geometry(unclipped))
+        observations = tuple(compute_observations(unclipped))
         suspicions.extend(_explain_contradictions(unclipped, observations))
     relations = (*(each.relation for each in clippings), *relations_of(observations))
     return Consistency(tuple(suspicions), relations)
@@ -78,7 +83,7 @@ def _explain_contradictions(
         if not ranked[0].has_estimated_factor:
             structured.append(chosen[-1])
         evidence = evidence.corrected(ranked[0].corrections)
-        observations = compute_observations(evidence)
+        observations = tuple(compute_observations(evidence))
     remaining = [o for o in observations if o.contradicts and is_reported(o)]
     if not remaining:
         return chosen
@@ -94,21 +99,36 @@ def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:
     An observation counts as a contradiction if the correction removes it and it contradicted
     before or its kind is in `_REQUIRED_KINDS`.
     """
-    before = _contradiction_weight(now, now)
+    before = _contradiction_weight(now, now, np.inf)
+    likely = before - _MIN_EXPLAINED_WEIGHT
     weights: list[tuple[float, Cause]] = []
     for cause in propose_causes(evidence, [o for o in now if o.contradicts]):
         after = _contradiction_weight(
-            compute_observations(evidence.corrected(cause.corrections)), now
+            compute_observations(evidence.corrected(cause.corrections)), now, likely
         )
-        if after < before - _MIN_EXPLAINED_WEIGHT:
+        if after < likely:
             weights.append((after + _ESTIMATED_FACTOR_PENALTY * cause.has_estimated_factor, cause))
         if after == 0.0:
             break
     return [cause for _, cause in sorted(weights, key=lambda each: each[0])]
 
 
-def _contradiction_weight(now: Sequence[Observation], before: Sequence[Observation]) -> float:
-    """Total weight of the contradictions in `now`, plus 1 per missing observation of `before`."""
-    missing = {(o.kind, o.place) for o in before if o.contradicts or o.kind in _REQUIRED_KINDS}
-    missing -= {(o.kind, o.place) for o in now}
-    return sum(o.weight for o in now if o.contradicts) + len(missing)
+def _contradiction_weight(
+    now: Iterable[Observation], before: Sequence[Observation], limit: float
+) -> float:
+    """Total weight of the contradictions in `now`, plus 1 per missing observation of `before`.
+
+    The sum ends at `limit`. If the torques are compared with one arm, the sign of the inertia of a
+    joint may be missing.
+    """
+    required = set(_REQUIRED_KINDS)
+    if any(o.kind == "torque-fit" for o in before):
+        required.discard("inertia")
+    missing = {(o.kind, o.place) for o in before if o.contradicts or o.kind in required}
+    weight = 0.0
+    for each in now:
+        missing.discard((each.kind, each.place))
+        weight += each.weight * each.contradicts
+        if weight >= limit:
+            return weight
+    return weight + len(missing)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
@@ -59,6 +60,20 @@ class SlowRecord:
     shifted: Mapping[str, float] = field(default_factory=dict)  # channel -> delay removed [s]
 
 
+ChangeKind = Literal["axis", "gravity", "ratio", "zero", "frame", "coupling", "robot"]
+"""What an alternative geometry changes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """A change of the geometry, and the cost of the torque fit with it."""
+
+    kind: ChangeKind
+    joint: int | None  # from 1
+    corrections: tuple[Correction, ...]
+    cost: float
+
+
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """A study and the low-frequency content of its logs, under one hypothesis about the input."""
@@ -67,6 +82,8 @@ class Evidence:
     records: tuple[SlowRecord, ...]
     counts: Mapping[int, float]  # joint -> encoder count of its motor angle, if quantised
     high_passes: Mapping[str, float] = field(default_factory=dict)  # channel -> cutoff [Hz]
+    # other geometries, the best first, and the stated one last; empty if no torques are compared
+    geometries: tuple[Alternative, ...] = ()
 
     @property
     def arm(self) -> Arm:
@@ -122,7 +139,7 @@ class Evidence:
 
     def _with_log(self, correction: Correction) -> Evidence:
         """Evidence after one channel is shifted in time, removed, or assigned a high-pass."""
-        name, value = correction.entry, float(correction.value or 0.0)
+        name, value = correction.entry, correction.number
         if correction.key == "high_pass_hz":
             return replace(self, high_passes={**self.high_passes, name: value})
         if correction.key == "unusable":

@@ -7,12 +7,12 @@ gear stiffness.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import FloatArray
+from strainwave.domain import BoolArray, FloatArray
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate
@@ -124,11 +124,13 @@ def regress_torques(evidence: Evidence) -> list[TorqueRegression]:
     each of them. Joints without a torque or voltage channel are omitted.
     """
     slow = [r for r in evidence.records if is_slow(r.experiment)]
+    used = slow or evidence.records
+    equations = {r.experiment.name: _Equations.of(r, evidence.arm) for r in used}
     estimates = []
     for i in range(evidence.arm.n_joints):
-        records = slow or [r for r in evidence.records if r.experiment.joint in (None, i + 1)]
+        records = [r for r in used if slow or r.experiment.joint in (None, i + 1)]
         records = [r for r in records if {f"u{i + 1}", f"torque{i + 1}"} & set(r.channels)]
-        estimate = _regress_torque(records, evidence.arm, i)
+        estimate = _regress_torque(records, equations, evidence.arm, i)
         if estimate is not None:
             estimates.append(estimate)
     return estimates
@@ -160,18 +162,20 @@ def _regress_ratio(
         yield Ratio(channel, record.experiment.name, float(fit.value[0]), std, fit.explained)
 
 
-def _regress_torque(records: list[SlowRecord], arm: Arm, i: int) -> TorqueRegression | None:
+def _regress_torque(
+    records: list[SlowRecord], equations: Mapping[str, _Equations], arm: Arm, i: int
+) -> TorqueRegression | None:
     """Regress the torque of joint i (from 0) over all records, with one constant per record."""
     targets, blocks, inertias = [], [], []
     for record in records:
-        equation = _Equation.of(record, arm, i)
-        # Near a velocity reversal, the Coulomb friction is undetermined between its two values.
-        rows = record.inside & (np.abs(record.direction[:, i]) > _MIN_MEAN_DIRECTION)
-        rows = rows if rows.sum() > _MIN_SLIDING_ROWS else record.inside
-        torque, block = compute_motor_torque(record, arm, i)[rows], equation.columns[rows]
+        equation = equations[record.experiment.name]
+        rows = sliding_rows(record, i)
+        rate = differentiate(record.channels[f"theta_m{i + 1}"], record.sample_time)
+        parts = equation.regressor[:, i], rate, record.direction[:, i]
+        torque, block = compute_motor_torque(record, arm, i)[rows], np.column_stack(parts)[rows]
         targets.append(torque - torque.mean())
         blocks.append(block - block.mean(axis=0))
-        inertias.append(equation.inertia[rows])
+        inertias.append(equation.inertia[rows, i])
     if not targets:
         return None
     columns = np.concatenate(blocks)
@@ -194,6 +198,15 @@ def _regress_torque(records: list[SlowRecord], arm: Arm, i: int) -> TorqueRegres
     )
 
 
+def sliding_rows(record: SlowRecord, i: int) -> BoolArray:
+    """Rows in which joint i (from 0) slides, (n_rows,); all inner rows if these are too few.
+
+    Near a velocity reversal, the Coulomb friction is undetermined between its two values.
+    """
+    rows = record.inside & (np.abs(record.direction[:, i]) > _MIN_MEAN_DIRECTION)
+    return rows if rows.sum() > _MIN_SLIDING_ROWS else record.inside
+
+
 def compute_motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
     """Motor torque of joint i (from 0), (n_rows,) [N m].
 
@@ -207,22 +220,21 @@ def compute_motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class _Equation:
-    """Rigid-joint equation of one joint in one record, motor side."""
+class _Equations:
+    """Rigid-joint equations of all joints in one record, motor side, per base parameter."""
 
-    columns: FloatArray  # (n_rows, n_body + 2) per base parameter and friction coefficient
-    inertia: FloatArray  # (n_rows, n_body) the joint's own inertia per base parameter
+    regressor: FloatArray  # (n_rows, n_joints, n_body)
+    inertia: FloatArray  # (n_rows, n_joints, n_body) of the motor's own acceleration
 
     @classmethod
-    def of(cls, record: SlowRecord, arm: Arm, i: int) -> _Equation:
-        motion, motor = motion_of(record, arm), record.channels[f"theta_m{i + 1}"]
+    def of(cls, record: SlowRecord, arm: Arm) -> _Equations:
+        motion = motion_of(record, arm)
         q, dq, ddq = motion.angle, motion.velocity, motion.acceleration
-        friction = differentiate(motor, record.sample_time), record.direction[:, i]
-        columns = np.column_stack([arm.rigid_regressor(q, dq, ddq)[:, i], *friction])
         rest = np.zeros_like(q)
-        unit = rest + arm.links_of(np.eye(arm.n_joints)[i])
-        inertia = arm.rigid_regressor(q, rest, unit) - arm.rigid_regressor(q, rest, rest)
-        return cls(columns, inertia[:, i])
+        at_rest = arm.rigid_regressor(q, rest, rest)
+        units = (rest + arm.links_of(unit) for unit in np.eye(arm.n_joints))
+        inertia = [arm.rigid_regressor(q, rest, unit)[:, i] for i, unit in enumerate(units)]
+        return cls(arm.rigid_regressor(q, dq, ddq), np.stack(inertia, axis=1) - at_rest)
 
 
 def estimate_torque_ratios(

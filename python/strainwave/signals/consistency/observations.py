@@ -20,7 +20,18 @@ from strainwave.signals.consistency.motors import (
     regress_torques,
 )
 from strainwave.signals.consistency.regression import pool_estimates
-from strainwave.signals.consistency.sensors import LINK_CHANNELS, Reading, regress_readings
+from strainwave.signals.consistency.sensors import (
+    IMU_ACCELEROMETERS,
+    LINK_CHANNELS,
+    Reading,
+    regress_readings,
+)
+from strainwave.signals.consistency.torque_fit import (
+    MIN_FIT_RATIO,
+    fit_ratio,
+    fit_torques,
+    torque_system,
+)
 
 Kind = Literal[
     "count",
@@ -44,8 +55,12 @@ Kind = Literal[
     "excited-joint",
     "limit",
     "tilt",
+    "torque-fit",
 ]
 
+# Minimum difference of the log likelihoods of two geometries; 36 coordinates of a six-axis arm
+# reduce that of a correct one by 18 +- 4.
+_MIN_COST_DIFFERENCE = 20.0
 # Minimum significance of a contradiction, in standard deviations.
 _MIN_SIGNIFICANCE = 5.0
 # The same for the torque ratio, whose standard deviation includes friction errors.
@@ -75,6 +90,7 @@ _TOLERANCE: dict[Kind, float] = {
     "limit": 1.0,  # a factor of two, because the stated limit can exclude an added PRBS
     "tilt": 0.3,  # of g; tables and brackets are level to 17 degrees
     "excited-joint": 0.0,
+    "torque-fit": MIN_FIT_RATIO - 1.0,
     "torque-ratio": 0.5,  # the rigid fit detects smaller errors with higher accuracy
 }
 """Tolerated relative difference from 1, or absolute value of delays, `drift` and `tilt`."""
@@ -93,6 +109,11 @@ _MODEL_ERROR: dict[Kind, float] = {
     "drift": 0.0,  # follows from the floor of the delay and the length of the record
 }
 """Model error of an observation in one record: springs, friction and servo lag, without noise."""
+
+_PARTS: tuple[Kind, ...] = ("scale", "own-joint", "gravity")
+_IMU_TOLERANCE = 0.25
+"""Tolerance of a scale of an IMU's accelerometers; some axes read only a small part of a motion,
+which the elasticity of the gears changes. Units and axes differ by more."""
 
 # Largest error of the own-joint scale that counts as correct; calibrations are accurate to 1 %.
 _MAX_SCALE_ERROR = 0.025
@@ -139,12 +160,22 @@ class Observation:
         )
 
     @property
+    def _is_of_imu(self) -> bool:
+        """Whether the observation is about an accelerometer of an IMU."""
+        kind = channel_parts(self.place.channel)[0] if self.place.channel else ""
+        return kind in IMU_ACCELEROMETERS
+
+    @property
     def contradicts(self) -> bool:
         """Whether the error exceeds the tolerance and is statistically significant."""
         if self.kind == "explained-share":
-            limit = _MIN_EXPLAINED_SHARE if self.is_of_link else _MIN_MOTOR_EXPLAINED_SHARE
+            limit = _MIN_MOTOR_EXPLAINED_SHARE
+            if self.is_of_link and not self._is_of_imu:
+                limit = _MIN_EXPLAINED_SHARE
             return self.value < limit
         tolerance = self.tolerance or _TOLERANCE[self.kind]
+        if self._is_of_imu and self.kind in _PARTS:
+            tolerance = _IMU_TOLERANCE
         if self.kind in _ABSOLUTE_KINDS:
             return abs(self.value) > max(tolerance, _MIN_SIGNIFICANCE * self.std)
         if self.value < 0.0:
@@ -182,19 +213,18 @@ def _relation(each: Observation) -> Relation:
     return Relation(each.kind, each.place, each.value, each.std, expected, is_consistent)
 
 
-def compute_observations(evidence: Evidence) -> tuple[Observation, ...]:
-    """Compute all observations of the input check."""
-    return (
-        *_observe_counts(evidence),
-        *_observe_clocks(evidence),
-        *_observe_test_signals(evidence),
-        *_observe_input_delays(evidence),
-        *_observe_ratios("reference", compute_reference_ratios(evidence)),
-        *_observe_ratios("servo", compute_servo_output_ratios(evidence)),
-        *_observe_ratios("velocity", compute_velocity_ratios(evidence)),
-        *_observe_sensors(evidence),
-        *_observe_torques(evidence),
-    )
+def compute_observations(evidence: Evidence) -> Iterator[Observation]:
+    """Compute the observations of the input check, those of little effort first."""
+    yield from _observe_counts(evidence)
+    yield from _observe_clocks(evidence)
+    yield from _observe_test_signals(evidence)
+    yield from _observe_input_delays(evidence)
+    yield from _observe_torque_fit(evidence)
+    yield from _observe_ratios("reference", compute_reference_ratios(evidence))
+    yield from _observe_ratios("servo", compute_servo_output_ratios(evidence))
+    yield from _observe_ratios("velocity", compute_velocity_ratios(evidence))
+    yield from _observe_sensors(evidence)
+    yield from _observe_torques(evidence)
 
 
 def _observe_counts(evidence: Evidence) -> Iterator[Observation]:
@@ -255,6 +285,17 @@ def _observe_input_delays(evidence: Evidence) -> Iterator[Observation]:
         remaining = delay.value - corrected
         place = Place(channel=name)
         yield Observation("input-delay", place, remaining, delay.std, tolerance)
+
+
+def _observe_torque_fit(evidence: Evidence) -> Iterator[Observation]:
+    """Unexplained variance of all torques over that with the best geometry."""
+    system = torque_system(evidence) if evidence.geometries else None
+    if system is not None:
+        fit = fit_torques(system)
+        ratio = fit_ratio(fit.cost, evidence.geometries[0].cost, fit.n_all)
+        least = fit_ratio(_MIN_COST_DIFFERENCE, 0.0, fit.n_all) - 1.0
+        place = Place(part="arm")
+        yield Observation("torque-fit", place, max(ratio, 1.0), least / _MIN_SIGNIFICANCE)
 
 
 def _observe_ratios(kind: Kind, ratios: Iterable[Ratio]) -> Iterator[Observation]:

@@ -9,8 +9,8 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 
-# Rows per independent row: 20 rows per period of the bandwidth frequency, 2 of them independent.
-_ROWS_PER_INDEPENDENT_ROW = 10.0
+ROWS_PER_INDEPENDENT_ROW = 10.0
+"""Of 20 rows per period of the bandwidth frequency, 2 are independent."""
 # Maximum lag of the residual autocorrelation in rows: ten periods of the bandwidth frequency.
 _MAX_LAG_ROWS = 200
 
@@ -58,7 +58,7 @@ def regress(target: FloatArray, columns: FloatArray, prior: FloatArray | None = 
         residual_std = float(np.sqrt(residual @ residual / max(1, len(y) - X.shape[1])))
         residual_std = max(residual_std, 1e-9 * float(np.sqrt(total / len(y))))
     inverse = np.linalg.inv(R)
-    root = inverse * residual_std * np.sqrt(_ROWS_PER_INDEPENDENT_ROW)
+    root = inverse * residual_std * np.sqrt(ROWS_PER_INDEPENDENT_ROW)
     factor = np.maximum(
         1.0, _long_run_std(X @ (inverse @ inverse.T), residual) / np.linalg.norm(root, axis=1)
     )

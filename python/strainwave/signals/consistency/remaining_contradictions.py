@@ -30,6 +30,7 @@ _CODES: dict[Kind, str] = {
     "drift": "clock-drift",
     "inertia": "wrong-sign",
     "excited-joint": "swapped-channels",
+    "torque-fit": "wrong-geometry",
 }
 # Minimum explained share of a link sensor's variance; short records of fault-free arms reach 0.8.
 _MIN_EXPLAINED_SHARE = 0.5

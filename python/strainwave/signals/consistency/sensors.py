@@ -22,12 +22,19 @@ from strainwave.signals.link_readings import (
     JointMotion,
     accelerometer_parts,
     angle_derivatives,
+    imu_parts,
     read_gravity,
     read_gyro,
     read_rotation,
 )
 
-LINK_CHANNELS = ("a", "gyro", "theta_l")
+IMU_ACCELEROMETERS = ("ax", "ay", "az")
+"""Kinds of channels of the accelerometers of an IMU."""
+
+IMU_CHANNELS = (*IMU_ACCELEROMETERS, "gx", "gy", "gz")
+"""Kinds of channels of an IMU."""
+
+LINK_CHANNELS = ("a", "gyro", "theta_l", *IMU_CHANNELS)
 """Kinds of channels that the motor angles predict."""
 
 STANDARD_GRAVITY = 9.80665  # [m/s^2]
@@ -47,6 +54,8 @@ _MAX_HIGH_PASS_UNEXPLAINED_RATIO = 0.2
 _MIN_TIME_CONSTANT_ROWS = 1e-3
 # Minimum significance of the denominator of a rotation ratio, in standard deviations.
 _MIN_ROTATION_SIGNIFICANCE = 5.0
+# Range of a part of an IMU's reading below which the part is zero, up to rounding.
+_MIN_PART = 1e-9
 # Prior standard deviation of an unknown tilt or encoder zero [rad].
 _TILT_PRIOR_STD = 0.1
 # Gear resonance over record bandwidth that sets the prior of the spring coefficient.
@@ -179,6 +188,9 @@ def _predicted_parts(
     """
     if kind == "theta_l":
         return {"own-joint": motion.angle[:, i]}
+    if kind in IMU_CHANNELS:
+        parts = imu_parts(arm, motion, kind, i) or {}
+        return {key: part for key, part in parts.items() if np.ptp(part) > _MIN_PART} or None
     if kind == "gyro":
         return {"own-joint": read_gyro(arm, motion, i)}
     joint, reading = arm.joints[i], accelerometer_parts(arm, motion, i)
@@ -362,7 +374,7 @@ def _rotations(arm: Arm, motion: JointMotion, kind: str, i: int) -> list[FloatAr
 
     Empty if the reading does not contain both.
     """
-    if kind == "theta_l" or arm.joints[i].motion == "prismatic":
+    if kind not in ("a", "gyro") or arm.joints[i].motion == "prismatic":
         return []
     read = read_gyro if kind == "gyro" else read_rotation
     before = read(arm, motion.without(i), i)

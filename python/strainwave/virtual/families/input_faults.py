@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import FloatArray, Log, Study, channel_parts
+from strainwave.domain.arm import Origin
 
 Logs = tuple[Log, ...]
-
 
 _SHIFTED = ("a", "ax", "ay", "az", "gyro")  # kinds of the channels that a fault shifts
 
@@ -25,6 +25,9 @@ class Fault:
     codes: tuple[str, ...]  # warning codes that name it; empty: harmless or corrected
     logs: Logs
     study: Study
+
+
+FaultInjector = Callable[[Logs, Study, int, np.random.Generator], Fault]
 
 
 def _change_channels(logs: Logs, change: Callable[[Log, dict[str, FloatArray]], None]) -> Logs:
@@ -47,6 +50,15 @@ def _scale_time(logs: Logs, factor: float) -> Logs:
     return tuple(
         replace(log, time=factor * log.time, sample_time=factor * log.sample_time) for log in logs
     )
+
+
+def _of_study(kind: str, code: str, change: Callable[[Study, int], Study]) -> FaultInjector:
+    """Injector that changes the study."""
+
+    def inject(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
+        return Fault(kind, f"joint {joint}", (code,), logs, change(study, joint))
+
+    return inject
 
 
 def _time_unit(logs: Logs, study: Study, _: int, rng: np.random.Generator) -> Fault:
@@ -143,9 +155,6 @@ def _clipped(logs: Logs, study: Study, joint: int, rng: np.random.Generator) -> 
     )
 
 
-FaultInjector = Callable[[Logs, Study, int, np.random.Generator], Fault]
-
-
 def _scaled(kind: str, size: str, code: str, channel: str, factor: float) -> FaultInjector:
     """Injector that multiplies a channel of the joint by a factor."""
 
@@ -173,3 +182,108 @@ INPUT_FAULTS: Mapping[str, FaultInjector] = {
     "clipped-sensor": _clipped,
 }
 """Injectors of faults by kind; their arguments are logs, study, joint from 1, and generator."""
+
+
+def _input_of(logs: Logs, joint: int) -> str:
+    """Channel of the torque of a joint, or of its voltage."""
+    name = f"torque{joint}"
+    return name if name in logs[0].channels else f"u{joint}"
+
+
+def _input_scaled(kind: str, code: str, factor: float) -> FaultInjector:
+    """Injector that multiplies the torque or voltage of the joint."""
+
+    def inject(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
+        name = _input_of(logs, joint)
+        return Fault(kind, name, (code,), _scale_channel(logs, name, factor), study)
+
+    return inject
+
+
+def _imu_sign(logs: Logs, study: Study, joint: int, rng: np.random.Generator) -> Fault:
+    kinds = [k for k in ("gz", "gy", "ax", "ay") if f"{k}{joint}" in logs[0].channels]
+    name = f"{rng.choice(kinds)}{joint}" if kinds else "gz1"
+    changed = _scale_channel(logs, name, -1.0) if kinds else logs
+    return Fault("imu-sign", name, ("wrong-sign",), changed, study)
+
+
+def _exchanged(logs: Logs, study: Study, joint: int, rng: np.random.Generator) -> Fault:
+    """All channels of a joint and of a neighbour exchanged, or those of one kind."""
+    other = joint + 1 if joint < study.arm.n_joints else joint - 1
+    names = {n for log in logs for n in log.channels if channel_parts(n)[1] in (joint, other)}
+    kinds = sorted({channel_parts(name)[0] for name in names})
+    chosen = kinds if rng.integers(2) else ["theta_m"]
+
+    def change(log: Log, channels: dict[str, FloatArray]) -> None:
+        for kind in chosen:
+            first, second = f"{kind}{joint}", f"{kind}{other}"
+            if first in channels and second in channels:
+                channels[first], channels[second] = channels[second], channels[first]
+
+    size = f"{joint} and {other}: {'all' if chosen == kinds else chosen[0]}"
+    return Fault("swapped", size, ("swapped-channels",), _change_channels(logs, change), study)
+
+
+def _axis_of(direction: tuple[float, float, float]) -> Callable[[Study, int], Study]:
+    return lambda study, joint: _with_joint(study, joint, axis=direction)
+
+
+def _reversed_axis(study: Study, joint: int) -> Study:
+    x, y, z = study.arm.joints[joint - 1].axis
+    return _with_joint(study, joint, axis=(-x, -y, -z))
+
+
+def _smaller_ratio(study: Study, joint: int) -> Study:
+    return _with_joint(study, joint, gear_ratio=0.8 * study.arm.joints[joint - 1].gear_ratio)
+
+
+def _wrong_gravity(study: Study, _: int) -> Study:
+    gravity = (0.0, -study.arm.gravity_size, 0.0)
+    return replace(study, arm=replace(study.arm, gravity=gravity))
+
+
+def _other_robot(logs: Logs, study: Study, _: int, rng: np.random.Generator) -> Fault:
+    def moved(origin: Origin) -> Origin:
+        xyz, rpy = (
+            tuple((np.array(x) + 0.1 * rng.normal(size=3)).tolist())
+            for x in (origin.xyz, origin.rpy)
+        )
+        return Origin(xyz, rpy)
+
+    joints = [replace(joint, origin=moved(joint.origin)) for joint in study.arm.joints]
+    changed = replace(study, arm=study.arm.with_joints(joints))
+    return Fault("other-robot", "0.1 m, 0.1 rad", ("wrong-geometry",), logs, changed)
+
+
+def _delayed(kind: str, channel: Callable[[Logs, int], str]) -> FaultInjector:
+    """Injector that delays one channel of the joint by 20 ms."""
+
+    def inject(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
+        name = channel(logs, joint)
+
+        def change(log: Log, channels: dict[str, FloatArray]) -> None:
+            if name in channels:
+                channels[name] = np.interp(log.time - 0.02, log.time, channels[name])
+
+        return Fault(kind, name, ("misaligned",), _change_channels(logs, change), study)
+
+    return inject
+
+
+SERIAL_FAULTS: Mapping[str, FaultInjector] = {
+    "angle-degrees": _scaled("angle-degrees", "deg", "wrong-unit", "theta_m", 180.0 / np.pi),
+    "torque-unit": _input_scaled("torque-unit", "wrong-unit", 1e3),
+    "motor-sign": _scaled("motor-sign", "-1", "wrong-sign", "theta_m", -1.0),
+    "torque-sign": _input_scaled("torque-sign", "wrong-sign", -1.0),
+    "imu-sign": _imu_sign,
+    "swapped": _exchanged,
+    "gear-ratio": _of_study("gear-ratio", "wrong-gear-ratio", _smaller_ratio),
+    "axis": _of_study("axis", "wrong-geometry", _axis_of((1.0, 0.0, 0.0))),
+    "axis-sign": _of_study("axis-sign", "wrong-sign", _reversed_axis),
+    "gravity": _of_study("gravity", "wrong-geometry", _wrong_gravity),
+    "other-robot": _other_robot,
+    "command-delay": _delayed("command-delay", _input_of),
+    "angle-delay": _delayed("angle-delay", lambda _, joint: f"theta_m{joint}"),
+    "imu-delay": _delayed("imu-delay", lambda _, joint: f"gz{joint}"),
+}
+"""Injectors of faults of serial arms by kind."""

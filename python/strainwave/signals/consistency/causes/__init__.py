@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from strainwave.signals.consistency.causes import channels, commands, constants
+from strainwave.signals.consistency.causes import channels, commands, constants, geometry
 from strainwave.signals.consistency.causes.case import Case, Cause
 from strainwave.signals.consistency.evidence import Evidence
 from strainwave.signals.consistency.observations import Observation
@@ -16,6 +16,7 @@ from strainwave.signals.consistency.observations import Observation
 __all__ = ["Cause", "propose_causes"]
 
 _OF_ARM = (
+    geometry.propose_geometries,
     commands.propose_time_bases,
     commands.propose_input_delays,
     commands.propose_excited_joints,

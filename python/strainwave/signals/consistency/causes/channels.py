@@ -37,9 +37,18 @@ _MIN_POWER_COUNTS = 8.0
 
 _ANGLES: Mapping[Unit, float] = {"degrees": _DEGREE, "turns": 2.0 * np.pi, "mrad": 1e-3}
 _RATES: Mapping[Unit, float] = {"deg/s": _DEGREE, "rpm": np.pi / 30.0, "turns/s": 2.0 * np.pi}
+_ACCELERATION_UNITS: Mapping[Unit, float] = {
+    "g": STANDARD_GRAVITY,
+    "mm/s^2": 1e-3,
+    "cm/s^2": 1e-2,
+    "mg": 1e-3 * STANDARD_GRAVITY,
+}
+_GYRO_UNITS: Mapping[Unit, float] = {"deg/s": _DEGREE, "mrad/s": 1e-3, "rpm": np.pi / 30.0}
 _UNITS: Mapping[str, Mapping[Unit, float]] = {
-    "a": {"g": STANDARD_GRAVITY, "mm/s^2": 1e-3, "cm/s^2": 1e-2, "mg": 1e-3 * STANDARD_GRAVITY},
-    "gyro": {"deg/s": _DEGREE, "mrad/s": 1e-3, "rpm": np.pi / 30.0},
+    "a": _ACCELERATION_UNITS,
+    "gyro": _GYRO_UNITS,
+    **dict.fromkeys(("ax", "ay", "az"), _ACCELERATION_UNITS),
+    **dict.fromkeys(("gx", "gy", "gz"), _GYRO_UNITS),
     "theta_l": _ANGLES,
     "omega_m": _RATES,
     "ref": _RATES,
@@ -48,9 +57,7 @@ _UNITS: Mapping[str, Mapping[Unit, float]] = {
 }
 """Non-SI units of each kind of channel and their scale to SI."""
 _BASIS = {  # kind of channel -> signals that determine its scale
-    "a": "motor-angle",
-    "gyro": "motor-angle",
-    "theta_l": "motor-angle",
+    **dict.fromkeys(LINK_CHANNELS, "motor-angle"),
     "omega_m": "motor-angle",
     "ref": "motor-angle",
     "u": "servo",

@@ -1,0 +1,126 @@
+"""Causes in the geometry of a chain: axes, frames, zeros, gravity, ratios, coupling."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from strainwave.domain import Clause, Correction, Place
+from strainwave.signals.consistency.causes.case import Case, Cause
+from strainwave.signals.consistency.evidence import Alternative, ChangeKind
+from strainwave.signals.consistency.torque_fit import MIN_FIT_RATIO, fit_ratio, torque_system
+
+# Log ratio within which an estimated reduction is the nearest whole number.
+_REDUCTION_TOLERANCE = 0.01
+
+
+def propose_geometries(case: Case) -> Iterator[Cause]:
+    """Other geometries with which the torques agree about as well as with the best one."""
+    geometries = case.evidence.geometries
+    if not case.contradicts("torque-fit") or len(geometries) < 2:
+        return
+    system = torque_system(case.evidence)
+    n_rows = sum(system.n_rows.values()) if system is not None else 1.0
+    best, stated = geometries[0].cost, geometries[-1].cost
+    good = [a for a in geometries[:-1] if fit_ratio(a.cost, best, n_rows) < MIN_FIT_RATIO]
+    order = {kind: k for k, kind in enumerate(_CAUSES)}
+    for each in sorted(good, key=lambda a: (order[a.kind], a.cost)):
+        cause = _CAUSES[each.kind](case, each, fit_ratio(stated, each.cost, n_rows))
+        yield replace(cause, has_estimated_factor=each.kind not in ("axis", "coupling"))
+
+
+def _axis(case: Case, change: Alternative, ratio: float) -> Cause:
+    """Another axis, or the same in the opposite direction."""
+    joint, corrections = change.joint or 0, change.corrections
+    place, value = Place(joint=joint, key="axis"), corrections[0].value
+    stated = case.evidence.study.arm.joints[joint - 1].axis
+    if value == tuple(-x for x in stated):
+        clause = Clause("wrong-sign/axis", ratio=ratio, joint=joint)
+        remedy = Clause("remedy/axis", joint=joint)
+        return Cause("wrong-sign", (place,), clause, corrections, remedy, factor=-1.0)
+    texts = {"corrected": _text(value), "stated": _text(stated)}
+    clause = Clause("wrong-geometry/axis", ratio=ratio, joint=joint, **texts)
+    return Cause("wrong-geometry", (place,), clause, corrections)
+
+
+def _gear_ratio(case: Case, change: Alternative, ratio: float) -> Cause:
+    """Another gear ratio, with a whole reduction if one is near."""
+    joint, estimate = change.joint or 0, change.corrections[0].value
+    stated = case.evidence.study.arm.joints[joint - 1].gear_ratio
+    corrected = float(f"{estimate:.5g}")
+    reduction = round(1.0 / corrected)
+    if reduction != 0 and abs(reduction * corrected - 1.0) < _REDUCTION_TOLERANCE:
+        corrected = float(f"{1.0 / reduction:.5g}")
+    values = {"ratio": ratio, "corrected": corrected, "stated": stated}
+    clause = Clause("wrong-gear-ratio/torques", joint=joint, **values)
+    changes = (Correction("joint", str(joint), "gear_ratio", corrected),)
+    place = Place(joint=joint, key="gear_ratio")
+    return Cause("wrong-gear-ratio", (place,), clause, changes, factor=stated / corrected)
+
+
+def _gravity(case: Case, change: Alternative, ratio: float) -> Cause:
+    texts = {"corrected": _text(change.corrections[0].value)}
+    texts["stated"] = _text(case.evidence.study.arm.gravity)
+    clause = Clause("wrong-geometry/gravity", ratio=ratio, **texts)
+    return Cause("wrong-geometry", (Place(key="gravity"),), clause, change.corrections)
+
+
+def _coupling(_: Case, change: Alternative, ratio: float) -> Cause:
+    corrected = _text(change.corrections[0].value)
+    clause = Clause("wrong-geometry/coupling", ratio=ratio, corrected=corrected)
+    return Cause("wrong-geometry", (Place(key="coupling"),), clause, change.corrections)
+
+
+def _zero(case: Case, change: Alternative, ratio: float) -> Cause:
+    joint, (offset,) = change.joint or 0, change.corrections
+    moved = float(f"{offset.value}") - case.evidence.channel(offset.entry).offset
+    angle = abs(moved * case.evidence.study.arm.joints[joint - 1].gear_ratio)
+    clause = Clause("wrong-geometry/zero", ratio=ratio, joint=joint, angle=angle)
+    return Cause("wrong-geometry", (Place(channel=offset.entry),), clause, (offset,))
+
+
+def _frame(case: Case, change: Alternative, ratio: float) -> Cause:
+    length, angle = _moved(case, change)
+    sizes = {"ratio": ratio, "length": length, "angle": angle}
+    clause = Clause("wrong-geometry/frame", joint=change.joint, **sizes)
+    place, remedy = Place(joint=change.joint, key="origin"), Clause("remedy/frame")
+    return Cause("wrong-geometry", (place,), clause, change.corrections, remedy)
+
+
+def _robot(case: Case, change: Alternative, ratio: float) -> Cause:
+    length, angle = _moved(case, change)
+    clause = Clause("wrong-geometry/robot", ratio=ratio, length=length, angle=angle)
+    place = Place(key="origin" if case.evidence.study.arm.urdf is None else "urdf")
+    remedy = Clause("remedy/robot")
+    return Cause("wrong-geometry", (place,), clause, change.corrections, remedy)
+
+
+_CAUSES: Mapping[ChangeKind, Callable[[Case, Alternative, float], Cause]] = {
+    "axis": _axis,
+    "ratio": _gear_ratio,
+    "coupling": _coupling,
+    "gravity": _gravity,
+    "zero": _zero,
+    "frame": _frame,
+    "robot": _robot,
+}
+"""Causes by kind of change, simple ones first; of equal fit, the simplest is the likely cause."""
+
+
+def _moved(case: Case, change: Alternative) -> tuple[float, float]:
+    """Largest displacement [m] and rotation [rad] of a frame."""
+    lengths, angles = [0.0], [0.0]
+    for each in change.corrections:
+        origin = case.evidence.study.arm.joints[int(each.entry) - 1].origin
+        before, moved = (origin.xyz, lengths) if each.key == "origin.xyz" else (origin.rpy, angles)
+        moved.append(float(np.linalg.norm(np.subtract(each.value, before))))  # type: ignore[arg-type]
+    return max(lengths), max(angles)
+
+
+def _text(value: object) -> str:
+    """A vector or a matrix as text."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_text, value))}]"
+    return "none" if value is None else f"{value:.4g}"

@@ -1,0 +1,201 @@
+"""Search for another geometry with which the torques of all joints agree with one arm.
+
+The alternatives are single changes of the study: an axis, gravity, a gear ratio, a zero position,
+the frame of one joint, the coupling of the motors, or all frames. Changes of continuous quantities
+are found by Gauss-Newton steps of the fit of `torque_fit`, in which the parameters of the links are
+eliminated (Kaufman's variable projection).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from strainwave.domain import Correction, FloatArray
+from strainwave.numerics.parallel import run_parallel
+from strainwave.signals.consistency.evidence import Alternative, ChangeKind, Evidence
+from strainwave.signals.consistency.torque_fit import TorqueFit, fit_torques, torque_system
+
+# Prior standard deviations of the changes: log ratio, angles [rad], lengths [m], gravity [m/s^2].
+_RATIO_STD, _ANGLE_STD, _LENGTH_STD, _GRAVITY_STD = 0.3, 0.5, 0.15, 5.0
+# Steps of the numerical derivatives, in prior standard deviations.
+_DERIVATIVE_STEP = 1e-4
+# Largest Gauss-Newton step, in prior standard deviations.
+_MAX_STEP = 2.0
+_MAX_STEPS = 8
+# Reduction of a step that does not decrease the cost, and the shortest fraction that is tried.
+_STEP_REDUCTION, _MIN_STEP_FRACTION = 0.4, 0.1
+# Smallest predicted unexplained share, for the logarithm.
+_MIN_UNEXPLAINED = 1e-6
+# Decrease of the cost per independent row below which a search is not started, or ends.
+_MIN_PREDICTED_DECREASE = 0.03
+_MIN_DECREASE = 2e-3
+_STANDARD_GRAVITY = 9.81  # [m/s^2]
+# Cosine above which two directions are equal.
+_EQUAL_DIRECTIONS = 0.999
+
+
+@dataclass(frozen=True, slots=True)
+class _Family:
+    """Changes of the geometry with continuous coordinates, in prior standard deviations."""
+
+    kind: ChangeKind
+    joint: int | None
+    size: int
+    corrections: Callable[[FloatArray], tuple[Correction, ...]]
+
+
+def search_geometry(evidence: Evidence) -> tuple[Alternative, ...]:
+    """Alternatives to the stated geometry, the best first, and the stated geometry as the last.
+
+    Empty for arms with a planar program, whose geometry the link sensors test, and without torques.
+    """
+    system = None if evidence.arm.has_planar_program else torque_system(evidence)
+    if system is None:
+        return ()
+    fit = fit_torques(system)
+    alternatives = list(_discrete(evidence))
+    costs = run_parallel([partial(_cost, evidence, each.corrections) for each in alternatives])
+    discrete = [replace(a, cost=c) for a, c in zip(alternatives, costs, strict=True)]
+    continuous = run_parallel(
+        [partial(_search, evidence, fit, family) for family in _promising(evidence, fit)]
+    )
+    better = [each for each in (*discrete, *continuous) if each.cost < fit.cost]
+    stated = Alternative("robot", None, (), fit.cost)
+    return (*sorted(better, key=lambda each: each.cost), stated)
+
+
+def _promising(evidence: Evidence, fit: TorqueFit) -> Iterator[_Family]:
+    """Families of which the first Gauss-Newton step predicts a clear decrease of the cost."""
+    families = [*_families(evidence)]
+    slopes = run_parallel([partial(_slope, evidence, fit, f, np.zeros(f.size)) for f in families])
+    frames = [slope for slope, f in zip(slopes, families, strict=True) if f.kind == "frame"]
+    families.append(_Family("robot", None, 6 * len(frames), partial(_robot, evidence)))
+    slopes.append(np.column_stack(frames))
+    for family, slope in zip(families, slopes, strict=True):
+        if _gauss_newton(fit, slope, np.zeros(family.size))[1] > _MIN_PREDICTED_DECREASE:
+            yield family
+
+
+def _fit(evidence: Evidence, corrections: Sequence[Correction]) -> TorqueFit | None:
+    system = torque_system(evidence.corrected(corrections))
+    return None if system is None else fit_torques(system)
+
+
+def _cost(evidence: Evidence, corrections: Sequence[Correction]) -> float:
+    fit = _fit(evidence, corrections)
+    return np.inf if fit is None else fit.cost
+
+
+def _discrete(evidence: Evidence) -> Iterator[Alternative]:
+    """Other axes along the joint's frame, other directions of gravity, other couplings."""
+    arm = evidence.study.arm
+    units = [tuple(float(s * x) for x in e) for e in np.eye(3) for s in (1.0, -1.0)]
+    for i, joint in enumerate(arm.joints, start=1):
+        stated = np.array(joint.axis) / np.linalg.norm(joint.axis)
+        axes = [tuple(-x for x in joint.axis), *units]
+        for axis in dict.fromkeys(axes):
+            if axis @ stated < _EQUAL_DIRECTIONS:
+                yield Alternative("axis", i, (Correction("joint", str(i), "axis", axis),), np.inf)
+    size = arm.gravity_size or _STANDARD_GRAVITY
+    stated = np.array(arm.gravity or (0.0, 0.0, 0.0)) / size
+    for unit in units:
+        if unit @ stated < _EQUAL_DIRECTIONS:
+            gravity = tuple(size * x for x in unit)
+            change = Correction("arm", "", "gravity", gravity)
+            yield Alternative("gravity", None, (change,), np.inf)
+    if arm.coupling is not None and arm.is_coupled:
+        C = np.array(arm.coupling)
+        for other in (np.eye(len(C)), C.T, 2.0 * np.diag(np.diag(C)) - C):
+            matrix = tuple(tuple(map(float, row)) for row in other)
+            change = Correction("transmission", "", "coupling", matrix)
+            yield Alternative("coupling", None, (change,), np.inf)
+
+
+def _families(evidence: Evidence) -> Iterator[_Family]:
+    arm = evidence.study.arm
+    if arm.gravity:
+        yield _Family("gravity", None, 3, partial(_gravity, evidence))
+    joints = range(1, arm.n_joints + 1)
+    for i in joints:
+        yield _Family("ratio", i, 1, partial(_ratio, evidence, i))
+        yield _Family("zero", i, 1, partial(_zero, evidence, i))
+        yield _Family("frame", i, 6, partial(_frame, evidence, i))
+
+
+def _rounded(values: FloatArray) -> tuple[float, ...]:
+    return tuple(float(f"{x:.9g}") for x in values.tolist())
+
+
+def _gravity(evidence: Evidence, x: FloatArray) -> tuple[Correction, ...]:
+    stated = np.array(evidence.study.arm.gravity)
+    changed = stated + _GRAVITY_STD * x
+    changed *= np.linalg.norm(stated) / np.linalg.norm(changed)
+    return (Correction("arm", "", "gravity", _rounded(changed)),)
+
+
+def _ratio(evidence: Evidence, i: int, x: FloatArray) -> tuple[Correction, ...]:
+    ratio = evidence.study.arm.joints[i - 1].gear_ratio * float(np.exp(_RATIO_STD * x[0]))
+    return (Correction("joint", str(i), "gear_ratio", ratio),)
+
+
+def _zero(evidence: Evidence, i: int, x: FloatArray) -> tuple[Correction, ...]:
+    name, ratio = f"theta_m{i}", evidence.study.arm.joints[i - 1].gear_ratio
+    offset = evidence.channel(name).offset + _ANGLE_STD * float(x[0]) / ratio
+    return (Correction("channels", name, "offset", offset),)
+
+
+def _frame(evidence: Evidence, i: int, x: FloatArray) -> tuple[Correction, ...]:
+    origin = evidence.study.arm.joints[i - 1].origin
+    xyz = np.array(origin.xyz) + _LENGTH_STD * x[:3]
+    rpy = np.array(origin.rpy) + _ANGLE_STD * x[3:]
+    return (
+        Correction("joint", str(i), "origin.xyz", _rounded(xyz)),
+        Correction("joint", str(i), "origin.rpy", _rounded(rpy)),
+    )
+
+
+def _robot(evidence: Evidence, x: FloatArray) -> tuple[Correction, ...]:
+    frames = x.reshape(-1, 6)
+    return tuple(c for i, row in enumerate(frames, start=1) for c in _frame(evidence, i, row))
+
+
+def _search(evidence: Evidence, start: TorqueFit, family: _Family) -> Alternative:
+    """Gauss-Newton search of one family."""
+    x, fit = np.zeros(family.size), start
+    for _ in range(_MAX_STEPS):
+        step, _ = _gauss_newton(fit, _slope(evidence, fit, family, x), x)
+        fraction = min(1.0, _MAX_STEP / max(float(np.abs(step).max()), 1e-12))
+        before = fit.cost
+        while fraction > _MIN_STEP_FRACTION:
+            trial = _fit(evidence, family.corrections(x + fraction * step))
+            if trial is not None and trial.cost < fit.cost:
+                x, fit = x + fraction * step, trial
+                break
+            fraction *= _STEP_REDUCTION
+        if before - fit.cost < _MIN_DECREASE * fit.n_all:
+            break
+    return Alternative(family.kind, family.joint, family.corrections(x), fit.cost)
+
+
+def _slope(evidence: Evidence, fit: TorqueFit, family: _Family, x: FloatArray) -> FloatArray:
+    """Derivatives of the weighted torques that the links do not explain: (n_rows, size)."""
+
+    def predict(at: FloatArray) -> FloatArray:
+        system = torque_system(evidence.corrected(family.corrections(at)))
+        return np.zeros(len(fit.residual)) if system is None else system.columns @ fit.links
+
+    here = predict(x)
+    changes = [predict(x + _DERIVATIVE_STEP * unit) - here for unit in np.eye(family.size)]
+    return fit.project(np.column_stack(changes) / _DERIVATIVE_STEP)
+
+
+def _gauss_newton(fit: TorqueFit, slope: FloatArray, x: FloatArray) -> tuple[FloatArray, float]:
+    """Step from x under the prior, and the predicted decrease of the cost per row."""
+    gradient, curvature = slope.T @ fit.residual, slope.T @ slope + np.eye(len(x))
+    explained = float(gradient @ np.linalg.solve(curvature, gradient)) / fit.n_all
+    decrease = -0.5 * float(np.log(max(1.0 - explained, _MIN_UNEXPLAINED)))
+    return np.asarray(np.linalg.solve(curvature, gradient - x)), decrease
