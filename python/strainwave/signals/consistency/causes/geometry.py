@@ -123,4 +123,4 @@ def _text(value: object) -> str:
     """A vector or a matrix as text."""
     if isinstance(value, tuple):
         return f"[{', '.join(map(_text, value))}]"
-    return "none" if value is None else f"{value:.4g}"
+    return f"{value + 0.0:.4g}" if isinstance(value, float) else "none"  # not -0
