@@ -282,3 +282,18 @@ def test_an_open_loop_voltage_at_its_extremes_is_not_saturation() -> None:
     assert not signals.prepare_motor_signals(
         replace(log, experiment=experiment), Arm.of(rigid_drive().arm)
     ).warnings
+
+
+def test_a_motor_that_only_deflects_stands() -> None:
+    """A travel far below that in other records does not overcome the friction."""
+    arm = Arm.of(rigid_drive().arm)
+    swing = np.sin(2.0 * TIME)
+    records = [
+        signals.prepare_motor_signals(log_of({"theta_m1": size * swing, "torque1": swing}), arm)
+        for size in (1.0, 0.5, 1e-3)
+    ]
+    moving, slow, standing = signals.mark_standstill(records)
+    assert moving is records[0]
+    assert slow is records[1]
+    assert records[2].direction.any()
+    assert not standing.direction.any()

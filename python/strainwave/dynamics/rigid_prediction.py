@@ -13,7 +13,8 @@ from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import low_pass
 
 _BLOCK_SIZE = 1 << 16  # samples per regressor, which limits its memory
-_MAX_STICTION_SHARE = 0.5  # of the samples; a fit of a motor that sticks longer is meaningless
+MAX_STICTION_SHARE = 0.5
+"""Share of a record in possible stiction above which a motor does not count as moving."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +94,7 @@ def _fit(
     """Fit inside the filter's transients for each joint; NaN for a motor that mostly sticks."""
     inside = _inside(measured, model_hz, T)
     mostly_sticks = (
-        standing(direction[inside], _bridge(model_hz, T)).mean(axis=0) > _MAX_STICTION_SHARE
+        standing(direction[inside], _bridge(model_hz, T)).mean(axis=0) > MAX_STICTION_SHARE
     )
     return np.where(mostly_sticks, np.nan, fit_percent(measured[inside], torque[inside]))
 

@@ -14,7 +14,7 @@ from strainwave.identification import rigid, validation
 from strainwave.numerics.parallel import run_parallel
 from strainwave.pipeline.inputs import Inputs
 from strainwave.pipeline.reporter import Reporter
-from strainwave.signals.motor import prepare_motor_signals
+from strainwave.signals.motor import mark_standstill, prepare_motor_signals
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +32,12 @@ def fit_rigid_joints(inputs: Inputs, reporter: Reporter) -> RigidStage:
     """Fit the rigid model and predict the torques of its records and of the check records."""
     arm = inputs.arm
     with reporter.time_part("rigid", "rigid joints: least squares"):
-        motion, checks = (
-            run_parallel([partial(prepare_motor_signals, log, arm) for log in inputs.logs_of(use)])
-            for use in ("motion", "check")
+        logs = (*inputs.logs_of("motion"), *inputs.logs_of("check"))
+        records = mark_standstill(
+            run_parallel([partial(prepare_motor_signals, log, arm) for log in logs])
         )
+        n_motion = len(inputs.logs_of("motion"))
+        motion, checks = records[:n_motion], records[n_motion:]
         warnings = tuple(warning for each in (*motion, *checks) for warning in each.warnings)
         try:
             model = rigid.fit_rigid(motion, arm, inputs.study.options.rigid)

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from strainwave.domain import Log, Signals
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.rigid_prediction import MAX_STICTION_SHARE
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.signals.channels import check_length, unmeasured
 from strainwave.signals.prepared_record import prepare_record
+
+# Share of a motor's largest travel in any record below which it stands: the travel is a deflection
+# of gear and bearings before they slide, even if the encoder resolves it.
+_MIN_TRAVEL_SHARE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,21 +31,23 @@ def prepare_motor_signals(log: Log, arm: Arm, options: SignalOptions | None = No
 
     The default bandwidth is the smallest signal band of the joints that move, above which encoder
     noise dominates. It exceeds the range of a rigid model, and `rigid.fit_rigid` reduces it.
+    Samples that were interpolated over less than an eighth of its period are valid.
 
     Raises InvalidInput if a motor angle or torque is missing, or if the record is too short for the
     filter.
     """
     chosen, record = options or SignalOptions(), prepare_record(log, arm)
     T, angle = log.sample_time, record.motor_angle
-    moves = record.sliding.any(axis=0)
+    moves = (record.sliding == 0.0).mean(axis=0) <= MAX_STICTION_SHARE
     bands = np.array(record.bands_hz)
     bandwidth = chosen.bandwidth_hz or float(bands[moves if moves.any() else slice(None)].min())
     edge = int(np.ceil(1.0 / (bandwidth * T)))
     check_length(log, edge, bandwidth)
     smooth_angle = low_pass(angle, bandwidth, T)
     velocity = differentiate(smooth_angle, T)
-    angle_invalid = unmeasured(log, (f"theta_m{i + 1}" for i in range(arm.n_joints)))
-    torque_invalid = np.column_stack([unmeasured(log, (name,)) for name in record.channels])
+    gap = round(1.0 / (8.0 * bandwidth * T))
+    angle_invalid = unmeasured(log, (f"theta_m{i + 1}" for i in range(arm.n_joints)), gap)
+    torque_invalid = np.column_stack([unmeasured(log, (name,), gap) for name in record.channels])
     valid = ~(record.saturation.samples | torque_invalid | angle_invalid[:, None])
     valid[:edge] = valid[-edge:] = False
     return Signals(
@@ -56,4 +64,17 @@ def prepare_motor_signals(log: Log, arm: Arm, options: SignalOptions | None = No
         valid=valid,
         torque_channel=record.channels,
         warnings=record.saturation.warnings,
+    )
+
+
+def mark_standstill(records: Sequence[Signals]) -> tuple[Signals, ...]:
+    """Set the sliding direction of motors to uncertain in records in which they only deflect.
+
+    `records` are all records of an arm: a motor stands if it travels far less than in others.
+    """
+    travel = np.array([np.ptp(record.motor_angle, axis=0) for record in records])
+    stands = travel < _MIN_TRAVEL_SHARE * np.max(travel, axis=0, initial=0.0)
+    return tuple(
+        replace(record, direction=np.where(at, 0.0, record.direction)) if at.any() else record
+        for record, at in zip(records, stands, strict=True)
     )

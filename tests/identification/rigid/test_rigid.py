@@ -58,6 +58,12 @@ def two_link(seed: int, gravity: float | None) -> tuple[Study, Values, Signals]:
     )
 
 
+def piece_of(record: Signals, samples: slice) -> Signals:
+    names = ("time", "motor_torque", "motor_angle", "motor_velocity", "motor_acceleration")
+    arrays = {name: getattr(record, name)[samples] for name in (*names, "direction", "valid")}
+    return replace(record, **arrays)
+
+
 def drive_torque(motion: tuple[FloatArray, ...], direction: FloatArray | None = None) -> FloatArray:
     inertia, viscous, coulomb, offset = DRIVE_TRUTH.values()
     _, _, velocity, acceleration = motion
@@ -287,6 +293,40 @@ def test_one_direction_confounds_coulomb_friction_and_offset() -> None:
     assert len(warned(model, "not-identifiable")) == 2
     assert "one direction" in warned(model, "not-identifiable")[0]
     assert np.isnan(model.covariance[2]).all()
+
+
+def test_short_records_are_used_to_their_ends() -> None:
+    """Records of about three periods of the cut-off, whose filter extends over all of them."""
+    study, values, exact = two_link(3, 9.81)
+    starts = range(0, len(exact.time) - 1600, 1600)
+    pieces = [piece_of(exact, slice(start, start + 1600)) for start in starts]
+    model = rigid.fit_rigid(pieces, Arm.of(study.arm), rigid.RigidOptions(bandwidth_hz=2.0))
+    assert model.n_rows > 4 * len(pieces)
+    for p in model.parameters:  # the low-pass of the motion rounds its corners at the ends
+        assert p.value == pytest.approx(values[p.key], rel=1e-2)
+
+
+def test_records_of_single_joints_combine() -> None:
+    """A joint that stands in most records is weighted by those in which it slides."""
+    study, values, exact = two_link(3, None)
+    torque = exact.motor_torque + np.random.default_rng(0).normal(
+        scale=1e-4, size=exact.motor_torque.shape
+    )
+    both = replace(exact, motor_torque=torque)
+    resting = np.zeros_like(exact.direction)
+    still = replace(
+        both,
+        motor_angle=resting + 0.1,
+        motor_velocity=resting,
+        motor_acceleration=resting,
+        motor_torque=1e-9 * torque,
+        direction=resting,
+    )
+    model = rigid.fit_rigid([both, still, still, still], Arm.of(study.arm))
+    assert model.status == "determined"
+    for p in model.parameters:
+        assert p.ci95 is not None
+        assert p.ci95[0] <= values[p.key] <= p.ci95[1] or p.name == "friction_offset"
 
 
 def test_a_joint_that_stands_is_reported() -> None:

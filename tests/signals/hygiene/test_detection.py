@@ -164,6 +164,14 @@ def test_counter_overflows_are_removed(bits: int, seed: int) -> None:
 # --- no false detections ----------------------------------------------------------------------
 
 
+def test_a_repeated_reading_of_a_motor_is_not_a_step() -> None:
+    """A log that is written faster than the encoder is read repeats a reading now and then."""
+    read_at = np.arange(len(TIME)) - np.cumsum(np.arange(len(TIME)) % 1900 == 1000)
+    late = 8.0 * np.sin(3.0 * TIME + 1.0)[read_at]
+    log = with_channel(clean()[0], "theta_m1", late)
+    assert not [name for name in found(log) if "theta_m1" in name]
+
+
 def test_clean_logs_give_no_detection() -> None:
     """Logs without defects give no detection and no warning."""
     assert [found(log) for log in clean()] == [[], []]

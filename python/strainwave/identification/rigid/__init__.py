@@ -32,7 +32,7 @@ from strainwave.identification.rigid.load_friction import (
     load_warning,
 )
 from strainwave.identification.rigid.repetition import period_of
-from strainwave.identification.rigid.stretch import Stretch, decimation
+from strainwave.identification.rigid.stretch import decimation
 from strainwave.identification.rigid.torque_constants import torque_ratios
 from strainwave.identification.rigid.trial import Trial, fit_trial
 from strainwave.identification.rigid.trial_warnings import warnings_of
@@ -75,7 +75,8 @@ def _fit(signals: Sequence[Signals], arm: Arm, chosen: RigidOptions) -> RigidMod
     model_error = excess_variance(best.solution, others)
     covariance = best.covariance + np.diag(model_error + _elastic_model_error(best))
     shares = load_friction(trials, best, loaded_joints)
-    return _model(best, covariance, shares, torque_ratios(trials, best))
+    fits = {s.experiment.name: _fits(best, s, shares) for s in signals}
+    return _model(best, covariance, shares, torque_ratios(trials, best), fits)
 
 
 def _elastic_model_error(best: Trial) -> FloatArray:
@@ -105,6 +106,7 @@ def _model(
     covariance: FloatArray,
     shares: tuple[Parameter, ...],
     ratios: dict[int, tuple[float, float]],
+    fit_percent: dict[str, dict[str, float]],
 ) -> RigidModel:
     """Result of a fit; parameters that are not identified are None."""
     identified = best.determined
@@ -127,7 +129,7 @@ def _model(
         solution=best.solution,
         covariance=covariance * np.outer(mask, mask),
         condition_number=best.factor.condition_number,
-        fit_percent={s.signals.experiment.name: _fits(best, s, shares) for s in best.stretches},
+        fit_percent=fit_percent,
         bandwidth_hz=best.bandwidth_hz,
         decimation=max(
             decimation(s.signals.sample_time, best.bandwidth_hz) for s in best.stretches
@@ -140,7 +142,7 @@ def _model(
     )
 
 
-def _fits(best: Trial, stretch: Stretch, shares: tuple[Parameter, ...]) -> dict[str, float]:
+def _fits(best: Trial, record: Signals, shares: tuple[Parameter, ...]) -> dict[str, float]:
     """Fit in percent of each torque of a fitted record, within the model's band."""
-    fits = band_fit(best.arm, best.solution, stretch.signals, best.bandwidth_hz, shares)
-    return dict(zip(stretch.signals.torque_channel, fits.tolist(), strict=True))
+    fits = band_fit(best.arm, best.solution, record, best.bandwidth_hz, shares)
+    return dict(zip(record.torque_channel, fits.tolist(), strict=True))

@@ -47,29 +47,32 @@ def bandwidths_of(motions: Sequence[Motion], step: float) -> Iterator[float]:
     """Yield bandwidths from that of 90 % of the motion's power to half the signals' bandwidth."""
     top = min(s.bandwidth_hz or 0.5 / s.sample_time for s, _ in motions) / 2.0
     shortest = min(period * s.sample_time for s, period in motions)
-    bandwidth = max([8.0 / shortest, *(_motion_band(s) for s, _ in motions)])
+    bandwidth = max(8.0 / shortest, _motion_band([s for s, _ in motions]))
     bandwidth = min(bandwidth, top)
     while bandwidth <= top:
         yield bandwidth
         bandwidth *= step
 
 
-def _motion_band(signals: Signals) -> float:
-    """Frequency [Hz] below which 90 % of the power of each velocity lies."""
-    highest = 0.0
-    count = len(signals.time)
-    frequency = np.fft.rfftfreq(count, signals.sample_time)
+def _motion_band(records: Sequence[Signals]) -> float:
+    """Frequency [Hz] below which 90 % of the power of each velocity in the records lies."""
+    frequencies, powers = zip(*map(_velocity_power, records), strict=True)
+    frequency, power = np.concatenate(frequencies), np.concatenate(powers)
+    order = np.argsort(frequency, kind="stable")
+    cumulative = np.cumsum(power[order], axis=0)
+    reached = [np.searchsorted(c, 0.9 * c[-1]) for c in cumulative.T if c[-1] > 0.0]
+    return max((float(frequency[order[k]]) for k in reached), default=0.0)
+
+
+def _velocity_power(signals: Signals) -> tuple[FloatArray, FloatArray]:
+    """Frequencies (n,) [Hz] and power (n, n_joints) of the velocities without their trends."""
+    velocity, count = signals.motor_velocity, len(signals.time)
     centred_index = np.arange(count) - 0.5 * (count - 1)
-    for velocity in signals.motor_velocity.T:
-        detrended = velocity - velocity.mean()
-        detrended -= centred_index * (centred_index @ detrended / (centred_index @ centred_index))
-        cumulative_power = np.cumsum(np.abs(np.fft.rfft(detrended)) ** 2)
-        if cumulative_power[-1] > 0.0:
-            highest = max(
-                highest,
-                float(frequency[np.searchsorted(cumulative_power, 0.9 * cumulative_power[-1])]),
-            )
-    return highest
+    detrended = velocity - velocity.mean(axis=0)
+    slope = centred_index @ detrended / (centred_index @ centred_index)
+    detrended -= np.outer(centred_index, slope)
+    power = np.abs(np.fft.rfft(detrended, axis=0)) ** 2 / count
+    return np.asarray(np.fft.rfftfreq(count, signals.sample_time)), power
 
 
 def prepare_all(arm: Arm, motions: Sequence[Motion], bandwidth_hz: float) -> tuple[Stretch, ...]:

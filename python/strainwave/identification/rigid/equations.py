@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, IntArray
+from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.domain.combinations import FRICTION_COLUMNS
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.rigid.stretch import Stretch, motion_of, n_compliances
@@ -95,7 +95,9 @@ def assemble(
 
     Nuisance parameters are the compliances of elastic joints, common to all rows, and the free
     friction of each record and joint. Blocks are equal intervals of time, about 20 in all, and
-    equal parts of the period of a repeated motion; all joints share them.
+    equal parts of the period of a repeated motion; all joints share them. Records have blocks in
+    proportion to the time in which joints slide. The offset of a joint that slides in one direction
+    only is zero, because it acts as Coulomb friction.
 
     Without `around`, the joints are rigid, the prior of the free friction is the size of the
     torque, and friction does not depend on the load. `loads` adds one share of the load per joint,
@@ -143,11 +145,12 @@ def _parts(
     arm: Arm, stretches: Sequence[Stretch], around: Estimate | None, loads: Loads | None
 ) -> Iterator[_Part]:
     """Equations record by record and joint by joint."""
-    total = sum(s.duration for s in stretches)
+    total = sum(s.sliding_time for s in stretches)
     first_block = 0
+    is_two_way = slides_both_ways(stretches)
     for record, stretch in enumerate(stretches):
         body = _body_equations(arm, stretch, around, record)
-        n_blocks = max(2, round(_JACKKNIFE_BLOCKS * stretch.duration / total))
+        n_blocks = max(2, round(_JACKKNIFE_BLOCKS * stretch.sliding_time / total))
         block = first_block + stretch.blocks(n_blocks)
         first_block += n_blocks
         common = body.lags
@@ -159,6 +162,7 @@ def _parts(
             X = np.zeros((len(stretch.rows), len(arm.rigid_columns)))
             X[:, : arm.n_body] = body.regressor[:, i]
             X[:, friction : friction + FRICTION_COLUMNS] = stretch.friction[:, i]
+            X[:, friction + 2] *= is_two_way[i]
             coulomb = around.solution[friction + 1] if around else np.std(stretch.torque[:, i])
             keep = np.flatnonzero(stretch.keep[:, i])
             yield _Part(
@@ -170,6 +174,15 @@ def _parts(
                 body.torque[keep, i],
                 block[keep],
             )
+
+
+def slides_both_ways(stretches: Sequence[Stretch]) -> BoolArray:
+    """Joints, (n_joints,), that slide in both directions in any of the records."""
+    forward, backward = (
+        np.any([np.any(sign * s.signals.direction > 0.0, axis=0) for s in stretches], axis=0)
+        for sign in (1.0, -1.0)
+    )
+    return np.asarray(forward & backward)
 
 
 def estimate_of(
@@ -234,7 +247,9 @@ def _body_equations(
 ) -> _BodyEquations:
     q, dq, ddq = map(arm.links_of, stretch.motion)
     if around is None or not n_compliances(arm):
-        phi = stretch.filtered(arm.rigid_regressor(q, dq, ddq))
+        phi = stretch.body
+        if not phi.size:
+            phi = stretch.filtered(arm.rigid_regressor(q, dq, ddq))
         return _BodyEquations(phi, np.zeros((len(phi), arm.n_joints, 0)), stretch.torque)
     gear = _gear_torque(arm, stretch, around, around.standing[record])
     interval = stretch.motion_step * stretch.signals.sample_time

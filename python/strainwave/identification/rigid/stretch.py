@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from strainwave.domain import BoolArray, FloatArray, IntArray, Signals
 from strainwave.domain.combinations import FRICTION_COLUMNS
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.rigid_prediction import MAX_STICTION_SHARE
 from strainwave.numerics.banded import Banded
 from strainwave.numerics.filters import low_pass
 from strainwave.signals.standstill import free_friction, responses, running
+
+Value = TypeVar("Value", np.bool_, np.float64)
 
 _ROWS_PER_CUTOFF = 4.0  # rows per period of the cut-off; the filter prevents aliasing
 # The equations are nonlinear in the motion, so the motion keeps a higher bandwidth: 8 cut-offs, at
@@ -20,6 +25,13 @@ _MOTION_CUTOFFS, _SAMPLES_PER_ROW = 8.0, 8
 # Periods of the cut-off after which the filter response has decayed to 0.1 %. Rows nearer to the
 # ends of a record are not used: free friction is not defined beyond the ends.
 _EDGE_PERIODS = 2.5
+# Share of a record up to which each end is left out. Shorter records of rigid joints are mirrored
+# at both ends, because the equations hold in any order of the samples. Those of elastic joints do
+# not: the gear torque is differentiated.
+_MAX_EDGE_SHARE = 0.1
+# Weight of the standstill in a filtered sample from which its friction is unknown. Where most
+# samples of a joint are such, the others would not determine its residuals.
+_MAX_STANDING_WEIGHT = 0.95
 _KNOTS_PER_PERIOD = 16.0  # knots of the free friction per period of the cut-off; 8 suffice
 
 
@@ -27,11 +39,12 @@ _KNOTS_PER_PERIOD = 16.0  # knots of the free friction per period of the cut-off
 class Stretch:
     """Parts of one record's equations that do not depend on the parameters."""
 
-    signals: Signals
+    signals: Signals  # mirrored at the ends if the record is short
     bandwidth_hz: float
     motion_step: int  # samples between successive rows of `motion`
     motion: tuple[FloatArray, ...]  # angle, velocity, acceleration: (n_motion, n_joints)
     drive: tuple[FloatArray, ...]  # torque and direction, as `motion`; empty if rigid
+    body: FloatArray  # (n_rows, n_joints, n_body) regressor of the links if rigid, otherwise empty
     rows: IntArray  # (n_rows,) sample indices
     keep: BoolArray  # (n_rows, n_joints)
     torque: FloatArray  # (n_rows, n_joints)
@@ -47,6 +60,11 @@ class Stretch:
     def duration(self) -> float:
         """Duration [s] of one period of the motion."""
         return self.period * self.signals.sample_time
+
+    @property
+    def sliding_time(self) -> float:
+        """Mean time [s] over the joints in which they slide, in one period of the motion."""
+        return self.duration * float(np.mean(self.signals.direction != 0.0))
 
     def blocks(self, count: int) -> IntArray:
         """Block number of each row, (n_rows,): one of `count` equal parts of the period."""
@@ -103,25 +121,31 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> S
     `period` [samples] is that of the motion, or the whole record if it does not repeat.
     """
     T = signals.sample_time
+    edge = _edge_samples(T, bandwidth_hz)
+    elastic = n_compliances(arm) > 0
+    if not elastic and edge > _MAX_EDGE_SHARE * len(signals.time):
+        signals = _mirror_ends(signals, min(edge, len(signals.time) - 1))
     n_samples, n_joints = signals.motor_torque.shape
     cutoff_period = 1.0 / (bandwidth_hz * T)  # samples per period of the cut-off
-    edge = _edge_samples(T, bandwidth_hz)
     step = _motion_step(T, bandwidth_hz)
     rows = np.arange(edge, n_samples - edge, decimation(T, bandwidth_hz))
     motion_samples = np.arange(n_samples)[_motion_slice(T, bandwidth_hz)]
     kernel = _impulse_response(bandwidth_hz, T)
     motion_kernel = _impulse_response(_MOTION_CUTOFFS * bandwidth_hz, T)
-    elastic = n_compliances(arm) > 0
     keep, standing, free = [], [], []
     for i in range(n_joints):
-        keep.append(_exclude_neighbours(~signals.valid[:, i], int(cutoff_period / 2))[rows])
         spacing = max(2, round(cutoff_period / _KNOTS_PER_PERIOD))
         shapes = free_friction(signals.direction[:, i], spacing)
         if elastic:
             at_rest = signals.direction[:, i] == 0.0
             near = np.flatnonzero(~_exclude_neighbours(at_rest, len(motion_kernel))[motion_samples])
             standing.append((near, responses(shapes, motion_samples[near], motion_kernel)))
-        free.append(responses(shapes, rows, kernel))
+        friction = responses(shapes, rows, kernel)
+        informative = _exclude_neighbours(~signals.valid[:, i], int(cutoff_period / 2))[rows]
+        if np.mean(signals.direction[:, i] == 0.0) > MAX_STICTION_SHARE:
+            informative &= friction.entries.sum(axis=1) < _MAX_STANDING_WEIGHT
+        keep.append(informative)
+        free.append(friction if elastic or informative.any() else responses([], rows, kernel))
     angle, velocity, acceleration, torque, direction = (
         motion_of(x, bandwidth_hz, T)
         for x in (
@@ -135,12 +159,13 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> S
     unfiltered = np.stack([torque, velocity, direction, np.ones_like(torque)], axis=2)
     # filter both sides at the same samples, so that edge effects are equal
     filtered = low_pass(unfiltered, bandwidth_hz, T, decimated=step)[rows // step]
-    return Stretch(
+    stretch = Stretch(
         signals=signals,
         bandwidth_hz=bandwidth_hz,
         motion_step=step,
         motion=(angle, velocity, acceleration),
         drive=(torque, direction) if elastic else (),
+        body=np.zeros(0),
         rows=rows,
         keep=np.column_stack(keep),
         torque=filtered[:, :, 0],
@@ -149,6 +174,29 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> S
         free=tuple(free),
         noise=_column_noise(arm, signals, bandwidth_hz),
         period=period,
+    )
+    if elastic:
+        return stretch
+    motion = map(arm.links_of, stretch.motion)
+    return replace(stretch, body=stretch.filtered(arm.rigid_regressor(*motion)))
+
+
+def _mirror_ends(signals: Signals, count: int) -> Signals:
+    """Continue a record by `count` samples in reverse order at each end."""
+
+    def mirrored(x: NDArray[Value]) -> NDArray[Value]:
+        return np.pad(x, [(count, count), *[(0, 0)] * (x.ndim - 1)], mode="reflect")
+
+    T = signals.sample_time
+    return replace(
+        signals,
+        time=signals.time[0] + T * np.arange(-count, len(signals.time) + count),
+        motor_torque=mirrored(signals.motor_torque),
+        motor_angle=mirrored(signals.motor_angle),
+        motor_velocity=mirrored(signals.motor_velocity),
+        motor_acceleration=mirrored(signals.motor_acceleration),
+        direction=mirrored(signals.direction),
+        valid=mirrored(signals.valid),
     )
 
 

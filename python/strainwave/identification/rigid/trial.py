@@ -20,6 +20,7 @@ from strainwave.identification.rigid.equations import (
     assemble,
     average_estimates,
     estimate_of,
+    slides_both_ways,
 )
 from strainwave.identification.rigid.stretch import Stretch, n_compliances
 from strainwave.numerics import least_squares as ls
@@ -176,13 +177,9 @@ def _determines_friction(arm: Arm, stretches: Sequence[Stretch]) -> BoolArray:
 
     The apparent information on them comes from the prior of the stiction torque, not from data.
     """
+    is_two_way = slides_both_ways(stretches)
     identified = np.ones(len(arm.rigid_columns), dtype=bool)
     for k, column in enumerate(arm.rigid_columns):
         if column.joint is not None and family_of(column.name) == "dry friction":
-            signs = {
-                sign
-                for s in stretches
-                for sign in np.unique(s.signals.direction[:, column.joint - 1])
-            }
-            identified[k] = {-1.0, 1.0} <= signs
+            identified[k] = is_two_way[column.joint - 1]
     return identified

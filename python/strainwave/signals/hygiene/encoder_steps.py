@@ -15,12 +15,20 @@ _MAX_OVERFLOW_SPREAD = 0.02  # maximum spread of overflow steps, relative to the
 
 
 def detect(log: Log, arm: Arm) -> list[Defect]:
-    """Detect permanent steps of an angle that are inconsistent with the motion around them."""
+    """Detect permanent steps of an angle that are inconsistent with the motion around them.
+
+    A reading that is repeated once is not a step: the log is written faster than the encoder is
+    read, and the angle is late by up to one sample.
+    """
     detections = []
     for name, x in of_kinds(log, encoder_kinds()).items():
         _, isolated_steps = classify_jumps(x, count_of(name, arm))
         rest_runs = runs_of(np.diff(x) == 0.0)
-        steps = [jump for jump in isolated_steps if not find_frozen_before(x, jump, rest_runs)]
+        steps = [
+            jump
+            for jump in isolated_steps
+            if x[jump.sample] != x[jump.sample - 1] and not find_frozen_before(x, jump, rest_runs)
+        ]
         wraps = _are_overflows(steps)
         detections += [
             Defect("encoder-steps", name, step.sample, step.sample + 1, step.size, wraps=wraps)
