@@ -15,6 +15,7 @@ Run one with `python -m benchmarks.studies.NAME`; the page next to it has the nu
 | short_motions | false suspicions on arms without a fault | docs/stages/consistency.md |
 | hygiene | sensor defects named in logs | docs/stages/hygiene.md |
 | visits | differences between two visits reported by `compare` | docs/compare.md |
+| serial_rigid | torque fits and base parameters on measured serial arms | docs/benchmarks.md |
 | small_arm | writes tests/data/small-arm | tests/data/small-arm/README.md |
 
 `arms` draws the arms and runs a function on each in a pool of processes.
