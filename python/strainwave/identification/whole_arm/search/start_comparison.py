@@ -27,6 +27,9 @@ EVALUATIONS_PER_ROUND = 3  # of the search from each set
 MAX_ROUNDS = 11  # of these searches
 # to the least cost; a set of larger cost is dropped. Standing motors add their noise to all costs
 MAX_COST_RATIO = 1.5
+# to the least cost if it is that of the first set, the best by the motor responses: other sets of
+# larger cost are not searched
+MAX_INITIAL_COST_RATIO = 2.0
 LIMIT_SHARE = 1e-3  # of a range: distance within which a stiffness counts as at the limit
 _NO_START = "the arm cannot be simulated with any start values of the earlier stages"
 
@@ -102,6 +105,8 @@ def _best_starts(
 ) -> list[_SearchState]:
     """The sets of lowest initial cost, the best first.
 
+    If the first set, the best by the motor responses, has the lowest cost by far, it is the only
+    one.
     Typical gears, which no record supports, are also combined: one joint, then two neighbouring
     joints get the gears of other sets while the other joints keep theirs.
     """
@@ -141,6 +146,9 @@ def _best_starts(
     if not searches:
         raise (failures or [NotIdentifiable(_NO_START)])[-1]
     chosen = sorted(searches, key=search.costs.__getitem__)[:MAX_SEARCHED_SETS]
+    if chosen[0] == sets[0] and any(joint.experiments for joint in candidates[0]):
+        limit = MAX_INITIAL_COST_RATIO * search.costs[chosen[0]]
+        chosen = [choice for choice in chosen if search.costs[choice] <= limit]
     return [searches[choice] for choice in chosen]
 
 
