@@ -66,6 +66,7 @@ class Consistency:
 
     suspected: tuple[Suspicion, ...] = ()
     relations: tuple[Relation, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
 
     @property
     def motors_agree(self) -> bool:

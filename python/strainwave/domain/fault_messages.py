@@ -48,6 +48,10 @@ FAULTS: Mapping[str, str] = {
     "wrong-geometry/robot": _BETTER + " if the frames of the joints are moved by up to"
     " {length:.3g} m and turned by up to {angle:.3g} rad: the origins describe another arm",
     "wrong-geometry/coupling": _BETTER + " if the coupling of the motors is {corrected}",
+    "wrong-unit/torques": _BETTER + " if the torque of joint {joint} is multiplied by {factor:.4g}:"
+    " is it in another unit?",
+    "wrong-torque-constant/torques": _BETTER + " if the torque of joint {joint} is multiplied by"
+    " {factor:.4g}",
     "wrong-gear-ratio/torques": _BETTER + " if the link of joint {joint} turns {corrected:.4g}"
     " times per motor turn; the study states gear_ratio = {stated:.4g}",
     "swapped-channels": "{pairs!a}: the channels of joints {joints!a} are exchanged",

@@ -193,6 +193,9 @@ TEMPLATES: Mapping[str, str] = {
     "not-described": "the residuals of {channel} are {noise_ratio:.2g} times the sensor's noise and"
     " {share!p:.2g} % of the signal, so the model does not describe the record{advice}",
     "implausible-size": "{values}: these sizes are outside the range of robot joints, so {remedy}",
+    "urdf-mass": "link {link} weighs {mass:.3g} kg in the URDF; the torques need {low:.3g} to"
+    " {high:.3g} kg|. The base parameters do not depend on the URDF; use the exported parameters"
+    " instead of its inertial values, and compare the payload and the torque constants",
     # whole-arm fit
     "not-tuned": "{reason}",
     "start-rejected": "the estimate of the earlier stages, {value:.3g} {unit}, is physically"

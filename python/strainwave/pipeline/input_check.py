@@ -35,7 +35,8 @@ def check_inputs(
     usable, warnings = hygiene.repair_records(raw_logs, arm)
     warnings = (*(warning for log in raw_logs for warning in log.warnings), *warnings)
     inputs = Inputs(study, arm, usable, stages)
-    return CheckedInputs(inputs, consistency.check_consistency(usable, study), warnings)
+    agreement = consistency.check_consistency(usable, study)
+    return CheckedInputs(inputs, agreement, (*warnings, *agreement.warnings))
 
 
 def check_input(study: Study | Path, *, data: Data | None = None) -> InputCheck:

@@ -43,6 +43,10 @@ _RESULT = {
         "The model does not describe the records it was fitted to.",
         'Give gears that harden spring = "three-slope"; else fit a likely effect.',
     ),
+    "urdf-mass": Advice(
+        "The inertial values of the URDF are a guess. The base parameters do not depend on them.",
+        "Use the exported parameters; compare the payload of the records and the torque constants.",
+    ),
     "torques-contradict": Advice(
         "The named effect biases the rigid model. The intervals are widened.",
         "Add the effect to the joint's effects, and check torque_per_volt of all joints.",

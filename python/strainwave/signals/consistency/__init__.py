@@ -32,6 +32,7 @@ from strainwave.signals.consistency.torque_constants import (
     find_doubtful_torque_constant,
     suspect_torque_constants,
 )
+from strainwave.signals.consistency.urdf_masses import compare_urdf_masses
 
 __all__ = ["check_consistency", "find_doubtful_torque_constant", "suspect_torque_constants"]
 
@@ -52,7 +53,7 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
 
     Returns all relations, and one suspicion per cause that explains contradictions. If the causes
     do not explain all contradictions, also returns the remaining contradictions with the likely
-    causes, most likely first.
+    causes, most likely first. Warnings are about values of the study that are only a prior.
     """
     with one_blas_thread():
         clippings = list(measure_clipping(logs, Arm.of(study.arm)))
@@ -62,8 +63,9 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
         unclipped = replace(unclipped, geometries=search_geometry(unclipped))
         observations = tuple(compute_observations(unclipped))
         suspicions.extend(_explain_contradictions(unclipped, observations))
+        warnings = () if suspicions else tuple(compare_urdf_masses(unclipped))
     relations = (*(each.relation for each in clippings), *relations_of(observations))
-    return Consistency(tuple(suspicions), relations)
+    return Consistency(tuple(suspicions), relations, warnings)
 
 
 def _explain_contradictions(
@@ -100,14 +102,15 @@ def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:
     before or its kind is in `_REQUIRED_KINDS`.
     """
     before = _contradiction_weight(now, now, np.inf)
-    likely = before - _MIN_EXPLAINED_WEIGHT
+    limit = before - _MIN_EXPLAINED_WEIGHT
     weights: list[tuple[float, Cause]] = []
     for cause in propose_causes(evidence, [o for o in now if o.contradicts]):
-        after = _contradiction_weight(
-            compute_observations(evidence.corrected(cause.corrections)), now, likely
-        )
-        if after < likely:
+        observations = compute_observations(evidence.corrected(cause.corrections))
+        after = _contradiction_weight(observations, now, limit)
+        if after < limit:
             weights.append((after + _ESTIMATED_FACTOR_PENALTY * cause.has_estimated_factor, cause))
+            if evidence.geometries:  # Observations of chains take time; the best cause is enough.
+                limit = min(limit, after + _ESTIMATED_FACTOR_PENALTY)
         if after == 0.0:
             break
     return [cause for _, cause in sorted(weights, key=lambda each: each[0])]

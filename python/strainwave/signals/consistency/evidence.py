@@ -60,13 +60,13 @@ class SlowRecord:
     shifted: Mapping[str, float] = field(default_factory=dict)  # channel -> delay removed [s]
 
 
-ChangeKind = Literal["axis", "gravity", "ratio", "zero", "frame", "coupling", "robot"]
+ChangeKind = Literal["axis", "gravity", "ratio", "zero", "frame", "coupling", "robot", "torque"]
 """What an alternative geometry changes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """A change of the geometry, and the cost of the torque fit with it."""
+    """A change of the geometry, and the cost of the torque fit with it and its coordinates."""
 
     kind: ChangeKind
     joint: int | None  # from 1

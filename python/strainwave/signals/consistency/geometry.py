@@ -17,7 +17,12 @@ import numpy as np
 from strainwave.domain import Correction, FloatArray
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.consistency.evidence import Alternative, ChangeKind, Evidence
-from strainwave.signals.consistency.torque_fit import TorqueFit, fit_torques, torque_system
+from strainwave.signals.consistency.torque_fit import (
+    TorqueFit,
+    fit_ratio,
+    fit_torques,
+    torque_system,
+)
 
 # Prior standard deviations of the changes: log ratio, angles [rad], lengths [m], gravity [m/s^2].
 _RATIO_STD, _ANGLE_STD, _LENGTH_STD, _GRAVITY_STD = 0.3, 0.5, 0.15, 5.0
@@ -26,6 +31,11 @@ _DERIVATIVE_STEP = 1e-4
 # Largest Gauss-Newton step, in prior standard deviations.
 _MAX_STEP = 2.0
 _MAX_STEPS = 8
+# Steps after which a search ends if the mean unexplained share is still above the limit.
+_N_TRIAL_STEPS, _MAX_TRIAL_UNEXPLAINED = 3, 0.3
+# Mean unexplained share of the torques above which geometries are not compared. Measured arms with
+# friction that depends on temperature and position reach 0.4, simulated ones 0.001.
+_MAX_UNEXPLAINED = 0.05
 # Reduction of a step that does not decrease the cost, and the shortest fraction that is tried.
 _STEP_REDUCTION, _MIN_STEP_FRACTION = 0.4, 0.1
 # Smallest predicted unexplained share, for the logarithm.
@@ -33,6 +43,12 @@ _MIN_UNEXPLAINED = 1e-6
 # Decrease of the cost per independent row below which a search is not started, or ends.
 _MIN_PREDICTED_DECREASE = 0.03
 _MIN_DECREASE = 2e-3
+# Changes within which a description is accepted: relative, angles [rad], lengths [m], gravity
+# [m/s^2], torque constants. Drawings and calibrations of robots are more accurate.
+_TOLERATED_RATIO, _TOLERATED_ANGLE, _TOLERATED_LENGTH = 0.02, 0.03, 0.01
+_TOLERATED_GRAVITY, _TOLERATED_TORQUE = 0.5, 0.1
+# Factors of the torque of one joint in another unit.
+_TORQUE_UNITS = (1e3, 1e-3)
 _STANDARD_GRAVITY = 9.81  # [m/s^2]
 # Cosine above which two directions are equal.
 _EQUAL_DIRECTIONS = 0.999
@@ -46,12 +62,14 @@ class _Family:
     joint: int | None
     size: int
     corrections: Callable[[FloatArray], tuple[Correction, ...]]
+    tolerated: FloatArray  # (size,) coordinates of a change within which a study is accepted
 
 
 def search_geometry(evidence: Evidence) -> tuple[Alternative, ...]:
     """Alternatives to the stated geometry, the best first, and the stated geometry as the last.
 
-    Empty for arms with a planar program, whose geometry the link sensors test, and without torques.
+    Empty for arms with a planar program, whose geometry the link sensors test, without torques, and
+    if no geometry explains the torques well: friction and drives then change the fit more.
     """
     system = None if evidence.arm.has_planar_program else torque_system(evidence)
     if system is None:
@@ -63,9 +81,12 @@ def search_geometry(evidence: Evidence) -> tuple[Alternative, ...]:
     continuous = run_parallel(
         [partial(_search, evidence, fit, family) for family in _promising(evidence, fit)]
     )
-    better = [each for each in (*discrete, *continuous) if each.cost < fit.cost]
+    found = [each for each in continuous if each is not None]
+    better = [each for each in (*discrete, *found) if each.cost < fit.cost]
     stated = Alternative("robot", None, (), fit.cost)
-    return (*sorted(better, key=lambda each: each.cost), stated)
+    ordered = (*sorted(better, key=lambda each: each.cost), stated)
+    is_explained = fit_ratio(ordered[0].cost, 0.0, fit.n_all) < _MAX_UNEXPLAINED
+    return ordered if is_explained else ()
 
 
 def _promising(evidence: Evidence, fit: TorqueFit) -> Iterator[_Family]:
@@ -73,11 +94,16 @@ def _promising(evidence: Evidence, fit: TorqueFit) -> Iterator[_Family]:
     families = [*_families(evidence)]
     slopes = run_parallel([partial(_slope, evidence, fit, f, np.zeros(f.size)) for f in families])
     frames = [slope for slope, f in zip(slopes, families, strict=True) if f.kind == "frame"]
-    families.append(_Family("robot", None, 6 * len(frames), partial(_robot, evidence)))
+    n = len(frames)
+    tolerated = np.tile(_TOLERATED_FRAME, n)
+    families.append(_Family("robot", None, 6 * n, partial(_robot, evidence), tolerated))
     slopes.append(np.column_stack(frames))
     for family, slope in zip(families, slopes, strict=True):
         if _gauss_newton(fit, slope, np.zeros(family.size))[1] > _MIN_PREDICTED_DECREASE:
             yield family
+
+
+_TOLERATED_FRAME = np.repeat([_TOLERATED_LENGTH / _LENGTH_STD, _TOLERATED_ANGLE / _ANGLE_STD], 3)
 
 
 def _fit(evidence: Evidence, corrections: Sequence[Correction]) -> TorqueFit | None:
@@ -100,6 +126,10 @@ def _discrete(evidence: Evidence) -> Iterator[Alternative]:
         for axis in dict.fromkeys(axes):
             if axis @ stated < _EQUAL_DIRECTIONS:
                 yield Alternative("axis", i, (Correction("joint", str(i), "axis", axis),), np.inf)
+        for factor in _TORQUE_UNITS:
+            scaled = _torque(evidence, i, np.array([np.log(factor) / _RATIO_STD]))
+            if scaled:
+                yield Alternative("torque", i, scaled, np.inf)
     size = arm.gravity_size or _STANDARD_GRAVITY
     stated = np.array(arm.gravity or (0.0, 0.0, 0.0)) / size
     for unit in units:
@@ -118,12 +148,18 @@ def _discrete(evidence: Evidence) -> Iterator[Alternative]:
 def _families(evidence: Evidence) -> Iterator[_Family]:
     arm = evidence.study.arm
     if arm.gravity:
-        yield _Family("gravity", None, 3, partial(_gravity, evidence))
+        tolerated = np.full(3, _TOLERATED_GRAVITY / _GRAVITY_STD)
+        yield _Family("gravity", None, 3, partial(_gravity, evidence), tolerated)
     joints = range(1, arm.n_joints + 1)
     for i in joints:
-        yield _Family("ratio", i, 1, partial(_ratio, evidence, i))
-        yield _Family("zero", i, 1, partial(_zero, evidence, i))
-        yield _Family("frame", i, 6, partial(_frame, evidence, i))
+        tolerated = np.array([_TOLERATED_RATIO / _RATIO_STD])
+        yield _Family("ratio", i, 1, partial(_ratio, evidence, i), tolerated)
+        tolerated = np.array([_TOLERATED_ANGLE / _ANGLE_STD])
+        yield _Family("zero", i, 1, partial(_zero, evidence, i), tolerated)
+        yield _Family("frame", i, 6, partial(_frame, evidence, i), _TOLERATED_FRAME)
+        if _torque(evidence, i, np.zeros(1)):
+            tolerated = np.array([_TOLERATED_TORQUE / _RATIO_STD])
+            yield _Family("torque", i, 1, partial(_torque, evidence, i), tolerated)
 
 
 def _rounded(values: FloatArray) -> tuple[float, ...]:
@@ -140,6 +176,17 @@ def _gravity(evidence: Evidence, x: FloatArray) -> tuple[Correction, ...]:
 def _ratio(evidence: Evidence, i: int, x: FloatArray) -> tuple[Correction, ...]:
     ratio = evidence.study.arm.joints[i - 1].gear_ratio * float(np.exp(_RATIO_STD * x[0]))
     return (Correction("joint", str(i), "gear_ratio", ratio),)
+
+
+def _torque(evidence: Evidence, i: int, x: FloatArray) -> tuple[Correction, ...]:
+    """Another scale of the torque channel or of the torque constant; none without both."""
+    name, constant = f"torque{i}", evidence.study.arm.joints[i - 1].torque_per_volt
+    factor = float(np.exp(_RATIO_STD * x[0]))
+    if name in evidence.channels:
+        return (Correction("channels", name, "scale", evidence.channel(name).scale * factor),)
+    if constant is None:
+        return ()
+    return (Correction("joint", str(i), "torque_per_volt", constant * factor),)
 
 
 def _zero(evidence: Evidence, i: int, x: FloatArray) -> tuple[Correction, ...]:
@@ -163,10 +210,12 @@ def _robot(evidence: Evidence, x: FloatArray) -> tuple[Correction, ...]:
     return tuple(c for i, row in enumerate(frames, start=1) for c in _frame(evidence, i, row))
 
 
-def _search(evidence: Evidence, start: TorqueFit, family: _Family) -> Alternative:
-    """Gauss-Newton search of one family."""
+def _search(evidence: Evidence, start: TorqueFit, family: _Family) -> Alternative | None:
+    """Gauss-Newton search of one family; None if it ends within the tolerated changes."""
     x, fit = np.zeros(family.size), start
-    for _ in range(_MAX_STEPS):
+    for k in range(_MAX_STEPS):
+        if k == _N_TRIAL_STEPS and fit_ratio(fit.cost, 0.0, fit.n_all) > _MAX_TRIAL_UNEXPLAINED:
+            return None
         step, _ = _gauss_newton(fit, _slope(evidence, fit, family, x), x)
         fraction = min(1.0, _MAX_STEP / max(float(np.abs(step).max()), 1e-12))
         before = fit.cost
@@ -178,7 +227,10 @@ def _search(evidence: Evidence, start: TorqueFit, family: _Family) -> Alternativ
             fraction *= _STEP_REDUCTION
         if before - fit.cost < _MIN_DECREASE * fit.n_all:
             break
-    return Alternative(family.kind, family.joint, family.corrections(x), fit.cost)
+    if np.all(np.abs(x) < family.tolerated):
+        return None
+    cost = fit.cost + family.size  # the criterion of Akaike
+    return Alternative(family.kind, family.joint, family.corrections(x), cost)
 
 
 def _slope(evidence: Evidence, fit: TorqueFit, family: _Family, x: FloatArray) -> FloatArray:

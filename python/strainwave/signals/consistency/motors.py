@@ -31,6 +31,8 @@ _MIN_SLIDING_ROWS = 60
 _MAX_LOG_RATIO = float(np.log(1e3))
 # Number of grid points of the ratio search; the spacing is 0.7 %.
 _RATIO_GRID_SIZE = 2001
+# Rows of a chain between two postures at which inertias are evaluated, for their mean.
+_POSTURE_STRIDE = 16
 # Norm of a column of an equation over that of the largest below which the column is zero.
 _MIN_COLUMN_NORM = 1e-12
 
@@ -175,7 +177,7 @@ def _regress_torque(
         torque, block = compute_motor_torque(record, arm, i)[rows], np.column_stack(parts)[rows]
         targets.append(torque - torque.mean())
         blocks.append(block - block.mean(axis=0))
-        inertias.append(equation.inertia[rows, i])
+        inertias.append(equation.inertia[rows[equation.postures], i])
     if not targets:
         return None
     columns = np.concatenate(blocks)
@@ -224,17 +226,20 @@ class _Equations:
     """Rigid-joint equations of all joints in one record, motor side, per base parameter."""
 
     regressor: FloatArray  # (n_rows, n_joints, n_body)
-    inertia: FloatArray  # (n_rows, n_joints, n_body) of the motor's own acceleration
+    inertia: FloatArray  # (n_postures, n_joints, n_body) of the motor's own acceleration
+    postures: slice  # rows of the postures
 
     @classmethod
     def of(cls, record: SlowRecord, arm: Arm) -> _Equations:
         motion = motion_of(record, arm)
         q, dq, ddq = motion.angle, motion.velocity, motion.acceleration
-        rest = np.zeros_like(q)
-        at_rest = arm.rigid_regressor(q, rest, rest)
+        postures = slice(None, None, 1 if arm.has_planar_program else _POSTURE_STRIDE)
+        angle, rest = q[postures], np.zeros_like(q[postures])
+        at_rest = arm.rigid_regressor(angle, rest, rest)
         units = (rest + arm.links_of(unit) for unit in np.eye(arm.n_joints))
-        inertia = [arm.rigid_regressor(q, rest, unit)[:, i] for i, unit in enumerate(units)]
-        return cls(arm.rigid_regressor(q, dq, ddq), np.stack(inertia, axis=1) - at_rest)
+        inertia = [arm.rigid_regressor(angle, rest, unit)[:, i] for i, unit in enumerate(units)]
+        regressor = arm.rigid_regressor(q, dq, ddq)
+        return cls(regressor, np.stack(inertia, axis=1) - at_rest, postures)
 
 
 def estimate_torque_ratios(

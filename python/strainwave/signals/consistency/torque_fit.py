@@ -16,15 +16,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.numerics.filters import differentiate
+from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.signals.consistency.evidence import Evidence, is_slow
 from strainwave.signals.consistency.motors import compute_motor_torque, sliding_rows
 from strainwave.signals.consistency.regression import ROWS_PER_INDEPENDENT_ROW
 from strainwave.signals.consistency.sensors import motion_of
-from strainwave.signals.link_readings import JointMotion
 
 # Every row in `_ROW_STRIDE` is used; 5 of 20 rows per period of the bandwidth frequency remain.
 _ROW_STRIDE = 4
+# The same for the low-pass of the columns.
+_FILTER_STRIDE = 2
 # Relative singular value below which a combination of parameters is not excited.
 _MIN_SINGULAR_VALUE = 1e-6
 # Iterations of the weights, which are the residuals of the joints.
@@ -127,10 +128,13 @@ def torque_system(evidence: Evidence) -> TorqueSystem | None:
             i for i in range(arm.n_joints) if {f"u{i + 1}", f"torque{i + 1}"} & set(record.channels)
         ]
         motion = motion_of(record, arm)
-        states = (x[::_ROW_STRIDE] for x in (motion.angle, motion.velocity, motion.acceleration))
-        strided = JointMotion(*states)
-        of_links = arm.base_regressor(strided.angle, strided.velocity, strided.acceleration)
+        states = motion.angle, motion.velocity, motion.acceleration
+        of_links = arm.base_regressor(*(x[::_FILTER_STRIDE] for x in states))
         of_motors = np.swapaxes(arm.motors_of(np.swapaxes(of_links, 1, 2)), 1, 2)
+        # The torques of a smooth motion have harmonics, which the filter removed from the log.
+        flat, T = of_motors.reshape(len(of_motors), -1), record.sample_time * _FILTER_STRIDE
+        flat = low_pass(flat, record.bandwidth_hz, T)[:: _ROW_STRIDE // _FILTER_STRIDE]
+        of_motors = flat.reshape(-1, *of_motors.shape[1:])
         for i in joints:
             rows = sliding_rows(record, i)[::_ROW_STRIDE]
             rate = differentiate(record.channels[f"theta_m{i + 1}"], record.sample_time)

@@ -14,6 +14,8 @@ from strainwave.signals.consistency.torque_fit import MIN_FIT_RATIO, fit_ratio, 
 
 # Log ratio within which an estimated reduction is the nearest whole number.
 _REDUCTION_TOLERANCE = 0.01
+# Decimal logarithm within which a factor is that of a unit.
+_UNIT_TOLERANCE = 0.01
 
 
 def propose_geometries(case: Case) -> Iterator[Cause]:
@@ -60,6 +62,23 @@ def _gear_ratio(case: Case, change: Alternative, ratio: float) -> Cause:
     return Cause("wrong-gear-ratio", (place,), clause, changes, factor=stated / corrected)
 
 
+def _torque(case: Case, change: Alternative, ratio: float) -> Cause:
+    """Another torque constant of one joint, or another unit of its torque."""
+    joint, (correction,) = change.joint or 0, change.corrections
+    stated = case.evidence.study.arm.joints[joint - 1].torque_per_volt or 1.0
+    place = Place(joint=joint, key="torque_per_volt")
+    if correction.table == "channels":
+        place, stated = (
+            Place(channel=correction.entry),
+            case.evidence.channel(correction.entry).scale,
+        )
+    factor = correction.number / stated
+    is_unit = abs(abs(np.log10(factor)) - 3.0) < _UNIT_TOLERANCE
+    code = "wrong-unit" if is_unit else "wrong-torque-constant"
+    clause = Clause(f"{code}/torques", ratio=ratio, joint=joint, factor=factor)
+    return Cause(code, (place,), clause, (correction,), factor=1.0 / factor)
+
+
 def _gravity(case: Case, change: Alternative, ratio: float) -> Cause:
     texts = {"corrected": _text(change.corrections[0].value)}
     texts["stated"] = _text(case.evidence.study.arm.gravity)
@@ -100,6 +119,7 @@ def _robot(case: Case, change: Alternative, ratio: float) -> Cause:
 _CAUSES: Mapping[ChangeKind, Callable[[Case, Alternative, float], Cause]] = {
     "axis": _axis,
     "ratio": _gear_ratio,
+    "torque": _torque,
     "coupling": _coupling,
     "gravity": _gravity,
     "zero": _zero,

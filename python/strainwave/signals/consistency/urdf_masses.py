@@ -1,0 +1,74 @@
+"""Comparison of the inertial values of a URDF with the torques in the logs.
+
+Each link keeps the shape of its mass in the URDF and gets one factor,
+
+    tau = sum_i s_i Y_i(q, dq, ddq) pi_i + friction,
+
+by weighted least squares over all joints. A factor far from 1 means another mass. Such values are
+only a prior, so the input remains consistent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from strainwave.domain import Diagnostic, FloatArray, Place
+from strainwave.domain.distributions import CI95_STDS
+from strainwave.signals.consistency.evidence import Evidence
+from strainwave.signals.consistency.regression import Fit, regress
+from strainwave.signals.consistency.torque_fit import TorqueSystem, torque_system
+
+# Factor of a mass within which a guess is accepted, in either direction.
+_TOLERATED_FACTOR = 2.0
+# Minimum share of the torques that the scaled links must explain.
+_MIN_EXPLAINED = 0.5
+# Norm of a link's torques over that of the largest below which the motion does not show its mass.
+_MIN_TORQUE = 1e-6
+# Iterations of the weights, which are the residuals of the joints.
+_N_ITERATIONS = 3
+
+
+def compare_urdf_masses(evidence: Evidence) -> Iterator[Diagnostic]:
+    """Yield a warning for each link whose mass in the URDF the torques exclude."""
+    urdf = evidence.study.arm.urdf
+    system = torque_system(evidence) if urdf is not None else None
+    if urdf is None or system is None:
+        return
+    priors = np.array(urdf.priors)
+    per_link = system.columns.reshape(len(system.torque), len(priors), -1)
+    torques = np.einsum("rlp,lp->rl", per_link, priors)
+    sizes = np.linalg.norm(torques, axis=0)
+    shown = np.flatnonzero(sizes > _MIN_TORQUE * sizes.max())
+    fit = _fit_scales(system, torques[:, shown])
+    if fit is None or fit.explained < _MIN_EXPLAINED:
+        return
+    stds = np.sqrt(np.diag(fit.covariance))
+    for link, scale, std in zip(shown.tolist(), fit.value, stds, strict=True):
+        low, high = scale - CI95_STDS * std, scale + CI95_STDS * std
+        if low > _TOLERATED_FACTOR or 0.0 < high < 1.0 / _TOLERATED_FACTOR:
+            mass = float(priors[link, 0])
+            yield Diagnostic(
+                "urdf-mass",
+                Place(joint=link + 1, key="urdf"),
+                link=link + 1,
+                mass=mass,
+                low=max(0.0, float(low) * mass),
+                high=float(high) * mass,
+            )
+
+
+def _fit_scales(system: TorqueSystem, torques: FloatArray) -> Fit | None:
+    """Factors of the links, weighted by the residuals of the joints; None if undetermined."""
+    squares, fit = dict(system.total), None
+    for _ in range(_N_ITERATIONS):
+        weight = np.zeros(len(system.torque))
+        for i, n_rows in system.n_rows.items():
+            weight[system.joint == i] = np.sqrt(n_rows / max(squares[i], 1e-300))
+        fit = regress(weight * system.torque, weight[:, None] * torques)
+        if fit is None:
+            return None
+        residual = system.torque - torques @ fit.value
+        squares = {i: float(np.sum(residual[system.joint == i] ** 2)) for i in squares}
+    return fit

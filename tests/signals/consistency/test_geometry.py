@@ -1,0 +1,138 @@
+"""Torques of a simulated chain agree with its own geometry and name a wrong one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from serial_chains import parameters_of, random_body
+from strainwave.domain import ArmDescription, Correction, Experiment, Joint, Log, Study
+from strainwave.domain.arm import Origin, Urdf
+from strainwave.domain.corrections import apply_corrections
+from strainwave.dynamics.arm import Arm
+from strainwave.signals.consistency import check_consistency
+from strainwave.signals.consistency.evidence import collect_evidence
+from strainwave.signals.consistency.geometry import search_geometry
+
+N_JOINTS, SAMPLE_TIME, SECONDS = 3, 2e-3, 20.0
+ARM = ArmDescription(
+    "serial",
+    (
+        Joint("rigid", 0.01, origin=Origin((0.0, 0.0, 0.3))),
+        Joint("rigid", -0.02, origin=Origin((0.1, 0.0, 0.1), (-1.5, 0.0, 0.0))),
+        Joint("rigid", 0.01, origin=Origin((0.4, 0.0, -0.05), (0.0, 0.0, 0.1))),
+    ),
+    gravity=(0.0, 0.0, -9.81),
+)
+
+
+@pytest.fixture(scope="module")
+def links() -> list[list[float]]:
+    rng = np.random.default_rng(4)
+    return [parameters_of(random_body(rng)) for _ in range(N_JOINTS)]
+
+
+@pytest.fixture(scope="module")
+def given(links: list[list[float]]) -> tuple[tuple[Log, ...], Study]:
+    """Motion of all joints with torques of rigid joints, friction and noise."""
+    rng = np.random.default_rng(3)
+    time = np.arange(0.0, SECONDS, SAMPLE_TIME)
+    angle, rate, acceleration = (np.zeros((len(time), N_JOINTS)) for _ in range(3))
+    for i in range(N_JOINTS):
+        for _ in range(4):
+            w, phase, size = rng.uniform(0.5, 4.0), rng.uniform(0.0, 6.0), rng.uniform(0.2, 0.5)
+            angle[:, i] += size * np.sin(w * time + phase)
+            rate[:, i] += size * w * np.cos(w * time + phase)
+            acceleration[:, i] -= size * w * w * np.sin(w * time + phase)
+    arm = Arm.of(ARM)
+    torque = arm.motors_of(arm.base_regressor(angle, rate, acceleration) @ np.concatenate(links))
+    motor_rate = rate / arm.gear_ratios
+    torque += 1e-4 * acceleration / arm.gear_ratios + 2e-4 * motor_rate + 0.05 * np.sign(motor_rate)
+    torque += 1e-3 * rng.normal(size=torque.shape)
+    channels = {f"torque{i + 1}": torque[:, i] for i in range(N_JOINTS)}
+    channels |= {f"theta_m{i + 1}": angle[:, i] / arm.gear_ratios[i] for i in range(N_JOINTS)}
+    experiment = Experiment("motion", "motion.csv", "motion", ("servo", "servo", "servo"))
+    study = Study(arm=ARM, experiments=(experiment,), path=Path("study.toml"))
+    return (Log(experiment, time, SAMPLE_TIME, channels),), study
+
+
+Change = Callable[[ArmDescription], ArmDescription]
+
+FAULTS: dict[str, tuple[Change, str, str]] = {
+    "axis": (lambda a: a.with_joint(2, axis=(0.0, 1.0, 0.0)), "wrong-geometry", "joint 2 axis"),
+    "direction": (lambda a: a.with_joint(3, axis=(0.0, 0.0, -1.0)), "wrong-sign", "joint 3 axis"),
+    "ratio": (
+        lambda a: a.with_joint(3, gear_ratio=0.008),
+        "wrong-gear-ratio",
+        "joint 3 gear_ratio",
+    ),
+    "gravity": (
+        lambda a: replace(a, gravity=(0.0, -9.81, 0.0)),
+        "wrong-geometry",
+        "gravity",
+    ),
+    "frame": (
+        lambda a: a.with_joint(3, origin=Origin((0.3, 0.1, 0.1), (0.3, 0.2, 0.0))),
+        "wrong-geometry",
+        "joint 3 origin",
+    ),
+}
+
+
+def test_the_true_geometry_is_consistent(given: tuple[tuple[Log, ...], Study]) -> None:
+    check = check_consistency(*given)
+    assert check.suspected == ()
+    (ratio,) = (r.measured for r in check.relations if r.kind == "torque-fit")
+    assert 1.0 <= ratio < 1.1
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_wrong_geometry_is_named(name: str, given: tuple[tuple[Log, ...], Study]) -> None:
+    change, code, where = FAULTS[name]
+    logs, study = given
+    wrong = replace(study, arm=change(study.arm))
+    (suspicion,) = check_consistency(logs, wrong).suspected
+    assert (suspicion.code, suspicion.where) == (code, where)
+    corrected = apply_corrections(wrong, suspicion.corrections)
+    assert check_consistency(logs, corrected).suspected == ()
+
+
+def test_a_wrong_ratio_is_estimated(given: tuple[tuple[Log, ...], Study]) -> None:
+    logs, study = given
+    wrong = replace(study, arm=study.arm.with_joint(2, gear_ratio=-0.016))
+    best = search_geometry(collect_evidence(logs, wrong))[0]
+    (correction,) = best.corrections
+    assert (best.kind, best.joint) == ("ratio", 2)
+    assert correction.number == pytest.approx(-0.02, rel=1e-2)
+
+
+def test_vectors_are_corrected_in_the_table_of_the_joint_or_in_the_urdf() -> None:
+    study = Study(arm=ARM, experiments=())
+    corrections = [Correction("joint", "3", "origin.xyz", (0.1, 0.2, 0.3))]
+    moved = apply_corrections(study, corrections).arm.joints[2].origin
+    assert moved == Origin((0.1, 0.2, 0.3), (0.0, 0.0, 0.1))
+
+
+@pytest.mark.parametrize(("factor", "is_warned"), [(1.0, False), (1.5, False), (0.01, True)])
+def test_masses_of_the_urdf(
+    factor: float,
+    is_warned: bool,
+    given: tuple[tuple[Log, ...], Study],
+    links: list[list[float]],
+) -> None:
+    logs, study = given
+    priors = [tuple(link) for link in links]
+    priors[2] = tuple(factor * value for value in priors[2])
+    arm = replace(study.arm, urdf=Urdf("arm.urdf", tuple(priors)))
+    check = check_consistency(logs, replace(study, arm=arm))
+    assert check.suspected == ()  # a prior never contradicts
+    assert [w.code for w in check.warnings] == ["urdf-mass"] * is_warned
+    for warning in check.warnings:
+        values = dict(warning.clause.values)
+        assert values["link"] == 3
+        assert float(f"{values['low']}") < links[2][0] < float(f"{values['high']}")
+        assert "in the URDF; the torques need" in warning.message
