@@ -124,7 +124,7 @@ def _c_values() -> str:
     }
     arm = [f".{name} = {values[name, None]!r}" for name in ("alpha", "beta", "gamma")]
     arm += [f".{name} = {_braced(value)}" for name, value in entries.items()]
-    torque = [10.0 * (joint.torque_per_volt or 1.0) for joint in joints]
+    torque = [10.0 * joint.torque_per_command for joint in joints]
     return (
         f"static const Arm ARM = {{{', '.join(arm)}}};\n"
         f"static const double TORQUE[2] = {_braced(torque)};\n"
