@@ -105,13 +105,14 @@ def _identify(
         check = check_inputs(study, raw_logs, stages)
     inputs = check.inputs
     rigid = RigidStage()
-    if drives.failures:  # without the scale of the torques, no stage has a result
-        stages = stages[:1]
+    if drives.failures:  # without the scale of the torques, no relation holds
+        check = replace(check, consistency=Consistency())
     elif check.consistency.motors_agree:  # the rigid model does not use link sensors
         rigid = fit_rigid_joints(inputs, reporter, drives.gains)
         check = _compare_torque_constants(check, rigid.model)
     elastic = ElasticStages()
-    if "decoupled" in stages and any(joint.elastic for joint in inputs.arm.joints):
+    is_elastic = any(joint.elastic for joint in inputs.arm.joints)
+    if "decoupled" in stages and is_elastic and not drives.failures:
         suspicion = consistency.find_doubtful_torque_constant(check.consistency)
         if suspicion is not None:
             elastic, check = _explain_suspicion(check, rigid.model, suspicion, reporter)

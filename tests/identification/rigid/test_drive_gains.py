@@ -142,4 +142,4 @@ def test_gains_of_a_simulated_chain_lie_in_their_intervals(tmp_path: Path) -> No
         # the largest base parameters are 1 kg m and 1 kg m^2; motor inertias have the scale n^2
         size = 1e-4 if column.name == "motor_inertia" else 1.0
         expected = value_of(column.parts, truth)
-        assert parameter.value == pytest.approx(expected, abs=0.005 * size), column
+        assert parameter.value == pytest.approx(expected, abs=0.01 * size), column
