@@ -124,7 +124,7 @@ def _c_values() -> str:
     }
     arm = [f".{name} = {values[name, None]!r}" for name in ("alpha", "beta", "gamma")]
     arm += [f".{name} = {_braced(value)}" for name, value in entries.items()]
-    torque = [10.0 * (joint.torque_per_volt or 1.0) for joint in joints]
+    torque = [10.0 * joint.torque_per_command for joint in joints]
     return (
         f"static const Arm ARM = {{{', '.join(arm)}}};\n"
         f"static const double TORQUE[2] = {_braced(torque)};\n"
@@ -143,7 +143,7 @@ def _scipy() -> float:
     p = {name: value for (name, joint), value in values.items() if joint is None}
     joint = [{name: v for (name, j), v in values.items() if j == i} for i in (1, 2)]
     voltage = _voltage()
-    n, e = [j.gear_ratio for j in joints], [j.torque_per_volt or 1.0 for j in joints]
+    n, e = [j.gear_ratio for j in joints], [j.torque_per_command for j in joints]
     loop = [2.0 * np.pi * (j.current_loop_hz or np.inf) for j in joints]
 
     def transmitted(j: dict[str, float], torsion: float) -> float:

@@ -94,7 +94,7 @@ def motion_log(study: Study, values: Values, seed: int, duration: float = 10.0) 
         g2 = values["gravity_torque_2", None] * np.cos(q1 + q2)
         g1 = values["gravity_torque_1", None] * np.cos(q1) + g2
         held = tuple(
-            joint.gear_ratio * g / (joint.torque_per_volt or 1.0)
+            joint.gear_ratio * g / joint.torque_per_command
             for joint, g in zip(study.arm.joints, (g1, g2), strict=True)
         )
     return servoed_log(study, values, reference, start, held)

@@ -34,7 +34,7 @@ def pinocchio(study: Study, log: Log) -> Values:
     angle = channel("theta_m")
     velocity = np.gradient(angle, T, axis=0)
     acceleration = np.gradient(velocity, T, axis=0)
-    e = [joint.torque_per_volt or 1.0 for joint in study.arm.joints]
+    e = [joint.torque_per_command for joint in study.arm.joints]
     torque = channel("u") * e
     n = np.array([joint.gear_ratio for joint in study.arm.joints])
     model = _model(study)

@@ -78,7 +78,7 @@ class Problem:
     def torques(self, log: Log) -> FloatArray:
         """Motor torques at begin, middle and end of every substep: (n, substeps, 3, 2)."""
         h = log.sample_time / SUBSTEPS
-        e = np.array([joint.torque_per_volt or 1.0 for joint in self.study.arm.joints])
+        e = np.array([joint.torque_per_command for joint in self.study.arm.joints])
         w = 2.0 * np.pi * np.array([j.current_loop_hz or np.inf for j in self.study.arm.joints])
         commands = np.column_stack([log.channels["u1"], log.channels["u2"]]) * e
         torques, torque = np.empty((len(commands), SUBSTEPS, 3, 2)), np.zeros(2)
@@ -318,7 +318,7 @@ def _sequence(
     from mujoco import sysid
 
     per_sample = round(log.sample_time / step)
-    e = np.array([joint.torque_per_volt or 1.0 for joint in study.arm.joints])
+    e = np.array([joint.torque_per_command for joint in study.arm.joints])
     tau = problem.torques(log)  # the mean over each step by Simpson's rule
     mean = (tau[:, :, 0] + 4.0 * tau[:, :, 1] + tau[:, :, 2]) / 6.0
     control = np.repeat(mean, per_sample // SUBSTEPS, axis=1).reshape(-1, 2) / e

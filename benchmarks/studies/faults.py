@@ -1,5 +1,8 @@
 """Input faults on drawn arms: `python -m benchmarks.studies.faults --arms 12 --faults 6`.
 
+With `--study STUDY.toml --joints 2,3`, every fault of a serial arm is put into that study, for each
+of the joints, and the input check runs alone.
+
 Each arm is simulated once. Faults of drawn kind and size are put into its logs or study one at a
 time, and `identify` runs on each. A fault is *named* if the run reports its code, *refused* if it
 ends with a message, *harmless* if nothing is reported and every value is within `_MAX_HARMLESS` of
@@ -10,6 +13,7 @@ without a fault; any suspicion is then a false alarm.
 from __future__ import annotations
 
 import argparse
+import time
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,9 +28,10 @@ from strainwave.errors import InvalidInput
 from strainwave.io.logs import read_logs, write_log
 from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import STAGES, identify
+from strainwave.signals.consistency import check_consistency
 from strainwave.virtual.experiments import derived
 from strainwave.virtual.families import catalogue
-from strainwave.virtual.families.input_faults import INPUT_FAULTS, Fault
+from strainwave.virtual.families.input_faults import INPUT_FAULTS, SERIAL_FAULTS, Fault
 
 _MAX_HARMLESS = 0.03  # relative error of a value
 _SOURCES = {"rig": arms.draw_rig, "catalogue": catalogue.drawn}
@@ -88,6 +93,29 @@ def _largest_error(identified: Any, parameters: Any, true_values: Values) -> tup
     return float(largest), label
 
 
+def check_serial_faults(path: Path, joints: list[int], seed: int) -> Table:
+    """Outcomes of the input check for every fault of a serial arm, one row each."""
+    study = read_study(path)
+    logs = tuple(read_logs(study))
+    faults = [Fault("none", "", (), logs, study)]
+    for inject in SERIAL_FAULTS.values():
+        faults += [inject(logs, study, j, np.random.default_rng([seed, j])) for j in joints]
+    table = Table("fault", "size", "class", "suspected", "s")
+    for fault in faults:
+        if fault.kind != "none" and fault.logs is logs and fault.study is study:
+            continue  # the study has no such channel
+        begin = time.perf_counter()
+        suspected = check_consistency(fault.logs, fault.study).suspected
+        seconds = time.perf_counter() - begin
+        codes = {each.code for each in suspected}
+        kind = "named" if codes & set(fault.codes) else "other code" if codes else "silent"
+        if not fault.codes:
+            kind = "false alarm" if codes else "consistent"
+        found = "; ".join(f"{each.code} {each.where}" for each in suspected)
+        table.add_row(fault.kind, fault.size, kind, found, f"{seconds:.1f}")
+    return table
+
+
 def main() -> None:
     """Draw arms and faults, and print their outcomes."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -97,7 +125,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--stages", default=",".join(STAGES))
     parser.add_argument("--out", type=Path, help="lines of JSON; a repeated run continues")
+    parser.add_argument("--study", type=Path, help="study of a serial arm, instead of drawn arms")
+    parser.add_argument("--joints", default="1", help="joints of the faults in --study: 2,3")
     options = parser.parse_args()
+    if options.study is not None:
+        joints = [int(joint) for joint in options.joints.split(",")]
+        Console(width=160).print(check_serial_faults(options.study, joints, options.seed))
+        return
     work = partial(evaluate, options.faults, options.seed, tuple(options.stages.split(",")))
     run = partial(arms.run_on_logs, work=work, arm=_SOURCES[options.source])
     rows: dict[tuple[str, str], list[dict[str, Any]]] = {}

@@ -97,7 +97,7 @@ def remove_channels(folder: Path, rig: Rig, sensors: Sequence[str]) -> None:
                 count = 2.0 * np.pi / LINK_COUNTS
                 columns[f"theta_l{i}"] = count * np.round(columns[f"theta_l{i}"] / count)
             if "torque" in sensors:
-                voltage = (joint.torque_per_volt or 1.0) * columns.pop(f"u{i}")
+                voltage = joint.torque_per_command * columns.pop(f"u{i}")
                 torque = _measured_torque(voltage, joint.current_loop_hz, log.sample_time)
                 noise = TORQUE_NOISE * np.max(np.abs(torque))
                 columns[f"torque{i}"] = torque + rng.normal(0.0, noise, len(torque))

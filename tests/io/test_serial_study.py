@@ -10,9 +10,11 @@ import pytest
 
 from results import identification
 from strainwave import InvalidInput
+from strainwave.domain import Payload
 from strainwave.dynamics.arm import Arm
 from strainwave.io.results import study_of, to_document
 from strainwave.io.study import read_study, write_study
+from studies import STUDY, write
 
 _ARM = """
 [arm]
@@ -139,3 +141,49 @@ def test_faults_are_named_with_their_place(tmp_path: Path, text: str, message: s
         _read(tmp_path, text)
     assert message in str(caught.value)
     assert str(tmp_path) in str(caught.value)
+
+
+_LOADED = (
+    _RECORD.replace('"motion', '"loaded').replace('use = "loaded"', 'use = "motion"')
+    + "payload = { mass = 2.0, xyz = [0.0, 0.0, 0.1] }\n"
+)
+_UNKNOWN = _STUDY.replace("torque_per_volt = 0.1", 'torque_per_volt = "unknown"')
+
+
+def test_unknown_drives_and_payloads_read_back(tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(_UNKNOWN + _LOADED)
+    study = read_study(tmp_path / "study.toml", logs_exist=False)
+    assert study.arm.unknown_drives == (1, 2)
+    assert study.experiments[1].payload == Payload(2.0, (0.0, 0.0, 0.1))
+    write_study(study, tmp_path / "copy.toml")
+    assert read_study(tmp_path / "copy.toml", logs_exist=False).experiments == study.experiments
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            _STUDY + _LOADED,
+            r"\[\[experiment\]\] 2: a payload is given, but .* known.* Remedy: remove",
+        ),
+        (
+            _UNKNOWN,
+            r"\[\[joint\]\] 1: 'torque_per_volt' is \"unknown\", but .* record a motion without",
+        ),
+        (_UNKNOWN + _LOADED.replace("2.0", "-2.0"), "'mass' is -2.0"),
+        (_UNKNOWN + _LOADED.replace("2.0", "2e5"), r"'mass' is 200000 kg.*in g, set 200"),
+        (_UNKNOWN + _LOADED.replace("0.1]", "100.0]"), r"'xyz' is 100 m.*in mm, set 0.1"),
+        (_UNKNOWN.replace('"unknown"', '"unkown"'), "'torque_per_volt' is 'unkown'"),
+    ],
+)
+def test_unknown_drives_need_payloads(text: str, expected: str, tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(text)
+    with pytest.raises(InvalidInput, match=expected):
+        read_study(tmp_path / "study.toml", logs_exist=False)
+
+
+def test_planar_arms_have_known_drives(tmp_path: Path) -> None:
+    text = STUDY.replace("torque_per_volt = 0.08", 'torque_per_volt = "unknown"')
+    path = write(tmp_path, text)
+    with pytest.raises(InvalidInput, match=r"of a planar-two-link arm must be known.*\"serial\""):
+        read_study(path)

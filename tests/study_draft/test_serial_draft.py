@@ -330,7 +330,7 @@ def read_columns(study: Study) -> set[str]:
 
 
 def reference_gain(study: Study, joint: int | None) -> float:
-    gain = study.arm.joints[(joint or 1) - 1].torque_per_volt
+    gain = study.arm.joints[(joint or 1) - 1].known_torque_per_volt
     assert gain is not None
     return gain
 

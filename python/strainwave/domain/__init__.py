@@ -100,6 +100,7 @@ from strainwave.domain.ranges import PlausibleRange as PlausibleRange
 from strainwave.domain.ranges import SizedValue as SizedValue
 from strainwave.domain.ranges import is_physical as is_physical
 from strainwave.domain.ranges import physical_range as physical_range
+from strainwave.domain.rigid_model import DriveGains as DriveGains
 from strainwave.domain.rigid_model import RigidModel as RigidModel
 from strainwave.domain.search_end import SearchEnd as SearchEnd
 from strainwave.domain.signals import Activity as Activity
@@ -117,6 +118,7 @@ from strainwave.domain.stages import Stage as Stage
 from strainwave.domain.study import Channel as Channel
 from strainwave.domain.study import Control as Control
 from strainwave.domain.study import Experiment as Experiment
+from strainwave.domain.study import Payload as Payload
 from strainwave.domain.study import Prbs as Prbs
 from strainwave.domain.study import Study as Study
 from strainwave.domain.study import TopicChannel as TopicChannel

@@ -25,6 +25,7 @@ Spring = str  # name of a gear law
 EffectName = str  # of one of `domain.effects`
 Vector = tuple[float, float, float]
 Matrix = tuple[tuple[float, ...], ...]  # rows
+UNKNOWN: Literal["unknown"] = "unknown"
 LinkPrior = tuple[float, ...]  # the ten standard parameters of a link, in the order of the core
 
 _PLANAR_PROGRAMS = ("planar-two-link", "single-joint")  # kinds with a compiled program
@@ -71,7 +72,8 @@ class Joint:
     spring: Spring
     gear_ratio: float  # n, link turns (prismatic: m per rad) of the motor; not zero
     motion: Motion = "revolute"
-    torque_per_volt: Positive | None = None  # e [N m/V], motor side
+    # e [N m/V], motor side; "unknown": estimated from records with and without a known payload
+    torque_per_volt: Positive | Literal["unknown"] | None = None
     current_loop_hz: Positive | None = None
     encoder_counts: Positive | None = None  # per motor turn
     link_encoder_counts: Positive | None = None  # per turn of the link
@@ -87,8 +89,13 @@ class Joint:
 
     @property
     def torque_per_command(self) -> float:
-        """Motor torque per unit of the input: e [N m/V]; 1 if the input is a torque."""
-        return self.torque_per_volt or 1.0
+        """Motor torque per unit of the input: e [N m/V]; 1 if it is a torque, or e unknown."""
+        return self.known_torque_per_volt or 1.0
+
+    @property
+    def known_torque_per_volt(self) -> float | None:
+        """E [N m/V]; None if it is not given."""
+        return None if self.torque_per_volt == UNKNOWN else self.torque_per_volt
 
     @property
     def encoder_resolution(self) -> float:
@@ -194,6 +201,12 @@ class ArmDescription:
     def has_planar_program(self) -> bool:
         """Whether the core has a compiled program of this kind, for motion in the xy plane."""
         return self.kind in _PLANAR_PROGRAMS
+
+    @property
+    def unknown_drives(self) -> tuple[int, ...]:
+        """Joints, from 1, whose torque per volt is unknown."""
+        numbered = enumerate(self.joints, start=1)
+        return tuple(number for number, joint in numbered if joint.torque_per_volt == UNKNOWN)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

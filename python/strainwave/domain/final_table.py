@@ -59,6 +59,7 @@ _CONTRADICTION_REASON = Clause("reason/contradiction")
 _IMPLAUSIBLE_REASON = Clause("reason/implausible")
 _VISCOUS_FRICTIONS = ("motor_viscous_friction", "link_viscous_friction")
 _FIRST_ROWS = (
+    "torque_per_volt",
     "rigid_inertia",
     "inertia",
     "motor_inertia",
@@ -122,8 +123,9 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
     else:
         _make_consistent(table, study.arm, accepted)
     _reject_contradictions(table, study.arm)
+    drives = {p.key: _Entry(p) for p in results.drive_gains}
     levels_by_joint = {level.joint: level for level in results.activity}
-    rows = [_decide_row(entry, study, levels_by_joint) for entry in table.values()]
+    rows = [_decide_row(entry, study, levels_by_joint) for entry in (drives | table).values()]
     order = list(dict.fromkeys([*_FIRST_ROWS, *parameter_table()]))
 
     def place(row: Decision) -> tuple[int, int]:

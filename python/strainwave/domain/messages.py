@@ -107,6 +107,9 @@ TEMPLATES: Mapping[str, str] = {
     " {records}",
     "not-settled": "after {iterations} iterations a parameter still changes by {change:.1f}"
     " standard deviations|; record a longer or more varied motion",
+    "estimated-drive": "the torque per volt is estimated as {value:.4g} +- {share!p:.2g} %|; all"
+    " inertias, friction and stiffness scale with it, and the intervals of the decoupled and the"
+    " tuned stage do not contain its error. Record a heavier payload if it limits the accuracy",
     "load-friction": "friction increases by {share:.3f} +- {std:.3f} of the load|. Predictions of"
     " the rigid model include this; simulations and exports do not",
     "not-rigid": "the anti-resonance at {anti_resonance_hz:.1f} Hz is too close to the motion band"

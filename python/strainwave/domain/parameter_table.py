@@ -68,6 +68,13 @@ _INERTIA = ("kg m^2", "kg")
 
 _DERIVED = (
     ParameterDescription(
+        "torque_per_volt",
+        "e",
+        "torque of the drive per volt, motor side",
+        ("N m/V", "N/V"),
+        "positive",
+    ),
+    ParameterDescription(
         "rigid_inertia",
         "",
         "alpha + m_M1/n1²: inertia of joint 1 with its motor, link side",

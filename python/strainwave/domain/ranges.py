@@ -165,9 +165,9 @@ def _pair_with_ranges(
 ) -> Iterator[SizedValue]:
     """Yield each value with the intersection of its ranges."""
     rows = [(p.label, p.value or 0.0, p.unit, _quantity_of(p.name)) for p in parameters]
-    if joint.torque_per_volt is not None:
-        constant = f"torque_per_volt {number}"
-        rows.insert(0, (constant, joint.torque_per_volt, "N m/V", "torque per volt"))
+    constant = joint.known_torque_per_volt
+    if constant is not None:
+        rows.insert(0, (f"torque_per_volt {number}", constant, "N m/V", "torque per volt"))
     ratio = abs(joint.gear_ratio)
     for label, value, unit, quantity in rows:
         ranges = [
@@ -190,7 +190,7 @@ def _explain_values(
     number: int, joint: Joint, values: Sequence[SizedValue], outside: tuple[SizedValue, ...]
 ) -> ImplausibleJoint:
     """Find the first unit that brings every value of the joint into its range."""
-    constant = joint.torque_per_volt
+    constant = joint.known_torque_per_volt
     for unit, factor in _TORQUE_UNITS.items():
         if all(value.is_plausible(factor) for value in values):
             corrected = None if constant is None else constant * factor

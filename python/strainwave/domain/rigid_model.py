@@ -7,8 +7,24 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from strainwave.display import Displayed
+from strainwave.domain.arm import ArmDescription
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.estimates import Diagnostic, Parameter
+
+
+@dataclass(frozen=True, slots=True)
+class DriveGains:
+    """Torques per volt, estimated from records with and without a known payload."""
+
+    parameters: tuple[Parameter, ...]  # `torque_per_volt` of the joints whose drive is unknown
+    relative_covariance: FloatArray  # (n_gains, n_gains) of their logarithms
+    warnings: tuple[Diagnostic, ...] = ()
+
+    def of(self, arm: ArmDescription) -> ArmDescription:
+        """The arm with the estimates."""
+        for parameter in self.parameters:
+            arm = arm.with_joint(parameter.joint or 1, torque_per_volt=parameter.value)
+        return arm
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from strainwave.domain.arm_model import ArmModel, MotorResponse
 from strainwave.domain.clauses import Clause
-from strainwave.domain.estimates import Diagnostic, Prediction, Suspicion
+from strainwave.domain.estimates import Diagnostic, Parameter, Prediction, Suspicion
 from strainwave.domain.joint_models import JointModel, RecordModel, Sweep
 from strainwave.domain.linear_models import FrequencyResponse
 from strainwave.domain.rigid_model import RigidModel
@@ -23,6 +23,7 @@ class StageResults:
     study: Study
     stages: tuple[Stage, ...]  # that were requested
     rigid: RigidModel | None
+    drive_gains: tuple[Parameter, ...] = ()  # estimated torques per volt, which `study` has
     fitted: tuple[Prediction, ...] = ()  # the model on the fitted records
     checks: tuple[Prediction, ...] = ()  # the model on validation records
     links: tuple[LinkSummary, ...] = ()  # for every joint and record that excites a gear

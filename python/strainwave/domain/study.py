@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, MinLen
 
-from strainwave.domain.arm import ArmDescription, Positive
+from strainwave.domain.arm import ArmDescription, Positive, Vector
 from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.domain.options import Options
 
@@ -57,6 +57,22 @@ class Prbs:
 
 
 @dataclass(frozen=True, slots=True)
+class Payload:
+    """Known point mass on the last link of a chain."""
+
+    mass: Positive  # [kg]
+    xyz: Vector = (0.0, 0.0, 0.0)  # [m] centre of mass in the last link's frame
+
+    @property
+    def parameters(self) -> tuple[float, ...]:
+        """Its ten standard parameters, in the order of the core."""
+        m, (x, y, z) = self.mass, self.xyz
+        first = (m * x, m * y, m * z)
+        xx, yy, zz = m * (y * y + z * z), m * (x * x + z * z), m * (x * x + y * y)
+        return m, *first, xx, -m * x * y, yy, -m * x * z, -m * y * z, zz
+
+
+@dataclass(frozen=True, slots=True)
 class Experiment:
     """One log file and its use: `[[experiment]]`."""
 
@@ -70,6 +86,7 @@ class Experiment:
     start: float | None = None  # [s]
     stop: float | None = None  # [s]
     add: Mapping[str, str] = field(default_factory=dict)  # channel -> column added to it
+    payload: Payload | None = None  # of serial arms
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -43,6 +43,10 @@ PRBS_LIMITS = (
     SizeLimit("clock", 1e-6, 5.0, "s", 1e-3, "ms"),
     SizeLimit("order", 2.0, 24.0, "bits"),
 )
+PAYLOAD_LIMITS = (
+    SizeLimit("mass", 1e-3, 1e4, "kg", 1e-3, "g"),
+    SizeLimit("xyz", 0.0, 10.0, "m", 1e-3, "mm"),
+)
 
 
 def accepted_range(key: str) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from strainwave import _core
-from strainwave.domain import ArmDescription, FloatArray, Joint
+from strainwave.domain import ArmDescription, FloatArray, Joint, Payload
 from strainwave.domain.base_parameters import BaseParameters, base_parameters, link_inertia
 from strainwave.domain.combinations import lumped_inertias, reported, rigid_columns
 from strainwave.domain.core_arm import core_arm, transmission
@@ -195,6 +195,24 @@ class Arm(ArmDescription):
         """Torques of the links, M(q) ddq + c(q, dq) + g(q): (n_samples, n_joints) [N m]."""
         rows = self.base_regressor(angle, velocity, acceleration)
         return np.asarray((rows.reshape(-1, len(base)) @ base).reshape(rows.shape[:2]))
+
+    def payload_vector(self, payload: Payload | None) -> FloatArray:
+        """Parameters of the links that a payload adds: (n_base,); zero without one."""
+        vector = np.zeros(len(self.base_names))
+        if payload is not None:
+            vector[-len(payload.parameters) :] = payload.parameters
+        return vector
+
+    def payload_torques(
+        self,
+        payload: Payload,
+        angle: FloatArray,
+        velocity: FloatArray,
+        acceleration: FloatArray,
+    ) -> FloatArray:
+        """Motor torques that move a payload behind rigid gears: (n_samples, n_joints) [N m]."""
+        vector = self.payload_vector(payload)
+        return self.motors_of(self.link_torques(vector, angle, velocity, acceleration))
 
     def rigid_regressor(
         self, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray
+from strainwave.domain import FloatArray, Payload
 from strainwave.domain.effects import Input, RecordEffect, all_effects, effect_named
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import base_name, of_record
@@ -78,11 +78,14 @@ class RecordInputs:
         return np.concatenate([tangent[..., :n] @ chain, tangent[..., n:]], axis=-1)
 
 
-def record_inputs(arm: Arm, values: Values, record: str, *, hanging: bool) -> RecordInputs:
+def record_inputs(
+    arm: Arm, values: Values, record: str, *, hanging: bool, payload: Payload | None = None
+) -> RecordInputs:
     """Inputs of the core for a record of an arm with record effects.
 
     An effect whose size is missing in `values` is absent. `hanging` states that the links start in
-    static equilibrium and therefore follow the motors.
+    static equilibrium and therefore follow the motors. A payload adds to the parameters of the last
+    link.
     """
     changed: dict[Key, tuple[Input, Mapping[str, str]]] = {
         (change.name, number): (change, names)
@@ -93,6 +96,10 @@ def record_inputs(arm: Arm, values: Values, record: str, *, hanging: bool) -> Re
         if not (hanging and change.name == _LINK_ANGLE)
     }
     parameters, offsets = dict(values), Values()
+    if payload is not None:
+        last = arm.base_names[-len(payload.parameters) :]
+        carried = zip(last, payload.parameters, strict=True)
+        parameters |= {key: values.get(key, 0.0) + value for key, value in carried}
     slopes: dict[Key, dict[Key, float]] = {}
     for key, (change, names) in changed.items():
         (offsets if key[0] in _INITIAL_STATES else parameters)[key] = change.value

@@ -127,11 +127,14 @@ def predict_torque(
     motion = signals.motor_angle, signals.motor_velocity, signals.motor_acceleration
     friction = solution[arm.n_body :].reshape(arm.n_joints, FRICTION_COLUMNS)
     viscous, coulomb, offset = friction.T
-    torque = np.empty_like(signals.motor_torque)
+    torque, payload = np.empty_like(signals.motor_torque), signals.experiment.payload
     for start in range(0, len(torque), _BLOCK_SIZE):
         block = slice(start, start + _BLOCK_SIZE)
-        phi = arm.rigid_regressor(*(arm.links_of(x[block]) for x in motion))
+        links = [arm.links_of(x[block]) for x in motion]
+        phi = arm.rigid_regressor(*links)
         body = phi @ solution[: arm.n_body]
+        if payload is not None:
+            body += arm.payload_torques(payload, *links)
         smooth = body + viscous * signals.motor_velocity[block] + offset
         dry = coulomb + share * np.abs(body)
         limit = np.abs(dry)

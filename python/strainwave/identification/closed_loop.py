@@ -96,7 +96,13 @@ class Observation:
         if self.axes:
             record.append("accelerometer")
         is_hanging = self.drive.link_angle is None
-        inputs = record_inputs(arm, dict(values), self.log.name, hanging=is_hanging)
+        inputs = record_inputs(
+            arm,
+            dict(values),
+            self.log.name,
+            hanging=is_hanging,
+            payload=self.log.experiment.payload,
+        )
         runs = simulate_arms(
             arm,
             [inputs.values],

@@ -119,7 +119,7 @@ def modes_of_motor(
     dampers += np.diag(np.concatenate(viscous))
     moving = np.ones(2 * n, dtype=bool)
     for i in others if servoed else ():
-        per_volt = arm.joints[i].torque_per_volt
+        per_volt = arm.joints[i].known_torque_per_volt
         if arm.servo is None or per_volt is None:
             moving[i] = False
         else:

@@ -36,6 +36,7 @@ from strainwave.io.logs.in_memory import Data
 from strainwave.io.results import to_document, to_json
 from strainwave.io.study import read_study, with_options
 from strainwave.numerics.parallel import limited, one_blas_thread
+from strainwave.pipeline.drives import DriveStage, estimate_drives
 from strainwave.pipeline.elastic_arm import ElasticStages, fit_elastic_arm
 from strainwave.pipeline.input_check import CheckedInputs, check_input, check_inputs
 from strainwave.pipeline.reporter import Reporter
@@ -96,27 +97,35 @@ def identify(
 def _identify(
     study: Study, raw_logs: Sequence[Log], stages: tuple[Stage, ...], reporter: Reporter
 ) -> Identification:
+    drives = DriveStage(study)
+    if study.arm.unknown_drives:
+        drives = estimate_drives(study, raw_logs, reporter)
+        study = drives.study
     with reporter.time_part("consistency", "detecting defects, checking consistency"):
         check = check_inputs(study, raw_logs, stages)
     inputs = check.inputs
     rigid = RigidStage()
-    if check.consistency.motors_agree:  # the rigid model does not use link sensors
-        rigid = fit_rigid_joints(inputs, reporter)
+    if drives.failures:  # without the scale of the torques, no relation holds
+        check = replace(check, consistency=Consistency())
+    elif check.consistency.motors_agree:  # the rigid model does not use link sensors
+        rigid = fit_rigid_joints(inputs, reporter, drives.gains)
         check = _compare_torque_constants(check, rigid.model)
     elastic = ElasticStages()
-    if "decoupled" in stages and any(joint.elastic for joint in inputs.arm.joints):
+    is_elastic = any(joint.elastic for joint in inputs.arm.joints)
+    if "decoupled" in stages and is_elastic and not drives.failures:
         suspicion = consistency.find_doubtful_torque_constant(check.consistency)
         if suspicion is not None:
             elastic, check = _explain_suspicion(check, rigid.model, suspicion, reporter)
         elif not check.consistency.suspected:
             elastic = fit_elastic_arm(inputs, rigid.model, reporter)
-    warnings = (*check.warnings, *rigid.warnings, *elastic.warnings)
+    warnings = (*check.warnings, *drives.warnings, *rigid.warnings, *elastic.warnings)
     return Identification(
         study=study,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         version=__version__,
         stages=stages,
         rigid=rigid.model,
+        drive_gains=drives.gains.parameters if drives.gains else (),
         fitted=rigid.fitted,
         checks=(*rigid.checks, *elastic.checks),
         stage_warnings=tuple(dict.fromkeys(warnings)),
@@ -129,7 +138,7 @@ def _identify(
         whole_arm=elastic.whole_arm,
         suspected=check.consistency.suspected,
         motor_responses=elastic.motor_responses,
-        failures=(*rigid.failures, *elastic.failures),
+        failures=(*drives.failures, *rigid.failures, *elastic.failures),
         activity=activity_of(inputs.logs, inputs.arm),
         logs=tuple(raw_logs),
     )

@@ -63,7 +63,8 @@ def fit_elastic_joints(
 
     Without excited records, there are no models.
     """
-    excited = inputs.logs_of("frequency", "sweep")
+    # a model of one joint has one link inertia, that of the arm without payload
+    excited = [log for log in inputs.logs_of("frequency", "sweep") if not log.experiment.payload]
     if not excited:
         return JointStage(warnings=(Diagnostic("no-frequency-record", inputs.place),))
     if rigid_model is None and not is_uncoupled(inputs.arm):

@@ -6,7 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from strainwave.domain import Clause, Diagnostic, Place, Prediction, RigidModel, Signals
+from strainwave.domain import (
+    Clause,
+    Diagnostic,
+    DriveGains,
+    Place,
+    Prediction,
+    RigidModel,
+    Signals,
+)
 from strainwave.domain.combinations import is_uncoupled
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
@@ -28,8 +36,13 @@ class RigidStage:
     failures: tuple[Clause, ...] = ()
 
 
-def fit_rigid_joints(inputs: Inputs, reporter: Reporter) -> RigidStage:
-    """Fit the rigid model and predict the torques of its records and of the check records."""
+def fit_rigid_joints(
+    inputs: Inputs, reporter: Reporter, gains: DriveGains | None = None
+) -> RigidStage:
+    """Fit the rigid model and predict the torques of its records and of the check records.
+
+    `gains` are the estimated torques per volt, which the arm has.
+    """
     arm = inputs.arm
     with reporter.time_part("rigid", "rigid joints: least squares"):
         logs = (*inputs.logs_of("motion"), *inputs.logs_of("check"))
@@ -40,7 +53,7 @@ def fit_rigid_joints(inputs: Inputs, reporter: Reporter) -> RigidStage:
         motion, checks = records[:n_motion], records[n_motion:]
         warnings = tuple(warning for each in (*motion, *checks) for warning in each.warnings)
         try:
-            model = rigid.fit_rigid(motion, arm, inputs.study.options.rigid)
+            model = rigid.fit_rigid(motion, arm, inputs.study.options.rigid, gains)
         except NotIdentifiable as failure:
             if _is_optional(inputs):
                 warning = Diagnostic("no-rigid-model", inputs.place, reason=str(failure))

@@ -90,7 +90,17 @@ def simulate_study(
         plan = _existing_plan(study, arm, experiment, values) if as_recorded else None
         plan = plan or default_plan(study.path, arm, experiment, values, rng, sample_time)
         logs_columns.append(
-            record_experiment(study, arm, plan, values, noise, rng, simulator, experiment.name)
+            record_experiment(
+                study,
+                arm,
+                plan,
+                values,
+                noise,
+                rng,
+                simulator,
+                experiment.name,
+                experiment.payload,
+            )
         )
         file = Path(experiment.file).name
         if not file.endswith(_WRITABLE_FORMATS):

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Study
+from strainwave.domain import FloatArray, Payload, Study
 from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import Axis, installed_axes
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros, ImuSensor
@@ -46,12 +46,14 @@ def record_experiment(
     rng: np.random.Generator,
     simulator: Simulator,
     name: str = "",
+    payload: Payload | None = None,
 ) -> dict[str, FloatArray]:
     """Simulate one experiment and return its log by channel.
 
     The channels of `study` state which links have encoders. `name` is that of the record, for
-    record effects. Without `noise` the sensors are ideal. Raises InvalidInput if a parameter is
-    missing or impossible, or if an IMU has no position and attitude.
+    record effects, `payload` the mass on the last link. Without `noise` the sensors are ideal.
+    Raises InvalidInput if a parameter is missing or impossible, or if an IMU has no position and
+    attitude.
     """
     axes = [
         axis for i in range(1, arm.n_joints + 1) for axis in installed_axes(arm, i, study.channels)
@@ -59,7 +61,8 @@ def record_experiment(
     _check_imus(study.path, axes)
     record: list[Quantity] = ["voltage", "encoder", "link_angle"]
     record += [name for axis in axes for name in axis.quantities]
-    inputs = record_inputs(arm, values, name, hanging=plan.drive.link_angle is None)
+    is_hanging = plan.drive.link_angle is None
+    inputs = record_inputs(arm, values, name, hanging=is_hanging, payload=payload)
     trajectory = simulator(
         arm,
         inputs.values,

@@ -164,7 +164,7 @@ def test_a_distance_from_the_wrong_axis_is_reported(arm: Input, joint: int) -> N
 def test_the_rigid_fit_reports_a_wrong_torque_constant(
     arm: Input, tmp_path: Path, joint: int, factor: float
 ) -> None:
-    e = arm[1].arm.joints[joint - 1].torque_per_volt or 1.0
+    e = arm[1].arm.joints[joint - 1].torque_per_command
     logs, study = with_joint(arm, joint, torque_per_volt=factor * e)
     for log in logs:
         write_log(tmp_path / log.experiment.file, {"t": log.time, **log.channels})
@@ -189,7 +189,7 @@ def test_correct_torque_constants_give_a_ratio_of_one(small_arm: Input) -> None:
 
 
 def test_a_torque_constant_wrong_by_ten_is_reported_by_the_input_check(small_arm: Input) -> None:
-    e = small_arm[1].arm.joints[0].torque_per_volt or 1.0
+    e = small_arm[1].arm.joints[0].torque_per_command
     suspicion = the_one(with_joint(small_arm, 1, torque_per_volt=10.0 * e))
     assert suspicion.code == "wrong-torque-constant"
     assert "about" in suspicion.remedy

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Parameter, RigidModel, RigidOptions, Signals
+from strainwave.domain import DriveGains, FloatArray, Parameter, RigidModel, RigidOptions, Signals
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_fit
 from strainwave.errors import NotIdentifiable
@@ -25,6 +25,7 @@ from strainwave.identification.rigid.bandwidth import (
     search_bandwidths,
     select_bandwidth,
 )
+from strainwave.identification.rigid.drive_gains import estimate_drive_gains, gain_sensitivity
 from strainwave.identification.rigid.equations import anti_resonances
 from strainwave.identification.rigid.load_friction import (
     load_dependent_joints,
@@ -38,29 +39,35 @@ from strainwave.identification.rigid.trial import Trial, fit_trial
 from strainwave.identification.rigid.trial_warnings import warnings_of
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 
-__all__ = ["ALTERNATIVE_MOTOR_SHARE", "RigidOptions", "fit_rigid"]
+__all__ = ["ALTERNATIVE_MOTOR_SHARE", "RigidOptions", "estimate_drive_gains", "fit_rigid"]
 
 ALTERNATIVE_MOTOR_SHARE = 0.3  # alternative to MOTOR_SHARE, about one standard deviation away
 
 
 def fit_rigid(
-    signals: Sequence[Signals], arm: Arm, options: RigidOptions | None = None
+    signals: Sequence[Signals],
+    arm: Arm,
+    options: RigidOptions | None = None,
+    gains: DriveGains | None = None,
 ) -> RigidModel:
     """Identify the rigid-joint arm from motion records.
 
     `signals` has one item per record, from `signals.prepare_motor_signals`. A parameter that the
-    data do not determine has the value None, and a warning gives the reason. Raises
-    `NotIdentifiable` if there is no record or no usable sample.
+    data do not determine has the value None, and a warning gives the reason. The covariance
+    includes the errors of estimated `gains`, which the arm has. Raises `NotIdentifiable` if there
+    is no record or no usable sample.
     """
     if not signals:
         raise NotIdentifiable(
             'the rigid step needs a record with use = "motion": slow, smooth motion of all joints'
         )
     with one_blas_thread():  # hundreds of small factorisations: several threads are slower
-        return _fit(signals, arm, options or RigidOptions())
+        return _fit(signals, arm, options or RigidOptions(), gains)
 
 
-def _fit(signals: Sequence[Signals], arm: Arm, chosen: RigidOptions) -> RigidModel:
+def _fit(
+    signals: Sequence[Signals], arm: Arm, chosen: RigidOptions, gains: DriveGains | None
+) -> RigidModel:
     motions = [(s, period_of(s)) for s in signals]
     if chosen.bandwidth_hz is not None:
         trials = [fit_trial(arm, prepare_all(arm, motions, chosen.bandwidth_hz), None)]
@@ -74,6 +81,9 @@ def _fit(signals: Sequence[Signals], arm: Arm, chosen: RigidOptions) -> RigidMod
     others = [(t.solution, np.diag(t.covariance)) for t in neighbours(trials, best)]
     model_error = excess_variance(best.solution, others)
     covariance = best.covariance + np.diag(model_error + _elastic_model_error(best))
+    if gains is not None:
+        by_gain = gain_sensitivity(best, gains)
+        covariance = covariance + by_gain @ gains.relative_covariance @ by_gain.T
     shares = load_friction(trials, best, loaded_joints)
     fits = {s.experiment.name: _fits(best, s, shares) for s in signals}
     return _model(best, covariance, shares, torque_ratios(trials, best), fits)

@@ -81,6 +81,9 @@ class Loads:
         """
         q, dq, ddq = map(arm.links_of, stretch.motion)
         body = arm.rigid_regressor(q, dq, ddq) @ around.solution[: arm.n_body]
+        payload = stretch.signals.experiment.payload
+        if payload is not None:
+            body += arm.payload_torques(payload, q, dq, ddq)
         friction = stretch.filtered(np.abs(body) * self.direction[record])
         columns = np.zeros((*friction.shape, len(self.joints)))
         for k, joint in enumerate(self.joints):
@@ -250,21 +253,33 @@ def _body_equations(
         phi = stretch.body
         if not phi.size:
             phi = stretch.filtered(arm.rigid_regressor(q, dq, ddq))
-        return _BodyEquations(phi, np.zeros((len(phi), arm.n_joints, 0)), stretch.torque)
+        torque = stretch.torque - _payload_torque(arm, stretch, (q, dq, ddq))
+        return _BodyEquations(phi, np.zeros((len(phi), arm.n_joints, 0)), torque)
     gear = _gear_torque(arm, stretch, around, around.standing[record])
     interval = stretch.motion_step * stretch.signals.sample_time
     dgear = differentiate(gear, interval)
     ddgear = differentiate(dgear, interval)
     c = around.compliance
-    phi = arm.rigid_regressor(q - c * gear, dq - c * dgear, ddq - c * ddgear)
+    links = q - c * gear, dq - c * dgear, ddq - c * ddgear
+    phi = arm.rigid_regressor(*links)
     # motor inertia acts on the motor acceleration, not the link acceleration
     lag = arm.motor_accelerations(c * ddgear)
     phi += lag[:, :, None] * arm.motors_of_rigid(around.motor_share)
     elastic = np.array([joint.elastic for joint in arm.joints])
-    lags = _compliance_regressor(arm, around, q, ddgear) * elastic
+    payload = arm.payload_vector(stretch.signals.experiment.payload)
+    lags = _compliance_regressor(arm, _base(arm, around) + payload, q, ddgear) * elastic
     filtered = stretch.filtered(np.concatenate([phi, lags], axis=2))
     phi, lags = filtered[:, :, : phi.shape[2]], filtered[:, :, phi.shape[2] :]
-    return _BodyEquations(phi, lags, stretch.torque + lags @ c)
+    torque = stretch.torque - _payload_torque(arm, stretch, links)
+    return _BodyEquations(phi, lags, torque + lags @ c)
+
+
+def _payload_torque(
+    arm: Arm, stretch: Stretch, links: tuple[FloatArray, FloatArray, FloatArray]
+) -> FloatArray | float:
+    """Motor torques that move the known payload of a record, filtered: (n_rows, n_joints)."""
+    payload = stretch.signals.experiment.payload
+    return 0.0 if payload is None else stretch.filtered(arm.payload_torques(payload, *links))
 
 
 def _gear_torque(arm: Arm, stretch: Stretch, around: Estimate, standing: FloatArray) -> FloatArray:
@@ -284,10 +299,10 @@ def _gear_torque(arm: Arm, stretch: Stretch, around: Estimate, standing: FloatAr
 
 
 def _compliance_regressor(
-    arm: Arm, around: Estimate, angle: FloatArray, ddgear: FloatArray
+    arm: Arm, base: FloatArray, angle: FloatArray, ddgear: FloatArray
 ) -> FloatArray:
     """Motor torque per compliance, -N C^T M_j(q) ddT_j: (n_samples, n_joints, n_joints)."""
-    torque = arm.torques_of_accelerations(_base(arm, around), angle, ddgear)
+    torque = arm.torques_of_accelerations(base, angle, ddgear)
     return np.asarray(-arm.motors_of(np.swapaxes(torque, 1, 2)).swapaxes(1, 2))
 
 

@@ -20,6 +20,7 @@ from strainwave.domain import (
     channel_names,
     channel_parts,
 )
+from strainwave.domain.arm import UNKNOWN
 from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.logs.bags import Bag, is_bag
@@ -185,6 +186,13 @@ def _check_required(sources: dict[str, Channel], study: Study, table: Table | Ba
                 f"joint {i} has a voltage log but no torque_per_volt",
                 where=str(study.path),
                 remedy=f"add torque_per_volt to [[joint]] {i}",
+            )
+        if f"torque{i}" in sources and joint.torque_per_volt == UNKNOWN:
+            raise InvalidInput(
+                f'the torque of joint {i} is logged, but its torque_per_volt is "unknown"',
+                where=str(study.path),
+                remedy=f"remove torque_per_volt from [[joint]] {i}; or, if the column holds a "
+                f"current, map it to u{i} instead of torque{i}",
             )
 
 

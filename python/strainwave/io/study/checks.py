@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import ArmDescription, Study, channel_names, channel_parts
-from strainwave.domain.arm import Matrix
+from strainwave.domain.arm import UNKNOWN, Matrix
 from strainwave.domain.effects import effect_named
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.link_sensors import optional_constants, sensor_of
@@ -22,6 +22,7 @@ from strainwave.domain.study_limits import (
     ARM_LIMITS,
     IMU_LIMITS,
     JOINT_LIMITS,
+    PAYLOAD_LIMITS,
     PRBS_LIMITS,
     SERVO_LIMITS,
     SizeLimit,
@@ -37,11 +38,19 @@ def check_consistency(study: Study, reader: Reader) -> None:
     _check_joints(study.arm, reader)
     _check_channels(study, reader)
     _check_experiments(study, reader)
+    _check_payloads(study, reader)
     check_options(study, reader)
 
 
 def _check_joints(arm: ArmDescription, reader: Reader) -> None:
     for index, joint in enumerate(arm.joints):
+        if joint.torque_per_volt == UNKNOWN and kind_of(arm).places_joints:
+            raise InvalidInput(
+                f"'torque_per_volt' of a {arm.kind} arm must be known",
+                where=reader.place("joint", index, "torque_per_volt"),
+                remedy='set it in N m/V, or describe the arm with kind = "serial" and record it '
+                "with and without a payload",
+            )
         if joint.gear_ratio == 0.0:
             raise InvalidInput(
                 "'gear_ratio' is 0",
@@ -224,6 +233,27 @@ def _check_experiments(study: Study, reader: Reader) -> None:
             )
 
 
+def _check_payloads(study: Study, reader: Reader) -> None:
+    """Raise InvalidInput unless unknown drives and known payloads belong together."""
+    unknown = study.arm.unknown_drives
+    for index, experiment in enumerate(study.experiments):
+        if experiment.payload is not None and not unknown:
+            raise InvalidInput(
+                "a payload is given, but the torque_per_volt of every joint is known",
+                where=reader.place("experiment", index, "payload"),
+                remedy="remove the payload, which serves to estimate the torque_per_volt of serial "
+                'arms; or set torque_per_volt = "unknown"',
+            )
+    payloads = {e.payload for e in study.experiments if e.use == "motion"}
+    if unknown and study.experiments and len(payloads) < 2:
+        raise InvalidInput(
+            "'torque_per_volt' is \"unknown\", but no two motion records have different payloads",
+            where=reader.place("joint", unknown[0] - 1, "torque_per_volt"),
+            remedy="set it in N m/V, or record a motion without and one with a known payload, and "
+            "describe it: payload = { mass = ..., xyz = [...] } in [[experiment]]",
+        )
+
+
 def check_files(study: Study, reader: Reader) -> None:
     """Raise InvalidInput if the log of an experiment does not exist."""
     for index, experiment in enumerate(study.experiments):
@@ -255,6 +285,8 @@ def check_sizes(study: Study, reader: Reader) -> None:
     for index, experiment in enumerate(study.experiments):
         if experiment.prbs is not None:
             sizes(experiment.prbs, PRBS_LIMITS, "experiment", index, "prbs")
+        if experiment.payload is not None:
+            sizes(experiment.payload, PAYLOAD_LIMITS, "experiment", index, "payload")
 
 
 def _check_record_sizes(
@@ -269,7 +301,7 @@ def _check_record_sizes(
         value = getattr(record, limit.key, None)
         if isinstance(value, tuple):
             value = math.hypot(*value)
-        if value is None or limit.minimum <= abs(value) <= limit.maximum:
+        if value is None or isinstance(value, str) or limit.minimum <= abs(value) <= limit.maximum:
             continue
         remedy = f"set a value from {limit.minimum:g} to {limit.maximum:g}"
         if limit.key == "gear_ratio" and abs(value) > limit.maximum:

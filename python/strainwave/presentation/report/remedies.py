@@ -194,6 +194,10 @@ _DATA = {
         "Friction is unknown at standstill, so intervals are wide.",
         "Move faster and reverse less often.",
     ),
+    "estimated-drive": Advice(
+        "Inertias, friction and stiffness of all stages scale with the estimated torque per volt.",
+        "Record a heavier payload if the intervals of torque_per_volt are too wide.",
+    ),
     "load-friction": Advice(
         "The rigid model includes this friction; simulated and exported arms do not.",
         "No action is required.",

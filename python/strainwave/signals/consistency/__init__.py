@@ -59,7 +59,9 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
         clippings = list(measure_clipping(logs, Arm.of(study.arm)))
         suspicions = [suspicion for each in clippings for suspicion in each.suspicions]
         clipped_channels = [p.channel for each in suspicions for p in each.places if p.channel]
-        unclipped = collect_evidence(logs, study).without(clipped_channels)
+        # the relations between torques and motion hold for the arm alone
+        bare = [log for log in logs if log.experiment.payload is None]
+        unclipped = collect_evidence(bare, study).without(clipped_channels)
         unclipped = replace(unclipped, geometries=search_geometry(unclipped))
         observations = tuple(compute_observations(unclipped))
         suspicions.extend(_explain_contradictions(unclipped, observations))

@@ -180,7 +180,7 @@ def _ratio(evidence: Evidence, i: int, x: FloatArray) -> tuple[Correction, ...]:
 
 def _torque(evidence: Evidence, i: int, x: FloatArray) -> tuple[Correction, ...]:
     """Another scale of the torque channel or of the torque constant; none without both."""
-    name, constant = f"torque{i}", evidence.study.arm.joints[i - 1].torque_per_volt
+    name, constant = f"torque{i}", evidence.study.arm.joints[i - 1].known_torque_per_volt
     factor = float(np.exp(_RATIO_STD * x[0]))
     if name in evidence.channels:
         return (Correction("channels", name, "scale", evidence.channel(name).scale * factor),)

@@ -82,5 +82,5 @@ def _corrections(value: float, study: Study, *, logged: bool) -> tuple[Correctio
     if logged:
         scale = study.channels.get("torque1", Channel("torque1")).scale / value
         return (Correction("channels", "torque1", "scale", scale),)
-    constant = study.arm.joints[0].torque_per_volt
+    constant = study.arm.joints[0].known_torque_per_volt
     return (Correction("joint", "1", "torque_per_volt", constant / value),) if constant else ()

@@ -261,6 +261,9 @@ def _delayed(kind: str, channel: Callable[[Logs, int], str]) -> FaultInjector:
     def inject(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
         name = channel(logs, joint)
 
+        if name not in logs[0].channels:
+            return Fault(kind, name, ("misaligned",), logs, study)
+
         def change(log: Log, channels: dict[str, FloatArray]) -> None:
             if name in channels:
                 channels[name] = np.interp(log.time - 0.02, log.time, channels[name])

@@ -149,7 +149,11 @@ class Dataset:
     def _inputs(self, values: Mapping[Key, float]) -> RecordInputs:
         """Inputs of the compiled core, with the effects that are realised through inputs."""
         return record_inputs(
-            self.arm, dict(values), self.log.name, hanging=not self.begins_in_motion
+            self.arm,
+            dict(values),
+            self.log.name,
+            hanging=not self.begins_in_motion,
+            payload=self.log.experiment.payload,
         )
 
     def _arm_at(self, values: Mapping[Key, float]) -> Arm:

@@ -65,7 +65,7 @@ def _gear_ratio(case: Case, change: Alternative, ratio: float) -> Cause:
 def _torque(case: Case, change: Alternative, ratio: float) -> Cause:
     """Another torque constant of one joint, or another unit of its torque."""
     joint, (correction,) = change.joint or 0, change.corrections
-    stated = case.evidence.study.arm.joints[joint - 1].torque_per_volt or 1.0
+    stated = case.evidence.study.arm.joints[joint - 1].torque_per_command
     place = Place(joint=joint, key="torque_per_volt")
     if correction.table == "channels":
         place, stated = (
