@@ -7,6 +7,7 @@ from strainwave.domain.base_parameters import base_parameters
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import kind_of
+from strainwave.errors import InvalidInput
 
 
 def whole_arm_parameter_names(arm: ArmDescription) -> tuple[str, ...]:
@@ -27,6 +28,23 @@ def whole_arm_parameter_names(arm: ArmDescription) -> tuple[str, ...]:
     for name, numbers in joints_by_name.items():
         names += [name, *(f"{name} {number}" for number in numbers)]
     return tuple(names)
+
+
+def with_known_drives(arm: ArmDescription, values: Values) -> ArmDescription:
+    """The arm with the torques per volt of `values` for its unknown drives.
+
+    Raises InvalidInput if one is missing.
+    """
+    for number in arm.unknown_drives:
+        gain = values.get(("torque_per_volt", number))
+        if gain is None:
+            raise InvalidInput(
+                f"the torque_per_volt of joint {number} is unknown",
+                where="--parameters",
+                remedy="add it to the parameters, or set it in the study",
+            )
+        arm = arm.with_joint(number, torque_per_volt=gain)
+    return arm
 
 
 def complete_values(values: Values, arm: ArmDescription) -> Values:

@@ -18,7 +18,7 @@ import numpy as np
 
 from strainwave.domain import Clause, Diagnostic, Place, Study
 from strainwave.domain.keys import Values
-from strainwave.domain.parameters import complete_values
+from strainwave.domain.parameters import complete_values, with_known_drives
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design.excitation_band import ExcitationBand, band_of
@@ -119,6 +119,7 @@ def design(
     satisfies the limits, or if the arm needs a servo that the study does not describe. A single
     experiment that violates the limits gives a warning.
     """
+    study = replace(study, arm=with_known_drives(study.arm, values))
     arm = Arm.of(study.arm)
     arm.parameter_vector(values)  # raises InvalidInput if a parameter is missing
     bands = {j: band_of(arm, values, j, limits.centre) for j in range(1, arm.n_joints + 1)}

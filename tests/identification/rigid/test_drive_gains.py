@@ -28,7 +28,7 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.record_effects import record_inputs
 from strainwave.dynamics.simulation import SensorNoise
-from strainwave.errors import NotIdentifiable
+from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import rigid
 from strainwave.io.study import write_study
 from strainwave.virtual.experiments import simulate_study
@@ -118,6 +118,11 @@ def study_of(arm: Arm, folder: Path) -> Study:
         Experiment("check", "check.csv", "check", servo, payload=PAYLOAD),
     )
     return Study(arm=arm, experiments=records, path=folder / "study.toml")
+
+
+def test_a_simulation_needs_the_gains(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="torque_per_volt of joint 1 is unknown"):
+        simulate_study(study_of(chain(), tmp_path), values_of(chain()), tmp_path)
 
 
 def test_gains_of_a_simulated_chain_lie_in_their_intervals(tmp_path: Path) -> None:

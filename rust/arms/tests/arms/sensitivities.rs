@@ -549,7 +549,19 @@ fn check_methods<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>
     let width = Width::detect();
     let slow = differentiate_over_dual_numbers(&case.task, &member, &directions).expect("finite");
     let fast = case.differentiate(&directions, width);
-    assert_eq!(slow.values, fast.values);
+    if A::PLANAR {
+        assert_eq!(slow.values, fast.values);
+    }
+    // a chain's links are added in another order if a register holds several of them
+    let values = |run: &Sensitivities<N>| run.values.concat();
+    for (one, other) in values(&slow).iter().zip(&values(&fast)) {
+        for (one, other) in one.iter().zip(other) {
+            assert!(
+                (one - other).abs() < 1e-9 * (1.0 + one.abs()),
+                "{one} {other}"
+            );
+        }
+    }
     // Dual numbers compute the derivative of a torsion as the difference of two numbers that are
     // 10^5 times as large, and a servo loop can double the rounding error every few reversals.
     let error = relative_difference(case, &directions, [&slow, &fast]);
@@ -812,6 +824,7 @@ proptest! {
         check_methods(&Case::<Chain, MAX_CHAIN_JOINTS>::random([THREE_SLOPE, LINEAR], seed, servo, 240));
         check_methods(&Case::<Chain, MAX_CHAIN_JOINTS>::random([LINEAR, THREE_SLOPE, LINEAR], seed, servo, 240));
         check_methods(&Case::<Chain, MAX_CHAIN_JOINTS>::random([LINEAR; 6], seed, servo, 80));
+        check_methods(&Case::<Chain, MAX_CHAIN_JOINTS>::random([LINEAR; 7], seed, servo, 80));
     }
 
     #[test]

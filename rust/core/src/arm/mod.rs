@@ -26,6 +26,17 @@ use link_signals::{LINK_SIGNALS, LinkSignalSlopes};
 /// A parameter's name, and its joint, from 1, if it belongs to one.
 pub type Name = (&'static str, Option<usize>);
 
+/// Equations that are compiled as separate functions.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Outlined {
+    /// None.
+    Nothing,
+    /// Each stage of a step.
+    Stages,
+    /// Each stage of a step, and its parts.
+    Parts,
+}
+
 /// An arm of up to `N` joints. A value holds its geometry.
 pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     /// Inertial and gravity parameters, in the order of [`Arm::names`].
@@ -44,9 +55,9 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     const PLANAR: bool;
     /// The signals of [`Arm::link_signals`] that may differ from zero.
     const LINK_SIGNALS: &'static [usize] = link_signals::ALL;
-    /// Whether the equations of a stage are compiled as separate functions, which keeps the
-    /// programs of arms with long equations small.
-    const HAS_OUTLINED_EQUATIONS: bool = false;
+    /// Which equations are compiled as separate functions, which keeps the programs of arms with
+    /// long equations small.
+    const OUTLINED: Outlined = Outlined::Nothing;
 
     /// The base parameters, each once; those of one link for a chain.
     const PARAMETERS: &'static [Parameter];
@@ -98,6 +109,16 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     fn inertia<R: Real>(&self, base: &Self::Base<R>, at: &Self::Posture<R>) -> [[R; N]; N];
     /// Centrifugal, Coriolis and gravity torques c(q, dq) + g(q) [N m].
     fn bias<R: Real>(&self, base: &Self::Base<R>, at: &Self::Posture<R>, dq: &[R; N]) -> [R; N];
+    /// [`Arm::inertia`] and [`Arm::bias`].
+    #[inline(always)]
+    fn equations<R: Real>(
+        &self,
+        base: &Self::Base<R>,
+        at: &Self::Posture<R>,
+        dq: &[R; N],
+    ) -> ([[R; N]; N], [R; N]) {
+        (self.inertia(base, at), self.bias(base, at, dq))
+    }
     /// Derivatives of M_L(q) ddq + c + g with respect to the base parameters, in the order of
     /// [`Arm::names`].
     fn regressor<R: Real>(
@@ -151,6 +172,17 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
         ddq: &[R; N],
     ) -> Slopes<R, N> {
         differentiation::slopes(self, base, (at, dq, ddq))
+    }
+    /// [`Arm::inertia`] and [`Arm::slopes`].
+    #[inline(always)]
+    fn linearised_equations<R: Real>(
+        &self,
+        base: &Self::Base<R>,
+        at: &Self::Posture<R>,
+        dq: &[R; N],
+        ddq: &[R; N],
+    ) -> ([[R; N]; N], Slopes<R, N>) {
+        (self.inertia(base, at), self.slopes(base, at, dq, ddq))
     }
     /// Derivatives of [`Arm::accelerometers`] with respect to angles and velocities, and to
     /// accelerations.

@@ -6,8 +6,8 @@ pub mod friction;
 pub mod rigid;
 
 use crate::actuation::current_loop::StepTorque;
-use crate::arm::Arm;
 use crate::arm::transmission::{link_of, motor_of, product, reflect, share};
+use crate::arm::{Arm, Outlined};
 use crate::joint::effects::{BaseTorque, JointState, PartDeflection, Torsion};
 use crate::joint::gear::{Gears, Spring};
 use crate::joint::{DriveTrains, Joint};
@@ -202,21 +202,21 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         trains
     }
 
-    /// Gears of all joints, computed in a separate function; zeros for arms whose equations are not
-    /// outlined, to which [`Plant::add_drive_train`] adds them where they are needed.
+    /// Gears of all joints; zeros for arms whose stages are not outlined and which have no
+    /// transmission, to which [`Plant::add_drive_train`] adds them where they are needed.
     #[inline(always)]
     fn outlined_drive_trains(&self, x: &State<R, N>) -> DriveTrains<R, N> {
-        if A::HAS_OUTLINED_EQUATIONS {
-            run_out_of_line::<R, _>(DriveTrainWork(self, x))
-        } else {
-            DriveTrains::zero()
+        match A::OUTLINED {
+            Outlined::Nothing => DriveTrains::zero(),
+            Outlined::Stages => self.compute_drive_trains(x),
+            Outlined::Parts => run_out_of_line::<R, _>(DriveTrainWork(self, x)),
         }
     }
 
     /// Adds the gear of a joint, unless [`Plant::outlined_drive_trains`] has computed it.
     #[inline(always)]
     fn add_drive_train(&self, x: &State<R, N>, i: usize, trains: &mut DriveTrains<R, N>) {
-        if !A::HAS_OUTLINED_EQUATIONS {
+        if A::OUTLINED == Outlined::Nothing {
             self.compute_drive_train(x, i, trains);
         }
     }
@@ -399,7 +399,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         torque: &[R; N],
         modes: &Modes<R, N>,
     ) -> Acceleration<R, N> {
-        if EFFECTS || A::HAS_OUTLINED_EQUATIONS {
+        if EFFECTS || A::OUTLINED != Outlined::Nothing {
             // inlined into every stage, the exponentials and sines of effects would be half of the
             // program
             run_out_of_line::<R, _>(AccelerationWork(self, x, at, torque, modes))
@@ -422,8 +422,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         torque: &[R; N],
         modes: &Modes<R, N>,
     ) -> Acceleration<R, N> {
-        let mut inertia = self.arm.inertia(&self.base, at);
-        let bias = self.arm.bias(&self.base, at, &x.link_velocity);
+        let (mut inertia, bias) = self.arm.equations(&self.base, at, &x.link_velocity);
         let [mut part, mut loads, mut base] = [[R::splat(0.0); N]; 3];
         if EFFECTS {
             [part, loads] = self.part_accelerations_and_loads(x);
@@ -476,7 +475,11 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
                 }
             }
         }
-        let mut link = solve(&inertia, &force, self.arm.joints());
+        let mut link = solve(
+            &inertia,
+            &force,
+            (self.arm.joints(), A::OUTLINED == Outlined::Parts),
+        );
         for i in 0..self.arm.joints() {
             if self.is_rigid(i) {
                 motor[i] = link[i] / self.joints[i].ratio;
@@ -573,8 +576,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     ) -> [R; N] {
         let mut holding = *holding;
         let at = self.arm.posture(&x.link_angle);
-        let inertia = self.arm.inertia(&self.base, &at);
-        let bias = self.arm.bias(&self.base, &at, &x.link_velocity);
+        let (inertia, bias) = self.arm.equations(&self.base, &at, &x.link_velocity);
         let mut loads = [R::splat(0.0); N];
         if EFFECTS {
             loads = self.part_accelerations_and_loads(x)[1];

@@ -3,7 +3,7 @@
 //! `min`, `max`, `abs` and `copysign` take the branch of the value, as friction events do. Values
 //! equal those of the plain scalar bit for bit.
 
-use super::real::{operators, tangent_methods};
+use super::real::{is_pack, operators, tangent_methods};
 use super::{Real, Work};
 
 /// A value and its derivatives, one per lane of `V`.
@@ -57,6 +57,7 @@ operators!(
 impl<S: Real, V: Real> Real for Dual<S, V> {
     const LANES: usize = S::LANES;
 
+    is_pack!();
     tangent_methods!(V);
 
     #[inline(always)]

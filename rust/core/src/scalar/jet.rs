@@ -1,6 +1,6 @@
 //! Jets: numbers with one derivative per lane.
 
-use super::real::{operators, tangent_methods};
+use super::real::{is_pack, operators, tangent_methods};
 use super::{Real, Work};
 
 /// A number and its derivative in one direction. In contrast to [`super::Dual`], each lane has a
@@ -58,6 +58,7 @@ operators!(
 impl<R: Real> Real for Jet<R> {
     const LANES: usize = R::LANES;
 
+    is_pack!();
     tangent_methods!(R);
 
     #[inline(always)]

@@ -11,7 +11,7 @@
 
 use std::arch::x86_64::*;
 
-use super::real::{one_lane, operators};
+use super::real::{is_pack, one_lane, operators};
 use super::{Lanes, MAX_LANES, Real, Work};
 
 /// Runs work compiled for AVX2 and fused multiply-add.
@@ -34,6 +34,7 @@ pub unsafe fn with_avx512<W: Work>(work: W) -> W::Output {
 
 /// One number, with fused multiply-add.
 #[derive(Clone, Copy, Debug)]
+#[repr(transparent)]
 pub struct Fused(f64);
 
 one_lane!(Fused);
@@ -49,6 +50,61 @@ operators!(
 
 impl Real for Fused {
     const LANES: usize = 1;
+    type Pack = F64x4;
+    const PACKED: usize = 4;
+    #[inline(always)]
+    fn pack(from: &[Self]) -> F64x4 {
+        assert!(from.len() >= 4);
+        // SAFETY: `Fused` is an f64, and the slice has as many as the register.
+        F64x4(unsafe { from.as_ptr().cast::<__m256d>().read_unaligned() })
+    }
+    #[inline(always)]
+    fn unpack(pack: F64x4, to: &mut [Self]) {
+        assert!(to.len() >= 4);
+        // SAFETY: as in `pack`.
+        unsafe { to.as_mut_ptr().cast::<__m256d>().write_unaligned(pack.0) }
+    }
+    #[inline(always)]
+    fn pack_constants(from: &[f64]) -> F64x4 {
+        F64x4::load(from)
+    }
+    #[inline(always)]
+    fn spread(self) -> F64x4 {
+        F64x4::splat(self.0)
+    }
+    #[inline(always)]
+    fn spread_end(pack: F64x4, last: bool) -> F64x4 {
+        // SAFETY (here and below): the processor has the feature, see the top of this file.
+        F64x4(unsafe {
+            if last {
+                _mm256_permute4x64_pd::<0b11_11_11_11>(pack.0)
+            } else {
+                _mm256_permute4x64_pd::<0>(pack.0)
+            }
+        })
+    }
+    #[inline(always)]
+    fn shift_up(pack: F64x4, two: bool, fill: f64) -> F64x4 {
+        F64x4(unsafe {
+            let fill = _mm256_set1_pd(fill);
+            if two {
+                _mm256_permute2f128_pd::<0x20>(fill, pack.0)
+            } else {
+                _mm256_blend_pd::<1>(_mm256_permute4x64_pd::<0b10_01_00_00>(pack.0), fill)
+            }
+        })
+    }
+    #[inline(always)]
+    fn shift_down(pack: F64x4, two: bool) -> F64x4 {
+        F64x4(unsafe {
+            let zero = _mm256_setzero_pd();
+            if two {
+                _mm256_permute2f128_pd::<0x21>(pack.0, zero)
+            } else {
+                _mm256_blend_pd::<8>(_mm256_permute4x64_pd::<0b11_11_10_01>(pack.0), zero)
+            }
+        })
+    }
     #[inline(always)]
     fn scope<W: Work>(work: W) -> W::Output {
         // SAFETY: the processor has the features, see the top of this file.
@@ -113,6 +169,9 @@ macro_rules! vector {
 
         impl Real for $name {
             const LANES: usize = $lanes;
+
+            is_pack!();
+
             #[inline(always)]
             fn scope<W: Work>(work: W) -> W::Output {
                 unsafe { $with(work) }

@@ -31,6 +31,25 @@ pub trait Real:
 {
     /// Number of lanes.
     const LANES: usize;
+    /// The numbers of several joints in one register; the number itself if it has lanes or
+    /// derivatives.
+    type Pack: Real;
+    /// Numbers per pack.
+    const PACKED: usize;
+    /// The first numbers of a list.
+    fn pack(from: &[Self]) -> Self::Pack;
+    /// Stores a pack to the beginning of a list.
+    fn unpack(pack: Self::Pack, to: &mut [Self]);
+    /// The first constants of a list, one per number of a pack.
+    fn pack_constants(from: &[f64]) -> Self::Pack;
+    /// A pack of equal numbers.
+    fn spread(self) -> Self::Pack;
+    /// The last number of a pack in all its places, or the first.
+    fn spread_end(pack: Self::Pack, last: bool) -> Self::Pack;
+    /// Moves the numbers of a pack by one or two places up, filled with a constant.
+    fn shift_up(pack: Self::Pack, two: bool, fill: f64) -> Self::Pack;
+    /// Moves the numbers of a pack by one or two places down, filled with zeros.
+    fn shift_down(pack: Self::Pack, two: bool) -> Self::Pack;
     /// Runs work compiled for the processor features that the operations of this scalar need.
     ///
     /// Outside such a scope each operation would be a call, so every hot function that is not
@@ -208,8 +227,48 @@ pub(crate) use one_lane;
 
 one_lane!(f64);
 
+/// Implements the packs of [`Real`] for a scalar that is its own pack.
+macro_rules! is_pack {
+    () => {
+        type Pack = Self;
+        const PACKED: usize = 1;
+        #[inline(always)]
+        fn pack(from: &[Self]) -> Self {
+            from[0]
+        }
+        #[inline(always)]
+        fn unpack(pack: Self, to: &mut [Self]) {
+            to[0] = pack;
+        }
+        #[inline(always)]
+        fn pack_constants(from: &[f64]) -> Self {
+            Self::splat(from[0])
+        }
+        #[inline(always)]
+        fn spread(self) -> Self {
+            self
+        }
+        #[inline(always)]
+        fn spread_end(pack: Self, _: bool) -> Self {
+            pack
+        }
+        #[inline(always)]
+        fn shift_up(_: Self, _: bool, fill: f64) -> Self {
+            Self::splat(fill)
+        }
+        #[inline(always)]
+        fn shift_down(_: Self, _: bool) -> Self {
+            Self::splat(0.0)
+        }
+    };
+}
+pub(crate) use is_pack;
+
 impl Real for f64 {
     const LANES: usize = 1;
+
+    is_pack!();
+
     #[inline(always)]
     fn scope<W: Work>(work: W) -> W::Output {
         work.run()

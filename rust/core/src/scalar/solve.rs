@@ -8,7 +8,7 @@ use super::{Real, Work, run_out_of_line};
 pub(crate) fn solve<R: Real, const N: usize>(
     matrix: &[[R; N]; N],
     right: &[R; N],
-    n: usize,
+    (n, outlined): (usize, bool),
 ) -> [R; N] {
     let mut x = *right;
     if N == 1 {
@@ -18,8 +18,10 @@ pub(crate) fn solve<R: Real, const N: usize>(
         let scale = R::splat(1.0) / a.mul_add(d, -(b * b));
         x[0] = d.mul_add(right[0], -(b * right[1])) * scale;
         x[1] = a.mul_add(right[1], -(b * right[0])) * scale;
-    } else {
+    } else if outlined {
         x = run_out_of_line::<R, _>(SolveWork(matrix, right, n));
+    } else {
+        x = eliminate(matrix, right, n);
     }
     x
 }
@@ -39,7 +41,7 @@ pub(crate) fn inverse<R: Real, const N: usize>(
         let mut column = [R::splat(0.0); N];
         column[j] = factor;
         // the matrix is symmetric, so its columns are its rows
-        all[j] = solve(matrix, &column, n);
+        all[j] = solve(matrix, &column, (n, true));
     }
     all
 }
@@ -51,8 +53,44 @@ impl<R: Real, const N: usize> Work for SolveWork<'_, R, N> {
     type Output = [R; N];
     #[inline(always)]
     fn run(self) -> [R; N] {
-        Factor::new(self.0, self.2).solve(self.1)
+        eliminate(self.0, self.1, self.2)
     }
+}
+
+/// Places of a row in [`eliminate`], whole packs.
+const ROOM: usize = 8;
+
+/// Gaussian elimination without pivots, the rows in packs. The right-hand side is one more column.
+#[inline(always)]
+fn eliminate<R: Real, const N: usize>(matrix: &[[R; N]; N], right: &[R; N], n: usize) -> [R; N] {
+    const { assert!(N < ROOM) };
+    let mut rows = [[R::splat(0.0); ROOM]; N];
+    for i in 0..n {
+        rows[i][..N].copy_from_slice(&matrix[i]);
+        rows[i][n] = right[i];
+    }
+    let mut per_pivot = [R::splat(0.0); N];
+    for j in 0..n {
+        per_pivot[j] = R::splat(1.0) / rows[j][j];
+        for i in j + 1..n {
+            // the matrix that remains is symmetric; places before the i-th are not used any more
+            let factor = (-rows[j][i] * per_pivot[j]).spread();
+            for first in (i / R::PACKED * R::PACKED..n + 1).step_by(R::PACKED) {
+                let row = R::pack(&rows[j][first..]);
+                let rest = factor.mul_add(row, R::pack(&rows[i][first..]));
+                R::unpack(rest, &mut rows[i][first..]);
+            }
+        }
+    }
+    let mut x = *right;
+    for i in (0..n).rev() {
+        let mut rest = rows[i][n];
+        for k in (i + 1..n).rev() {
+            rest = (-rows[i][k]).mul_add(x[k], rest);
+        }
+        x[i] = rest * per_pivot[i];
+    }
+    x
 }
 
 /// [`inverse`] for more than two rows.
@@ -137,7 +175,7 @@ mod tests {
                 matrix[i][i] += 0.5;
             }
             let right: [f64; 3] = std::array::from_fn(|i| (0..3).map(|j| matrix[i][j] * x[j]).sum());
-            let actual = solve(&matrix, &right, 3);
+            let actual = solve(&matrix, &right, (3, true));
             let inverse = inverse(&matrix, 2.0, 3);
             for i in 0..3 {
                 let row: f64 = (0..3).map(|j| inverse[i][j] * right[j]).sum();
@@ -146,7 +184,7 @@ mod tests {
             }
             let corner = [[matrix[0][0], matrix[0][1]], [matrix[1][0], matrix[1][1]]];
             let right = [corner[0][0] * x[0] + corner[0][1] * x[1], corner[1][0] * x[0] + corner[1][1] * x[1]];
-            let (fast, general) = (solve(&corner, &right, 2), Factor::new(&corner, 2).solve(&right));
+            let (fast, general) = (solve(&corner, &right, (2, true)), Factor::new(&corner, 2).solve(&right));
             for i in 0..2 {
                 prop_assert!((fast[i] - x[i]).abs() < 1e-12);
                 prop_assert!((general[i] - x[i]).abs() < 1e-12);

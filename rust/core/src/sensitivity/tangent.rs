@@ -75,25 +75,34 @@ impl<V: Real, const N: usize> Tangent<V, N> {
         }
     }
 
-    /// A later stage, after a time `on` at the velocities of the stage `at` and the accelerations.
-    /// Advances only link angles on which the equations depend.
+    /// A later stage, after a time at the velocities of the stage `at` and the accelerations; without
+    /// a time, after one half step. Advances only link angles on which the equations depend.
     #[inline(always)]
     pub(crate) fn next_stage<A: Arm<N>>(
         &self,
-        advance: impl Fn(V, V) -> V,
+        time: Option<V>,
         at: &Tangent<V, N>,
         a: &Response<V, N>,
     ) -> Self {
         let mut next = *self;
         for i in 0..N {
-            next.torsion[i] = advance(self.torsion[i], a.rate[i]);
-            next.motor[i] = advance(self.motor[i], a.motor[i]);
-            next.link[i] = advance(self.link[i], a.link[i]);
+            next.torsion[i] = advance(self.torsion[i], a.rate[i], time);
+            next.motor[i] = advance(self.motor[i], a.motor[i], time);
+            next.link[i] = advance(self.link[i], a.link[i], time);
             if A::DEPENDS_ON_ANGLE[i] {
-                next.angle[i] = advance(self.angle[i], at.link[i]);
+                next.angle[i] = advance(self.angle[i], at.link[i], time);
             }
         }
         next
+    }
+}
+
+/// `x + time * rate`, or `x + rate` without a time. No closure, which might become a call.
+#[inline(always)]
+pub(crate) fn advance<V: Real>(x: V, rate: V, time: Option<V>) -> V {
+    match time {
+        Some(time) => time.mul_add(rate, x),
+        None => x + rate,
     }
 }
 

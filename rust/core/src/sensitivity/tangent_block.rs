@@ -1,15 +1,15 @@
 //! A block of directions, and its step.
 
 use crate::actuation::current_loop::StepTorque;
-use crate::arm::Arm;
 use crate::arm::transmission::{link_of, motor_of, share};
+use crate::arm::{Arm, Outlined};
 use crate::experiment::Source;
 use crate::joint::gear::Gears;
 use crate::plant::config::{Config, Role};
 use crate::scalar::{Lanes, Work, run_out_of_line};
 use crate::sensitivity::forcing::{Forcing, Row};
 use crate::sensitivity::step_length::StepLengthSensitivity;
-use crate::sensitivity::tangent::{Response, Tangent};
+use crate::sensitivity::tangent::{Response, Tangent, advance};
 use crate::sensitivity::variational::LinearisedStep;
 
 /// Derivatives in `V::LANES` directions.
@@ -51,7 +51,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         x: &Tangent<V, N>,
         torque: Option<&[V; N]>,
     ) -> Response<V, N> {
-        if A::HAS_OUTLINED_EQUATIONS {
+        if A::OUTLINED != Outlined::Nothing {
             run_out_of_line::<V, _>(ResponseWork(self, step, k, x, torque))
         } else {
             self.response(step, k, x, torque)
@@ -142,21 +142,14 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         part: f64,
     ) {
         let c = V::splat;
-        let advance = |x: V, rate: V| {
-            if WHOLE {
-                x + rate
-            } else {
-                c(part).mul_add(rate, x)
-            }
-        };
-        let twice = |x: V, rate: V| c(2.0 * part).mul_add(rate, x);
+        let time = if WHOLE { None } else { Some(c(part)) };
+        let twice = Some(c(2.0 * part));
         let x = self.tangent;
         let middle = torque.map(|torque| &torque.middle);
         let end = torque.map(|torque| &torque.end);
-        let at =
-            self.settle_held_motors(step, x.next_stage::<A>(advance, &x, first), &x, (part, 0));
+        let at = self.settle_held_motors(step, x.next_stage::<A>(time, &x, first), &x, (part, 0));
         let second = self.respond(step, 1, &at, middle);
-        let next = x.next_stage::<A>(advance, &at, &second);
+        let next = x.next_stage::<A>(time, &at, &second);
         let at = self.settle_held_motors(step, next, &at, (part, 0));
         let third = self.respond(step, 2, &at, middle);
         let next = x.next_stage::<A>(twice, &at, &third);
@@ -170,9 +163,9 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         for i in 0..arm.joints() {
             to.motor[i] = third_part.mul_add(velocities.motor[i] + fourth.motor[i], x.motor[i]);
             to.link[i] = third_part.mul_add(velocities.link[i] + fourth.link[i], x.link[i]);
-            to.angle[i] = square.mul_add(positions.link[i], twice(x.angle[i], x.link[i]));
+            to.angle[i] = square.mul_add(positions.link[i], advance(x.angle[i], x.link[i], twice));
             let torsion = link_of(arm, i, &one, &positions.motor, -positions.link[i]);
-            to.torsion[i] = square.mul_add(torsion, twice(x.torsion[i], first.rate[i]));
+            to.torsion[i] = square.mul_add(torsion, advance(x.torsion[i], first.rate[i], twice));
         }
         self.tangent = self.settle_held_motors(step, to, &x, (0.0, 1));
     }

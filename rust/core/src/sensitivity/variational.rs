@@ -187,8 +187,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
         let arm = &self.plant.arm;
         let at = arm.near(begin, &rotation);
         let base = &self.plant.base;
-        let inertia = arm.inertia(base, &at);
-        let mut slopes = arm.slopes(base, &at, &dq, &ddq);
+        let (inertia, mut slopes) = arm.linearised_equations(base, &at, &dq, &ddq);
         for i in 0..self.plant.arm.joints() {
             slopes.velocity[i][i] = slopes.velocity[i][i] + self.plant.joints[i].link_viscous;
         }

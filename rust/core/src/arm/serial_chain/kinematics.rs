@@ -3,6 +3,7 @@
 use super::SerialChain;
 use super::placement::Placement;
 use super::recursion::LinkMotion;
+use crate::arm::sine_cosine::SineCosine;
 use crate::scalar::{Jet, Real};
 
 /// Joints of a chain, and gravity.
@@ -13,8 +14,8 @@ pub struct Kinematics {
     gravity: [f64; 3],
 }
 
-impl<const N: usize> From<SerialChain<N>> for Kinematics {
-    fn from(chain: SerialChain<N>) -> Self {
+impl<const N: usize, const LENGTH: usize> From<SerialChain<N, LENGTH>> for Kinematics {
+    fn from(chain: SerialChain<N, LENGTH>) -> Self {
         Self {
             joints: chain.joints[..chain.count].to_vec(),
             gravity: chain.gravity,
@@ -85,7 +86,7 @@ impl Kinematics {
 
 impl<R: Real> LinkMotion<R> {
     fn next(&self, joint: &Placement, [q, dq, ddq]: [R; 3]) -> Self {
-        self.of_next(joint, &joint.posture(q), dq, ddq)
+        self.of_next(joint, &joint.at(SineCosine::of(q), q), dq, ddq)
     }
 
     fn entries(&self) -> [R; Kinematics::ENTRIES] {

@@ -2,17 +2,21 @@
 
 mod kinematics;
 mod placement;
+mod posture;
 mod recursion;
+mod spatial;
 mod vector;
 
 pub use kinematics::Kinematics;
-pub use placement::{ChainJoint, JointPosture, JointType};
+pub use placement::{ChainJoint, JointType};
+pub use posture::Posture;
 
 use super::link_signals::{LINK_SIGNALS, of_link};
-use super::{Arm, Name, Transmission};
+use super::{Arm, Name, Outlined, Slopes, Transmission};
 use crate::parameter::Parameter;
 use crate::scalar::{Real, Work, run_out_of_line};
-use placement::Placement;
+use placement::{JointPosture, Placement};
+use posture::{Placements, ROOM, Rows, zeros};
 use std::f64::consts::TAU;
 use vector::{cross, dot, plus, scaled, splat, times};
 
@@ -51,29 +55,31 @@ const LINK_PARAMETERS: [Parameter; LINK_PARAMETER_COUNT] = [
         .meaning("zz entry of the link's inertia about its frame's origin"),
 ];
 
-/// A chain of at most `N` links on a fixed base.
+/// A chain of at most `N` links on a fixed base; of `LENGTH` links, unless that is 0.
 ///
 /// Torques follow from the recursion of Newton and Euler; they are linear in ten parameters per
-/// link, all of which are parameters of the arm, identifiable or not. The inertia matrix is the sum
-/// over the links (composite rigid bodies).
+/// link, all of which are parameters of the arm, identifiable or not. The inertia matrix follows
+/// from composite rigid bodies.
 ///
 /// The accelerometer of a link is at `accelerometer_distance` across the joint's axis, along the
 /// projection of the frame's x axis (of its y axis if the joint's axis is x), and reads
 /// perpendicular to both. On a prismatic joint it is at the link's origin and reads along the
 /// axis. A gyro reads the rate about the axis.
 ///
-/// Derivatives with respect to the motion follow from the recursion over [`crate::scalar::Jet`]s.
+/// Derivatives of torques with respect to the motion are in closed form; those of sensors follow
+/// from the recursion over [`crate::scalar::Jet`]s.
 #[derive(Clone, Copy, Debug)]
-pub struct SerialChain<const N: usize> {
+pub struct SerialChain<const N: usize, const LENGTH: usize = 0> {
     /// The joints; unused entries repeat the first.
     joints: [Placement; N],
+    placements: Placements,
     count: usize,
     /// [m/s^2] in the base frame.
     gravity: [f64; 3],
     transmission: Option<Transmission<N>>,
 }
 
-impl<const N: usize> SerialChain<N> {
+impl<const N: usize, const LENGTH: usize> SerialChain<N, LENGTH> {
     /// Joints from the base, and the acceleration of gravity [m/s^2] in the base frame.
     ///
     /// # Errors
@@ -89,6 +95,7 @@ impl<const N: usize> SerialChain<N> {
         }
         Ok(Self {
             joints: all,
+            placements: Placements::new(&all[..joints.len()]),
             count: joints.len(),
             gravity,
             transmission: None,
@@ -103,14 +110,29 @@ impl<const N: usize> SerialChain<N> {
         }
     }
 
+    /// The same chain with its number of joints known to the compiler, or with 0, only at run time.
+    ///
+    /// # Panics
+    /// The chain has another number of joints.
+    pub fn with_length<const KNOWN: usize>(&self) -> SerialChain<N, KNOWN> {
+        assert!(KNOWN == 0 || KNOWN == self.count);
+        SerialChain {
+            joints: self.joints,
+            placements: self.placements,
+            count: self.count,
+            gravity: self.gravity,
+            transmission: self.transmission,
+        }
+    }
+
     /// A planar arm whose gravity [m/s^2] acts against y.
     pub(super) fn planar(joints: &[ChainJoint], gravity: f64) -> Self {
         Self::new(joints, [0.0, -gravity, 0.0]).expect("every axis has a direction")
     }
 }
 
-/// Joint positions.
-type Posture<R, const N: usize> = [JointPosture<R>; N];
+/// Inertial parameters of the links.
+type Bodies<R> = Rows<R, LINK_PARAMETER_COUNT>;
 
 /// Torques per inertial parameter, link by link, and the number of links.
 pub struct Regressor<R, const N: usize>([[[R; N]; LINK_PARAMETER_COUNT]; N], usize);
@@ -122,19 +144,23 @@ impl<R, const N: usize> AsRef<[[R; N]]> for Regressor<R, N> {
     }
 }
 
-impl<const N: usize> Arm<N> for SerialChain<N> {
-    type Base<R: Real> = [[R; LINK_PARAMETER_COUNT]; N];
-    type Posture<R: Real> = Posture<R, N>;
+impl<const N: usize, const LENGTH: usize> Arm<N> for SerialChain<N, LENGTH> {
+    type Base<R: Real> = Bodies<R>;
+    type Posture<R: Real> = Posture<R>;
     type Regressor<R: Real> = Regressor<R, N>;
 
     const DEPENDS_ON_ANGLE: [bool; N] = [true; N];
     const PLANAR: bool = false;
     const PARAMETERS: &'static [Parameter] = &LINK_PARAMETERS;
-    const HAS_OUTLINED_EQUATIONS: bool = true;
+    const OUTLINED: Outlined = if LENGTH == 0 {
+        Outlined::Parts
+    } else {
+        Outlined::Stages
+    };
 
     #[inline(always)]
     fn joints(&self) -> usize {
-        self.count
+        if LENGTH == 0 { self.count } else { LENGTH }
     }
 
     fn names(&self) -> Vec<Name> {
@@ -171,56 +197,44 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
     }
 
     #[inline(always)]
-    fn base<R: Real>(&self, values: &[R]) -> [[R; LINK_PARAMETER_COUNT]; N] {
-        let mut all = [[R::splat(0.0); LINK_PARAMETER_COUNT]; N];
-        let count = self.count * LINK_PARAMETER_COUNT;
-        all.as_flattened_mut()[..count].copy_from_slice(&values[..count]);
-        all
-    }
-
-    #[inline(always)]
-    fn map_base<R: Real, L: Real>(
-        base: &[[R; LINK_PARAMETER_COUNT]; N],
-        to: impl Fn(R) -> L,
-    ) -> [[L; LINK_PARAMETER_COUNT]; N] {
-        let mut all = [[to(base[0][0]); LINK_PARAMETER_COUNT]; N];
-        for i in 0..N {
+    fn base<R: Real>(&self, values: &[R]) -> Bodies<R> {
+        let mut all = zeros();
+        for i in 0..self.count {
             for k in 0..LINK_PARAMETER_COUNT {
-                all[i][k] = to(base[i][k]);
+                all[k][i] = values[i * LINK_PARAMETER_COUNT + k];
             }
         }
         all
     }
 
     #[inline(always)]
-    fn posture<R: Real>(&self, q: &[R; N]) -> Posture<R, N> {
-        let mut all = [self.joints[0].posture(q[0]); N];
-        for i in 1..self.count {
-            all[i] = self.joints[i].posture(q[i]);
+    fn map_base<R: Real, L: Real>(base: &Bodies<R>, to: impl Fn(R) -> L) -> Bodies<L> {
+        let mut all = zeros();
+        for k in 0..LINK_PARAMETER_COUNT {
+            for i in 0..ROOM {
+                all[k][i] = to(base[k][i]);
+            }
         }
         all
     }
 
     #[inline(always)]
-    fn near<R: Real>(&self, from: &Posture<R, N>, increment: &[R; N]) -> Posture<R, N> {
-        let mut all = *from;
-        for i in 0..self.count {
-            self.joints[i].advance(&mut all[i], increment[i]);
-        }
-        all
+    fn posture<R: Real>(&self, q: &[R; N]) -> Posture<R> {
+        self.posture_at(q)
     }
 
     #[inline(always)]
-    fn map_posture<R: Real, L: Real>(at: &Posture<R, N>, to: impl Fn(R) -> L) -> Posture<L, N> {
-        let mut all = [at[0].map(&to); N];
-        for i in 1..N {
-            all[i] = at[i].map(&to);
-        }
-        all
+    fn near<R: Real>(&self, from: &Posture<R>, increment: &[R; N]) -> Posture<R> {
+        self.posture_near(from, increment)
     }
 
-    fn chain(&self) -> Self {
-        *self
+    #[inline(always)]
+    fn map_posture<R: Real, L: Real>(at: &Posture<R>, to: impl Fn(R) -> L) -> Posture<L> {
+        at.map(to)
+    }
+
+    fn chain(&self) -> SerialChain<N> {
+        self.with_length()
     }
 
     #[inline(always)]
@@ -229,56 +243,80 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
     }
 
     #[inline(always)]
-    fn inertia<R: Real>(
-        &self,
-        base: &[[R; LINK_PARAMETER_COUNT]; N],
-        at: &Posture<R, N>,
-    ) -> [[R; N]; N] {
-        run_out_of_line::<R, _>(MassMatrix(self, base, at))
+    fn inertia<R: Real>(&self, base: &Bodies<R>, at: &Posture<R>) -> [[R; N]; N] {
+        self.equations(base, at, &[R::splat(0.0); N]).0
     }
 
     #[inline(always)]
-    fn bias<R: Real>(
+    fn bias<R: Real>(&self, base: &Bodies<R>, at: &Posture<R>, dq: &[R; N]) -> [R; N] {
+        self.equations(base, at, dq).1
+    }
+
+    #[inline(always)]
+    fn equations<R: Real>(
         &self,
-        base: &[[R; LINK_PARAMETER_COUNT]; N],
-        at: &Posture<R, N>,
+        base: &Bodies<R>,
+        at: &Posture<R>,
         dq: &[R; N],
-    ) -> [R; N] {
-        self.torques(base, at, dq, &[R::splat(0.0); N])
+    ) -> ([[R; N]; N], [R; N]) {
+        equation::<R, _, LENGTH>(Dynamics(self, base, at, dq, &[R::splat(0.0); N]))
     }
 
     #[inline(always)]
     fn torques<R: Real>(
         &self,
-        base: &[[R; LINK_PARAMETER_COUNT]; N],
-        at: &Posture<R, N>,
+        base: &Bodies<R>,
+        at: &Posture<R>,
         dq: &[R; N],
         ddq: &[R; N],
     ) -> [R; N] {
-        run_out_of_line::<R, _>(NewtonEuler(self, base, at, dq, ddq))
+        equation::<R, _, LENGTH>(Dynamics(self, base, at, dq, ddq)).1
     }
 
     #[inline(always)]
-    fn regressor<R: Real>(&self, at: &Posture<R, N>, dq: &[R; N], ddq: &[R; N]) -> Regressor<R, N> {
-        run_out_of_line::<R, _>(PerParameter(self, at, dq, ddq))
+    fn slopes<R: Real>(
+        &self,
+        base: &Bodies<R>,
+        at: &Posture<R>,
+        dq: &[R; N],
+        ddq: &[R; N],
+    ) -> Slopes<R, N> {
+        self.linearised_equations(base, at, dq, ddq).1
     }
 
-    fn potential<R: Real>(&self, base: &[[R; LINK_PARAMETER_COUNT]; N], at: &Posture<R, N>) -> R {
+    #[inline(always)]
+    fn linearised_equations<R: Real>(
+        &self,
+        base: &Bodies<R>,
+        at: &Posture<R>,
+        dq: &[R; N],
+        ddq: &[R; N],
+    ) -> ([[R; N]; N], Slopes<R, N>) {
+        equation::<R, _, LENGTH>(Linearised(self, base, at, dq, ddq))
+    }
+
+    #[inline(always)]
+    fn regressor<R: Real>(&self, at: &Posture<R>, dq: &[R; N], ddq: &[R; N]) -> Regressor<R, N> {
+        equation::<R, _, LENGTH>(PerParameter(self, at, dq, ddq))
+    }
+
+    fn potential<R: Real>(&self, base: &Bodies<R>, at: &Posture<R>) -> R {
         // mass and first moment of all links from the i-th, about its origin
         let (mut mass, mut moment) = (R::splat(0.0), [R::splat(0.0); 3]);
         for i in (0..self.count).rev() {
-            let [link_mass, x, y, z, ..] = base[i];
-            mass = mass + link_mass;
-            let rotated = times(&at[i].rotation, &plus(&moment, &[x, y, z]));
-            moment = scaled(mass, &self.joints[i].origin(&at[i]), &rotated);
+            mass = mass + base[0][i];
+            let JointPosture { rotation, origin } = self.joint_at(at, i);
+            let own = [base[1][i], base[2][i], base[3][i]];
+            let rotated = times(&rotation, &plus(&moment, &own));
+            moment = scaled(mass, &origin, &rotated);
         }
         -dot(&splat(&self.gravity), &moment)
     }
 
     #[inline(always)]
-    fn accelerometers<R: Real>(&self, at: &Posture<R, N>, dq: &[R; N], ddq: &[R; N]) -> [R; N] {
+    fn accelerometers<R: Real>(&self, at: &Posture<R>, dq: &[R; N], ddq: &[R; N]) -> [R; N] {
         let mut reading = [R::splat(0.0); N];
-        for (i, motion) in run_out_of_line::<R, _>(Motions(self, at, dq, ddq))
+        for (i, motion) in equation::<R, _, LENGTH>(Motions(self, at, dq, ddq))
             .iter()
             .enumerate()
             .take(self.count)
@@ -302,9 +340,9 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
     }
 
     #[inline(always)]
-    fn absolute_rates<R: Real>(&self, at: &Posture<R, N>, dq: &[R; N]) -> [R; N] {
+    fn absolute_rates<R: Real>(&self, at: &Posture<R>, dq: &[R; N]) -> [R; N] {
         let mut rates = *dq;
-        for (i, motion) in run_out_of_line::<R, _>(Motions(self, at, dq, dq))
+        for (i, motion) in equation::<R, _, LENGTH>(Motions(self, at, dq, dq))
             .iter()
             .enumerate()
             .take(self.count)
@@ -317,12 +355,12 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
     #[inline(always)]
     fn link_signals<R: Real>(
         &self,
-        at: &Posture<R, N>,
+        at: &Posture<R>,
         dq: &[R; N],
         ddq: &[R; N],
     ) -> [[R; N]; LINK_SIGNALS] {
         let mut all = [[R::splat(0.0); N]; LINK_SIGNALS];
-        for (i, motion) in run_out_of_line::<R, _>(Motions(self, at, dq, ddq))
+        for (i, motion) in equation::<R, _, LENGTH>(Motions(self, at, dq, ddq))
             .iter()
             .enumerate()
             .take(self.count)
@@ -358,14 +396,24 @@ fn improper_joint<const N: usize>(mut inertia: [[f64; N]; N], joints: usize) -> 
     None
 }
 
+/// Runs work, in a separate function unless the length of the chain is known.
+#[inline(always)]
+fn equation<R: Real, W: Work, const LENGTH: usize>(work: W) -> W::Output {
+    if LENGTH > 0 {
+        work.run()
+    } else {
+        run_out_of_line::<R, _>(work)
+    }
+}
+
 /// Recursions compiled as separate functions, because every stage of every step calls them:
 /// inlined, those of six links would be most of the program.
 macro_rules! out_of_line {
     ($($(#[$doc:meta])* $name:ident($($at:tt: $argument:ty),*) -> $output:ty = $work:expr;)*) => {$(
         $(#[$doc])*
-        struct $name<'a, R: Real, const N: usize>(&'a SerialChain<N>, $(&'a $argument),*);
+        struct $name<'a, R: Real, const N: usize, const LENGTH: usize>(&'a SerialChain<N, LENGTH>, $(&'a $argument),*);
 
-        impl<R: Real, const N: usize> Work for $name<'_, R, N> {
+        impl<R: Real, const N: usize, const LENGTH: usize> Work for $name<'_, R, N, LENGTH> {
             type Output = $output;
             #[inline(always)]
             fn run(self) -> $output {
@@ -376,16 +424,17 @@ macro_rules! out_of_line {
 }
 
 out_of_line! {
-    /// [`SerialChain::mass_matrix`].
-    MassMatrix(1: [[R; LINK_PARAMETER_COUNT]; N], 2: Posture<R, N>) -> [[R; N]; N] = SerialChain::mass_matrix;
-    /// [`SerialChain::newton_euler`].
-    NewtonEuler(1: [[R; LINK_PARAMETER_COUNT]; N], 2: Posture<R, N>, 3: [R; N], 4: [R; N]) -> [R; N]
-        = SerialChain::newton_euler;
+    /// [`SerialChain::dynamics`].
+    Dynamics(1: Bodies<R>, 2: Posture<R>, 3: [R; N], 4: [R; N]) -> ([[R; N]; N], [R; N])
+        = SerialChain::dynamics;
+    /// [`SerialChain::linearised`].
+    Linearised(1: Bodies<R>, 2: Posture<R>, 3: [R; N], 4: [R; N]) -> ([[R; N]; N], Slopes<R, N>)
+        = SerialChain::linearised;
     /// [`SerialChain::torques_per_parameter`].
-    PerParameter(1: Posture<R, N>, 2: [R; N], 3: [R; N]) -> Regressor<R, N>
-        = |chain: &SerialChain<N>, at, dq, ddq| Regressor(chain.torques_per_parameter(at, dq, ddq), chain.count);
+    PerParameter(1: Posture<R>, 2: [R; N], 3: [R; N]) -> Regressor<R, N>
+        = |chain: &SerialChain<N, LENGTH>, at, dq, ddq| Regressor(chain.torques_per_parameter(at, dq, ddq), chain.joints());
     /// [`SerialChain::motions`].
-    Motions(1: Posture<R, N>, 2: [R; N], 3: [R; N]) -> [recursion::LinkMotion<R>; N]
+    Motions(1: Posture<R>, 2: [R; N], 3: [R; N]) -> [recursion::LinkMotion<R>; N]
         = SerialChain::motions;
 }
 

@@ -119,76 +119,29 @@ impl Placement {
         self.joint_type == JointType::Revolute
     }
 
+    /// Position of the link's frame for a sine and cosine of the angle, and a displacement.
     #[inline(always)]
-    pub(super) fn posture<R: Real>(&self, q: R) -> JointPosture<R> {
-        let angle = if self.is_revolute() { q } else { R::splat(0.0) };
-        let mut at = JointPosture {
-            turn: SineCosine::of(angle),
-            shift: q,
-            rotation: [[q; 3]; 3],
-        };
-        self.rotate(&mut at);
-        at
-    }
-
-    /// Moves a posture by a small angle or a displacement.
-    #[inline(always)]
-    pub(super) fn advance<R: Real>(&self, at: &mut JointPosture<R>, increment: R) {
-        if self.is_revolute() {
-            at.turn = at.turn.plus_small_angle(increment);
-        }
-        at.shift = at.shift + increment;
-        self.rotate(at);
-    }
-
-    /// Sets the rotation of a posture.
-    #[inline(always)]
-    fn rotate<R: Real>(&self, at: &mut JointPosture<R>) {
+    pub(super) fn at<R: Real>(&self, turn: SineCosine<R>, shift: R) -> JointPosture<R> {
+        let mut rotation = [[shift; 3]; 3];
         for k in 0..3 {
-            let fixed = scaled(at.turn.sin, &splat(&self.sin[k]), &splat(&self.fixed[k]));
-            at.rotation[k] = scaled(at.turn.cos, &splat(&self.cos[k]), &fixed);
+            let fixed = scaled(turn.sin, &splat(&self.sin[k]), &splat(&self.fixed[k]));
+            rotation[k] = scaled(turn.cos, &splat(&self.cos[k]), &fixed);
         }
-    }
-
-    /// The joint's origin in the frame of the preceding link.
-    #[inline(always)]
-    pub(super) fn origin<R: Real>(&self, at: &JointPosture<R>) -> Vector<R> {
         let position = splat(&self.position);
-        if self.is_revolute() {
+        let origin = if self.is_revolute() {
             position
         } else {
-            scaled(at.shift, &splat(&self.slide), &position)
-        }
+            scaled(shift, &splat(&self.slide), &position)
+        };
+        JointPosture { rotation, origin }
     }
 }
 
-/// Position of one joint.
+/// Position of a link's frame in that of the preceding link.
 #[derive(Clone, Copy)]
-pub struct JointPosture<R> {
-    /// Sine and cosine of a revolute joint.
-    turn: SineCosine<R>,
-    /// Displacement [m] of a prismatic joint.
-    shift: R,
-    /// Rotation of the link's frame relative to the preceding link.
+pub(super) struct JointPosture<R> {
     pub(super) rotation: Matrix<R>,
-}
-
-impl<R: Real> JointPosture<R> {
-    #[inline(always)]
-    pub(super) fn map<L: Copy>(&self, to: &impl Fn(R) -> L) -> JointPosture<L> {
-        let shift = to(self.shift);
-        let mut rotation = [[shift; 3]; 3];
-        for row in 0..3 {
-            for column in 0..3 {
-                rotation[row][column] = to(self.rotation[row][column]);
-            }
-        }
-        JointPosture {
-            turn: self.turn.map(to),
-            shift,
-            rotation,
-        }
-    }
+    pub(super) origin: Vector<R>,
 }
 
 /// The unit vector in this direction.

@@ -1,7 +1,7 @@
 //! Tests of the parent module.
 
 use super::*;
-use crate::arm::TwoLink;
+use crate::arm::{TwoLink, differentiation};
 use crate::plant::rigid::base_regressor;
 use proptest::prelude::*;
 
@@ -73,6 +73,20 @@ fn check<const N: usize>([q, dq, ddq]: &[[f64; N]; 3]) {
             columns.map(|(column, value)| column[i] * value).sum(),
         );
     }
+    let (slopes, other) = (
+        arm.slopes(&base, &at, dq, ddq),
+        differentiation::slopes(&arm, &base, (&at, dq, ddq)),
+    );
+    for (slope, other) in [
+        (slopes.angle, other.angle),
+        (slopes.velocity, other.velocity),
+    ] {
+        for (row, other) in slope.iter().zip(&other) {
+            for (entry, other) in row.iter().zip(other) {
+                near(*entry, *other);
+            }
+        }
+    }
     // a nearby position, and the work of gravity, which depends on the position only
     let increment = std::array::from_fn(|i| 1e-5 * (1.0 + dq[i]));
     let ends = [1.0, -1.0].map(|side| arm.near(&at, &increment.map(|x| side * x)));
@@ -102,7 +116,7 @@ proptest! {
             axis: [0.0, 0.0, 1.0],
             accelerometer_distance: distance[index],
         };
-        let chain = SerialChain::new(&[joint(0), joint(1)], [0.0, -g, 0.0]).expect("axes");
+        let chain: SerialChain<2> = SerialChain::new(&[joint(0), joint(1)], [0.0, -g, 0.0]).expect("axes");
         let planar = TwoLink::<true> { link_length: l, gravity: g, accelerometer_distance: distance };
         let [[m, h, i], [m_2, h_2, i_2]] = [[6.0, 0.9, 0.5], [3.0, 0.4, 0.3]];
         let body = |m, h, i: f64| [m, h, 0.0, 0.0, 0.6 * i, 0.0, i, 0.0, 0.0, i];
@@ -111,7 +125,7 @@ proptest! {
         let [q, dq, ddq] = &motion;
         let (at, at_planar) = (chain.posture(q), planar.posture(q));
         let pairs = [
-            (chain.torques(&bodies_of_chain, &at, dq, ddq), planar.torques(&of_planar, &at_planar, dq, ddq)),
+            (chain.torques(&chain.base(bodies_of_chain.as_flattened()), &at, dq, ddq), planar.torques(&of_planar, &at_planar, dq, ddq)),
             (chain.accelerometers(&at, dq, ddq), planar.accelerometers(&at_planar, dq, ddq)),
             (chain.absolute_rates(&at, dq), planar.absolute_rates(&at_planar, dq)),
         ];
