@@ -77,7 +77,7 @@ def _explain_contradictions(
     chosen: list[Suspicion] = []
     structured: list[Suspicion] = []  # those of `chosen` without an estimated factor
     likely: list[str] = []
-    while any(o.contradicts for o in observations) and len(chosen) < _MAX_CAUSES:
+    while any(_needs_cause(o, evidence) for o in observations) and len(chosen) < _MAX_CAUSES:
         ranked = _rank_causes(evidence, observations)
         if not chosen:
             likely = [cause.code for cause in ranked if not cause.has_estimated_factor]
@@ -95,6 +95,15 @@ def _explain_contradictions(
         *structured,
         *report_remaining_contradictions(remaining, likely[:_MAX_LIKELY_CAUSES], evidence.study),
     ]
+
+
+def _needs_cause(each: Observation, evidence: Evidence) -> bool:
+    """Whether a contradiction starts the search for causes, which takes time for chains.
+
+    Friction alone can reduce the explained share of a motor signal; the torques of chains are
+    tested by their common fit.
+    """
+    return each.contradicts and (evidence.arm.has_planar_program or is_reported(each))
 
 
 def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:

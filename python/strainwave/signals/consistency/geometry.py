@@ -31,7 +31,7 @@ _DERIVATIVE_STEP = 1e-4
 # Largest Gauss-Newton step, in prior standard deviations.
 _MAX_STEP = 2.0
 _MAX_STEPS = 8
-# Steps after which a search ends if the mean unexplained share is still above the limit.
+# Mean unexplained share above which no search starts, or ends after the given number of steps.
 _N_TRIAL_STEPS, _MAX_TRIAL_UNEXPLAINED = 3, 0.3
 # Mean unexplained share of the torques above which geometries are not compared. Measured arms with
 # friction that depends on temperature and position reach 0.4, simulated ones 0.001.
@@ -78,6 +78,9 @@ def search_geometry(evidence: Evidence) -> tuple[Alternative, ...]:
     alternatives = list(_discrete(evidence))
     costs = run_parallel([partial(_cost, evidence, each.corrections) for each in alternatives])
     discrete = [replace(a, cost=c) for a, c in zip(alternatives, costs, strict=True)]
+    least = min([fit.cost, *costs])
+    if fit_ratio(least, 0.0, fit.n_all) > _MAX_TRIAL_UNEXPLAINED:
+        return ()
     continuous = run_parallel(
         [partial(_search, evidence, fit, family) for family in _promising(evidence, fit)]
     )
