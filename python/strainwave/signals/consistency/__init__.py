@@ -132,13 +132,16 @@ def _contradiction_weight(
 ) -> float:
     """Total weight of the contradictions in `now`, plus 1 per missing observation of `before`.
 
-    The sum ends at `limit`. If the torques are compared with one arm, the sign of the inertia of a
-    joint may be missing.
+    The sum ends at `limit`. If the torques are compared with one arm, the equation of a single
+    joint may be missing: its columns can be linearly dependent with the correct geometry.
     """
-    required = set(_REQUIRED_KINDS)
-    if any(o.kind == "torque-fit" for o in before):
-        required.discard("inertia")
-    missing = {(o.kind, o.place) for o in before if o.contradicts or o.kind in required}
+    may_be_missing = any(o.kind == "torque-fit" for o in before)
+    missing = {
+        (o.kind, o.place)
+        for o in before
+        if (o.contradicts or o.kind in _REQUIRED_KINDS)
+        and not (may_be_missing and o.is_of_joint_equation)
+    }
     weight = 0.0
     for each in now:
         missing.discard((each.kind, each.place))

@@ -160,6 +160,12 @@ class Observation:
         )
 
     @property
+    def is_of_joint_equation(self) -> bool:
+        """Whether the observation is about the torque equation of a single joint."""
+        is_share = self.kind == "explained-share" and self.place.channel is None
+        return is_share or self.kind in ("inertia", "torque-ratio")
+
+    @property
     def _is_of_imu(self) -> bool:
         """Whether the observation is about an accelerometer of an IMU."""
         kind = channel_parts(self.place.channel)[0] if self.place.channel else ""
