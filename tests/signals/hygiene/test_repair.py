@@ -114,12 +114,13 @@ def test_an_encoder_with_many_steps_is_excluded() -> None:
 
 
 def test_rigid_equations_exclude_defective_samples() -> None:
-    """The rigid step excludes samples with defective torque or motion."""
-    of_torque = prepare_motor_signals(spoilt("u1", 5000, 5003), ARM)
-    assert not of_torque.valid[5000:5003, 0].any()
-    assert of_torque.valid[5000:5003, 1].all()
-    of_motion = prepare_motor_signals(spoilt("theta_m2", 5000, 5003), ARM)
-    assert not of_motion.valid[5000:5003].any()
+    """The rigid step excludes long stretches with defective torque or motion, not short ones."""
+    of_torque = prepare_motor_signals(spoilt("u1", 5000, 5040), ARM)
+    assert not of_torque.valid[5000:5040, 0].any()
+    assert of_torque.valid[5000:5040, 1].all()
+    of_motion = prepare_motor_signals(spoilt("theta_m2", 5000, 5040), ARM)
+    assert not of_motion.valid[5000:5040].any()
+    assert prepare_motor_signals(spoilt("u1", 5000, 5003), ARM).valid[5000:5003].all()
 
 
 def test_linear_models_use_only_short_interpolated_stretches() -> None:

@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import Correction, FloatArray
+from strainwave.domain.kinds import kind_of
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.consistency.evidence import Alternative, ChangeKind, Evidence
 from strainwave.signals.consistency.torque_fit import (
@@ -68,10 +69,10 @@ class _Family:
 def search_geometry(evidence: Evidence) -> tuple[Alternative, ...]:
     """Alternatives to the stated geometry, the best first, and the stated geometry as the last.
 
-    Empty for arms with a planar program, whose geometry the link sensors test, without torques, and
-    if no geometry explains the torques well: friction and drives then change the fit more.
+    Empty for kinds that place the joints, without torques, and if no geometry explains the torques
+    well: friction and drives then change the fit more.
     """
-    system = None if evidence.arm.has_planar_program else torque_system(evidence)
+    system = None if kind_of(evidence.arm).places_joints else torque_system(evidence)
     if system is None:
         return ()
     fit = fit_torques(system)
