@@ -166,7 +166,7 @@ def test_a_record_without_a_model_has_its_warnings_and_no_figure() -> None:
 
 
 def test_without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(InvalidInput, match=r"strainwave\[plot\]"):
         prediction("check", 91.0).plot()
 
