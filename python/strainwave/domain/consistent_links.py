@@ -28,6 +28,8 @@ _MIN_SHARE = 1e-8  # of a step
 _FIRST_WEIGHT = 1e-5
 _FACTOR = math.sqrt(10.0)  # from one weight to the next; smaller after a failure
 _MIN_FACTOR = 1.02
+# rows and columns of the inertias in the order of `LINK_PARAMETERS`
+_INERTIA_ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 _GUESSED_MASS = 3.0  # [kg] of a link without prior
 _GUESSED_LENGTH = 0.2  # [m] of a link that carries no joint
 _GUESSED_RADIUS = 0.4  # radius of gyration over the link's length
@@ -93,7 +95,11 @@ def guessed_priors(arm: ArmDescription) -> tuple[LinkPrior, ...]:
     """Priors of links without inertial values: a body along the line to the next joint."""
     ends = [np.array(joint.origin.xyz) for joint in arm.joints[1:]]
     ends.append(np.zeros(3))
-    return tuple(_body(_GUESSED_MASS, 0.5 * end, _GUESSED_RADIUS * _length(end)) for end in ends)
+    radii = [_GUESSED_RADIUS * _length(end) for end in ends]
+    return tuple(
+        standard_parameters(_GUESSED_MASS, 0.5 * end, _GUESSED_MASS * radius**2 * np.eye(3))
+        for end, radius in zip(ends, radii, strict=True)
+    )
 
 
 def priors_of(arm: ArmDescription) -> tuple[LinkPrior, ...]:
@@ -113,10 +119,14 @@ def _length(end: FloatArray) -> float:
     return float(np.linalg.norm(end)) or _GUESSED_LENGTH
 
 
-def _body(mass: float, centre: FloatArray, radius: float) -> LinkPrior:
-    inertia = mass * (radius**2 + centre @ centre) * np.eye(3) - mass * np.outer(centre, centre)
-    rows, columns = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)
-    return (mass, *(mass * centre).tolist(), *inertia[rows, columns].tolist())
+def standard_parameters(mass: float, centre: FloatArray, inertia: FloatArray) -> LinkPrior:
+    """Standard parameters of a body with an inertia (3, 3) about its centre of mass.
+
+    The axes are those of the link's frame; the parameters are about its origin (Steiner).
+    """
+    about = inertia + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    entries = [float(about[entry]) for entry in _INERTIA_ENTRIES]
+    return (mass, *(mass * centre).tolist(), *entries)
 
 
 @cache
@@ -129,7 +139,7 @@ def _basis() -> FloatArray:
     basis[0, 3, 3] = 1.0
     for axis in range(3):
         basis[1 + axis, axis, 3] = basis[1 + axis, 3, axis] = 1.0
-    for k, (row, column) in enumerate(((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)), start=4):
+    for k, (row, column) in enumerate(_INERTIA_ENTRIES, start=4):
         if row == column:
             basis[k, range(3), range(3)] = 0.5
             basis[k, row, row] = -0.5

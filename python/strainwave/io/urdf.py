@@ -5,7 +5,7 @@ Fixed joints are merged into the link before them; meshes, transmissions and plu
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from strainwave.domain import FloatArray, LinkPrior, Motion, Origin
+from strainwave.domain.consistent_links import standard_parameters
 from strainwave.domain.link_sensors.rotations import angles, attitude
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
@@ -210,11 +211,8 @@ class _Reader:
             ]
         )
         placed = frame @ self._placement(inertial)
-        centre, axes = placed[:3, 3], placed[:3, :3]
-        about = axes @ about_centre @ axes.T
-        about += mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-        upper = [about[row, column] for row, column in _ENTRIES]
-        return (mass, *map(float, mass * centre), *map(float, upper))
+        axes = placed[:3, :3]
+        return standard_parameters(mass, placed[:3, 3], axes @ about_centre @ axes.T)
 
     def _placement(self, xml: ElementTree.Element) -> FloatArray:
         """Frame of the `<origin>` of an element, as a matrix (4, 4)."""
@@ -258,9 +256,6 @@ class _Reader:
 
     def _fault(self, problem: str, remedy: str) -> InvalidInput:
         return InvalidInput(problem, where=str(self._path), remedy=remedy)
-
-
-_ENTRIES: Sequence[tuple[int, int]] = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
 
 def _vector_of(values: FloatArray) -> tuple[float, float, float]:
