@@ -45,6 +45,7 @@ from strainwave.domain.clauses import Clause as Clause
 from strainwave.domain.clauses import Place as Place
 from strainwave.domain.clauses import Span as Span
 from strainwave.domain.clauses import Value as Value
+from strainwave.domain.combinations import SharedViscousFriction as SharedViscousFriction
 from strainwave.domain.comparison import OUTCOME_TEXTS as OUTCOME_TEXTS
 from strainwave.domain.comparison import Comparison as Comparison
 from strainwave.domain.comparison import Criterion as Criterion

@@ -3,35 +3,101 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters, link_inertia
-from strainwave.domain.keys import Key, Row
+from strainwave.domain.core_arm import transmission
+from strainwave.domain.keys import Key, Row, Values
 from strainwave.domain.kinds import RigidColumn
+from strainwave.domain.parameter_table import grouped_name
+from strainwave.domain.units import unit_in
 
 LINK_INERTIA = "link_inertia"
 
 FRICTION_COLUMNS = 3
-"""Viscous friction, Coulomb friction and offset: the last columns of each joint."""
+"""Viscous friction, Coulomb friction, offset: columns of each joint, after base parameters."""
+
+_MAX_ROUNDING_ERROR = 1e-8  # relative, of elements of viscous friction matrices
 
 
 def rigid_columns(arm: ArmDescription) -> tuple[RigidColumn, ...]:
-    """Unknowns of the rigid model: base parameters, then friction joint by joint."""
+    """Unknowns of the rigid model: base parameters, friction joint by joint, friction of links.
+
+    The latter are those of `shared_viscous_friction`.
+    """
+    shared = shared_viscous_friction(arm)
     columns = list(base_parameters(arm).columns)
     for number, joint in enumerate(arm.joints, start=1):
-        revolute = joint.motion == "revolute"
-        force = "N m" if revolute else "N"
+        force = "N m" if joint.motion == "revolute" else "N"
         viscous = viscous_friction(arm)
         parts = total_viscous_friction(arm, number)
         if viscous == "motor_viscous_friction":
             parts = {(viscous, number): 1.0}
-        columns.append(RigidColumn(viscous, number, "N m s/rad" if revolute else "N s/m", parts))
+        grouped = sum_of(parts, shared.at_motors.get(number, {}))
+        name = viscous if grouped == parts else grouped_name(viscous)
+        columns.append(RigidColumn(name, number, unit_in(arm, (viscous, number)), grouped))
         for name in ("motor_coulomb_friction", "friction_offset"):
             columns.append(RigidColumn(name, number, force, {(name, number): 1.0}))
-    return tuple(columns)
+    return (*columns, *shared.columns)
+
+
+@dataclass(frozen=True, slots=True)
+class SharedViscousFriction:
+    """Viscous friction of links that several motors turn, which rigid motion separates.
+
+    The motor torques of all viscous friction are (D_M + T' D_L T) dtheta_M with T = C N. Its
+    diagonal shows `total_viscous_friction`; the friction of a link that several motors turn has
+    further elements.
+    """
+
+    columns: tuple[RigidColumn, ...]  # `link_viscous_friction`
+    matrices: FloatArray  # (n_columns, n_joints, n_joints) torques per motor velocity
+    at_motors: Mapping[int, Row]  # further parts of the joints' viscous friction, by joint
+
+
+def shared_viscous_friction(arm: ArmDescription) -> SharedViscousFriction:
+    """Viscous friction of links that rigid motion separates from that of motors.
+
+    Links whose matrix depends on those of others, as in differential wrists, are grouped.
+    """
+    if arm.coupling is None:
+        return SharedViscousFriction((), np.zeros((0, arm.n_joints, arm.n_joints)), {})
+    T, n = transmission(arm), arm.n_joints
+    own = np.array([np.diag(unit) for unit in np.eye(n)])
+    # without n_j^2, which is part of the total viscous friction
+    ratios = np.array([joint.gear_ratio for joint in arm.joints])
+    further = T[:, :, None] * T[:, None, :] - own * ratios[:, None, None] ** 2
+    sizes = np.linalg.norm(further, axis=(1, 2))
+    basis, independent, groups = own.reshape(n, -1), [], []
+    for j in np.flatnonzero(sizes > _MAX_ROUNDING_ERROR * np.max(T**2)).tolist():
+        scaled = (further[j] / sizes[j]).ravel()
+        weights = np.linalg.lstsq(basis.T, scaled)[0]
+        if np.linalg.norm(scaled - weights @ basis) > _MAX_ROUNDING_ERROR:
+            independent.append(j)
+            basis = np.vstack([basis, further[j].ravel()])
+        else:
+            groups.append((j, weights * sizes[j]))
+    parts: list[Values] = [{("link_viscous_friction", j + 1): 1.0} for j in independent]
+    at_motors: dict[int, Row] = {}
+    for j, weights in groups:
+        key = ("link_viscous_friction", j + 1)
+        for i in np.flatnonzero(np.abs(weights[:n]) > _MAX_ROUNDING_ERROR * sizes[j]).tolist():
+            at_motors[i + 1] = sum_of(at_motors.get(i + 1, {}), {key: float(weights[i])})
+        for row, weight in zip(parts, weights[n:].tolist(), strict=False):
+            row[key] = weight
+    columns = []
+    for j, row in zip(independent, parts, strict=True):
+        used = {key: weight for key, weight in row.items() if abs(weight) > _MAX_ROUNDING_ERROR}
+        name = "link_viscous_friction"
+        unit = unit_in(arm, (name, j + 1))
+        columns.append(
+            RigidColumn(name if len(used) == 1 else grouped_name(name), j + 1, unit, used)
+        )
+    return SharedViscousFriction(tuple(columns), further[independent], at_motors)
 
 
 def is_rigid_drive(arm: ArmDescription) -> bool:
@@ -116,6 +182,14 @@ def change_from(arm: ArmDescription, joint: int, posture: Sequence[float]) -> Ro
     for key, weight in link_inertia(arm, joint, np.array(posture)).items():
         row[key] = row.get(key, 0.0) - weight
     return {key: weight for key, weight in row.items() if weight}
+
+
+def sum_of(row: Row, other: Row) -> Row:
+    """Sum of two combinations, without parameters that cancel."""
+    pairs = {key: (row.get(key, 0.0), other.get(key, 0.0)) for key in (*row, *other)}
+    return {
+        key: a + b for key, (a, b) in pairs.items() if abs(a + b) > _MAX_ROUNDING_ERROR * abs(a)
+    }
 
 
 def value_of(row: Row, values: Mapping[Key, float]) -> float:

@@ -120,6 +120,8 @@ _EFFECT_PARAMETERS = (
 """Parameters of effects that the core does not simulate."""
 
 
+# of links that several motors turn, where rigid motion does not separate all of them
+_GROUPED_FRICTION = ("link_viscous_friction", "total_viscous_friction")
 _CHAIN = "serial"  # owner of the standard parameters of links
 
 
@@ -166,13 +168,19 @@ def parameter_table() -> Mapping[str, ParameterDescription]:
         declared = ParameterDescription(name, symbol, description, units, values, owner)
         table.setdefault(name, declared)
         if owner == _CHAIN:
-            grouped = replace(
-                declared,
-                name=grouped_name(name),
-                description=f"{description}, with the parameters grouped with it",
-                range="any",
-            )
-            table[grouped.name] = grouped
+            table[grouped_name(name)] = _grouped(declared)
     for parameter in (*_DERIVED, *_EFFECT_PARAMETERS):
         table[parameter.name] = parameter
+    for name in _GROUPED_FRICTION:
+        table[grouped_name(name)] = _grouped(table[name])
     return MappingProxyType(table)
+
+
+def _grouped(declared: ParameterDescription) -> ParameterDescription:
+    """A parameter with those that rigid motion groups with it; either sign is possible."""
+    return replace(
+        declared,
+        name=grouped_name(declared.name),
+        description=f"{declared.description}, with the parameters grouped with it",
+        range="any",
+    )

@@ -13,7 +13,13 @@ import numpy as np
 from strainwave import _core
 from strainwave.domain import ArmDescription, FloatArray, Joint, Payload
 from strainwave.domain.base_parameters import BaseParameters, base_parameters, link_inertia
-from strainwave.domain.combinations import lumped_inertias, reported, rigid_columns
+from strainwave.domain.combinations import (
+    FRICTION_COLUMNS,
+    lumped_inertias,
+    reported,
+    rigid_columns,
+    shared_viscous_friction,
+)
 from strainwave.domain.core_arm import core_arm, transmission
 from strainwave.domain.effects import effect_named
 from strainwave.domain.keys import Key, Row, Values
@@ -108,7 +114,10 @@ class Arm(ArmDescription):
 
     @cached_property
     def rigid_columns(self) -> tuple[RigidColumn, ...]:
-        """Unknowns of the rigid model: inertias and gravity, then friction joint by joint."""
+        """Unknowns of the rigid model: inertias and gravity, friction joint by joint, and of links.
+
+        The latter are viscous frictions of links that several motors turn.
+        """
         return rigid_columns(self)
 
     @cached_property
@@ -120,6 +129,26 @@ class Arm(ArmDescription):
     def n_body(self) -> int:
         """Number of `rigid_columns` that are not friction."""
         return len(self.base.columns)
+
+    def joint_friction(self, solution: FloatArray) -> FloatArray:
+        """Viscous friction, Coulomb friction, offset of joints in a rigid model: (n_joints, 3)."""
+        stop = self.n_body + FRICTION_COLUMNS * self.n_joints
+        return solution[self.n_body : stop].reshape(self.n_joints, FRICTION_COLUMNS)
+
+    @cached_property
+    def _shared_friction(self) -> FloatArray:
+        """Motor torques per motor velocity of the last rigid columns: (n, n_joints, n_joints)."""
+        return shared_viscous_friction(self).matrices
+
+    @property
+    def n_shared(self) -> int:
+        """Number of the last `rigid_columns`, viscous frictions of links that motors share."""
+        return len(self._shared_friction)
+
+    def shared_friction_regressor(self, motor_velocity: FloatArray) -> FloatArray:
+        """Motor torques per viscous friction of links that motors share: (..., n_joints, n)."""
+        torques = motor_velocity[..., None, None, :] @ self._shared_friction
+        return np.asarray(np.swapaxes(torques[..., 0, :], -1, -2))
 
     @cached_property
     def reported(self) -> Mapping[Key, Row]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, Parameter, Signals
-from strainwave.domain.combinations import FRICTION_COLUMNS
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import low_pass
 
@@ -125,8 +124,7 @@ def predict_torque(
     direction = np.column_stack([_bridge_gaps(d) for d in signals.direction.T])
     sticks = standing(signals.direction, longest_bridge)
     motion = signals.motor_angle, signals.motor_velocity, signals.motor_acceleration
-    friction = solution[arm.n_body :].reshape(arm.n_joints, FRICTION_COLUMNS)
-    viscous, coulomb, offset = friction.T
+    viscous, coulomb, offset = arm.joint_friction(solution).T
     torque, payload = np.empty_like(signals.motor_torque), signals.experiment.payload
     for start in range(0, len(torque), _BLOCK_SIZE):
         block = slice(start, start + _BLOCK_SIZE)
@@ -136,6 +134,9 @@ def predict_torque(
         if payload is not None:
             body += arm.payload_torques(payload, *links)
         smooth = body + viscous * signals.motor_velocity[block] + offset
+        if arm.n_shared:
+            shared = arm.shared_friction_regressor(signals.motor_velocity[block])
+            smooth += shared @ solution[-arm.n_shared :]
         dry = coulomb + share * np.abs(body)
         limit = np.abs(dry)
         sticking = smooth + np.clip(signals.motor_torque[block] - smooth, -limit, limit)

@@ -96,6 +96,7 @@ def full_regressor(arm: Arm, motion: Motion) -> FloatArray:
         friction[..., i, 1] = np.tanh(rate / (_FRICTION_SMOOTHING * largest))
         friction[..., i, 2] = 1.0
         parts.append(friction)
+    parts.append(arm.shared_friction_regressor(velocity))
     return np.concatenate(parts, axis=-1)
 
 

@@ -21,6 +21,8 @@ COUPLING = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.3, 1.0))
 BODY = {"mass": 3.0, "first_moment_x": 0.3, "first_moment_y": 0.05, "first_moment_z": 0.02}
 BODY |= {"inertia_xx": 0.1, "inertia_yy": 0.16, "inertia_zz": 0.14, "inertia_xy": 0.01}
 FRICTION = (2e-4, 0.03, 0.002)  # viscous, Coulomb, offset of each motor
+FRICTION_NAMES = ("motor_viscous_friction", "motor_coulomb_friction", "friction_offset")
+LINK_FRICTION = 0.4  # [N m s/rad] of each link
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +72,10 @@ def rigid_values(arm: Arm) -> FloatArray:
     for joint in (1, 2, 3):
         values |= {(f"link_{name}", joint): value for name, value in BODY.items()}
         values["motor_inertia", joint] = 1e-4
-    body = [value_of(column.parts, values) for column in arm.rigid_columns[: arm.n_body]]
-    return np.array([*body, *FRICTION * 3])
+        values["link_viscous_friction", joint] = LINK_FRICTION
+        for name, value in zip(FRICTION_NAMES, FRICTION, strict=True):
+            values[name, joint] = value
+    return np.array([value_of(column.parts, values) for column in arm.rigid_columns])
 
 
 def signals_of(arm: Arm) -> Signals:
@@ -79,13 +83,16 @@ def signals_of(arm: Arm) -> Signals:
     body = arm.rigid_regressor(*map(arm.links_of, motion[1:])) @ rigid_values(arm)[: arm.n_body]
     viscous, coulomb, offset = FRICTION
     friction = viscous * motion[2] + coulomb * np.sign(motion[2]) + offset
-    return exact_signals(motion, body + friction)
+    of_links = arm.motors_of(LINK_FRICTION * arm.links_of(motion[2]))
+    return exact_signals(motion, body + friction + of_links)
 
 
 def test_base_parameters_of_a_coupled_chain_are_recovered() -> None:
     arm = chain()
     model = rigid.fit_rigid([signals_of(arm)], arm, rigid.RigidOptions(bandwidth_hz=5.0))
     assert model.status == "determined"
+    # motor 2 turns links 2 and 3, so its torque shows the friction of link 3
+    assert model.value("link_viscous_friction", 3) == pytest.approx(LINK_FRICTION, rel=1e-6)
     np.testing.assert_allclose(model.solution, rigid_values(arm), rtol=1e-6, atol=1e-7)
     # M(q) is symmetric: the torque constants agree
     assert set(model.torque_ratios) == {2, 3}

@@ -160,12 +160,14 @@ def _parts(
         if loads is not None and around is not None:
             load_columns = loads.columns(arm, stretch, record, around)
             common = np.concatenate([common, load_columns], axis=2)
+        shared = arm.shared_friction_regressor(stretch.friction[:, :, 0])
         for i, free in enumerate(stretch.free):
             friction = arm.n_body + FRICTION_COLUMNS * i
             X = np.zeros((len(stretch.rows), len(arm.rigid_columns)))
             X[:, : arm.n_body] = body.regressor[:, i]
             X[:, friction : friction + FRICTION_COLUMNS] = stretch.friction[:, i]
             X[:, friction + 2] *= is_two_way[i]
+            X[:, len(arm.rigid_columns) - arm.n_shared :] = shared[:, i]
             coulomb = around.solution[friction + 1] if around else np.std(stretch.torque[:, i])
             keep = np.flatnonzero(stretch.keep[:, i])
             yield _Part(
@@ -289,8 +291,10 @@ def _gear_torque(arm: Arm, stretch: Stretch, around: Estimate, standing: FloatAr
     """
     (_, velocity, acceleration), (torque, direction) = stretch.motion, stretch.drive
     solution = around.solution
-    viscous, coulomb, offset = solution[arm.n_body :].reshape(-1, FRICTION_COLUMNS).T
+    viscous, coulomb, offset = arm.joint_friction(solution).T
     friction = viscous * velocity + coulomb * direction + offset + standing
+    if arm.n_shared:
+        friction += arm.shared_friction_regressor(velocity) @ solution[-arm.n_shared :]
     inertia = arm.motors_of_rigid(around.motor_share) @ solution[: arm.n_body]
     net = torque - friction - inertia * acceleration
     at_links = np.asarray(np.linalg.solve(arm.transmission.T, net.T).T, dtype=np.float64)

@@ -234,6 +234,9 @@ def _column_noise(arm: Arm, signals: Signals, bandwidth_hz: float) -> FloatArray
         phi = arm.rigid_regressor(angle, zero, arm.links_of(motors)) - static
         power[: arm.n_body] += np.mean(phi**2, axis=(0, 1))
         power[arm.n_body + FRICTION_COLUMNS * j] = velocity_noise[j] ** 2 / arm.n_joints
+    if arm.n_shared:
+        shared = arm.shared_friction_regressor(np.diag(velocity_noise))
+        power[-arm.n_shared :] = np.sum(shared**2, axis=(0, 1)) / arm.n_joints
     return np.asarray(np.sqrt(power))
 
 

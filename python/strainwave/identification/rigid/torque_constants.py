@@ -77,13 +77,14 @@ def _ratios_at(trial: Trial) -> tuple[FloatArray, FloatArray]:
 
 
 def _scale(trial: Trial, solution: FloatArray, ratios: FloatArray) -> ls.Equations:
-    """Multiply the body torques of joints by ratios and add columns for their relative changes."""
-    equations, n_body = trial.equations, trial.arm.n_body
+    """Multiply torques that couple joints by ratios and add columns for their relative changes."""
+    equations, arm = trial.equations, trial.arm
+    coupling = np.r_[: arm.n_body, len(solution) - arm.n_shared : len(solution)]
     factor = np.append(1.0, ratios)[equations.group]
     is_of_joint = equations.group[:, None] == np.arange(1, len(ratios) + 1)
-    torque = equations.shared[:, :n_body] @ solution[:n_body]
+    torque = equations.shared[:, coupling] @ solution[coupling]
     shared = equations.shared.copy()
-    shared[:, :n_body] *= factor[:, None]
+    shared[:, coupling] *= factor[:, None]
     # the common unknowns are compliances, then load shares; only compliances are linearised
     n = n_compliances(trial.arm)
     lag = equations.common[:, :n] @ trial.estimate.compliance[:n]

@@ -173,7 +173,8 @@ def _regress_torque(
         equation = equations[record.experiment.name]
         rows = sliding_rows(record, i)
         rate = differentiate(record.channels[f"theta_m{i + 1}"], record.sample_time)
-        parts = equation.regressor[:, i], rate, record.direction[:, i]
+        shared = equation.shared_friction[:, i]
+        parts = equation.regressor[:, i], shared, rate, record.direction[:, i]
         torque, block = compute_motor_torque(record, arm, i)[rows], np.column_stack(parts)[rows]
         targets.append(torque - torque.mean())
         blocks.append(block - block.mean(axis=0))
@@ -226,6 +227,7 @@ class _Equations:
     """Rigid-joint equations of all joints in one record, motor side, per base parameter."""
 
     regressor: FloatArray  # (n_rows, n_joints, n_body)
+    shared_friction: FloatArray  # (n_rows, n_joints, n_shared) of links that motors share
     inertia: FloatArray  # (n_postures, n_joints, n_body) of the motor's own acceleration
     postures: slice  # rows of the postures
 
@@ -239,7 +241,8 @@ class _Equations:
         units = (rest + arm.links_of(unit) for unit in np.eye(arm.n_joints))
         inertia = [arm.rigid_regressor(angle, rest, unit)[:, i] for i, unit in enumerate(units)]
         regressor = arm.rigid_regressor(q, dq, ddq)
-        return cls(regressor, np.stack(inertia, axis=1) - at_rest, postures)
+        shared = arm.shared_friction_regressor(arm.motor_accelerations(dq))
+        return cls(regressor, shared, np.stack(inertia, axis=1) - at_rest, postures)
 
 
 def estimate_torque_ratios(

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import FloatArray, RigidModel
-from strainwave.domain.combinations import LINK_INERTIA, inertias_of_links
+from strainwave.domain.combinations import FRICTION_COLUMNS, LINK_INERTIA, inertias_of_links
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.interaction_torque import base_parameters, total_inertias
 from strainwave.dynamics.two_inertia import TwoInertia
@@ -189,7 +189,8 @@ def family_of(model: RigidModel | None, arm: Arm) -> Family:
             share_std[i] = max(relative_std, _MIN_RELATIVE_STD)
     numbers = range(1, n + 1)
     stds = {parameter.key: parameter.std or 0.0 for parameter in model.parameters}
-    viscous = [model.value("total_viscous_friction", i) or 0.0 for i in numbers]
+    viscous_keys = [arm.rigid_columns[arm.n_body + FRICTION_COLUMNS * k].key for k in range(n)]
+    viscous = [model.value(*key) or 0.0 for key in viscous_keys]
     coulomb = [model.value("motor_coulomb_friction", i) or 0.0 for i in numbers]
     return Family(
         arm,
@@ -200,7 +201,7 @@ def family_of(model: RigidModel | None, arm: Arm) -> Family:
         base_parameters(model, arm),
         share,
         share_std,
-        np.array([stds["total_viscous_friction", i] for i in numbers]),
+        np.array([stds[key] for key in viscous_keys]),
         _base_per_motor(model, arm),
     )
 
