@@ -12,6 +12,7 @@ from results import identification
 from strainwave import InvalidInput
 from strainwave.domain import Payload
 from strainwave.dynamics.arm import Arm
+from strainwave.io.logs import read_logs
 from strainwave.io.results import study_of, to_document
 from strainwave.io.study import read_study, write_study
 from studies import STUDY, write
@@ -112,7 +113,14 @@ def test_a_result_places_the_joints_without_the_urdf(tmp_path: Path) -> None:
         (_STUDY.replace("[0.5, 1.0]", "[1.0, 0.0]"), "'coupling' is singular"),
         (_STUDY.replace("linear", "rigid", 1), "joins the joints 2 and 1, of which one is rigid"),
         (_STUDY.replace("[[1.0, 0.0], [0.5, 1.0]]", "[[1.0]]"), "2 rows and 2 columns"),
-        (_STUDY + '[channels]\ntheta_m3 = "q3"\n', "'theta_m3' is not a channel"),
+        (
+            _STUDY + '[channels]\ntheta_m3 = "q3"\n',
+            "'theta_m3' is not a channel of this arm, which",
+        ),
+        (
+            _STUDY + '[channels]\ngx3 = "q3"\n',
+            "has 2 joints. Remedy: remove it, or describe joint 3",
+        ),
         (_STUDY.replace("-9.81", "-9810.0"), "if 9810 is in mm/s^2, set 9.81"),
         (_STUDY.replace("gear_ratio = -0.01", "gear_ratio = -100.0"), "inverted: set -0.01"),
         (_STUDY.replace("spring", 'name = "elbow"\nspring'), "two joints have the name 'elbow'"),
@@ -180,6 +188,26 @@ def test_unknown_drives_need_payloads(text: str, expected: str, tmp_path: Path) 
     (tmp_path / "study.toml").write_text(text)
     with pytest.raises(InvalidInput, match=expected):
         read_study(tmp_path / "study.toml", logs_exist=False)
+
+
+@pytest.mark.parametrize(
+    ("study", "remedy"),
+    [
+        (_STUDY, "; else map it"),
+        (_PLACED_BY_URDF + _RECORD, ' and set its type to "fixed" in robot.urdf; else map it'),
+    ],
+)
+def test_a_log_without_one_of_the_joints_is_refused(
+    study: str, remedy: str, tmp_path: Path
+) -> None:
+    _read(tmp_path, study)
+    (tmp_path / "motion.csv").write_text("t,theta_m1,u1,u2\n0,0,0,0\n1,1,1,1\n")
+    with pytest.raises(InvalidInput) as caught:
+        read_logs(read_study(tmp_path / "study.toml"))
+    message = str(caught.value)
+    assert f"{tmp_path / 'motion.csv'}: there is no column 'theta_m2'" in message
+    assert f"if joint 2 stands still in all logs, remove its [[joint]] table{remedy}" in message
+    assert "did you mean" not in message  # the angle of another joint
 
 
 def test_planar_arms_have_known_drives(tmp_path: Path) -> None:

@@ -87,7 +87,7 @@ def test_a_right_angle_of_pitch_keeps_the_angles_of_the_file(tmp_path: Path) -> 
         (_ARM + _link("finger") + _joint("f", "tool", "finger"), None),
         (_ARM + _link("finger") + _joint("f", "flange", "finger"), "is a tree"),
         (_ARM + _joint("loop", "tool", "upper"), "closed loop"),
-        (_ARM.replace("</joint>", '<mimic joint="slide"/></joint>', 1), "mimics"),
+        (_ARM.replace(_LIMIT, _LIMIT + '<mimic joint="slide"/>', 1), "mimics"),
         (_ARM.replace('"revolute"', '"floating"'), "'floating'"),
         (_ARM.replace('axis xyz="0 1 0"', 'axis xyz="0 0 0"'), "length zero"),
         (_ARM.replace('child link="tool"', 'child link="hand"'), "does not exist"),
@@ -95,6 +95,7 @@ def test_a_right_angle_of_pitch_keeps_the_angles_of_the_file(tmp_path: Path) -> 
         (_ARM.replace('mass value="2.0"', 'mass value="two"'), "not a number"),
         (_link("alone"), "no joint moves"),
         ("<xacro:macro/>", "xacro robot.urdf"),
+        (_ARM.replace("0.4 0.1 -0.6", "${pi/2} 0 0"), "xacro robot.urdf"),
     ],
 )
 def test_refusals_name_file_and_remedy(tmp_path: Path, content: str, message: str | None) -> None:
@@ -106,6 +107,12 @@ def test_refusals_name_file_and_remedy(tmp_path: Path, content: str, message: st
         read_urdf(path)
     assert message in str(caught.value)
     assert str(path) in str(caught.value)
+
+
+def test_a_fixed_joint_may_mimic_another(tmp_path: Path) -> None:
+    """The remedy for a joint that mimics another is to fix it."""
+    finger = _joint("f", "tool", "finger", "fixed", '<mimic joint="slide"/>')
+    assert len(read_urdf(_write(tmp_path, _ARM + _link("finger") + finger))) == 2
 
 
 def test_a_file_that_is_not_a_urdf_is_refused(tmp_path: Path) -> None:

@@ -24,6 +24,8 @@ _MOTIONS: Mapping[str, Motion] = {
     "prismatic": "prismatic",
 }
 
+_XACRO_MARKS = ("xacro:", "${", "$(")  # macros, expressions, arguments
+
 
 @dataclass(frozen=True, slots=True)
 class UrdfJoint:
@@ -61,7 +63,7 @@ def read_urdf(path: Path) -> tuple[UrdfJoint, ...]:
     Raises InvalidInput if the file is not a URDF, or if its joints are not one serial chain.
     """
     text = decode(read_bytes(path, "the URDF"), path)
-    if "xacro:" in text:
+    if any(mark in text for mark in _XACRO_MARKS):
         raise InvalidInput(
             "this file contains xacro macros",
             where=str(path),
@@ -116,7 +118,7 @@ class _Reader:
                     f"joint {name!r} names the link {link!r}, which does not exist",
                     "correct the name",
                 )
-        if xml.find("mimic") is not None:
+        if element.moves and xml.find("mimic") is not None:
             raise self._fault(
                 f"joint {name!r} mimics another joint",
                 'set its type to "fixed", or remove the gripper from the URDF',
@@ -172,7 +174,10 @@ class _Reader:
     def _moving(self, joint: _Element, frame: FloatArray, prior: LinkPrior) -> UrdfJoint:
         axis = self._vector(joint.xml.find("axis"), "xyz", (1.0, 0.0, 0.0), joint.name)
         if not any(axis):
-            raise self._fault(f"the axis of joint {joint.name!r} has length zero", "correct it")
+            raise self._fault(
+                f"the axis of joint {joint.name!r} has length zero",
+                'set its direction, such as <axis xyz="0 0 1"/>',
+            )
         limit = joint.xml.find("limit")
         limits = {
             key: self._number(limit, key, joint.name)

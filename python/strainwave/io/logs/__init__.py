@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import (
+    ArmDescription,
     Channel,
     Diagnostic,
     Experiment,
@@ -21,6 +22,7 @@ from strainwave.domain import (
     channel_parts,
 )
 from strainwave.domain.arm import UNKNOWN
+from strainwave.domain.kinds import kind_of
 from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.logs.bags import Bag, is_bag
@@ -173,7 +175,9 @@ def _check_required(sources: dict[str, Channel], study: Study, table: Table | Ba
         )
     for name in required:
         if name not in sources:
-            raise table.missing_column_error(name, "which every log must contain")
+            used = {channel.column for channel in sources.values()}
+            error = table.missing_column_error(name, "which every log must contain", used)
+            raise error if name == "t" else _or_without_joint(error, study.arm, name)
     for i, joint in enumerate(study.arm.joints, start=1):
         if f"u{i}" not in sources and f"torque{i}" not in sources:
             for name in (f"u{i}", f"torque{i}"):
@@ -194,6 +198,20 @@ def _check_required(sources: dict[str, Channel], study: Study, table: Table | Ba
                 remedy=f"remove torque_per_volt from [[joint]] {i}; or, if the column holds a "
                 f"current, map it to u{i} instead of torque{i}",
             )
+
+
+def _or_without_joint(error: InvalidInput, arm: ArmDescription, angle: str) -> InvalidInput:
+    """The error for a missing angle; a serial arm may also be described without the joint."""
+    if kind_of(arm).places_joints:
+        return error
+    number = channel_parts(angle)[1]
+    fixed = f' and set its type to "fixed" in {arm.urdf.file}' if arm.urdf else ""
+    return InvalidInput(
+        error.problem,
+        where=error.where,
+        remedy=f"if joint {number} stands still in all logs, remove its [[joint]] table{fixed}; "
+        f"else {error.remedy}",
+    )
 
 
 def _with_added(

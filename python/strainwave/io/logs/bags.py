@@ -6,7 +6,7 @@ if the message contains joint names.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -157,8 +157,10 @@ class Bag:
         """Whether the bag has the topic of a column."""
         return topic_of(column) in self._topics
 
-    def missing_column_error(self, column: str, what: str) -> InvalidInput:
-        """The error for a missing column; `what` states the purpose of the column."""
+    def missing_column_error(
+        self, column: str, what: str, used: Collection[str] = ()
+    ) -> InvalidInput:
+        """The error for a missing column; `what` states its purpose, `used` are other channels'."""
         name = topic_of(column)
         topic = self._topics.get(name)
         if topic is None:

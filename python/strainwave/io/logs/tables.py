@@ -12,7 +12,7 @@ import io
 import struct
 import sys
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -45,10 +45,12 @@ class Table:
     read: Callable[[Sequence[str]], dict[str, FloatArray]]
     row_name: Callable[[int], str] = lambda row: f"row {row + 1}"
 
-    def missing_column_error(self, column: str, what: str) -> InvalidInput:
-        """The error for a missing column; `what` states the purpose of the column."""
+    def missing_column_error(
+        self, column: str, what: str, used: Collection[str] = ()
+    ) -> InvalidInput:
+        """The error for a missing column; `what` states its purpose, `used` are other channels'."""
         available = ", ".join(self.names[:20]) + (", ..." if len(self.names) > 20 else "")
-        available += suggest_name(column, self.names)
+        available += suggest_name(column, [name for name in self.names if name not in used])
         return InvalidInput(
             f"there is no column '{column}', {what}",
             where=str(self.path),

@@ -175,11 +175,14 @@ def _check_channels(study: Study, reader: Reader) -> None:
         named_channels += [("experiment", index, name) for name in experiment.add]
     for table, position, name in named_channels:
         if name not in known:
-            raise InvalidInput(
-                f"'{name}' is not a channel of this arm",
-                where=reader.place(table, position, name),
-                remedy=f"use one of {', '.join(known)}{suggest_name(name, known)}",
-            )
+            kind, number = channel_parts(name)
+            count, problem = study.arm.n_joints, f"'{name}' is not a channel of this arm"
+            if f"{kind}1" in known and number > count:
+                remedy = f"remove it, or describe joint {number} in a [[joint]] table"
+                problem = f"{problem}, which has {count} joint{'s'[: count > 1]}"
+            else:
+                remedy = f"use one of {', '.join(known)}{suggest_name(name, known)}"
+            raise InvalidInput(problem, where=reader.place(table, position, name), remedy=remedy)
     for table, position, name in named_channels:
         for effect in _moving_encoders(study.arm, name):
             raise InvalidInput(
