@@ -126,6 +126,22 @@ def test_hashes_change_with_the_study_and_its_logs(tmp_path: Path) -> None:
     assert case.hashes().study_sha256 is None
 
 
+def test_a_urdf_is_an_input_of_its_study(tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(
+        STUDY.replace('kind = "single-joint"', 'kind = "serial"\nurdf = "robot.urdf"')
+    )
+    (tmp_path / "robot.urdf").write_text("<robot/>")
+    location = (tmp_path / "study.toml").as_uri()
+    with StudyFile(location, location).opened() as opened:
+        assert isinstance(opened.study, Path)
+        assert (opened.study.parent / "robot.urdf").read_text() == "<robot/>"
+    local = StudyFile("study", str(tmp_path / "study.toml"))
+    first = local.hashes()
+    (tmp_path / "robot.urdf").write_text("<robot></robot>")
+    assert local.hashes().study_sha256 == first.study_sha256
+    assert local.hashes().inputs_sha256 != first.inputs_sha256
+
+
 def test_a_folder_of_logs_is_hashed_file_by_file(tmp_path: Path) -> None:
     """For example a bag."""
     path = tmp_path / "study.toml"

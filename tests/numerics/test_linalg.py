@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from strainwave.numerics.linalg import exponential, triangular_factor
+from strainwave.domain import FloatArray
+from strainwave.numerics.linalg import exponential, singular_values, triangular_factor
 
 
 @pytest.mark.parametrize("shape", [(3, 5), (7, 7), (399, 4), (800, 3), (2501, 22), (1000, 450)])
@@ -37,3 +38,23 @@ def test_the_exponential_is_scipys(size: float) -> None:
     expected = expm(matrix)
     scale = np.max(np.abs(expected))
     np.testing.assert_allclose(exponential(matrix) / scale, expected / scale, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(7, 3), (3, 7), (5, 5)])
+def test_singular_values_follow_from_the_transpose_if_lapack_fails(
+    shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    matrix = np.random.default_rng(2).normal(size=shape)
+    expected = singular_values(matrix)
+    decompose = np.linalg.svd
+
+    def fails(each: FloatArray, full_matrices: bool) -> object:
+        if each is matrix:
+            raise np.linalg.LinAlgError("SVD did not converge")
+        return decompose(each, full_matrices=full_matrices)
+
+    monkeypatch.setattr(np.linalg, "svd", fails)
+    left, values, right = singular_values(matrix)
+    np.testing.assert_allclose(values, expected.values, rtol=1e-13)
+    np.testing.assert_allclose(left * values @ right, matrix, atol=1e-13)
+    assert left.shape == expected.left.shape

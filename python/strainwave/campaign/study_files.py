@@ -19,7 +19,7 @@ from strainwave.errors import InvalidInput
 
 @dataclass(frozen=True)
 class StudyFile:
-    """A study file at a path or a URL; its logs are relative to its folder."""
+    """A study file at a path or a URL; its logs and its URDF are relative to its folder."""
 
     name: str
     location: str  # absolute path, or URL
@@ -27,9 +27,9 @@ class StudyFile:
     options: ClassVar[Mapping[str, Any]] = MappingProxyType({})  # the study file contains them
 
     def hashes(self) -> Hashes:
-        """SHA-256 of the study file and of the contents of its logs.
+        """SHA-256 of the study file and of the contents of its logs and its URDF.
 
-        Logs at a URL are hashed by size and version, as the file system reports them.
+        Files at a URL are hashed by size and version, as the file system reports them.
         """
         try:
             text = _read(self.location)
@@ -42,7 +42,7 @@ class StudyFile:
 
     @contextmanager
     def opened(self) -> Iterator[Opened]:
-        """The study file; one at a URL is copied with its logs into a temporary folder.
+        """The study file; one at a URL is copied with its files into a temporary folder.
 
         Raises `InvalidInput` if the study file cannot be read.
         """
@@ -59,12 +59,13 @@ def _list_inputs(text: bytes) -> list[str]:
         document = tomllib.loads(text.decode("utf-8-sig"))
     except (ValueError, RecursionError):
         return []
-    experiments = document.get("experiment")
+    experiments, arm = document.get("experiment"), document.get("arm")
     files = [
         entry.get("file")
         for entry in (experiments if isinstance(experiments, list) else [])
         if isinstance(entry, dict)
     ]
+    files.append(arm.get("urdf") if isinstance(arm, dict) else None)
     return list(dict.fromkeys(name for name in files if isinstance(name, str) and name))
 
 
@@ -104,7 +105,7 @@ def _sha256(path: Path) -> str:
 
 
 def _copy_study(url: str, folder: Path) -> Path:
-    """Copy a study and its existing logs; the reader of the study reports missing ones."""
+    """Copy a study and its existing files; the reader of the study reports missing ones."""
     try:
         text = _read(url)
     except OSError as error:
@@ -116,7 +117,7 @@ def _copy_study(url: str, folder: Path) -> Path:
     for name in _list_inputs(text):
         if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
             raise InvalidInput(
-                f"the log {name!r} is not in the folder of the study",
+                f"the file {name!r} is not in the folder of the study",
                 where=url,
                 remedy="give a name relative to the folder of the study file",
             )

@@ -11,6 +11,7 @@ from strainwave import _core
 from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.domain.distributions import STD_PER_MEDIAN
 from strainwave.numerics.banded import Banded
+from strainwave.numerics.linalg import singular_values
 
 HUBER_LIMIT_STDS = 4.0
 """Huber limit, in standard deviations. It reduces the influence of gross errors only. A lower limit
@@ -95,7 +96,7 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     """
     reduced = _reduce(equations, root, equations.target[:, None])
     scale, R, targets = reduced.scale, reduced.own, reduced.right[:, 0]
-    U, s, Vt = np.linalg.svd(R)
+    U, s, Vt = singular_values(R)
     noise = np.sqrt(Vt**2 @ (equations.noise * np.linalg.norm(root) / scale) ** 2)
     is_identifiable = s > np.maximum(_MIN_SINGULAR_VALUE_TO_NOISE * noise, 1e-10 * s[0])
     x = Vt[is_identifiable].T @ ((U[:, is_identifiable].T @ targets) / s[is_identifiable])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from strainwave.domain import FloatArray
@@ -37,3 +39,25 @@ def triangular_factor(table: FloatArray) -> FloatArray:
         blocks = np.asarray(np.linalg.qr(table[:n_blocked_rows].reshape(n_blocks, -1, n), mode="r"))
         table = np.concatenate([blocks.reshape(-1, n), table[n_blocked_rows:]])
     return np.asarray(np.linalg.qr(table, mode="r"))
+
+
+class SingularValues(NamedTuple):
+    """Reduced singular value decomposition: left diag(values) right."""
+
+    left: FloatArray  # (n_rows, rank)
+    values: FloatArray  # (rank,) descending
+    right: FloatArray  # (rank, n_columns)
+
+
+def singular_values(matrix: FloatArray) -> SingularValues:
+    """Singular value decomposition of a finite matrix (n_rows, n_columns).
+
+    LAPACK's divide and conquer fails on some matrices of which many singular values are rounding
+    errors; the transpose has the same decomposition and another path through the algorithm. Raises
+    LinAlgError if both fail.
+    """
+    try:
+        return SingularValues(*np.linalg.svd(matrix, full_matrices=False))
+    except np.linalg.LinAlgError:
+        left, values, right = np.linalg.svd(matrix.T, full_matrices=False)
+        return SingularValues(right.T, values, left.T)

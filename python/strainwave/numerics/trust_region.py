@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, SearchEnd
+from strainwave.numerics.linalg import singular_values
 
 # Ratio of actual to predicted decrease above which the damping decreases, and below which it
 # increases.
@@ -205,7 +206,7 @@ def _step(
     if np.any(free):
         scale = np.linalg.norm(R[:, free], axis=0)
         scale[scale == 0.0] = 1.0
-        U, s, Vt = np.linalg.svd(R[:, free] / scale, full_matrices=False)
+        U, s, Vt = singular_values(R[:, free] / scale)
         projection = U.T @ (residual + R @ step)
         is_usable = s > _MIN_SINGULAR_VALUE_RATIO * s[0]
         coefficients = -s[is_usable] * projection[is_usable] / (s[is_usable] ** 2 + damping)

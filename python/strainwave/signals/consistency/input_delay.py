@@ -21,6 +21,7 @@ import numpy as np
 from strainwave.domain import ComplexArray, Delay, FloatArray, Log
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import band_passes
+from strainwave.numerics.linalg import singular_values
 from strainwave.signals.drive_law import DriveLaw
 from strainwave.signals.prepared_record import prepare_record
 
@@ -121,8 +122,8 @@ def _band_profile(
     if total == 0.0 or size.max() == 0.0:
         return None
     columns = columns[:, size > 0.0] / size[size > 0.0]
-    basis, singular_values, _ = np.linalg.svd(columns, full_matrices=False)
-    basis = basis[:, singular_values > 1e-7 * singular_values[0]]
+    basis, values, _ = singular_values(columns)
+    basis = basis[:, values > 1e-7 * values[0]]
     shifted = lines[:, :1] * np.exp(2j * np.pi * np.outer(frequency[inside], delay_grid()))
     explained = np.sum((basis.T @ _stack_real_imaginary(shifted)) ** 2, axis=0) / total
     unexplained = np.maximum(1.0 - explained, 1e-9)

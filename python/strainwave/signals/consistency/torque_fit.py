@@ -17,6 +17,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.numerics.filters import differentiate, low_pass
+from strainwave.numerics.linalg import singular_values
 from strainwave.signals.consistency.evidence import Evidence, is_slow
 from strainwave.signals.consistency.motors import compute_motor_torque, sliding_rows
 from strainwave.signals.consistency.regression import ROWS_PER_INDEPENDENT_ROW
@@ -110,7 +111,7 @@ def _solve(columns: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatAr
     size = np.linalg.norm(columns, axis=0)
     used = size > _MIN_SINGULAR_VALUE * size.max()
     scaled = columns[:, used] / size[used]
-    left, values, right = np.linalg.svd(scaled, full_matrices=False)
+    left, values, right = singular_values(scaled)
     excited = values > _MIN_SINGULAR_VALUE * values[0]
     basis, solution = left[:, excited], np.zeros(len(size))
     inner = right[excited].T @ ((basis.T @ target) / values[excited])
