@@ -23,6 +23,7 @@ from strainwave.domain.link_sensors import (
     with_bandwidths,
     with_estimates,
 )
+from strainwave.domain.link_sensors.motor_encoder import MotorEncoder
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import apply_sensor_model, differentiate_rows, shift_samples
 from strainwave.signals.hygiene.defects import count_of
@@ -72,7 +73,8 @@ def test_delay_and_scale_change_the_reading() -> None:
 
 
 def test_constants_and_their_keys() -> None:
-    names = [constant.name for kind in all_types() for constant in kind.constants()]
+    kinds = [MotorEncoder, *all_types()]
+    names = [constant.name for kind in kinds for constant in kind.constants()]
     assert sorted(names) == sorted(sensor_constants())  # no name twice
     assert constant_of(("gear_damping", 1)) is None
     (axis,) = compared_axes(ARM, 2, ["a2", "gyro2", "theta_l2"])

@@ -132,6 +132,9 @@ TEMPLATES: Mapping[str, str] = {
     "sensor-delay/fitted": "the {sensor} is {delay!m:.3g} ± {half!m:.2g} ms {side} the motor"
     " encoder|. The fit corrects the delay. Likely causes are a bandwidth that is missing from the"
     " study, latency of the converter or bus, and time stamps",
+    "sensor-delay/torque": "the motor encoder is {delay!m:.3g} ± {half!m:.2g} ms {side} the logged"
+    " torque|. The fit corrects the delay. Drives filter and sample their torque at times of their"
+    " own: log the voltage to avoid the unknown",
     "sliding/passed": _SLIDING,
     "sliding": _SLIDING + "|; stiction biases the inertia of a linear model: raise the amplitude",
     "constant-inertia/passed": _INERTIA,

@@ -27,6 +27,7 @@ from strainwave.domain.link_sensors.interface import (
 )
 from strainwave.domain.link_sensors.link_encoder import LinkEncoder
 from strainwave.domain.link_sensors.link_space import link_space
+from strainwave.domain.link_sensors.motor_encoder import MotorEncoder
 from strainwave.domain.link_sensors.torque_sensor import TorqueSensor
 from strainwave.domain.link_sensors.torsion_sensor import TorsionSensor
 from strainwave.domain.parameter_table import base_name
@@ -122,8 +123,9 @@ def unregister(name: str) -> None:
 
 @cache
 def sensor_constants() -> Mapping[str, SensorConstant]:
-    """Constants of all types by name, without records."""
-    constants = (constant for sensor in all_types() for constant in sensor.constants())
+    """Constants of the motor encoder and of all types by name, without records."""
+    types = (MotorEncoder, *all_types())
+    constants = (constant for sensor in types for constant in sensor.constants())
     return MappingProxyType({constant.name: constant for constant in constants})
 
 

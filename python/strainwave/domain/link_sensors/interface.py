@@ -74,7 +74,7 @@ _NOMINAL = {K.SCALE: 1.0, K.BANDWIDTH: np.inf, K.MOUNT_FREQUENCY: np.inf}
 _PER_SECOND = {"m/s^2": "m/s^3", "rad/s": "rad/s^2", "N m": "N m/s"}
 # unit, symbol and description of the constants of every sensor
 _COMMON_TEXTS = {
-    K.DELAY: ("s", "D", "delay of the {} relative to the motor encoder"),
+    K.DELAY: ("s", "D", "delay of the {} relative to the {}"),
     K.BANDWIDTH: ("Hz", "", "bandwidth of the {}"),
     K.MOUNT_FREQUENCY: ("Hz", "f_h", "natural frequency of the mount of the {}"),
     K.MOUNT_DAMPING: ("1", "zeta_h", "damping ratio of the mount of the {}"),
@@ -152,6 +152,7 @@ class LinkSensor(ABC):
     low_pass_order: ClassVar[Literal[1, 2]] = 2  # 2: Butterworth
     reads_angle: ClassVar[bool] = False  # compared as a velocity: open-loop angles drift
     has_bias: ClassVar[bool] = True  # unknown
+    time_reference: ClassVar[str] = "motor encoder"  # to which its delay is relative
     common: ClassVar[Kinds] = (K.DELAY, K.BANDWIDTH, K.MOUNT_FREQUENCY, K.MOUNT_DAMPING)
     per_axis: ClassVar[Kinds] = (K.SCALE, K.DRIFT)  # `common` are those that all axes share
     symbols: ClassVar[bool] = True  # docs/notation.md has those of delay, scale and drift
@@ -270,7 +271,9 @@ class LinkSensor(ABC):
         unit, symbol, text = _COMMON_TEXTS[kind]
         has_symbol = cls.symbols or kind in (K.MOUNT_FREQUENCY, K.MOUNT_DAMPING)
         unit = _PER_SECOND[cls.unit] if kind is K.DRIFT else unit
-        return SensorConstant(owner, kind, unit, text.format(noun), symbol if has_symbol else "")
+        return SensorConstant(
+            owner, kind, unit, text.format(noun, cls.time_reference), symbol if has_symbol else ""
+        )
 
 
 @dataclass(frozen=True, slots=True)

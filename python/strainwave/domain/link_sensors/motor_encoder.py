@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
-from strainwave.domain.link_sensors.interface import Group, LinkSensor
+from strainwave.domain.link_sensors.interface import ConstantKind, Group, LinkSensor
 from strainwave.domain.quantities import Quantity
 
 if TYPE_CHECKING:
@@ -14,18 +14,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MotorEncoder(LinkSensor):
-    """Encoder `theta_m{i}`, to which the delays of link sensors are relative."""
+    """Encoder `theta_m{i}`, to which the delays of link sensors are relative.
+
+    Its own delay is relative to the logged torque of the motor: drives sample and filter it at
+    unknown times. A logged voltage has none, because the model contains the current loop.
+    """
 
     resolution: float = 0.0
 
-    name = noun = "encoder"
+    name, noun = "motor_encoder", "motor encoder"
+    time_reference = "logged torque"
     channel_kinds = ("theta_m",)
     unit = "rad"
     measurand = "motor angle"
     group = Group.MOTOR
     reads_angle = True
     has_bias = False
-    common = per_axis = ()
+    common, per_axis = (ConstantKind.DELAY,), ()
 
     @classmethod
     def of_joint(cls, joint: Joint) -> Self:

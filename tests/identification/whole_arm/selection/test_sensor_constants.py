@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from strainwave.domain import ArmModel, Log, Study, WholeArmOptions
 from strainwave.domain.keys import Key, Values
@@ -93,6 +94,37 @@ def test_sensor_delays_and_scale_errors_are_corrected(
     warned = {(c.code, c.where) for c in model.warnings}
     for name, joint in wrong:
         assert (f"sensor-{name.rsplit('_', 1)[1]}", f"joint {joint}") in warned
+
+
+@pytest.mark.parametrize("early", [0.0, 1e-4])
+def test_a_logged_torque_may_be_early(early: float) -> None:
+    """A torque sampled after its time stamp contains part of the next command."""
+    study, true_values, logs = shaken()
+    arm, T = Arm.of(study.arm), logs[0].sample_time
+    lag = 1.0 / (2.0 * np.pi * 1e3)
+    new, remaining = 1.0 - np.exp(-early / lag), np.exp(-T / lag)
+    records = []
+    for log in logs:
+        channels = dict(log.channels)
+        for i in (1, 2):
+            command = study.arm.joints[i - 1].torque_per_volt * channels.pop(f"u{i}")
+            torque = lfilter([1.0 - remaining], [1.0, -remaining], np.r_[0.0, command[:-1]])
+            channels[f"torque{i}"] = torque + new * (command - torque)
+        records.append(replace(log, channels=channels))
+    joints = joint_models(study, true_values, 0.05, FACTORS)
+    model = fit_whole_arm(records, rigid_model(study, true_values, 0.01, 1.0), joints, arm)
+    estimates = {(p.name, p.joint): p for p in model.parameters}
+    # the advance of the commands that would give these torques without the shift
+    advance = new * T / (1.0 - remaining)
+    delayed = {key for key in estimates if key[0] == "motor_encoder_delay"}
+    assert delayed == ({("motor_encoder_delay", 1), ("motor_encoder_delay", 2)} if early else set())
+    for key in delayed:
+        assert estimates[key].value == pytest.approx(advance, rel=0.1)
+        assert ("sensor-delay", f"joint {key[1]}") in {(c.code, c.where) for c in model.warnings}
+    for i in (1, 2):
+        for name in ("gear_damping", "motor_inertia"):
+            value = true_values[name, i]
+            assert estimates[name, i].value == pytest.approx(value, rel=0.02)
 
 
 def test_held_constants_are_not_estimated() -> None:

@@ -14,7 +14,14 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, Log
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors import Axis, ConstantKind, constant_of, is_kind, with_bandwidths
+from strainwave.domain.link_sensors import (
+    Axis,
+    ConstantKind,
+    Group,
+    constant_of,
+    is_kind,
+    with_bandwidths,
+)
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import differentiate_rows, mount_resonance
@@ -278,10 +285,13 @@ class Dataset:
         return {n: self.kernels.rows(x, rate=channel.rate) for n, x in pairs if n in keys}
 
     def sensor_constants(self) -> list[Key]:
-        """Sensor constants of the link sensors: delays, scale factors, tilts and drifts."""
+        """Constants of the sensors: delays, scale factors, tilts and drifts."""
         kinds = (ConstantKind.DELAY, ConstantKind.SCALE)
+        inputs = prepare_record(self.log, self.arm).driving_inputs
         constants: dict[Key | None, None] = {}
         for axis in self.channels:
+            if axis.sensor.group is Group.MOTOR and inputs[axis.joint - 1].is_voltage:
+                continue
             axes = [one for one in self.channels if one.joint == axis.joint]
             is_separate = axis.sensor.is_scale_identifiable(axis, axes)
             constants |= dict.fromkeys(axis.key(kind) for kind in kinds[: 1 + is_separate])

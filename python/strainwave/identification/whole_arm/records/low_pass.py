@@ -68,7 +68,8 @@ def low_pass_kernels(cutoff_hz: float, sample_time: float, ahead: float = 0.0) -
         np.abs(offset) > half, 0.0, window
     )
     smooth /= smooth.sum()
-    # derivative by convolution with -d(taps)/dt, scaled so that a unit ramp gives exactly one
+    # derivative by convolution with -d(taps)/dt; a constant gives exactly zero, a unit ramp one
     slope = -np.gradient(smooth)
+    slope -= np.sum(slope) * smooth
     slope /= np.sum(slope * offset) * sample_time
     return Kernels(smooth, slope, step)

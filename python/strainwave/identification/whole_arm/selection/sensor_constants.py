@@ -24,6 +24,7 @@ from strainwave.domain.link_sensors.imu import (
     IMU_START_ATTITUDE,
     ImuAccelerometers,
 )
+from strainwave.domain.link_sensors.motor_encoder import MotorEncoder
 from strainwave.domain.parameter_table import record_of
 from strainwave.dynamics.link_sensors import MAX_SCALE_ERROR, MAX_SENSOR_DELAY
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
@@ -301,7 +302,7 @@ def _residual_cost(columns: FloatArray, target: FloatArray) -> float:
 
 
 def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
-    """Warn of link sensors with delays, scale errors, drifts or mount resonances."""
+    """Warn of sensors with delays, scale errors, drifts or mount resonances."""
     for p in parameters:
         constant = constant_of(p.key)
         if constant is None or p.value is None:
@@ -315,7 +316,9 @@ def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
                 yield warn("sensor-drift", place, record=record, rate=p.value, unit=p.unit)
             case ConstantKind.DELAY if abs(error) >= _MIN_REPORTED_DELAY:
                 side = "behind" if error > 0.0 else "ahead of"
-                yield warn("sensor-delay", place, "fitted", delay=abs(error), side=side)
+                of_motor = constant.owner == MotorEncoder.name
+                detail = "torque" if of_motor else "fitted"
+                yield warn("sensor-delay", place, detail, delay=abs(error), side=side)
             case ConstantKind.SCALE if abs(error) >= _MIN_REPORTED_SCALE_ERROR:
                 yield warn("sensor-scale", place, scale=p.value)
             case ConstantKind.MOUNT_FREQUENCY:
