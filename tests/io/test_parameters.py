@@ -39,6 +39,19 @@ def test_reads_the_list_of_a_result_without_nulls(tmp_path: Path) -> None:
     assert read_parameters(path) == {("beta", None): 0.5, ("gear_damping", 2): 4.0}
 
 
+def test_reads_the_standard_parameters_of_a_serial_arm(tmp_path: Path) -> None:
+    """They replace the combinations of the list, which have the names of their first parameters."""
+    entries = [{"name": "link_first_moment_x", "joint": 2, "value": 0.7}]
+    standard = {"m1": 3.0, "mx2": 0.5, "Iyz12": 0.1, "motor_inertia3": 1e-4}
+    path = _write(tmp_path, {"parameters": entries, "standard_parameters": standard})
+    assert read_parameters(path) == {
+        ("link_mass", 1): 3.0,
+        ("link_first_moment_x", 2): 0.5,
+        ("link_inertia_yz", 12): 0.1,
+        ("motor_inertia", 3): 1e-4,
+    }
+
+
 def test_reads_a_table_of_known_values(tmp_path: Path) -> None:
     path = _write(
         tmp_path,
@@ -71,6 +84,8 @@ def test_reads_a_table_of_known_values(tmp_path: Path) -> None:
         ({"joints": [{"motor_inertia": "1e-4"}]}, "motor_inertia: '1e-4' is not a finite number"),
         ({"joints": [], "alpha": True}, "True is not a finite number"),
         ({"parameters": [{"value": 1}]}, "entry 1: has no name"),
+        ({"parameters": [], "standard_parameters": [1]}, "standard_parameters: is not a table"),
+        ({"parameters": [], "standard_parameters": {"m": 1}}, "'m' is not a standard parameter"),
         ({"parameters": [{"name": "a", "joint": "one", "value": 1}]}, "is 'one', not a number"),
     ],
 )

@@ -14,6 +14,7 @@ from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters
 from strainwave.domain.consistent_links import consistent_links, priors_of
 from strainwave.domain.keys import Key, Values, label_of
 from strainwave.domain.kinds import RigidColumn
+from strainwave.domain.kinds.bodies import LINK_PARAMETERS
 from strainwave.errors import NumericalFailure
 from strainwave.io.joint_covariance import JointCovariance
 
@@ -31,9 +32,23 @@ def standard_name(key: Key) -> str:
     return f"{name}{joint}"
 
 
+def standard_key(name: str) -> Key | None:
+    """The standard parameter that has a name in result.json; None if there is none."""
+    short = name.rstrip("0123456789")
+    if short not in _LONG_NAMES or short == name:
+        return None
+    return _LONG_NAMES[short], int(name.removeprefix(short))
+
+
 def base_name_of(column: RigidColumn, leading: Key) -> str:
     """Name of a base parameter: that of its leading parameter, with R if it is a combination."""
     return standard_name(leading) + (_REGROUPED if len(column.parts) > 1 else "")
+
+
+_LONG_NAMES = {
+    standard_name((long, 1)).removesuffix("1"): long
+    for long in (*(f"link_{name}" for name in LINK_PARAMETERS), MOTOR_INERTIA)
+}
 
 
 @dataclass(frozen=True, slots=True)

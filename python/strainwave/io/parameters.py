@@ -12,6 +12,7 @@ from strainwave.domain import gear_laws
 from strainwave.domain.keys import Values
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
+from strainwave.io.base_parameters import standard_key
 
 
 def read_parameters(path: Path) -> Values:
@@ -21,7 +22,7 @@ def read_parameters(path: Path) -> Values:
 
         {"parameters": [{"name": "beta", "joint": null, "value": 0.64}, ...]}
 
-    without its null values; or the table
+    without its null values, and with the `standard_parameters` of a serial arm; or the table
 
         {"alpha": 1.6, "joints": [{"motor_inertia": 1.5e-4, "gear_stiffness": [25000.0]}, ...]}
 
@@ -38,7 +39,8 @@ def read_parameters(path: Path) -> Values:
             remedy="use a result.json or a parameter file",
         ) from error
     if isinstance(document, dict) and isinstance(document.get("parameters"), list):
-        return _from_list(document["parameters"], path)
+        standard = document.get("standard_parameters") or {}
+        return _from_list(document["parameters"], path) | _standard(standard, path)
     if isinstance(document, dict) and isinstance(document.get("joints"), list):
         return _from_table(document, path)
     raise InvalidInput(
@@ -63,6 +65,24 @@ def _from_list(entries: list[Any], path: Path) -> Values:
             )
         if entry.get("value") is not None:
             values[entry["name"], joint] = _number(entry["value"], place)
+    return values
+
+
+def _standard(entries: Any, path: Path) -> Values:
+    """Links and motors of a serial arm, of which the list has combinations."""
+    place = f"{path}: standard_parameters"
+    if not isinstance(entries, dict):
+        raise InvalidInput("is not a table", where=place, remedy='write {"m1": ..., ...}')
+    values: Values = {}
+    for name, value in entries.items():
+        key = standard_key(name)
+        if key is None:
+            raise InvalidInput(
+                f"{name!r} is not a standard parameter",
+                where=place,
+                remedy="use names such as m1, mx1, Ixx1 and motor_inertia1",
+            )
+        values[key] = _number(value, place)
     return values
 
 
