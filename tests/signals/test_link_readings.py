@@ -158,7 +158,7 @@ def test_the_input_check_predicts_accelerometers_of_three_links(gravity: float) 
     arm = chain(3, gravity)
     log, _ = slow_log(arm, gravity, 0.1)
     study = Study(arm=arm, experiments=(log.experiment,))
-    readings = regress_readings(collect_evidence([log], study))
+    readings = [x for _, each in regress_readings(collect_evidence([log], study)) for x in each]
     assert [reading.channel for reading in readings] == ["a1", "a2", "a3"]
     for reading in readings:
         # products of filtered angles are not the filtered products

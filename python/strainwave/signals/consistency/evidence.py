@@ -6,10 +6,10 @@ so a log with its time in milliseconds gives the same evidence as a log in secon
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -41,6 +41,30 @@ _MIN_CYCLES = 10.0
 _ROWS_PER_CYCLE = 20.0
 # Maximum number of samples evaluated per record.
 _MAX_SAMPLES = 2**18
+
+
+Result = TypeVar("Result")
+
+
+class Memory:
+    """Results by the identity of the objects that they follow from.
+
+    A hypothesis about the input shares all signals that it does not correct, so that only the rest
+    is computed again.
+    """
+
+    def __init__(self) -> None:
+        self._results: dict[tuple[Hashable, ...], tuple[tuple[object, ...], Any]] = {}
+
+    def recall(
+        self, name: Hashable, sources: Sequence[object], compute: Callable[[], Result]
+    ) -> Result:
+        """The result of that name from these objects; computed on the first call."""
+        key = (name, *map(id, sources))
+        if key not in self._results:  # the sources are kept, so that their identities stay unique
+            self._results[key] = tuple(sources), compute()
+        result: Result = self._results[key][1]
+        return result
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +108,13 @@ class Evidence:
     high_passes: Mapping[str, float] = field(default_factory=dict)  # channel -> cutoff [Hz]
     # other geometries, the best first, and the stated one last; empty if no torques are compared
     geometries: tuple[Alternative, ...] = ()
+    memory: Memory = field(default_factory=Memory)  # of all hypotheses about the same logs
 
     @property
     def arm(self) -> Arm:
         """Arm of the study."""
-        return Arm.of(self.study.arm)
+        description = self.study.arm
+        return self.memory.recall("arm", (description,), lambda: Arm.of(description))
 
     @property
     def channels(self) -> frozenset[str]:

@@ -23,6 +23,7 @@ from strainwave.signals.consistency.torque_fit import (
     fit_ratio,
     fit_torques,
     torque_system,
+    unexplained_torques,
 )
 
 # Prior standard deviations of the changes: log ratio, angles [rad], lengths [m], gravity [m/s^2].
@@ -103,7 +104,8 @@ def _promising(evidence: Evidence, fit: TorqueFit) -> Iterator[_Family]:
     families.append(_Family("robot", None, 6 * n, partial(_robot, evidence), tolerated))
     slopes.append(np.column_stack(frames))
     for family, slope in zip(families, slopes, strict=True):
-        if _gauss_newton(fit, slope, np.zeros(family.size))[1] > _MIN_PREDICTED_DECREASE:
+        _, decrease = _gauss_newton(fit, slope, np.zeros(family.size))
+        if decrease - family.size / fit.n_all > _MIN_PREDICTED_DECREASE:  # the criterion of Akaike
             yield family
 
 
@@ -238,14 +240,16 @@ def _search(evidence: Evidence, start: TorqueFit, family: _Family) -> Alternativ
 
 
 def _slope(evidence: Evidence, fit: TorqueFit, family: _Family, x: FloatArray) -> FloatArray:
-    """Derivatives of the weighted torques that the links do not explain: (n_rows, size)."""
+    """Derivatives of the weighted torques that the links do not explain: (n_rows, size).
 
-    def predict(at: FloatArray) -> FloatArray:
-        system = torque_system(evidence.corrected(family.corrections(at)))
-        return np.zeros(len(fit.residual)) if system is None else system.columns @ fit.links
+    `fit` is the fit at x.
+    """
 
-    here = predict(x)
-    changes = [predict(x + _DERIVATIVE_STEP * unit) - here for unit in np.eye(family.size)]
+    def leave(at: FloatArray) -> FloatArray:
+        return unexplained_torques(evidence.corrected(family.corrections(at)), fit.links)
+
+    here = fit.residual / fit.weight
+    changes = [here - leave(x + _DERIVATIVE_STEP * unit) for unit in np.eye(family.size)]
     return fit.project(np.column_stack(changes) / _DERIVATIVE_STEP)
 
 

@@ -126,11 +126,29 @@ def regress_torques(evidence: Evidence) -> list[TorqueRegression]:
     each of them. Joints without a torque or voltage channel are omitted.
     """
     slow = [r for r in evidence.records if is_slow(r.experiment)]
-    used = slow or evidence.records
+    used = slow or list(evidence.records)
+    sources = [x for r in used for x in motor_signals(r, evidence.arm)]
+    setting = ("torques", *(r.sample_time for r in used), *(r.experiment.joint for r in used))
+    return evidence.memory.recall(
+        setting, (evidence.arm, *sources), lambda: _regress_torques(evidence, used, bool(slow))
+    )
+
+
+def motor_signals(record: SlowRecord, arm: Arm) -> list[FloatArray]:
+    """Angles and inputs of the motors of a record."""
+    names = (
+        f"{kind}{i}" for kind in ("theta_m", "u", "torque") for i in range(1, arm.n_joints + 1)
+    )
+    return [record.channels[name] for name in names if name in record.channels]
+
+
+def _regress_torques(
+    evidence: Evidence, used: list[SlowRecord], are_slow: bool
+) -> list[TorqueRegression]:
     equations = {r.experiment.name: _Equations.of(r, evidence.arm) for r in used}
     estimates = []
     for i in range(evidence.arm.n_joints):
-        records = [r for r in used if slow or r.experiment.joint in (None, i + 1)]
+        records = [r for r in used if are_slow or r.experiment.joint in (None, i + 1)]
         records = [r for r in records if {f"u{i + 1}", f"torque{i + 1}"} & set(r.channels)]
         estimate = _regress_torque(records, equations, evidence.arm, i)
         if estimate is not None:

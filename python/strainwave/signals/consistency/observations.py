@@ -29,8 +29,7 @@ from strainwave.signals.consistency.sensors import (
 from strainwave.signals.consistency.torque_fit import (
     MIN_FIT_RATIO,
     fit_ratio,
-    fit_torques,
-    torque_system,
+    recall_quality,
 )
 
 Kind = Literal[
@@ -295,9 +294,8 @@ def _observe_input_delays(evidence: Evidence) -> Iterator[Observation]:
 
 def _observe_torque_fit(evidence: Evidence) -> Iterator[Observation]:
     """Unexplained variance of all torques over that with the best geometry."""
-    system = torque_system(evidence) if evidence.geometries else None
-    if system is not None:
-        fit = fit_torques(system)
+    fit = recall_quality(evidence) if evidence.geometries else None
+    if fit is not None:
         ratio = fit_ratio(fit.cost, evidence.geometries[0].cost, fit.n_all)
         least = fit_ratio(_MIN_COST_DIFFERENCE, 0.0, fit.n_all) - 1.0
         place = Place(part="arm")
@@ -322,10 +320,7 @@ def _observe_ratios(kind: Kind, ratios: Iterable[Ratio]) -> Iterator[Observation
 
 
 def _observe_sensors(evidence: Evidence) -> Iterator[Observation]:
-    by_channel: dict[str, list[Reading]] = {}
-    for each in regress_readings(evidence):
-        by_channel.setdefault(each.channel, []).append(each)
-    for channel, all_records in by_channel.items():
+    for channel, all_records in regress_readings(evidence):
         readings = [each for each in all_records if each.signal > _MIN_SIGNAL_TO_NOISE]
         if readings:
             yield from _observe_sensor(Place(channel=channel), readings)

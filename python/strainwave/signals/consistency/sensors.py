@@ -48,6 +48,8 @@ _HIGH_PASS_GRID_SIZE = 13
 _MAX_DECAY_RECORDS = 2.0
 # Maximum unexplained share of the reading with a high-pass.
 _MAX_HIGH_PASS_UNEXPLAINED = 0.02
+# The same on the first grid, whose steps are up to a factor of two.
+_MAX_COARSE_UNEXPLAINED = 0.2
 # Maximum ratio of the unexplained shares with and without a high-pass.
 _MAX_HIGH_PASS_UNEXPLAINED_RATIO = 0.2
 # Time constant in rows below which a low-pass is ignored.
@@ -83,24 +85,57 @@ class Reading:
     tilt: tuple[float, float] | None  # gravity in the plane of motion [g], std
 
 
-def regress_readings(evidence: Evidence) -> list[Reading]:
-    """Regress each link channel on the prediction from the motor angles.
+def regress_readings(evidence: Evidence) -> Iterator[tuple[str, list[Reading]]]:
+    """Regress each link channel on the prediction from the motor angles, channel by channel.
 
     Uses the slow records that contain the channel. If none do, uses the records that excite the
     joint. Omits records that do not determine the regression.
     """
     slow = {name for r in evidence.records if is_slow(r.experiment) for name in r.channels}
-    regressions: list[Reading] = []
-    for record in evidence.records:
-        motion = motion_of(record, evidence.arm)
-        for kind in LINK_CHANNELS:
-            for i in range(evidence.arm.n_joints):
-                name = f"{kind}{i + 1}"
-                excited = record.experiment.joint in (None, i + 1)
-                is_used = is_slow(record.experiment) or (name not in slow and excited)
-                if is_used and name in record.channels:
-                    regressions.extend(_regress_channel(record, evidence, motion, kind, i))
-    return regressions
+    arm, motions = evidence.arm, _Motions(evidence.arm)
+    for kind in LINK_CHANNELS:
+        for i in range(arm.n_joints):
+            name = f"{kind}{i + 1}"
+            used = [
+                record
+                for record in evidence.records
+                if name in record.channels
+                and (is_slow(record.experiment) or name not in slow)
+                and (is_slow(record.experiment) or record.experiment.joint in (None, i + 1))
+            ]
+            if used:
+                yield name, [x for r in used for x in _recall(r, evidence, motions, kind, i)]
+
+
+class _Motions:
+    """Motion of the joints in each record, computed when first needed."""
+
+    def __init__(self, arm: Arm) -> None:
+        self.arm = arm
+        self._by_record: dict[str, JointMotion] = {}
+
+    def of(self, record: SlowRecord) -> JointMotion:
+        name = record.experiment.name
+        if name not in self._by_record:
+            self._by_record[name] = motion_of(record, self.arm)
+        return self._by_record[name]
+
+
+def _recall(
+    record: SlowRecord, evidence: Evidence, motions: _Motions, kind: str, i: int
+) -> tuple[Reading, ...]:
+    """Regression of a channel of joint i (from 0), computed once per hypothesis about its sources.
+
+    A link moves with the motors up to its own, or with all if the motors are coupled.
+    """
+    arm, name = motions.arm, f"{kind}{i + 1}"
+    n_motors = arm.n_joints if arm.coupling else i + 1
+    sources = [record.channels[f"theta_m{j}"] for j in range(1, n_motors + 1)]
+    return evidence.memory.recall(
+        ("reading", name, record.sample_time, evidence.high_passes.get(name)),
+        (arm, record.channels[name], *sources),
+        lambda: tuple(_regress_channel(record, evidence, motions.of(record), kind, i)),
+    )
 
 
 def estimate_high_pass_cutoff(evidence: Evidence, name: str) -> float | None:
@@ -127,6 +162,8 @@ def estimate_high_pass_cutoff(evidence: Evidence, name: str) -> float | None:
         grid = np.linspace(low, high, _HIGH_PASS_GRID_SIZE)
         shares = [unexplained(float(np.exp(each))) for each in grid]
         k = int(np.argmin(shares))
+        if shares[k] > _MAX_COARSE_UNEXPLAINED:
+            return None
         low, high = float(grid[max(k - 1, 0)]), float(grid[min(k + 1, len(grid) - 1)])
     if shares[k] > min(
         _MAX_HIGH_PASS_UNEXPLAINED, _MAX_HIGH_PASS_UNEXPLAINED_RATIO * unexplained(0.0)

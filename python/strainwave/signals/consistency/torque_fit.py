@@ -10,16 +10,20 @@ torque that the fit does not explain is then larger than with the correct chain.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import FloatArray
+from strainwave.domain import BoolArray, FloatArray
+from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
-from strainwave.numerics.linalg import singular_values
-from strainwave.signals.consistency.evidence import Evidence, is_slow
-from strainwave.signals.consistency.motors import compute_motor_torque, sliding_rows
+from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
+from strainwave.signals.consistency.motors import (
+    compute_motor_torque,
+    motor_signals,
+    sliding_rows,
+)
 from strainwave.signals.consistency.regression import ROWS_PER_INDEPENDENT_ROW
 from strainwave.signals.consistency.sensors import motion_of
 
@@ -27,6 +31,8 @@ from strainwave.signals.consistency.sensors import motion_of
 _ROW_STRIDE = 4
 # The same for the low-pass of the columns.
 _FILTER_STRIDE = 2
+# Rows of all records that are used; more do not change which of two geometries is likelier.
+_MAX_ROWS = 1200
 # Relative singular value below which a combination of parameters is not excited.
 _MIN_SINGULAR_VALUE = 1e-6
 # Iterations of the weights, which are the residuals of the joints.
@@ -53,6 +59,14 @@ class TorqueSystem:
 
 
 @dataclass(frozen=True, slots=True)
+class FitQuality:
+    """How well one arm explains the torques."""
+
+    cost: float  # negative log likelihood: sum of the logarithms of the unexplained shares
+    n_all: float  # independent rows of all joints
+
+
+@dataclass(frozen=True, slots=True)
 class TorqueFit:
     """Fit of all torques with one set of link parameters."""
 
@@ -62,6 +76,11 @@ class TorqueFit:
     residual: FloatArray  # (n_rows,) weighted
     unexplained: Mapping[int, float]  # joint -> share of the variance of its torque
     n_rows: Mapping[int, float]  # joint -> independent rows beyond the parameters
+
+    @property
+    def quality(self) -> FitQuality:
+        """Cost and number of rows."""
+        return FitQuality(self.cost, self.n_all)
 
     @property
     def cost(self) -> float:
@@ -84,17 +103,42 @@ def fit_ratio(cost: float, other_cost: float, n_rows: float) -> float:
     return float(np.exp(2.0 * (cost - other_cost) / n_rows))
 
 
+def recall_quality(evidence: Evidence) -> FitQuality | None:
+    """Quality of the fit under a hypothesis, computed once; None without torques."""
+    records = [r for r in evidence.records if is_slow(r.experiment)]
+    sources = [x for r in records for x in motor_signals(r, evidence.arm)]
+
+    def compute() -> FitQuality | None:
+        system = torque_system(evidence)
+        return None if system is None else fit_torques(system).quality
+
+    setting = ("torque-fit", *(r.sample_time for r in records))
+    return evidence.memory.recall(setting, (evidence.arm, *sources), compute)
+
+
 def fit_torques(system: TorqueSystem) -> TorqueFit:
-    """Least squares, weighted by the residuals of the joints."""
+    """Least squares, weighted by the residuals of the joints.
+
+    The normal equations of each joint are computed once; the weights only scale them.
+    """
     std = {i: float(np.sqrt(total / system.n_rows[i])) for i, total in system.total.items()}
     of_joint = {i: system.joint == i for i in std}
+    equations = {}
+    for i, rows in of_joint.items():
+        block = system.columns[rows]
+        equations[i] = block.T @ block, block.T @ system.torque[rows]
     for _ in range(_N_ITERATIONS):
         weight = np.zeros(len(system.torque))
         for i, rows in of_joint.items():
             weight[rows] = 1.0 / std[i]
-        basis, links = _solve(weight[:, None] * system.columns, weight * system.torque)
+        gram, product = (
+            np.sum([parts[k] / std[i] ** 2 for i, parts in equations.items()], axis=0)
+            for k in (0, 1)
+        )
+        root = _inverse_root(gram)
+        links = root @ (root.T @ product)
         residual = weight * (system.torque - system.columns @ links)
-        n_shared = basis.shape[1] / len(std)
+        n_shared = root.shape[1] / len(std)
         n_rows = {i: max(n - n_shared, 1.0) for i, n in system.n_rows.items()}
         shares = {
             i: max(
@@ -103,60 +147,122 @@ def fit_torques(system: TorqueSystem) -> TorqueFit:
             for i, rows in of_joint.items()
         }
         std = {i: float(np.sqrt(shares[i] * system.total[i] / n_rows[i])) for i in std}
+    basis = (weight[:, None] * system.columns) @ root
     return TorqueFit(links, basis, weight, residual, shares, n_rows)
 
 
-def _solve(columns: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Basis of the excited columns, and the solution of least norm in units of the columns."""
-    size = np.linalg.norm(columns, axis=0)
+def _inverse_root(gram: FloatArray) -> FloatArray:
+    """L of the pseudoinverse L L' of the normal matrix, (n_links, n_excited).
+
+    Its columns are scaled to the length one, in which the pseudoinverse has the least norm.
+    """
+    size = np.sqrt(np.diag(gram))
     used = size > _MIN_SINGULAR_VALUE * size.max()
-    scaled = columns[:, used] / size[used]
-    left, values, right = singular_values(scaled)
-    excited = values > _MIN_SINGULAR_VALUE * values[0]
-    basis, solution = left[:, excited], np.zeros(len(size))
-    inner = right[excited].T @ ((basis.T @ target) / values[excited])
-    solution[used] = inner / size[used]
-    return basis, solution
+    values, vectors = np.linalg.eigh(gram[np.ix_(used, used)] / np.outer(size[used], size[used]))
+    excited = values > _MIN_SINGULAR_VALUE**2 * values[-1]
+    root = np.zeros((len(size), int(excited.sum())))
+    root[used] = vectors[:, excited] / np.sqrt(values[excited]) / size[used, None]
+    return root
 
 
 def torque_system(evidence: Evidence) -> TorqueSystem | None:
     """Equations of the slow records; None if there are none, or no torque varies."""
-    arm, blocks = evidence.arm, []
+    blocks, joints = [], []
     totals: dict[int, float] = {}
     n_rows: dict[int, float] = {}
-    for record in (r for r in evidence.records if is_slow(r.experiment)):
-        joints = [
-            i for i in range(arm.n_joints) if {f"u{i + 1}", f"torque{i + 1}"} & set(record.channels)
+    for each, columns in _blocks(evidence, Arm.base_regressor):
+        i, torque = each.joint, each.torque
+        blocks.append(np.column_stack([columns, each.remainder(torque)]))
+        joints.append(np.full(len(torque), i))
+        totals[i] = totals.get(i, 0.0) + float(torque @ torque)
+        independent = len(torque) * _ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW
+        n_rows[i] = n_rows.get(i, 0.0) + max(independent - each.basis.shape[1] - 1, 1.0)
+    if not blocks:
+        return None
+    equations, joint = np.concatenate(blocks), np.concatenate(joints)
+    return TorqueSystem(equations[:, :-1], equations[:, -1], joint, totals, n_rows)
+
+
+def unexplained_torques(evidence: Evidence, links: FloatArray) -> FloatArray:
+    """Torques that given links leave, in the rows of `torque_system`."""
+
+    def torques_of(
+        arm: Arm, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    ) -> FloatArray:
+        return arm.link_torques(links, angle, velocity, acceleration)[:, :, None]
+
+    return np.concatenate(
+        [
+            block.remainder(block.torque) - torques[:, 0]
+            for block, torques in _blocks(evidence, torques_of)
         ]
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Rows of one joint in one record."""
+
+    joint: int  # from 1
+    torque: FloatArray  # (n_rows,) [N m] about its mean
+    basis: FloatArray  # (n_rows, n) of what its own motor and friction explain
+
+    def remainder(self, torques: FloatArray) -> FloatArray:
+        """Torques (n_rows,) or (n_rows, n) without that part, about their mean."""
+        centred = torques - torques.mean(axis=0)
+        return np.asarray(centred - self.basis @ (self.basis.T @ centred))
+
+
+def _blocks(
+    evidence: Evidence, torques_of: Callable[[Arm, FloatArray, FloatArray, FloatArray], FloatArray]
+) -> Iterator[tuple[_Block, FloatArray]]:
+    """Rows of each joint in each slow record, with torques of the links at its motor.
+
+    `torques_of` returns torques at the links, (n_samples, n_joints, n), of a motion.
+    """
+    arm = evidence.arm
+    records = [r for r in evidence.records if is_slow(r.experiment)]
+    share = min(1.0, _MAX_ROWS / max(1, sum(len(r.inside) for r in records)))
+    for record in records:
+        end = int(share * len(record.inside))
         motion = motion_of(record, arm)
         states = motion.angle, motion.velocity, motion.acceleration
-        of_links = arm.base_regressor(*(x[::_FILTER_STRIDE] for x in states))
+        of_links = torques_of(arm, *(x[:end:_FILTER_STRIDE] for x in states))
         of_motors = np.swapaxes(arm.motors_of(np.swapaxes(of_links, 1, 2)), 1, 2)
         # The torques of a smooth motion have harmonics, which the filter removed from the log.
         flat, T = of_motors.reshape(len(of_motors), -1), record.sample_time * _FILTER_STRIDE
         flat = low_pass(flat, record.bandwidth_hz, T)[:: _ROW_STRIDE // _FILTER_STRIDE]
         of_motors = flat.reshape(-1, *of_motors.shape[1:])
-        for i in joints:
-            rows = sliding_rows(record, i)[::_ROW_STRIDE]
-            rate = differentiate(record.channels[f"theta_m{i + 1}"], record.sample_time)
-            slope = differentiate(rate, record.sample_time)
-            own = np.column_stack([slope, rate, record.direction[:, i]])[::_ROW_STRIDE][rows]
-            own = own - own.mean(axis=0)
-            norms = np.linalg.norm(own, axis=0)
-            torque = compute_motor_torque(record, arm, i)[::_ROW_STRIDE][rows]
-            torque = torque - torque.mean()
-            if norms.min() == 0.0 or not np.any(torque):
+        for i in range(arm.n_joints):
+            if not {f"u{i + 1}", f"torque{i + 1}"} & set(record.channels):
                 continue
-            basis = np.linalg.qr(own / norms)[0]
-            columns = of_motors[rows, i] - of_motors[rows, i].mean(axis=0)
-            block = np.column_stack([columns, torque])
-            block -= basis @ (basis.T @ block)
-            blocks.append((block, np.full(len(block), i + 1)))
-            totals[i + 1] = totals.get(i + 1, 0.0) + float(torque @ torque)
-            independent = len(torque) * _ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW - own.shape[1] - 1
-            n_rows[i + 1] = n_rows.get(i + 1, 0.0) + max(independent, 1.0)
-    if not blocks:
-        return None
-    equations = np.concatenate([block for block, _ in blocks])
-    joint = np.concatenate([joint for _, joint in blocks])
-    return TorqueSystem(equations[:, :-1], equations[:, -1], joint, totals, n_rows)
+            rows, basis = _recall_basis(evidence, record, i, end)
+            torque = compute_motor_torque(record, arm, i)[:end:_ROW_STRIDE][rows]
+            if basis is not None and np.ptp(torque) > 0.0:
+                block = _Block(i + 1, torque - torque.mean(), basis)
+                yield block, block.remainder(of_motors[rows, i])
+
+
+def _recall_basis(
+    evidence: Evidence, record: SlowRecord, i: int, end: int
+) -> tuple[BoolArray, FloatArray | None]:
+    """Sliding rows of joint i, from 0, and a basis of what its motor and friction explain.
+
+    None instead of the basis if the motor does not move.
+    """
+    angle, T = record.channels[f"theta_m{i + 1}"], record.sample_time
+
+    def compute() -> tuple[BoolArray, FloatArray | None]:
+        inside = sliding_rows(record, i)
+        if end < len(inside):  # the rows at a cut are as inaccurate as those at the end
+            edge = int(np.ceil(1.0 / (record.bandwidth_hz * T)))
+            inside = inside & (np.arange(len(inside)) < end - edge)
+        rows = inside[:end:_ROW_STRIDE]
+        rate = differentiate(angle, T)
+        columns = [differentiate(rate, T), rate, record.direction[:, i]]
+        own = np.column_stack(columns)[:end:_ROW_STRIDE][rows]
+        own = own - own.mean(axis=0)
+        norms = np.linalg.norm(own, axis=0)
+        return rows, np.linalg.qr(own / norms)[0] if norms.min() > 0.0 else None
+
+    return evidence.memory.recall(("own", i, T, end), (angle,), compute)

@@ -10,7 +10,7 @@ import numpy as np
 from strainwave.domain import Clause, Correction, Place
 from strainwave.signals.consistency.causes.case import Case, Cause
 from strainwave.signals.consistency.evidence import Alternative, ChangeKind
-from strainwave.signals.consistency.torque_fit import MIN_FIT_RATIO, fit_ratio, torque_system
+from strainwave.signals.consistency.torque_fit import MIN_FIT_RATIO, fit_ratio, recall_quality
 
 # Log ratio within which an estimated reduction is the nearest whole number.
 _REDUCTION_TOLERANCE = 0.01
@@ -23,8 +23,8 @@ def propose_geometries(case: Case) -> Iterator[Cause]:
     geometries = case.evidence.geometries
     if not case.contradicts("torque-fit") or len(geometries) < 2:
         return
-    system = torque_system(case.evidence)
-    n_rows = sum(system.n_rows.values()) if system is not None else 1.0
+    fit = recall_quality(case.evidence)
+    n_rows = fit.n_all if fit is not None else 1.0
     best, stated = geometries[0].cost, geometries[-1].cost
     good = [a for a in geometries[:-1] if fit_ratio(a.cost, best, n_rows) < MIN_FIT_RATIO]
     order = {kind: k for k, kind in enumerate(_CAUSES)}
