@@ -143,7 +143,12 @@ class Arm(ArmDescription):
     @property
     def n_shared(self) -> int:
         """Number of the last `rigid_columns`, viscous frictions of links that motors share."""
-        return len(self._shared_friction)
+        return len(self.shared_links)
+
+    @cached_property
+    def shared_links(self) -> tuple[int, ...]:
+        """Links, from 0, of these columns."""
+        return tuple((column.joint or 1) - 1 for column in shared_viscous_friction(self).columns)
 
     def shared_friction_regressor(self, motor_velocity: FloatArray) -> FloatArray:
         """Motor torques per viscous friction of links that motors share: (..., n_joints, n)."""

@@ -4,16 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from strainwave.domain import ArmDescription, FloatArray, Joint, Origin, Servo, Signals
+from strainwave import pipeline
+from strainwave.domain import (
+    ArmDescription,
+    Experiment,
+    FloatArray,
+    Joint,
+    Origin,
+    Servo,
+    Signals,
+    Study,
+)
 from strainwave.domain.combinations import value_of
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import Fault, Kind, register, unregister
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification import rigid
+from strainwave.virtual.experiments import simulate_study
 from virtual_arms import exact_motion, exact_signals
 
 RATIOS = (0.01, -0.02, 0.0125)
@@ -109,3 +122,37 @@ def test_the_joint_with_a_wrong_torque_constant_shows(joint: int) -> None:
     model = rigid.fit_rigid([wrong], arm, rigid.RigidOptions(bandwidth_hz=5.0))
     for number, (value, _) in model.torque_ratios.items():
         assert value == pytest.approx(1.0 / gain[number - 1], abs=1e-6)
+
+
+SERVO = Servo("pi-velocity", 1e-3, (0.1, 0.1, 0.05), (0.8, 0.8, 0.4), 10.0, (5.0, 5.0, 5.0))
+ELASTIC = {"motor_inertia": 2e-4, "motor_coulomb_friction": 0.03, "gear_stiffness": 1.2e4}
+ELASTIC |= {"gear_damping": 10.0, "motor_viscous_friction": 0.0, "link_viscous_friction": 6.0}
+
+
+def elastic_chain(folder: Path) -> tuple[Study, Values]:
+    """A chain whose anti-resonances are near 15 Hz, with all viscous friction at the links."""
+    joints = tuple(
+        replace(joint, spring="linear", gear_ratio=0.01, torque_per_volt=gain, encoder_counts=8192)
+        for joint, gain in zip(chain().joints, (0.18, 0.15, 0.07), strict=True)
+    )
+    arm = ArmDescription("serial", joints, (0.0, 0.0, -9.81), servo=SERVO)
+    values: Values = dict.fromkeys(Arm.of(arm).base_names, 0.0)
+    for joint in (1, 2, 3):
+        values |= {(f"link_{name}", joint): value for name, value in BODY.items()}
+        values |= {(name, joint): value for name, value in ELASTIC.items()}
+    experiment = Experiment("motion", "motion.parquet", "motion", ("servo",) * 3)
+    return Study(arm=arm, experiments=(experiment,), path=folder / "study.toml"), values
+
+
+def test_viscous_friction_of_elastic_joints_acts_on_the_links_as_well(tmp_path: Path) -> None:
+    """The torsion's rate adds (w / w_a)^2 to the links' velocity; 0.5 % of the friction here."""
+    study, values = elastic_chain(tmp_path)
+    simulate_study(study, values, tmp_path, noise=SensorNoise(), as_recorded=False)
+    model = pipeline.identify(tmp_path / "study.toml", stages=("rigid",)).rigid
+    assert model is not None
+    for joint in (1, 2, 3):
+        parameter = next(p for p in model.parameters if p.key == ("total_viscous_friction", joint))
+        true = 1e-4 * values["link_viscous_friction", joint]
+        assert parameter.value == pytest.approx(true, rel=0.01)
+        assert parameter.ci95 is not None
+        assert parameter.ci95[0] <= true <= parameter.ci95[1]

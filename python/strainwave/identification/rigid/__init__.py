@@ -9,6 +9,7 @@ the estimates with the bandwidth.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
@@ -26,7 +27,7 @@ from strainwave.identification.rigid.bandwidth import (
     select_bandwidth,
 )
 from strainwave.identification.rigid.drive_gains import estimate_drive_gains, gain_sensitivity
-from strainwave.identification.rigid.equations import anti_resonances
+from strainwave.identification.rigid.equations import MotorShares, anti_resonances
 from strainwave.identification.rigid.load_friction import (
     load_dependent_joints,
     load_friction,
@@ -39,9 +40,11 @@ from strainwave.identification.rigid.trial import Trial, fit_trial
 from strainwave.identification.rigid.trial_warnings import warnings_of
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 
-__all__ = ["ALTERNATIVE_MOTOR_SHARE", "RigidOptions", "estimate_drive_gains", "fit_rigid"]
+__all__ = ["RigidOptions", "estimate_drive_gains", "fit_rigid"]
 
-ALTERNATIVE_MOTOR_SHARE = 0.3  # alternative to MOTOR_SHARE, about one standard deviation away
+# alternatives to the motors' usual shares, about one standard deviation away
+_ALTERNATIVE_INERTIA_SHARE = 0.3
+_ALTERNATIVE_VISCOUS_SHARE = 0.21  # any split is possible: that of a uniform distribution
 
 
 def fit_rigid(
@@ -92,23 +95,31 @@ def _fit(
 def _elastic_model_error(best: Trial) -> FloatArray:
     """Variance (n_parameters,) of the error of the first-order compliance model.
 
-    It has two parts: the change of the estimates with the motors' share of inertias, from one half
-    to about one standard deviation away; and the second-order term in (w / w_a)^2,
+    It has two parts: the change of the estimates with the motors' shares of inertias and viscous
+    friction, from one half to about one standard deviation away; and the second-order term in
+    (w / w_a)^2,
     estimated as the first-order change times (bandwidth / anti-resonance)^2.
     """
     arm = best.arm
     ratio = best.bandwidth_hz / float(np.min(anti_resonances(arm, best.estimate)))
     if ratio == 0.0:
         return np.zeros(len(best.covariance))
-    rigid_arm = arm.behind_rigid_gears()
-    rigid_trial, other_share_trial = run_parallel(
+    rigid_arm, usual = arm.behind_rigid_gears(), MotorShares.usual(arm)
+    alternatives = [replace(usual, inertia=_ALTERNATIVE_INERTIA_SHARE)]
+    if usual.viscous_friction < 1.0:
+        alternatives.append(replace(usual, viscous_friction=_ALTERNATIVE_VISCOUS_SHARE))
+    trials = run_parallel(
         [
             partial(fit_trial, rigid_arm, best.stretches, best.estimate),
-            partial(fit_trial, arm, best.stretches, best.estimate, ALTERNATIVE_MOTOR_SHARE),
+            *(
+                partial(fit_trial, arm, best.stretches, best.estimate, each)
+                for each in alternatives
+            ),
         ]
     )
-    next_order = (best.solution - rigid_trial.solution) * ratio**2
-    return np.asarray(next_order**2 + (best.solution - other_share_trial.solution) ** 2)
+    rigid_solution, *others = (trial.solution for trial in trials)
+    next_order = (best.solution - rigid_solution) * ratio**2
+    return np.asarray(next_order**2 + sum((best.solution - other) ** 2 for other in others))
 
 
 def _model(

@@ -157,7 +157,7 @@ def _refine(trial: Trial, joints: IntArray, factors: FloatArray) -> _Refined:
 def _rescaled(trial: Trial, joints: IntArray, factors: FloatArray) -> Trial:
     """The trial repeated with multiplied torques of joints, from 0."""
     stretches = tuple(_scaled_stretch(s, joints, factors) for s in trial.stretches)
-    return fit_trial(trial.arm, stretches, trial.estimate, trial.estimate.motor_share)
+    return fit_trial(trial.arm, stretches, trial.estimate, trial.estimate.shares)
 
 
 def _extended(equations: ls.Equations, columns: FloatArray) -> ls.Equations:

@@ -15,6 +15,7 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.domain.combinations import FRICTION_COLUMNS
+from strainwave.domain.kinds.starts import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.rigid.stretch import Stretch, motion_of, n_compliances
 from strainwave.numerics.banded import Banded
@@ -30,6 +31,23 @@ _MIN_INERTIA = 1e-30  # [kg m^2] lower bound of a link inertia, which avoids div
 
 
 @dataclass(frozen=True, slots=True)
+class MotorShares:
+    """Shares of the motors in sums with the links that rigid motion does not separate.
+
+    The compliance compensates for the error of inertias. The viscous frictions of motor and link
+    act on velocities that differ by the rate of the torsion.
+    """
+
+    inertia: float = MOTOR_SHARE
+    viscous_friction: float = MOTOR_SHARE
+
+    @staticmethod
+    def usual(arm: Arm) -> MotorShares:
+        """The usual shares; the equations of planar arms have all viscous friction at the motor."""
+        return MotorShares() if arm.base.has_groups else MotorShares(viscous_friction=1.0)
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """Parameters and compliances around which the equations are linearised."""
 
@@ -37,8 +55,7 @@ class Estimate:
     compliance: FloatArray  # (n_joints,) [rad/(N m)] link side, at least 0
     # per record (n_motion, n_joints) free friction [N m], or empty
     standing: tuple[FloatArray, ...]
-    # of inertias that rigid motion does not separate; the compliance compensates for its error
-    motor_share: float
+    shares: MotorShares
 
 
 def convert_estimate(
@@ -167,7 +184,8 @@ def _parts(
             X[:, : arm.n_body] = body.regressor[:, i]
             X[:, friction : friction + FRICTION_COLUMNS] = stretch.friction[:, i]
             X[:, friction + 2] *= is_two_way[i]
-            X[:, len(arm.rigid_columns) - arm.n_shared :] = shared[:, i]
+            X[:, friction] -= body.own_lag[:, i]
+            X[:, len(arm.rigid_columns) - arm.n_shared :] = shared[:, i] - body.shared_lag[:, i]
             coulomb = around.solution[friction + 1] if around else np.std(stretch.torque[:, i])
             keep = np.flatnonzero(stretch.keep[:, i])
             yield _Part(
@@ -195,7 +213,7 @@ def estimate_of(
     stretches: Sequence[Stretch],
     equations: Equations,
     factor: Factor,
-    motor_share: float,
+    shares: MotorShares,
 ) -> Estimate:
     """Estimate from a solution, around which the next equations are linearised.
 
@@ -215,16 +233,16 @@ def estimate_of(
             friction[near, i] = shapes @ factor.local[start : start + shapes.n_columns]
             start += shapes.n_columns
         stiction_torque.append(friction)
-    return Estimate(factor.value, compliance, tuple(stiction_torque), motor_share)
+    return Estimate(factor.value, compliance, tuple(stiction_torque), shares)
 
 
 def average_estimates(one: Estimate, other: Estimate) -> Estimate:
-    """Mean of two estimates of the same records, with the motor share of `other`."""
+    """Mean of two estimates of the same records, with the motor shares of `other`."""
     return Estimate(
         0.5 * (one.solution + other.solution),
         0.5 * (one.compliance + other.compliance),
         tuple(0.5 * (a + b) for a, b in zip(one.standing, other.standing, strict=True)),
-        other.motor_share,
+        other.shares,
     )
 
 
@@ -245,6 +263,9 @@ class _BodyEquations:
     regressor: FloatArray  # (n_rows, n_joints, n_body)
     lags: FloatArray  # (n_rows, n_joints, n_elastic) per compliance
     torque: FloatArray  # (n_rows, n_joints) right-hand side
+    # velocities by which the viscous friction of the links differs from that behind rigid gears:
+    own_lag: FloatArray  # (n_rows, n_joints) per total viscous friction
+    shared_lag: FloatArray  # (n_rows, n_joints, n_shared) per friction of links that motors share
 
 
 def _body_equations(
@@ -256,7 +277,9 @@ def _body_equations(
         if not phi.size:
             phi = stretch.filtered(arm.rigid_regressor(q, dq, ddq))
         torque = stretch.torque - _payload_torque(arm, stretch, (q, dq, ddq))
-        return _BodyEquations(phi, np.zeros((len(phi), arm.n_joints, 0)), torque)
+        shape = len(phi), arm.n_joints
+        lags, shared_lag = np.zeros((*shape, 0)), np.zeros((*shape, arm.n_shared))
+        return _BodyEquations(phi, lags, torque, np.zeros(shape), shared_lag)
     gear = _gear_torque(arm, stretch, around, around.standing[record])
     interval = stretch.motion_step * stretch.signals.sample_time
     dgear = differentiate(gear, interval)
@@ -266,14 +289,36 @@ def _body_equations(
     phi = arm.rigid_regressor(*links)
     # motor inertia acts on the motor acceleration, not the link acceleration
     lag = arm.motor_accelerations(c * ddgear)
-    phi += lag[:, :, None] * arm.motors_of_rigid(around.motor_share)
+    phi += lag[:, :, None] * arm.motors_of_rigid(around.shares.inertia)
     elastic = np.array([joint.elastic for joint in arm.joints])
     payload = arm.payload_vector(stretch.signals.experiment.payload)
-    lags = _compliance_regressor(arm, _base(arm, around) + payload, q, ddgear) * elastic
+    lags = _compliance_regressor(arm, _base(arm, around) + payload, q, ddgear)
+    lags -= dgear[:, None] * (arm.transmission.T * _link_viscous_friction(arm, around))
+    lags *= elastic
     filtered = stretch.filtered(np.concatenate([phi, lags], axis=2))
     phi, lags = filtered[:, :, : phi.shape[2]], filtered[:, :, phi.shape[2] :]
     torque = stretch.torque - _payload_torque(arm, stretch, links)
-    return _BodyEquations(phi, lags, torque + lags @ c)
+    lag_velocity = stretch.filtered(c * dgear)
+    own_lag = lag_velocity * (1.0 - _motor_shares(arm, around)) / arm.gear_ratios
+    at_links = list(arm.shared_links)
+    shared_lag = lag_velocity[:, None, at_links] * arm.transmission[at_links].T
+    return _BodyEquations(phi, lags, torque + lags @ c, own_lag, shared_lag)
+
+
+def _motor_shares(arm: Arm, around: Estimate) -> FloatArray:
+    """Motors' shares of the total viscous friction without that of shared links: (n_joints,)."""
+    shares = np.full(arm.n_joints, around.shares.viscous_friction)
+    shares[list(arm.shared_links)] = 1.0
+    return shares
+
+
+def _link_viscous_friction(arm: Arm, around: Estimate) -> FloatArray:
+    """Viscous friction of the links, link side: (n_joints,)."""
+    total = arm.joint_friction(around.solution)[:, 0]
+    friction = (1.0 - _motor_shares(arm, around)) * total / arm.gear_ratios**2
+    at = list(arm.shared_links)
+    friction[at] = around.solution[len(around.solution) - len(at) :]
+    return np.asarray(friction)
 
 
 def _payload_torque(
@@ -292,10 +337,9 @@ def _gear_torque(arm: Arm, stretch: Stretch, around: Estimate, standing: FloatAr
     (_, velocity, acceleration), (torque, direction) = stretch.motion, stretch.drive
     solution = around.solution
     viscous, coulomb, offset = arm.joint_friction(solution).T
+    viscous = viscous - _link_viscous_friction(arm, around) * arm.gear_ratios**2
     friction = viscous * velocity + coulomb * direction + offset + standing
-    if arm.n_shared:
-        friction += arm.shared_friction_regressor(velocity) @ solution[-arm.n_shared :]
-    inertia = arm.motors_of_rigid(around.motor_share) @ solution[: arm.n_body]
+    inertia = arm.motors_of_rigid(around.shares.inertia) @ solution[: arm.n_body]
     net = torque - friction - inertia * acceleration
     at_links = np.asarray(np.linalg.solve(arm.transmission.T, net.T).T, dtype=np.float64)
     T, step = stretch.signals.sample_time, stretch.motion_step
@@ -312,7 +356,7 @@ def _compliance_regressor(
 
 def _base(arm: Arm, around: Estimate) -> FloatArray:
     """Base parameters of the links, (n_base,)."""
-    return np.asarray(arm.links_of_rigid(around.motor_share) @ around.solution[: arm.n_body])
+    return np.asarray(arm.links_of_rigid(around.shares.inertia) @ around.solution[: arm.n_body])
 
 
 def _compliance_std(arm: Arm, stretches: Sequence[Stretch], around: Estimate) -> FloatArray:

@@ -9,13 +9,13 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray
 from strainwave.domain.distributions import student_quantile
-from strainwave.domain.kinds.starts import MOTOR_SHARE
 from strainwave.domain.parameter_table import family_of, parameter_table
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.equations import (
     Estimate,
     Loads,
+    MotorShares,
     anti_resonances,
     assemble,
     average_estimates,
@@ -130,10 +130,11 @@ def fit_trial(
     arm: Arm,
     stretches: tuple[Stretch, ...],
     around: Estimate | None,
-    motor_share: float = MOTOR_SHARE,
+    shares: MotorShares | None = None,
     loads: Loads | None = None,
 ) -> Trial:
     """Fit at one bandwidth: iterate parameters, compliances and weights to convergence."""
+    shares = shares or MotorShares.usual(arm)
     equations = assemble(arm, stretches, around, loads)
     if not len(equations.target):
         raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
@@ -147,7 +148,7 @@ def fit_trial(
         known = factor.deviation > 0.0  # other parameters do not change
         step = np.divide(change, factor.deviation, out=np.zeros_like(change), where=known)
         has_converged = iteration > 1 and np.all(change_size <= _TOLERANCE * factor.deviation)
-        estimate = estimate_of(arm, stretches, equations, factor, motor_share)
+        estimate = estimate_of(arm, stretches, equations, factor, shares)
         if around is not None and step @ last_step < 0.0 and not has_converged:  # oscillates
             estimate = average_estimates(around, estimate)
         around, last_step = estimate, step
