@@ -125,12 +125,12 @@ def test_the_joint_with_a_wrong_torque_constant_shows(joint: int) -> None:
 
 
 SERVO = Servo("pi-velocity", 1e-3, (0.1, 0.1, 0.05), (0.8, 0.8, 0.4), 10.0, (5.0, 5.0, 5.0))
-ELASTIC = {"motor_inertia": 2e-4, "motor_coulomb_friction": 0.03, "gear_stiffness": 1.2e4}
-ELASTIC |= {"gear_damping": 10.0, "motor_viscous_friction": 0.0, "link_viscous_friction": 6.0}
+ELASTIC = {"motor_inertia": 2e-4, "motor_coulomb_friction": 0.03, "gear_stiffness": 4e3}
+ELASTIC |= {"gear_damping": 10.0, "motor_viscous_friction": 2e-4, "link_viscous_friction": 4.0}
 
 
 def elastic_chain(folder: Path) -> tuple[Study, Values]:
-    """A chain whose anti-resonances are near 15 Hz, with all viscous friction at the links."""
+    """A chain whose first anti-resonances are near 12 Hz."""
     joints = tuple(
         replace(joint, spring="linear", gear_ratio=0.01, torque_per_volt=gain, encoder_counts=8192)
         for joint, gain in zip(chain().joints, (0.18, 0.15, 0.07), strict=True)
@@ -145,14 +145,15 @@ def elastic_chain(folder: Path) -> tuple[Study, Values]:
 
 
 def test_viscous_friction_of_elastic_joints_acts_on_the_links_as_well(tmp_path: Path) -> None:
-    """The torsion's rate adds (w / w_a)^2 to the links' velocity; 0.5 % of the friction here."""
+    """With all of it at the motors, that of joint 2 is 0.66 % too large, five standard deviations."""
     study, values = elastic_chain(tmp_path)
     simulate_study(study, values, tmp_path, noise=SensorNoise(), as_recorded=False)
     model = pipeline.identify(tmp_path / "study.toml", stages=("rigid",)).rigid
     assert model is not None
     for joint in (1, 2, 3):
         parameter = next(p for p in model.parameters if p.key == ("total_viscous_friction", joint))
-        true = 1e-4 * values["link_viscous_friction", joint]
-        assert parameter.value == pytest.approx(true, rel=0.01)
-        assert parameter.ci95 is not None
-        assert parameter.ci95[0] <= true <= parameter.ci95[1]
+        motor, link = (values[f"{side}_viscous_friction", joint] for side in ("motor", "link"))
+        assert parameter.std is not None
+        expected = motor + 1e-4 * link
+        assert parameter.value == pytest.approx(expected, rel=0.004)
+        assert parameter.value == pytest.approx(expected, abs=3.5 * parameter.std)
