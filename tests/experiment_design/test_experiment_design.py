@@ -459,6 +459,15 @@ def test_designs_without_a_servo_are_in_open_loop() -> None:
     assert 'kind = "pi-velocity", period [s], kp' in plan.warnings[0].message
 
 
+@pytest.mark.usefixtures("quick")
+def test_designs_under_gravity_without_a_servo_have_motions_alone() -> None:
+    study, values = upright()
+    plan = design.design(replace(study, arm=replace(study.arm, servo=None)), values, LIMITS)
+    assert [r.experiment.use for r in plan.records] == ["motion", "check"]
+    (warning,) = [w for w in plan.warnings if w.code == "no-servo"]
+    assert "only motions, which the arm's own controller follows" in warning.message
+
+
 def only(designed: design.Design, *chosen: str) -> design.Design:
     """Design with some of its records, to simulate only what a test needs."""
     records = tuple(r for r in designed.records if names_of(r) in chosen)
@@ -605,19 +614,6 @@ def no_voltage() -> None:
     limits_of(replace(STUDY, arm=replace(STUDY.arm, servo=None)).arm, "1", "1", None, None)
 
 
-def no_servo_under_gravity() -> None:
-    study, values = upright()
-    design.design(replace(study, arm=replace(study.arm, servo=None)), values, LIMITS)
-
-
-def no_servo_of_a_rigid_arm() -> None:
-    study = replace(
-        scara.study(Path("nowhere"), "rigid"),
-        arm=replace(scara.study(Path("nowhere"), "rigid").arm, servo=None),
-    )
-    design.design(study, scara.parameters(spring="rigid"), LIMITS)
-
-
 def too_weak_to_hold() -> None:
     study, values = upright()
     design.design(study, values, replace(LIMITS, voltage=(2.0, 2.0)))
@@ -638,8 +634,6 @@ def missing_stiffness() -> None:
     ("ask", "expected"),
     [
         (no_voltage, r"--limit-voltage: .*add the \[servo\]"),
-        (no_servo_under_gravity, r"under gravity needs a servo.*add the \[servo\]"),
-        (no_servo_of_a_rigid_arm, r"a rigid arm is identified from motions.*add the \[servo\]"),
         (too_weak_to_hold, "hold"),
         (immovable, r"satisfies the limits.*gear torque of joint 1 would be .* limit of 0.1"),
         (missing_stiffness, "gear_stiffness_k2 of joint 1"),

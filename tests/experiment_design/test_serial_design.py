@@ -22,7 +22,11 @@ from strainwave.experiment_design.motions import motion_records
 from strainwave.experiment_design.plan import Limits, limits_of
 from strainwave.experiment_design.predicted_motion import run
 from strainwave.experiment_design.rigid_motion import Fourier, Search, full_regressor
-from strainwave.experiment_design.rigid_precision import TORQUE_ERROR, standard_deviations
+from strainwave.experiment_design.rigid_precision import (
+    ASSUMED_TORQUE_ERROR,
+    standard_deviations,
+    torque_errors_of,
+)
 from strainwave.experiment_design.self_distance import smallest_distance
 from strainwave.experiment_design.written import PRECISION_FILE, write
 from strainwave.io.study import read_study
@@ -192,17 +196,16 @@ def _check_files(plan: design.Design, arm: Arm, values: Values, folder: Path) ->
 
 @pytest.mark.usefixtures("quick")
 def test_predicted_intervals_are_those_of_noisy_torques(study: Study) -> None:
-    """Least squares of torques with white errors of 1 % scatter as predicted."""
+    """Least squares of torques with white errors, assumed or measured, scatter as predicted."""
     bare = study.arm.with_joints(replace(j, encoder_counts=None) for j in study.arm.joints)
     arm, values, allowed = Arm.of(bare), values_of(study), limits(study)
-    (record, _) = motion_records(arm, values, allowed, anti_resonance_hz=None, starts=2, seed=0)
-    assert record.waypoints is not None
     search = Search(arm, values, allowed, 8.0)
     series = Fourier(8.0, *np.split(np.random.default_rng(1).normal(size=(17, 3)), [1, 9]))
     motion = series.at(search.time)
-    std = standard_deviations(search, motion, 1.0, TORQUE_ERROR)
+    std = standard_deviations(search, motion, 1.0, torque_errors_of(arm, {2: 0.03}))
     torque = arm.inverse_dynamics(search.vector, *motion)
-    error = 0.01 * np.sqrt(np.mean(torque**2, axis=0))
+    shares = np.array([ASSUMED_TORQUE_ERROR, 0.03, ASSUMED_TORQUE_ERROR])
+    error = shares * np.sqrt(np.mean(torque**2, axis=0))
     # ten independent errors per second of the torque after a low-pass of 5 Hz
     rows = full_regressor(arm, motion) / (error * np.sqrt(len(motion[0]) / 80.0))[:, None]
     rows = rows.reshape(-1, rows.shape[2])
@@ -211,10 +214,64 @@ def test_predicted_intervals_are_those_of_noisy_torques(study: Study) -> None:
     np.testing.assert_allclose(estimates.std(axis=1), std, rtol=0.1)
 
 
+def without_servo(study: Study) -> Study:
+    """The arm as a robot with joint states: torques at the joints, a controller of its own."""
+    joints = (
+        replace(j, gear_ratio=1.0, torque_per_volt=None, encoder_counts=None)
+        for j in study.arm.joints
+    )
+    return replace(study, arm=replace(study.arm.with_joints(joints), servo=None))
+
+
+@pytest.mark.usefixtures("quick")
+def test_an_arm_without_servo_gets_a_trajectory_of_angles(study: Study, tmp_path: Path) -> None:
+    study, values = without_servo(study), values_of(study)
+    values |= {("motor_inertia", i): 2.0 for i in (1, 2, 3)}
+    allowed = limits(study, velocity="2.5", gear_torque="80")
+    plan = design.design(study, values, allowed, torque_errors={1: 0.05})
+    assert [r.experiment.name for r in plan.records] == ["motion", "motion-check"]
+    assert not plan.warnings
+    record, arm = plan.records[0], Arm.of(study.arm)
+    angle = record.motor_angle
+    assert angle is not None
+    tick = record.drive.tick
+    velocity = np.gradient(angle, tick, axis=0)
+    acceleration = np.gradient(velocity, tick, axis=0)
+    torque = arm.inverse_dynamics(arm.parameter_vector(values), angle, velocity, acceleration)
+    predicted = record.predicted
+    np.testing.assert_allclose(predicted.gear_torque, np.abs(torque).max(axis=0), rtol=1e-2)
+    np.testing.assert_allclose(predicted.velocity, np.abs(velocity).max(axis=0), rtol=1e-4)
+    assert 0.5 < predicted.use_of(allowed) <= 1.0
+    write(plan, tmp_path / "designed")
+    header = (tmp_path / "designed/apply-motion.csv").read_text().partition("\n")[0]
+    assert header == "t [s],theta_m1 [rad],theta_m2 [rad],theta_m3 [rad]"
+    assert (tmp_path / "designed/trajectory-motion.json").exists()
+    errors = json.loads((tmp_path / "designed" / PRECISION_FILE).read_text())["torque_errors"]
+    assert [(e["value"], e["source"]) for e in errors] == [
+        (0.05, "measured"),
+        (0.01, "assumed"),
+        (0.01, "assumed"),
+    ]
+    again = read_study(tmp_path / "designed/study.toml", logs_exist=False)
+    with pytest.raises(InvalidInput, match=r"follows angles by a controller.*add the \[servo\]"):
+        simulate_study(again, values, tmp_path / "run")
+
+
+def test_a_trajectory_needs_limits_of_the_torques(study: Study) -> None:
+    with pytest.raises(InvalidInput, match=r"--limit-torque: the torque of joint 3 has no limit"):
+        limits(without_servo(study))
+
+
 def far_apart(study: Study) -> None:
     allowed = replace(limits(study), posture=(0.0, -0.4, 2.5), distance=0.35)
     motion_records(
-        Arm.of(study.arm), values_of(study), allowed, anti_resonance_hz=None, starts=1, seed=0
+        Arm.of(study.arm),
+        values_of(study),
+        allowed,
+        anti_resonance_hz=None,
+        starts=1,
+        seed=0,
+        torque_errors=np.zeros(3),
     )
 
 

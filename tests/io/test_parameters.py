@@ -14,7 +14,7 @@ from strainwave.domain import Joint
 from strainwave.domain.parameters import complete_values
 from strainwave.domain.units import unit_of
 from strainwave.errors import InvalidInput
-from strainwave.io.parameters import read_parameters
+from strainwave.io.parameters import read_parameters, read_torque_errors
 from strainwave.virtual import experiments as virtual
 from strainwave.virtual import scara
 
@@ -50,6 +50,16 @@ def test_reads_the_standard_parameters_of_a_serial_arm(tmp_path: Path) -> None:
         ("link_inertia_yz", 12): 0.1,
         ("motor_inertia", 3): 1e-4,
     }
+
+
+def test_reads_the_torque_errors_of_a_result(tmp_path: Path) -> None:
+    rigid = {"torque_errors": [{"joint": 2, "value": 0.03}]}
+    path = _write(tmp_path, {"parameters": [], "stages": {"rigid": rigid}})
+    assert read_torque_errors(path) == {2: 0.03}
+    assert read_torque_errors(_write(tmp_path, {"parameters": [], "stages": None})) == {}
+    rigid["torque_errors"] = [{"value": 0.03}]
+    with pytest.raises(InvalidInput, match="torque_errors: has no joint"):
+        read_torque_errors(_write(tmp_path, {"parameters": [], "stages": {"rigid": rigid}}))
 
 
 def test_reads_a_table_of_known_values(tmp_path: Path) -> None:

@@ -96,6 +96,10 @@ def test_results_with_two_payloads_differ_by_the_payload(store: Path) -> None:
         for result in (first, last)
         if (value := sw.read_result(result)["link_first_moment_x", 2].value) is not None
     ]
+    # the residual of a simulated arm is small, but not zero
+    errors = sw.read_result(last).document["stages"]["rigid"]["torque_errors"]
+    assert [entry["joint"] for entry in errors] == [1, 2]
+    assert all(0.0 < entry["value"] < 0.01 for entry in errors)
     assert np.diff(moments) == pytest.approx([_PAYLOAD * _LEVER], rel=0.02)
     verdict = done.stdout[done.stdout.index("verdict:") :]
     assert "link_first_moment_x 2" in verdict

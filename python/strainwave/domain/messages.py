@@ -261,6 +261,9 @@ TEMPLATES: Mapping[str, str] = {
     " lacks the motion that the rigid step needs and the steps that validate the elastic model:"
     " {remedy}; or record a slow motion of all joints by other means and add it with"
     ' use = "motion"',
+    "no-servo/motions": "the study describes no servo, so the design contains only motions,"
+    " which the arm's own controller follows|; it lacks the excitation of the gears and the steps"
+    " that validate the elastic model: {remedy}",
     "knee-not-reached": "the gear torque of joint {joint} reaches {torque:.3g} N m, and the knees"
     " are at {knees:.3g} N m: the stiffness above is not identifiable|; allow more voltage,"
     " velocity or angle",

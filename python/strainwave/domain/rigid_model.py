@@ -44,6 +44,8 @@ class RigidModel(Displayed):
     # joint -> torque of joint 1 over that joint relative to the symmetry of M(q), and its standard
     # deviation; 1 if both torque constants are right
     torque_ratios: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    # joint -> residual of the equations over their torque, rms values within the bandwidth
+    torque_errors: Mapping[int, float] = field(default_factory=dict)
     # friction per load torque, gravity included, of the joints whose friction grows with the load
     load_friction: tuple[Parameter, ...] = ()
 

@@ -29,13 +29,16 @@ from strainwave.experiment_design.plan import (
     LimitBroken,
     Limits,
     Planned,
+    can_move,
+    follows_angles,
     limits_of,
 )
 from strainwave.experiment_design.precision import predicted_precision
+from strainwave.experiment_design.rigid_precision import torque_errors_of
 from strainwave.experiment_design.steps import step_records
 from strainwave.experiment_design.voltages import Kind, sweep_records, voltage_record
 from strainwave.experiment_design.written import write
-from strainwave.io.parameters import read_parameters
+from strainwave.io.parameters import read_parameters, read_torque_errors
 from strainwave.io.study import read_study
 from strainwave.io.urdf import read_urdf
 
@@ -87,7 +90,7 @@ def excite_study_file(
     study = read_study(study_path, logs_exist=False, experiments_exist=False)
     values = read_parameters(parameters_path)
     limits = limits_of(
-        study.arm,
+        with_known_drives(study.arm, values),
         limit_angle,
         limit_velocity,
         limit_voltage,
@@ -96,7 +99,15 @@ def excite_study_file(
         urdf=read_urdf(study.path.parent / study.arm.urdf.file) if study.arm.urdf else (),
     )
     excitation_kind: Kind = "prbs" if kind == "prbs" else "multisine"
-    planned = design(study, values, limits, kind=excitation_kind, seed=seed, progress=progress)
+    planned = design(
+        study,
+        values,
+        limits,
+        kind=excitation_kind,
+        seed=seed,
+        torque_errors=read_torque_errors(parameters_path),
+        progress=progress,
+    )
     write(planned, folder)
     return planned
 
@@ -108,22 +119,25 @@ def design(
     *,
     kind: Kind = "prbs",
     seed: int = 0,
+    torque_errors: Mapping[int, float] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Design:
     """Plan the records that identify an arm, and those that validate it.
 
     The design contains a motion and a motion for validation. For each elastic joint it contains a
-    PRBS or multisine, the PRBS at lower amplitudes, steps, and steps for validation. The
+    PRBS or multisine, the PRBS at lower amplitudes, steps, and steps for validation. Without a
+    servo it contains open-loop voltages, or the motions of an arm that `follows_angles`. The
     experiments of `study` are ignored. `kind` is that of the voltages, `seed` that of the search
-    and of a multisine's phases. Raises InvalidInput if a parameter is missing, if no experiment
-    satisfies the limits, or if the arm needs a servo that the study does not describe. A single
+    and of a multisine's phases. `torque_errors` are those of an earlier result, by joint. Raises
+    InvalidInput if a parameter is missing or if no experiment satisfies the limits. A single
     experiment that violates the limits gives a warning.
     """
     study = replace(study, arm=with_known_drives(study.arm, values))
     arm = Arm.of(study.arm)
     arm.parameter_vector(values)  # raises InvalidInput if a parameter is missing
     bands = {j: band_of(arm, values, j, limits.centre) for j in range(1, arm.n_joints + 1)}
-    warnings = _check_servo(study, bands)
+    warnings, has_motions = _servo_warnings(study), can_move(study.arm)
+    errors = torque_errors or {}
     lowest = min((b.anti_resonance_hz for b in bands.values() if b), default=None)
     records: tuple[Planned, ...] = ()
     failures: list[LimitBroken] = []
@@ -135,14 +149,20 @@ def design(
         except LimitBroken as error:
             failures.append(error)
 
-    if arm.servo is not None:
+    if has_motions:
         progress("optimising the rigid motion")
         with collecting():
             records = motion_records(
-                arm, values, limits, anti_resonance_hz=lowest, starts=_N_STARTS, seed=seed
+                arm,
+                values,
+                limits,
+                anti_resonance_hz=lowest,
+                starts=_N_STARTS,
+                seed=seed,
+                torque_errors=torque_errors_of(arm, errors),
             )
     for joint, band in bands.items():
-        if not band:
+        if not band or follows_angles(study.arm):
             continue
         progress(f"sizing the excitation of joint {joint}")
         with collecting():
@@ -175,7 +195,8 @@ def design(
     experiments = tuple(record.experiment for record in records)
     progress("predicting the intervals")
     precision = predicted_precision(study, values, records, seed=seed)
-    return Design(replace(study, experiments=experiments), limits, records, warnings, precision)
+    planned = replace(study, experiments=experiments)
+    return Design(planned, limits, records, warnings, precision, errors)
 
 
 def _warn_slow_clocks(
@@ -210,26 +231,12 @@ def _warn_unlimited_torques(
     return tuple(warnings)
 
 
-def _check_servo(
-    study: Study, bands: Mapping[int, ExcitationBand | None]
-) -> tuple[Diagnostic, ...]:
-    """Warning that an arm without servo gets open-loop voltages only.
-
-    Raises InvalidInput under gravity or if all gears are rigid.
-    """
-    if study.arm.servo is not None:
+def _servo_warnings(study: Study) -> tuple[Diagnostic, ...]:
+    """Warning of what the design of an arm without servo lacks."""
+    if study.arm.servo is not None or not any(joint.elastic for joint in study.arm.joints):
         return ()
-    elastic = any(bands.values())
-    if study.arm.gravity or not elastic:
-        reason = (
-            "an arm under gravity needs a servo that holds it"
-            if elastic
-            else "a rigid arm is identified from motions under a servo"
-        )
-        raise InvalidInput(
-            f"{reason}, but the study describes no servo", where=str(study.path), remedy=ADD_SERVO
-        )
-    return (Diagnostic("no-servo", Place(file=study.path.name), remedy=ADD_SERVO),)
+    variant = "motions" if follows_angles(study.arm) else ""
+    return (Diagnostic("no-servo", Place(file=study.path.name), variant, remedy=ADD_SERVO),)
 
 
 def _record_warnings(arm: Arm, known: Values, record: Planned) -> tuple[Diagnostic, ...]:

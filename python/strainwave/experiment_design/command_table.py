@@ -35,7 +35,8 @@ def applied_columns(
         angle = "rad" if joint.motion == "revolute" else "m"
         number = i + 1
         if motor_angle is not None:
-            columns[f"ref{number} [{angle}/s]"] = drive.reference[:, i]
+            if arm.servo is not None:
+                columns[f"ref{number} [{angle}/s]"] = drive.reference[:, i]
             columns[f"theta_m{number} [{angle}]"] = motor_angle[:, i]
         elif experiment.joint == number:
             force = "N m" if joint.motion == "revolute" else "N"
@@ -66,6 +67,12 @@ def read_applied(folder: Path, arm: Arm, experiment: Experiment, values: Values)
             voltage[:, i] = columns.get(name, voltage[:, i])
         reference[:, i] = columns.get(f"ref{i + 1}", reference[:, i])
         start[i] = columns.get(f"theta_m{i + 1}", start[i : i + 1])[0]
+    if arm.servo is None and "servo" in experiment.control:
+        raise InvalidInput(
+            f"{experiment.name} follows angles by a controller that the study does not describe",
+            where=str(path),
+            remedy="to simulate it, add the [servo] to the study and run `strainwave excite` again",
+        )
     if not (voltage.any() or reference.any()):
         raise InvalidInput(
             f"the table contains no non-zero input; its columns are {', '.join(data)}",

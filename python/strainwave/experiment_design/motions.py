@@ -21,7 +21,11 @@ from strainwave.experiment_design.plan import (
     Waypoints,
     clock_of,
 )
-from strainwave.experiment_design.predicted_motion import predicted_motion, servo_drive
+from strainwave.experiment_design.predicted_motion import (
+    followed_motion,
+    predicted_motion,
+    servo_drive,
+)
 from strainwave.experiment_design.rigid_motion import (
     N_HARMONICS,
     Fourier,
@@ -31,7 +35,6 @@ from strainwave.experiment_design.rigid_motion import (
     optimise,
 )
 from strainwave.experiment_design.rigid_precision import (
-    TORQUE_ERROR,
     predicted_rigid_parameters,
     reference_sizes,
     standard_deviations,
@@ -56,10 +59,12 @@ def motion_records(
     anti_resonance_hz: float | None,
     starts: int,
     seed: int,
+    torque_errors: FloatArray,
 ) -> tuple[Planned, ...]:
     """Record of the best motion, to be fitted, and of the second best, for validation.
 
-    `anti_resonance_hz` is the lowest of the arm, None for rigid gears. Raises InvalidInput if the
+    `anti_resonance_hz` is the lowest of the arm, None for rigid gears. `torque_errors` (n_joints,)
+    are those of `standard_deviations`, for the predicted intervals. Raises InvalidInput if the
     drives cannot hold the arm, and LimitBroken if no motion satisfies the limits.
     """
     top = _MAX_MOTION_HZ
@@ -87,18 +92,29 @@ def motion_records(
     motions = optimise(arm, values, limits, period=period, starts=starts, seed=seed)
     uses: tuple[tuple[str, Use], ...] = (("motion", "motion"), ("motion-check", "check"))
     return tuple(
-        _record(search, values, series, *use) for series, use in zip(motions, uses, strict=False)
+        _record(search, values, series, *use, torque_errors)
+        for series, use in zip(motions, uses, strict=False)
     )
 
 
-def _record(search: Search, values: Values, series: Fourier, name: str, use: Use) -> Planned:
+def _record(
+    search: Search,
+    values: Values,
+    series: Fourier,
+    name: str,
+    use: Use,
+    torque_errors: FloatArray,
+) -> Planned:
     """Record of one series, reduced until the simulated arm satisfies all limits."""
     arm, limits = search.arm, search.limits
     periods, reason = _periods(search, values, series)
     for _ in range(_MAX_ATTEMPTS):
         planned = _drive(search, values, series, periods)
         drive = planned.drive
-        motion = predicted_motion(arm, values, drive, limits)
+        if arm.servo is None:
+            motion = followed_motion(arm, values, planned.links, limits)
+        else:
+            motion = predicted_motion(arm, values, drive, limits)
         if motion.use_of(limits) <= 1.0:
             break
         centre = limits.centre
@@ -126,23 +142,24 @@ def _record(search: Search, values: Values, series: Fourier, name: str, use: Use
             f"{planned.lead:g} s of lead-in and of lead-out",
         ),
         condition_number=condition,
-        precision=_precision(search, values, series, periods),
+        precision=_precision(search, values, series, periods, torque_errors),
         waypoints=planned.waypoints,
     )
 
 
 def _precision(
-    search: Search, values: Values, series: Fourier, periods: int
+    search: Search, values: Values, series: Fourier, periods: int, torque_errors: FloatArray
 ) -> tuple[Parameter, ...]:
     """Predicted rigid parameters of a record."""
     motion, top_hz = series.at(search.time), N_HARMONICS / series.period
-    std = standard_deviations(search, motion, top_hz, TORQUE_ERROR)
+    std = standard_deviations(search, motion, top_hz, torque_errors)
     return tuple(predicted_rigid_parameters(search.arm, values, std / np.sqrt(periods)))
 
 
 class _PlannedDrive(NamedTuple):
     drive: Drive
     motor_angle: FloatArray  # intended
+    links: Motion  # intended
     lead: float  # [s] before and after the motion
     waypoints: Waypoints
 
@@ -169,6 +186,7 @@ def _drive(search: Search, values: Values, series: Fourier, periods: int) -> _Pl
     return _PlannedDrive(
         servo_drive(arm, values, search.limits, reference),
         angle,
+        (angles, velocities, accelerations),
         float(lead),
         waypoints,
     )

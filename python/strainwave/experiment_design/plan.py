@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
@@ -139,6 +139,22 @@ class Design:
     records: tuple[Planned, ...]
     warnings: tuple[Diagnostic, ...]
     precision: tuple[Parameter, ...] = ()  # predicted for the whole-arm fit
+    # joint -> error of its torque over the rms value that a result measured; others are assumed
+    torque_errors: Mapping[int, float] = field(default_factory=dict)
+
+
+def follows_angles(arm: ArmDescription) -> bool:
+    """Whether the design has motions that the arm's own controller follows.
+
+    No servo is described, and in open loop the arm would fall, or has no gear to excite.
+    """
+    is_free = not arm.gravity and any(joint.elastic for joint in arm.joints)
+    return arm.servo is None and not is_free
+
+
+def can_move(arm: ArmDescription) -> bool:
+    """Whether motions can be planned."""
+    return arm.servo is not None or follows_angles(arm)
 
 
 def limits_of(
@@ -154,10 +170,12 @@ def limits_of(
     """Limits from texts of the command line: one positive number, or one per joint with commas.
 
     The limits of `urdf`, the joints of the arm's URDF, apply in addition, and the servo's to the
-    voltage; without a servo a voltage limit is required. A torque limit of a rigid joint limits its
-    voltage. Raises InvalidInput if a number is missing, not positive or implausible.
+    voltage. Without a servo a voltage limit is required, or limits of the torques of an arm that
+    `follows_angles`. A torque limit of a rigid joint limits its voltage. Raises InvalidInput if a
+    number is missing, not positive or implausible.
     """
-    if voltage is None and arm.servo is None:
+    is_led = follows_angles(arm)
+    if voltage is None and arm.servo is None and not is_led:
         raise InvalidInput(
             "the voltage limit of the drives is unknown because the study has no [servo] table",
             where="--limit-voltage",
@@ -185,8 +203,9 @@ def limits_of(
     top = arm.servo.limit if arm.servo else np.inf
     voltages = np.minimum(numbers(voltage, "--limit-voltage"), top)
     for i, joint in enumerate(arm.joints):
-        if not joint.elastic:  # the gear transmits what the motor gives
+        if is_led or not joint.elastic:  # the gear transmits what the motor gives
             voltages[i] = min(voltages[i], gears[i] * ratios[i] / joint.torque_per_command)
+    _check_limited(voltages, "the torque of joint", "--limit-torque", "N m at the joint")
     centre = 0.5 * (low + high)
     return Limits(
         angle=tuple((0.5 * (high - low)).tolist()),

@@ -49,6 +49,27 @@ def run(arm: Arm, values: Values, drive: Drive) -> Trajectory:
     return simulate(arm, values, drive, sample_time=clock, samples=samples, record=_QUANTITIES)
 
 
+def followed_motion(
+    arm: Arm, values: Values, motion: tuple[FloatArray, FloatArray, FloatArray], limits: Limits
+) -> PredictedMotion:
+    """Peak values of a motion of the links that a controller follows without error.
+
+    `motion` has angles, velocities and accelerations (n_ticks, n_joints). The gears transmit what
+    the motors give.
+    """
+    torque = arm.inverse_dynamics(arm.parameter_vector(values), *motion)
+    ratios = np.abs([joint.gear_ratio for joint in arm.joints])
+    compared = motion[0][:: max(1, int(_DISTANCE_INTERVAL / clock_of(arm)))]
+    return PredictedMotion(
+        angle=np.asarray(np.abs(motion[0] - limits.centre).max(axis=0)),
+        velocity=np.asarray(np.abs(arm.motor_accelerations(motion[1])).max(axis=0)),
+        voltage=np.asarray(np.abs(torque / arm.torque_per_volt).max(axis=0)),
+        gear_torque=np.asarray(np.abs(torque / ratios).max(axis=0)),
+        rest_share=np.zeros(arm.n_joints),
+        distance=float(smallest_distance(arm, values, compared, limits.distance).min()),
+    )
+
+
 def predicted_motion(arm: Arm, values: Values, drive: Drive, limits: Limits) -> PredictedMotion:
     """Peak values of the guessed arm's response, and the share of time in which motors stick."""
     trajectory = run(arm, values, drive)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -17,21 +17,26 @@ from strainwave.experiment_design.rigid_motion import Motion, Search, full_regre
 LOW_PASS_RATIO = 5.0
 """Bandwidth of the rigid step over the highest frequency of the motion."""
 
-TORQUE_ERROR = 0.01
+ASSUMED_TORQUE_ERROR = 0.01
 """Error of a motor's torque over its rms value: friction and drives of a rig vary by this much."""
 
 
+def torque_errors_of(arm: Arm, measured: Mapping[int, float]) -> FloatArray:
+    """Errors (n_joints,) of the torques over their rms values: by joint as measured, or assumed."""
+    return np.array([measured.get(i + 1, ASSUMED_TORQUE_ERROR) for i in range(arm.n_joints)])
+
+
 def standard_deviations(
-    search: Search, motion: Motion, top_hz: float, torque_error: float = 0.0
+    search: Search, motion: Motion, top_hz: float, torque_errors: FloatArray | float = 0.0
 ) -> FloatArray:
     """Standard deviations of `Arm.rigid_columns` after one period of a motion.
 
     The encoder's rounding has the variance q^2/12 at each tick. After the rigid step's low-pass B
     it becomes an error of the acceleration with variance (2 pi)^4 B^5/5 S, S = 2 tick q^2/12.
     Multiplied by the rigid inertia it is an error of the torque, independent 2 B times per second.
-    `torque_error` is a further error of each torque over its rms value. `motion` has one period of
-    `search`, `top_hz` is its highest frequency. Infinite for parameters that the motion does not
-    determine.
+    `torque_errors` (n_joints,) are further errors of the torques over their rms values. `motion`
+    has one period of `search`, `top_hz` is its highest frequency. Infinite for parameters that the
+    motion does not determine.
     """
     arm = search.arm
     bandwidth = LOW_PASS_RATIO * top_hz
@@ -39,7 +44,7 @@ def standard_deviations(
     density = 2.0 * clock_of(arm) * rounding**2 / 12.0
     acceleration = np.sqrt((2.0 * np.pi) ** 4 * bandwidth**5 / 5.0 * density)
     torque = arm.inverse_dynamics(search.vector, *motion)
-    further = torque_error * np.sqrt(np.mean(torque**2, axis=0))
+    further = torque_errors * np.sqrt(np.mean(torque**2, axis=0))
     error = np.hypot(_inertia_at_motor(search) * acceleration, further)
     rows = full_regressor(arm, motion) / error[:, None]
     n_independent = 2.0 * bandwidth * search.period

@@ -7,9 +7,11 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from strainwave.domain import FloatArray, Study
+from strainwave.dynamics.arm import Arm
 from strainwave.experiment_design.command_table import applied_columns, table_name
 from strainwave.experiment_design.joint_trajectory import trajectory_name, trajectory_text
 from strainwave.experiment_design.plan import Design, Planned
+from strainwave.experiment_design.rigid_precision import torque_errors_of
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.base_parameters import base_parameter_entries
 from strainwave.io.results import parameter_entry, to_json
@@ -51,7 +53,17 @@ def _predicted(design: Design) -> str:
     rigid = design.records[0].precision
     base = base_parameter_entries(design.study.arm, rigid)
     final = {p.key: p for p in (*rigid, *design.precision)}  # the whole-arm fit comes last
-    document = {"parameters": [parameter_entry(p) for p in final.values()]} | (
+    errors = torque_errors_of(Arm.of(design.study.arm), design.torque_errors)
+    sources = [
+        "measured" if i in design.torque_errors else "assumed" for i in range(1, len(errors) + 1)
+    ]
+    document = {
+        "torque_errors": [
+            {"joint": i, "value": error, "source": source}
+            for i, (error, source) in enumerate(zip(errors.tolist(), sources, strict=True), start=1)
+        ]
+    }
+    document |= {"parameters": [parameter_entry(p) for p in final.values()]} | (
         {"base_parameters": base} if base else {}
     )
     return to_json(document).decode()

@@ -29,15 +29,7 @@ def read_parameters(path: Path) -> Values:
     in which `gear_stiffness` is a number, [K] or [K1, K2, K3] with `gear_knee_torque` [T1, T2]; the
     gear law defines its lists.
     """
-    text = decode(read_bytes(path, "the file of parameters"), path)
-    try:
-        document = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise InvalidInput(
-            f"is not JSON ({error})",
-            where=str(path),
-            remedy="use a result.json or a parameter file",
-        ) from error
+    document = _document(path)
     if isinstance(document, dict) and isinstance(document.get("parameters"), list):
         standard = document.get("standard_parameters") or {}
         return _from_list(document["parameters"], path) | _standard(standard, path)
@@ -48,6 +40,38 @@ def read_parameters(path: Path) -> Values:
         where=str(path),
         remedy="use a result.json, or see docs/parameters.md for the layout",
     )
+
+
+def read_torque_errors(path: Path) -> dict[int, float]:
+    """Errors of the joints' torques over their rms values, as the rigid step of a result has them.
+
+    Empty for other parameter files and for results of earlier versions.
+    """
+    entry: Any = _document(path)
+    for key in ("stages", "rigid", "torque_errors"):
+        entry = entry.get(key) if isinstance(entry, dict) else None
+    if not isinstance(entry, list):
+        return {}
+    place, errors = f"{path}: stages.rigid.torque_errors", dict[int, float]()
+    for each in entry:
+        if not isinstance(each, dict) or not isinstance(each.get("joint"), int):
+            raise InvalidInput(
+                "has no joint", where=place, remedy='write {"joint": ..., "value": ...}'
+            )
+        errors[each["joint"]] = _number(each.get("value"), place)
+    return errors
+
+
+def _document(path: Path) -> Any:
+    text = decode(read_bytes(path, "the file of parameters"), path)
+    try:
+        return json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InvalidInput(
+            f"is not JSON ({error})",
+            where=str(path),
+            remedy="use a result.json or a parameter file",
+        ) from error
 
 
 def _from_list(entries: list[Any], path: Path) -> Values:

@@ -441,6 +441,9 @@ def _rigid(model: RigidModel) -> dict[str, Any]:
         "load_friction": [parameter_entry(p) for p in model.load_friction],
         "torque_ratio": next((ratio for ratio in ratios if ratio["joint"] == 2), None),
         "torque_ratios": ratios,
+        "torque_errors": [
+            {"joint": joint, "value": value} for joint, value in model.torque_errors.items()
+        ],
     }
 
 

@@ -159,6 +159,7 @@ def _model(
         status=status,
         warnings=(*warnings_of(best), *(load_warning(share) for share in shares)),
         torque_ratios=ratios,
+        torque_errors=best.torque_errors,
         load_friction=shares,
     )
 

@@ -120,6 +120,18 @@ class Trial:
             and upper[k] < 0.0
         ]
 
+    @property
+    def torque_errors(self) -> dict[int, float]:
+        """Joint -> residual over torque, rms values of its rows."""
+        equations, errors = self.equations, dict[int, float]()
+        residual = ls.residual_of(equations, self.factor)
+        for i in range(self.arm.n_joints):
+            rows = equations.group == i
+            torque = float(np.linalg.norm(equations.target[rows]))
+            if torque > 0.0:
+                errors[i + 1] = float(np.linalg.norm(residual[rows])) / torque
+        return errors
+
     def refit_with_loads(self, joints: Sequence[int]) -> Trial:
         """Fit at the same bandwidth with load-dependent friction of joints, from 0."""
         loads = Loads.of(joints, self.stretches)
