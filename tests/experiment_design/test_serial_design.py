@@ -30,7 +30,6 @@ from strainwave.experiment_design.rigid_precision import (
 from strainwave.experiment_design.self_distance import smallest_distance
 from strainwave.experiment_design.written import PRECISION_FILE, write
 from strainwave.io.study import read_study
-from strainwave.io.urdf import read_urdf
 from strainwave.virtual.experiments import simulate_study
 
 _LINKS = '<link name="base"/><link name="a"/><link name="b"/><link name="c"/>'
@@ -119,7 +118,7 @@ def values_of(study: Study) -> Values:
 def limits(study: Study, **texts: str | None) -> Limits:
     """Limits of the URDF and of texts."""
     given = {"angle": None, "velocity": "250", "voltage": None, "gear_torque": None} | texts
-    return limits_of(study.arm, urdf=read_urdf(study.path.parent / "robots/arm.urdf"), **given)
+    return limits_of(study.arm, **given)
 
 
 def test_the_stricter_of_both_limits_applies(study: Study) -> None:

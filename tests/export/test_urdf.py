@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import exports
-from strainwave.domain import Parameter
+from strainwave.domain import JointLimits, Parameter
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds.bodies import LINK_PARAMETERS, Body, about_axis
 from strainwave.dynamics.arm import Arm
@@ -195,6 +195,25 @@ def test_pinocchio_has_inertia_and_gravity_of_a_chain(
         torque = arm.link_torques(base, angle[None], rest, rest)[0]
         gravity = pinocchio.computeGeneralizedGravity(model, data, q)
         np.testing.assert_allclose(gravity, torque, atol=1e-11)
+
+
+def test_pinocchio_has_the_limits_of_the_joints(tmp_path: Path) -> None:
+    pinocchio = pytest.importorskip("pinocchio", reason="Pinocchio is not installed (extra: bench)")
+    study, values = exports.chain(tmp_path, motions=("revolute", "prismatic", "revolute"))
+    limits = JointLimits(-1.5, 2.0, 3.0, 80.0), JointLimits(0.1, 0.6), JointLimits(None, None, 2.5)
+    joints = (replace(j, limits=each) for j, each in zip(study.arm.joints, limits, strict=True))
+    study = replace(study, arm=study.arm.with_joints(joints))
+    export = to_urdf(exports.arm_of(study, values))
+    model = pinocchio.buildModelFromXML(export.data.decode())
+    # the third joint is continuous: cosine and sine
+    np.testing.assert_allclose(model.lowerPositionLimit[:2], [-1.5, 0.1])
+    np.testing.assert_allclose(model.upperPositionLimit[:2], [2.0, 0.6])
+    np.testing.assert_allclose(model.upperVelocityLimit, [3.0, 1e6, 2.5])
+    np.testing.assert_allclose(model.upperEffortLimit, [80.0, 1e6, 1e6])
+    (tmp_path / "arm.urdf").write_bytes(export.data)
+    read = [joint.limits for joint in read_urdf(tmp_path / "arm.urdf")]
+    assert read[0] == limits[0]
+    assert read[2] == JointLimits(None, None, 2.5, 1e6)
 
 
 def test_the_reader_of_studies_reads_an_exported_chain(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from results import identification
 from strainwave import InvalidInput
-from strainwave.domain import Payload
+from strainwave.domain import JointLimits, Payload
 from strainwave.dynamics.arm import Arm
 from strainwave.io.logs import read_logs
 from strainwave.io.results import study_of, to_document
@@ -50,7 +50,7 @@ _STUDY = _ARM + 2 * _JOINT + _COUPLING + _RECORD
 _URDF = """<robot name="r"><link name="base"/><link name="a"/><link name="b"/>
 <joint name="one" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/></joint>
 <joint name="two" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
-<origin xyz="0.2 0 0.1"/></joint></robot>"""
+<origin xyz="0.2 0 0.1"/><limit lower="-1" upper="1.5" velocity="2" effort="0"/></joint></robot>"""
 
 _PLACED_BY_URDF = (
     _ARM
@@ -80,6 +80,7 @@ def test_a_urdf_places_the_joints(tmp_path: Path) -> None:
     assert arm.joints[1].origin.xyz == (0.2, 0.0, 0.1)
     assert arm.joints[1].axis == (0.0, 1.0, 0.0)
     assert arm.joint_names == ("one", "two")
+    assert [joint.limits for joint in arm.joints] == [None, JointLimits(-1.0, 1.5, 2.0)]
 
 
 def test_a_joint_slides_as_in_the_urdf(tmp_path: Path) -> None:
@@ -88,7 +89,10 @@ def test_a_joint_slides_as_in_the_urdf(tmp_path: Path) -> None:
     assert [joint.motion for joint in arm.joints] == ["revolute", "prismatic"]
 
 
-@pytest.mark.parametrize("text", [_STUDY, _PLACED_BY_URDF + _RECORD])
+_LIMITED = _STUDY.replace("spring", "limits = { lower = -1.0, upper = 2.0, effort = 80.0 }\nspring")
+
+
+@pytest.mark.parametrize("text", [_STUDY, _LIMITED, _PLACED_BY_URDF + _RECORD])
 def test_a_written_study_reads_back_equal(tmp_path: Path, text: str) -> None:
     arm = _read(tmp_path, text)
     study = read_study(tmp_path / "study.toml", logs_exist=False)
@@ -124,6 +128,8 @@ def test_a_result_places_the_joints_without_the_urdf(tmp_path: Path) -> None:
         (_STUDY.replace("-9.81", "-9810.0"), "if 9810 is in mm/s^2, set 9.81"),
         (_STUDY.replace("gear_ratio = -0.01", "gear_ratio = -100.0"), "inverted: set -0.01"),
         (_STUDY.replace("spring", 'name = "elbow"\nspring'), "two joints have the name 'elbow'"),
+        (_LIMITED.replace("lower = -1.0", "lower = 3.0", 1), "3, is not below the upper, 2"),
+        (_LIMITED.replace("80.0", "-80.0", 1), "'effort' is -80.0"),
         (_ARM + 8 * _JOINT + _RECORD, "at most 7"),
         (_PLACED_BY_URDF + _JOINT + _RECORD, "2 joints move in robot.urdf (one, two)"),
         (_PLACED_BY_URDF.replace("robot.urdf", "none.urdf") + _RECORD, "none.urdf"),

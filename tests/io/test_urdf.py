@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from strainwave import InvalidInput
+from strainwave.domain import JointLimits
 from strainwave.domain.consistent_links import is_consistent
 from strainwave.io.urdf import read_urdf
 
@@ -60,7 +61,7 @@ def test_fixed_joints_are_merged_as_in_pinocchio(tmp_path: Path) -> None:
     model = pinocchio.buildModelFromUrdf(str(path))
     assert [joint.name for joint in joints] == list(model.names)[1:]
     assert [joint.motion for joint in joints] == ["revolute", "prismatic"]
-    assert joints[1].upper == 0.5
+    assert joints[1].limits == JointLimits(0.0, 0.5, 1.0, 10.0)
     for k, joint in enumerate(joints, start=1):
         placed = model.jointPlacements[k]
         np.testing.assert_allclose(joint.origin.xyz, placed.translation, atol=1e-14)

@@ -10,6 +10,7 @@ from strainwave.domain.arm import ArmDescription as ArmDescription
 from strainwave.domain.arm import EffectName as EffectName
 from strainwave.domain.arm import Imu as Imu
 from strainwave.domain.arm import Joint as Joint
+from strainwave.domain.arm import JointLimits as JointLimits
 from strainwave.domain.arm import LinkPrior as LinkPrior
 from strainwave.domain.arm import Motion as Motion
 from strainwave.domain.arm import NonNegative as NonNegative

@@ -66,6 +66,16 @@ class Imu:
 
 
 @dataclass(frozen=True, slots=True)
+class JointLimits:
+    """Limits of a joint's motion and load, as in URDF; None: unknown or none."""
+
+    lower: float | None = None  # [rad, m] position
+    upper: float | None = None
+    velocity: Positive | None = None  # [rad/s, m/s]
+    effort: Positive | None = None  # [N m, N]
+
+
+@dataclass(frozen=True, slots=True)
 class Joint:
     """Placement, drive, gear and sensors of one joint: `[[joint]]`."""
 
@@ -86,6 +96,7 @@ class Joint:
     origin: Origin = Origin()
     axis: Vector = (0.0, 0.0, 1.0)  # in the joint's frame; its length does not matter
     name: str | None = None  # in the URDF and in exports
+    limits: JointLimits | None = None
 
     @property
     def torque_per_command(self) -> float:

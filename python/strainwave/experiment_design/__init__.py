@@ -40,7 +40,6 @@ from strainwave.experiment_design.voltages import Kind, sweep_records, voltage_r
 from strainwave.experiment_design.written import write
 from strainwave.io.parameters import read_parameters, read_torque_errors
 from strainwave.io.study import read_study
-from strainwave.io.urdf import read_urdf
 
 __all__ = ["Design", "Limits", "Planned", "design", "excite_study_file"]
 
@@ -96,7 +95,6 @@ def excite_study_file(
         limit_voltage,
         limit_torque,
         distance=limit_distance,
-        urdf=read_urdf(study.path.parent / study.arm.urdf.file) if study.arm.urdf else (),
     )
     excitation_kind: Kind = "prbs" if kind == "prbs" else "multisine"
     planned = design(

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Self
 
 import numpy as np
 
@@ -14,12 +13,12 @@ from strainwave.domain import (
     Diagnostic,
     Experiment,
     FloatArray,
+    JointLimits,
     Parameter,
     Study,
 )
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
-from strainwave.io.urdf import UrdfJoint
 
 FREE_CONTROL: Control = "open"
 HELD_CONTROL: Control = "servo"
@@ -165,11 +164,10 @@ def limits_of(
     gear_torque: str | None,
     *,
     distance: str | None = None,
-    urdf: Sequence[UrdfJoint] = (),
 ) -> Limits:
     """Limits from texts of the command line: one positive number, or one per joint with commas.
 
-    The limits of `urdf`, the joints of the arm's URDF, apply in addition, and the servo's to the
+    The limits of the joints, from the study or its URDF, apply in addition, and the servo's to the
     voltage. Without a servo a voltage limit is required, or limits of the torques of an arm that
     `follows_angles`. A torque limit of a rigid joint limits its voltage. Raises InvalidInput if a
     number is missing, not positive or implausible.
@@ -191,15 +189,18 @@ def limits_of(
     for i, joint in enumerate(arm.joints):
         if joint.motion == "revolute":
             _check_plausible(angles[i], velocities[i], i + 1)
-    of_urdf = [_UrdfLimits.of(joint) for joint in urdf] or [_UrdfLimits()] * arm.n_joints
+    own = [joint.limits or JointLimits() for joint in arm.joints]
     ratios = [abs(joint.gear_ratio) for joint in arm.joints]
-    low = np.maximum([each.lower for each in of_urdf], -np.array(angles))
-    high = np.minimum([each.upper for each in of_urdf], angles)
-    links = np.array([each.velocity for each in of_urdf])
+    lowest = [-np.inf if each.lower is None else each.lower for each in own]
+    highest = [np.inf if each.upper is None else each.upper for each in own]
+    low, high = np.maximum(lowest, -np.array(angles)), np.minimum(highest, angles)
+    links = np.array([each.velocity or np.inf for each in own])
     motors = np.minimum(velocities, links / ratios)
     _check_limited(high - low, "the angle of joint", "--limit-angle", "rad")
     _check_limited(motors, "the velocity of joint", "--limit-velocity", "rad/s of the motor")
-    gears = np.minimum(numbers(gear_torque, "--limit-torque"), [each.effort for each in of_urdf])
+    gears = np.minimum(
+        numbers(gear_torque, "--limit-torque"), [each.effort or np.inf for each in own]
+    )
     top = arm.servo.limit if arm.servo else np.inf
     voltages = np.minimum(numbers(voltage, "--limit-voltage"), top)
     for i, joint in enumerate(arm.joints):
@@ -217,26 +218,6 @@ def limits_of(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _UrdfLimits:
-    """Limits of one joint of a URDF; infinite where it gives none."""
-
-    lower: float = -np.inf  # [rad, m] of the link
-    upper: float = np.inf
-    velocity: float = np.inf  # [rad/s, m/s] of the link
-    effort: float = np.inf  # [N m, N] at the link
-
-    @classmethod
-    def of(cls, joint: UrdfJoint) -> Self:
-        """Limits of a joint; URDF files write zero for an unknown velocity or effort."""
-        return cls(
-            lower=-np.inf if joint.lower is None else joint.lower,
-            upper=np.inf if joint.upper is None else joint.upper,
-            velocity=joint.velocity or np.inf,
-            effort=joint.effort or np.inf,
-        )
-
-
 def _check_limited(ranges: FloatArray, quantity: str, option: str, unit: str) -> None:
     """Raise InvalidInput if a range is infinite or empty."""
     for number, value in enumerate(ranges.tolist(), start=1):
@@ -244,13 +225,14 @@ def _check_limited(ranges: FloatArray, quantity: str, option: str, unit: str) ->
             raise InvalidInput(
                 f"{quantity} {number} has no limit",
                 where=option,
-                remedy=f"set the limits in {unit}; a URDF that the study names may give them",
+                remedy=f"set the limits in {unit}, here, in the URDF that the study names, or as "
+                "limits of its [[joint]] tables",
             )
         if value <= 0.0:
             raise InvalidInput(
-                f"the limit of {quantity} {number} excludes all that the URDF permits",
+                f"the limit of {quantity} {number} excludes all that the study or its URDF permits",
                 where=option,
-                remedy="widen it, or correct the limits in the URDF",
+                remedy="widen it, or correct the limits in the study or the URDF",
             )
 
 

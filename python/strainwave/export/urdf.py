@@ -7,6 +7,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from strainwave.domain import Joint, JointLimits
 from strainwave.domain.core_arm import transmission
 from strainwave.export.bodies import gravity_warnings, holds_motor, link_bodies
 from strainwave.export.markup import comment_text, numbers
@@ -31,6 +32,31 @@ _OMISSIONS = {
     Part.SERVO: "URDF has no controllers",
     Part.UNCERTAINTY: "see result.json",
 }
+
+
+_NO_LIMIT = 1e6  # of a joint without limits, where URDF requires numbers
+
+
+def _kind(joint: Joint) -> str:
+    """Type of a URDF joint: a revolute joint without limits of its position is continuous."""
+    return "continuous" if joint.motion == "revolute" and not _is_bounded(joint) else joint.motion
+
+
+def _is_bounded(joint: Joint) -> bool:
+    limits = joint.limits
+    return limits is not None and limits.lower is not None and limits.upper is not None
+
+
+def _limits(joint: Joint) -> dict[str, float]:
+    """Attributes of `<limit>`, which revolute and prismatic joints need; unknown ones are wide."""
+    known, given = joint.limits or JointLimits(), _kind(joint)
+    if given == "continuous" and not (known.velocity or known.effort):
+        return {}
+    limits = {"effort": known.effort or _NO_LIMIT, "velocity": known.velocity or _NO_LIMIT}
+    if given != "continuous":
+        limits["lower"] = -_NO_LIMIT if known.lower is None else known.lower
+        limits["upper"] = _NO_LIMIT if known.upper is None else known.upper
+    return limits
 
 
 def to_urdf(arm: IdentifiedArm) -> Export:
@@ -73,6 +99,8 @@ def to_urdf(arm: IdentifiedArm) -> Export:
         notes=notes,
         links=list(zip(bodies, joints, arm.study.arm.joint_names, strict=True)),
         coulomb_friction=coulomb_friction,
+        kind_of=_kind,
+        limits_of=_limits,
         motor_inertia=motor_inertia,
         viscous_friction=viscous_friction,
         comment_text=comment_text,

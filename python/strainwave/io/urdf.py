@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from strainwave.domain import FloatArray, LinkPrior, Motion, Origin
+from strainwave.domain import FloatArray, JointLimits, LinkPrior, Motion, Origin
 from strainwave.domain.consistent_links import standard_parameters
 from strainwave.domain.link_sensors.rotations import angles, attitude
 from strainwave.errors import InvalidInput
@@ -36,10 +36,7 @@ class UrdfJoint:
     origin: Origin  # in the frame of the previous moving joint
     axis: tuple[float, float, float]
     prior: LinkPrior  # of everything that is fixed to the joint's link
-    lower: float | None = None  # limits of the position [rad, m]
-    upper: float | None = None
-    velocity: float | None = None  # limit [rad/s, m/s]
-    effort: float | None = None  # limit [N m, N]
+    limits: JointLimits | None = None
 
 
 @dataclass(frozen=True)
@@ -178,18 +175,23 @@ class _Reader:
                 f"the axis of joint {joint.name!r} has length zero",
                 'set its direction, such as <axis xyz="0 0 1"/>',
             )
-        limit = joint.xml.find("limit")
-        limits = {
-            key: self._number(limit, key, joint.name)
-            for key in ("lower", "upper", "velocity", "effort")
-        }
-        if joint.kind == "continuous":
-            limits |= {"lower": None, "upper": None}
         origin = self._origin(joint.xml)
         if not np.array_equal(frame, np.eye(4)):  # the file's angles are exact otherwise
             placed = frame @ self._placement(joint.xml)
             origin = Origin(_vector_of(placed[:3, 3]), _vector_of(angles(placed[:3, :3])))
-        return UrdfJoint(joint.name, _MOTIONS[joint.kind], origin, axis, prior, **limits)
+        return UrdfJoint(joint.name, _MOTIONS[joint.kind], origin, axis, prior, self._limits(joint))
+
+    def _limits(self, joint: _Element) -> JointLimits | None:
+        """Limits of a joint; files write zero for an unknown velocity or effort."""
+        limit = joint.xml.find("limit")
+        if limit is None:
+            return None
+        lower, upper, velocity, effort = (
+            self._number(limit, key, joint.name) for key in ("lower", "upper", "velocity", "effort")
+        )
+        if joint.kind == "continuous" or lower == upper:
+            lower = upper = None
+        return JointLimits(lower, upper, velocity or None, effort or None)
 
     def _merged(self, link: str, frame: FloatArray) -> LinkPrior:
         """Inertial values of a link and of all links fixed to it, in the frame of the first."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from strainwave.domain import FloatArray
+from strainwave.domain import FloatArray, JointLimits
 from strainwave.errors import InvalidInput
 from strainwave.io.urdf import UrdfJoint, read_urdf
 from strainwave.study_draft.names import max_joints, position, words_of
@@ -94,20 +94,21 @@ class Robot:
         """
         tested = None
         for number, values, period in motions:
-            joint = self.joints[number - 1]
+            limits = self.joints[number - 1].limits or JointLimits()
             if float(np.ptp(values)) < _MIN_RANGE:
                 continue
-            if joint.lower is not None and joint.upper is not None and joint.upper > joint.lower:
+            lower, upper = limits.lower, limits.upper
+            if lower is not None and upper is not None and upper > lower:
                 tested = True
-                margin = _LIMIT_TOLERANCE * (joint.upper - joint.lower)
-                if values.min() < joint.lower - margin or values.max() > joint.upper + margin:
+                margin = _LIMIT_TOLERANCE * (upper - lower)
+                if values.min() < lower - margin or values.max() > upper + margin:
                     return False
-            if joint.velocity:
+            if limits.velocity:
                 tested = True
                 # over a tenth of a second, which averages the rounding of encoders
                 width = max(1, round(0.1 / period))
                 fastest = np.abs(values[width:] - values[:-width]).max(initial=0.0)
-                if fastest > (1.0 + _LIMIT_TOLERANCE) * joint.velocity * width * period:
+                if fastest > (1.0 + _LIMIT_TOLERANCE) * limits.velocity * width * period:
                     return False
         return tested
 

@@ -19,7 +19,7 @@ from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
 from strainwave.io.study.checks import check_consistency, check_files, check_options, check_sizes
 from strainwave.io.study.flags import Flag, parse_flag
-from strainwave.io.study.reader import Reader
+from strainwave.io.study.reader import PLACED_BY_URDF, Reader
 from strainwave.io.toml_files import parse_toml
 
 __all__ = ["check_study", "copy_to", "document_of", "read_study", "with_options", "write_study"]
@@ -152,7 +152,7 @@ def document_of(study: Study) -> dict[str, Any]:
     """A study as tables of a study file, without values that equal their defaults."""
     placed: tuple[str, ...] = ("origin", "axis") if kind_of(study.arm).places_joints else ()
     if study.arm.urdf is not None:
-        placed = ("origin", "axis", "name")
+        placed = PLACED_BY_URDF
     document: dict[str, Any] = {
         "arm": {"kind": study.arm.kind, **_table(kind_of(study.arm).table_of(study.arm))},
         "joint": [_table(joint, without=placed) for joint in study.arm.joints],

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from strainwave.domain import ArmDescription, Study, channel_names, channel_parts
+from strainwave.domain import ArmDescription, JointLimits, Study, channel_names, channel_parts
 from strainwave.domain.arm import UNKNOWN, Matrix
 from strainwave.domain.effects import effect_named
 from strainwave.domain.kinds import kind_of
@@ -69,6 +69,7 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
                 where=reader.place("joint", index, "imu"),
                 remedy=f"map the axis along the joint to a{index + 1} and remove the other axes",
             )
+        _check_limits(joint.limits or JointLimits(), reader.place("joint", index, "limits"))
         for name in joint.named_effects:
             if effect_named(name).needs_elastic_gear and not joint.elastic:
                 raise InvalidInput(
@@ -89,6 +90,16 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
             gains = getattr(arm.servo, key)
             if gains is not None:
                 _check_count(gains, arm.n_joints, reader.place("servo", None, key), key)
+
+
+def _check_limits(limits: JointLimits, place: str) -> None:
+    lower, upper = limits.lower, limits.upper
+    if lower is not None and upper is not None and lower >= upper:
+        raise InvalidInput(
+            f"the lower limit of the joint, {lower:g}, is not below the upper, {upper:g}",
+            where=place,
+            remedy="correct the limits",
+        )
 
 
 def _check_coupling(coupling: Matrix, arm: ArmDescription, place: str) -> None:

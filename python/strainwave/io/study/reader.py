@@ -36,6 +36,9 @@ T = TypeVar("T")
 
 _PLACED_BY_KIND: Mapping[str, Any] = {"origin": Origin(), "axis": (0.0, 0.0, 1.0)}
 
+PLACED_BY_URDF = ("origin", "axis", "name", "limits")
+"""Keys of a joint that a URDF determines."""
+
 _TABLES = {
     "arm": Kind,
     "joint": Joint,
@@ -194,7 +197,7 @@ class Reader:
         if kind.places_joints:
             placed = _PLACED_BY_KIND
         elif urdf:
-            placed = {key: getattr(urdf[index], key) for key in ("origin", "axis", "name")}
+            placed = {key: getattr(urdf[index], key) for key in PLACED_BY_URDF}
         for key in placed.keys() & joint.keys():
             placer = "the URDF" if urdf else f"the kind {kind.name}"
             raise InvalidInput(
