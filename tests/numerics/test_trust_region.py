@@ -280,6 +280,23 @@ def test_no_step_increases_the_cost() -> None:
     assert costs[-1] < 0.5 * costs[0]
 
 
+@pytest.mark.parametrize("residual", [rosenbrock, two_decays])
+def test_the_cost_alone_rejects_steps_that_follow_a_rejected_one(residual: Residual) -> None:
+    start = np.array([3.0, 4.0, -2.0, 0.1])[: 2 if residual is rosenbrock else 4]
+    problems = [Problem(residual), Problem(residual)]
+    plain, quick = (
+        minimise(one.linearise, start, Flat(), tolerance=1e-10, max_evaluations=300, cost=cost)
+        for one, cost in zip(problems, [None, problems[0].cost], strict=True)
+    )
+    assert plain is not None and quick is not None
+    assert np.array_equal(plain.x, quick.x)
+    assert (plain.evaluations, plain.end) == (quick.evaluations, quick.end)
+    assert len(problems[1].looked_at) <= len(problems[0].looked_at) == plain.evaluations
+    rejected = np.diff([problems[0].cost(x) for x in problems[0].looked_at]) > 0.0
+    if np.any(rejected[1:] & rejected[:-1]):
+        assert len(problems[1].looked_at) < plain.evaluations
+
+
 def test_an_exhausted_budget_is_not_convergence() -> None:
     result = found_for(rosenbrock, [-1.2, 1.0], max_evaluations=4)
     assert result.end is SearchEnd.EVALUATION_LIMIT

@@ -94,6 +94,7 @@ def minimise(
     relative: float = 0.0,
     damping: float = 1e-3,
     max_evaluations: int,
+    cost: Callable[[FloatArray], float | None] | None = None,
 ) -> Minimum | None:
     """Minimise by the Levenberg-Marquardt method in scaled coordinates with limited steps.
 
@@ -105,7 +106,9 @@ def minimise(
     `relative`: Tolerance as a share of the cost, added to `tolerance`.
     `damping`: Initial damping, relative to squared singular values of columns of unit length. Use a
         small value if the start is near the minimum.
-    `max_evaluations`: Maximum number of calls of `linearise`.
+    `max_evaluations`: Maximum number of trial points.
+    `cost`: Cost alone, where it takes far less time than `linearise`. After a rejected step, the
+        next ones are often rejected too, so this cost must decrease before they are linearised.
 
     Returns None if the problem is not defined at the start.
     """
@@ -114,7 +117,7 @@ def minimise(
         return None
     current = first
     growth, trusted_share = 2.0, 1.0
-    evaluations = 1
+    evaluations, was_rejected = 1, False
     costs: list[float] = []
     while True:
         is_free = ~space.at_bounds(x, current.factor[:, :-1].T @ current.factor[:, -1])
@@ -143,12 +146,15 @@ def minimise(
             current.factor, damping, is_free, _StepLimit(space, x, trusted_share)
         )
         trial = space.move(x, step)
-        candidate = linearise(trial)
         evaluations += 1
-        gain_ratio = (
-            (current.cost - candidate.cost) / max(predicted, 1e-300) if candidate else -np.inf
-        )
-        if candidate is None or gain_ratio < _MIN_ACCEPTED_GAIN_RATIO:
+        gain_ratio = -np.inf
+        candidate = None
+        if not (was_rejected and cost) or _decreases(cost(trial), current.cost):
+            candidate = linearise(trial)
+        if candidate is not None:
+            gain_ratio = (current.cost - candidate.cost) / max(predicted, 1e-300)
+        was_rejected = gain_ratio < _MIN_ACCEPTED_GAIN_RATIO
+        if candidate is None or was_rejected:
             damping, growth = max(damping * growth, _MIN_DAMPING_AFTER_REJECTION), growth * 2.0
             trusted_share *= _STEP_REDUCTION
             if abs(predicted) < tolerance:  # no step decreases the cost
@@ -161,6 +167,11 @@ def minimise(
             damping *= 2.0
         growth, trusted_share = 2.0, min(1.0, trusted_share / _STEP_REDUCTION)
         x, current = trial, candidate
+
+
+def _decreases(cost: float | None, current: float) -> bool:
+    """Whether a cost is defined and less than the current one."""
+    return cost is not None and cost < current
 
 
 @dataclass(frozen=True, slots=True)

@@ -121,6 +121,17 @@ class Objective:
             return None
         return Linearised(float(cost + np.sum(prior**2)), triangular_factor(stacked))
 
+    def cost(self, z: FloatArray) -> float | None:
+        """Cost at z, by simulations without derivatives; None if one fails."""
+        space = self.space
+        known = space.fix_values(dict(zip(space.keys, space.parameters(z).tolist(), strict=True)))
+        plain = self.replace_unknowns(known).linearise(np.zeros(0))
+        if plain is None:
+            return None
+        _, prior = space.linearise_prior(z)
+        _, contained = known.linearise_prior(np.zeros(0))
+        return float(plain.cost + np.sum(prior**2) - np.sum(contained**2))
+
     def rows(self, z: FloatArray) -> list[Rows]:
         """Weighted rows of every record at z, with optimal record parameters."""
         point, cached = z.tobytes(), self.memory.rows

@@ -30,7 +30,7 @@ from strainwave.signals.recorded_input import (
     recorded_drive,
 )
 
-_STEP = 2.5e-4  # [s] integrator step; its error is below a quarter of the sensor noise
+_STEP = 5e-4  # [s] integrator step; the step error is corrected
 # encoder counts, or standard deviations of noise, within which a joint stands still
 _STANDSTILL_TOLERANCE = 3.0
 STEPS_PER_PERIOD = 8.0

@@ -157,6 +157,7 @@ def search_minimum(
         max_evaluations=max(
             1, n_remaining if max_evaluations is None else min(n_remaining, max_evaluations)
         ),
+        cost=start.objective.cost,
     )
     if minimum is None:
         raise NotIdentifiable("the whole-arm fit cannot simulate the arm at the start values")
