@@ -288,7 +288,8 @@ def test_the_cost_alone_rejects_steps_that_follow_a_rejected_one(residual: Resid
         minimise(one.linearise, start, Flat(), tolerance=1e-10, max_evaluations=300, cost=cost)
         for one, cost in zip(problems, [None, problems[0].cost], strict=True)
     )
-    assert plain is not None and quick is not None
+    assert plain is not None
+    assert quick is not None
     assert np.array_equal(plain.x, quick.x)
     assert (plain.evaluations, plain.end) == (quick.evaluations, quick.end)
     assert len(problems[1].looked_at) <= len(problems[0].looked_at) == plain.evaluations
