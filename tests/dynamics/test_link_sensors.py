@@ -12,6 +12,7 @@ from strainwave.domain.keys import Values
 from strainwave.domain.kinds import planar_two_link, single_joint
 from strainwave.domain.link_sensors import (
     ConstantKind,
+    LinkSensor,
     all_types,
     compared_axes,
     constant_of,
@@ -73,7 +74,7 @@ def test_delay_and_scale_change_the_reading() -> None:
 
 
 def test_constants_and_their_keys() -> None:
-    kinds = [MotorEncoder, *all_types()]
+    kinds: list[type[LinkSensor]] = [MotorEncoder, *all_types()]
     names = [constant.name for kind in kinds for constant in kind.constants()]
     assert sorted(names) == sorted(sensor_constants())  # no name twice
     assert constant_of(("gear_damping", 1)) is None

@@ -124,7 +124,7 @@ def unregister(name: str) -> None:
 @cache
 def sensor_constants() -> Mapping[str, SensorConstant]:
     """Constants of the motor encoder and of all types by name, without records."""
-    types = (MotorEncoder, *all_types())
+    types: tuple[type[LinkSensor], ...] = (MotorEncoder, *all_types())
     constants = (constant for sensor in types for constant in sensor.constants())
     return MappingProxyType({constant.name: constant for constant in constants})
 

@@ -18,7 +18,8 @@ from strainwave.identification.whole_arm.records.low_pass import low_pass_kernel
 def test_velocities_of_advanced_rows(cutoff: float, sample_time: float, ahead: float) -> None:
     """Whatever the advance, a motor at rest far from zero has no velocity and a ramp its own."""
     kernels = low_pass_kernels(cutoff, sample_time, ahead)
-    t = sample_time * np.arange(len(kernels.slope) + 8 * kernels.step)
+    t = sample_time * np.arange(float(len(kernels.slope) + 8 * kernels.step))
     assert kernels.rows(np.full(len(t), 300.0), rate=True) == pytest.approx(0.0, abs=1e-9)
-    assert kernels.rows(300.0 + 7.0 * t, rate=True) == pytest.approx(7.0, rel=1e-9)
+    ramp = np.asarray(300.0 + 7.0 * t)
+    assert kernels.rows(ramp, rate=True) == pytest.approx(7.0, rel=1e-9)
     assert kernels.rows(np.full(len(t), 300.0), rate=False) == pytest.approx(300.0)

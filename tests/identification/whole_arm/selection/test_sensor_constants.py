@@ -107,7 +107,7 @@ def test_a_logged_torque_may_be_early(early: float) -> None:
     for log in logs:
         channels = dict(log.channels)
         for i in (1, 2):
-            command = study.arm.joints[i - 1].torque_per_volt * channels.pop(f"u{i}")
+            command = study.arm.joints[i - 1].torque_per_command * channels.pop(f"u{i}")
             torque = lfilter([1.0 - remaining], [1.0, -remaining], np.r_[0.0, command[:-1]])
             channels[f"torque{i}"] = torque + new * (command - torque)
         records.append(replace(log, channels=channels))
