@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.peers.rigid_chain import fit_plain
-from strainwave.domain import FloatArray, RigidModel, RigidOptions, Signals
+from strainwave.domain import FloatArray, FrictionTerm, RigidModel, RigidOptions, Signals
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import predict_torque
 from strainwave.identification import rigid
@@ -70,13 +70,17 @@ def fit_study(path: Path) -> tuple[Arm, RigidModel, tuple[Signals, ...], tuple[S
 
 
 def held_out_fits(
-    arm: Arm, solution: FloatArray, records: Sequence[Signals], cutoff_hz: float
+    arm: Arm,
+    solution: FloatArray,
+    records: Sequence[Signals],
+    cutoff_hz: float,
+    terms: Sequence[FrictionTerm] = (),
 ) -> FloatArray:
     """Fit [%] of each joint's torque over all records, where the joint slides: (n_joints,)."""
     error, spread = np.zeros(arm.n_joints), np.zeros(arm.n_joints)
     for record in records:
         T = record.sample_time
-        torque = predict_torque(arm, solution, record, int(0.5 / (cutoff_hz * T)), ())
+        torque = predict_torque(arm, solution, record, int(0.5 / (cutoff_hz * T)), terms)
         measured, predicted = (low_pass(x, cutoff_hz, T) for x in (record.motor_torque, torque))
         for i, slides in enumerate((record.direction != 0.0).T):
             y = measured[slides, i]
@@ -159,12 +163,12 @@ def main() -> None:
         ):
             arm, model, motion, checks = fit_study(path)
             same = rigid.fit_rigid(motion, arm, RigidOptions(bandwidth_hz=cutoff_hz))
-            for method, solution in (
-                (f"strainwave, {model.bandwidth_hz:.0f} Hz", model.solution),
-                ("strainwave, same filter", same.solution),
-                ("Pinocchio", fit_plain(arm, motion, cutoff_hz)),
+            for method, solution, terms in (
+                (f"strainwave, {model.bandwidth_hz:.0f} Hz", model.solution, model.friction_terms),
+                ("strainwave, same filter", same.solution, same.friction_terms),
+                ("Pinocchio", fit_plain(arm, motion, cutoff_hz), ()),
             ):
-                fits = held_out_fits(arm, solution, checks, cutoff_hz)
+                fits = held_out_fits(arm, solution, checks, cutoff_hz, terms)
                 table.add_row(label, f"{cutoff_hz:g} Hz", method, *(f"{fit:.1f}" for fit in fits))
         Console().print(table)
         arm, model, _, _ = fit_study(write_tx40(arguments.tx40, copy, {"motion": _WHOLE}))

@@ -103,6 +103,7 @@ from strainwave.domain.ranges import SizedValue as SizedValue
 from strainwave.domain.ranges import is_physical as is_physical
 from strainwave.domain.ranges import physical_range as physical_range
 from strainwave.domain.rigid_model import DriveGains as DriveGains
+from strainwave.domain.rigid_model import FrictionTerm as FrictionTerm
 from strainwave.domain.rigid_model import RigidModel as RigidModel
 from strainwave.domain.search_end import SearchEnd as SearchEnd
 from strainwave.domain.signals import Activity as Activity

@@ -110,7 +110,8 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
     )
     table: _Table = {}
     if rigid is not None:
-        table = _stage_table(rigid.parameters, "rigid", spread_to_all=False)
+        further = [p for term in rigid.friction_terms for p in term.parameters]
+        table = _stage_table((*rigid.parameters, *further), "rigid", spread_to_all=False)
     if first_affected <= _RIGID:
         table = _reject_all(table.values(), _FAULT_REASON)
     accepted = [j for j in results.joints if not _enter_if_rejected(table, j, first_affected)]

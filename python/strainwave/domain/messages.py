@@ -110,6 +110,8 @@ TEMPLATES: Mapping[str, str] = {
     "estimated-drive": "the torque per volt is estimated as {value:.4g} +- {share!p:.2g} %|; all"
     " inertias, friction and stiffness scale with it, and the intervals of the decoupled and the"
     " tuned stage do not contain its error. Record a heavier payload if it limits the accuracy",
+    "friction-term": "{description}: {label} is {value:.3g} +- {std:.2g} {unit}|. Predictions of"
+    " the rigid model include this; simulations and exports do not",
     "load-friction": "friction increases by {share:.3f} +- {std:.3f} of the load|. Predictions of"
     " the rigid model include this; simulations and exports do not",
     "not-rigid": "the anti-resonance at {anti_resonance_hz:.1f} Hz is too close to the motion band"

@@ -28,6 +28,22 @@ class DriveGains:
 
 
 @dataclass(frozen=True, slots=True)
+class FrictionTerm:
+    """Friction of a rigid joint in addition to viscous and Coulomb friction."""
+
+    effect: str  # of the joint model, which names the law
+    joint: int  # from 1
+    size: Parameter
+    shape: float  # of the law
+    estimated_shape: Parameter | None = None  # None if the shape is given or the law has none
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Estimates of size and shape."""
+        return (self.size,) if self.estimated_shape is None else (self.size, self.estimated_shape)
+
+
+@dataclass(frozen=True, slots=True)
 class RigidModel(Displayed):
     """Estimate of the arm with rigid joints, (5) to (7)."""
 
@@ -46,8 +62,7 @@ class RigidModel(Displayed):
     torque_ratios: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     # joint -> residual of the equations over their torque, rms values within the bandwidth
     torque_errors: Mapping[int, float] = field(default_factory=dict)
-    # friction per load torque, gravity included, of the joints whose friction grows with the load
-    load_friction: tuple[Parameter, ...] = ()
+    friction_terms: tuple[FrictionTerm, ...] = ()  # further friction that the data support
 
     def value(self, name: str, joint: int | None = None) -> float | None:
         """Value of one parameter; None if it is not identifiable.

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, Parameter, Signals
+from strainwave.domain import BoolArray, FloatArray, FrictionTerm, Signals
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.friction_terms import additional_friction
 from strainwave.numerics.filters import low_pass
 
 _BLOCK_SIZE = 1 << 16  # samples per regressor, which limits its memory
@@ -44,14 +45,14 @@ def band_fit(
     solution: FloatArray,
     signals: Signals,
     model_hz: float,
-    load_friction: Sequence[Parameter],
+    friction_terms: Sequence[FrictionTerm],
 ) -> FloatArray:
     """Fit [%] of a model to a record's torques within its bandwidth: (n_joints,).
 
     Equal to the fit of `band_prediction`, with less memory.
     """
     T = signals.sample_time
-    torque = predict_torque(arm, solution, signals, _bridge(model_hz, T), load_friction)
+    torque = predict_torque(arm, solution, signals, _bridge(model_hz, T), friction_terms)
     fits = []
     for i in range(torque.shape[1]):
         column = slice(i, i + 1)
@@ -66,16 +67,15 @@ def band_prediction(
     solution: FloatArray,
     signals: Signals,
     model_hz: float,
-    load_friction: Sequence[Parameter],
+    friction_terms: Sequence[FrictionTerm],
 ) -> FilteredTorques:
     """Predict a record's torques from its motion, within a model's bandwidth.
 
     `solution` (n_parameters,) has the order of `Arm.rigid_columns`. `model_hz` is the bandwidth in
-    which the model was estimated. `load_friction` holds the joints whose friction grows with the
-    load.
+    which the model was estimated.
     """
     T = signals.sample_time
-    torque = predict_torque(arm, solution, signals, _bridge(model_hz, T), load_friction)
+    torque = predict_torque(arm, solution, signals, _bridge(model_hz, T), friction_terms)
     measured, predicted = (low_pass(x, model_hz, T) for x in (signals.motor_torque, torque))
     inside = _inside(measured, model_hz, T)
     fit = _fit(measured, predicted, signals.direction, model_hz, T)
@@ -109,7 +109,7 @@ def predict_torque(
     solution: FloatArray,
     signals: Signals,
     longest_bridge: int,
-    load_friction: Sequence[Parameter],
+    friction_terms: Sequence[FrictionTerm],
 ) -> FloatArray:
     """Motor torques of the rigid model for a motion: (n_samples, n_joints) [N m].
 
@@ -118,9 +118,6 @@ def predict_torque(
     around the other terms. The result is then the member of the set closest to the measured torque,
     so that the residual is the distance from the set.
     """
-    share = np.zeros(arm.n_joints)
-    for parameter in load_friction:
-        share[(parameter.joint or 1) - 1] = parameter.value or 0.0
     direction = np.column_stack([_bridge_gaps(d) for d in signals.direction.T])
     sticks = standing(signals.direction, longest_bridge)
     motion = signals.motor_angle, signals.motor_velocity, signals.motor_acceleration
@@ -137,7 +134,7 @@ def predict_torque(
         if arm.n_shared:
             shared = arm.shared_friction_regressor(signals.motor_velocity[block])
             smooth += shared @ solution[-arm.n_shared :]
-        dry = coulomb + share * np.abs(body)
+        dry = coulomb + additional_friction(friction_terms, signals.motor_velocity[block], body)
         limit = np.abs(dry)
         sticking = smooth + np.clip(signals.motor_torque[block] - smooth, -limit, limit)
         torque[block] = np.where(sticks[block], sticking, smooth + dry * direction[block])

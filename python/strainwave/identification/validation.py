@@ -143,7 +143,7 @@ def _predict_torques(
     model: RigidModel, solution: FloatArray, signals: Signals, arm: Arm
 ) -> Prediction:
     """Prediction of the drive signals with other values (n_parameters,) of a model."""
-    band = band_prediction(arm, solution, signals, model.bandwidth_hz, model.load_friction)
+    band = band_prediction(arm, solution, signals, model.bandwidth_hz, model.friction_terms)
     names = signals.torque_channel
     is_voltage = [channel_parts(name)[0] == "u" for name in names]
     per_channel = np.where(is_voltage, arm.torque_per_volt, 1.0)

@@ -438,7 +438,9 @@ def _rigid(model: RigidModel) -> dict[str, Any]:
         "bandwidth_hz": model.bandwidth_hz,
         "decimation": model.decimation,
         "n_rows": model.n_rows,
-        "load_friction": [parameter_entry(p) for p in model.load_friction],
+        "friction_terms": [
+            parameter_entry(p) for term in model.friction_terms for p in term.parameters
+        ],
         "torque_ratio": next((ratio for ratio in ratios if ratio["joint"] == 2), None),
         "torque_ratios": ratios,
         "torque_errors": [

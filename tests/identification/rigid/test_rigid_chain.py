@@ -24,8 +24,9 @@ from strainwave.domain.combinations import value_of
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import Fault, Kind, register, unregister
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.friction_terms import friction_per_size
 from strainwave.dynamics.simulation import SensorNoise
-from strainwave.identification import rigid
+from strainwave.identification import rigid, validation
 from strainwave.virtual.experiments import simulate_study
 from virtual_arms import exact_motion, exact_signals
 
@@ -91,8 +92,8 @@ def rigid_values(arm: Arm) -> FloatArray:
     return np.array([value_of(column.parts, values) for column in arm.rigid_columns])
 
 
-def signals_of(arm: Arm) -> Signals:
-    motion = exact_motion(3, 1)
+def signals_of(arm: Arm, seed: int = 1) -> Signals:
+    motion = exact_motion(3, seed)
     body = arm.rigid_regressor(*map(arm.links_of, motion[1:])) @ rigid_values(arm)[: arm.n_body]
     viscous, coulomb, offset = FRICTION
     friction = viscous * motion[2] + coulomb * np.sign(motion[2]) + offset
@@ -157,3 +158,45 @@ def test_viscous_friction_of_elastic_joints_acts_on_the_links_as_well(tmp_path: 
         expected = motor + 1e-4 * link
         assert parameter.value == pytest.approx(expected, rel=0.004)
         assert parameter.value == pytest.approx(expected, abs=3.5 * parameter.std)
+
+
+LAWS = {
+    "load-friction": (0.15, 1.0),
+    "stribeck": (0.02, 12.0),
+    "power-friction": (0.04, 0.5),
+}
+
+
+def with_term(effect: str | None, seed: int) -> Signals:
+    """A noisy record of the chain, with a further term of friction at joint 2."""
+    exact, arm = signals_of(chain(), seed), chain()
+    torque = exact.motor_torque + np.random.default_rng(seed).normal(
+        0.0, 5e-3, (len(exact.time), 3)
+    )
+    if effect is not None:
+        size, shape = LAWS[effect]
+        motion = exact.motor_angle, exact.motor_velocity, exact.motor_acceleration
+        load = arm.rigid_regressor(*map(arm.links_of, motion)) @ rigid_values(arm)[: arm.n_body]
+        velocity = exact.motor_velocity[:, 1]
+        law = friction_per_size(effect, shape, velocity, load[:, 1])
+        torque[:, 1] += size * law * np.sign(velocity)
+    return replace(exact, motor_torque=torque)
+
+
+@pytest.mark.parametrize("effect", [None, *LAWS])
+def test_further_friction_is_found_where_it_is(effect: str | None) -> None:
+    arm, options = chain(), rigid.RigidOptions(bandwidth_hz=8.0)
+    model = rigid.fit_rigid([with_term(effect, 1)], arm, options)
+    assert [(t.effect, t.joint) for t in model.friction_terms] == ([(effect, 2)] if effect else [])
+    errors = np.abs(model.solution - rigid_values(arm)) / np.sqrt(np.diag(model.covariance))
+    assert np.max(errors) < 4.5
+    if effect is not None:
+        (term,) = model.friction_terms
+        for parameter, true in zip(term.parameters, LAWS[effect], strict=False):
+            assert parameter.std is not None
+            assert parameter.value == pytest.approx(true, rel=0.3)
+            assert parameter.value == pytest.approx(true, abs=4.0 * parameter.std)
+        other = with_term(effect, 2)
+        fits = validation.predict_rigid(model, other, arm).fit_percent
+        plain = replace(model, friction_terms=())
+        assert fits["torque2"] > validation.predict_rigid(plain, other, arm).fit_percent["torque2"]

@@ -107,7 +107,7 @@ def test_dfki_beats_the_published_model(shared_data: Path) -> None:
 
 def test_emps_has_no_friction_by_load(shared_data: Path) -> None:
     study, motion = load(shared_data / "real" / "emps", "estimation")
-    assert rigid.fit_rigid(motion, Arm.of(study.arm)).load_friction == ()
+    assert rigid.fit_rigid(motion, Arm.of(study.arm)).friction_terms == ()
 
 
 def published_dfki(folder: Path, like: RigidModel) -> RigidModel:
@@ -121,4 +121,4 @@ def published_dfki(folder: Path, like: RigidModel) -> RigidModel:
     gravity_1 = m["m1"] * m["g"] * m["r1"] + m["m2"] * m["g"] * m["l1"]
     body = [first, rotor, m["I2"], m["m2"] * m["l1"] * m["r2"], gravity_1, gravity_2]
     friction = [m["b1"], m["cf1"], 0.0, m["b2"], m["cf2"], 0.0]
-    return replace(like, solution=np.array(body + friction), load_friction=())
+    return replace(like, solution=np.array(body + friction), friction_terms=())

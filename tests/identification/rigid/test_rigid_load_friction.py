@@ -36,7 +36,7 @@ def loaded(shares: FloatArray, seed: int = 1, arm: int = 1) -> tuple[Study, Floa
 def test_the_load_friction_is_recovered() -> None:
     study, values, signals = loaded(SHARES)
     model = rigid.fit_rigid([signals], Arm.of(study.arm))
-    (share,) = model.load_friction
+    (share,) = [term.size for term in model.friction_terms]
     assert (share.name, share.joint, share.unit) == ("load_friction", 1, "1")
     assert share.value == pytest.approx(SHARES[0], rel=0.02)
     assert share.ci95 is not None
@@ -56,7 +56,7 @@ def test_the_load_friction_improves_the_prediction() -> None:
         validation.predict_rigid(m, other_signals, Arm.of(study.arm)).fit_percent["torque1"]
         for m in models
     ]
-    assert models[1].load_friction == ()
+    assert models[1].friction_terms == ()
     assert fits[0] > 97.0 > fits[1]
     expected = validation.predict_rigid(models[0], signals, Arm.of(study.arm)).fit_percent
     assert models[0].fit_percent["motion"] == expected
@@ -65,12 +65,12 @@ def test_the_load_friction_improves_the_prediction() -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_arm_without_it_has_none(seed: int) -> None:
     study, _, signals = loaded(np.zeros(2), seed)
-    assert rigid.fit_rigid([signals], Arm.of(study.arm)).load_friction == ()
+    assert rigid.fit_rigid([signals], Arm.of(study.arm)).friction_terms == ()
     forced = rigid.fit_rigid(
         [signals], Arm.of(study.arm), RigidOptions(load_friction=True)
-    ).load_friction
-    assert [p.joint for p in forced] == [1, 2]
-    for p in forced:
+    ).friction_terms
+    assert [term.joint for term in forced] == [1, 2]
+    for p in (term.size for term in forced):
         assert p.value is not None
         assert p.std is not None
         assert abs(p.value) < min(4.0 * p.std, 0.01)
@@ -81,4 +81,4 @@ def test_behind_elastic_gears_friction_is_the_whole_arm_fits() -> None:
     joints = tuple(replace(joint, spring="linear") for joint in study.arm.joints)
     elastic = replace(study, arm=replace(study.arm, joints=joints))
     options = RigidOptions(bandwidth_hz=4.0, load_friction=True)
-    assert rigid.fit_rigid([signals], Arm.of(elastic.arm), options).load_friction == ()
+    assert rigid.fit_rigid([signals], Arm.of(elastic.arm), options).friction_terms == ()

@@ -15,7 +15,15 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.domain import DriveGains, FloatArray, Parameter, RigidModel, RigidOptions, Signals
+from strainwave.domain import (
+    DriveGains,
+    FloatArray,
+    FrictionTerm,
+    Parameter,
+    RigidModel,
+    RigidOptions,
+    Signals,
+)
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_fit
 from strainwave.errors import NotIdentifiable
@@ -28,10 +36,10 @@ from strainwave.identification.rigid.bandwidth import (
 )
 from strainwave.identification.rigid.drive_gains import estimate_drive_gains, gain_sensitivity
 from strainwave.identification.rigid.equations import MotorShares, anti_resonances
-from strainwave.identification.rigid.load_friction import (
-    load_dependent_joints,
-    load_friction,
-    load_warning,
+from strainwave.identification.rigid.friction_terms import (
+    estimated_terms,
+    select_terms,
+    term_warning,
 )
 from strainwave.identification.rigid.repetition import period_of
 from strainwave.identification.rigid.stretch import decimation
@@ -77,19 +85,19 @@ def _fit(
     else:
         trials = search_bandwidths(motions, arm)
     best = select_bandwidth(trials)
-    loaded_joints = load_dependent_joints(best, chosen.load_friction)
-    if loaded_joints:
+    candidates = select_terms(best, chosen.load_friction)
+    if candidates:
         nearby = [best, *neighbours(trials, best)]
-        best, *_ = trials = [trial.refit_with_loads(loaded_joints) for trial in nearby]
+        best, *_ = trials = [trial.refit_with_terms(candidates) for trial in nearby]
     others = [(t.solution, np.diag(t.covariance)) for t in neighbours(trials, best)]
     model_error = excess_variance(best.solution, others)
     covariance = best.covariance + np.diag(model_error + _elastic_model_error(best))
     if gains is not None:
         by_gain = gain_sensitivity(best, gains)
         covariance = covariance + by_gain @ gains.relative_covariance @ by_gain.T
-    shares = load_friction(trials, best, loaded_joints)
-    fits = {s.experiment.name: _fits(best, s, shares) for s in signals}
-    return _model(best, covariance, shares, torque_ratios(trials, best), fits)
+    terms = estimated_terms(trials, best)
+    fits = {s.experiment.name: _fits(best, s, terms) for s in signals}
+    return _model(best, covariance, terms, torque_ratios(trials, best), fits)
 
 
 def _elastic_model_error(best: Trial) -> FloatArray:
@@ -125,7 +133,7 @@ def _elastic_model_error(best: Trial) -> FloatArray:
 def _model(
     best: Trial,
     covariance: FloatArray,
-    shares: tuple[Parameter, ...],
+    terms: tuple[FrictionTerm, ...],
     ratios: dict[int, tuple[float, float]],
     fit_percent: dict[str, dict[str, float]],
 ) -> RigidModel:
@@ -157,14 +165,14 @@ def _model(
         ),
         n_rows=len(best.equations.target),
         status=status,
-        warnings=(*warnings_of(best), *(load_warning(share) for share in shares)),
+        warnings=(*warnings_of(best), *map(term_warning, terms)),
         torque_ratios=ratios,
         torque_errors=best.torque_errors,
-        load_friction=shares,
+        friction_terms=terms,
     )
 
 
-def _fits(best: Trial, record: Signals, shares: tuple[Parameter, ...]) -> dict[str, float]:
+def _fits(best: Trial, record: Signals, terms: tuple[FrictionTerm, ...]) -> dict[str, float]:
     """Fit in percent of each torque of a fitted record, within the model's band."""
-    fits = band_fit(best.arm, best.solution, record, best.bandwidth_hz, shares)
+    fits = band_fit(best.arm, best.solution, record, best.bandwidth_hz, terms)
     return dict(zip(record.torque_channel, fits.tolist(), strict=True))

@@ -17,6 +17,7 @@ from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.domain.combinations import FRICTION_COLUMNS
 from strainwave.domain.kinds.starts import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.friction_terms import friction_per_size
 from strainwave.identification.rigid.stretch import Stretch, motion_of, n_compliances
 from strainwave.numerics.banded import Banded
 from strainwave.numerics.filters import differentiate, low_pass
@@ -26,6 +27,8 @@ from strainwave.numerics.least_squares import Equations, Factor, Local
 _STICTION_STD = 0.58
 _JACKKNIFE_BLOCKS = 20  # blocks of the jackknife over all records
 _LOAD_FRICTION_STD = 0.5  # prior standard deviation of the load friction; gears have 0.03 to 0.3
+_LOG_SHAPE_STD = 0.7  # prior standard deviation of a shape's logarithm: a factor of two
+_SHAPE_STEP = 1e-3  # of a shape's logarithm, for its derivative
 _COMPLIANCE_STD = 0.25  # prior standard deviation of (bandwidth / anti-resonance)^2
 _MIN_INERTIA = 1e-30  # [kg m^2] lower bound of a link inertia, which avoids division by zero
 
@@ -77,22 +80,41 @@ def convert_estimate(
 
 
 @dataclass(frozen=True, slots=True)
-class Loads:
-    """Joints whose friction depends on the load, with the direction of motion of all joints."""
+class Candidate:
+    """A term of a joint's friction in addition to viscous and Coulomb friction."""
 
-    joints: tuple[int, ...]  # from 0
+    effect: str
+    joint: int  # from 0
+    shape: float = 1.0
+    size: float | None = None  # around which the shape is estimated; None: the shape is given
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """Further terms of friction, with the direction of motion of all joints."""
+
+    candidates: tuple[Candidate, ...]
     direction: tuple[FloatArray, ...]  # per record (n_motion, n_joints)
 
     @staticmethod
-    def of(joints: Sequence[int], stretches: Sequence[Stretch]) -> Loads:
-        """Loads of `joints` (from 0) in the records of a fit."""
+    def of(candidates: Sequence[Candidate], stretches: Sequence[Stretch]) -> Terms:
+        """Terms in the records of a fit."""
         directions = (
             motion_of(s.signals.direction, s.bandwidth_hz, s.signals.sample_time) for s in stretches
         )
-        return Loads(tuple(joints), tuple(directions))
+        return Terms(tuple(candidates), tuple(directions))
+
+    def deviations(self, stretches: Sequence[Stretch]) -> FloatArray:
+        """Prior standard deviations of the sizes, then of the estimated shapes' logarithms."""
+        torque = np.max([np.std(s.torque, axis=0) for s in stretches], axis=0)
+        sizes = [
+            _LOAD_FRICTION_STD if c.effect == "load-friction" else float(torque[c.joint])
+            for c in self.candidates
+        ]
+        return np.array([*sizes, *(_LOG_SHAPE_STD for c in self.candidates if c.size is not None)])
 
     def columns(self, arm: Arm, stretch: Stretch, record: int, around: Estimate) -> FloatArray:
-        """Regressor of the load friction, (n_rows, n_joints, n_loads).
+        """Regressors in the order of `deviations`, (n_rows, n_joints, n_columns).
 
         The load is the body torque of the estimate, without friction.
         """
@@ -101,15 +123,29 @@ class Loads:
         payload = stretch.signals.experiment.payload
         if payload is not None:
             body += arm.payload_torques(payload, q, dq, ddq)
-        friction = stretch.filtered(np.abs(body) * self.direction[record])
-        columns = np.zeros((*friction.shape, len(self.joints)))
-        for k, joint in enumerate(self.joints):
-            columns[:, joint, k] = friction[:, joint]
+        velocity, direction = stretch.motion[1], self.direction[record]
+
+        def friction(c: Candidate, factor: float = 1.0) -> FloatArray:
+            i = c.joint
+            law = friction_per_size(c.effect, factor * c.shape, velocity[:, i], body[:, i])
+            return np.asarray(law * direction[:, i])
+
+        step = np.exp(_SHAPE_STEP)
+        pairs = [(c, friction(c)) for c in self.candidates]
+        for c in self.candidates:
+            if c.size is not None:
+                change = friction(c, step) - friction(c, 1.0 / step)
+                pairs.append((c, c.size / (2.0 * _SHAPE_STEP) * change))
+        columns = np.zeros((len(stretch.rows), arm.n_joints, len(pairs)))
+        if pairs:
+            filtered = stretch.filtered(np.column_stack([column for _, column in pairs]))
+            for k, (c, _) in enumerate(pairs):
+                columns[:, c.joint, k] = filtered[:, k]
         return columns
 
 
 def assemble(
-    arm: Arm, stretches: Sequence[Stretch], around: Estimate | None, loads: Loads | None = None
+    arm: Arm, stretches: Sequence[Stretch], around: Estimate | None, terms: Terms | None = None
 ) -> Equations:
     """Assemble the equations of all records and joints.
 
@@ -120,12 +156,13 @@ def assemble(
     only is zero, because it acts as Coulomb friction.
 
     Without `around`, the joints are rigid, the prior of the free friction is the size of the
-    torque, and friction does not depend on the load. `loads` adds one share of the load per joint,
-    common to all rows.
+    torque, and there are no `terms`, whose unknowns are common to all rows.
     """
     n_elastic = n_compliances(arm) if around is not None else 0
-    parts = list(_parts(arm, stretches, around, loads if around is not None else None))
-    n_loads = parts[0].common.shape[1] - n_elastic
+    parts = list(_parts(arm, stretches, around, terms if around is not None else None))
+    term_std = np.zeros(0)
+    if terms is not None and around is not None:
+        term_std = terms.deviations(stretches)
     compliance_std = np.zeros(0)
     if around is not None and n_elastic:
         compliance_std = _compliance_std(arm, stretches, around)
@@ -134,7 +171,7 @@ def assemble(
         shared=np.concatenate([part.shared for part in parts]),
         noise=np.sqrt(np.mean([s.noise**2 for s in stretches], axis=0)),
         common=np.concatenate([part.common for part in parts]),
-        common_deviation=np.concatenate([compliance_std, np.full(n_loads, _LOAD_FRICTION_STD)]),
+        common_deviation=np.concatenate([compliance_std, term_std]),
         local=tuple(
             Local(np.arange(first, last), part.free)
             for part, first, last in zip(parts, ends, ends[1:], strict=False)
@@ -154,7 +191,7 @@ class _Part:
 
     joint: int  # from 0
     shared: FloatArray  # (n_rows, n_parameters)
-    common: FloatArray  # (n_rows, n_elastic + n_loads)
+    common: FloatArray  # (n_rows, n_elastic + n_terms)
     free: Banded  # (n_rows, n_free) of the free friction
     free_std: float  # [N m]
     target: FloatArray  # (n_rows,)
@@ -162,7 +199,7 @@ class _Part:
 
 
 def _parts(
-    arm: Arm, stretches: Sequence[Stretch], around: Estimate | None, loads: Loads | None
+    arm: Arm, stretches: Sequence[Stretch], around: Estimate | None, terms: Terms | None
 ) -> Iterator[_Part]:
     """Equations record by record and joint by joint."""
     total = sum(s.sliding_time for s in stretches)
@@ -174,9 +211,9 @@ def _parts(
         block = first_block + stretch.blocks(n_blocks)
         first_block += n_blocks
         common = body.lags
-        if loads is not None and around is not None:
-            load_columns = loads.columns(arm, stretch, record, around)
-            common = np.concatenate([common, load_columns], axis=2)
+        if terms is not None and around is not None:
+            of_terms = terms.columns(arm, stretch, record, around)
+            common = np.concatenate([common, of_terms], axis=2)
         shared = arm.shared_friction_regressor(stretch.friction[:, :, 0])
         for i, free in enumerate(stretch.free):
             friction = arm.n_body + FRICTION_COLUMNS * i

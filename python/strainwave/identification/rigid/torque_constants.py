@@ -85,7 +85,7 @@ def _scale(trial: Trial, solution: FloatArray, ratios: FloatArray) -> ls.Equatio
     torque = equations.shared[:, coupling] @ solution[coupling]
     shared = equations.shared.copy()
     shared[:, coupling] *= factor[:, None]
-    # the common unknowns are compliances, then load shares; only compliances are linearised
+    # the common unknowns are compliances, then terms of friction; only compliances are linearised
     n = n_compliances(trial.arm)
     lag = equations.common[:, :n] @ trial.estimate.compliance[:n]
     return replace(

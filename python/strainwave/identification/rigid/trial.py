@@ -13,9 +13,10 @@ from strainwave.domain.parameter_table import family_of, parameter_table
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.equations import (
+    Candidate,
     Estimate,
-    Loads,
     MotorShares,
+    Terms,
     anti_resonances,
     assemble,
     average_estimates,
@@ -44,11 +45,12 @@ class Trial:
     arm: Arm
     stretches: tuple[Stretch, ...]  # one per record
     estimate: Estimate
-    common_deviation: FloatArray  # (n_common,) of the compliances, then of the load friction
+    common_deviation: FloatArray  # (n_common,) of the compliances, then of terms of friction
     equations: ls.Equations
     factor: ls.Factor
     covariance: FloatArray
     determined: BoolArray
+    candidates: tuple[Candidate, ...]  # further terms of friction
     last_move: float  # largest change in the last iteration, in standard deviations
 
     @property
@@ -132,10 +134,9 @@ class Trial:
                 errors[i + 1] = float(np.linalg.norm(residual[rows])) / torque
         return errors
 
-    def refit_with_loads(self, joints: Sequence[int]) -> Trial:
-        """Fit at the same bandwidth with load-dependent friction of joints, from 0."""
-        loads = Loads.of(joints, self.stretches)
-        return fit_trial(self.arm, self.stretches, self.estimate, loads=loads)
+    def refit_with_terms(self, candidates: Sequence[Candidate]) -> Trial:
+        """Fit at the same bandwidth with further terms of friction."""
+        return fit_trial(self.arm, self.stretches, self.estimate, candidates=candidates)
 
 
 def fit_trial(
@@ -143,11 +144,12 @@ def fit_trial(
     stretches: tuple[Stretch, ...],
     around: Estimate | None,
     shares: MotorShares | None = None,
-    loads: Loads | None = None,
+    candidates: Sequence[Candidate] = (),
 ) -> Trial:
     """Fit at one bandwidth: iterate parameters, compliances and weights to convergence."""
     shares = shares or MotorShares.usual(arm)
-    equations = assemble(arm, stretches, around, loads)
+    terms = Terms.of(candidates, stretches) if candidates else None
+    equations = assemble(arm, stretches, around, terms)
     if not len(equations.target):
         raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
     root = ls.initial_weights(equations.target, equations.group)
@@ -167,7 +169,7 @@ def fit_trial(
         if has_converged:
             break
         root = ls.root_weights(equations, factor)
-        equations = assemble(arm, stretches, around, loads)
+        equations = assemble(arm, stretches, around, terms)
     covariance, common_variance = ls.jackknife(equations, factor)
     identified = ls.determined(equations, factor, covariance) & _determines_friction(arm, stretches)
     standard_deviations = np.sqrt(np.clip(np.diag(covariance), 1e-300, None))
@@ -181,6 +183,7 @@ def fit_trial(
         factor=factor,
         covariance=covariance,
         determined=identified,
+        candidates=tuple(candidates),
         last_move=float(np.max((change_size / standard_deviations)[identified], initial=0.0)),
     )
 

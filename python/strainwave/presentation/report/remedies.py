@@ -198,6 +198,10 @@ _DATA = {
         "Inertias, friction and stiffness of all stages scale with the estimated torque per volt.",
         "Record a heavier payload if the intervals of torque_per_volt are too wide.",
     ),
+    "friction-term": Advice(
+        "The rigid model includes this friction; simulated and exported arms do not.",
+        "No action is required.",
+    ),
     "load-friction": Advice(
         "The rigid model includes this friction; simulated and exported arms do not.",
         "No action is required.",
