@@ -1,11 +1,17 @@
 """Sensors at unknown positions as equivalent accelerometers and gyros."""
 
-import numpy as np
+from dataclasses import replace
 
-from strainwave.domain import Experiment, FloatArray, Imu, Joint, Log
+import numpy as np
+import pytest
+
+from strainwave.domain import ArmDescription, Experiment, FloatArray, Imu, Joint, Log, Origin
 from strainwave.domain.kinds.single_joint import single_joint
+from strainwave.domain.link_sensors.imu import ImuAccelerometers
+from strainwave.domain.link_sensors.link_space import link_space
 from strainwave.dynamics.arm import Arm
-from strainwave.signals.mounting_start import substitute_equivalent_sensors
+from strainwave.signals.link_readings import JointMotion, read_accelerometer
+from strainwave.signals.mounting_start import link_quantities, substitute_equivalent_sensors
 
 
 def test_an_imu_with_gyros_only_becomes_a_gyro() -> None:
@@ -20,3 +26,29 @@ def test_an_imu_with_gyros_only_becomes_a_gyro() -> None:
     assert substitute.joints[0].gyro_hz == 100.0 / np.sqrt(2.0)
     # the motors give the directions through differences of fourth order
     np.testing.assert_allclose(changed.channels["gyro1"], rate, atol=1e-4)
+
+
+@pytest.mark.parametrize("imu", [Imu((0.2, 0.05, 0.03), (0.4, 0.0, 0.3)), Imu()])
+def test_an_imu_on_a_sliding_link_becomes_an_accelerometer(imu: Imu) -> None:
+    """Along the slide and at the origin of the link, on an arm that turns about its base."""
+    turning = Joint("linear", 0.01)
+    placed = Origin((0.1, 0.0, 0.2), (-1.5, 0.0, 0.2))
+    slide = Joint("linear", 0.003, "prismatic", origin=placed, axis=(0.0, 0.6, 0.8))
+    joints = turning, replace(slide, imu=imu)
+    arm = Arm.of(ArmDescription("serial", joints, (0.0, 0.0, -9.81)))
+    known = replace(slide, imu=Imu((0.2, 0.05, 0.03), (0.4, 0.0, 0.3)))
+    T = 1e-3
+    t: FloatArray = T * np.arange(20_000, dtype=np.float64)
+    motors = np.column_stack([90.0 * np.sin(1.7 * t) + 40.0 * np.sin(4.1 * t), 60.0 * np.cos(t)])
+    motion = JointMotion.of_motors(motors, arm, T)
+    axes = ImuAccelerometers.of_joint(known)
+    assert axes is not None
+    channels = {f"theta_m{i + 1}": motors[:, i] for i in range(2)}
+    for axis in axes.axes(2, link_space(arm, 2)):
+        channels[axis.channel] = link_quantities(axis, arm, motion) @ axis.sensor.weights(axis, {})
+    log = Log(Experiment("motion", "", "motion", ("open",) * 2), t, T, channels)
+    (changed,), _ = substitute_equivalent_sensors([log], arm, [log])
+    expected = read_accelerometer(arm, motion, 1)[2000:-2000]
+    # a bias is estimated later; the motion of the motors is low-passed
+    error = changed.channels["a2"][2000:-2000] - expected
+    assert np.std(error) < 0.01 * np.std(expected)

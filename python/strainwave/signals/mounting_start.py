@@ -156,7 +156,8 @@ def substitute_equivalent_sensors(
     """Replace sensors at unknown positions by equivalent tangential accelerometers or gyros.
 
     The steps before the whole-arm fit use them. A weighted sum of the axes of an IMU equals one
-    tangential accelerometer `a{i}`, with an estimated distance, or a gyro along the axis. If no
+    tangential accelerometer `a{i}`, with an estimated distance, or a gyro along the axis; on a
+    prismatic joint, one accelerometer along the axis. If no
     such sum exists, the sensor is omitted. `known` are all logs, which determine the positions.
     Logs and arm are unchanged if no position is unknown.
     """
@@ -232,6 +233,8 @@ def _equivalent_sensor(
     gyros = [(a, f) for a, f in pairs if isinstance(a.sensor, ImuGyros)]
     accelerometers = [(a, f) for a, f in pairs if not isinstance(a.sensor, ImuGyros)]
     factors = [f for _, f in accelerometers]
+    if description.motion == "prismatic":
+        return _along_the_slide(description, joint, accelerometers, z)
     weights, distance = _tangential_weights(factors, (x, y, z), space)
     if accelerometers and abs(distance) > _MIN_DISTANCE:
         used = tuple(axis for axis, _ in accelerometers)
@@ -250,6 +253,23 @@ def _equivalent_sensor(
     used, weights = tuple(axis for axis, _ in gyros), shares / float(shares @ shares)
     others = weights @ np.array([f for _, f in gyros]) - z if space.axis is None else None
     return _EquivalentSensor(f"gyro{joint}", changed, used, weights, others)
+
+
+def _along_the_slide(
+    description: Joint, joint: int, accelerometers: Sequence[tuple[Axis, FloatArray]], z: FloatArray
+) -> _EquivalentSensor | None:
+    """The equivalent accelerometer along a prismatic joint, at the origin of its link."""
+    if not accelerometers:
+        return None
+    factors = np.array([factor for _, factor in accelerometers])
+    forces = factors[:, :3].T
+    weights = np.linalg.pinv(forces, rcond=0.1) @ z
+    if np.any(np.abs(forces @ weights - z) > _MAX_FACTOR_ERROR):
+        return None
+    used = tuple(axis for axis, _ in accelerometers)
+    others = weights @ factors - accelerometer_weights(z.tolist(), (0.0, 0.0, 0.0))
+    changed = replace(description, accelerometer_hz=used[0].sensor.hz)
+    return _EquivalentSensor(f"a{joint}", changed, used, weights, others)
 
 
 def _tangential_weights(

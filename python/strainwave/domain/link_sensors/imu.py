@@ -45,6 +45,8 @@ IMU_ROTATION = ("imu_turn_x", "imu_turn_y", "imu_turn_z")
 IMU_START_ATTITUDE = ("imu_start_roll", "imu_start_pitch", "imu_start_yaw")
 """Starting attitude, fixed in a fit."""
 
+_MIN_RATE_SHARE = 1e-3  # of a gyro axis in the rate of its link; less is a mounting error
+
 _K = ConstantKind
 _IN_FRAME = "of the IMU in its link's frame, as in URDF"
 _MOUNTING_CONSTANTS = (
@@ -75,7 +77,7 @@ class ImuSensor(LinkSensor):
 
     @classmethod
     def of_joint(cls, joint: Joint) -> Self | None:
-        return cls(joint.imu) if joint.motion == "revolute" else None
+        return cls(joint.imu) if joint.imu or joint.motion == "revolute" else None
 
     @property
     def hz(self) -> float | None:
@@ -240,6 +242,10 @@ class ImuGyros(ImuSensor):
         return np.asarray(share * axis.space.directions[2])
 
     def is_scale_identifiable(self, axis: Axis, axes: Sequence[Axis]) -> bool:
+        """Whether the rate along the axis varies: not across the only axis of the link."""
+        if axis.space.axis is not None and self.rpy is not None:
+            along = attitude(self.rpy)[:, axis.number] @ axis.space.directions[2]
+            return abs(float(along)) > _MIN_RATE_SHARE
         return not self._has_shares(axes)
 
     @classmethod

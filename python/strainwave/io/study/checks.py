@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from strainwave.domain import ArmDescription, JointLimits, Study, channel_names, channel_parts
+from strainwave.domain import ArmDescription, Imu, JointLimits, Study, channel_names, channel_parts
 from strainwave.domain.arm import UNKNOWN, Matrix
 from strainwave.domain.effects import effect_named
 from strainwave.domain.kinds import kind_of
@@ -63,12 +63,8 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
                 where=reader.place("joint", index, "link_encoder_counts"),
                 remedy=f"remove it; the channel theta_l{index + 1} in m has its resolution",
             )
-        if joint.imu is not None and joint.motion == "prismatic":
-            raise InvalidInput(
-                "an IMU on a prismatic joint is not supported",
-                where=reader.place("joint", index, "imu"),
-                remedy=f"map the axis along the joint to a{index + 1} and remove the other axes",
-            )
+        if joint.imu is not None:
+            _check_imu(arm, index, joint.imu, reader.place("joint", index, "imu"))
         _check_limits(joint.limits or JointLimits(), reader.place("joint", index, "limits"))
         for name in joint.named_effects:
             if effect_named(name).needs_elastic_gear and not joint.elastic:
@@ -90,6 +86,25 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
             gains = getattr(arm.servo, key)
             if gains is not None:
                 _check_count(gains, arm.n_joints, reader.place("servo", None, key), key)
+
+
+def _check_imu(arm: ArmDescription, index: int, imu: Imu, place: str) -> None:
+    """Raise InvalidInput for an IMU on a link that only slides, unless its mounting is known."""
+    if any(joint.motion == "revolute" for joint in arm.joints[: index + 1]):
+        return
+    along = f"map the axis along the joint to a{index + 1} and remove the other axes"
+    if arm.has_planar_program:
+        raise InvalidInput(
+            f"an IMU on a prismatic joint needs a serial arm, and the kind is {arm.kind}",
+            where=place,
+            remedy=f'{along}, or describe the arm with kind = "serial"',
+        )
+    if imu.xyz is None or imu.rpy is None:
+        raise InvalidInput(
+            "the link of this joint only slides, so that readings do not show the IMU's mounting",
+            where=place,
+            remedy=f"give xyz and rpy; or {along}",
+        )
 
 
 def _check_limits(limits: JointLimits, place: str) -> None:
