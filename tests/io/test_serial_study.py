@@ -157,19 +157,17 @@ def test_faults_are_named_with_their_place(tmp_path: Path, text: str, message: s
     assert str(tmp_path) in str(caught.value)
 
 
-_SLIDING = _STUDY.replace("spring", "imu = { xyz = [0.1, 0.0, 0.0] }\nspring")
+_IMU = "imu = { xyz = [0.1, 0.0, 0.0] }\n"
+_SLIDING = _STUDY.replace("spring", f'motion = "prismatic"\n{_IMU}spring')
 
 
 def test_imus_need_a_link_that_turns_or_a_known_mounting(tmp_path: Path) -> None:
-    _read(tmp_path, _SLIDING.replace("spring", 'motion = "prismatic"\nspring').replace(
-        'motion = "prismatic"\n', "", 1
-    ))  # fmt: skip
+    _read(tmp_path, _SLIDING.replace("prismatic", "revolute", 1))
     with pytest.raises(InvalidInput, match=r"\[\[joint\]\] 1: the link of this joint only slides"):
-        _read(tmp_path, _SLIDING.replace("spring", 'motion = "prismatic"\nspring'))
-    known = _SLIDING.replace("0.0] }", "0.0], rpy = [0.1, 0.0, 0.0] }")
-    _read(tmp_path, known.replace("spring", 'motion = "prismatic"\nspring'))
+        _read(tmp_path, _SLIDING)
+    _read(tmp_path, _SLIDING.replace("0.0] }\nspring", "0.0], rpy = [0.1, 0.0, 0.0] }\nspring"))
     single = '[arm]\nkind = "single-joint"\n[[joint]]\nmotion = "prismatic"\nspring = "linear"\n'
-    single += "gear_ratio = 0.01\nimu = { xyz = [0.1, 0.0, 0.0] }\n" + _RECORD
+    single += "gear_ratio = 0.01\n" + _IMU + _RECORD.replace(', "servo"', "")
     with pytest.raises(InvalidInput, match="needs a serial arm, and the kind is single-joint"):
         _read(tmp_path, single)
 
