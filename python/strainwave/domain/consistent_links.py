@@ -115,6 +115,19 @@ def is_consistent(link: LinkPrior) -> bool:
     return bool(np.linalg.eigvalsh(_pseudo_inertia(np.array(link)))[0] > 0.0)
 
 
+def principal_moments(link: LinkPrior) -> FloatArray:
+    """Moments of inertia (3,) about the centre of mass, ascending; about the origin without mass.
+
+    Each is less than the sum of the others for a body with a positive mass.
+    """
+    mass, first, about = link[0], np.array(link[1:4]), np.zeros((3, 3))
+    for value, (row, column) in zip(link[4:], _INERTIA_ENTRIES, strict=True):
+        about[row, column] = about[column, row] = value
+    if mass > 0.0:
+        about -= (first @ first * np.eye(3) - np.outer(first, first)) / mass
+    return np.asarray(np.linalg.eigvalsh(about))
+
+
 def _length(end: FloatArray) -> float:
     return float(np.linalg.norm(end)) or _GUESSED_LENGTH
 

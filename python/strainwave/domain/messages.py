@@ -204,6 +204,10 @@ TEMPLATES: Mapping[str, str] = {
     "urdf-mass": "link {link} weighs {mass:.3g} kg in the URDF; the torques need {low:.3g} to"
     " {high:.3g} kg|. The base parameters do not depend on the URDF; use the exported parameters"
     " instead of its inertial values, and compare the payload and the torque constants",
+    "urdf-inertia": "the inertial values of link {link} in the URDF, with those of all links fixed"
+    " to it, belong to no body: {mass:.3g} kg, and principal moments of {moments:.3g} kg m^2, of"
+    " which each must be less than the sum of the others|. A typical body replaces them as the"
+    " prior of the exported parameters; correct the file, or export it again from the drawing",
     # whole-arm fit
     "not-tuned": "{reason}",
     "start-rejected": "the estimate of the earlier stages, {value:.3g} {unit}, is physically"

@@ -12,11 +12,13 @@ import pytest
 from serial_chains import parameters_of, random_body
 from strainwave.domain import ArmDescription, Correction, Experiment, Joint, Log, Study
 from strainwave.domain.arm import Origin, Urdf
+from strainwave.domain.consistent_links import standard_parameters
 from strainwave.domain.corrections import apply_corrections
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.consistency import check_consistency
 from strainwave.signals.consistency.evidence import collect_evidence
 from strainwave.signals.consistency.geometry import search_geometry
+from strainwave.signals.consistency.urdf_masses import report_impossible_links
 
 N_JOINTS, SAMPLE_TIME, SECONDS = 3, 2e-3, 20.0
 ARM = ArmDescription(
@@ -115,6 +117,17 @@ def test_vectors_are_corrected_in_the_table_of_the_joint_or_in_the_urdf() -> Non
     corrections = [Correction("joint", "3", "origin.xyz", (0.1, 0.2, 0.3))]
     moved = apply_corrections(study, corrections).arm.joints[2].origin
     assert moved == Origin((0.1, 0.2, 0.3), (0.0, 0.0, 0.1))
+
+
+def test_inertial_values_of_no_body_are_reported(links: list[list[float]]) -> None:
+    thin = standard_parameters(2.0, np.array([0.1, 0.0, 0.2]), np.diag([0.01, 0.02, 0.04]))
+    priors = (tuple(links[0]), (0.0,) * 10, thin)
+    arm = replace(ARM, urdf=Urdf("arm.urdf", priors))
+    (warning,) = report_impossible_links(arm)
+    assert (warning.code, warning.places[0].joint) == ("urdf-inertia", 3)
+    text = "link 3 in the URDF, with those of all links fixed to it, belong to no body: 2 kg"
+    assert text in warning.message
+    assert "moments of 0.01, 0.02, 0.04 kg m^2" in warning.message
 
 
 @pytest.mark.parametrize(("factor", "is_warned"), [(1.0, False), (1.5, False), (0.01, True)])

@@ -47,6 +47,10 @@ _RESULT = {
         "The inertial values of the URDF are a guess. The base parameters do not depend on them.",
         "Use the exported parameters; compare the payload of the records and the torque constants.",
     ),
+    "urdf-inertia": Advice(
+        "A typical body is the prior of that link. The base parameters do not depend on it.",
+        "Correct mass and inertia in the URDF, or export it again from the drawing.",
+    ),
     "torques-contradict": Advice(
         "The named effect biases the rigid model. The intervals are widened.",
         "Add the effect to the joint's effects, and check torque_per_volt of all joints.",

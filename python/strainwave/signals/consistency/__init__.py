@@ -32,7 +32,7 @@ from strainwave.signals.consistency.torque_constants import (
     find_doubtful_torque_constant,
     suspect_torque_constants,
 )
-from strainwave.signals.consistency.urdf_masses import compare_urdf_masses
+from strainwave.signals.consistency.urdf_masses import compare_urdf_masses, report_impossible_links
 
 __all__ = ["check_consistency", "find_doubtful_torque_constant", "suspect_torque_constants"]
 
@@ -65,7 +65,8 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
         unclipped = replace(unclipped, geometries=search_geometry(unclipped))
         observations = tuple(compute_observations(unclipped))
         suspicions.extend(_explain_contradictions(unclipped, observations))
-        warnings = () if suspicions else tuple(compare_urdf_masses(unclipped))
+        warnings = tuple(report_impossible_links(study.arm))
+        warnings += () if suspicions else tuple(compare_urdf_masses(unclipped))
     relations = (*(each.relation for each in clippings), *relations_of(observations))
     return Consistency(tuple(suspicions), relations, warnings)
 

@@ -14,7 +14,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, Place
+from strainwave.domain import ArmDescription, Diagnostic, FloatArray, Place
+from strainwave.domain.consistent_links import is_consistent, principal_moments
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.signals.consistency.evidence import Evidence
 from strainwave.signals.consistency.regression import Fit, regress
@@ -28,6 +29,22 @@ _MIN_EXPLAINED = 0.5
 _MIN_TORQUE = 1e-6
 # Iterations of the weights, which are the residuals of the joints.
 _N_ITERATIONS = 3
+
+
+def report_impossible_links(arm: ArmDescription) -> Iterator[Diagnostic]:
+    """Yield a warning for each link whose inertial values in the URDF belong to no body.
+
+    Links without values are guessed as well, but nothing in the file is wrong.
+    """
+    for number, prior in enumerate(arm.urdf.priors if arm.urdf else (), start=1):
+        if any(prior) and not is_consistent(prior):
+            yield Diagnostic(
+                "urdf-inertia",
+                Place(joint=number, key="urdf"),
+                link=number,
+                mass=prior[0],
+                moments=tuple(principal_moments(prior).tolist()),
+            )
 
 
 def compare_urdf_masses(evidence: Evidence) -> Iterator[Diagnostic]:
