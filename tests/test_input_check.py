@@ -13,10 +13,11 @@ from typer.testing import CliRunner
 
 import strainwave as sw
 from strainwave.cli import app
-from strainwave.domain import Channel, InputCheck
+from strainwave.domain import Channel, Clause, Consistency, InputCheck, Place, Suspicion
 from strainwave.domain.consistency import RELATION_TEXTS
 from strainwave.io.check_document import check_document
 from strainwave.io.study import read_study, write_study
+from strainwave.pipeline import identify
 from strainwave.presentation.terminal import print_check
 from strainwave.signals.consistency.observations import Kind
 
@@ -65,6 +66,44 @@ def test_a_fault_has_the_verdict_of_identify(reversed_study: Path) -> None:
     contradictions = [r for r in document["relations"] if not r["consistent"]]
     assert {r["where"] for r in contradictions} == {"a1"}
     assert "a1" in printed(check).splitlines()[1]  # contradictions first
+
+
+SUSPICIONS = [
+    Suspicion(
+        code=code,
+        places=(place,),
+        clause=Clause("text", text="observed"),
+        remedy_clause=Clause("text", text="correct it"),
+        factor=f,
+    )
+    for code in ("wrong-torque-constant", "wrong-unit", "misaligned")
+    for place in (
+        Place(channel="theta_m1"),
+        Place(channel="a2"),
+        Place(joint=2, key="gear_ratio"),
+        Place(key="torque_per_volt"),
+    )
+    for f in (None, 1.1, -1.0)
+]
+
+
+@pytest.mark.parametrize("suspicion", SUSPICIONS, ids=lambda s: f"{s.code} {s.where} {s.factor}")
+def test_no_suspected_fault_becomes_a_determined_result(
+    suspicion: Suspicion, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "strainwave.signals.consistency.check_consistency",
+        lambda logs, study: Consistency((suspicion,)),
+    )
+    monkeypatch.setattr(
+        "strainwave.pipeline.fit_elastic_arm", lambda *_: pytest.fail("an elastic stage ran")
+    )
+    identification = identify(SMALL_ARM)
+    verdict = identification.verdict
+    assert (verdict.status, verdict.exit_code) == ("inconsistent-input", 3)
+    assert verdict.suspected[0] == suspicion
+    is_of_link = suspicion.places[0].channel == "a2"
+    assert (identification.rigid is not None) == is_of_link  # which uses the motors alone
 
 
 def test_stdout_is_json_only(reversed_study: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -107,21 +107,21 @@ def run_on_logs(
 
 
 def run_all(
-    n_arms: int,
+    seeds: Sequence[int],
     evaluate: Callable[[int], dict[str, Any]],
     out: Path | None,
     at_once: int | None = None,
 ) -> Iterator[dict[str, Any]]:
-    """Results of all arms in order, one process per core.
+    """Results of all arms, one process per core.
 
     `evaluate` takes an arm's seed. With `out`, results are kept as lines of JSON, and seeds in that
     file are not evaluated again.
     """
     lines = out.read_text().splitlines() if out is not None and out.exists() else []
     recorded = [json.loads(line) for line in lines]
-    yield from recorded
+    yield from (result for result in recorded if result["seed"] in seeds)
     done = {result["seed"] for result in recorded}
-    remaining = [seed for seed in range(n_arms) if seed not in done]
+    remaining = [seed for seed in seeds if seed not in done]
     os.environ |= {"OPENBLAS_NUM_THREADS": "1"}
     with ProcessPoolExecutor(at_once or os.cpu_count(), mp_context=get_context("spawn")) as pool:
         for result in pool.map(evaluate, remaining):

@@ -139,7 +139,7 @@ def main() -> None:
     errors = partial(evaluate, engine=options.engine)
     work = partial(run_on_logs, work=errors, arm=arm, simulator=simulator)
     results = []
-    for result in run_all(options.arms, work, options.out):
+    for result in run_all(range(options.arms), work, options.out):
         if "failure" in result:
             failures.append(result)
             continue

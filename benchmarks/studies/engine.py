@@ -13,7 +13,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -77,7 +78,7 @@ def in_mujoco(
 ) -> Trajectory:
     """Simulate one experiment, with the interface of `strainwave.dynamics.simulation.simulate`."""
     simulated = plant(arm, values)
-    model = _model(arm, values, simulated)
+    model = _model(arm, values, simulated, with_frames="specific_force_x" in record)
     data = mujoco.MjData(model)
     joints = range(1, arm.n_joints + 1)
     simulated.begin(model, data, drive)
@@ -102,6 +103,19 @@ def in_mujoco(
         columns = [model.sensor(f"{name}{i}").adr[0] + component for i in joints]
         return np.asarray(sensor_data[:, columns])
 
+    def frames() -> dict[Quantity, FloatArray]:
+        signals = _link_signals(sensor)
+        passes = {
+            "specific_force": [j.imu.accelerometer_hz if j.imu else None for j in arm.joints],
+            "angular_rate": [j.imu.gyro_hz if j.imu else None for j in arm.joints],
+        }
+        for name in ("angular_acceleration", "rate_product"):
+            passes[name] = passes["specific_force"]
+        return {
+            name: _filter(values, 2, passes[name.rpartition("_")[0]])[::per_sample]
+            for name, values in signals.items()
+        }
+
     quantities: dict[Quantity, Callable[[], FloatArray]] = {
         "voltage": lambda: voltage,
         "link_angle": lambda: sensor("theta_l", 0),
@@ -112,10 +126,53 @@ def in_mujoco(
         "gyro": lambda: _filter(sensor("gyro", 2), 1, [j.gyro_hz for j in arm.joints]),
     }
     time: FloatArray = sample_time * np.arange(samples, dtype=np.float64)
-    return Trajectory(time, {name: quantities[name]()[::per_sample] for name in record})
+    of_frames = frames() if not quantities.keys() >= set(record) else {}
+    readings = {name: quantities[name]()[::per_sample] for name in record if name in quantities}
+    return Trajectory(time, readings | {n: of_frames[n] for n in record if n not in readings})
 
 
-def _model(arm: Arm, values: Values, plant: Plant) -> Any:
+def _link_signals(sensor: Callable[[str, int], FloatArray]) -> dict[Quantity, FloatArray]:
+    """Motion of the links' frames per step: specific force, rate and its slope, products."""
+    force, rate = ([sensor(name, k) for k in range(3)] for name in ("force", "rate"))
+    in_base = [sensor("turning", k) for k in range(3)]
+    slope = [sum(sensor(f"axis_{x}", k) * in_base[k] for k in range(3)) for x in "xyz"]
+    signals: dict[str, FloatArray] = {}
+    for k, x in enumerate("xyz"):
+        signals[f"specific_force_{x}"] = force[k]
+        signals[f"angular_acceleration_{x}"] = np.asarray(slope[k])
+        signals[f"angular_rate_{x}"] = rate[k]
+        for j, y in enumerate("xyz"[k:], start=k):
+            signals[f"rate_product_{x}{y}"] = rate[k] * rate[j]
+    return cast("dict[Quantity, FloatArray]", signals)
+
+
+def _with_frames(mjcf: str) -> str:
+    """The model with sensors of the motion of the links' frames."""
+    root = ElementTree.fromstring(mjcf)
+    sensors = root.find("sensor")
+    kinds = {
+        "accelerometer": "force",
+        "gyro": "rate",
+        "frameangacc": "turning",
+        **{f"frame{x}axis": f"axis_{x}" for x in "xyz"},
+    }
+    for body in root.iter("body"):
+        name = body.get("name", "")
+        if sensors is None or not name.startswith("link"):
+            continue
+        number = name.removeprefix("link")
+        ElementTree.SubElement(body, "site", name=f"frame{number}")
+        for kind, tag in kinds.items():
+            sensor = ElementTree.SubElement(sensors, kind, name=f"{tag}{number}")
+            if kind.startswith("frame"):
+                sensor.set("objtype", "site")
+                sensor.set("objname", f"frame{number}")
+            else:
+                sensor.set("site", f"frame{number}")
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _model(arm: Arm, values: Values, plant: Plant, *, with_frames: bool) -> Any:
     parameters = tuple(
         Parameter(name, joint, value, 0.0, "1", "tuned") for (name, joint), value in values.items()
     )
@@ -123,7 +180,8 @@ def _model(arm: Arm, values: Values, plant: Plant) -> Any:
     joints = tuple(replace(joint, current_loop_hz=None) for joint in arm.joints)
     study = Study(arm=arm.with_joints(joints), experiments=())
     text = to_mjcf(IdentifiedArm(study, parameters, "truth")).data.decode()
-    model = mujoco.MjModel.from_xml_string(plant.edited(text))
+    text = plant.edited(text)
+    model = mujoco.MjModel.from_xml_string(_with_frames(text) if with_frames else text)
     model.opt.timestep = STEP
     for i in range(1, arm.n_joints + 1):
         at = model.joint(f"motor_joint{i}").dofadr[0]
@@ -139,13 +197,14 @@ def settling(values: Values, joint: int) -> float:
 def _hang(arm: Arm, values: Values, drive: Drive, data: Any) -> None:
     """Set links to standstill on their gears; under gravity, gears are linear."""
     motor = np.array(drive.motor_angle)
-    unloaded = motor * [joint.gear_ratio for joint in arm.joints]
-    link = unloaded
-    for _ in range(100 if arm.gravity else 0):
-        outer = values["gravity_torque_2", None] * np.cos(link[0] + link[1])
-        inner = values["gravity_torque_1", None] * np.cos(link[0])
-        stiffness = [values["gear_stiffness", i] for i in (1, 2)]
-        link = unloaded - np.array([inner + outer, outer]) / stiffness
+    link = arm.links_of(motor)
+    if arm.gravity:
+        base = arm.parameter_vector(values)[: len(arm.base_names)]
+        stiffness = [values["gear_stiffness", i + 1] for i in range(arm.n_joints)]
+        at_rest = np.zeros((1, arm.n_joints))
+        for _ in range(100):
+            load = arm.link_torques(base, link[None], at_rest, at_rest)[0]
+            link = arm.links_of(motor) - load / stiffness
     for i in range(arm.n_joints):
         data.joint(f"joint{i + 1}").qpos[0] = link[i]
         data.joint(f"motor_joint{i + 1}").qpos[0] = motor[i]
@@ -307,7 +366,7 @@ def main() -> None:
     console = Console()
     table = Table("arm", "kind", *LIMITS, "inside", "status", box=None)
     work = partial(run_on_logs, work=evaluate, arm=lab_rig, simulator=in_mujoco)
-    for result in run_all(options.arms, work, options.out):
+    for result in run_all(range(options.arms), work, options.out):
         kind = result["seed"] % len(KINDS)
         if "failure" in result:
             console.print(f"arm {result['seed']}, {KINDS[kind]}: {result['failure']}")

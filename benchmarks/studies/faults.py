@@ -135,7 +135,7 @@ def main() -> None:
     work = partial(evaluate, options.faults, options.seed, tuple(options.stages.split(",")))
     run = partial(arms.run_on_logs, work=work, arm=_SOURCES[options.source])
     rows: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    for result in arms.run_all(options.arms, run, options.out):
+    for result in arms.run_all(range(options.arms), run, options.out):
         if "failure" in result:
             print(result["seed"], result["failure"])
         for outcome in result.get("faults", []):

@@ -76,7 +76,7 @@ def main() -> None:
         console.print(f"{path.parent.name}: {alarms} false alarms")
     for name, source in _SOURCES.items() if options.arms else ():
         run = partial(arms.run_on_logs, work=false_alarms, arm=source)
-        results = list(arms.run_all(options.arms, run, None))
+        results = list(arms.run_all(range(options.arms), run, None))
         alarmed = [result for result in results if result.get("alarms") or "failure" in result]
         console.print(f"{name}: {len(alarmed)} of {len(results)} arms with false alarms", alarmed)
     if options.runs:

@@ -287,7 +287,7 @@ def main() -> None:
         change=partial(remove_channels, sensors=options.sensors),
     )
     results = []
-    for result in run_all(options.arms, work, options.out):
+    for result in run_all(range(options.arms), work, options.out):
         results.append(result)
         print(line(result), flush=True)
     Console().print(summary(results))

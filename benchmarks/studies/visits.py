@@ -102,7 +102,7 @@ def main() -> None:
         if getattr(options, quantity)
     }
     work = partial(compare_visits, changes=changes)
-    results = list(run_all(options.arms, work, options.out, options.at_once))
+    results = list(run_all(range(options.arms), work, options.out, options.at_once))
     Console(width=120).print(_summary(results, changes))
 
 

@@ -51,7 +51,7 @@ def main() -> None:
         work, n_runs = partial(evaluate_stated, engine=engine, series=arguments.seed), len(STATED)
     lines = arguments.out.with_suffix(".jsonl") if arguments.out else None
     console, results = Console(width=_WIDTH), []
-    for run in run_all(n_runs, work, lines, arguments.at_once):
+    for run in run_all(range(n_runs), work, lines, arguments.at_once):
         if "failure" in run:
             console.print(f"{run['cause']} {run['number']}: {run['failure']}")
         else:

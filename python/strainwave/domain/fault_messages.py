@@ -62,6 +62,9 @@ FAULTS: Mapping[str, str] = {
     "misaligned/command": "{channels!a}: the command in the log is {delay!m:.3g} ms {side} than the"
     " torque that moves {angles!a}, according to the phase of the motor's response to the test"
     " signals; the delay would bias damping, stiffness and inertias",
+    "misaligned/angle": "{channels!a}: the angle in the log is {delay!m:.3g} ms {side} than the"
+    " response to the command {commands!a} and than the link sensors; the delay would bias damping,"
+    " stiffness and inertias",
     "misaligned/sensor": "{channels}: {delay!m:.3g} ms {side} relative to the motor angle, more"
     " than the whole-arm fit corrects",
     "clock-drift": "the voltages change with a period of {ratio:.6g} times the PRBS or servo period"

@@ -103,7 +103,7 @@ def _identify(
         study = drives.study
     with reporter.time_part("consistency", "detecting defects, checking consistency"):
         check = check_inputs(study, raw_logs, stages)
-    inputs = check.inputs
+    inputs, is_consistent = check.inputs, not check.consistency.suspected
     rigid = RigidStage()
     if drives.failures:  # without the scale of the torques, no relation holds
         check = replace(check, consistency=Consistency())
@@ -114,7 +114,7 @@ def _identify(
     is_elastic = any(joint.elastic for joint in inputs.arm.joints)
     if "decoupled" in stages and is_elastic and not drives.failures:
         suspicion = consistency.find_doubtful_torque_constant(check.consistency)
-        if suspicion is not None:
+        if is_consistent and suspicion is not None:  # the rigid fit alone doubts the constant
             elastic, check = _explain_suspicion(check, rigid.model, suspicion, reporter)
         elif not check.consistency.suspected:
             elastic = fit_elastic_arm(inputs, rigid.model, reporter)

@@ -11,14 +11,16 @@ import pytest
 
 from serial_chains import parameters_of, random_body
 from strainwave.domain import ArmDescription, Correction, Experiment, Joint, Log, Study
-from strainwave.domain.arm import Origin, Urdf
+from strainwave.domain.arm import Imu, Origin, Urdf
 from strainwave.domain.consistent_links import standard_parameters
 from strainwave.domain.corrections import apply_corrections
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.consistency import check_consistency
 from strainwave.signals.consistency.evidence import collect_evidence
 from strainwave.signals.consistency.geometry import search_geometry
+from strainwave.signals.consistency.sensors import IMU_CHANNELS
 from strainwave.signals.consistency.urdf_masses import report_impossible_links
+from strainwave.signals.link_readings import JointMotion, imu_parts
 
 N_JOINTS, SAMPLE_TIME, SECONDS = 3, 2e-3, 20.0
 ARM = ArmDescription(
@@ -26,7 +28,12 @@ ARM = ArmDescription(
     (
         Joint("rigid", 0.01, origin=Origin((0.0, 0.0, 0.3))),
         Joint("rigid", -0.02, origin=Origin((0.1, 0.0, 0.1), (-1.5, 0.0, 0.0))),
-        Joint("rigid", 0.01, origin=Origin((0.4, 0.0, -0.05), (0.0, 0.0, 0.1))),
+        Joint(
+            "rigid",
+            0.01,
+            origin=Origin((0.4, 0.0, -0.05), (0.0, 0.0, 0.1)),
+            imu=Imu((0.2, -0.03, 0.05), (0.3, -0.2, 0.1)),
+        ),
     ),
     gravity=(0.0, 0.0, -9.81),
 )
@@ -57,6 +64,11 @@ def given(links: list[list[float]]) -> tuple[tuple[Log, ...], Study]:
     torque += 1e-3 * rng.normal(size=torque.shape)
     channels = {f"torque{i + 1}": torque[:, i] for i in range(N_JOINTS)}
     channels |= {f"theta_m{i + 1}": angle[:, i] / arm.gear_ratios[i] for i in range(N_JOINTS)}
+    motion = JointMotion(angle, rate, acceleration)
+    for kind in IMU_CHANNELS:
+        parts = imu_parts(arm, motion, kind, N_JOINTS - 1) or {}
+        reading = np.sum(list(parts.values()), axis=0)
+        channels[f"{kind}{N_JOINTS}"] = reading + 1e-3 * rng.normal(size=len(time))
     experiment = Experiment("motion", "motion.csv", "motion", ("servo", "servo", "servo"))
     study = Study(arm=ARM, experiments=(experiment,), path=Path("study.toml"))
     return (Log(experiment, time, SAMPLE_TIME, channels),), study
@@ -101,6 +113,28 @@ def test_a_wrong_geometry_is_named(name: str, given: tuple[tuple[Log, ...], Stud
     assert (suspicion.code, suspicion.where) == (code, where)
     corrected = apply_corrections(wrong, suspicion.corrections)
     assert check_consistency(logs, corrected).suspected == ()
+
+
+def test_another_robot_is_not_a_fault_of_its_link_sensors(
+    given: tuple[tuple[Log, ...], Study],
+) -> None:
+    logs, study = given
+    rng = np.random.default_rng(1)
+    joints = [
+        replace(
+            joint,
+            origin=Origin(
+                *(
+                    tuple((np.array(x) + 0.1 * rng.normal(size=3)).tolist())
+                    for x in (joint.origin.xyz, joint.origin.rpy)
+                )
+            ),
+        )
+        for joint in study.arm.joints
+    ]
+    wrong = replace(study, arm=study.arm.with_joints(joints))
+    (suspicion,) = check_consistency(logs, wrong).suspected
+    assert (suspicion.code, suspicion.where) == ("wrong-geometry", "origin")
 
 
 def test_a_wrong_ratio_is_estimated(given: tuple[tuple[Log, ...], Study]) -> None:

@@ -209,6 +209,13 @@ def test_the_delay_of_a_command_is_estimated_within_0_1_ms(horizontal_arm: Input
         assert suspicion.where == "u1"
 
 
+def test_link_sensors_tell_a_late_encoder_from_an_early_command(horizontal_arm: Input) -> None:
+    (suspicion,) = check_consistency(*delayed(2e-2, "theta_m1")(horizontal_arm)).suspected
+    assert suspicion.where == "theta_m1"
+    assert suspicion.delay_s == pytest.approx(2e-2, abs=1e-4)
+    assert "20 ms later than the response to the command u1" in suspicion.message
+
+
 def test_a_delay_below_one_sample_gives_no_suspicion(horizontal_arm: Input) -> None:
     assert check_consistency(*delayed(1e-3, "u1", "u2")(horizontal_arm)).suspected == ()
 

@@ -76,7 +76,7 @@ def _explain_contradictions(
 ) -> list[Suspicion]:
     """Select causes greedily: each step takes the cause that leaves the fewest contradictions."""
     chosen: list[Suspicion] = []
-    structured: list[Suspicion] = []  # those of `chosen` without an estimated factor
+    structured: list[Suspicion] = []  # those of `chosen` that hold if contradictions remain
     likely: list[str] = []
     while any(_needs_cause(o, evidence) for o in observations) and len(chosen) < _MAX_CAUSES:
         ranked = _rank_causes(evidence, observations)
@@ -85,9 +85,9 @@ def _explain_contradictions(
         if not ranked:
             break
         chosen.append(ranked[0].suspicion(evidence.study))
-        if not ranked[0].has_estimated_factor:
+        if not ranked[0].has_estimated_factor or ranked[0].moves_frames:
             structured.append(chosen[-1])
-        evidence = evidence.corrected(ranked[0].corrections)
+        evidence = ranked[0].corrected(evidence)
         observations = tuple(compute_observations(evidence))
     remaining = [o for o in observations if o.contradicts and is_reported(o)]
     if not remaining:
@@ -117,13 +117,14 @@ def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:
     limit = before - _MIN_EXPLAINED_WEIGHT
     weights: list[tuple[float, Cause]] = []
     for cause in propose_causes(evidence, [o for o in now if o.contradicts]):
-        observations = compute_observations(evidence.corrected(cause.corrections))
-        after = _contradiction_weight(observations, now, limit)
+        observations = compute_observations(cause.corrected(evidence))
+        tested = [o for o in now if not (cause.moves_frames and o.is_of_link)]
+        after = _contradiction_weight(observations, tested, limit)
         if after < limit:
             weights.append((after + _ESTIMATED_FACTOR_PENALTY * cause.has_estimated_factor, cause))
             if evidence.geometries:  # Observations of chains take time; the best cause is enough.
                 limit = min(limit, after + _ESTIMATED_FACTOR_PENALTY)
-        if after == 0.0:
+        if after == 0.0 and not cause.moves_frames:  # any fault of the motors can look like frames
             break
     return [cause for _, cause in sorted(weights, key=lambda each: each[0])]
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from strainwave.domain import BoolArray, Correction, FloatArray, Lag, channel_parts
 from strainwave.dynamics.arm import Arm
-from strainwave.numerics.filters import apply_lags, differentiate
+from strainwave.numerics.filters import apply_lags, differentiate, low_pass
 from strainwave.signals.channels import sensor_lags
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
 from strainwave.signals.consistency.regression import Fit, regress
@@ -286,10 +286,16 @@ def _regress_channel(
 
     def sensed(part: FloatArray) -> FloatArray:
         part = apply_lags(part, sensor, T)
-        return part - apply_lags(part, [Lag(1, cutoff)], T) if cutoff else part
+        part = part - apply_lags(part, [Lag(1, cutoff)], T) if cutoff else part
+        return smoothed(part)
+
+    def smoothed(signal: FloatArray) -> FloatArray:
+        # Turns about several axes have harmonics, which the filter removed from the log. In a plane
+        # they are small, and a second filter would remove more signal than harmonics.
+        return signal if arm.has_planar_program else low_pass(signal, record.bandwidth_hz, T)
 
     parts = {key: sensed(part) for key, part in parts.items()}
-    target = record.channels[name][record.inside]
+    target = smoothed(record.channels[name])[record.inside]
     prediction = np.sum(list(parts.values()), axis=0)
     derivatives = _tilt_derivatives(arm, motion, kind, i)
     turned = [sensed(part) for part in derivatives.tilt + derivatives.zero]

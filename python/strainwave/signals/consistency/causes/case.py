@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from strainwave.domain import Clause, Correction, Place, Study, Suspicion
+from strainwave.domain import Clause, Correction, Place, Study, Suspicion, channel_parts
 from strainwave.domain.corrections import steps_of
 from strainwave.signals.consistency.evidence import Evidence
 from strainwave.signals.consistency.observations import Kind, Observation
-from strainwave.signals.consistency.sensors import estimate_rotation_factors
+from strainwave.signals.consistency.sensors import LINK_CHANNELS, estimate_rotation_factors
 
 MAX_FACTOR_DIFFERENCE = 0.02
 """Maximum relative difference between two factors that count as equal."""
@@ -43,6 +43,19 @@ class Cause:
     factor: float | None = None
     delay_s: float | None = None
     has_estimated_factor: bool = False  # not a unit, a sign or an exchange
+    moves_frames: bool = False
+
+    def corrected(self, evidence: Evidence) -> Evidence:
+        """Evidence after the corrections.
+
+        Torques determine frames up to displacements on which the readings of link sensors depend,
+        so these are not compared with estimated frames.
+        """
+        after = evidence.corrected(self.corrections)
+        if not self.moves_frames:
+            return after
+        links = [name for name in after.channels if channel_parts(name)[0] in LINK_CHANNELS]
+        return after.without(links)
 
     def suspicion(self, study: Study) -> Suspicion:
         """The cause as a suspicion; `study` is the one that the corrections change."""

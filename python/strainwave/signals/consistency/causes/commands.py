@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
 
@@ -51,23 +51,37 @@ def propose_time_bases(case: Case) -> Iterator[Cause]:
 
 
 def propose_input_delays(case: Case) -> Iterator[Cause]:
-    """Commands with a delay relative to the encoders: all commands with one delay, or one."""
+    """Commands with a delay relative to the encoders, or encoders relative to the commands.
+
+    All commands with one delay, then one command or one motor angle.
+    """
     values = case.by_channel("input-delay")
-    groups = [[name] for name in values]
     if len(values) > 1 and np.ptp(list(values.values())) < _MAX_DELAY_DIFFERENCE:
-        groups.insert(0, list(values))
-    for group in groups:
-        delay = float(np.mean([values[name] for name in group]))
-        clause = Clause(
-            "misaligned/command",
-            channels=tuple(group),
-            delay=abs(delay),
-            side="later" if delay > 0.0 else "earlier",
-            angles=tuple(f"theta_m{channel_parts(name)[1]}" for name in group),
-        )
-        shifts = log_corrections(group, "delay_s", round(delay, 6))
-        remedy = Clause("remedy/command")
-        yield Cause("misaligned", places_of(group), clause, shifts, remedy, delay_s=delay)
+        yield _late(values, list(values), float(np.mean(list(values.values()))), "command")
+    for name, delay in values.items():
+        yield _late(values, [name], delay, "command")
+    for name, delay in values.items():  # link sensors tell which of the two is late
+        yield _late(values, [_angle_of(name)], -delay, "angle")
+
+
+def _late(commands: Collection[str], late: list[str], delay: float, kind: str) -> Cause:
+    """Commands or motor angles with a common delay [s]."""
+    joints = {channel_parts(name)[1] for name in late}
+    clause = Clause(
+        f"misaligned/{kind}",
+        channels=tuple(late),
+        delay=abs(delay),
+        side="later" if delay > 0.0 else "earlier",
+        commands=tuple(name for name in commands if channel_parts(name)[1] in joints),
+        angles=tuple(map(_angle_of, late)),
+    )
+    shifts, remedy = log_corrections(late, "delay_s", round(delay, 6)), Clause("remedy/command")
+    return Cause("misaligned", places_of(late), clause, shifts, remedy, delay_s=delay)
+
+
+def _angle_of(name: str) -> str:
+    """Motor angle of the joint of a channel."""
+    return f"theta_m{channel_parts(name)[1]}"
 
 
 def propose_excited_joints(case: Case) -> Iterator[Cause]:

@@ -30,7 +30,11 @@ def propose_geometries(case: Case) -> Iterator[Cause]:
     order = {kind: k for k, kind in enumerate(_CAUSES)}
     for each in sorted(good, key=lambda a: (order[a.kind], a.cost)):
         cause = _CAUSES[each.kind](case, each, fit_ratio(stated, each.cost, n_rows))
-        yield replace(cause, has_estimated_factor=each.kind not in ("axis", "coupling"))
+        yield replace(
+            cause,
+            has_estimated_factor=each.kind not in ("axis", "coupling"),
+            moves_frames=each.kind in ("frame", "robot"),
+        )
 
 
 def _axis(case: Case, change: Alternative, ratio: float) -> Cause:

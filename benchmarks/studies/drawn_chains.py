@@ -1,0 +1,376 @@
+"""Coverage on drawn serial chains: `python -m benchmarks.studies.drawn_chains --chains 50`.
+
+Chains of 2 to 7 joints with random axes, links, gears of the catalogue, friction, and ratios of
+either sign are simulated with short records, half of them in MuJoCo, half with the motors' signals
+alone. `identify` runs on each. Printed are, per class of parameter, the share of 95 % intervals
+that contain the true value and the errors; per chain the verdict, values that are silently wrong,
+and processor time. Errors of base parameters are relative to the largest of their unit. A value is
+silently wrong if it counts as identified, and is wrong by more than `_MAX_STDS` standard deviations
+and `_MAX_ERROR`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.studies.arms import run_all
+from benchmarks.studies.engine import in_mujoco
+from strainwave.domain import (
+    ArmDescription,
+    Control,
+    Experiment,
+    FloatArray,
+    Identification,
+    Joint,
+    Prbs,
+    Servo,
+    Study,
+)
+from strainwave.domain.arm import Imu, Origin, Vector
+from strainwave.domain.keys import Key, Values, label_of
+from strainwave.domain.units import unit_in
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.simulation import SensorNoise, simulate
+from strainwave.io.study import read_study
+from strainwave.pipeline import STAGES, identify
+from strainwave.virtual.experiments import derived, simulate_study
+from strainwave.virtual.families.catalogue import GEAR_CATALOGUE, GEAR_RATIOS
+from strainwave.virtual.families.rigs import between
+from strainwave.virtual.records import Simulator
+
+_MAX_STDS, _MAX_ERROR = 3.0, 0.05
+_COUNTS = (4096, 8192, 65536)  # of encoders, per motor turn
+_SAMPLE_TIME = 5e-4  # [s] of records that excite the gears
+_VOLTAGE_LIMIT = 10.0  # [V]
+_PRBS = Prbs(10, 1e-3, 2, 5.0)  # on top of the servo
+_SERVO_BANDWIDTH, _KI_RATIO = 20.0, 8.0  # [rad/s], [1/s]
+_GRAVITY = 9.81  # [m/s^2]
+_TILTED_SHARE = 0.2  # of the chains stand in any attitude
+_N_POSTURES = 50  # at which loads of gears are evaluated
+_ACCELERATION = 4.0  # [rad/s^2] of all links, for the size of the gears
+_ENGINES: dict[str, Simulator] = {"own": simulate, "mujoco": in_mujoco}
+_SENSORS = ("imu", "motor")
+_JOINT_NUMBERS = (2, 3, 4, 5, 6, 7)
+_CLASSES: dict[str, Callable[[str], bool]] = {
+    "stiffness": lambda name: name.startswith("gear_stiffness"),
+    "gear damping": lambda name: name == "gear_damping",
+    "motor inertia": lambda name: name == "motor_inertia",
+    "Coulomb friction": lambda name: name == "motor_coulomb_friction",
+    "friction offset": lambda name: name == "friction_offset",
+    "viscous friction": lambda name: name.endswith("viscous_friction"),
+    "base, inertia": lambda name: "link_inertia_" in name,
+    "base, first moment": lambda name: "first_moment" in name,
+    "link inertia": lambda name: name == "link_inertia",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """A drawn chain and how it is simulated."""
+
+    study: Study
+    values: Values
+    engine: str
+    sensors: str
+
+
+def draw_chain(seed: int) -> Chain:
+    """Chain of a seed; 24 seeds in a row have all numbers of joints, engines and sensors."""
+    rng = np.random.default_rng([7, 2, seed])
+    turn = seed // len(_JOINT_NUMBERS)
+    n = _JOINT_NUMBERS[seed % len(_JOINT_NUMBERS)]
+    engine, sensors = list(_ENGINES)[turn % 2], _SENSORS[(seed + turn // 2) % 2]
+    origins = _draw_origins(rng, n)
+    links = _draw_links(rng, origins)
+    gravity = np.array([0.0, 0.0, -_GRAVITY])
+    if rng.uniform() < _TILTED_SHARE:
+        gravity = rng.normal(size=3)
+        gravity *= _GRAVITY / np.linalg.norm(gravity)
+    plain = [Joint("linear", 0.01, origin=origin) for origin in origins]
+    arm = ArmDescription("serial", tuple(plain), gravity=_vector(gravity))
+    inertias, loads = _loads(rng, Arm.of(arm), np.concatenate(links))
+    drives = [_draw_drive(rng, inertias[i], loads[i]) for i in range(n)]
+    values: Values = {}
+    for i, (link, drive) in enumerate(zip(links, drives, strict=True), start=1):
+        names = (name for name, joint in Arm.of(arm).base_names if joint == i)
+        values |= {(name, i): float(x) for name, x in zip(names, link, strict=True)}
+        values |= {(name, i): float(x) for name, x in drive.values.items()}
+    joints = [
+        replace(drive.joint, origin=origin, imu=_draw_imu(rng) if sensors == "imu" else None)
+        for drive, origin in zip(drives, origins, strict=True)
+    ]
+    gains = tuple(drive.gain for drive in drives)
+    servo = Servo(
+        "pi-velocity",
+        period=_PRBS.clock,
+        kp=gains,
+        ki=tuple(_KI_RATIO * gain for gain in gains),
+        limit=_VOLTAGE_LIMIT,
+    )
+    arm = replace(arm, joints=tuple(joints), servo=servo)
+    study = Study(arm=arm, experiments=_experiments(n), path=Path("study.toml"))
+    return Chain(study, values, engine, sensors)
+
+
+def _draw_origins(rng: np.random.Generator, n: int) -> list[Origin]:
+    """Axes parallel or orthogonal to those before, one in five in between; shorter wrists."""
+    origins = []
+    for i in range(n):
+        length = between(rng, 0.15, 0.45) * 0.75**i
+        direction = rng.normal(size=3)
+        xyz = length * direction / np.linalg.norm(direction)
+        quarter = 0.5 * np.pi * float(rng.choice((-1.0, 0.0, 1.0)))
+        rpy = np.zeros(3)
+        rpy[int(rng.integers(0, 2))] = quarter
+        if rng.uniform() < 0.2:
+            rpy += rng.uniform(-0.6, 0.6, 3)
+        origins.append(Origin(_vector(xyz.round(4)), _vector(rpy.round(6))))
+    return origins
+
+
+def _vector(values: FloatArray) -> Vector:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _draw_links(rng: np.random.Generator, origins: Sequence[Origin]) -> list[list[float]]:
+    """Turned boxes between the joints, as mass, first moments and inertia about the joint."""
+    links = []
+    for i in range(len(origins)):
+        mass = between(rng, 2.0, 6.0) * 0.7**i
+        size = between(rng, 0.15, 0.35) * 0.75**i
+        end = np.array(origins[i + 1].xyz) if i + 1 < len(origins) else size * rng.normal(size=3)
+        centre = rng.uniform(0.2, 0.6) * end + 0.1 * size * rng.normal(size=3)
+        a, b, c = (size * rng.uniform(0.3, 1.0, 3)) ** 2
+        turned = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        central = turned @ np.diag([b + c, a + c, a + b]) @ turned.T * mass / 12.0
+        about = central + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+        pairs = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+        links.append([mass, *(mass * centre), *(float(about[pair]) for pair in pairs)])
+    return links
+
+
+def _loads(rng: np.random.Generator, arm: Arm, base: FloatArray) -> tuple[list[float], list[float]]:
+    """Median inertia and largest torque at each joint over random postures."""
+    angle = rng.uniform(-1.2, 1.2, (_N_POSTURES, arm.n_joints))
+    inertias = [np.diagonal(arm.inertia_matrix(base, posture)) for posture in angle]
+    rest, fast = np.zeros_like(angle), rng.choice((-1.0, 1.0), angle.shape) * _ACCELERATION
+    torque = np.abs(arm.link_torques(base, angle, rest, fast))
+    return np.median(inertias, axis=0).tolist(), torque.max(axis=0).tolist()
+
+
+@dataclass(frozen=True, slots=True)
+class _Drive:
+    joint: Joint
+    values: dict[str, float]
+    gain: float  # [V s/rad] of the servo
+
+
+def _draw_drive(rng: np.random.Generator, inertia: float, load: float) -> _Drive:
+    """Smallest gear of the catalogue that carries the load, with a motor and friction."""
+    fitting = [size for size, (knees, _, _) in GEAR_CATALOGUE.items() if knees[1] > 0.7 * load]
+    size = fitting[0] if fitting else max(GEAR_CATALOGUE)
+    knees, high, low = GEAR_CATALOGUE[size]
+    ratio = int(rng.choice(GEAR_RATIOS))
+    stiffness = 1e4 * (low if ratio <= 50 else high)[1] * float(rng.uniform(0.8, 1.2))
+    n = float(rng.choice((-1.0, 1.0))) / ratio
+    torque = abs(n) * max(float(rng.uniform(2.0, 4.5)) * knees[1], 3.0 * load)  # at full voltage
+    motor = n**2 * inertia * between(rng, 0.3, 4.0)
+    dry = float(rng.uniform(0.04, 0.12)) * torque
+    viscous = dry * abs(n) * float(rng.uniform(0.15, 0.5))
+    values = {
+        "motor_inertia": motor,
+        "motor_viscous_friction": viscous,
+        "motor_coulomb_friction": dry,
+        "friction_offset": float(rng.uniform(-0.05, 0.05)) * dry,
+        "link_viscous_friction": viscous / n**2 * float(rng.uniform(0.1, 0.4)),
+        "gear_stiffness": stiffness,
+        "gear_damping": 2.0 * between(rng, 0.015, 0.05) * float(np.sqrt(stiffness * inertia)),
+    }
+    per_volt = torque / _VOLTAGE_LIMIT
+    joint = Joint(
+        "linear",
+        n,
+        torque_per_volt=float(f"{per_volt:.4g}"),
+        current_loop_hz=float(f"{between(rng, 500.0, 1000.0):.3g}"),
+        encoder_counts=int(rng.choice(_COUNTS)),
+    )
+    return _Drive(joint, values, _SERVO_BANDWIDTH * (motor + n**2 * inertia) / per_volt)
+
+
+def _draw_imu(rng: np.random.Generator) -> Imu:
+    xyz, rpy = rng.uniform(-0.1, 0.1, 3), rng.uniform(-np.pi / 2, np.pi / 2, 3)
+    return Imu(_vector(xyz.round(3)), _vector(rpy.round(3)), 300.0, 100.0)
+
+
+def _experiments(n: int) -> tuple[Experiment, ...]:
+    """A motion and, for each joint, PRBS on top of its servo and a step."""
+    control: tuple[Control, ...] = ("servo",) * n
+    experiments = [Experiment("motion", "motion.parquet", "motion", control)]
+    for i in range(1, n + 1):
+        prbs, step = f"prbs-j{i}", f"step-j{i}"
+        experiments.append(Experiment(prbs, f"{prbs}.parquet", "frequency", control, i, prbs=_PRBS))
+        experiments.append(Experiment(step, f"{step}.parquet", "tuning", control, i))
+    return tuple(experiments)
+
+
+def evaluate(seed: int, stages: tuple[str, ...]) -> dict[str, Any]:
+    """Simulate and identify one chain; a failure is returned as a result."""
+    chain = draw_chain(seed)
+    arm = Arm.of(chain.study.arm)
+    head = {"seed": seed, "joints": arm.n_joints, "engine": chain.engine, "sensors": chain.sensors}
+    with TemporaryDirectory() as folder:
+        try:
+            simulate_study(
+                chain.study,
+                chain.values,
+                Path(folder),
+                seed=seed,
+                noise=SensorNoise(accelerometer_range=20.0 * _GRAVITY),
+                as_recorded=False,
+                sample_time=_SAMPLE_TIME,
+                simulator=_ENGINES[chain.engine],
+            )
+            path = Path(folder) / "study.toml"
+            begin, cpu = time.perf_counter(), time.process_time()
+            result = identify(path, stages=stages)
+            head |= {"cpu": time.process_time() - cpu, "wall": time.perf_counter() - begin}
+            return head | _errors(result, derived(chain.values, read_study(path).arm))
+        except Exception as failure:  # counted, so that the other chains run
+            return head | {"failure": f"{type(failure).__name__}: {failure}"}
+
+
+def _errors(result: Identification, true_values: Values) -> dict[str, Any]:
+    """Verdict, times, and errors of all estimates with an interval."""
+    arm, verdict = result.study.arm, result.verdict
+    largest: dict[str, float] = {}
+    keys = [p.key for p in result.parameters if p.key in true_values]
+    for key in filter(_is_of_links, keys):
+        unit = unit_in(arm, key)
+        largest[unit] = max(largest.get(unit, 0.0), abs(true_values[key]))
+    rows = []
+    for p in result.parameters:
+        true = true_values.get(p.key)
+        if true is None or p.value is None or p.std is None or p.ci95 is None:
+            continue
+        size = largest[unit_in(arm, p.key)] if _is_of_links(p.key) else abs(true) or 1.0
+        rows.append(
+            {
+                "name": p.key[0],
+                "joint": p.key[1],
+                "error": (p.value - true) / size,
+                "std": p.std / size,
+                "inside": bool(p.ci95[0] <= true <= p.ci95[1]),
+                "identified": p.key in verdict.identified,
+                "stage": p.stage,
+            }
+        )
+    return {
+        "status": verdict.status,
+        "reasons": [reason[:200] for reason in verdict.reasons],
+        "not_identified": [label_of(*key) for key in verdict.not_identified],
+        "warnings": sorted({f"{w.code}: {w.where}" for w in result.warnings}),
+        "timing": {part: round(seconds, 2) for part, seconds in result.timing_s.items()},
+        "parameters": rows,
+    }
+
+
+def _is_of_links(key: Key) -> bool:
+    """Whether a key is a base parameter of the links."""
+    return "link_inertia_" in key[0] or "first_moment" in key[0]
+
+
+def silently_wrong(row: dict[str, Any]) -> list[str]:
+    """Identified values of a run that are wrong; none if the input counts as inconsistent."""
+    if row.get("status") == "inconsistent-input":
+        return []
+    return [
+        f"{p['name']}_{p['joint']} {100.0 * p['error']:+.0f} % {p['error'] / p['std']:+.1f} std"
+        for p in row.get("parameters", [])
+        if p["identified"] and abs(p["error"]) > max(_MAX_STDS * p["std"], _MAX_ERROR)
+    ]
+
+
+def tabulate(rows: Sequence[dict[str, Any]]) -> list[Table]:
+    """Tables of classes of parameters, of chains, and of times by number of joints."""
+    classes = Table("class", "sensors", "values", "inside", "rms error", "largest error", box=None)
+    for sensors in _SENSORS:
+        parameters = [
+            p
+            for row in rows
+            if row["sensors"] == sensors and row.get("status") != "inconsistent-input"
+            for p in row.get("parameters", [])
+            if p["identified"]
+        ]
+        for name, belongs in _CLASSES.items():
+            of_class = [p for p in parameters if belongs(p["name"])]
+            if of_class:
+                errors = 100.0 * np.abs([p["error"] for p in of_class])
+                inside = 100.0 * float(np.mean([p["inside"] for p in of_class]))
+                sizes = float(np.sqrt(np.mean(errors**2))), float(errors.max())
+                cells = (f"{inside:.0f} %", *(f"{x:.2g} %" for x in sizes))
+                classes.add_row(name, sensors, str(len(of_class)), *cells)
+    chains = Table(
+        "seed", "joints", "engine", "sensors", "status", "inside", "CPU", "wrong", box=None
+    )
+    for row in sorted(rows, key=lambda row: int(row["seed"])):
+        hits = [p["inside"] for p in row.get("parameters", []) if p["identified"]]
+        chains.add_row(
+            str(row["seed"]),
+            str(row["joints"]),
+            row["engine"],
+            row["sensors"],
+            row.get("status") or row["failure"][:60],
+            f"{sum(hits)}/{len(hits)}",
+            f"{row.get('cpu', 0.0):.0f} s",
+            "; ".join(silently_wrong(row)),
+        )
+    times = Table("joints", "chains", "median CPU", "largest CPU", box=None)
+    for n in sorted({row["joints"] for row in rows}):
+        cpu = [row["cpu"] for row in rows if row["joints"] == n and "cpu" in row]
+        if cpu:
+            times.add_row(str(n), str(len(cpu)), f"{np.median(cpu):.0f} s", f"{max(cpu):.0f} s")
+    return [chains, classes, times]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--chains", type=int, default=50)
+    parser.add_argument("--joints", default="2,3,4,5,6,7", help="only chains of these lengths")
+    parser.add_argument("--stages", default=",".join(STAGES))
+    parser.add_argument("--at-once", type=int, default=os.cpu_count())
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("build/drawn-chains.jsonl"),
+        help="a repeated run continues",
+    )
+    options = parser.parse_args()
+    numbers = {int(n) for n in options.joints.split(",")}
+    candidates = range(len(_JOINT_NUMBERS) * options.chains)
+    seeds = [s for s in candidates if _JOINT_NUMBERS[s % len(_JOINT_NUMBERS)] in numbers]
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    work = partial(evaluate, stages=tuple(options.stages.split(",")))
+    rows, console = [], Console(width=160)
+    for row in run_all(seeds[: options.chains], work, options.out, options.at_once):
+        rows.append(row)
+        outcome = row.get("status") or row["failure"]
+        console.print(f"{row['seed']}: {row['joints']} joints, {row['engine']}: {outcome}")
+    for table in tabulate(rows):
+        console.print(table)
+
+
+if __name__ == "__main__":
+    main()
