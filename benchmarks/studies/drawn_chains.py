@@ -217,7 +217,8 @@ def _draw_imu(rng: np.random.Generator) -> Imu:
 
 def _experiments(n: int) -> tuple[Experiment, ...]:
     """A motion and, for each joint, PRBS on top of its servo and a step."""
-    control: tuple[Control, ...] = ("servo",) * n
+    servo: Control = "servo"
+    control = (servo,) * n
     experiments = [Experiment("motion", "motion.parquet", "motion", control)]
     for i in range(1, n + 1):
         prbs, step = f"prbs-j{i}", f"step-j{i}"
