@@ -3,8 +3,9 @@
 KINOVA is a folder with a study; TX40 has the published CSV files of a Staubli TX40, for which the
 study is built here. Printed are held-out torque fits of every joint, by strainwave and by a plain
 weighted least squares with Pinocchio's regressor, on the same motor signals, the same low-pass and
-the same samples: those at which the joint slides. For the TX40 the base parameters and friction of
-the whole record follow, with the published ones and their standard deviations.
+the same samples: those at which the joint slides. For the TX40 the base parameters of the whole
+record follow, with the published ones and their standard deviations, and the friction of axes 1 to
+4 at half of their largest speed: the published law has Coulomb and viscous friction only.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from rich.table import Table
 from benchmarks.peers.rigid_chain import fit_plain
 from strainwave.domain import FloatArray, FrictionTerm, RigidModel, RigidOptions, Signals
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.friction_terms import additional_friction
 from strainwave.dynamics.rigid_prediction import predict_torque
 from strainwave.identification import rigid
 from strainwave.io.logs import read_logs
@@ -52,9 +54,8 @@ _SYMBOLS = {
     "link_inertia_": "I",
     "link_first_moment_": "m",
     "motor_inertia": "Ia",
-    "total_viscous_friction": "fv",
-    "motor_coulomb_friction": "fs",
 }
+_HALF_SPEED = 0.4, 0.6  # of the largest speed
 
 
 def fit_study(path: Path) -> tuple[Arm, RigidModel, tuple[Signals, ...], tuple[Signals, ...]]:
@@ -130,8 +131,7 @@ def published(folder: Path) -> dict[str, tuple[float, float]]:
 def on_the_link_side(arm: Arm, model: RigidModel) -> dict[str, tuple[float, float]]:
     """Values and standard deviations by published symbol, of what both models share.
 
-    The published friction of axes 5 and 6 acts on the links, and the inertia of motor 6 is not in
-    its own row: these have no counterpart.
+    The published inertia of motor 6 is not in its own row: it has no counterpart.
     """
     shared: dict[str, tuple[float, float]] = {}
     stds = np.sqrt(np.diag(model.covariance))
@@ -141,11 +141,29 @@ def on_the_link_side(arm: Arm, model: RigidModel) -> dict[str, tuple[float, floa
         of_links = prefix is not None and prefix.startswith("link")
         if prefix is None or not (of_links or joint < 5) or (name, joint) == ("link_inertia_zz", 6):
             continue
-        n = 1.0 if of_links else abs(_TX40_RATIOS[joint - 1])
-        factor = n if name == "motor_coulomb_friction" else n**2
+        factor = 1.0 if of_links else _TX40_RATIOS[joint - 1] ** 2
         symbol = f"{_SYMBOLS[prefix]}{name.removeprefix(prefix)}{joint}"
         shared[symbol] = factor * float(value), factor * float(std)
     return shared
+
+
+def frictions_at_half_speed(
+    arm: Arm, model: RigidModel, record: Signals, law: Mapping[str, tuple[float, float]]
+) -> list[tuple[float, float]]:
+    """Mean friction [N m] of axes 1 to 4 at the link, of the model and of the published law."""
+    motion = record.motor_angle, record.motor_velocity, record.motor_acceleration
+    load = arm.rigid_regressor(*map(arm.links_of, motion)) @ model.solution[: arm.n_body]
+    speed = np.abs(record.motor_velocity)
+    viscous, coulomb, _ = arm.joint_friction(model.solution).T
+    friction = coulomb + viscous * speed
+    friction += additional_friction(model.friction_terms, record.motor_velocity, load)
+    low, high = (share * speed.max(axis=0) for share in _HALF_SPEED)
+    rows = []
+    for i in range(4):
+        n, at = abs(_TX40_RATIOS[i]), (speed[:, i] > low[i]) & (speed[:, i] < high[i])
+        expected = law[f"fs{i + 1}"][0] + law[f"fv{i + 1}"][0] * speed[at, i] / n
+        rows.append((n * float(friction[at, i].mean()), float(expected.mean())))
+    return rows
 
 
 def main() -> None:
@@ -171,7 +189,7 @@ def main() -> None:
                 fits = held_out_fits(arm, solution, checks, cutoff_hz, terms)
                 table.add_row(label, f"{cutoff_hz:g} Hz", method, *(f"{fit:.1f}" for fit in fits))
         Console().print(table)
-        arm, model, _, _ = fit_study(write_tx40(arguments.tx40, copy, {"motion": _WHOLE}))
+        arm, model, motion, _ = fit_study(write_tx40(arguments.tx40, copy, {"motion": _WHOLE}))
     values = Table("parameter", "strainwave", "std", "published", "std", "difference", box=None)
     reference = published(arguments.tx40)
     for symbol, (value, std) in on_the_link_side(arm, model).items():
@@ -181,6 +199,12 @@ def main() -> None:
             numbers = (value, std, expected, of_expected)
             values.add_row(symbol, *(f"{x:.4g}" for x in numbers), f"{difference:.1f}")
     Console().print(values)
+    friction = Table("axis", "friction [N m]", "published", "difference %", box=None)
+    rows = frictions_at_half_speed(arm, model, motion[0], reference)
+    for axis, (value, expected) in enumerate(rows, start=1):
+        percent = 100.0 * (value / expected - 1.0)
+        friction.add_row(str(axis), f"{value:.2f}", f"{expected:.2f}", f"{percent:.1f}")
+    Console().print(friction)
 
 
 if __name__ == "__main__":
