@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from strainwave.domain import ArmDescription, FloatArray, Joint, Origin
+from strainwave.domain import ArmDescription, FloatArray, Joint, Motion, Origin
 from strainwave.domain.base_parameters import base_parameters
 from strainwave.domain.core_arm import core_arm
 from strainwave.domain.keys import Key
@@ -91,6 +91,37 @@ def test_named_parameters_are_rows_over_the_standard_parameters(arm: ArmDescript
     values = [sum(w * standard[k] for k, w in rows[key].items()) for key in rows]
     assert [tuple(name) for name in fast.parameter_names][: len(rows)] == list(rows)
     np.testing.assert_allclose(reduced @ np.array(values), torque, rtol=1e-12, atol=1e-10)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.integers(0, 10**6), st.integers(2, 6), st.floats(-12.0, -2.0).map(lambda power: 10.0**power)
+)
+def test_nearly_parallel_axes_have_base_parameters(seed: int, n: int, tilt: float) -> None:
+    """The torques of all parameters, to the tolerance at which axes count as parallel."""
+    random = np.random.default_rng(seed)
+
+    def joint() -> Joint:
+        right = 0.5 * np.pi * random.integers(-1, 3, 3)
+        roll, pitch, yaw = (right + tilt * random.integers(-1, 2, 3)).tolist()
+        a, b, c = (np.eye(3)[random.integers(3)] + tilt * random.normal(size=3)).tolist()
+        x, y, z = (random.choice([0.0, 0.1, 0.3], 3) + tilt * random.normal(size=3)).tolist()
+        motion: Motion = "revolute" if random.uniform() < 0.8 else "prismatic"
+        origin = Origin((x, y, z), (roll, pitch, yaw))
+        return Joint("rigid", 0.01, motion, origin=origin, axis=(a, b, c))
+
+    arm = Arm.of(ArmDescription("serial", tuple(joint() for _ in range(n)), (0.0, tilt, -9.81)))
+    base, n_links = arm.base, len(arm.base.links)
+    standard = random.normal(size=base.rows.shape[1])
+    standard[n_links:] *= 1e-4
+    angle, velocity, acceleration = motion(n)
+    links = arm.base_regressor(angle, velocity, acceleration)
+    motors = standard[n_links:] * arm.motor_accelerations(acceleration)
+    reduced = base.particular() @ (base.rows @ standard)
+    motors_reduced = reduced[n_links:] * arm.motor_accelerations(acceleration)
+    expected = arm.motors_of(links @ standard[:n_links]) + motors
+    torque = arm.motors_of(links @ reduced[:n_links]) + motors_reduced
+    np.testing.assert_allclose(torque, expected, atol=1e-4 * np.abs(expected).max())
 
 
 def test_grouping_of_two_parallel_axes_is_exact() -> None:

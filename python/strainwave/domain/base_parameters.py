@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +25,10 @@ from strainwave.domain.units import unit_in
 MOTOR_INERTIA = "motor_inertia"
 
 _SAMPLES = 60  # random states; each gives one equation per joint for at most 77 parameters
-# Relative rounding error of norms, independent parts, weights and ratios of the regressor's
+# Part of a column of norm one across all others below which motion does not show its parameter:
+# axes that are parallel to a microradian count as parallel.
+_MIN_INDEPENDENT_PART = 1e-6
+# Relative rounding error of norms, weights and ratios of the regressor's
 # columns. Smaller ones are zero.
 _MAX_ROUNDING_ERROR = 1e-8
 
@@ -137,11 +141,7 @@ def _base_parameters(arm: ArmDescription) -> BaseParameters:
     norms[norms < _MAX_ROUNDING_ERROR * norms.max()] = 0.0
     regressor = regressor * (norms > 0.0)
     scale = np.where(norms > 0.0, norms, 1.0)
-    order = _preference(links, arm)
-    triangular = np.linalg.qr(regressor[:, order] / scale[order], mode="r")
-    kept = np.abs(np.diag(triangular)) > _MAX_ROUNDING_ERROR
-    independent = sorted(np.array(order)[kept].tolist())
-    grouping = np.linalg.lstsq(regressor[:, independent] / scale[independent], regressor / scale)[0]
+    independent, grouping = _grouping(regressor / scale, _preference(links, arm))
     grouping = np.where(np.abs(grouping) > _MAX_ROUNDING_ERROR, grouping, 0.0)
     grouping *= scale / scale[independent][:, None]
     grouping[:, independent] = np.eye(len(independent))
@@ -159,6 +159,42 @@ def _base_parameters(arm: ArmDescription) -> BaseParameters:
         rows=np.array([[column.parts.get(key, 0.0) for key in keys] for column, _ in columns]),
         independent=tuple(at for _, at in columns),
     )
+
+
+class _Grouping(NamedTuple):
+    """Independent columns of a table, and the weights of each column over them."""
+
+    independent: list[int]  # ascending
+    weights: FloatArray  # (n_independent, n_columns)
+
+
+def _grouping(columns: FloatArray, order: Sequence[int]) -> _Grouping:
+    """Group columns of norm one with independent ones that come before them in `order`.
+
+    A column is independent by its part across the independent columns before it. Nearly dependent
+    columns, such as those of nearly parallel axes, do not take that part from columns after them.
+    Parts of other columns that are as small are rounded to zero.
+    """
+    basis, kept = np.zeros((len(columns), 0)), list[int]()
+    coefficients = np.zeros((columns.shape[1],) * 2)  # row k: along the k-th vector of the basis
+    for at in order:
+        along = basis.T @ columns[:, at]
+        rest = columns[:, at] - basis @ along
+        again = basis.T @ rest  # the second pass makes the basis orthogonal to rounding
+        rest -= basis @ again
+        coefficients[: len(kept), at] = along + again
+        size = float(np.linalg.norm(rest))
+        if size > _MIN_INDEPENDENT_PART:
+            coefficients[len(kept), at] = size
+            basis = np.column_stack([basis, rest / size])
+            kept.append(at)
+    coefficients = coefficients[: len(kept)]
+    triangular = coefficients[:, kept]
+    parts = np.where(np.abs(coefficients) > _MIN_INDEPENDENT_PART, coefficients, 0.0)
+    parts[:, kept] = triangular
+    weights = np.asarray(np.linalg.solve(triangular, parts))
+    ascending = np.argsort(kept)
+    return _Grouping([kept[k] for k in ascending], weights[ascending])
 
 
 def link_inertia(arm: ArmDescription, joint: int, posture: FloatArray | None = None) -> Row:
