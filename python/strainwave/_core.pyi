@@ -140,6 +140,14 @@ class Arm:
         acceleration: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """Link-side torques per inertial parameter: (n_samples, n_joints, n_base)."""
+    def link_torques(
+        self,
+        base: NDArray[np.float64],
+        angle: NDArray[np.float64],
+        velocity: NDArray[np.float64],
+        acceleration: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Link-side torques for base parameters, physical or not: (n_samples, n_joints)."""
     def link_motion(
         self,
         angle: NDArray[np.float64],

@@ -227,8 +227,8 @@ class Arm(ArmDescription):
         self, base: FloatArray, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> FloatArray:
         """Torques of the links, M(q) ddq + c(q, dq) + g(q): (n_samples, n_joints) [N m]."""
-        rows = self.base_regressor(angle, velocity, acceleration)
-        return np.asarray((rows.reshape(-1, len(base)) @ base).reshape(rows.shape[:2]))
+        motion = _contiguous(angle, velocity, acceleration)
+        return self.core.link_torques(np.ascontiguousarray(base), *motion)
 
     def payload_vector(self, payload: Payload | None) -> FloatArray:
         """Parameters of the links that a payload adds: (n_base,); zero without one."""

@@ -144,6 +144,8 @@ pub trait CompiledArm: Send + Sync {
     fn kinematics(&self) -> &Kinematics;
     /// Link-side torques [N m] per base parameter: samples times joints times base parameters.
     fn base_regressor(&self, motion: &LinkMotion<'_>) -> Vec<f64>;
+    /// Link-side torques [N m] for base parameters, physical or not: samples times joints.
+    fn link_torques(&self, base: &[f64], motion: &LinkMotion<'_>) -> Vec<f64>;
     /// Motor torques [N m] of a motion with rigid gears, (5): samples times joints.
     fn inverse_dynamics(&self, parameters: &[f64], motion: &LinkMotion<'_>) -> Vec<f64>;
     /// M_L(q) of (2) [kg m^2]: samples times joints times joints.
@@ -359,14 +361,24 @@ impl<A: Arm<N>, const N: usize> CompiledArm for Compiled<A, N> {
         let [q, dq, ddq] = motion.rows::<N>(n);
         let mut all = vec![0.0; q.len() * n * bases];
         for (k, row) in all.chunks_mut(n * bases).enumerate() {
-            let columns = rigid::base_regressor(&self.config.arm, &q[k], &dq[k], &ddq[k]);
-            for (b, torque) in columns.iter().enumerate() {
+            let at = self.config.arm.posture(&q[k]);
+            let columns = self.config.arm.regressor(&at, &dq[k], &ddq[k]);
+            for (b, torque) in columns.as_ref().iter().enumerate() {
                 for i in 0..n {
                     row[i * bases + b] = torque[i];
                 }
             }
         }
         all
+    }
+
+    fn link_torques(&self, base: &[f64], motion: &LinkMotion<'_>) -> Vec<f64> {
+        let (arm, n) = (&self.config.arm, self.joints());
+        let base = arm.base(base);
+        let [q, dq, ddq] = motion.rows::<N>(n);
+        let torques = |k: usize| arm.torques(&base, &arm.posture(&q[k]), &dq[k], &ddq[k]);
+        let of_joints = |k: usize| torques(k).into_iter().take(n);
+        (0..q.len()).flat_map(of_joints).collect()
     }
 
     fn inverse_dynamics(&self, parameters: &[f64], motion: &LinkMotion<'_>) -> Vec<f64> {

@@ -252,6 +252,31 @@ impl Arm {
         PyArray1::from_vec(py, regressor).reshape(shape)
     }
 
+    fn link_torques<'py>(
+        &self,
+        py: Python<'py>,
+        base: Vector<'py>,
+        angle: Matrix<'py>,
+        velocity: Matrix<'py>,
+        acceleration: Matrix<'py>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let n = self.n_joints();
+        let [q, dq, ddq] = same_rows([&angle, &velocity, &acceleration], n)?;
+        let base = base.as_array().to_vec();
+        let (got, expected) = (base.len(), self.0.base_parameters());
+        if got != expected {
+            let message = format!("base has {got} values instead of {expected}");
+            return Err(PyValueError::new_err(message));
+        }
+        let motion = LinkMotion {
+            angle: &q,
+            velocity: &dq,
+            acceleration: &ddq,
+        };
+        let torques = py.detach(|| self.0.link_torques(&base, &motion));
+        PyArray1::from_vec(py, torques).reshape([q.len() / n, n])
+    }
+
     fn link_motion<'py>(
         &self,
         py: Python<'py>,

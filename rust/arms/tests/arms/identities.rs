@@ -12,7 +12,7 @@ use strainwave_core::experiment::{Clock, Member, Quantity, Task};
 use strainwave_core::joint::effects::EffectKinds;
 use strainwave_core::joint::gear::AllLaws;
 use strainwave_core::plant::config::Config;
-use strainwave_core::plant::rigid::{base_regressor, inverse_dynamics};
+use strainwave_core::plant::rigid::inverse_dynamics;
 use strainwave_core::plant::{Modes, Plant, State};
 use strainwave_core::program::Width;
 
@@ -362,10 +362,10 @@ proptest! {
     ) {
         let config = config::<TwoLink<true>, 2>([LINEAR; 2]);
         let torque = inverse_dynamics(&config.plant(&values), &q, &dq, &ddq);
-        let columns = base_regressor(&config.arm, &q, &dq, &ddq);
+        let columns = config.arm.regressor(&config.arm.posture(&q), &dq, &ddq);
         for i in 0..2 {
             let joint_values = &values[5 + 8 * i..];
-            let body: f64 = columns.iter().zip(&values).map(|(column, v)| column[i] * v).sum();
+            let body: f64 = columns.as_ref().iter().zip(&values).map(|(column, v)| column[i] * v).sum();
             let speed = dq[i] / 0.01;
             let friction = joint_values[1] * speed + joint_values[2] * dq[i].signum() + joint_values[3];
             let expected = 0.01 * (body + joint_values[4] * dq[i]) + joint_values[0] * ddq[i] / 0.01 + friction;

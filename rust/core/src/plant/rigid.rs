@@ -1,30 +1,9 @@
-//! The arm with rigid gears, (5)-(7): torques of a motion, linear in the base parameters.
+//! The arm with rigid gears, (5)-(7): torques of a motion.
 
 use crate::arm::Arm;
 use crate::arm::transmission::{motor_of, outputs_of};
 use crate::joint::gear::AllLaws;
 use crate::plant::Plant;
-
-/// Link-side torques [N m] per base parameter, in the order of [`Arm::names`].
-///
-/// The equations are linear in the base parameters, so each column is their value with that
-/// parameter at one and the others at zero.
-pub fn base_regressor<A: Arm<N>, const N: usize>(
-    arm: &A,
-    q: &[f64; N],
-    dq: &[f64; N],
-    ddq: &[f64; N],
-) -> Vec<[f64; N]> {
-    let at = arm.posture(q);
-    let mut unit = vec![0.0; arm.names().len()];
-    (0..unit.len())
-        .map(|k| {
-            unit.fill(0.0);
-            unit[k] = 1.0;
-            arm.torques(&arm.base(&unit), &at, dq, ddq)
-        })
-        .collect()
-}
 
 /// Motor torques [N m] of a motion of the links with rigid gears, (5).
 ///
