@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -25,6 +25,17 @@ class Correction:
     def number(self) -> float:
         """The value as a number; zero if it is none."""
         return self.value if isinstance(self.value, float | int) else 0.0
+
+
+def exchange_corrections(pairs: Iterable[tuple[str, str]], study: Study) -> tuple[Correction, ...]:
+    """Corrections that exchange the columns of two channels, with their scales and offsets."""
+    corrections = []
+    for first, second in pairs:
+        for name, other in ((first, second), (second, first)):
+            source = study.channels.get(other) or Channel(other)
+            for key in ("column", "scale", "offset"):
+                corrections.append(Correction("channels", name, key, getattr(source, key)))
+    return tuple(corrections)
 
 
 def apply_corrections(study: Study, corrections: Sequence[Correction]) -> Study:

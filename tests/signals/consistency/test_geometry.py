@@ -115,6 +115,27 @@ def test_a_wrong_geometry_is_named(name: str, given: tuple[tuple[Log, ...], Stud
     assert check_consistency(logs, corrected).suspected == ()
 
 
+@pytest.mark.parametrize("kinds", [("theta_m",), ("torque",), ("theta_m", "torque")])
+def test_exchanged_motors_are_named(
+    kinds: tuple[str, ...], given: tuple[tuple[Log, ...], Study]
+) -> None:
+    (log,), study = given
+    without_link_sensors = {name: values for name, values in log.channels.items() if name[0] in "t"}
+    for kind in kinds:
+        first, second = f"{kind}2", f"{kind}3"
+        exchanged = {first: log.channels[second], second: log.channels[first]}
+        without_link_sensors |= exchanged
+    logs = (replace(log, channels=without_link_sensors),)
+    (suspicion,) = check_consistency(logs, study).suspected
+    assert suspicion.code == "swapped-channels"
+    names = {f"{kind}{i}" for kind in kinds for i in (2, 3)}
+    assert {place.channel for place in suspicion.places} == names
+    corrected = apply_corrections(study, suspicion.corrections)
+    columns = {c.column: name for name, c in corrected.channels.items()}
+    log = replace(logs[0], channels={columns.get(n, n): x for n, x in without_link_sensors.items()})
+    assert check_consistency((log,), corrected).suspected == ()
+
+
 def test_another_robot_is_not_a_fault_of_its_link_sensors(
     given: tuple[tuple[Log, ...], Study],
 ) -> None:

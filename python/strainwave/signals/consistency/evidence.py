@@ -84,7 +84,9 @@ class SlowRecord:
     shifted: Mapping[str, float] = field(default_factory=dict)  # channel -> delay removed [s]
 
 
-ChangeKind = Literal["axis", "gravity", "ratio", "zero", "frame", "coupling", "robot", "torque"]
+ChangeKind = Literal[
+    "axis", "gravity", "ratio", "zero", "frame", "coupling", "robot", "torque", "exchange"
+]
 """What an alternative geometry changes."""
 
 

@@ -8,13 +8,15 @@ eliminated (Kaufman's variable projection).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 
 from strainwave.domain import Correction, FloatArray
+from strainwave.domain.corrections import exchange_corrections
 from strainwave.domain.kinds import kind_of
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.consistency.evidence import Alternative, ChangeKind, Evidence
@@ -77,18 +79,17 @@ def search_geometry(evidence: Evidence) -> tuple[Alternative, ...]:
     if system is None:
         return ()
     fit = fit_torques(system)
-    alternatives = list(_discrete(evidence))
-    costs = run_parallel([partial(_cost, evidence, each.corrections) for each in alternatives])
-    discrete = [replace(a, cost=c) for a, c in zip(alternatives, costs, strict=True)]
-    least = min([fit.cost, *costs])
-    if fit_ratio(least, 0.0, fit.n_all) > _MAX_TRIAL_UNEXPLAINED:
+    stated = Alternative("robot", None, (), fit.cost)
+    discrete = _compare(evidence, _discrete(evidence))
+    if fit_ratio(min(a.cost for a in (stated, *discrete)), 0.0, fit.n_all) > _MAX_UNEXPLAINED:
+        discrete += _compare(evidence, _exchanges(evidence))
+    if fit_ratio(min(a.cost for a in (stated, *discrete)), 0.0, fit.n_all) > _MAX_TRIAL_UNEXPLAINED:
         return ()
     continuous = run_parallel(
         [partial(_search, evidence, fit, family) for family in _promising(evidence, fit)]
     )
     found = [each for each in continuous if each is not None]
     better = [each for each in (*discrete, *found) if each.cost < fit.cost]
-    stated = Alternative("robot", None, (), fit.cost)
     ordered = (*sorted(better, key=lambda each: each.cost), stated)
     is_explained = fit_ratio(ordered[0].cost, 0.0, fit.n_all) < _MAX_UNEXPLAINED
     return ordered if is_explained else ()
@@ -120,6 +121,26 @@ def _fit(evidence: Evidence, corrections: Sequence[Correction]) -> TorqueFit | N
 def _cost(evidence: Evidence, corrections: Sequence[Correction]) -> float:
     fit = _fit(evidence, corrections)
     return np.inf if fit is None else fit.cost
+
+
+def _compare(evidence: Evidence, alternatives: Iterable[Alternative]) -> list[Alternative]:
+    """The alternatives with the costs of their fits."""
+    listed = list(alternatives)
+    costs = run_parallel([partial(_cost, evidence, each.corrections) for each in listed])
+    return [replace(a, cost=c) for a, c in zip(listed, costs, strict=True)]
+
+
+def _exchanges(evidence: Evidence) -> Iterator[Alternative]:
+    """Exchanged motor angles, inputs, or both, of two joints."""
+    for pair in combinations(range(1, evidence.arm.n_joints + 1), 2):
+        angles, inputs = (
+            [kind for kind in kinds if {f"{kind}{i}" for i in pair} <= evidence.channels]
+            for kinds in (("theta_m",), ("u", "torque"))
+        )
+        for kinds in (angles, inputs, angles + inputs):
+            names = [(f"{kind}{pair[0]}", f"{kind}{pair[1]}") for kind in kinds]
+            corrections = exchange_corrections(names, evidence.study)
+            yield Alternative("exchange", None, corrections, np.inf)
 
 
 def _discrete(evidence: Evidence) -> Iterator[Alternative]:

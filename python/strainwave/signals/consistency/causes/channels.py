@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from strainwave.domain import Clause, Correction, channel_parts
+from strainwave.domain.corrections import exchange_corrections
 from strainwave.signals.consistency.causes.case import (
     MAX_FACTOR_DIFFERENCE,
     MIN_RATIO,
@@ -89,15 +90,9 @@ def propose_exchanges(case: Case) -> Iterator[Cause]:
 
 def _exchange(case: Case, kinds: Sequence[str], joints: tuple[int, int]) -> Cause:
     """Exchanged columns of two joints."""
-    pairs = tuple(tuple(f"{kind}{joint}" for joint in joints) for kind in kinds)
+    pairs = tuple((f"{kind}{joints[0]}", f"{kind}{joints[1]}") for kind in kinds)
     places = places_of(name for pair in pairs for name in pair)
-    corrections: list[Correction] = []
-    for first, second in pairs:
-        for name, other in ((first, second), (second, first)):
-            source = case.evidence.channel(other)
-            corrections.append(Correction("channels", name, "column", source.column))
-            corrections.append(Correction("channels", name, "scale", source.scale))
-            corrections.append(Correction("channels", name, "offset", source.offset))
+    corrections = exchange_corrections(pairs, case.evidence.study)
     clause = Clause("swapped-channels", pairs=pairs, joints=joints)
     if len(pairs) == 1:
         (names,), (joint, other_joint) = pairs, joints
@@ -108,7 +103,7 @@ def _exchange(case: Case, kinds: Sequence[str], joints: tuple[int, int]) -> Caus
             joint=joint,
             other=other_joint,
         )
-    return Cause("swapped-channels", places, clause, tuple(corrections))
+    return Cause("swapped-channels", places, clause, corrections)
 
 
 def propose_angle_units(case: Case) -> Iterator[Cause]:

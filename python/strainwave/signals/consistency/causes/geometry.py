@@ -26,8 +26,12 @@ def propose_geometries(case: Case) -> Iterator[Cause]:
     fit = recall_quality(case.evidence)
     n_rows = fit.n_all if fit is not None else 1.0
     best, stated = geometries[0].cost, geometries[-1].cost
-    good = [a for a in geometries[:-1] if fit_ratio(a.cost, best, n_rows) < MIN_FIT_RATIO]
-    order = {kind: k for k, kind in enumerate(_CAUSES)}
+    order = {kind: k for k, kind in enumerate(_CAUSES)}  # exchanges are a cause of their own
+    good = [
+        a
+        for a in geometries[:-1]
+        if a.kind in order and fit_ratio(a.cost, best, n_rows) < MIN_FIT_RATIO
+    ]
     for each in sorted(good, key=lambda a: (order[a.kind], a.cost)):
         cause = _CAUSES[each.kind](case, each, fit_ratio(stated, each.cost, n_rows))
         yield replace(
