@@ -58,6 +58,8 @@ _PRBS = Prbs(10, 1e-3, 2, 5.0)  # on top of the servo
 _SERVO_BANDWIDTH, _KI_RATIO = 20.0, 8.0  # [rad/s], [1/s]
 _GRAVITY = 9.81  # [m/s^2]
 _TILTED_SHARE = 0.2  # of the chains stand in any attitude
+_LEVER = 0.2  # [m] of an IMU
+_PEAK_SHARE = 4.0  # of a rigid link's acceleration, at resonance
 _N_POSTURES = 50  # at which loads of gears are evaluated
 _ACCELERATION = 4.0  # [rad/s^2] of all links, for the size of the gears
 _ENGINES: dict[str, Simulator] = {"own": simulate, "mujoco": in_mujoco}
@@ -84,6 +86,7 @@ class Chain:
     values: Values
     engine: str
     sensors: str
+    noise: SensorNoise
 
 
 def draw_chain(seed: int) -> Chain:
@@ -121,7 +124,17 @@ def draw_chain(seed: int) -> Chain:
     )
     arm = replace(arm, joints=tuple(joints), servo=servo)
     study = Study(arm=arm, experiments=_experiments(n), path=Path("study.toml"))
-    return Chain(study, values, engine, sensors)
+    peak = max(
+        _PEAK_SHARE
+        * drive.joint.torque_per_command
+        * _PRBS.amplitude
+        / abs(drive.joint.gear_ratio)
+        / inertia
+        * _LEVER
+        for drive, inertia in zip(drives, inertias, strict=True)
+    )
+    noise = SensorNoise(accelerometer_range=max(5.0 * _GRAVITY, peak))
+    return Chain(study, values, engine, sensors, noise)
 
 
 def _draw_origins(rng: np.random.Generator, n: int) -> list[Origin]:
@@ -239,7 +252,7 @@ def evaluate(seed: int, stages: tuple[str, ...]) -> dict[str, Any]:
                 chain.values,
                 Path(folder),
                 seed=seed,
-                noise=SensorNoise(accelerometer_range=20.0 * _GRAVITY),
+                noise=chain.noise,
                 as_recorded=False,
                 sample_time=_SAMPLE_TIME,
                 simulator=_ENGINES[chain.engine],
