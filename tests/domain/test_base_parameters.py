@@ -106,9 +106,9 @@ def test_nearly_parallel_axes_have_base_parameters(seed: int, n: int, tilt: floa
         roll, pitch, yaw = (right + tilt * random.integers(-1, 2, 3)).tolist()
         a, b, c = (np.eye(3)[random.integers(3)] + tilt * random.normal(size=3)).tolist()
         x, y, z = (random.choice([0.0, 0.1, 0.3], 3) + tilt * random.normal(size=3)).tolist()
-        motion: Motion = "revolute" if random.uniform() < 0.8 else "prismatic"
+        kind: Motion = "revolute" if random.uniform() < 0.8 else "prismatic"
         origin = Origin((x, y, z), (roll, pitch, yaw))
-        return Joint("rigid", 0.01, motion, origin=origin, axis=(a, b, c))
+        return Joint("rigid", 0.01, kind, origin=origin, axis=(a, b, c))
 
     arm = Arm.of(ArmDescription("serial", tuple(joint() for _ in range(n)), (0.0, tilt, -9.81)))
     base, n_links = arm.base, len(arm.base.links)

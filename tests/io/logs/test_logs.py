@@ -357,6 +357,16 @@ def test_a_constant_sensor_gives_a_warning_but_an_unused_joint_does_not(tmp_path
     assert [(w.code, "'a1'" in w.message) for w in log.warnings] == [("constant-channel", True)]
 
 
+@pytest.mark.parametrize(("range_", "has_failed"), [(0.009, False), (0.1, True)])
+def test_the_velocity_of_a_motor_at_rest_may_be_constant(
+    range_: float, has_failed: bool, tmp_path: Path
+) -> None:
+    angle = range_ * np.linspace(-0.5, 0.5, 40)
+    values = studies.columns() | {"omega_m2": np.zeros(40), "theta_m2": angle}
+    log = read(tmp_path, studies.csv_text(values))
+    assert [w.code for w in log.warnings] == ["constant-channel"] * has_failed
+
+
 def test_the_excited_joint_must_move(tmp_path: Path) -> None:
     values = studies.columns() | {"theta_m1": np.ones(40)}
     study: Study = read_study(studies.write(tmp_path, log=studies.csv_text(values)))

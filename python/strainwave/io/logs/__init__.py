@@ -35,6 +35,8 @@ __all__ = ["read_log", "read_logs", "write_log"]
 
 write_log = write_table
 
+_MAX_REST_RANGE = 0.01  # [rad] range of the angle of a motor that stands still, with its noise
+
 _COMMAND_PREFIXES = ("u", "ref")  # prefixes of commands, constant between the ticks of a clock
 
 
@@ -251,9 +253,16 @@ def _check_constants(
             where=str(path),
             remedy="check the [channels] table: the column may contain another signal",
         )
-    sensors = ("omega_m", *link_channel_kinds())  # a failed sensor is constant
     return [
         Diagnostic("constant-channel", Place(file=path.name), channel=name)
         for name, values in channels.items()
-        if channel_parts(name)[0] in sensors and np.ptp(values) == 0.0
+        if np.ptp(values) == 0.0 and _has_failed(name, channels)
     ]
+
+
+def _has_failed(name: str, channels: dict[str, FloatArray]) -> bool:
+    """Whether a constant channel is that of a failed sensor, not of a motor at standstill."""
+    kind, number = channel_parts(name)
+    if kind == "omega_m":
+        return float(np.ptp(channels[f"theta_m{number}"])) > _MAX_REST_RANGE
+    return kind in link_channel_kinds()

@@ -258,6 +258,8 @@ def _recall_basis(
             edge = int(np.ceil(1.0 / (record.bandwidth_hz * T)))
             inside = inside & (np.arange(len(inside)) < end - edge)
         rows = inside[:end:_ROW_STRIDE]
+        if not rows.any():
+            return rows, None
         rate = differentiate(angle, T)
         columns = [differentiate(rate, T), rate, record.direction[:, i]]
         own = np.column_stack(columns)[:end:_ROW_STRIDE][rows]
