@@ -112,7 +112,7 @@ def test_nearly_parallel_axes_have_base_parameters(seed: int, n: int, tilt: floa
 
     arm = Arm.of(ArmDescription("serial", tuple(joint() for _ in range(n)), (0.0, tilt, -9.81)))
     base, n_links = arm.base, len(arm.base.links)
-    standard = random.normal(size=base.rows.shape[1])
+    standard = np.asarray(random.normal(size=base.rows.shape[1]))
     standard[n_links:] *= 1e-4
     angle, velocity, acceleration = motion(n)
     links = arm.base_regressor(angle, velocity, acceleration)
