@@ -205,8 +205,19 @@ class ArmDescription:
     @property
     def is_coupled(self) -> bool:
         """Whether a motor moves several joints."""
-        rows = enumerate(self.coupling or ())
-        return any(value != 0.0 and i != j for i, row in rows for j, value in enumerate(row))
+        return bool(self.coupled_joints)
+
+    @property
+    def coupled_joints(self) -> frozenset[int]:
+        """Joints, from 1, that several motors move, or whose motor moves several joints."""
+        rows = enumerate(self.coupling or (), start=1)
+        pairs = (
+            {i, j}
+            for i, row in rows
+            for j, value in enumerate(row, start=1)
+            if value != 0.0 and i != j
+        )
+        return frozenset(one for pair in pairs for one in pair)
 
     @property
     def has_planar_program(self) -> bool:

@@ -348,11 +348,10 @@ impl<A: Arm<N>, const N: usize> Programs<A, N> {
         if width < Width::COMPILED {
             return (self.baseline)(request);
         }
-        // behind a transmission, an effect of one motor acts on all gears
-        let is_coupled = task.config.arm.transmission().is_some();
         let has_forward = task.config.is_elastic()
             && (!task.config.has_plant_effects()
-                || !is_coupled && without_plant_effects(&task.config, member.parameters).is_some());
+                || !task.config.has_coupled_errors()
+                    && without_plant_effects(&task.config, member.parameters).is_some());
         match width {
             _ if !has_forward => (self.general.dual_numbers)(request),
             _ if !task.config.has_gears::<Slopes>() => (self.general.forward)(request),

@@ -38,7 +38,7 @@ class KinematicError(Effect):
     shapes: Mapping[str, float] = {"kinematic_error_order": 2.0}
     tested: Mapping[str, tuple[float, ...]] = {"kinematic_error_order": (1.0, 4.0)}
     defaults = shapes
-    needs_elastic_gear = True
+    needs_elastic_gear = moves_output = True
     description = "a periodic error of the gear over the motor angle, usually twice per turn"
     consequence = "its excitation of a resonance biases the gear's damping and stiffness"
     experiment = (

@@ -101,6 +101,12 @@ class Effect:
     needs_elastic_gear: bool = False
     """Whether only elastic gears can have the effect."""
 
+    moves_output: bool = False
+    """Whether it moves the output of the gear, and with it all joints behind a transmission.
+
+    The core then differentiates over dual numbers, which takes longer.
+    """
+
     first_joint_only: bool = False
     """Whether only the first joint can have the effect."""
 

@@ -25,6 +25,13 @@ impl<const N: usize> Transmission<N> {
     }
 }
 
+impl<const N: usize> Transmission<N> {
+    /// Whether a motor moves further joints, or the joint of the same index has further motors.
+    pub(crate) fn couples(&self, i: usize) -> bool {
+        (0..N).any(|j| j != i && (self.matrix[i][j] != 0.0 || self.matrix[j][i] != 0.0))
+    }
+}
+
 /// The joints that move with a motor, and the motors that move a joint: with a transmission all,
 /// otherwise the one with the same index.
 pub(crate) fn coupled<A: Arm<N>, const N: usize>(arm: &A, i: usize) -> Range<usize> {

@@ -7,6 +7,7 @@
 //! derivatives of the fit.
 
 use crate::arm::Arm;
+use crate::arm::transmission::{coupled, motor_of, outputs_of};
 use crate::joint::effects::{
     AffectedTerms, BaseTorque, Effect, EffectKinds, Effects, FlexibleLink, Hysteresis,
     PartDeflection, Size, SoftBase,
@@ -57,7 +58,7 @@ struct JointInstant<R> {
     angle_in_space: R,
     torsion: R,
     z: R,
-    /// Gear torque at the motor [N m].
+    /// Torque of the gears at the motor [N m].
     load: R,
     stiffness: R,
     damping: R,
@@ -127,23 +128,24 @@ impl<R: Real> SizeDerivatives<R> {
 }
 
 impl<L: Real> OneSize<L> {
-    /// Derivatives at the event at the end of a span.
+    /// Derivatives at the event at the end of a span, for a size of one of the joints that load the
+    /// motor of the event.
     pub(crate) fn at_event<S: Real, const N: usize>(
         &self,
         holding: &Holding<S, N>,
-        z: f64,
-        base: BaseTorque<f64>,
+        joint: usize,
+        (z, base): (f64, BaseTorque<f64>),
     ) -> SizeDerivatives<f64> {
         let instant = JointInstant {
             motor_angle: holding.motor_angle,
             motor_velocity: holding.speed,
             link_angle: 0.0, // the load on the link does not hold the motor
             angle_in_space: 0.0,
-            torsion: holding.torsion[holding.joint].angle.lane(0),
+            torsion: holding.torsion[joint].angle.lane(0),
             z,
             load: holding.ratio * holding.transmitted,
-            stiffness: holding.stiffness,
-            damping: holding.damping,
+            stiffness: holding.stiffness[joint],
+            damping: holding.damping[joint],
             part_acceleration: 0.0,
             base,
         };
@@ -242,11 +244,10 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
                     trace.across::<L>(first, |stage| number(stage)[i])
                 };
                 let (joint, torsion) = (&plant.joints[i], each(|stage| &stage.torsion));
-                let (angle, rate) = (each(|stage| &stage.angle), each(|stage| &stage.rate));
-                let spring = &joint.spring;
-                let transmitted = joint.gear_damping.mul_add(rate, spring.torque(torsion));
+                let (angle, spring) = (each(|stage| &stage.angle), &joint.spring);
+                let [output, transmitted] = at_motor(plant, trace, first, i);
                 let instant = JointInstant {
-                    motor_angle: (torsion + angle) * L::splat(1.0 / trace.ratio[i]),
+                    motor_angle: output * L::splat(1.0 / trace.ratio[i]),
                     motor_velocity: each(|stage| &stage.motor_velocity),
                     link_angle: angle,
                     angle_in_space: trace
@@ -361,6 +362,33 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
             }
         }
     }
+}
+
+/// Output angle of a motor's gear and the torque of the gears on it, before the gear's ratio, at
+/// the stages from the `first`.
+#[inline(always)]
+fn at_motor<A: Arm<N>, L: Real, G: Gears, const N: usize>(
+    plant: &Plant<A, L, G, N>,
+    trace: &Trace<A, N>,
+    first: usize,
+    motor: usize,
+) -> [L; 2] {
+    let [mut angle, mut torque] = [[L::splat(0.0); N]; 2];
+    for i in coupled(&plant.arm, motor) {
+        let joint = &plant.joints[i];
+        let torsion = trace.across::<L>(first, |stage| stage.torsion[i]);
+        let rate = trace.across::<L>(first, |stage| stage.rate[i]);
+        angle[i] = torsion + trace.across::<L>(first, |stage| stage.angle[i]);
+        torque[i] = joint
+            .gear_damping
+            .mul_add(rate, joint.spring.torque(torsion));
+    }
+    if plant.arm.transmission().is_none() {
+        return [angle[motor], torque[motor]];
+    }
+    let (one, zero) = (L::splat(1.0), L::splat(0.0));
+    let output = outputs_of(&plant.arm, &angle)[motor];
+    [output, motor_of(&plant.arm, motor, one, &torque, zero)]
 }
 
 /// A second-order equation at the stages of a step.

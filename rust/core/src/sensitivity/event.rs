@@ -136,18 +136,21 @@ fn by_parameters<A: Arm<N>, S: Real, G: Gears, L: Real, const N: usize>(
     // the link's friction does not hold the motor
     own[..4].copy_from_slice(&[speed * holding.settling, -speed, -scale, -by_torque]);
     own[next + 1] = -speed * holding.settling * holding.settling * holding.inertia;
-    if let Some(effects) = effects {
-        let by_gear = by_torque * holding.by_gear[holding.joint];
-        for size in effects.of(holding.joint) {
-            let derivatives = size.at_event(
-                holding,
-                effects.z[holding.joint],
-                effects.base(holding.joint),
-            );
-            let gear = by_gear * derivatives.gear
-                - by_torque * derivatives.local_ratio * holding.transmitted;
-            own[next + 2 + size.position] =
-                gear + by_torque * derivatives.motor - scale * derivatives.friction;
+    let Some(effects) = effects else {
+        return all;
+    };
+    for i in holding.coupled.clone() {
+        let by_gear = by_torque * holding.by_gear[i];
+        for size in effects.of(i) {
+            let state = (effects.z[i], effects.base(i));
+            let derivatives = size.at_event(holding, i, state);
+            let mut slope = by_gear * derivatives.gear;
+            if i == holding.joint {
+                slope = slope - by_torque * derivatives.local_ratio * holding.transmitted
+                    + by_torque * derivatives.motor
+                    - scale * derivatives.friction;
+            }
+            all[i][of_law(i).end + 2 + size.position] = slope;
         }
     }
     all

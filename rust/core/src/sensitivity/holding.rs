@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use crate::arm::Arm;
-use crate::arm::transmission::{coupled, share};
+use crate::arm::transmission::{coupled, motor_of, share};
 use crate::joint::effects::Torsion;
 use crate::joint::gear::{Gears, Spring};
 use crate::plant::Plant;
@@ -26,10 +26,11 @@ pub(crate) struct Holding<S, const N: usize> {
     pub(crate) torque: f64,
     /// Torsions of the gears.
     pub(crate) torsion: [Torsion<S>; N],
-    /// Torque [N m], stiffness and damping of the motor's own gear.
+    /// Torque of the gears on the motor [N m], before the gear's ratio.
     pub(crate) transmitted: f64,
-    pub(crate) stiffness: f64,
-    pub(crate) damping: f64,
+    /// Stiffness and damping of the gears.
+    pub(crate) stiffness: [f64; N],
+    pub(crate) damping: [f64; N],
     /// Derivatives of the holding torque with respect to the torques of the gears.
     pub(crate) by_gear: [f64; N],
     /// Derivatives of the holding torque with respect to torsions, n dtheta_M and dtheta_L.
@@ -54,17 +55,19 @@ impl<S: Real, const N: usize> Holding<S, N> {
             brake = inertia * settling - plain(drive.motor_viscous);
         }
         let trains = plant.drive_trains(x);
-        let stiffness = |i: usize| plain(plant.joints[i].spring.stiffness(trains.torsion[i].angle));
+        let (mut stiffness, mut damping) = ([0.0; N], [0.0; N]);
         let mut by = [[0.0; N]; 4];
         by[2][joint] = brake / ratio;
         for i in coupled(arm, joint) {
             let at_motor = share(arm, i, joint) * ratio;
-            let damping = plain(plant.joints[i].gear_damping);
+            let gear = &plant.joints[i];
+            stiffness[i] = plain(gear.spring.stiffness(trains.torsion[i].angle));
+            damping[i] = plain(gear.gear_damping);
             by[0][i] = -at_motor;
-            by[1][i] = -at_motor * stiffness(i);
-            by[3][i] = at_motor * damping;
+            by[1][i] = -at_motor * stiffness[i];
+            by[3][i] = at_motor * damping[i];
             for k in coupled(arm, i) {
-                by[2][k] -= at_motor * damping * share(arm, i, k);
+                by[2][k] -= at_motor * damping[i] * share(arm, i, k);
             }
         }
         let [by_gear, by_torsion, by_motor, by_link] = by;
@@ -77,9 +80,15 @@ impl<S: Real, const N: usize> Holding<S, N> {
             speed: plain(x.motor_velocity[joint]),
             settling,
             torque: plain(plant.holding_torques(x, &end.torque, &end.modes)[joint]),
-            stiffness: stiffness(joint),
-            damping: plain(drive.gear_damping),
-            transmitted: plain(trains.torque[joint]),
+            stiffness,
+            damping,
+            transmitted: plain(motor_of(
+                arm,
+                joint,
+                S::splat(1.0),
+                &trains.torque,
+                S::splat(0.0),
+            )),
             torsion: trains.torsion,
             by_gear,
             by_torsion,

@@ -92,16 +92,16 @@ class EffectColumns:
         """The columns of effects in addition to those of a fit.
 
         All effects at the first of their shapes share one simulation, and so do those of each
-        further number. Raises `InvalidInput` or `NumericalFailure` if the arm with effects cannot
-        be simulated with finite derivatives.
+        further number; effects that move several joints have one of their own. Raises
+        `InvalidInput` or `NumericalFailure` if the arm with effects cannot be simulated with finite
+        derivatives.
         """
         objective, n = fit.objective, len(fit.space.unknowns)
-        each = [
-            _Pass.of(
-                fit, arm, {one: shapes for one, shapes in tested.items() if one.number == number}
-            )
-            for number in sorted({one.number for one in tested})
-        ]
+        passes: dict[tuple[int, bool], dict[Hypothesis, Shapes]] = {}
+        for one, shapes in tested.items():
+            moves_joints = one.joint in arm.coupled_joints and effect_named(one.effect).moves_output
+            passes.setdefault((one.number, moves_joints), {})[one] = shapes
+        each = [_Pass.of(fit, arm, passes[key]) for key in sorted(passes)]
         sizes = {one: keys for run in each for one, keys in run.sizes.items()}
         n_sizes = sum(map(len, sizes.values()))
         frictions = (friction_parameters(arm, joint) for joint in range(1, arm.n_joints + 1))
