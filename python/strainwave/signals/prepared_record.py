@@ -21,6 +21,7 @@ from strainwave.signals.channels import (
     directions,
 )
 from strainwave.signals.drive_law import DriveLaw
+from strainwave.signals.held_commands import held_commands
 
 
 @dataclass(frozen=True)
@@ -87,11 +88,31 @@ class PreparedRecord:
         The unit is N m if the joint has no torque per volt.
         """
         T = self.log.sample_time
+        held = self._held_commands()
         columns = [
-            each.values if each.is_voltage else DriveLaw.of(joint).voltage(each.values, T)
+            each.values
+            if each.is_voltage
+            else held[each.joint] / joint.torque_per_command
+            if each.joint in held
+            else DriveLaw.of(joint).voltage(each.values, T)
             for each, joint in zip(self.driving_inputs, self.arm.joints, strict=True)
         ]
         return _read_only(columns)
+
+    def _held_commands(self) -> dict[int, FloatArray]:
+        """Commands [N m] of a servo by joint, where they follow from logged torques."""
+        T, servo, joints = self.log.sample_time, self.arm.servo, self.arm.joints
+        logged = [
+            each
+            for each in self.driving_inputs
+            if not each.is_voltage and joints[each.joint - 1].current_loop_hz
+        ]
+        samples = servo.period / T if servo else 0.0
+        if not logged or samples < 1.5 or abs(samples - round(samples)) > 1e-6 * samples:
+            return {}
+        loops = [joints[each.joint - 1].current_loop_hz or np.inf for each in logged]
+        held = held_commands([each.values for each in logged], T, round(samples) * T, loops)
+        return {} if held is None else {e.joint: u for e, u in zip(logged, held, strict=True)}
 
     @cached_property
     def saturation(self) -> Saturation:

@@ -152,7 +152,13 @@ def _decimate(record: Dataset, every: int) -> Dataset:
         channels=channels,
     )
     coarse = dataset_of(thinned, record.arm, record.cutoff_hz, closed_loop=any(record.drive.servo))
-    return replace(coarse, noise=record.noise, begins_in_motion=record.begins_in_motion)
+    voltage = record.drive.voltage[: n * every].reshape(n, every, -1).mean(axis=1)
+    return replace(
+        coarse,
+        drive=replace(coarse.drive, voltage=voltage),
+        noise=record.noise,
+        begins_in_motion=record.begins_in_motion,
+    )
 
 
 def _add_link_angles(log: Log, arm: Arm) -> Log:
