@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 Key = tuple[str, int | None]
 """Name of a parameter and its joint, from 1; None for parameters of the whole arm."""
@@ -35,3 +35,23 @@ class Keyed:
     def label(self) -> str:
         """Name and joint, as in the verdict."""
         return label_of(self.name, self.joint)
+
+
+def grouped_labels(keys: Iterable[Key]) -> tuple[str, ...]:
+    """Labels of parameters, with all joints of a name in one: `link_inertia_xy 2-5,7`."""
+    joints: dict[str, list[int]] = {}
+    for name, joint in keys:
+        joints.setdefault(name, []).extend([] if joint is None else [joint])
+    return tuple(f"{name} {_ranges(each)}" if each else name for name, each in joints.items())
+
+
+def _ranges(numbers: Iterable[int]) -> str:
+    runs: list[list[int]] = []
+    for number in sorted(numbers):
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return ",".join(
+        f"{run[0]}-{run[-1]}" if len(run) > 2 else ",".join(map(str, run)) for run in runs
+    )

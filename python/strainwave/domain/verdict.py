@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import starmap
 from typing import Literal
 
 from strainwave.domain.arm_model import ArmModel, ResidualTest, contradictions
@@ -15,7 +14,7 @@ from strainwave.domain.combinations import is_uncoupled, viscous_friction
 from strainwave.domain.estimates import Diagnostic, Prediction, Suspicion
 from strainwave.domain.final_table import Decision
 from strainwave.domain.gear_laws import STIFFNESS
-from strainwave.domain.keys import Key, label_of
+from strainwave.domain.keys import Key, grouped_labels
 from strainwave.domain.messages import text_of
 from strainwave.domain.ranges import implausible_joints
 from strainwave.domain.stage_results import StageResults
@@ -141,10 +140,10 @@ def _failure_reasons(
     decided = rejected.union(d.parameter.key for d in decisions if d.identified)
     rejected_primary = [key for key in required.primary if key in rejected]
     if rejected_primary:
-        yield Clause("primary/rejected", parameters=tuple(starmap(label_of, rejected_primary)))
+        yield Clause("primary/rejected", parameters=grouped_labels(rejected_primary))
     missing = [key for key in required.primary if key not in decided]
     if missing:
-        yield Clause("primary/not-identified", parameters=tuple(starmap(label_of, missing)))
+        yield Clause("primary/not-identified", parameters=grouped_labels(missing))
 
 
 def _contradiction_reasons(whole_arm: ArmModel) -> Iterator[Clause]:

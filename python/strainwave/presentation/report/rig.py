@@ -13,6 +13,7 @@ from strainwave.domain.link_sensors import key_texts
 from strainwave.presentation.report.blocks import Block, Cell, Facts, Row, number, table
 
 _NOT_GIVEN = "not given"
+_MAX_ROUNDING = 1e-12  # of a coordinate or an angle that frames of fixed joints were merged into
 
 
 def rig_constants(arm: ArmDescription) -> Iterator[Block]:
@@ -95,7 +96,7 @@ def _format_imu(key: str, joint: Joint) -> str:
 
 
 def _vector(values: Sequence[float]) -> str:
-    return ", ".join(f"{value:g}" for value in values)
+    return ", ".join(f"{value if abs(value) > _MAX_ROUNDING else 0.0:g}" for value in values)
 
 
 def _constant_row(title: str, key: str, unit: str, values: Sequence[str]) -> Row:
