@@ -39,6 +39,7 @@ FAULTS: Mapping[str, str] = {
     "wrong-sign/axis": _BETTER
     + " if joint {joint} turns in the opposite direction: its axis or its"
     " gear_ratio has the wrong sign",
+    "wrong-sign/torques": _BETTER + " if {channel} of joint {joint} has the opposite sign",
     "wrong-geometry/gravity": _BETTER + " if gravity is {corrected} m/s^2 in the frame of the base;"
     " the study states {stated}",
     "wrong-geometry/zero": _BETTER + " if the zero of joint {joint} is moved by {angle:.3g} rad:"

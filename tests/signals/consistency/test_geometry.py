@@ -136,6 +136,16 @@ def test_exchanged_motors_are_named(
     assert check_consistency((log,), corrected).suspected == ()
 
 
+@pytest.mark.parametrize("joint", [1, 2, 3])
+def test_a_reversed_torque_is_named(joint: int, given: tuple[tuple[Log, ...], Study]) -> None:
+    (log,), study = given
+    name = f"torque{joint}"
+    wrong = replace(log, channels={**log.channels, name: -log.channels[name]})
+    (suspicion,) = check_consistency((wrong,), study).suspected
+    assert (suspicion.code, suspicion.where) == ("wrong-sign", name)
+    assert suspicion.corrections == (Correction("channels", name, "scale", -1.0),)
+
+
 def test_another_robot_is_not_a_fault_of_its_link_sensors(
     given: tuple[tuple[Log, ...], Study],
 ) -> None:

@@ -157,6 +157,10 @@ def _discrete(evidence: Evidence) -> Iterator[Alternative]:
             scaled = _torque(evidence, i, np.array([np.log(factor) / _RATIO_STD]))
             if scaled:
                 yield Alternative("torque", i, scaled, np.inf)
+        for name in (f"{kind}{i}" for kind in ("torque", "u")):
+            if name in evidence.channels:
+                reverse = Correction("channels", name, "scale", -evidence.channel(name).scale)
+                yield Alternative("torque", i, (reverse,), np.inf)
     size = arm.gravity_size or _STANDARD_GRAVITY
     stated = np.array(arm.gravity or (0.0, 0.0, 0.0)) / size
     for unit in units:

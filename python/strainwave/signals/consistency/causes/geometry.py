@@ -36,7 +36,7 @@ def propose_geometries(case: Case) -> Iterator[Cause]:
         cause = _CAUSES[each.kind](case, each, fit_ratio(stated, each.cost, n_rows))
         yield replace(
             cause,
-            has_estimated_factor=each.kind not in ("axis", "coupling"),
+            has_estimated_factor=each.kind not in ("axis", "coupling") and cause.factor != -1.0,
             moves_frames=each.kind in ("frame", "robot"),
         )
 
@@ -71,7 +71,7 @@ def _gear_ratio(case: Case, change: Alternative, ratio: float) -> Cause:
 
 
 def _torque(case: Case, change: Alternative, ratio: float) -> Cause:
-    """Another torque constant of one joint, or another unit of its torque."""
+    """Another torque constant of one joint, or another unit or sign of its torque."""
     joint, (correction,) = change.joint or 0, change.corrections
     stated = case.evidence.study.arm.joints[joint - 1].torque_per_command
     place = Place(joint=joint, key="torque_per_volt")
@@ -81,6 +81,9 @@ def _torque(case: Case, change: Alternative, ratio: float) -> Cause:
             case.evidence.channel(correction.entry).scale,
         )
     factor = correction.number / stated
+    if factor == -1.0:
+        clause = Clause("wrong-sign/torques", ratio=ratio, joint=joint, channel=correction.entry)
+        return Cause("wrong-sign", (place,), clause, (correction,), factor=-1.0)
     is_unit = abs(abs(np.log10(factor)) - 3.0) < _UNIT_TOLERANCE
     code = "wrong-unit" if is_unit else "wrong-torque-constant"
     clause = Clause(f"{code}/torques", ratio=ratio, joint=joint, factor=factor)
