@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -10,9 +11,11 @@ import numpy as np
 import pytest
 
 import exports
-from strainwave.domain import FloatArray, Motion, Prbs, Spring, Study
+from strainwave.domain import FloatArray, Imu, Motion, Parameter, Prbs, Spring, Study
 from strainwave.domain.arm import Matrix
 from strainwave.domain.keys import Values
+from strainwave.domain.link_sensors import mounted_axes
+from strainwave.domain.link_sensors.imu import IMU_ATTITUDE, IMU_POSITION
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
@@ -20,6 +23,9 @@ from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.errors import InvalidInput
 from strainwave.export.coordinates import coordinates_of
 from strainwave.export.mjcf import to_mjcf
+from strainwave.export.source import IdentifiedArm
+from strainwave.signals.link_readings import JointMotion
+from strainwave.signals.mounting_start import link_quantities
 
 TICK = 1e-3
 RECORDED: list[Quantity] = ["motor_velocity", "link_velocity", "link_angle"]
@@ -299,6 +305,50 @@ def test_a_chain_moves_as_in_the_simulation(
     """The motors of rigid joints turn with several joints where a transmission couples them."""
     study, values = exports.chain(tmp_path, springs, motions, coupling)
     assert largest_difference(mujoco, study, values, 3.0) < 1e-6
+
+
+def with_place(arm: IdentifiedArm, place: Iterable[tuple[str, float]]) -> IdentifiedArm:
+    """The arm with identified coordinates or angles of the IMU on link 3."""
+    found = (Parameter(name, 3, value, None, "", "tuned") for name, value in place)
+    return replace(arm, parameters=(*arm.parameters, *found))
+
+
+_IMU = Imu((0.2, 0.05, -0.03), (0.4, -0.3, 1.1))
+
+
+@pytest.mark.parametrize("is_estimated", [False, True])
+@pytest.mark.parametrize("motions", exports.MOTIONS)
+def test_imus_read_as_the_kinematics_of_the_chain(
+    mujoco: ModuleType, motions: exports.Motions, is_estimated: bool, tmp_path: Path
+) -> None:
+    study, values = exports.chain(tmp_path, ("rigid",) * 3, motions)
+    known = study.arm.with_joint(3, imu=_IMU)
+    study = replace(study, arm=study.arm.with_joint(3, imu=Imu()) if is_estimated else known)
+    arm = exports.arm_of(study, values)
+    if is_estimated:
+        arm = with_place(arm, zip(IMU_POSITION, _IMU.xyz or (), strict=True))
+        arm = with_place(arm, zip(IMU_ATTITUDE, _IMU.rpy or (), strict=True))
+    model = mujoco.MjModel.from_xml_string(to_mjcf(arm).data.decode())
+    data, random = mujoco.MjData(model), np.random.default_rng(4)
+    data.qpos[:], data.qvel[:] = random.normal(size=(2, 3))
+    data.ctrl[:] = random.normal(size=3)
+    mujoco.mj_forward(model, data)
+    motion = JointMotion(*(np.array([x]) for x in (data.qpos, data.qvel, data.qacc)))
+    for axis in mounted_axes(known, 3, ("ax3", "ay3", "az3", "gx3", "gy3", "gz3")):
+        expected = link_quantities(axis, Arm.of(known), motion)[0] @ axis.sensor.weights(axis, {})
+        reading = data.sensor(f"imu_{axis.channel[0]}3").data[axis.number]
+        assert reading == pytest.approx(expected, rel=1e-6, abs=1e-6), axis.channel
+
+
+def test_an_imu_at_an_unknown_place_is_omitted(mujoco: ModuleType, tmp_path: Path) -> None:
+    study, values = exports.chain(tmp_path)
+    study = replace(study, arm=study.arm.with_joint(3, imu=Imu(rpy=(0.1, 0.0, 0.0))))
+    export = to_mjcf(
+        with_place(exports.arm_of(study, values), [("imu_x", 0.1), ("imu_y", 0.0)])  # z is unknown
+    )
+    model = mujoco.MjModel.from_xml_string(export.data.decode())
+    assert not any(model.sensor(k).name.startswith("imu") for k in range(model.nsensor))
+    assert any("an IMU whose position or attitude is unknown is omitted" in n for n in export.notes)
 
 
 def test_motors_without_estimate_have_the_inertia_of_the_standard_parameters(

@@ -16,11 +16,14 @@ from functools import partial
 from xml.etree import ElementTree as ET
 
 from strainwave.domain import Diagnostic, FloatArray, Joint, Place
+from strainwave.domain.arm import Vector
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.kinds.bodies import Body
 from strainwave.domain.link_sensors import Axis, installed_axes
 from strainwave.domain.link_sensors.accelerometer import Accelerometer
 from strainwave.domain.link_sensors.gyro import Gyro
+from strainwave.domain.link_sensors.imu import IMU_ATTITUDE, IMU_POSITION
+from strainwave.domain.link_sensors.link_space import link_space
 from strainwave.domain.link_sensors.rotations import axes_about
 from strainwave.export.bodies import (
     effective_gravity,
@@ -38,7 +41,7 @@ _LINK_RADIUS = 0.02  # [m] of the drawn links
 _OMISSIONS = {
     Part.EFFECTS: "MuJoCo has no element for them",
     Part.SENSORS: "sensors in the file have no lag, noise, rounding, scale error or delay, and an "
-    "IMU is omitted",
+    "IMU whose position or attitude is unknown is omitted",
     Part.SERVO: "MuJoCo controls are the voltages",
     Part.UNCERTAINTY: "see result.json",
 }
@@ -82,7 +85,10 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     for number in range(1, arm.study.arm.n_joints + 1):
         _actuator(actuators, arm, number, is_shared=number in shared)
     sensors = ET.SubElement(mujoco, "sensor")
-    comment(sensors, "Named as channels: a is the second component, gyro the third.")
+    comment(
+        sensors,
+        "Named as channels: a is the second component, gyro the third, imu_a is ax, ay, az.",
+    )
     for number in range(1, arm.study.arm.n_joints + 1):
         _sensors(sensors, arm, number, is_shared=number in shared)
     warnings = arm.warnings + arm.assumed() + arm.assumed_bodies() + _approximations(arm)
@@ -131,6 +137,10 @@ def _link(
             site.set("pos", numbers(*((joint.accelerometer_distance or 0.0) * x)))
         if joint.axis != (0.0, 0.0, 1.0):
             site.set("xyaxes", numbers(*x, *y))
+    mounting = _mounting(arm, number)
+    if mounting is not None:
+        xyz, rpy = mounting
+        ET.SubElement(element, "site", name=f"imu{number}", pos=numbers(*xyz), euler=numbers(*rpy))
     following = arm.study.arm.joints[number:]
     end = following[0].origin.xyz if following else tuple(2.0 * part for part in body.centre)
     ET.SubElement(
@@ -268,6 +278,9 @@ def _sensors(sensors: ET.Element, arm: IdentifiedArm, number: int, *, is_shared:
         ET.SubElement(sensors, f"{kind}vel", {"name": f"omega_m{number}", **motor})
     ET.SubElement(sensors, "actuatorfrc", name=f"torque{number}", actuator=f"drive{number}")
     ET.SubElement(sensors, "jointpos", name=f"theta_l{number}", joint=link)
+    if _mounting(arm, number) is not None:
+        for name, tag in (("imu_a", "accelerometer"), ("imu_g", "gyro")):
+            ET.SubElement(sensors, tag, name=f"{name}{number}", site=f"imu{number}")
     for axis, site, tag in _installed(arm, number):
         ET.SubElement(sensors, tag, name=axis.channel, site=f"{site}{number}")
 
@@ -280,6 +293,26 @@ def _installed(arm: IdentifiedArm, number: int) -> Iterator[tuple[Axis, str, str
                 yield axis, "accelerometer", "accelerometer"
             elif isinstance(axis.sensor, Gyro):
                 yield axis, "gyroscope", "gyro"
+
+
+def _mounting(arm: IdentifiedArm, number: int) -> tuple[Vector, Vector] | None:
+    """Position and attitude of a link's IMU, given or identified; None if a part is unknown.
+
+    A coordinate along the only axis of the link, which changes no reading, is zero.
+    """
+    imu = arm.joint(number).imu
+    if imu is None:
+        return None
+    free = link_space(arm.study.arm, number).free_coordinates
+    position = [arm.values.get((name, number)) for name in IMU_POSITION]
+    xyz = imu.xyz or _known(0.0 if k not in free else x for k, x in enumerate(position))
+    rpy = imu.rpy or _known(arm.values.get((name, number)) for name in IMU_ATTITUDE)
+    return None if xyz is None or rpy is None else (xyz, rpy)
+
+
+def _known(values: Iterable[float | None]) -> Vector | None:
+    x, y, z = values
+    return None if x is None or y is None or z is None else (x, y, z)
 
 
 def _approximations(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from strainwave.domain.arm import Imu, Joint
 
 IMU_POSITION = ("imu_x", "imu_y", "imu_z")
+IMU_ATTITUDE = ("imu_roll", "imu_pitch", "imu_yaw")
 IMU_DISTANCE, IMU_BEARING = "imu_distance", "imu_bearing"
 IMU_ROTATION = ("imu_turn_x", "imu_turn_y", "imu_turn_z")
 """Rotation vector from the starting attitude, without singular point."""
