@@ -555,7 +555,8 @@ fn check_methods<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>
     // a chain's links are added in another order if a register holds several of them
     let values = |run: &Sensitivities<N>| run.values.concat();
     for (one, other) in values(&slow).iter().zip(&values(&fast)) {
-        for (one, other) in one.iter().zip(other) {
+        // entries beyond the joints have no meaning
+        for (one, other) in one.iter().zip(other).take(case.task.config.arm.joints()) {
             assert!(
                 (one - other).abs() < 1e-9 * (1.0 + one.abs()),
                 "{one} {other}"

@@ -50,6 +50,15 @@ macro_rules! controllers {
             )*
         }
 
+        impl<const N: usize> Servo<N> {
+            /// The controller of the first joints.
+            pub(crate) fn of_first_joints<const M: usize>(&self) -> Servo<M> {
+                match self {
+                    $(Self::$controller(controller) => Servo::$controller(controller.of_first_joints()),)*
+                }
+            }
+        }
+
         impl<const N: usize> Controller<N> for Servo<N> {
             type Memory<R: Real> = ServoMemory<R, N>;
 

@@ -2,6 +2,7 @@
 
 use super::pi_velocity::PiVelocityMemory;
 use super::{Controller, PiVelocity};
+use crate::arm::first_joints;
 use crate::scalar::Real;
 
 /// A proportional position loop around a PI velocity loop: e = reference + position_gain
@@ -24,6 +25,16 @@ pub struct PiPositionMemory<R, const N: usize> {
     pub velocity: PiVelocityMemory<R, N>,
     /// theta_M(0) + integral(reference) [rad].
     pub path: [R; N],
+}
+
+impl<const N: usize> PiPosition<N> {
+    /// The controller of the first joints.
+    pub(crate) fn of_first_joints<const M: usize>(&self) -> PiPosition<M> {
+        PiPosition {
+            velocity: self.velocity.of_first_joints(),
+            position_gain: first_joints(&self.position_gain),
+        }
+    }
 }
 
 impl<const N: usize> Controller<N> for PiPosition<N> {

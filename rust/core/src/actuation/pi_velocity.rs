@@ -1,6 +1,7 @@
 //! A PI velocity loop.
 
 use super::Controller;
+use crate::arm::first_joints;
 use crate::scalar::Real;
 
 /// A PI velocity loop on encoder differences for each joint: u = kp e + ki integral(e) +
@@ -31,6 +32,17 @@ pub struct PiVelocityMemory<R, const N: usize> {
 }
 
 impl<const N: usize> PiVelocity<N> {
+    /// The controller of the first joints.
+    pub(crate) fn of_first_joints<const M: usize>(&self) -> PiVelocity<M> {
+        PiVelocity {
+            kp: first_joints(&self.kp),
+            ki: first_joints(&self.ki),
+            limit: self.limit,
+            period: self.period,
+            active: first_joints(&self.active),
+        }
+    }
+
     /// The loop with a reference [rad/s] that may depend on the motion.
     pub(super) fn follow<R: Real>(
         &self,

@@ -109,7 +109,7 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     fn inertia<R: Real>(&self, base: &Self::Base<R>, at: &Self::Posture<R>) -> [[R; N]; N];
     /// Centrifugal, Coriolis and gravity torques c(q, dq) + g(q) [N m].
     fn bias<R: Real>(&self, base: &Self::Base<R>, at: &Self::Posture<R>, dq: &[R; N]) -> [R; N];
-    /// [`Arm::inertia`] and [`Arm::bias`].
+    /// [`Arm::inertia`] with correct rows up to the diagonal, and [`Arm::bias`].
     #[inline(always)]
     fn equations<R: Real>(
         &self,
@@ -127,6 +127,24 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
         dq: &[R; N],
         ddq: &[R; N],
     ) -> Self::Regressor<R>;
+    /// The regressor of an arm without torques.
+    fn zero_regressor<R: Real>(&self) -> Self::Regressor<R>;
+    /// Updates a regressor in place.
+    #[inline(always)]
+    fn update_regressor<R: Real>(
+        &self,
+        at: &Self::Posture<R>,
+        dq: &[R; N],
+        ddq: &[R; N],
+        regressor: &mut Self::Regressor<R>,
+    ) {
+        *regressor = self.regressor(at, dq, ddq);
+    }
+    /// Index of the first base parameter on which the torque of a joint may depend.
+    #[inline(always)]
+    fn first_parameter(&self, _: usize) -> usize {
+        0
+    }
     /// Potential energy of gravity [J], relative to a fixed height.
     fn potential<R: Real>(&self, base: &Self::Base<R>, at: &Self::Posture<R>) -> R;
 
@@ -212,6 +230,11 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     ) -> [LinkSignalSlopes<R, N>; N] {
         differentiation::link_signal_slopes(self, (at, dq, ddq))
     }
+}
+
+/// The entries of the first joints.
+pub(crate) fn first_joints<T: Copy, const N: usize, const M: usize>(all: &[T; N]) -> [T; M] {
+    *all.first_chunk().expect("at most as many joints")
 }
 
 /// One for a plane of motion with gravity, zero for a horizontal one.

@@ -133,6 +133,11 @@ impl Arm<1> for OneLink {
     }
 
     #[inline(always)]
+    fn zero_regressor<R: Real>(&self) -> [[R; 1]; 2] {
+        [[R::splat(0.0)]; 2]
+    }
+
+    #[inline(always)]
     fn potential<R: Real>(&self, base: &OneLinkBase<R>, at: &SineCosine<R>) -> R {
         base.g1 * at.sin
     }

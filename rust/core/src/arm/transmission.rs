@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use crate::arm::Arm;
+use crate::arm::{Arm, first_joints};
 use crate::scalar::Real;
 
 /// A transmission that couples joints.
@@ -22,6 +22,16 @@ impl<const N: usize> Transmission<N> {
             matrix: *matrix,
             inverse,
         })
+    }
+
+    /// The transmission of the first joints, which is not coupled with others.
+    pub(super) fn of_first_joints<const M: usize>(&self) -> Transmission<M> {
+        let rows =
+            |matrix: &[[f64; N]; N]| first_joints::<_, N, M>(matrix).map(|row| first_joints(&row));
+        Transmission {
+            matrix: rows(&self.matrix),
+            inverse: rows(&self.inverse),
+        }
     }
 }
 

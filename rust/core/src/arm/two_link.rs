@@ -231,6 +231,11 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
     }
 
     #[inline(always)]
+    fn zero_regressor<R: Real>(&self) -> [[R; 2]; 5] {
+        [[R::splat(0.0); 2]; 5]
+    }
+
+    #[inline(always)]
     fn potential<R: Real>(&self, base: &TwoLinkBase<R>, at: &TwoLinkPosture<R>) -> R {
         if VERTICAL {
             base.g1 * at.first.sin + base.g2 * at.first.plus(at.second).sin

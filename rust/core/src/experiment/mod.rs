@@ -1,5 +1,6 @@
 //! Experiments: their settings and the quantities that they record.
 
+pub mod known_length;
 pub mod simulate;
 mod start;
 

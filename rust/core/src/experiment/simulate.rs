@@ -263,7 +263,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         if smallest_margin.any_negative() {
             self.repeat_step();
         } else {
-            self.motion.state = state;
+            self.motion.state.copy_from::<EFFECTS>(&state);
             self.motion.torque = torque.end;
         }
     }

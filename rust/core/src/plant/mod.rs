@@ -11,7 +11,7 @@ use crate::arm::{Arm, Outlined};
 use crate::joint::effects::{BaseTorque, JointState, PartDeflection, Torsion};
 use crate::joint::gear::{Gears, Spring};
 use crate::joint::{DriveTrains, Joint};
-use crate::scalar::{Real, Work, run_out_of_line, solve};
+use crate::scalar::{Real, Work, run_out_of_line, solve, symmetrise};
 
 /// State: angles [rad] and velocities [rad/s] of motors and links, and the states of effects.
 #[derive(Clone, Copy, Debug)]
@@ -435,6 +435,9 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             loads[i] = if EFFECTS { load + loads[i] } else { load };
         }
         let block = self.rigid_block();
+        if G::RIGID && N > 2 {
+            symmetrise(&mut inertia);
+        }
         if let Some(block) = &block {
             reflect(block, &mut inertia, &mut loads);
         }
@@ -576,7 +579,8 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     ) -> [R; N] {
         let mut holding = *holding;
         let at = self.arm.posture(&x.link_angle);
-        let (inertia, bias) = self.arm.equations(&self.base, &at, &x.link_velocity);
+        let (mut inertia, bias) = self.arm.equations(&self.base, &at, &x.link_velocity);
+        symmetrise(&mut inertia);
         let mut loads = [R::splat(0.0); N];
         if EFFECTS {
             loads = self.part_accelerations_and_loads(x)[1];
@@ -626,34 +630,43 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         let a1 = &now.acceleration;
         watch.stage(0, x, a1);
         let half = R::splat(0.5) * h;
-        let complete_stage = |(stage, rotation): Stage<R, N>, t: R| {
-            let mut held = self.settle_held_motors(x, stage, modes, t);
-            if EFFECTS {
-                held.hysteresis = run_out_of_line::<R, _>(HysteresisWork(self, x, &held, &t));
-            }
-            (held, rotation)
-        };
-        let second = complete_stage(x.second_stage::<EFFECTS>(half, a1), half);
-        let a2 = self.accelerations_near(now, &second, &torque.middle, modes);
-        watch.stage(1, &second.0, &a2);
-        let third = complete_stage(
-            x.later_stage::<EFFECTS>(half, half * half, a1, half, &a2),
-            half,
-        );
-        let a3 = self.accelerations_near(now, &third, &torque.middle, modes);
-        watch.stage(2, &third.0, &a3);
-        let fourth = complete_stage(x.later_stage::<EFFECTS>(h, h * half, &a2, h, &a3), h);
-        let a4 = self.accelerations_near(now, &fourth, &torque.end, modes);
-        watch.stage(3, &fourth.0, &a4);
+        // one state for all stages, because copies of it take as long as the arithmetic
+        let mut stage = *x;
+        let rotation = stage.set_second::<EFFECTS>(x, half, a1);
+        self.complete_stage(x, &mut stage, modes, half);
+        let a2 = self.accelerations_near(now, (&stage, &rotation), &torque.middle, modes);
+        watch.stage(1, &stage, &a2);
+        let rotation = stage.set_later::<EFFECTS>(x, half, half * half, a1, half, &a2);
+        self.complete_stage(x, &mut stage, modes, half);
+        let a3 = self.accelerations_near(now, (&stage, &rotation), &torque.middle, modes);
+        watch.stage(2, &stage, &a3);
+        let rotation = stage.set_later::<EFFECTS>(x, h, h * half, &a2, h, &a3);
+        self.complete_stage(x, &mut stage, modes, h);
+        let a4 = self.accelerations_near(now, (&stage, &rotation), &torque.end, modes);
+        watch.stage(3, &stage, &a4);
         let sixth = h * R::splat(1.0 / 6.0);
         let inner = a2.plus::<EFFECTS>(&a3);
         let for_angle = a1.plus::<EFFECTS>(&inner);
         let for_velocity = for_angle.plus::<EFFECTS>(&inner).plus::<EFFECTS>(&a4);
-        complete_stage(
-            x.later_stage::<EFFECTS>(h, h * sixth, &for_angle, sixth, &for_velocity),
-            h,
-        )
-        .0
+        stage.set_later::<EFFECTS>(x, h, h * sixth, &for_angle, sixth, &for_velocity);
+        self.complete_stage(x, &mut stage, modes, h);
+        stage
+    }
+
+    /// Sets the held motors and the states of hysteresis at a stage `t` after the beginning.
+    #[inline(always)]
+    fn complete_stage(
+        &self,
+        begin: &State<R, N>,
+        stage: &mut State<R, N>,
+        modes: &Modes<R, N>,
+        t: R,
+    ) {
+        self.settle_held_motors(begin, stage, modes, t);
+        if EFFECTS {
+            stage.hysteresis = begin.hysteresis;
+            stage.hysteresis = run_out_of_line::<R, _>(HysteresisWork(self, begin, stage, &t));
+        }
     }
 
     /// Sets the held motors at a stage `t` after the beginning to dtheta_M(t) = dtheta_M(0)
@@ -664,12 +677,12 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     fn settle_held_motors(
         &self,
         begin: &State<R, N>,
-        mut stage: State<R, N>,
+        stage: &mut State<R, N>,
         modes: &Modes<R, N>,
         t: R,
-    ) -> State<R, N> {
+    ) {
         if !self.settles {
-            return stage;
+            return;
         }
         for i in 0..self.arm.joints() {
             if modes.all_free(i) {
@@ -684,7 +697,6 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             stage.motor_velocity[i] = free.mul_add(stage.motor_velocity[i] - velocity, velocity);
             stage.motor_angle[i] = free.mul_add(stage.motor_angle[i] - angle, angle);
         }
-        stage
     }
 
     /// Accelerations at a later stage, whose link angles differ little from those of `now`.
@@ -692,7 +704,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     fn accelerations_near(
         &self,
         now: &Instant<A, R, N>,
-        (x, rotation): &Stage<R, N>,
+        (x, rotation): (&State<R, N>, &[R; N]),
         torque: &[R; N],
         modes: &Modes<R, N>,
     ) -> Acceleration<R, N> {
@@ -807,66 +819,81 @@ plant_work! {
         = subtract_rigid_loads;
 }
 
-/// A state within a step, and the rotations of the links since its beginning.
-type Stage<R, const N: usize> = (State<R, N>, [R; N]);
-
 impl<R: Real, const N: usize> State<R, N> {
-    /// q + t q', q' + t a: the second stage.
+    /// Copies what a step changes.
     #[inline(always)]
-    fn second_stage<const EFFECTS: bool>(&self, t: R, a: &Acceleration<R, N>) -> Stage<R, N> {
-        let mut next = *self;
-        let mut rotation = self.link_velocity;
-        for i in 0..N {
-            rotation[i] = t * self.link_velocity[i];
-            next.motor_angle[i] = t.mul_add(self.motor_velocity[i], self.motor_angle[i]);
-            next.link_angle[i] = self.link_angle[i] + rotation[i];
-            next.motor_velocity[i] = t.mul_add(a.motor[i], self.motor_velocity[i]);
-            next.link_velocity[i] = t.mul_add(a.link[i], self.link_velocity[i]);
-            if EFFECTS {
-                next.part_angle[i] = t.mul_add(self.part_velocity[i], self.part_angle[i]);
-                next.part_velocity[i] = t.mul_add(a.part[i], self.part_velocity[i]);
-                next.base_torque[i] = t.mul_add(self.base_torque_rate[i], self.base_torque[i]);
-                next.base_torque_rate[i] = t.mul_add(a.base[i], self.base_torque_rate[i]);
-            }
+    pub(crate) fn copy_from<const EFFECTS: bool>(&mut self, other: &Self) {
+        if EFFECTS {
+            *self = *other;
+            return;
         }
-        (next, rotation)
+        self.motor_angle = other.motor_angle;
+        self.motor_velocity = other.motor_velocity;
+        self.link_angle = other.link_angle;
+        self.link_velocity = other.link_velocity;
     }
 
-    /// q + t q' + s a, q' + r b: the later stages and the end.
+    /// Sets q + t q', q' + t a, the second stage of a step, and returns the rotations of the links.
     #[inline(always)]
-    fn later_stage<const EFFECTS: bool>(
-        &self,
+    fn set_second<const EFFECTS: bool>(
+        &mut self,
+        begin: &Self,
+        t: R,
+        a: &Acceleration<R, N>,
+    ) -> [R; N] {
+        let mut rotation = begin.link_velocity;
+        for i in 0..N {
+            rotation[i] = t * begin.link_velocity[i];
+            self.motor_angle[i] = t.mul_add(begin.motor_velocity[i], begin.motor_angle[i]);
+            self.link_angle[i] = begin.link_angle[i] + rotation[i];
+            self.motor_velocity[i] = t.mul_add(a.motor[i], begin.motor_velocity[i]);
+            self.link_velocity[i] = t.mul_add(a.link[i], begin.link_velocity[i]);
+            if EFFECTS {
+                self.part_angle[i] = t.mul_add(begin.part_velocity[i], begin.part_angle[i]);
+                self.part_velocity[i] = t.mul_add(a.part[i], begin.part_velocity[i]);
+                self.base_torque[i] = t.mul_add(begin.base_torque_rate[i], begin.base_torque[i]);
+                self.base_torque_rate[i] = t.mul_add(a.base[i], begin.base_torque_rate[i]);
+            }
+        }
+        rotation
+    }
+
+    /// Sets q + t q' + s a, q' + r b, a later stage of a step or its end, and returns the rotations of
+    /// the links.
+    #[inline(always)]
+    fn set_later<const EFFECTS: bool>(
+        &mut self,
+        begin: &Self,
         t: R,
         s: R,
         a: &Acceleration<R, N>,
         r: R,
         b: &Acceleration<R, N>,
-    ) -> Stage<R, N> {
-        let mut next = *self;
-        let mut rotation = self.link_velocity;
+    ) -> [R; N] {
+        let mut rotation = begin.link_velocity;
         for i in 0..N {
-            rotation[i] = s.mul_add(a.link[i], t * self.link_velocity[i]);
-            next.motor_angle[i] = s.mul_add(
+            rotation[i] = s.mul_add(a.link[i], t * begin.link_velocity[i]);
+            self.motor_angle[i] = s.mul_add(
                 a.motor[i],
-                t.mul_add(self.motor_velocity[i], self.motor_angle[i]),
+                t.mul_add(begin.motor_velocity[i], begin.motor_angle[i]),
             );
-            next.link_angle[i] = self.link_angle[i] + rotation[i];
-            next.motor_velocity[i] = r.mul_add(b.motor[i], self.motor_velocity[i]);
-            next.link_velocity[i] = r.mul_add(b.link[i], self.link_velocity[i]);
+            self.link_angle[i] = begin.link_angle[i] + rotation[i];
+            self.motor_velocity[i] = r.mul_add(b.motor[i], begin.motor_velocity[i]);
+            self.link_velocity[i] = r.mul_add(b.link[i], begin.link_velocity[i]);
             if EFFECTS {
-                next.part_angle[i] = s.mul_add(
+                self.part_angle[i] = s.mul_add(
                     a.part[i],
-                    t.mul_add(self.part_velocity[i], self.part_angle[i]),
+                    t.mul_add(begin.part_velocity[i], begin.part_angle[i]),
                 );
-                next.part_velocity[i] = r.mul_add(b.part[i], self.part_velocity[i]);
-                next.base_torque[i] = s.mul_add(
+                self.part_velocity[i] = r.mul_add(b.part[i], begin.part_velocity[i]);
+                self.base_torque[i] = s.mul_add(
                     a.base[i],
-                    t.mul_add(self.base_torque_rate[i], self.base_torque[i]),
+                    t.mul_add(begin.base_torque_rate[i], begin.base_torque[i]),
                 );
-                next.base_torque_rate[i] = r.mul_add(b.base[i], self.base_torque_rate[i]);
+                self.base_torque_rate[i] = r.mul_add(b.base[i], begin.base_torque_rate[i]);
             }
         }
-        (next, rotation)
+        rotation
     }
 }
 

@@ -13,4 +13,4 @@ pub use dual::Dual;
 pub use jet::Jet;
 pub(crate) use real::run_out_of_line;
 pub use real::{Lanes, MAX_LANES, Real, Work};
-pub(crate) use solve::{inverse, solve};
+pub(crate) use solve::{inverse, solve, symmetrise};

@@ -31,6 +31,8 @@ pub trait Real:
 {
     /// Number of lanes.
     const LANES: usize;
+    /// Whether the number has a derivative. Numbers with derivatives are for rare operations.
+    const HAS_DERIVATIVE: bool = false;
     /// The numbers of several joints in one register; the number itself if it has lanes or
     /// derivatives.
     type Pack: Real;
@@ -362,6 +364,8 @@ pub(crate) use operators;
 /// Methods of [`Real`] for a number with a `value` and a `tangent`, whose type is `$tangent`.
 macro_rules! tangent_methods {
     ($tangent:ty) => {
+        const HAS_DERIVATIVE: bool = true;
+
         #[inline(always)]
         fn abs(self) -> Self {
             self.copysign(Self::splat(0.0))

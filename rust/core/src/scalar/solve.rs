@@ -2,8 +2,8 @@
 
 use super::{Real, Work, run_out_of_line};
 
-/// Solves a small symmetric positive definite system of `n` rows, by Cramer's rule for two rows (one division)
-/// and by L D L' for more.
+/// Solves a small symmetric positive definite system of `n` rows, by Cramer's rule for two rows (one
+/// division) and by elimination for more, which reads the rows up to the diagonal.
 #[inline(always)]
 pub(crate) fn solve<R: Real, const N: usize>(
     matrix: &[[R; N]; N],
@@ -60,37 +60,57 @@ impl<R: Real, const N: usize> Work for SolveWork<'_, R, N> {
 /// Places of a row in [`eliminate`], whole packs.
 const ROOM: usize = 8;
 
-/// Gaussian elimination without pivots, the rows in packs. The right-hand side is one more column.
+/// Gaussian elimination without pivots from the last row on, the rows in packs. Reads the rows up to
+/// the diagonal: a pack loaded from numbers that were just stored one by one would wait for them,
+/// so no number is copied across the diagonal.
 #[inline(always)]
 fn eliminate<R: Real, const N: usize>(matrix: &[[R; N]; N], right: &[R; N], n: usize) -> [R; N] {
-    const { assert!(N < ROOM) };
+    const { assert!(N <= ROOM) };
     let mut rows = [[R::splat(0.0); ROOM]; N];
     for i in 0..n {
         rows[i][..N].copy_from_slice(&matrix[i]);
-        rows[i][n] = right[i];
     }
-    let mut per_pivot = [R::splat(0.0); N];
-    for j in 0..n {
+    let (mut x, mut per_pivot) = (*right, *right);
+    for j in (2..n).rev() {
         per_pivot[j] = R::splat(1.0) / rows[j][j];
-        for i in j + 1..n {
-            // the matrix that remains is symmetric; places before the i-th are not used any more
-            let factor = (-rows[j][i] * per_pivot[j]).spread();
-            for first in (i / R::PACKED * R::PACKED..n + 1).step_by(R::PACKED) {
+        for i in 0..j {
+            let factor = -rows[j][i] * per_pivot[j];
+            x[i] = factor.mul_add(x[j], x[i]);
+            for first in (0..i + 1).step_by(R::PACKED) {
                 let row = R::pack(&rows[j][first..]);
-                let rest = factor.mul_add(row, R::pack(&rows[i][first..]));
+                let rest = factor.spread().mul_add(row, R::pack(&rows[i][first..]));
                 R::unpack(rest, &mut rows[i][first..]);
             }
         }
     }
-    let mut x = *right;
-    for i in (0..n).rev() {
-        let mut rest = rows[i][n];
-        for k in (i + 1..n).rev() {
-            rest = (-rows[i][k]).mul_add(x[k], rest);
+    if n < 2 {
+        x[0] = x[0] / rows[0][0];
+        return x;
+    }
+    // the first two rows with one division
+    let (a, b, d) = (rows[0][0], rows[1][0], rows[1][1]);
+    let scale = R::splat(1.0) / a.mul_add(d, -(b * b));
+    (x[0], x[1]) = (
+        d.mul_add(x[0], -(b * x[1])) * scale,
+        a.mul_add(x[1], -(b * x[0])) * scale,
+    );
+    for i in 2..n {
+        for k in 0..i {
+            x[i] = (-rows[i][k]).mul_add(x[k], x[i]);
         }
-        x[i] = rest * per_pivot[i];
+        x[i] = x[i] * per_pivot[i];
     }
     x
+}
+
+/// Copies the rows up to the diagonal to the columns.
+#[inline(always)]
+pub(crate) fn symmetrise<R: Real, const N: usize>(matrix: &mut [[R; N]; N]) {
+    for i in 0..N {
+        for j in 0..i {
+            matrix[j][i] = matrix[i][j];
+        }
+    }
 }
 
 /// [`inverse`] for more than two rows.

@@ -17,7 +17,7 @@ use crate::sensitivity::event::EventSensitivity;
 use crate::sensitivity::imu::ImuReadings;
 use crate::sensitivity::sample_buffer::SampleBuffer;
 use crate::sensitivity::sensing::{BlockSensors, Sensing};
-use crate::sensitivity::tangent::{Response, Tangent};
+use crate::sensitivity::tangent::{Response, Tangent, Workspace};
 use crate::sensitivity::tangent_block::TangentBlock;
 use crate::sensitivity::variational::LinearisedStep;
 
@@ -153,19 +153,20 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
         self.torque = self.dual.motion.torque.map(|number| number.tangent);
     }
 
-    /// Advances by a smooth step.
+    /// Advances by a smooth step after its first stage.
     #[inline(always)]
     pub(crate) fn advance<L: Lanes>(
         &mut self,
         linear: &LinearisedStep<A, L, G, N>,
         first: &Response<V, N>,
+        workspace: &mut Workspace<V, N>,
     ) {
         if self.has_torque_derivatives {
             let torque = self.current.over_step(&self.torque, &self.target);
-            self.block.advance(linear, first, Some(&torque));
+            self.block.advance(linear, first, Some(&torque), workspace);
             self.torque = torque.end;
         } else {
-            self.block.advance(linear, first, None);
+            self.block.advance(linear, first, None, workspace);
         }
     }
 
@@ -185,11 +186,13 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
             }
         }
         let torque = self.torques(&linearised_span.decay);
-        let x = self.block.tangent;
-        let first = self.block.respond(linear, 0, &x, Some(&torque.begin));
+        let (block, mut first) = (&self.block, Response::zero());
+        let begin = Some(&torque.begin);
+        block.respond::<_, _, _, false>(linear, 0, &block.tangent, begin, &mut first);
         let part = 0.5 * linearised_span.duration / self.half;
+        let workspace = &mut Workspace::new();
         self.block
-            .advance_part::<A, L, G, false>(linear, &first, Some(&torque), part);
+            .advance_part::<A, L, G, false>(linear, &first, Some(&torque), part, workspace);
         self.torque = torque.end;
         let mut delay = self.remaining;
         if let Some(event) = &linearised_span.event {

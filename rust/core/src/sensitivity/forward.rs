@@ -6,7 +6,7 @@
 use std::marker::PhantomData;
 
 use crate::actuation::current_loop::CurrentLoop;
-use crate::arm::Arm;
+use crate::arm::{Arm, Outlined};
 use crate::experiment::simulate::Simulation;
 use crate::experiment::{Diverged, Event, Member, Quantity, Source, Task, values};
 use crate::joint::Joint;
@@ -19,7 +19,7 @@ use crate::sensitivity::event::EventSensitivity;
 use crate::sensitivity::sample_buffer::SampleBuffer;
 use crate::sensitivity::sensing::Sensing;
 use crate::sensitivity::step_length::StepLengthSensitivity;
-use crate::sensitivity::tangent::{Response, Tangent};
+use crate::sensitivity::tangent::{Response, Tangent, Workspace};
 use crate::sensitivity::tangent_block::TangentBlock;
 use crate::sensitivity::trace::Trace;
 use crate::sensitivity::variational::LinearisedStep;
@@ -87,6 +87,9 @@ struct VariationalSimulation<
     trace: Trace<A, N>,
     linear: LinearisedStep<A, L, G, N>,
     blocks: Vec<BlockTrajectory<'a, A, S, V, G, N, EFFECTS>>,
+    /// Of the first stage and of the later ones, for arms whose stages are separate functions.
+    first_response: Response<V, N>,
+    workspace: Workspace<V, N>,
     /// The sensors that are recorded, if any.
     sensing: Option<Sensing<V, N>>,
     buffer: SampleBuffer,
@@ -129,6 +132,8 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
             trace: Trace::new(task.config.arm, task.config.joints.map(|joint| joint.ratio)),
             linear,
             blocks: (0..width).step_by(V::LANES).map(trajectory).collect(),
+            first_response: Response::zero(),
+            workspace: Workspace::new(),
             sensing,
             buffer: SampleBuffer::new(sizes, of.decimation),
         }
@@ -163,7 +168,7 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
         }
         let h = self.task.clock.step;
         self.linear
-            .update(&self.trace, &now.posture, &before.modes, h);
+            .update::<V, S>(&self.trace, &now.posture, &before.modes, h);
         self.propagate(event, &before, &now);
         if self.nominal.spans.is_empty() {
             self.linear
@@ -189,15 +194,21 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
         let smooth = !event.last && self.nominal.spans.is_empty();
         let mut first = 0;
         for trajectory in &mut self.blocks {
-            let x = trajectory.block.tangent;
+            // memory of short arms is in registers
+            let (mut local_response, mut local) = (Response::zero(), Workspace::new());
+            let (response, workspace) = match A::OUTLINED {
+                Outlined::Nothing => (&mut local_response, &mut local),
+                _ => (&mut self.first_response, &mut self.workspace),
+            };
             let torque = trajectory
                 .has_torque_derivatives
                 .then_some(&trajectory.torque);
-            let response = trajectory.block.respond(&self.linear, 0, &x, torque);
+            let block = &trajectory.block;
+            block.respond::<_, _, _, true>(&self.linear, 0, &block.tangent, torque, response);
             if let (Some(sensing), Some(block_sensors)) =
                 (&self.sensing, &mut trajectory.block_sensors)
             {
-                block_sensors.sense::<A>(sensing, &x, &response);
+                block_sensors.sense::<A>(sensing, &block.tangent, response);
             }
             if event.samples {
                 V::scope(RecordWork {
@@ -205,11 +216,11 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
                     quantities: &self.task.record,
                     buffer: &mut self.buffer,
                     first,
-                    response: &response,
+                    response,
                 });
             }
             if smooth {
-                trajectory.advance(&self.linear, &response);
+                trajectory.advance(&self.linear, response, workspace);
             }
             first += V::LANES;
         }
@@ -257,7 +268,8 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
         let whole = (S::splat(*length), S::splat(part));
         let (end, _) = plant.retrace(from, target, current, whole, trace);
         let begin = plant.arm.posture(&from.state.link_angle);
-        self.linear.update(trace, &begin, &from.modes, duration);
+        self.linear
+            .update::<V, S>(trace, &begin, &from.modes, duration);
         self.linear
             .advance_effect_states(trace, &end.state, duration);
         let dual_duration = Dual {

@@ -33,6 +33,7 @@ pub(crate) struct Response<V, const N: usize> {
 
 impl<V: Real, const N: usize> Tangent<V, N> {
     /// Zero derivatives.
+    #[inline(always)]
     pub(crate) fn zero() -> Self {
         let zero = [V::splat(0.0); N];
         Self {
@@ -75,25 +76,26 @@ impl<V: Real, const N: usize> Tangent<V, N> {
         }
     }
 
-    /// A later stage, after a time at the velocities of the stage `at` and the accelerations; without
-    /// a time, after one half step. Advances only link angles on which the equations depend.
+    /// Becomes a later stage of a step from `begin`, after a time at the velocities of the stage `at`
+    /// and the accelerations; without a time, after one half step. Advances only link angles on
+    /// which the equations depend.
     #[inline(always)]
-    pub(crate) fn next_stage<A: Arm<N>>(
-        &self,
+    pub(crate) fn become_stage<A: Arm<N>>(
+        &mut self,
+        begin: &Self,
         time: Option<V>,
-        at: &Tangent<V, N>,
+        at: &Self,
         a: &Response<V, N>,
-    ) -> Self {
-        let mut next = *self;
+    ) {
         for i in 0..N {
-            next.torsion[i] = advance(self.torsion[i], a.rate[i], time);
-            next.motor[i] = advance(self.motor[i], a.motor[i], time);
-            next.link[i] = advance(self.link[i], a.link[i], time);
-            if A::DEPENDS_ON_ANGLE[i] {
-                next.angle[i] = advance(self.angle[i], at.link[i], time);
-            }
+            self.torsion[i] = advance(begin.torsion[i], a.rate[i], time);
+            self.motor[i] = advance(begin.motor[i], a.motor[i], time);
+            self.link[i] = advance(begin.link[i], a.link[i], time);
+            self.angle[i] = match A::DEPENDS_ON_ANGLE[i] {
+                true => advance(begin.angle[i], at.link[i], time),
+                false => begin.angle[i],
+            };
         }
-        next
     }
 }
 
@@ -106,6 +108,39 @@ pub(crate) fn advance<V: Real>(x: V, rate: V, time: Option<V>) -> V {
     }
 }
 
+impl<V: Real, const N: usize> Response<V, N> {
+    /// Zero derivatives.
+    #[inline(always)]
+    pub(crate) fn zero() -> Self {
+        let zero = [V::splat(0.0); N];
+        Self {
+            gear: zero,
+            rate: zero,
+            motor: zero,
+            link: zero,
+        }
+    }
+}
+
+/// Memory for the later stages of a step. It serves all blocks, because clearing and copying it for each
+/// would take as long as the arithmetic.
+pub(crate) struct Workspace<V, const N: usize> {
+    pub(crate) stages: [Tangent<V, N>; 2],
+    pub(crate) responses: [Response<V, N>; 3],
+    pub(crate) sums: [Sum<V, N>; 2],
+}
+
+impl<V: Real, const N: usize> Workspace<V, N> {
+    #[inline(always)]
+    pub(crate) fn new() -> Self {
+        Self {
+            stages: [Tangent::zero(); 2],
+            responses: [Response::zero(); 3],
+            sums: [Sum::zero(); 2],
+        }
+    }
+}
+
 /// Sums of accelerations.
 #[derive(Clone, Copy)]
 pub(crate) struct Sum<V, const N: usize> {
@@ -115,23 +150,28 @@ pub(crate) struct Sum<V, const N: usize> {
 
 impl<V: Real, const N: usize> Sum<V, N> {
     #[inline(always)]
-    fn plus(mut self, motor: &[V; N], link: &[V; N]) -> Self {
-        for i in 0..N {
-            self.motor[i] = self.motor[i] + motor[i];
-            self.link[i] = self.link[i] + link[i];
+    fn zero() -> Self {
+        let zero = [V::splat(0.0); N];
+        Self {
+            motor: zero,
+            link: zero,
         }
-        self
     }
 }
 
-impl<V: Real, const N: usize> Response<V, N> {
-    /// a1 + a2 + a3, which displace positions, and a1 + 2 a2 + 2 a3, which with a4 change
-    /// velocities.
-    #[inline(always)]
-    pub(crate) fn sums(&self, second: &Self, third: &Self) -> [Sum<V, N>; 2] {
-        let Self { motor, link, .. } = *second;
-        let inner = Sum { motor, link }.plus(&third.motor, &third.link);
-        let positions = inner.plus(&self.motor, &self.link);
-        [positions, positions.plus(&inner.motor, &inner.link)]
+/// Sets a1 + a2 + a3, which displace positions, and a1 + 2 a2 + 2 a3, which with a4 change
+/// velocities.
+#[inline(always)]
+pub(crate) fn set_sums<V: Real, const N: usize>(
+    [positions, velocities]: &mut [Sum<V, N>; 2],
+    [first, second, third]: [&Response<V, N>; 3],
+) {
+    for i in 0..N {
+        let inner = second.motor[i] + third.motor[i];
+        positions.motor[i] = inner + first.motor[i];
+        velocities.motor[i] = positions.motor[i] + inner;
+        let inner = second.link[i] + third.link[i];
+        positions.link[i] = inner + first.link[i];
+        velocities.link[i] = positions.link[i] + inner;
     }
 }

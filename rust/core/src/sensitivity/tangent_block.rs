@@ -9,7 +9,7 @@ use crate::plant::config::{Config, Role};
 use crate::scalar::{Lanes, Work, run_out_of_line};
 use crate::sensitivity::forcing::{Forcing, Row};
 use crate::sensitivity::step_length::StepLengthSensitivity;
-use crate::sensitivity::tangent::{Response, Tangent, advance};
+use crate::sensitivity::tangent::{Response, Tangent, Workspace, advance, set_sums};
 use crate::sensitivity::variational::LinearisedStep;
 
 /// Derivatives in `V::LANES` directions.
@@ -42,41 +42,37 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         }
     }
 
-    /// The equations of stage `k`; for some arms in a separate function.
+    /// The equations of stage `k` of a `WHOLE` step or a part of one; for some arms in a separate
+    /// function.
     #[inline(always)]
-    pub(crate) fn respond<A: Arm<N>, L: Lanes, G: Gears>(
+    pub(crate) fn respond<A: Arm<N>, L: Lanes, G: Gears, const WHOLE: bool>(
         &self,
         step: &LinearisedStep<A, L, G, N>,
         k: usize,
         x: &Tangent<V, N>,
         torque: Option<&[V; N]>,
-    ) -> Response<V, N> {
-        if A::OUTLINED != Outlined::Nothing {
-            run_out_of_line::<V, _>(ResponseWork(self, step, k, x, torque))
+        response: &mut Response<V, N>,
+    ) {
+        if A::OUTLINED == Outlined::Parts || A::OUTLINED == Outlined::Stages && !WHOLE {
+            run_out_of_line::<V, _>(ResponseWork(self, step, k, x, torque, response));
         } else {
-            self.response(step, k, x, torque)
+            self.compute_response(step, k, x, torque, response);
         }
     }
 
     #[inline(always)]
-    fn response<A: Arm<N>, L: Lanes, G: Gears>(
+    fn compute_response<A: Arm<N>, L: Lanes, G: Gears>(
         &self,
         step: &LinearisedStep<A, L, G, N>,
         k: usize,
         x: &Tangent<V, N>,
         torque: Option<&[V; N]>,
-    ) -> Response<V, N> {
+        response: &mut Response<V, N>,
+    ) {
         let c = V::splat;
-        let zero = [c(0.0); N];
-        let mut response = Response {
-            gear: zero,
-            rate: zero,
-            motor: zero,
-            link: zero,
-        };
         let forced = |row, joint| self.forcing.of(&step.quads, row, joint, k);
         let (arm, one) = (&step.plant.arm, [c(1.0); N]);
-        let mut load = zero;
+        let mut load = [c(0.0); N];
         for i in 0..arm.joints() {
             let rate = link_of(arm, i, &one, &x.motor, -x.link[i]);
             let damped = c(step.damping[i]).mul_add(rate, forced(Row::Gear, i));
@@ -115,7 +111,6 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
             }
             response.link[i] = link;
         }
-        response
     }
 
     /// Advances by a whole step after its first stage.
@@ -125,8 +120,9 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         step: &LinearisedStep<A, L, G, N>,
         first: &Response<V, N>,
         torque: Option<&StepTorque<V, N>>,
+        workspace: &mut Workspace<V, N>,
     ) {
-        self.advance_part::<A, L, G, true>(step, first, torque, 1.0);
+        self.advance_part::<A, L, G, true>(step, first, torque, 1.0, workspace);
     }
 
     /// Advances by a part of a step after its first stage.
@@ -140,26 +136,33 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         first: &Response<V, N>,
         torque: Option<&StepTorque<V, N>>,
         part: f64,
+        workspace: &mut Workspace<V, N>,
     ) {
         let c = V::splat;
         let time = if WHOLE { None } else { Some(c(part)) };
         let twice = Some(c(2.0 * part));
-        let x = self.tangent;
+        let Workspace {
+            stages: [at, next],
+            responses: [second, third, fourth],
+            sums,
+        } = workspace;
+        let x = &self.tangent;
         let middle = torque.map(|torque| &torque.middle);
         let end = torque.map(|torque| &torque.end);
-        let at = self.settle_held_motors(step, x.next_stage::<A>(time, &x, first), &x, (part, 0));
-        let second = self.respond(step, 1, &at, middle);
-        let next = x.next_stage::<A>(time, &at, &second);
-        let at = self.settle_held_motors(step, next, &at, (part, 0));
-        let third = self.respond(step, 2, &at, middle);
-        let next = x.next_stage::<A>(twice, &at, &third);
-        let at = self.settle_held_motors(step, next, &at, (2.0 * part, 1));
+        at.become_stage::<A>(x, time, x, first);
+        self.settle_held_motors(step, at, x, (part, 0));
+        self.respond::<_, _, _, WHOLE>(step, 1, at, middle, second);
+        next.become_stage::<A>(x, time, at, second);
+        self.settle_held_motors(step, next, at, (part, 0));
+        self.respond::<_, _, _, WHOLE>(step, 2, next, middle, third);
+        at.become_stage::<A>(x, twice, next, third);
+        self.settle_held_motors(step, at, next, (2.0 * part, 1));
         // before the fourth stage, because the sums need fewer registers than their terms
-        let [positions, velocities] = first.sums(&second, &third);
-        let fourth = self.respond(step, 3, &at, end);
+        set_sums(sums, [first, second, third]);
+        self.respond::<_, _, _, WHOLE>(step, 3, at, end, fourth);
         let (third_part, square) = (c(part / 3.0), c(part * part / 1.5));
-        let (arm, one) = (&step.plant.arm, [c(1.0); N]);
-        let mut to = x;
+        let (arm, one, to) = (&step.plant.arm, [c(1.0); N], next);
+        let [positions, velocities] = sums;
         for i in 0..arm.joints() {
             to.motor[i] = third_part.mul_add(velocities.motor[i] + fourth.motor[i], x.motor[i]);
             to.link[i] = third_part.mul_add(velocities.link[i] + fourth.link[i], x.link[i]);
@@ -167,7 +170,8 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
             let torsion = link_of(arm, i, &one, &positions.motor, -positions.link[i]);
             to.torsion[i] = square.mul_add(torsion, advance(x.torsion[i], first.rate[i], twice));
         }
-        self.tangent = self.settle_held_motors(step, to, &x, (0.0, 1));
+        self.settle_held_motors(step, to, x, (0.0, 1));
+        self.tangent = *to;
     }
 
     /// Derivatives of the end of a step of length `h` with respect to its length, for a block
@@ -183,12 +187,13 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         let [second, mut third, mut fourth] = by.stages;
         let (half, sixth) = (c(0.5 * time), time / 6.0);
         let [middle, end] = &by.torque;
-        let a2 = self.respond(step, 1, &second, Some(middle));
+        let [mut a2, mut a3, mut a4] = [Response::zero(); 3];
+        self.respond::<_, _, _, false>(step, 1, &second, Some(middle), &mut a2);
         third.push(half, &a2);
-        let a3 = self.respond(step, 2, &third, Some(middle));
+        self.respond::<_, _, _, false>(step, 2, &third, Some(middle), &mut a3);
         fourth.shift(&step.plant.arm, c(0.5 * time * time), &a2);
         fourth.push(c(time), &a3);
-        let a4 = self.respond(step, 3, &fourth, Some(end));
+        self.respond::<_, _, _, false>(step, 3, &fourth, Some(end), &mut a4);
         let mut to = by.end;
         for a in [&a2, &a3] {
             to.shift(&step.plant.arm, c(time * sixth), a);
@@ -205,10 +210,10 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
     fn settle_held_motors<A: Arm<N>, L: Lanes, G: Gears>(
         &self,
         step: &LinearisedStep<A, L, G, N>,
-        mut stage: Tangent<V, N>,
+        stage: &mut Tangent<V, N>,
         before: &Tangent<V, N>,
         (elapsed, end): (f64, usize),
-    ) -> Tangent<V, N> {
+    ) {
         let c = V::splat;
         for i in 0..step.plant.arm.joints() {
             let Some(settling) = &step.settling[i] else {
@@ -231,25 +236,26 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
             stage.motor[i] = c(settling.velocity[end]).mul_add(motor, stage.motor[i]);
             stage.motor[i] = velocity_by_time.mul_add(self.settling[i], stage.motor[i]);
         }
-        stage
     }
 }
 
-/// [`TangentBlock::response`].
+/// [`TangentBlock::compute_response`].
 struct ResponseWork<'b, A: Arm<N>, L: Lanes, V: Lanes, G: Gears, const N: usize>(
     &'b TangentBlock<V, N>,
     &'b LinearisedStep<A, L, G, N>,
     usize,
     &'b Tangent<V, N>,
     Option<&'b [V; N]>,
+    &'b mut Response<V, N>,
 );
 
 impl<A: Arm<N>, L: Lanes, V: Lanes, G: Gears, const N: usize> Work
     for ResponseWork<'_, A, L, V, G, N>
 {
-    type Output = Response<V, N>;
+    type Output = ();
     #[inline(always)]
-    fn run(self) -> Self::Output {
-        self.0.response(self.1, self.2, self.3, self.4)
+    fn run(self) {
+        self.0
+            .compute_response(self.1, self.2, self.3, self.4, self.5);
     }
 }

@@ -13,11 +13,11 @@
 //! - n ddtheta_M' = -(n^2/m_M) s' - (d_M/m_M) n dtheta_M'
 //! - ddtheta_L' = M_L^-1 (s' - (M_L ddtheta_L + c + g)' - d_L dtheta_L')
 
-use crate::arm::Arm;
+use crate::arm::{Arm, Outlined};
 use crate::joint::gear::{Gears, Spring};
 use crate::plant::config::Config;
 use crate::plant::{Modes, Plant, State};
-use crate::scalar::{Lanes, Real, inverse};
+use crate::scalar::{Lanes, Real, Work, inverse, run_out_of_line};
 use crate::sensitivity::effect::EffectSensitivity;
 use crate::sensitivity::forcing::{GEAR, MOTOR, Quads, all_link_quads, link_quads};
 use crate::sensitivity::trace::{Stages, Trace};
@@ -41,6 +41,8 @@ pub(crate) struct LinearisedStep<A: Arm<N>, L: Lanes, G: Gears, const N: usize> 
     pub(crate) motor: [[f64; N]; 3],
     /// Derivatives with respect to parameters.
     pub(crate) quads: Quads<N>,
+    /// At the four stages; updated in place, because it is long for long chains.
+    regressor: A::Regressor<L>,
     /// Effects of size zero.
     pub(crate) effects: Option<EffectSensitivity<L, N>>,
     pub(crate) settling: [Option<Settling>; N],
@@ -102,6 +104,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
             damping: plant.joints.map(|joint| joint.gear_damping.lane(0) / half),
             motor: [[0.0; N]; 3],
             quads: Quads::zeros(config.arm.names().len()),
+            regressor: config.arm.zero_regressor(),
             effects: requested
                 .has_effects()
                 .then(|| EffectSensitivity::new(requested, all, begin)),
@@ -110,9 +113,25 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
         }
     }
 
-    /// Computes the coefficients of a step that begins in a posture.
+    /// Computes the coefficients of a step that begins in a posture; for some arms in a separate
+    /// function, compiled for the registers of `V`.
     #[inline(always)]
-    pub(crate) fn update<S: Real>(
+    pub(crate) fn update<V: Real, S: Real>(
+        &mut self,
+        trace: &Trace<A, N>,
+        begin: &A::Posture<S>,
+        modes: &Modes<S, N>,
+        h: f64,
+    ) {
+        if A::OUTLINED == Outlined::Nothing {
+            self.compute(trace, begin, modes, h);
+        } else {
+            run_out_of_line::<V, _>(UpdateWork(self, trace, begin, modes, h));
+        }
+    }
+
+    #[inline(always)]
+    fn compute<S: Real>(
         &mut self,
         trace: &Trace<A, N>,
         begin: &A::Posture<S>,
@@ -202,13 +221,17 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
                 (rate * slopes.velocity[i][j]).store(&mut self.by_velocity[i][j][first..]);
             }
         }
-        let regressor = arm.regressor(&at, &dq, &ddq);
-        let by = regressor.as_ref();
+        arm.update_regressor(&at, &dq, &ddq, &mut self.regressor);
+        let by = self.regressor.as_ref();
         // loops of constant length without closures, because each closure would be a call
         let per_link = all_link_quads(by.len());
         let quads = &mut self.quads.link[..N * per_link];
         for i in 0..self.plant.arm.joints() {
+            let first_parameter = arm.first_parameter(i);
             for k in 0..link_quads(by.len()) {
+                if k > 0 && 4 * k + 3 <= first_parameter {
+                    continue; // zeros
+                }
                 let mut four = [L::splat(0.0); 4];
                 for slot in 0..4 {
                     let index = 4 * k + slot;
@@ -240,6 +263,25 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
                 &mut quads[GEAR + 1].0[first..],
             );
         }
+    }
+}
+
+/// [`LinearisedStep::compute`].
+struct UpdateWork<'s, A: Arm<N>, L: Lanes, S: Real, G: Gears, const N: usize>(
+    &'s mut LinearisedStep<A, L, G, N>,
+    &'s Trace<A, N>,
+    &'s A::Posture<S>,
+    &'s Modes<S, N>,
+    f64,
+);
+
+impl<A: Arm<N>, L: Lanes, S: Real, G: Gears, const N: usize> Work
+    for UpdateWork<'_, A, L, S, G, N>
+{
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        self.0.compute(self.1, self.2, self.3, self.4);
     }
 }
 

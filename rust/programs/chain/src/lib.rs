@@ -1,41 +1,84 @@
 //! Programs of serial chains of up to seven joints.
 
 use strainwave_core::arm::{Arm as _, MAX_CHAIN_JOINTS, SerialChain};
+use strainwave_core::experiment::known_length::{padded, with_known_length};
 use strainwave_core::experiment::{Diverged, Member, Record, Task};
 use strainwave_core::joint::gear::Slopes;
-use strainwave_core::program::{FastPrograms, GeneralPrograms, simulate};
+use strainwave_core::program::{
+    Differentiation, FastPrograms, GeneralPrograms, Request, forward, forward_avx512, simulate,
+};
+use strainwave_core::sensitivity::Sensitivities;
 
-type Arm<const LENGTH: usize = 0> = SerialChain<MAX_CHAIN_JOINTS, LENGTH>;
+type Arm = SerialChain<MAX_CHAIN_JOINTS>;
+/// A chain whose length the compiler knows.
+type Known<const LENGTH: usize> = SerialChain<LENGTH, true>;
 
 /// Programs for every gear law and effect.
 pub static GENERAL: GeneralPrograms<Arm, MAX_CHAIN_JOINTS> = GeneralPrograms::compile();
 
-/// Programs for linear and three-slope gears. Derivatives use the general program.
+/// Programs for linear and three-slope gears, of the most frequent lengths.
 pub static FAST: FastPrograms<Arm, MAX_CHAIN_JOINTS> = FastPrograms {
     simulation: simulate_chain,
-    forward: GENERAL.forward,
-    forward_avx512: GENERAL.forward,
+    forward: forward_chain,
+    forward_avx512: forward_chain_avx512,
 };
 
-type Outcome = Result<Record<MAX_CHAIN_JOINTS>, Diverged>;
-
-/// The program of the chain's length for the most frequent lengths.
 fn simulate_chain(
     task: &Task<Arm, MAX_CHAIN_JOINTS>,
     member: &Member<'_, MAX_CHAIN_JOINTS>,
-) -> Outcome {
+) -> Result<Record<MAX_CHAIN_JOINTS>, Diverged> {
     match task.config.arm.joints() {
-        3 => simulate_length::<3>(task, member),
-        6 => simulate_length::<6>(task, member),
-        7 => simulate_length::<7>(task, member),
-        _ => simulate_length::<0>(task, member),
+        3 => simulate_known::<3>(task, member),
+        6 => simulate_known::<6>(task, member),
+        7 => simulate_known::<7>(task, member),
+        _ => simulate::<Arm, Slopes, MAX_CHAIN_JOINTS, false>(task, member),
     }
 }
 
-fn simulate_length<const LENGTH: usize>(
+fn simulate_known<const LENGTH: usize>(
     task: &Task<Arm, MAX_CHAIN_JOINTS>,
     member: &Member<'_, MAX_CHAIN_JOINTS>,
-) -> Outcome {
-    let task = task.with_arm(Arm::with_length);
-    simulate::<Arm<LENGTH>, Slopes, MAX_CHAIN_JOINTS, false>(&task, member)
+) -> Result<Record<MAX_CHAIN_JOINTS>, Diverged> {
+    let simulation = simulate::<Known<LENGTH>, Slopes, LENGTH, false>;
+    with_known_length(task, member, simulation).map(|record| padded(&record))
+}
+
+type Derivatives = Result<Sensitivities<MAX_CHAIN_JOINTS>, Diverged>;
+
+fn forward_chain(request: &Request<'_, Arm, MAX_CHAIN_JOINTS>) -> Derivatives {
+    match request.task.config.arm.joints() {
+        3 => differentiate_known(request, forward::<Known<3>, Slopes, 3, true>),
+        _ => (GENERAL.forward)(request),
+    }
+}
+
+fn forward_chain_avx512(request: &Request<'_, Arm, MAX_CHAIN_JOINTS>) -> Derivatives {
+    match request.task.config.arm.joints() {
+        3 => differentiate_known(request, forward_avx512::<Known<3>, Slopes, 3, true>),
+        6 => differentiate_known(request, forward_avx512::<Known<6>, Slopes, 6, true>),
+        _ => (GENERAL.forward)(request),
+    }
+}
+
+fn differentiate_known<const LENGTH: usize>(
+    request: &Request<'_, Arm, MAX_CHAIN_JOINTS>,
+    program: Differentiation<Known<LENGTH>, LENGTH>,
+) -> Derivatives {
+    let Request {
+        directions,
+        decimation,
+        ..
+    } = *request;
+    let sensitivities = with_known_length(request.task, request.member, |task, member| {
+        program(&Request {
+            task,
+            member,
+            directions,
+            decimation,
+        })
+    })?;
+    Ok(Sensitivities {
+        values: padded(&sensitivities.values),
+        tangents: sensitivities.tangents,
+    })
 }

@@ -14,8 +14,8 @@ pub struct Kinematics {
     gravity: [f64; 3],
 }
 
-impl<const N: usize, const LENGTH: usize> From<SerialChain<N, LENGTH>> for Kinematics {
-    fn from(chain: SerialChain<N, LENGTH>) -> Self {
+impl<const N: usize, const KNOWN: bool> From<SerialChain<N, KNOWN>> for Kinematics {
+    fn from(chain: SerialChain<N, KNOWN>) -> Self {
         Self {
             joints: chain.joints[..chain.count].to_vec(),
             gravity: chain.gravity,

@@ -12,9 +12,9 @@ pub use placement::{ChainJoint, JointType};
 pub use posture::Posture;
 
 use super::link_signals::{LINK_SIGNALS, of_link};
-use super::{Arm, Name, Outlined, Slopes, Transmission};
+use super::{Arm, Name, Outlined, Slopes, Transmission, first_joints};
 use crate::parameter::Parameter;
-use crate::scalar::{Real, Work, run_out_of_line};
+use crate::scalar::{Real, Work, run_out_of_line, symmetrise};
 use placement::{JointPosture, Placement};
 use posture::{Placements, ROOM, Rows, zeros};
 use std::f64::consts::TAU;
@@ -55,7 +55,7 @@ const LINK_PARAMETERS: [Parameter; LINK_PARAMETER_COUNT] = [
         .meaning("zz entry of the link's inertia about its frame's origin"),
 ];
 
-/// A chain of at most `N` links on a fixed base; of `LENGTH` links, unless that is 0.
+/// A chain of at most `N` links on a fixed base; of exactly `N` links, if its length is `KNOWN`.
 ///
 /// Torques follow from the recursion of Newton and Euler; they are linear in ten parameters per
 /// link, all of which are parameters of the arm, identifiable or not. The inertia matrix follows
@@ -69,7 +69,7 @@ const LINK_PARAMETERS: [Parameter; LINK_PARAMETER_COUNT] = [
 /// Derivatives of torques with respect to the motion are in closed form; those of sensors follow
 /// from the recursion over [`crate::scalar::Jet`]s.
 #[derive(Clone, Copy, Debug)]
-pub struct SerialChain<const N: usize, const LENGTH: usize = 0> {
+pub struct SerialChain<const N: usize, const KNOWN: bool = false> {
     /// The joints; unused entries repeat the first.
     joints: [Placement; N],
     placements: Placements,
@@ -79,7 +79,7 @@ pub struct SerialChain<const N: usize, const LENGTH: usize = 0> {
     transmission: Option<Transmission<N>>,
 }
 
-impl<const N: usize, const LENGTH: usize> SerialChain<N, LENGTH> {
+impl<const N: usize, const KNOWN: bool> SerialChain<N, KNOWN> {
     /// Joints from the base, and the acceleration of gravity [m/s^2] in the base frame.
     ///
     /// # Errors
@@ -110,18 +110,19 @@ impl<const N: usize, const LENGTH: usize> SerialChain<N, LENGTH> {
         }
     }
 
-    /// The same chain with its number of joints known to the compiler, or with 0, only at run time.
+    /// The same chain with its number of joints known to the compiler.
     ///
     /// # Panics
     /// The chain has another number of joints.
-    pub fn with_length<const KNOWN: usize>(&self) -> SerialChain<N, KNOWN> {
-        assert!(KNOWN == 0 || KNOWN == self.count);
+    pub fn with_known_length<const LENGTH: usize>(&self) -> SerialChain<LENGTH, true> {
+        assert_eq!(LENGTH, self.count);
+        let transmission = self.transmission.as_ref();
         SerialChain {
-            joints: self.joints,
+            joints: first_joints(&self.joints),
             placements: self.placements,
             count: self.count,
             gravity: self.gravity,
-            transmission: self.transmission,
+            transmission: transmission.map(Transmission::of_first_joints),
         }
     }
 
@@ -144,7 +145,7 @@ impl<R, const N: usize> AsRef<[[R; N]]> for Regressor<R, N> {
     }
 }
 
-impl<const N: usize, const LENGTH: usize> Arm<N> for SerialChain<N, LENGTH> {
+impl<const N: usize, const KNOWN: bool> Arm<N> for SerialChain<N, KNOWN> {
     type Base<R: Real> = Bodies<R>;
     type Posture<R: Real> = Posture<R>;
     type Regressor<R: Real> = Regressor<R, N>;
@@ -152,15 +153,15 @@ impl<const N: usize, const LENGTH: usize> Arm<N> for SerialChain<N, LENGTH> {
     const DEPENDS_ON_ANGLE: [bool; N] = [true; N];
     const PLANAR: bool = false;
     const PARAMETERS: &'static [Parameter] = &LINK_PARAMETERS;
-    const OUTLINED: Outlined = if LENGTH == 0 {
-        Outlined::Parts
-    } else {
+    const OUTLINED: Outlined = if KNOWN {
         Outlined::Stages
+    } else {
+        Outlined::Parts
     };
 
     #[inline(always)]
     fn joints(&self) -> usize {
-        if LENGTH == 0 { self.count } else { LENGTH }
+        if KNOWN { N } else { self.count }
     }
 
     fn names(&self) -> Vec<Name> {
@@ -234,7 +235,13 @@ impl<const N: usize, const LENGTH: usize> Arm<N> for SerialChain<N, LENGTH> {
     }
 
     fn chain(&self) -> SerialChain<N> {
-        self.with_length()
+        SerialChain {
+            joints: self.joints,
+            placements: self.placements,
+            count: self.count,
+            gravity: self.gravity,
+            transmission: self.transmission,
+        }
     }
 
     #[inline(always)]
@@ -244,7 +251,9 @@ impl<const N: usize, const LENGTH: usize> Arm<N> for SerialChain<N, LENGTH> {
 
     #[inline(always)]
     fn inertia<R: Real>(&self, base: &Bodies<R>, at: &Posture<R>) -> [[R; N]; N] {
-        self.equations(base, at, &[R::splat(0.0); N]).0
+        let mut inertia = self.equations(base, at, &[R::splat(0.0); N]).0;
+        symmetrise(&mut inertia);
+        inertia
     }
 
     #[inline(always)]
@@ -259,7 +268,7 @@ impl<const N: usize, const LENGTH: usize> Arm<N> for SerialChain<N, LENGTH> {
         at: &Posture<R>,
         dq: &[R; N],
     ) -> ([[R; N]; N], [R; N]) {
-        equation::<R, _, LENGTH>(Dynamics(self, base, at, dq, &[R::splat(0.0); N]))
+        equation::<R, _, KNOWN>(Dynamics(self, base, at, dq, &[R::splat(0.0); N]))
     }
 
     #[inline(always)]
@@ -270,7 +279,7 @@ impl<const N: usize, const LENGTH: usize> Arm<N> for SerialChain<N, LENGTH> {
         dq: &[R; N],
         ddq: &[R; N],
     ) -> [R; N] {
-        equation::<R, _, LENGTH>(Dynamics(self, base, at, dq, ddq)).1
+        equation::<R, _, KNOWN>(Dynamics(self, base, at, dq, ddq)).1
     }
 
     #[inline(always)]
@@ -292,12 +301,37 @@ impl<const N: usize, const LENGTH: usize> Arm<N> for SerialChain<N, LENGTH> {
         dq: &[R; N],
         ddq: &[R; N],
     ) -> ([[R; N]; N], Slopes<R, N>) {
-        equation::<R, _, LENGTH>(Linearised(self, base, at, dq, ddq))
+        equation::<R, _, KNOWN>(Linearised(self, base, at, dq, ddq))
     }
 
     #[inline(always)]
     fn regressor<R: Real>(&self, at: &Posture<R>, dq: &[R; N], ddq: &[R; N]) -> Regressor<R, N> {
-        equation::<R, _, LENGTH>(PerParameter(self, at, dq, ddq))
+        let mut regressor = self.zero_regressor();
+        self.update_regressor(at, dq, ddq, &mut regressor);
+        regressor
+    }
+
+    #[inline(always)]
+    fn zero_regressor<R: Real>(&self) -> Regressor<R, N> {
+        let zero = R::splat(0.0);
+        Regressor([[[zero; N]; LINK_PARAMETER_COUNT]; N], self.joints())
+    }
+
+    #[inline(always)]
+    fn update_regressor<R: Real>(
+        &self,
+        at: &Posture<R>,
+        dq: &[R; N],
+        ddq: &[R; N],
+        regressor: &mut Regressor<R, N>,
+    ) {
+        equation::<R, _, KNOWN>(PerParameter(self, at, dq, ddq, regressor));
+    }
+
+    /// A joint carries its link and those behind it.
+    #[inline(always)]
+    fn first_parameter(&self, joint: usize) -> usize {
+        joint * LINK_PARAMETER_COUNT
     }
 
     fn potential<R: Real>(&self, base: &Bodies<R>, at: &Posture<R>) -> R {
@@ -316,7 +350,7 @@ impl<const N: usize, const LENGTH: usize> Arm<N> for SerialChain<N, LENGTH> {
     #[inline(always)]
     fn accelerometers<R: Real>(&self, at: &Posture<R>, dq: &[R; N], ddq: &[R; N]) -> [R; N] {
         let mut reading = [R::splat(0.0); N];
-        for (i, motion) in equation::<R, _, LENGTH>(Motions(self, at, dq, ddq))
+        for (i, motion) in equation::<R, _, KNOWN>(Motions(self, at, dq, ddq))
             .iter()
             .enumerate()
             .take(self.count)
@@ -342,7 +376,7 @@ impl<const N: usize, const LENGTH: usize> Arm<N> for SerialChain<N, LENGTH> {
     #[inline(always)]
     fn absolute_rates<R: Real>(&self, at: &Posture<R>, dq: &[R; N]) -> [R; N] {
         let mut rates = *dq;
-        for (i, motion) in equation::<R, _, LENGTH>(Motions(self, at, dq, dq))
+        for (i, motion) in equation::<R, _, KNOWN>(Motions(self, at, dq, dq))
             .iter()
             .enumerate()
             .take(self.count)
@@ -360,7 +394,7 @@ impl<const N: usize, const LENGTH: usize> Arm<N> for SerialChain<N, LENGTH> {
         ddq: &[R; N],
     ) -> [[R; N]; LINK_SIGNALS] {
         let mut all = [[R::splat(0.0); N]; LINK_SIGNALS];
-        for (i, motion) in equation::<R, _, LENGTH>(Motions(self, at, dq, ddq))
+        for (i, motion) in equation::<R, _, KNOWN>(Motions(self, at, dq, ddq))
             .iter()
             .enumerate()
             .take(self.count)
@@ -396,10 +430,11 @@ fn improper_joint<const N: usize>(mut inertia: [[f64; N]; N], joints: usize) -> 
     None
 }
 
-/// Runs work, in a separate function unless the length of the chain is known.
+/// Runs work, in a separate function unless the length of the chain is known and the work is
+/// frequent.
 #[inline(always)]
-fn equation<R: Real, W: Work, const LENGTH: usize>(work: W) -> W::Output {
-    if LENGTH > 0 {
+fn equation<R: Real, W: Work, const KNOWN: bool>(work: W) -> W::Output {
+    if KNOWN && !R::HAS_DERIVATIVE {
         work.run()
     } else {
         run_out_of_line::<R, _>(work)
@@ -411,9 +446,9 @@ fn equation<R: Real, W: Work, const LENGTH: usize>(work: W) -> W::Output {
 macro_rules! out_of_line {
     ($($(#[$doc:meta])* $name:ident($($at:tt: $argument:ty),*) -> $output:ty = $work:expr;)*) => {$(
         $(#[$doc])*
-        struct $name<'a, R: Real, const N: usize, const LENGTH: usize>(&'a SerialChain<N, LENGTH>, $(&'a $argument),*);
+        struct $name<'a, R: Real, const N: usize, const KNOWN: bool>(&'a SerialChain<N, KNOWN>, $(&'a $argument),*);
 
-        impl<R: Real, const N: usize, const LENGTH: usize> Work for $name<'_, R, N, LENGTH> {
+        impl<R: Real, const N: usize, const KNOWN: bool> Work for $name<'_, R, N, KNOWN> {
             type Output = $output;
             #[inline(always)]
             fn run(self) -> $output {
@@ -430,12 +465,27 @@ out_of_line! {
     /// [`SerialChain::linearised`].
     Linearised(1: Bodies<R>, 2: Posture<R>, 3: [R; N], 4: [R; N]) -> ([[R; N]; N], Slopes<R, N>)
         = SerialChain::linearised;
-    /// [`SerialChain::torques_per_parameter`].
-    PerParameter(1: Posture<R>, 2: [R; N], 3: [R; N]) -> Regressor<R, N>
-        = |chain: &SerialChain<N, LENGTH>, at, dq, ddq| Regressor(chain.torques_per_parameter(at, dq, ddq), chain.joints());
     /// [`SerialChain::motions`].
     Motions(1: Posture<R>, 2: [R; N], 3: [R; N]) -> [recursion::LinkMotion<R>; N]
         = SerialChain::motions;
+}
+
+/// [`SerialChain::set_torques_per_parameter`].
+struct PerParameter<'a, R: Real, const N: usize, const KNOWN: bool>(
+    &'a SerialChain<N, KNOWN>,
+    &'a Posture<R>,
+    &'a [R; N],
+    &'a [R; N],
+    &'a mut Regressor<R, N>,
+);
+
+impl<R: Real, const N: usize, const KNOWN: bool> Work for PerParameter<'_, R, N, KNOWN> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        let Self(chain, at, dq, ddq, regressor) = self;
+        chain.set_torques_per_parameter(at, dq, ddq, &mut regressor.0);
+    }
 }
 
 #[cfg(test)]

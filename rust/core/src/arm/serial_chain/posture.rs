@@ -13,16 +13,19 @@ pub(super) const ROOM: usize = 8;
 pub(super) type Row<R> = [R; ROOM];
 
 /// Several quantities of all joints.
-pub(super) type Rows<R, const K: usize> = [Row<R>; K];
+pub(super) type Rows<R, const K: usize, const W: usize = ROOM> = [[R; W]; K];
 
 #[inline(always)]
-pub(super) fn zeros<R: Real, const K: usize>() -> Rows<R, K> {
-    [[R::splat(0.0); ROOM]; K]
+pub(super) fn zeros<R: Real, const K: usize, const W: usize>() -> Rows<R, K, W> {
+    [[R::splat(0.0); W]; K]
 }
 
 /// Packs of the joints from the `first`.
 #[inline(always)]
-pub(super) fn load<R: Real, const K: usize>(rows: &Rows<R, K>, first: usize) -> [R::Pack; K] {
+pub(super) fn load<R: Real, const K: usize, const W: usize>(
+    rows: &Rows<R, K, W>,
+    first: usize,
+) -> [R::Pack; K] {
     let mut all = [R::splat(0.0).spread(); K];
     for k in 0..K {
         all[k] = R::pack(&rows[k][first..]);
@@ -45,9 +48,9 @@ pub(super) fn load_constants<R: Real, const K: usize>(
 
 /// Stores packs of the joints from the `first`.
 #[inline(always)]
-pub(super) fn store<R: Real, const K: usize>(
+pub(super) fn store<R: Real, const K: usize, const W: usize>(
     packs: &[R::Pack; K],
-    rows: &mut Rows<R, K>,
+    rows: &mut Rows<R, K, W>,
     first: usize,
 ) {
     for k in 0..K {
@@ -115,7 +118,7 @@ impl<R: Real> Posture<R> {
     #[inline(always)]
     pub(super) fn map<L: Real>(&self, to: impl Fn(R) -> L) -> Posture<L> {
         let mut all = Posture {
-            turn: zeros(),
+            turn: zeros::<L, 2, ROOM>(),
             shift: [L::splat(0.0); ROOM],
         };
         for i in 0..ROOM {
@@ -134,11 +137,11 @@ impl<R: Real> Posture<R> {
     }
 }
 
-impl<const N: usize, const LENGTH: usize> SerialChain<N, LENGTH> {
+impl<const N: usize, const KNOWN: bool> SerialChain<N, KNOWN> {
     #[inline(always)]
     pub(super) fn posture_at<R: Real>(&self, q: &[R; N]) -> Posture<R> {
         let shift = padded(q);
-        let mut turn = zeros();
+        let mut turn = zeros::<R, 2, ROOM>();
         for first in (0..self.joints()).step_by(R::PACKED) {
             let is_revolute = R::pack_constants(&self.placements.types[0][first..]);
             let at = SineCosine::of(R::pack(&shift[first..]) * is_revolute);

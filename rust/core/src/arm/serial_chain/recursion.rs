@@ -67,7 +67,7 @@ struct Twist<R> {
     moving: Vector<R>,
 }
 
-impl<const N: usize, const LENGTH: usize> SerialChain<N, LENGTH> {
+impl<const N: usize, const KNOWN: bool> SerialChain<N, KNOWN> {
     /// Outward recursion: motion of the links.
     #[inline(always)]
     pub(super) fn motions<R: Real>(
@@ -104,30 +104,29 @@ impl<const N: usize, const LENGTH: usize> SerialChain<N, LENGTH> {
         twists[i] = Twist { turning, moving };
     }
 
-    /// Torques per inertial parameter of each link: the joint's twist of the link times the wrench
-    /// per parameter.
+    /// Sets the torques per inertial parameter of each link: the joint's twist of the link times the
+    /// wrench per parameter. Those of joints behind the link remain zero.
     #[inline(always)]
-    pub(super) fn torques_per_parameter<R: Real>(
+    pub(super) fn set_torques_per_parameter<R: Real>(
         &self,
         at: &Posture<R>,
         dq: &[R; N],
         ddq: &[R; N],
-    ) -> [[[R; N]; LINK_PARAMETER_COUNT]; N] {
+        torques: &mut [[[R; N]; LINK_PARAMETER_COUNT]; N],
+    ) {
         let motions = self.motions(at, dq, ddq);
         let zero = [R::splat(0.0); 3];
         let (turning, moving) = (zero, zero);
         let mut twists = [Twist { turning, moving }; N];
-        let mut all = [[[R::splat(0.0); N]; LINK_PARAMETER_COUNT]; N];
         for k in 0..self.joints() {
             self.extend(at, k, &mut twists);
             for j in 0..=k {
                 let by = per_parameter(&twists[j], &motions[k]);
                 for p in 0..LINK_PARAMETER_COUNT {
-                    all[k][p][j] = by[p];
+                    torques[k][p][j] = by[p];
                 }
             }
         }
-        all
     }
 }
 
@@ -145,21 +144,15 @@ fn per_parameter<R: Real>(twist: &Twist<R>, motion: &LinkMotion<R>) -> [R; LINK_
     let part_accelerations = plus(&cross(v, turning), &cross(&cross(v, rate), rate));
     let h = plus(&part_accelerations, &cross(force, w));
     let u = cross(w, rate);
-    let diagonal = |i: usize| w[i].mul_add(turning[i], u[i] * rate[i]);
-    let off = |i: usize, j: usize| {
-        let by_rate = u[i].mul_add(rate[j], u[j] * rate[i]);
-        w[i].mul_add(turning[j], w[j].mul_add(turning[i], by_rate))
-    };
-    [
-        dot(v, force),
-        h[0],
-        h[1],
-        h[2],
-        diagonal(0),
-        off(0, 1),
-        diagonal(1),
-        off(0, 2),
-        off(1, 2),
-        diagonal(2),
-    ]
+    // no closures, each of which would be a call
+    let mut second = [[u[0]; 3]; 3];
+    for i in 0..3 {
+        second[i][i] = w[i].mul_add(turning[i], u[i] * rate[i]);
+        for j in 0..i {
+            let by_rate = u[i].mul_add(rate[j], u[j] * rate[i]);
+            second[i][j] = w[i].mul_add(turning[j], w[j].mul_add(turning[i], by_rate));
+        }
+    }
+    let [[xx, _, _], [xy, yy, _], [xz, yz, zz]] = second;
+    [dot(v, force), h[0], h[1], h[2], xx, xy, yy, xz, yz, zz]
 }

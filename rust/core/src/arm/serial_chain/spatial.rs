@@ -5,7 +5,7 @@
 //! differ in the sums along the chain only, so all other arithmetic is the same for a register of
 //! links.
 
-use super::posture::{Posture, Row, Rows, load, load_constants, padded, store, zeros};
+use super::posture::{Posture, ROOM, Rows, load, load_constants, padded, store, zeros};
 use super::vector::{Matrix, Vector, cross, dot, plus, scaled, splat, times, times_transposed};
 use super::{LINK_PARAMETER_COUNT, SerialChain};
 
@@ -141,11 +141,12 @@ impl<R: Real> Inertia<R> {
 }
 
 /// Adds to each link the sum of the preceding ones; `before` is the sum of the links before the
-/// packs, and becomes that of the links before the next ones.
+/// packs, and becomes that of the links before the next ones. If it `is_zero`, it is not added.
 #[inline(always)]
 fn sum_outwards<R: Real, const K: usize>(
     packs: &[R::Pack; K],
     before: &mut [R::Pack; K],
+    is_zero: bool,
 ) -> [R::Pack; K] {
     let mut all = *packs;
     for k in 0..K {
@@ -153,7 +154,9 @@ fn sum_outwards<R: Real, const K: usize>(
             all[k] = all[k] + R::shift_up(all[k], false, 0.0);
             all[k] = all[k] + R::shift_up(all[k], true, 0.0);
         }
-        all[k] = all[k] + before[k];
+        if !is_zero {
+            all[k] = all[k] + before[k];
+        }
         before[k] = R::spread_end(all[k], true);
     }
     all
@@ -164,6 +167,7 @@ fn sum_outwards<R: Real, const K: usize>(
 fn sum_inwards<R: Real, const K: usize>(
     packs: &[R::Pack; K],
     behind: &mut [R::Pack; K],
+    is_zero: bool,
 ) -> [R::Pack; K] {
     let mut all = *packs;
     for k in 0..K {
@@ -171,7 +175,9 @@ fn sum_inwards<R: Real, const K: usize>(
             all[k] = all[k] + R::shift_down(all[k], false);
             all[k] = all[k] + R::shift_down(all[k], true);
         }
-        all[k] = all[k] + behind[k];
+        if !is_zero {
+            all[k] = all[k] + behind[k];
+        }
         behind[k] = R::spread_end(all[k], false);
     }
     all
@@ -179,8 +185,12 @@ fn sum_inwards<R: Real, const K: usize>(
 
 /// Products of the vectors of the first links with one vector.
 #[inline(always)]
-fn products<R: Real, const K: usize>(rows: &Rows<R, K>, vector: &[R; K], count: usize) -> Row<R> {
-    let mut all = zeros::<R, 1>()[0];
+fn products<R: Real, const K: usize, const W: usize>(
+    rows: &Rows<R, K, W>,
+    vector: &[R; K],
+    count: usize,
+) -> [R; W] {
+    let mut all = [R::splat(0.0); W];
     for first in (0..count).step_by(R::PACKED) {
         let mut sum = R::pack(&rows[0][first..]) * vector[0].spread();
         for k in 1..K {
@@ -193,7 +203,7 @@ fn products<R: Real, const K: usize>(rows: &Rows<R, K>, vector: &[R; K], count: 
 
 /// The vector of one link.
 #[inline(always)]
-fn of_link<R: Real, const K: usize>(rows: &Rows<R, K>, i: usize) -> [R; K] {
+fn of_link<R: Real, const K: usize, const W: usize>(rows: &Rows<R, K, W>, i: usize) -> [R; K] {
     let mut all = [rows[0][i]; K];
     for k in 1..K {
         all[k] = rows[k][i];
@@ -265,7 +275,7 @@ struct Before<P> {
     acceleration: [P; 6],
 }
 
-impl<const N: usize, const LENGTH: usize> SerialChain<N, LENGTH> {
+impl<const N: usize, const KNOWN: bool> SerialChain<N, KNOWN> {
     /// Frames of a pack of links.
     #[inline(always)]
     fn frames<R: Real>(
@@ -332,11 +342,11 @@ impl<const N: usize, const LENGTH: usize> SerialChain<N, LENGTH> {
         let w = scaled(turning, &direction, &zero);
         let twist = join([w, scaled(moving, &direction, &cross(&origin, &w))]);
         let own = times_number(&twist, dq);
-        let velocity = sum_outwards::<R, 6>(&own, &mut before.velocity);
+        let velocity = sum_outwards::<R, 6>(&own, &mut before.velocity, first == 0);
         let own = times_number(&motion_cross(&velocity, &twist), dq);
         let own = sum(&own, &times_number(&twist, ddq));
-        let acceleration = sum_outwards::<R, 6>(&own, &mut before.acceleration);
-        let body = Inertia::of(&load::<R, LINK_PARAMETER_COUNT>(base, first));
+        let acceleration = sum_outwards::<R, 6>(&own, &mut before.acceleration, false);
+        let body = Inertia::of(&load::<R, LINK_PARAMETER_COUNT, _>(base, first));
         let inertia = body.seen_from(&turn, &origin);
         let momentum = inertia.force(&velocity);
         let force = sum(
@@ -352,7 +362,8 @@ impl<const N: usize, const LENGTH: usize> SerialChain<N, LENGTH> {
         }
     }
 
-    /// Inertia matrix by composite rigid bodies, and torques by the recursion of Newton and Euler.
+    /// Inertia matrix up to the diagonal by composite rigid bodies, and torques by the recursion of
+    /// Newton and Euler.
     #[inline(always)]
     pub(super) fn dynamics<R: Real>(
         &self,
@@ -363,36 +374,38 @@ impl<const N: usize, const LENGTH: usize> SerialChain<N, LENGTH> {
     ) -> ([[R; N]; N], [R; N]) {
         let motion = [padded(dq), padded(ddq)];
         let mut before = self.before_links();
-        let (mut twists, mut forces) = (zeros::<R, 6>(), zeros::<R, 6>());
-        let mut inertias = zeros::<R, LINK_PARAMETER_COUNT>();
+        let (mut twists, mut forces) = (zeros::<R, 6, ROOM>(), zeros::<R, 6, ROOM>());
+        let mut inertias = zeros::<R, LINK_PARAMETER_COUNT, ROOM>();
         for first in (0..self.joints()).step_by(R::PACKED) {
             let links = self.links(base, at, &motion, &mut before, first);
-            store::<R, 6>(&links.twist, &mut twists, first);
-            store::<R, LINK_PARAMETER_COUNT>(&links.inertia.parameters(), &mut inertias, first);
-            store::<R, 6>(&links.force, &mut forces, first);
+            store::<R, 6, _>(&links.twist, &mut twists, first);
+            store::<R, LINK_PARAMETER_COUNT, _>(&links.inertia.parameters(), &mut inertias, first);
+            store::<R, 6, _>(&links.force, &mut forces, first);
         }
         let zero = R::splat(0.0).spread();
         let (mut force, mut inertia) = ([zero; 6], [zero; LINK_PARAMETER_COUNT]);
-        let mut torques = zeros::<R, 1>();
+        let mut torques = zeros::<R, 1, ROOM>();
         for first in (0..self.joints()).step_by(R::PACKED).rev() {
-            let twist = load::<R, 6>(&twists, first);
-            let f = sum_inwards::<R, 6>(&load::<R, 6>(&forces, first), &mut force);
+            let is_last = first + R::PACKED >= self.joints();
+            let twist = load::<R, 6, _>(&twists, first);
+            let f = sum_inwards::<R, 6>(&load::<R, 6, _>(&forces, first), &mut force, is_last);
             let mut torque = twist[0] * f[0];
             for k in 1..6 {
                 torque = twist[k].mul_add(f[k], torque);
             }
             R::unpack(torque, &mut torques[0][first..]);
-            let own = load::<R, LINK_PARAMETER_COUNT>(&inertias, first);
-            let body = Inertia::of(&sum_inwards::<R, LINK_PARAMETER_COUNT>(&own, &mut inertia));
-            store::<R, 6>(&body.force(&twist), &mut forces, first);
+            let own = load::<R, LINK_PARAMETER_COUNT, _>(&inertias, first);
+            let body = Inertia::of(&sum_inwards::<R, LINK_PARAMETER_COUNT>(
+                &own,
+                &mut inertia,
+                is_last,
+            ));
+            store::<R, 6, _>(&body.force(&twist), &mut forces, first);
         }
         let mut all = [[R::splat(0.0); N]; N];
         for j in 0..self.joints() {
             let row = products(&twists, &of_link(&forces, j), j + 1);
-            for i in 0..=j {
-                all[j][i] = row[i];
-                all[i][j] = row[i];
-            }
+            all[j].copy_from_slice(&row[..N]);
         }
         let mut bias = [R::splat(0.0); N];
         bias.copy_from_slice(&torques[0][..N]);
@@ -415,11 +428,27 @@ impl<const N: usize, const LENGTH: usize> SerialChain<N, LENGTH> {
         dq: &[R; N],
         ddq: &[R; N],
     ) -> ([[R; N]; N], Slopes<R, N>) {
+        if R::PACKED == 1 {
+            self.linearised_in::<R, N>(base, at, dq, ddq) // no room to clear beyond the joints
+        } else {
+            self.linearised_in::<R, ROOM>(base, at, dq, ddq)
+        }
+    }
+
+    /// [`SerialChain::linearised`] with rows of `W` joints.
+    #[inline(always)]
+    fn linearised_in<R: Real, const W: usize>(
+        &self,
+        base: &Rows<R, LINK_PARAMETER_COUNT>,
+        at: &Posture<R>,
+        dq: &[R; N],
+        ddq: &[R; N],
+    ) -> ([[R; N]; N], Slopes<R, N>) {
         let motion = [padded(dq), padded(ddq)];
         let mut before = self.before_links();
-        let [mut twists, mut forces, mut psis, mut phis] = [zeros::<R, 6>(); 4];
-        let mut inertias = zeros::<R, LINK_PARAMETER_COUNT>();
-        let mut couplings = zeros::<R, COUPLING_ENTRIES>();
+        let [mut twists, mut forces, mut psis, mut phis] = [zeros::<R, 6, W>(); 4];
+        let mut inertias = zeros::<R, LINK_PARAMETER_COUNT, W>();
+        let mut couplings = zeros::<R, COUPLING_ENTRIES, W>();
         for first in (0..self.joints()).step_by(R::PACKED) {
             let links = self.links(base, at, &motion, &mut before, first);
             let psi = motion_cross(&links.velocity, &links.twist);
@@ -428,35 +457,40 @@ impl<const N: usize, const LENGTH: usize> SerialChain<N, LENGTH> {
                 &motion_cross(&links.velocity, &psi),
             );
             let coupling = Coupling::new(&links.inertia, &links.velocity);
-            store::<R, 6>(&links.twist, &mut twists, first);
-            store::<R, 6>(&psi, &mut psis, first);
-            store::<R, 6>(&phi, &mut phis, first);
-            store::<R, 6>(&links.force, &mut forces, first);
-            store::<R, LINK_PARAMETER_COUNT>(&links.inertia.parameters(), &mut inertias, first);
-            store::<R, COUPLING_ENTRIES>(&coupling.entries(), &mut couplings, first);
+            store::<R, 6, _>(&links.twist, &mut twists, first);
+            store::<R, 6, _>(&psi, &mut psis, first);
+            store::<R, 6, _>(&phi, &mut phis, first);
+            store::<R, 6, _>(&links.force, &mut forces, first);
+            store::<R, LINK_PARAMETER_COUNT, _>(&links.inertia.parameters(), &mut inertias, first);
+            store::<R, COUPLING_ENTRIES, _>(&coupling.entries(), &mut couplings, first);
         }
         let zero = R::splat(0.0).spread();
         let (mut force, mut inertia) = ([zero; 6], [zero; LINK_PARAMETER_COUNT]);
         let mut coupling = [zero; COUPLING_ENTRIES];
         // per joint: I S, and the forces of its angle and of its velocity
-        let [mut by_acceleration, mut by_angle, mut by_velocity] = [zeros::<R, 6>(); 3];
-        let mut back = zeros::<R, 3>();
+        let [mut by_acceleration, mut by_angle, mut by_velocity] = [zeros::<R, 6, W>(); 3];
+        let mut back = zeros::<R, 3, W>();
         for first in (0..self.joints()).step_by(R::PACKED).rev() {
-            let f = sum_inwards::<R, 6>(&load::<R, 6>(&forces, first), &mut force);
-            let own = load::<R, LINK_PARAMETER_COUNT>(&inertias, first);
-            let body = Inertia::of(&sum_inwards::<R, LINK_PARAMETER_COUNT>(&own, &mut inertia));
-            let own = load::<R, COUPLING_ENTRIES>(&couplings, first);
-            let own = sum_inwards::<R, COUPLING_ENTRIES>(&own, &mut coupling);
+            let is_last = first + R::PACKED >= self.joints();
+            let f = sum_inwards::<R, 6>(&load::<R, 6, _>(&forces, first), &mut force, is_last);
+            let own = load::<R, LINK_PARAMETER_COUNT, _>(&inertias, first);
+            let body = Inertia::of(&sum_inwards::<R, LINK_PARAMETER_COUNT>(
+                &own,
+                &mut inertia,
+                is_last,
+            ));
+            let own = load::<R, COUPLING_ENTRIES, _>(&couplings, first);
+            let own = sum_inwards::<R, COUPLING_ENTRIES>(&own, &mut coupling, is_last);
             let coupling = Coupling::of(&own);
-            let twist = load::<R, 6>(&twists, first);
-            let (psi, phi) = (load::<R, 6>(&psis, first), load::<R, 6>(&phis, first));
-            store::<R, 6>(&body.force(&twist), &mut by_acceleration, first);
+            let twist = load::<R, 6, _>(&twists, first);
+            let (psi, phi) = (load::<R, 6, _>(&psis, first), load::<R, 6, _>(&phis, first));
+            store::<R, 6, _>(&body.force(&twist), &mut by_acceleration, first);
             let moved = sum(&force_cross(&twist, &f), &coupling.force(&psi));
-            store::<R, 6>(&sum(&body.force(&phi), &moved), &mut by_angle, first);
+            store::<R, 6, _>(&sum(&body.force(&phi), &moved), &mut by_angle, first);
             let inertial = body.force(&psi);
             let turned = sum(&sum(&inertial, &inertial), &coupling.force(&twist));
-            store::<R, 6>(&turned, &mut by_velocity, first);
-            store::<R, 3>(&coupling.transposed(&twist), &mut back, first);
+            store::<R, 6, _>(&turned, &mut by_velocity, first);
+            store::<R, 3, _>(&coupling.transposed(&twist), &mut back, first);
         }
         let mut all = [[R::splat(0.0); N]; N];
         let (angle, velocity) = (all, all);
@@ -487,7 +521,7 @@ impl<const N: usize, const LENGTH: usize> SerialChain<N, LENGTH> {
 
 /// The angular parts of vectors.
 #[inline(always)]
-fn rotations<R>(rows: &Rows<R, 6>) -> &Rows<R, 3> {
+fn rotations<R, const W: usize>(rows: &Rows<R, 6, W>) -> &Rows<R, 3, W> {
     rows.first_chunk().expect("six rows")
 }
 
