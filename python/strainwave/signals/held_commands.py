@@ -59,7 +59,7 @@ class _Clock:
         whole = round(offset / self.sample_time)
         middle = (np.arange(len(torque)) + whole + 0.5) * self.sample_time
         at = np.floor(middle / self.period).astype(int) - int(first) + 1
-        return commands[np.clip(at, 0, len(commands) - 1)]
+        return np.asarray(commands[np.clip(at, 0, len(commands) - 1)])
 
 
 def held_commands(

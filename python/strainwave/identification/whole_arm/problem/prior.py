@@ -9,7 +9,14 @@ import numpy as np
 
 from strainwave.domain import FloatArray, RigidModel
 from strainwave.domain.keys import Key, Row, Values
-from strainwave.domain.parameter_table import COULOMB, OFFSET, Family, family_of
+from strainwave.domain.parameter_table import (
+    COULOMB,
+    OFFSET,
+    Family,
+    base_name,
+    family_of,
+    parameter_table,
+)
 from strainwave.dynamics.arm import Arm
 
 # relative errors of rigid-step estimates if the model lacks an effect
@@ -97,11 +104,28 @@ def combination(names: Sequence[Key], parts: Row) -> FloatArray:
 
 
 def reference_sizes(values: Mapping[Key, float]) -> Values:
-    """Size of each value for relative errors; that of a friction offset is the Coulomb friction."""
+    """Size of each value for relative errors.
+
+    That of a friction offset is the Coulomb friction, that of an inertial value of either sign the
+    largest of its kind: products of inertia and first moments may be zero.
+    """
+    kinds: dict[tuple[str, ...], float] = {}
+    signed = {key: kind for key in values if (kind := _signed_kind(key))}
+    for key, kind in signed.items():
+        kinds[kind] = max(kinds.get(kind, 0.0), abs(values[key]))
+    largest = {key: kinds[kind] for key, kind in signed.items()}
     return {
         key: abs(values.get((COULOMB, key[1]), value) if key[0] == OFFSET else value)
         for key, value in values.items()
-    }
+    } | largest
+
+
+def _signed_kind(key: Key) -> tuple[str, ...] | None:
+    """Units of an inertial parameter of either sign; None for other parameters."""
+    described = parameter_table().get(base_name(key[0]))
+    if described is None or described.family != "inertia" or described.range != "any":
+        return None
+    return described.units
 
 
 def rigid_prior(model: RigidModel | None, keys: Sequence[Key], arm: Arm, floor: float) -> Prior:
