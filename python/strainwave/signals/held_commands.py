@@ -16,8 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solveh_banded
-from scipy.optimize import minimize_scalar
 
 from strainwave.domain import FloatArray
 
@@ -37,6 +35,8 @@ class _Clock:
 
     def commands(self, torque: FloatArray, offset: float) -> tuple[FloatArray, FloatArray]:
         """Commands at the ticks, from the one before the record, and the misfit of the samples."""
+        from scipy.linalg import solveh_banded
+
         time = self.sample_time * np.arange(len(torque)) + offset
         tick = np.floor(time / self.period + 1e-9).astype(int)
         new = -np.expm1(-(time - tick * self.period) / self.lag)
@@ -71,6 +71,8 @@ def held_commands(
     [Hz]. Returns None if the torques do not show when they were sampled, or are not those of held
     commands.
     """
+    from scipy.optimize import minimize_scalar
+
     clocks = [_Clock(sample_time, period, 1.0 / (2.0 * np.pi * hz)) for hz in current_loops]
     grid = period * (np.arange(_OFFSETS_PER_PERIOD) / _OFFSETS_PER_PERIOD - 0.5)
     pairs = list(zip(clocks, torques, strict=True))

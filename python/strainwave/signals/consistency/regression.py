@@ -79,8 +79,9 @@ def _long_run_std(influence: FloatArray, residual: FloatArray) -> FloatArray:
     terms = influence * residual[:, None]
     n_rows = len(terms)
     n_lags = min(_MAX_LAG_ROWS, n_rows // 4)
-    spectrum = np.fft.rfft(terms, 2 * n_rows, axis=0)
-    autocovariance = np.fft.irfft(np.abs(spectrum) ** 2, 2 * n_rows, axis=0)[: n_lags + 1]
+    length = 2 ** (n_rows + n_lags - 1).bit_length()
+    spectrum = np.fft.rfft(terms, length, axis=0)
+    autocovariance = np.fft.irfft(np.abs(spectrum) ** 2, length, axis=0)[: n_lags + 1]
     window = 1.0 - np.arange(n_lags + 1) / (n_lags + 1.0)
     window[1:] *= 2.0
     return np.sqrt(np.maximum(window @ autocovariance, 0.0))
