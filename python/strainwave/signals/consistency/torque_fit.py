@@ -119,7 +119,9 @@ def recall_quality(evidence: Evidence) -> FitQuality | None:
 def fit_torques(system: TorqueSystem) -> TorqueFit:
     """Least squares, weighted by the residuals of the joints.
 
-    The normal equations of each joint are computed once; the weights only scale them.
+    The normal equations of each joint are computed once; the weights only scale them. With scaled
+    columns and singular values down to 1e-6 their rounding is 2e-4 of the weakest combinations, far
+    less than the noise of the unexplained shares that the fits are compared by.
     """
     std = {i: float(np.sqrt(total / system.n_rows[i])) for i, total in system.total.items()}
     of_joint = {i: system.joint == i for i in std}
