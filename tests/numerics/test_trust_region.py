@@ -293,9 +293,24 @@ def test_the_cost_alone_rejects_steps_that_follow_a_rejected_one(residual: Resid
     assert np.array_equal(plain.x, quick.x)
     assert (plain.evaluations, plain.end) == (quick.evaluations, quick.end)
     assert len(problems[1].looked_at) <= len(problems[0].looked_at) == plain.evaluations
-    rejected = np.diff([problems[0].cost(x) for x in problems[0].looked_at]) > 0.0
-    if np.any(rejected[1:] & rejected[:-1]):
-        assert len(problems[1].looked_at) < plain.evaluations
+
+
+def test_the_cost_alone_rejects_all_but_the_first_step_where_none_helps() -> None:
+    looked_at = []
+
+    def cost(x: FloatArray) -> float:
+        return 1.0 + float(np.sum(x**2))
+
+    def linearise(x: FloatArray) -> Linearised:
+        looked_at.append(x)
+        return Linearised(cost(x), np.array([[1.0, 1.0], [0.0, 0.0]]))
+
+    result = minimise(
+        linearise, np.zeros(1), Flat(), tolerance=1e-4, max_evaluations=100, cost=cost
+    )
+    assert result is not None
+    assert (result.x[0], result.end) == (0.0, SearchEnd.NO_DESCENT)
+    assert result.evaluations > len(looked_at) == 2  # the start and the first step
 
 
 def test_an_exhausted_budget_is_not_convergence() -> None:
