@@ -85,7 +85,10 @@ def _time_derivatives(chain: Chain) -> float:
     arm = Arm.of(chain.study.arm)
     values, names = arm.parameter_vector(chain.values), _directions(arm)
     experiment = _experiment(arm.n_joints)
-    run = lambda: arm.core.sensitivities(values, with_respect_to=names, **experiment)  # noqa: E731
+
+    def run() -> None:
+        arm.core.sensitivities(values, with_respect_to=names, **experiment)
+
     return best_of(run, repeats=3) / STEPS
 
 

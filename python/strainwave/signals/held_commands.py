@@ -22,6 +22,7 @@ from strainwave.domain import FloatArray
 _OFFSETS_PER_PERIOD = 40  # of the grid for d; the misfit is smooth between its points
 # maximum misfit relative to the changes from sample to sample; smooth torques fit any offset
 _MAX_MISFIT_SHARE = 0.1
+_TICK_ROUNDING = 1e-9  # ticks by which a sample at a tick may seem early
 _MIN_WEIGHT = 1e-12  # of the diagonal, for ticks without samples
 
 
@@ -38,7 +39,7 @@ class _Clock:
         from scipy.linalg import solveh_banded
 
         time = self.sample_time * np.arange(len(torque)) + offset
-        tick = np.floor(time / self.period + 1e-9).astype(int)
+        tick = np.floor(time / self.period + _TICK_ROUNDING).astype(int)
         new = -np.expm1(-(time - tick * self.period) / self.lag)
         at = tick - tick[0] + 1
         matrix, right = np.zeros((2, at[-1] + 1)), np.zeros(at[-1] + 1)
@@ -55,7 +56,7 @@ class _Clock:
     def held(self, torque: FloatArray, offset: float) -> FloatArray:
         """Command in the period after each sample; ticks are at the nearest time stamps."""
         commands, _ = self.commands(torque, offset)
-        first = np.floor(offset / self.period + 1e-9)
+        first = np.floor(offset / self.period + _TICK_ROUNDING)
         whole = round(offset / self.sample_time)
         middle = (np.arange(len(torque)) + whole + 0.5) * self.sample_time
         at = np.floor(middle / self.period).astype(int) - int(first) + 1

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Log
+from strainwave.domain import FloatArray, Joint, Log
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.numerics.filters import noise_std, signal_band
@@ -22,6 +22,9 @@ from strainwave.signals.channels import (
 )
 from strainwave.signals.drive_law import DriveLaw
 from strainwave.signals.held_commands import held_commands
+
+_MAX_PERIOD_ERROR = 1e-6  # relative, of the servo's period as a multiple of the sample time
+_MIN_SAMPLES_PER_COMMAND = 2  # below it, torques do not show when they were sampled
 
 
 @dataclass(frozen=True)
@@ -89,15 +92,15 @@ class PreparedRecord:
         """
         T = self.log.sample_time
         held = self._held_commands()
-        columns = [
-            each.values
-            if each.is_voltage
-            else held[each.joint] / joint.torque_per_command
-            if each.joint in held
-            else DriveLaw.of(joint).voltage(each.values, T)
-            for each, joint in zip(self.driving_inputs, self.arm.joints, strict=True)
-        ]
-        return _read_only(columns)
+
+        def voltage(motor: MotorInput, joint: Joint) -> FloatArray:
+            if motor.is_voltage:
+                return motor.values
+            if motor.joint in held:
+                return held[motor.joint] / joint.torque_per_command
+            return DriveLaw.of(joint).voltage(motor.values, T)
+
+        return _read_only(list(map(voltage, self.driving_inputs, self.arm.joints)))
 
     def _held_commands(self) -> dict[int, FloatArray]:
         """Commands [N m] of a servo by joint, where they follow from logged torques."""
@@ -108,7 +111,8 @@ class PreparedRecord:
             if not each.is_voltage and joints[each.joint - 1].current_loop_hz
         ]
         samples = servo.period / T if servo else 0.0
-        if not logged or samples < 1.5 or abs(samples - round(samples)) > 1e-6 * samples:
+        is_multiple = abs(samples - round(samples)) < _MAX_PERIOD_ERROR * samples
+        if not logged or not is_multiple or round(samples) < _MIN_SAMPLES_PER_COMMAND:
             return {}
         loops = [joints[each.joint - 1].current_loop_hz or np.inf for each in logged]
         held = held_commands([each.values for each in logged], T, round(samples) * T, loops)

@@ -9,12 +9,15 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Joint, JointModel, RigidModel
 from strainwave.domain.gear_laws import STIFFNESS
-from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import COULOMB, SETTLING, parameter_table
 from strainwave.domain.units import unit_in, unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
-from strainwave.identification.whole_arm.problem.prior import reference_sizes, rigid_prior
+from strainwave.identification.whole_arm.problem.prior import (
+    largest_of_kind,
+    reference_sizes,
+    rigid_prior,
+)
 from strainwave.identification.whole_arm.problem.starting_values import starting_values_of
 
 SETTLING_START = 1e-4
@@ -48,7 +51,9 @@ def space_of(
         torque = _MIN_COULOMB_SHARE * voltage * joint.torque_per_command
         start[COULOMB, i] = max(start[COULOMB, i], torque)
     grouped = arm.base.independent_links if arm.base.has_groups else ()
-    sizes = reference_sizes(start) | _link_sizes(start, grouped, arm)
+    # link parameters that stand for combinations may be zero
+    units = {key: unit_in(arm, key) for key in grouped}
+    sizes = reference_sizes(start) | largest_of_kind(start, units)
     unknowns = []
     for (name, number), value in start.items():
         described = parameter_table()[name]
@@ -63,15 +68,6 @@ def space_of(
     space = ParameterSpace(tuple(unknowns), {}, rigid_prior(model, keys, arm, floor))
     dependent = set(arm.base.links) - set(arm.base.independent_links)
     return space.fix_values({key: value for key, value in start.items() if key in dependent})
-
-
-def _link_sizes(start: Values, keys: Sequence[Key], arm: Arm) -> Values:
-    """Sizes of link parameters that stand for combinations: the largest of the same unit."""
-    units = {key: unit_in(arm, key) for key in keys}
-    return {
-        key: max(abs(start[other]) for other in keys if units[other] == unit)
-        for key, unit in units.items()
-    }
 
 
 def add_stiffness_curves(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -109,15 +109,19 @@ def reference_sizes(values: Mapping[Key, float]) -> Values:
     That of a friction offset is the Coulomb friction, that of an inertial value of either sign the
     largest of its kind: products of inertia and first moments may be zero.
     """
-    kinds: dict[tuple[str, ...], float] = {}
-    signed = {key: kind for key in values if (kind := _signed_kind(key))}
-    for key, kind in signed.items():
-        kinds[kind] = max(kinds.get(kind, 0.0), abs(values[key]))
-    largest = {key: kinds[kind] for key, kind in signed.items()}
+    kinds = {key: kind for key in values if (kind := _signed_kind(key))}
     return {
         key: abs(values.get((COULOMB, key[1]), value) if key[0] == OFFSET else value)
         for key, value in values.items()
-    } | largest
+    } | largest_of_kind(values, kinds)
+
+
+def largest_of_kind(values: Mapping[Key, float], kinds: Mapping[Key, Hashable]) -> Values:
+    """For each key with a kind, the size of the largest value of that kind."""
+    return {
+        key: max(abs(values[other]) for other in kinds if kinds[other] == kind)
+        for key, kind in kinds.items()
+    }
 
 
 def _signed_kind(key: Key) -> tuple[str, ...] | None:
