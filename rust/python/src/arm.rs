@@ -240,15 +240,13 @@ impl Arm {
         velocity: Matrix<'py>,
         acceleration: Matrix<'py>,
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-        let n = self.n_joints();
-        let [q, dq, ddq] = same_rows([&angle, &velocity, &acceleration], n)?;
-        let motion = LinkMotion {
-            angle: &q,
-            velocity: &dq,
-            acceleration: &ddq,
-        };
-        let regressor = py.detach(|| self.0.base_regressor(&motion));
-        let shape = [q.len() / n, n, self.0.base_parameters()];
+        let shape = [
+            angle.as_array().nrows(),
+            self.n_joints(),
+            self.0.base_parameters(),
+        ];
+        let work = |motion: &LinkMotion<'_>| self.0.base_regressor(motion);
+        let regressor = self.along(py, [&angle, &velocity, &acceleration], work)?;
         PyArray1::from_vec(py, regressor).reshape(shape)
     }
 
@@ -260,21 +258,16 @@ impl Arm {
         velocity: Matrix<'py>,
         acceleration: Matrix<'py>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let n = self.n_joints();
-        let [q, dq, ddq] = same_rows([&angle, &velocity, &acceleration], n)?;
+        let shape = [angle.as_array().nrows(), self.n_joints()];
         let base = base.as_array().to_vec();
         let (got, expected) = (base.len(), self.0.base_parameters());
         if got != expected {
             let message = format!("base has {got} values instead of {expected}");
             return Err(PyValueError::new_err(message));
         }
-        let motion = LinkMotion {
-            angle: &q,
-            velocity: &dq,
-            acceleration: &ddq,
-        };
-        let torques = py.detach(|| self.0.link_torques(&base, &motion));
-        PyArray1::from_vec(py, torques).reshape([q.len() / n, n])
+        let work = |motion: &LinkMotion<'_>| self.0.link_torques(&base, motion);
+        let torques = self.along(py, [&angle, &velocity, &acceleration], work)?;
+        PyArray1::from_vec(py, torques).reshape(shape)
     }
 
     fn link_motion<'py>(
@@ -319,15 +312,10 @@ impl Arm {
         acceleration: Matrix<'py>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let values = self.checked(&parameters)?;
-        let n = self.n_joints();
-        let [q, dq, ddq] = same_rows([&angle, &velocity, &acceleration], n)?;
-        let motion = LinkMotion {
-            angle: &q,
-            velocity: &dq,
-            acceleration: &ddq,
-        };
-        let torques = py.detach(|| self.0.inverse_dynamics(&values, &motion));
-        PyArray1::from_vec(py, torques).reshape([q.len() / n, n])
+        let shape = [angle.as_array().nrows(), self.n_joints()];
+        let work = |motion: &LinkMotion<'_>| self.0.inverse_dynamics(&values, motion);
+        let torques = self.along(py, [&angle, &velocity, &acceleration], work)?;
+        PyArray1::from_vec(py, torques).reshape(shape)
     }
 
     fn inertia_matrix<'py>(
@@ -399,6 +387,22 @@ impl Arm {
             return Err(PyValueError::new_err(text));
         }
         self.0.check(values).map_err(value_error)
+    }
+
+    /// Results along a motion of the links, without the interpreter's lock.
+    fn along(
+        &self,
+        py: Python<'_>,
+        motion: [&Matrix<'_>; 3],
+        work: impl FnOnce(&LinkMotion<'_>) -> Vec<f64> + Send,
+    ) -> PyResult<Vec<f64>> {
+        let [angle, velocity, acceleration] = same_rows(motion, self.n_joints())?;
+        let motion = LinkMotion {
+            angle: &angle,
+            velocity: &velocity,
+            acceleration: &acceleration,
+        };
+        Ok(py.detach(|| work(&motion)))
     }
 
     fn checked(&self, parameters: &Vector<'_>) -> PyResult<Vec<f64>> {
