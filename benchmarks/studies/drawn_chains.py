@@ -55,7 +55,9 @@ _COUNTS = (4096, 8192, 65536)  # of encoders, per motor turn
 _SAMPLE_TIME = 5e-4  # [s] of records that excite the gears
 _VOLTAGE_LIMIT = 10.0  # [V]
 _PRBS = Prbs(10, 1e-3, 2, 5.0)  # on top of the servo
-_SERVO_BANDWIDTH, _KI_RATIO = 20.0, 8.0  # [rad/s], [1/s]
+_SERVO_BANDWIDTHS, _KI_RATIO = (20.0, 100.0), 8.0  # [rad/s], [1/s]
+_STUCK_SPEED = 0.3  # [rad/s] of a link, that the servo's proportional part must overcome
+_MOTOR_ACCELERATION = 1e5  # [rad/s^2] of a motor alone at full voltage, at most
 _GRAVITY = 9.81  # [m/s^2]
 _TILTED_SHARE = 0.2  # of the chains stand in any attitude
 _LEVER = 0.2  # [m] of an IMU
@@ -200,7 +202,7 @@ def _draw_drive(rng: np.random.Generator, inertia: float, load: float) -> _Drive
     stiffness = 1e4 * (low if ratio <= 50 else high)[1] * float(rng.uniform(0.8, 1.2))
     n = float(rng.choice((-1.0, 1.0))) / ratio
     torque = abs(n) * max(float(rng.uniform(2.0, 4.5)) * knees[1], 3.0 * load)  # at full voltage
-    motor = n**2 * inertia * between(rng, 0.3, 4.0)
+    motor = max(n**2 * inertia * between(rng, 0.3, 4.0), torque / _MOTOR_ACCELERATION)
     dry = float(rng.uniform(0.04, 0.12)) * torque
     viscous = dry * abs(n) * float(rng.uniform(0.15, 0.5))
     values = {
@@ -220,7 +222,9 @@ def _draw_drive(rng: np.random.Generator, inertia: float, load: float) -> _Drive
         current_loop_hz=float(f"{between(rng, 500.0, 1000.0):.3g}"),
         encoder_counts=int(rng.choice(_COUNTS)),
     )
-    return _Drive(joint, values, _SERVO_BANDWIDTH * (motor + n**2 * inertia) / per_volt)
+    total = motor + n**2 * inertia
+    bandwidth = float(np.clip(dry * abs(n) / _STUCK_SPEED / total, *_SERVO_BANDWIDTHS))
+    return _Drive(joint, values, bandwidth * total / per_volt)
 
 
 def _draw_imu(rng: np.random.Generator) -> Imu:

@@ -121,6 +121,7 @@ class Arm:
         initial_voltage: Sequence[float] | None = None,
         taps: Sequence[NDArray[np.float64]] | None = None,
         samples_per_row: int = 1,
+        link_sensors: Sequence[tuple[str, bool, NDArray[np.float64]]] | None = None,
     ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
         """One arm's experiment with its exact derivatives.
 

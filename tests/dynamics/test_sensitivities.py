@@ -10,6 +10,11 @@ import numpy as np
 import pytest
 
 from strainwave.domain import FloatArray, Prbs, Spring
+from strainwave.domain.link_sensors.link_signals import (
+    ACCELEROMETER_QUANTITIES,
+    GYRO_QUANTITIES,
+    LINK_SIGNALS,
+)
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.records.low_pass import low_pass_kernels
@@ -110,4 +115,37 @@ def test_invalid_taps_are_rejected(taps: list[FloatArray], samples_per_row: int)
             **EXPERIMENT,
             taps=taps,
             samples_per_row=samples_per_row,
+        )
+
+
+def test_readings_of_imus_are_weighted_sums_of_signals_of_links() -> None:
+    rng = np.random.default_rng(3)
+    directions = [("alpha", None), ("gear_damping", 2), ("initial_link_angle", 1)]
+    for is_gyro, signals in ((False, ACCELEROMETER_QUANTITIES), (True, GYRO_QUANTITIES)):
+        experiment = EXPERIMENT | {"record": list(signals)}
+        expected = ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=directions, **experiment)
+        weights = np.zeros((2, len(LINK_SIGNALS)))
+        at = [LINK_SIGNALS.index(name) for name in signals]
+        weights[:, at] = rng.normal(size=(2, len(signals)))
+        (reading,) = ARM.sensitivities(
+            VALUES,
+            VOLTAGE,
+            with_respect_to=directions,
+            link_sensors=[("reading", is_gyro, weights)],
+            **EXPERIMENT | {"record": ["reading"]},
+        ).values()
+        for part, weight in ((0, weights[:, at]), (1, weights[:, at, None])):
+            stacked = np.stack([expected[name][part] for name in signals], 2)
+            total = (stacked * weight).sum(axis=2)
+            np.testing.assert_allclose(reading[part], total, atol=1e-12 * np.abs(stacked).max())
+
+
+def test_sensors_on_links_have_weights_for_each_joint() -> None:
+    with pytest.raises(ValueError, match="link_sensors"):
+        ARM.sensitivities(
+            VALUES,
+            VOLTAGE,
+            with_respect_to=[],
+            link_sensors=[("reading", False, np.zeros((1, 15)))],
+            **EXPERIMENT | {"record": ["reading"]},
         )

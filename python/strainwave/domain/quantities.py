@@ -32,6 +32,17 @@ Quantity = Literal[
     "angular_rate_x",
     "angular_rate_y",
     "angular_rate_z",
+    "imu_a",
+    "imu_ax",
+    "imu_ay",
+    "imu_az",
+    "imu_gx",
+    "imu_gy",
+    "imu_gz",
     "sliding",
 ]
-"""Quantities that a simulation can record."""
+"""Quantities that a simulation can record.
+
+`imu_ax` and the like are readings of a kind of sensor on each link: weighted sums of signals of the
+link, whose weights the simulation is given.
+"""

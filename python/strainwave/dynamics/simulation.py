@@ -11,6 +11,7 @@ import numpy as np
 from strainwave.domain import FloatArray
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.link_sensors.accelerometer import ACCELEROMETER_DENSITY
+from strainwave.domain.link_sensors.link_signals import ACCELEROMETER_QUANTITIES
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import MAX_TIME_STEP, Arm, core_errors
 from strainwave.errors import InvalidInput
@@ -132,13 +133,15 @@ def sensitivities(
     record: Sequence[Quantity],
     max_time_step: float = MAX_TIME_STEP,
     low_pass: LowPass | None = None,
+    sums: Mapping[Quantity, FloatArray] | None = None,
 ) -> dict[Quantity, tuple[FloatArray, FloatArray]]:
     """Simulate one experiment on one arm with exact derivatives of all recorded quantities.
 
     `directions` are parameters of the core or the initial states `initial_motor_angle`,
     `initial_motor_velocity`, `initial_link_angle` and `initial_link_velocity`. Each quantity has
     values (n_samples, n_joints) and derivatives (n_samples, n_joints, n_directions). With
-    `low_pass` its rows replace the samples. Other arguments and errors are those of
+    `low_pass` its rows replace the samples. `sums` are weights (n_joints, n_signals) of
+    `LINK_SIGNALS` in the quantities such as `imu_ax`. Other arguments and errors are those of
     `simulate_arms`.
     """
     vector = arm.parameter_vector(values)
@@ -146,6 +149,12 @@ def sensitivities(
     if low_pass is not None:
         experiment["taps"] = [low_pass.taps[name] for name in record]
         experiment["samples_per_row"] = low_pass.samples_per_row
+    if sums:
+        n_accelerometer = len(ACCELEROMETER_QUANTITIES)
+        experiment["link_sensors"] = [
+            (name, bool(np.any(weights[:, n_accelerometer:])), np.ascontiguousarray(weights))
+            for name, weights in sums.items()
+        ]
     with core_errors():
         raise_if_stopped()
         recorded = arm.core.sensitivities(

@@ -174,6 +174,7 @@ impl<A: WithPrograms<N>, const N: usize> Bench<A, N> {
                 },
                 servo: None,
                 record: record.to_vec(),
+                link_sensors: Vec::new(),
             },
             parameters: parameters.to_vec(),
             voltage: (0..=STEPS / STEPS_PER_TICK).map(|_| tick()).collect(),

@@ -4,6 +4,7 @@
 //! of numbers are flat, with a row of joints for each sample or tick.
 
 use crate::actuation::{PiPosition, PiVelocity, Servo};
+use crate::arm::link_signals::LinkSensor;
 use crate::arm::{Arm, Kinematics, Name};
 use crate::experiment::{Clock, Diverged, Initial, Member, Quantity, Record, Source, Task};
 use crate::plant::config::{Config, InvalidParameter};
@@ -26,6 +27,8 @@ pub struct Experiment {
     pub initial: InitialState,
     /// Quantities to record.
     pub record: Vec<Quantity>,
+    /// Sensors on the links that the record names.
+    pub link_sensors: Vec<LinkSensor>,
 }
 
 /// Gains of a PI velocity servo, one number per joint.
@@ -189,6 +192,9 @@ impl Experiment {
             exact("active", servo.active.len())?;
             optional("position_gain", &servo.position_gain)?;
         }
+        for sensor in &self.link_sensors {
+            exact("link_sensors", sensor.weights.len())?;
+        }
         exact("motor_angle", self.initial.motor_angle.len())?;
         optional("motor_velocity", &self.initial.motor_velocity)?;
         optional("link_angle", &self.initial.link_angle)?;
@@ -202,6 +208,7 @@ impl Experiment {
             clock: self.clock,
             servo: self.servo.as_ref().map(|gains| gains.servo(&self.clock)),
             record: self.record.clone(),
+            link_sensors: self.link_sensors.clone(),
         }
     }
 

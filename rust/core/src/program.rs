@@ -287,6 +287,7 @@ fn forward_on<
     let plain = Task {
         config,
         record: task.record.clone(),
+        link_sensors: task.link_sensors.clone(),
         ..*task
     };
     let without = Member {

@@ -3,13 +3,17 @@
 use numpy::PyReadonlyArray2;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use strainwave_core::arm::{ChainJoint, JointType, link_signals};
+use strainwave_core::arm::link_signals::{self, LINK_SIGNALS, LinkSensor};
+use strainwave_core::arm::{ChainJoint, JointType};
 use strainwave_core::experiment::{Clock, Quantity};
 use strainwave_core::joint::effects::EffectKinds;
 use strainwave_core::joint::gear::{self, Law};
 use strainwave_core::plant::config::JointConfig;
 
 pub type Matrix<'py> = PyReadonlyArray2<'py, f64>;
+/// A sensor on each link: its name in the record, whether it is a gyro, and a row of weights of the
+/// links' signals per joint.
+pub type LinkSensorArguments<'py> = (String, bool, Matrix<'py>);
 /// A joint of a chain: type; position; roll, pitch and yaw; axis.
 pub type JointPlacement = (String, [f64; 3], [f64; 3], [f64; 3]);
 /// An optional number for each joint.
@@ -120,8 +124,35 @@ fn effect_kinds(names: &[String], gear: Law) -> PyResult<EffectKinds> {
     }
 }
 
-pub fn quantities(names: &[String]) -> PyResult<Vec<Quantity>> {
-    names.iter().map(|name| quantity(name)).collect()
+/// Recorded quantities, and the sensors on the links among them: those of `named`, and the signals of
+/// links.
+pub fn quantities(
+    names: &[String],
+    named: &[LinkSensorArguments<'_>],
+    joints: usize,
+) -> PyResult<(Vec<Quantity>, Vec<LinkSensor>)> {
+    let mut sensors = Vec::new();
+    let mut quantity = |name: &String| {
+        let sensor = match link_signals::NAMES.iter().position(|one| one == name) {
+            Some(signal) => LinkSensor::of_signal(signal, joints),
+            None => match named.iter().find(|sensor| sensor.0 == *name) {
+                Some((_, is_gyro, weights)) => link_sensor(*is_gyro, weights, joints)?,
+                None => return quantity(name),
+            },
+        };
+        sensors.push(sensor);
+        Ok(Quantity::LinkSensor(sensors.len() - 1))
+    };
+    let quantities = names.iter().map(&mut quantity).collect::<PyResult<_>>()?;
+    Ok((quantities, sensors))
+}
+
+fn link_sensor(is_gyro: bool, weights: &Matrix<'_>, joints: usize) -> PyResult<LinkSensor> {
+    let all = rows(weights, "link_sensors", joints, LINK_SIGNALS)?;
+    Ok(LinkSensor {
+        is_gyro,
+        weights: all.as_chunks().0.to_vec(),
+    })
 }
 
 fn quantity(name: &str) -> PyResult<Quantity> {
@@ -139,10 +170,7 @@ fn quantity(name: &str) -> PyResult<Quantity> {
         "accelerometer" => Quantity::Accelerometer,
         "gyro" => Quantity::Gyro,
         "sliding" => Quantity::Sliding,
-        _ => match link_signals::NAMES.iter().position(|one| *one == name) {
-            Some(signal) => Quantity::LinkSignal(signal),
-            None => return Err(PyValueError::new_err(format!("unknown quantity {name:?}"))),
-        },
+        _ => return Err(PyValueError::new_err(format!("unknown quantity {name:?}"))),
     })
 }
 

@@ -15,8 +15,8 @@ use strainwave_core::program::Width;
 use strainwave_core::sensors::decimation::Decimation;
 
 use crate::arguments::{
-    JointPlacement, Joints, Matrix, chain_joints, check_clock, per_joint, quantities, rows,
-    same_rows, value_error,
+    JointPlacement, Joints, LinkSensorArguments, Matrix, chain_joints, check_clock, per_joint,
+    quantities, rows, same_rows, value_error,
 };
 
 type Vector<'py> = PyReadonlyArray1<'py, f64>;
@@ -132,7 +132,7 @@ impl Arm {
             voltage: initial_voltage,
         };
         let inputs = (&voltage, reference.as_ref());
-        let experiment = self.experiment(clock, inputs, servo, initial, &record)?;
+        let experiment = self.experiment(clock, inputs, servo, initial, &record, &[])?;
         let arms: Vec<Vec<f64>> = parameters
             .as_array()
             .rows()
@@ -164,7 +164,7 @@ impl Arm {
     #[pyo3(signature = (parameters, voltage, *, with_respect_to, motor_angle, step, steps_per_tick,
         steps_per_sample, samples, record, reference=None, servo=None, steps_per_servo=1,
         motor_velocity=None, link_angle=None, link_velocity=None, initial_voltage=None, taps=None,
-        samples_per_row=1))]
+        samples_per_row=1, link_sensors=None))]
     fn sensitivities<'py>(
         &self,
         py: Python<'py>,
@@ -186,6 +186,7 @@ impl Arm {
         initial_voltage: Option<Vec<f64>>,
         taps: Option<Vec<Vec<f64>>>,
         samples_per_row: usize,
+        link_sensors: Option<Vec<LinkSensorArguments<'py>>>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let clock = Clock {
             step,
@@ -203,7 +204,8 @@ impl Arm {
             voltage: initial_voltage,
         };
         let inputs = (&voltage, reference.as_ref());
-        let experiment = self.experiment(clock, inputs, servo, initial, &record)?;
+        let sensors = link_sensors.unwrap_or_default();
+        let experiment = self.experiment(clock, inputs, servo, initial, &record, &sensors)?;
         let decimation = match taps {
             None => None,
             Some(taps) if taps.len() == experiment.record.len() => {
@@ -355,6 +357,7 @@ impl Arm {
         servo: Option<ServoArguments>,
         initial: InitialState,
         record: &[String],
+        link_sensors: &[LinkSensorArguments<'_>],
     ) -> PyResult<Experiment> {
         let (n, ticks) = (self.n_joints(), clock.ticks());
         let servo = servo.map(|(kp, ki, limit, active, position_gain)| ServoGains {
@@ -368,13 +371,15 @@ impl Arm {
             Some(reference) => rows(reference, "reference", ticks, n)?,
             None => vec![0.0; ticks * n],
         };
+        let (record, link_sensors) = quantities(record, link_sensors, n)?;
         let experiment = Experiment {
             clock,
             servo,
             voltage: rows(voltage, "voltage", ticks, n)?,
             reference,
             initial,
-            record: quantities(record)?,
+            record,
+            link_sensors,
         };
         experiment.check(n).map_err(value_error)?;
         Ok(experiment)

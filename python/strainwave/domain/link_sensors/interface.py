@@ -21,6 +21,7 @@ import numpy as np
 
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.keys import Key
+from strainwave.domain.link_sensors.link_signals import LINK_SIGNALS
 from strainwave.domain.link_sensors.link_space import PLANE, LinkSpace
 from strainwave.domain.parameter_table import of_record
 from strainwave.domain.quantities import Quantity
@@ -291,6 +292,17 @@ class TypicalSensor:
         return float(np.hypot(noise, self.resolution / np.sqrt(12.0)))
 
 
+_SUMMED: Mapping[str, Quantity] = {
+    "a": "imu_a",
+    "ax": "imu_ax",
+    "ay": "imu_ay",
+    "az": "imu_az",
+    "gx": "imu_gx",
+    "gy": "imu_gy",
+    "gz": "imu_gz",
+}
+
+
 @dataclass(frozen=True)
 class Axis:
     """One axis of a sensor on the link of a joint."""
@@ -325,6 +337,12 @@ class Axis:
         """Simulated quantities that it reads."""
         return tuple(name for name in self.sensor.quantities() if self.space.has(name))
 
+    @property
+    def summed_quantity(self) -> Quantity:
+        """The quantity that the core records instead of several that it sums with weights."""
+        several = len(self.quantities) > 1
+        return _SUMMED[self.sensor.channel_kinds[self.number]] if several else self.quantities[0]
+
     @cached_property
     def is_simulated(self) -> list[bool]:
         """Whether the simulation has each quantity of the sensor."""
@@ -353,10 +371,17 @@ class Axis:
         return self.sensor.weights(self, values)[self.is_simulated]
 
     def reading(self, of: Mapping[Quantity, FloatArray], values: Mapping[Key, float]) -> FloatArray:
-        """Ideal reading (n, ...) from (n, n_joints, ...) of each quantity."""
+        """Ideal reading (n, ...) from (n, n_joints, ...) of each quantity, or of their sum."""
+        if self.summed_quantity in of and len(self.quantities) > 1:
+            return of[self.summed_quantity][:, self.joint - 1]
         parts = [of[name][:, self.joint - 1] for name in self.quantities]
         pairs = zip(self.weights(values), parts, strict=True)
         return np.asarray(sum(weight * part for weight, part in pairs))
+
+    def signal_weights(self, values: Mapping[Key, float]) -> FloatArray:
+        """Weights (n_signals,) of all signals of a link in the reading."""
+        by_name = dict(zip(self.quantities, self.weights(values).tolist(), strict=True))
+        return np.array([by_name.get(name, 0.0) for name in LINK_SIGNALS])
 
     def slopes(self, values: Mapping[Key, float], keys: Sequence[Key]) -> FloatArray:
         """Derivatives of the weights with respect to mounting unknowns: (n_quantities, n_keys)."""

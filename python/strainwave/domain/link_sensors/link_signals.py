@@ -36,6 +36,9 @@ ACCELEROMETER_QUANTITIES: tuple[Quantity, ...] = (
 GYRO_QUANTITIES: tuple[Quantity, ...] = ("angular_rate_x", "angular_rate_y", "angular_rate_z")
 """The same for gyros: w."""
 
+LINK_SIGNALS = (*ACCELEROMETER_QUANTITIES, *GYRO_QUANTITIES)
+"""All signals of a link, in the order of the compiled core."""
+
 _IN_PLANE: tuple[Quantity, ...] = (
     "specific_force_x",
     "specific_force_y",
@@ -43,7 +46,7 @@ _IN_PLANE: tuple[Quantity, ...] = (
     "rate_product_zz",
     "angular_rate_z",
 )
-OUT_OF_PLANE = frozenset({*ACCELEROMETER_QUANTITIES, *GYRO_QUANTITIES}.difference(_IN_PLANE))
+OUT_OF_PLANE = frozenset(LINK_SIGNALS).difference(_IN_PLANE)
 """Signals that are zero on a link that moves in the xy plane."""
 
 

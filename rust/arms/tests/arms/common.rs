@@ -203,6 +203,7 @@ impl<A: WithPrograms<N>, const N: usize> Run<'_, A, N> {
             },
             servo: None,
             record: quantities.to_vec(),
+            link_sensors: Vec::new(),
         };
         task.config.check(self.parameters).expect("a possible arm");
         let reference = vec![[0.0; N]; ticks];

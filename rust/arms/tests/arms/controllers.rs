@@ -84,6 +84,7 @@ fn experiment(servo: Servo<1>, samples: usize) -> Task<OneLink, 1> {
             Quantity::MotorVelocity,
             Quantity::Voltage,
         ],
+        link_sensors: Vec::new(),
     }
 }
 
@@ -139,6 +140,7 @@ fn derivatives_match_differences_in_closed_loop() {
                 Quantity::LinkVelocity,
                 Quantity::Voltage,
             ],
+            link_sensors: Vec::new(),
         };
         let reference: Vec<[f64; 2]> = (0..samples)
             .map(|k| [0.02, 0.05].map(|w| 15.0 * (w * k as f64).sin()))

@@ -324,6 +324,7 @@ fn baseline_program_agrees_with_effects() {
         clock: clock(101),
         servo: None,
         record: vec![Quantity::MotorVelocity],
+        link_sensors: Vec::new(),
     };
     let member = Member {
         parameters: &parameters,
@@ -382,6 +383,7 @@ fn effect_parameter_derivatives_match_differences() {
             clock: clock(60),
             servo: None,
             record: vec![Quantity::MotorVelocity, Quantity::LinkVelocity],
+            link_sensors: Vec::new(),
         };
         let member = Member {
             parameters: &parameters,
@@ -443,6 +445,7 @@ fn zero_size_derivatives_match_one_sided_differences() {
             clock: clock(60),
             servo: None,
             record: vec![Quantity::MotorVelocity],
+            link_sensors: Vec::new(),
         };
         let member = Member {
             parameters: &absent,

@@ -92,6 +92,7 @@ fn task() -> Task<OneLink, 1> {
             Quantity::LinkAngle,
             Quantity::LinkVelocity,
         ],
+        link_sensors: Vec::new(),
     }
 }
 

@@ -121,6 +121,7 @@ fn derivatives_match_differences_for_every_pair_of_laws() {
                 clock: clock(60),
                 servo: None,
                 record: vec![Quantity::MotorVelocity, Quantity::LinkAcceleration],
+                link_sensors: Vec::new(),
             };
             let volts: Vec<[f64; 2]> = (0..60)
                 .map(|_| [8.0, 5.0].map(|size| size * draw.next().signum()))

@@ -384,6 +384,7 @@ proptest! {
             clock: Clock { step: 1.25e-4, steps_per_tick: 8, steps_per_servo: 8, steps_per_sample: 8, samples: 101 },
             servo: None,
             record: STATE.to_vec(),
+            link_sensors: Vec::new(),
         };
         let member = Member {
             parameters: &values, feed_forward: &voltage, reference: &reference, initial: at_rest([0.0; 2]),

@@ -9,7 +9,7 @@ use crate::common::{
 use proptest::prelude::*;
 use strainwave_arms::WithPrograms;
 use strainwave_core::actuation::{PiVelocity, Servo};
-use strainwave_core::arm::link_signals::LINK_SIGNALS;
+use strainwave_core::arm::link_signals::{LINK_SIGNALS, LinkSensor};
 use strainwave_core::arm::{
     Arm, ChainJoint, JointType, MAX_CHAIN_JOINTS, OneLink, Transmission, TwoLink,
 };
@@ -41,14 +41,28 @@ const RECORDED: [Quantity; SLIDING + 1] = {
     while k < SLIDING {
         all[k] = match k.checked_sub(others.len()) {
             None => others[k],
-            Some(signal) => Quantity::LinkSignal(signal),
+            Some(sensor) => Quantity::LinkSensor(sensor),
         };
         k += 1;
     }
     all
 };
 /// Index of the friction modes in [`RECORDED`], which is the last.
-const SLIDING: usize = 12 + LINK_SIGNALS;
+const SLIDING: usize = 12 + LINK_SIGNALS + 2;
+
+/// The signals of links one by one, and an accelerometer and a gyro at irregular places.
+fn link_sensors(joints: usize) -> Vec<LinkSensor> {
+    let irregular = |is_gyro| LinkSensor {
+        is_gyro,
+        weights: (0..joints)
+            .map(|i| std::array::from_fn(|k| (1.3 * k as f64 + 0.7 * i as f64).sin()))
+            .collect(),
+    };
+    (0..LINK_SIGNALS)
+        .map(|signal| LinkSensor::of_signal(signal, joints))
+        .chain([false, true].map(irregular))
+        .collect()
+}
 
 /// A random experiment.
 struct Case<A, const N: usize> {
@@ -135,6 +149,7 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
                 clock,
                 servo,
                 record: RECORDED.to_vec(),
+                link_sensors: link_sensors(config.arm.joints()),
             },
             typical: parameters.clone(),
             parameters,
@@ -683,6 +698,7 @@ fn check_planar_chain(seed: u64, servo: bool) {
                 Servo::PiPosition(_) => unreachable!("cases have velocity loops"),
             }),
             record: planar.task.record.clone(),
+            link_sensors: link_sensors(2),
         },
         typical: parameters.clone(),
         parameters,

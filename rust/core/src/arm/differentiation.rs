@@ -1,7 +1,6 @@
 //! Derivatives of an arm's equations with respect to the motion, by forward differentiation with
 //! [`Jet`]s.
 
-use super::link_signals::{LINK_SIGNALS, LinkSignalSlopes};
 use super::{Arm, Slopes};
 use crate::scalar::{Jet, Real};
 
@@ -42,21 +41,6 @@ pub(super) fn rate_slopes<A: Arm<N>, R: Real, const N: usize>(
     let [[angle], [velocity]] =
         differentiate(arm, (at, dq, dq), |at, dq, _| [arm.absolute_rates(at, dq)]);
     Slopes { angle, velocity }
-}
-
-/// Default of [`Arm::link_signal_slopes`].
-#[inline(always)]
-pub(super) fn link_signal_slopes<A: Arm<N>, R: Real, const N: usize>(
-    arm: &A,
-    motion: Motion<'_, A::Posture<R>, R, N>,
-) -> [LinkSignalSlopes<R, N>; N] {
-    let [angle, velocity, acceleration]: Derivatives<R, N, LINK_SIGNALS, 3> =
-        differentiate(arm, motion, |at, dq, ddq| arm.link_signals(at, dq, ddq));
-    std::array::from_fn(|i| LinkSignalSlopes {
-        angle: angle.map(|rows| rows[i]),
-        velocity: velocity.map(|rows| rows[i]),
-        acceleration: acceleration.map(|rows| rows[i]),
-    })
 }
 
 /// Derivatives of functions of the motion with respect to angles, velocities and, if `K` is 3,

@@ -5,6 +5,8 @@
 //! acceleration. Place and direction of the sensor are factors of twelve signals: f, dw and the
 //! products w_i w_j. A gyro reads c w. All vectors are in the link's frame.
 
+use std::ops::Range;
+
 use crate::scalar::Real;
 
 /// Number of signals of a link.
@@ -30,19 +32,13 @@ pub const NAMES: [&str; LINK_SIGNALS] = [
 ];
 
 /// The first signal of gyros; those before it are signals of accelerometers.
-pub(crate) const RATES: usize = 12;
-
-/// All signals.
-pub(super) const ALL: &[usize] = &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14];
-/// Signals of a planar arm, which moves in the plane across z; the others are zero.
-pub(super) const PLANAR: &[usize] = &[FORCE_X, FORCE_Y, TURNING, SQUARE, RATE];
+const RATES: usize = 12;
 
 const FORCE_X: usize = 0;
 const FORCE_Y: usize = 1;
 const TURNING: usize = 5;
 const SQUARE: usize = 8;
-/// The rate about z.
-pub(crate) const RATE: usize = 14;
+const RATE: usize = 14;
 
 /// Signals of a link from f, dw and w.
 #[inline(always)]
@@ -57,15 +53,50 @@ pub(super) fn of_link<R: Real>([f, dw, w]: [[R; 3]; 3]) -> [R; LINK_SIGNALS] {
     all
 }
 
-/// Derivatives of the signals of one link with respect to the motion of each joint.
-#[derive(Clone, Copy, Debug)]
-pub struct LinkSignalSlopes<R, const N: usize> {
-    /// With respect to the angles.
-    pub angle: [[R; N]; LINK_SIGNALS],
-    /// With respect to the velocities.
-    pub velocity: [[R; N]; LINK_SIGNALS],
-    /// With respect to the accelerations.
-    pub acceleration: [[R; N]; LINK_SIGNALS],
+/// A sensor on each link: an accelerometer or gyro at any place, as the same weighted sum of the
+/// link's signals at all times.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinkSensor {
+    /// Whether it reads rates, behind the low-pass of gyros instead of accelerometers.
+    pub is_gyro: bool,
+    /// Weights of the signals for each link. Those of the other kind of sensor are not used.
+    pub weights: Vec<[f64; LINK_SIGNALS]>,
+}
+
+impl LinkSensor {
+    /// The sensor on each of `joints` links that reads one of the signals.
+    pub fn of_signal(signal: usize, joints: usize) -> Self {
+        let mut weights = [0.0; LINK_SIGNALS];
+        weights[signal] = 1.0;
+        Self {
+            is_gyro: signal >= RATES,
+            weights: vec![weights; joints],
+        }
+    }
+
+    /// The signals that it may read.
+    #[inline(always)]
+    pub(crate) fn signals(&self) -> Range<usize> {
+        if self.is_gyro {
+            RATES..LINK_SIGNALS
+        } else {
+            0..RATES
+        }
+    }
+
+    /// Reading on link `i` before any low-pass.
+    #[inline(always)]
+    pub(crate) fn read<R: Real, const N: usize>(
+        &self,
+        i: usize,
+        signals: &[[R; N]; LINK_SIGNALS],
+    ) -> R {
+        let mut reading = R::splat(0.0);
+        for k in self.signals() {
+            reading = R::splat(self.weights[i][k]).mul_add(signals[k][i], reading);
+        }
+        reading
+    }
 }
 
 /// Sines and cosines of each link's angle in space, needed with gravity only, and of each joint's
@@ -112,46 +143,6 @@ pub(super) fn planar<R: Real, const N: usize>(
             let (across, inward) = (length * ddq[0], length * (dq[0] * dq[0]));
             all[FORCE_X][i] = all[FORCE_X][i] + (across * sin - inward * cos);
             all[FORCE_Y][i] = all[FORCE_Y][i] + (across * cos + inward * sin);
-        }
-    }
-    all
-}
-
-/// Derivatives of the [`planar`] signals with respect to angles, velocities and accelerations.
-#[inline(always)]
-pub(super) fn planar_slopes<R: Real, const N: usize>(
-    LinkRotations { space, joint }: &LinkRotations<R, N>,
-    gravity: f64,
-    length: f64,
-    dq: &[R; N],
-    ddq: &[R; N],
-) -> [LinkSignalSlopes<R, N>; N] {
-    let zero = R::splat(0.0);
-    let (g, length) = (R::splat(gravity), R::splat(length));
-    let rates = summed(dq);
-    let zeros = LinkSignalSlopes {
-        angle: [[zero; N]; LINK_SIGNALS],
-        velocity: [[zero; N]; LINK_SIGNALS],
-        acceleration: [[zero; N]; LINK_SIGNALS],
-    };
-    let mut all = [zeros; N];
-    for i in 0..N {
-        let (sin, cos) = space[i];
-        let slopes = &mut all[i];
-        for j in 0..=i {
-            (slopes.angle[0][j], slopes.angle[1][j]) = (g * cos, -(g * sin));
-            slopes.acceleration[TURNING][j] = R::splat(1.0);
-            slopes.velocity[SQUARE][j] = rates[i] + rates[i];
-            slopes.velocity[RATE][j] = R::splat(1.0);
-        }
-        if i > 0 {
-            let (sin, cos) = joint[i];
-            let (across, inward) = (length * ddq[0], length * (dq[0] * dq[0]));
-            let twice = length * (dq[0] + dq[0]);
-            slopes.angle[0][i] = slopes.angle[0][i] + (across * cos + inward * sin);
-            slopes.angle[1][i] = slopes.angle[1][i] + (inward * cos - across * sin);
-            (slopes.velocity[0][0], slopes.velocity[1][0]) = (-(twice * cos), twice * sin);
-            (slopes.acceleration[0][0], slopes.acceleration[1][0]) = (length * sin, length * cos);
         }
     }
     all

@@ -21,7 +21,7 @@ pub use two_link::TwoLink;
 
 use crate::parameter::Parameter;
 use crate::scalar::Real;
-use link_signals::{LINK_SIGNALS, LinkSignalSlopes};
+use link_signals::LINK_SIGNALS;
 
 /// A parameter's name, and its joint, from 1, if it belongs to one.
 pub type Name = (&'static str, Option<usize>);
@@ -53,8 +53,6 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     /// rates up to it, and the reading of its accelerometer does not depend on the velocity of its
     /// own joint.
     const PLANAR: bool;
-    /// The signals of [`Arm::link_signals`] that may differ from zero.
-    const LINK_SIGNALS: &'static [usize] = link_signals::ALL;
     /// Which equations are compiled as separate functions, which keeps the programs of arms with
     /// long equations small.
     const OUTLINED: Outlined = Outlined::Nothing;
@@ -219,16 +217,6 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     #[inline(always)]
     fn rate_slopes<R: Real>(&self, at: &Self::Posture<R>, dq: &[R; N]) -> Slopes<R, N> {
         differentiation::rate_slopes(self, at, dq)
-    }
-    /// Derivatives of [`Arm::link_signals`] with respect to angles, velocities and accelerations.
-    #[inline(always)]
-    fn link_signal_slopes<R: Real>(
-        &self,
-        at: &Self::Posture<R>,
-        dq: &[R; N],
-        ddq: &[R; N],
-    ) -> [LinkSignalSlopes<R, N>; N] {
-        differentiation::link_signal_slopes(self, (at, dq, ddq))
     }
 }
 

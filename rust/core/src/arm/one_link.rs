@@ -1,8 +1,6 @@
 //! A single link on one joint.
 
-use super::link_signals::{
-    self, LINK_SIGNALS, LinkRotations, LinkSignalSlopes, planar, planar_slopes,
-};
+use super::link_signals::{LINK_SIGNALS, LinkRotations, planar};
 use super::sine_cosine::SineCosine;
 use super::{Arm, ChainJoint, JointType, Name, SerialChain, Slopes, has_gravity};
 use crate::parameter::{INERTIA, Parameter, TORQUE};
@@ -34,7 +32,6 @@ impl Arm<1> for OneLink {
 
     const DEPENDS_ON_ANGLE: [bool; 1] = [true];
     const PLANAR: bool = true;
-    const LINK_SIGNALS: &'static [usize] = link_signals::PLANAR;
 
     const PARAMETERS: &'static [Parameter] = &[
         Parameter::positive("link_inertia", "m_L", INERTIA)
@@ -175,16 +172,6 @@ impl Arm<1> for OneLink {
         ddq: &[R; 1],
     ) -> [[R; 1]; LINK_SIGNALS] {
         planar(&link_rotations(at), self.gravity, 0.0, dq, ddq)
-    }
-
-    #[inline(always)]
-    fn link_signal_slopes<R: Real>(
-        &self,
-        at: &SineCosine<R>,
-        dq: &[R; 1],
-        ddq: &[R; 1],
-    ) -> [LinkSignalSlopes<R, 1>; 1] {
-        planar_slopes(&link_rotations(at), self.gravity, 0.0, dq, ddq)
     }
 }
 

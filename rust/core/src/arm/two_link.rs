@@ -1,8 +1,6 @@
 //! The planar arm of two links, (3) and (4).
 
-use super::link_signals::{
-    self, LINK_SIGNALS, LinkRotations, LinkSignalSlopes, planar, planar_slopes,
-};
+use super::link_signals::{LINK_SIGNALS, LinkRotations, planar};
 use super::sine_cosine::SineCosine;
 use super::{Arm, ChainJoint, JointType, Name, SerialChain, Slopes, has_gravity};
 use crate::parameter::{INERTIA, Parameter, TORQUE};
@@ -47,7 +45,6 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
 
     const DEPENDS_ON_ANGLE: [bool; 2] = [VERTICAL, true];
     const PLANAR: bool = true;
-    const LINK_SIGNALS: &'static [usize] = link_signals::PLANAR;
 
     const PARAMETERS: &'static [Parameter] = &[
         Parameter::positive("alpha", "alpha", INERTIA)
@@ -295,22 +292,6 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
         ddq: &[R; 2],
     ) -> [[R; 2]; LINK_SIGNALS] {
         planar(
-            &self.link_rotations(at),
-            self.plane_gravity(),
-            self.link_length,
-            dq,
-            ddq,
-        )
-    }
-
-    #[inline(always)]
-    fn link_signal_slopes<R: Real>(
-        &self,
-        at: &TwoLinkPosture<R>,
-        dq: &[R; 2],
-        ddq: &[R; 2],
-    ) -> [LinkSignalSlopes<R, 2>; 2] {
-        planar_slopes(
             &self.link_rotations(at),
             self.plane_gravity(),
             self.link_length,

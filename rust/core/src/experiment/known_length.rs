@@ -23,6 +23,7 @@ pub fn with_known_length<T, const N: usize, const LENGTH: usize>(
         clock: task.clock,
         servo: task.servo.map(|servo| servo.of_first_joints()),
         record: task.record.clone(),
+        link_sensors: task.link_sensors.clone(),
     };
     let inputs = [member.feed_forward, member.reference];
     let [feed_forward, reference] =

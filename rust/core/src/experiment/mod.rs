@@ -5,8 +5,7 @@ pub mod simulate;
 mod start;
 
 use crate::actuation::Servo;
-#[cfg(doc)]
-use crate::arm::link_signals;
+use crate::arm::link_signals::LinkSensor;
 use crate::plant::config::Config;
 use crate::scalar::Real;
 
@@ -38,18 +37,11 @@ pub enum Quantity {
     Accelerometer,
     /// Gyro reading [rad/s], behind its low-pass.
     Gyro,
-    /// One of [`link_signals::NAMES`] of each link, behind the low-pass of the IMU's accelerometers
-    /// or gyros.
-    LinkSignal(usize),
+    /// Reading of a sensor in [`Task::link_sensors`] on each link, behind the low-pass of the IMU's
+    /// accelerometers or gyros.
+    LinkSensor(usize),
     /// 0 while friction holds the motor, else the sign of its velocity.
     Sliding,
-}
-
-impl Quantity {
-    #[inline(always)]
-    pub(crate) fn is_link_signal(&self) -> bool {
-        matches!(self, Self::LinkSignal(_))
-    }
 }
 
 /// Clock of an experiment. All its events are at multiples of the integrator's step.
@@ -162,6 +154,8 @@ pub struct Task<A, const N: usize> {
     pub servo: Option<Servo<N>>,
     /// Quantities to record.
     pub record: Vec<Quantity>,
+    /// Sensors on the links that the record names.
+    pub link_sensors: Vec<LinkSensor>,
 }
 
 impl<A: Copy, const N: usize> Task<A, N> {
@@ -176,6 +170,7 @@ impl<A: Copy, const N: usize> Task<A, N> {
             clock: self.clock,
             servo: self.servo,
             record: self.record.clone(),
+            link_sensors: self.link_sensors.clone(),
         }
     }
 }

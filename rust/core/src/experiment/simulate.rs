@@ -7,6 +7,7 @@ use crate::actuation::Controller;
 use crate::actuation::controller::ServoMemory;
 use crate::actuation::current_loop::CurrentLoop;
 use crate::arm::Arm;
+use crate::arm::link_signals::LINK_SIGNALS;
 use crate::experiment::start::start;
 use crate::experiment::{Diverged, Event, Member, Quantity, RecordOf, Source, Task};
 use crate::joint::Joint;
@@ -15,7 +16,7 @@ use crate::plant::friction::{Motion, Span, sign};
 use crate::plant::{Instant, Plant, Watch};
 use crate::scalar::{Real, Work};
 use crate::sensors::encoder::encoder_angle;
-use crate::sensors::imu::{Imus, Signals};
+use crate::sensors::imu::Imus;
 use crate::sensors::low_pass::LowPass;
 
 /// Simulation over scalars `S` of one lane, as work for [`Real::scope`].
@@ -86,6 +87,8 @@ pub(crate) struct Simulation<
     pub(crate) has_drive_lag: bool,
     servo: Option<ServoMemory<S, N>>,
     pub(crate) sensors: Option<Sensors<S, N>>,
+    /// Whether accelerometers or gyros at fixed places are recorded.
+    has_tangential_sensors: bool,
     /// Spans between the friction events of the last step; empty without events.
     pub(crate) spans: Vec<Span<S, N>>,
     record: RecordOf<S, N>,
@@ -96,8 +99,7 @@ pub(crate) struct Simulation<
 pub(crate) struct Sensors<S, const N: usize> {
     pub(crate) accelerometer: [Option<LowPass<S, 2>>; N],
     pub(crate) gyro: [Option<LowPass<S, 1>>; N],
-    /// Signals of the IMUs, if any are recorded.
-    pub(crate) imus: Option<Imus<S, N>>,
+    pub(crate) imus: Imus<S, N>,
     readings: [[S; N]; 2],
 }
 
@@ -118,6 +120,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         let effective_voltage =
             std::array::from_fn(|i| plant.joints[i].effective_voltage(voltage[i]));
         let lag = |joint: &Joint<S, G>| joint.effects.drive_lag.is_some();
+        let is_recorded = |quantity| task.record.contains(&quantity);
         let mut simulation = Self {
             task,
             member,
@@ -132,6 +135,8 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
             effective_voltage,
             servo: None,
             sensors: None,
+            has_tangential_sensors: is_recorded(Quantity::Accelerometer)
+                || is_recorded(Quantity::Gyro),
             spans: Vec::new(),
             record: vec![Vec::with_capacity(task.clock.samples); task.record.len()],
             diverged: None,
@@ -140,9 +145,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
             let encoder = simulation.encoder();
             simulation.servo = Some(servo.at_rest(&member.initial.voltage, &encoder));
         }
-        let is_recorded = |quantity| task.record.contains(&quantity);
-        let imus = task.record.iter().any(Quantity::is_link_signal);
-        if is_recorded(Quantity::Accelerometer) || is_recorded(Quantity::Gyro) || imus {
+        if simulation.has_tangential_sensors || !task.link_sensors.is_empty() {
             simulation.sensors = Some(simulation.sensors_at_rest());
         }
         simulation
@@ -294,12 +297,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
                 let hz = joints.get(i)?.gyro_hz?;
                 Some(LowPass::first_order(hz, h, readings[1][i]))
             }),
-            imus: self
-                .task
-                .record
-                .iter()
-                .any(Quantity::is_link_signal)
-                .then(|| Imus::at_rest(&self.task.config, h, self.signals(&now))),
+            imus: Imus::at_rest(self.task, h, &self.signals(&now)),
             readings,
         }
     }
@@ -318,7 +316,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
 
     /// Signals of ideal IMUs, before the low-passes.
     #[inline(always)]
-    fn signals(&self, now: &Instant<A, S, N>) -> Signals<S, N> {
+    fn signals(&self, now: &Instant<A, S, N>) -> [[S; N]; LINK_SIGNALS] {
         let velocity = &self.motion.state.link_velocity;
         let acceleration = &now.acceleration.link;
         self.plant
@@ -328,14 +326,14 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
 
     #[inline(always)]
     pub(crate) fn sense(&mut self, now: &Instant<A, S, N>) {
-        let Some(sensors) = &self.sensors else {
-            return;
-        };
-        if sensors.imus.is_some() {
+        if !self.task.link_sensors.is_empty() {
             let signals = self.signals(now);
-            if let Some(imus) = self.sensors.as_mut().and_then(|all| all.imus.as_mut()) {
-                imus.update::<A>(&signals);
+            if let Some(sensors) = &mut self.sensors {
+                sensors.imus.update(self.task, &signals);
             }
+        }
+        if !self.has_tangential_sensors {
+            return;
         }
         let readings = self.readings(now);
         let Some(sensors) = &mut self.sensors else {
@@ -376,7 +374,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
                 Quantity::Encoder => self.encoder(),
                 Quantity::Accelerometer => self.reading(0),
                 Quantity::Gyro => self.reading(1),
-                Quantity::LinkSignal(signal) => self.link_signal(signal),
+                Quantity::LinkSensor(k) => self.link_readings(k),
                 Quantity::Sliding => state.motor_velocity.map(|one| sign(one.lane(0))),
             };
             self.record[k].push(row);
@@ -393,10 +391,9 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     }
 
     #[inline(always)]
-    fn link_signal(&self, signal: usize) -> [S; N] {
-        let sensors = self.sensors.as_ref();
-        match sensors.and_then(|all| all.imus.as_ref()) {
-            Some(imus) => imus.readings[signal],
+    fn link_readings(&self, sensor: usize) -> [S; N] {
+        match &self.sensors {
+            Some(sensors) => sensors.imus.readings[sensor],
             None => [S::splat(0.0); N],
         }
     }

@@ -14,7 +14,6 @@ use crate::plant::{Modes, State};
 use crate::scalar::{Dual, Lanes, Real};
 use crate::sensitivity::dual_simulation::seed_dual;
 use crate::sensitivity::event::EventSensitivity;
-use crate::sensitivity::imu::ImuReadings;
 use crate::sensitivity::sample_buffer::SampleBuffer;
 use crate::sensitivity::sensing::{BlockSensors, Sensing};
 use crate::sensitivity::tangent::{Response, Tangent, Workspace};
@@ -111,12 +110,9 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
                 first[0][i] = accelerometer.map_or(zero[i], |filter| filter.output().tangent);
                 first[1][i] = gyro.map_or(zero[i], |filter| filter.output().tangent);
             }
-            let mut block_sensors = BlockSensors::at_rest(sensing, first);
-            if let (Some(all), Some(imus)) = (&sensing.imus, &sensors.imus) {
-                let first = imus.readings.map(|row| row.map(|one| one.tangent));
-                block_sensors.imus = Some(Box::new(ImuReadings::at_rest(all, first)));
-            }
-            trajectory.block_sensors = Some(block_sensors);
+            let imus = sensors.imus.readings.iter();
+            let imus = imus.map(|row| row.map(|one| one.tangent)).collect();
+            trajectory.block_sensors = Some(BlockSensors::at_rest(sensing, first, imus));
         }
         trajectory
     }
@@ -251,10 +247,9 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
     }
 
     #[inline(always)]
-    fn link_signal(&self, signal: usize) -> [V; N] {
-        let sensors = self.block_sensors.as_ref();
-        match sensors.and_then(|all| all.imus.as_ref()) {
-            Some(imus) => imus.readings[signal],
+    fn link_readings(&self, sensor: usize) -> [V; N] {
+        match &self.block_sensors {
+            Some(block_sensors) => block_sensors.imus.readings[sensor],
             None => [V::splat(0.0); N],
         }
     }
@@ -287,7 +282,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
                 Quantity::Torsion => x.torsion,
                 Quantity::Accelerometer => self.reading(0),
                 Quantity::Gyro => self.reading(1),
-                Quantity::LinkSignal(signal) => self.link_signal(*signal),
+                Quantity::LinkSensor(k) => self.link_readings(*k),
                 Quantity::Sliding => continue,
             };
             for i in 0..self.dual.plant.arm.joints() {

@@ -208,7 +208,7 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
             if let (Some(sensing), Some(block_sensors)) =
                 (&self.sensing, &mut trajectory.block_sensors)
             {
-                block_sensors.sense::<A>(sensing, &block.tangent, response);
+                block_sensors.sense(&self.nominal.plant.arm, sensing, &block.tangent, response);
             }
             if event.samples {
                 V::scope(RecordWork {

@@ -19,7 +19,7 @@ pub(crate) struct Sensing<V, const N: usize> {
     rate: f64,
     accelerometers: Option<Filters<V, N, 2>>,
     gyros: Option<Filters<V, N, 1>>,
-    pub(crate) imus: Option<ImuSensing<V, N>>,
+    pub(crate) imus: ImuSensing<V, N>,
     slopes: ReadingSlopes<N>,
     rates: RateSlopes<N>,
 }
@@ -31,8 +31,7 @@ pub(crate) struct BlockSensors<V, const N: usize> {
     gyros: [[V; 1]; N],
     /// Accelerometers and gyros.
     pub(crate) readings: [[V; N]; 2],
-    /// States of the IMUs; in a box, because most recordings have none.
-    pub(crate) imus: Option<Box<ImuReadings<V, N>>>,
+    pub(crate) imus: ImuReadings<V, N>,
 }
 
 /// Slopes of the accelerometers' readings at an instant.
@@ -51,13 +50,14 @@ impl<V: Real, const N: usize> Sensing<V, N> {
         let (sensors, is_recorded) = (sensors?, |quantity| task.record.contains(&quantity));
         let accelerometers = sensors.accelerometer.each_ref();
         let gyros = sensors.gyro.each_ref();
+        let (rate, joints) = (2.0 / task.clock.step, task.config.arm.joints());
         Some(Self {
-            rate: 2.0 / task.clock.step,
+            rate,
             accelerometers: is_recorded(Quantity::Accelerometer)
                 .then(|| accelerometers.map(|one| Some(one.as_ref()?.feedthrough()))),
             gyros: is_recorded(Quantity::Gyro)
                 .then(|| gyros.map(|one| Some(one.as_ref()?.feedthrough()))),
-            imus: sensors.imus.as_ref().map(ImuSensing::new),
+            imus: ImuSensing::new(&task.link_sensors, &sensors.imus, joints, rate),
             slopes: ReadingSlopes {
                 angle: [[0.0; N]; N],
                 velocity: [[0.0; N]; N],
@@ -78,9 +78,7 @@ impl<V: Real, const N: usize> Sensing<V, N> {
         x: &State<S, N>,
         now: &Instant<A, S, N>,
     ) {
-        if let Some(imus) = &mut self.imus {
-            imus.compute_slopes(arm, self.rate, x, now);
-        }
+        self.imus.compute_slopes(arm, x, now);
         if !A::PLANAR && self.gyros.is_some() {
             self.rates.compute_slopes(arm, self.rate, x, now);
         }
@@ -101,13 +99,17 @@ impl<V: Real, const N: usize> Sensing<V, N> {
 }
 
 impl<V: Real, const N: usize> BlockSensors<V, N> {
-    /// Filters at rest at the initial readings of accelerometers and gyros.
-    pub(crate) fn at_rest(sensing: &Sensing<V, N>, first: [[V; N]; 2]) -> Self {
+    /// Filters at rest at the initial readings of accelerometers and gyros, and of the IMUs.
+    pub(crate) fn at_rest(
+        sensing: &Sensing<V, N>,
+        first: [[V; N]; 2],
+        of_imus: Vec<[V; N]>,
+    ) -> Self {
         let mut sensors = Self {
             accelerometers: [[V::splat(0.0); 2]; N],
             gyros: [[V::splat(0.0)]; N],
             readings: first,
-            imus: None,
+            imus: ImuReadings::at_rest(&sensing.imus, of_imus),
         };
         for i in 0..N {
             if let Some(Some(filter)) = sensing.accelerometers.as_ref().map(|all| &all[i]) {
@@ -124,6 +126,7 @@ impl<V: Real, const N: usize> BlockSensors<V, N> {
     #[inline(always)]
     pub(crate) fn sense<A: Arm<N>>(
         &mut self,
+        arm: &A,
         sensing: &Sensing<V, N>,
         x: &Tangent<V, N>,
         response: &Response<V, N>,
@@ -137,14 +140,7 @@ impl<V: Real, const N: usize> BlockSensors<V, N> {
                 }
             }
         }
-        if let (Some(all), Some(imus)) = (&sensing.imus, &mut self.imus) {
-            imus.sense::<A>(
-                all,
-                sensing.rates.tangents::<A, V>(sensing.rate, x),
-                x,
-                response,
-            );
-        }
+        self.imus.sense(arm, &sensing.imus, x, response);
         if let Some(filters) = &sensing.gyros {
             let ideal = sensing.rates.tangents::<A, V>(sensing.rate, x);
             self.readings[1] = ideal;

@@ -22,6 +22,7 @@ from strainwave.domain.link_sensors import (
     is_kind,
     with_bandwidths,
 )
+from strainwave.domain.link_sensors.link_signals import LINK_SIGNALS
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import differentiate_rows, mount_resonance
@@ -131,9 +132,10 @@ class Dataset:
             [*core_directions, *self.initial_states],
             sample_time=self.log.sample_time,
             samples=len(self.log),
-            record=self.quantities(),
+            record=list(dict.fromkeys(c.summed_quantity for c in self.channels)),
             max_time_step=self.max_time_step,
             low_pass=None if resonates else self.low_pass(),
+            sums=self._sums(values),
         )
         motion, slopes = ({name: run[k] for name, run in runs.items()} for k in (0, 1))
         to_channels = self.filtered_channels if resonates else self._stack_channels
@@ -146,7 +148,7 @@ class Dataset:
         if len(simulated) < len(directions):
             sensor_places = [k for k, key in enumerate(directions) if constant_of(key)]
             keys = [directions[k] for k in sensor_places]
-            by_sensors = self._sensor_tangent(channels, motion, values, initial, keys)
+            by_sensors = self.sensor_tangent(channels, values, initial, keys)
             columns = np.empty((*channels.shape, tangent.shape[2] + len(sensor_places)))
             columns[..., np.delete(np.arange(columns.shape[2]), sensor_places)] = tangent
             columns[..., sensor_places] = by_sensors
@@ -204,28 +206,12 @@ class Dataset:
         `keys` are sensor constants. Returns (n_rows, n_channels, n_keys).
         """
         motion: Mapping[Quantity, FloatArray] = {}
-        constants = [constant for key in keys if (constant := constant_of(key))]
-        if any(constant.is_mounting or constant.is_of_mount for constant in constants):
+        constants = [constant_of(key) for key in keys]
+        if any(one and (one.is_mounting or one.is_of_mount) for one in constants):
             motion = self.run(values, initial, self.quantities())
             motion = motion if self._has_resonant_mount(values) else self._rows(motion)
-        return self._sensor_tangent(simulated, motion, values, initial, keys)
-
-    def _sensor_tangent(
-        self,
-        simulated: FloatArray,
-        motion: Mapping[Quantity, FloatArray],
-        values: Mapping[Key, float],
-        initial: FloatArray,
-        keys: Sequence[Key],
-    ) -> FloatArray:
-        """`sensor_tangent` for a given motion.
-
-        `motion` holds samples (n_samples, n_joints) if any mount resonates, otherwise rows
-        (n_rows, n_joints).
-        """
         tangent, scales = np.zeros((*simulated.shape, len(keys))), self.sensor_scales(values)
         row_time = self.kernels.step * self.log.sample_time
-        constants = [constant_of(key) for key in keys]
         mounting = [k for k, one in enumerate(constants) if one and one.is_mounting]
         for k, channel in enumerate(self.channels):
             scale, delay = channel.key(ConstantKind.SCALE), channel.key(ConstantKind.DELAY)
@@ -249,25 +235,29 @@ class Dataset:
                     )
                 by = channel.slopes(values, [keys[at] for at in mounting])
                 tangent[:, k, mounting] += scales[k] * quantities @ by
-        bandwidths = [
-            k for k, one in enumerate(constants) if one and one.kind is ConstantKind.BANDWIDTH
-        ]
-        if bandwidths:
-            wider = {
-                keys[k]: (1.0 + _RELATIVE_BANDWIDTH_STEP) * values[keys[k]] for k in bandwidths
-            }
-            runs = (
-                self.run(at, initial, self.quantities()) for at in ({**values, **wider}, values)
-            )
-            wider_rows, nominal = (self.filtered_channels(run, values) for run in runs)
-            for k, channel in enumerate(self.channels):
-                for at in bandwidths:
-                    if keys[at] == channel.key(ConstantKind.BANDWIDTH):
-                        by = (wider_rows[:, k] - nominal[:, k]) / (
-                            _RELATIVE_BANDWIDTH_STEP * values[keys[at]]
-                        )
-                        tangent[:, k, at] = scales[k] * by
+        for (k, at), slope in self._bandwidth_slopes(values, initial, keys).items():
+            tangent[:, k, at] = scales[k] * slope
         return tangent
+
+    def _bandwidth_slopes(
+        self, values: Mapping[Key, float], initial: FloatArray, keys: Sequence[Key]
+    ) -> dict[tuple[int, int], FloatArray]:
+        """Derivatives of channels by their bandwidths in `keys`, without scale factors.
+
+        The result maps the indices of channel and key to rows (n_rows,).
+        """
+        pairs = [
+            (k, keys.index(key))
+            for k, channel in enumerate(self.channels)
+            if (key := channel.key(ConstantKind.BANDWIDTH)) in keys
+        ]
+        if not pairs:
+            return {}
+        steps = {keys[at]: _RELATIVE_BANDWIDTH_STEP * values[keys[at]] for _, at in pairs}
+        wider = {key: values[key] + step for key, step in steps.items()}
+        runs = (self.run(at, initial, self.quantities()) for at in ({**values, **wider}, values))
+        wider_rows, nominal = (self.filtered_channels(run, values) for run in runs)
+        return {(k, at): (wider_rows[:, k] - nominal[:, k]) / steps[keys[at]] for k, at in pairs}
 
     def _mount_slopes(
         self,
@@ -392,11 +382,19 @@ class Dataset:
         """Simulated quantities that the channels require."""
         return list(dict.fromkeys(name for c in self.channels for name in c.quantities))
 
+    def _sums(self, values: Mapping[Key, float]) -> dict[Quantity, FloatArray]:
+        """Weights (n_joints, n_signals) of the signals of links in readings of several signals."""
+        sums: dict[Quantity, FloatArray] = {}
+        for channel in self.channels:
+            if len(channel.quantities) > 1:
+                empty = np.zeros((self.arm.n_joints, len(LINK_SIGNALS)))
+                weights = sums.setdefault(channel.summed_quantity, empty)
+                weights[channel.joint - 1] = channel.signal_weights(values)
+        return sums
+
     def low_pass(self) -> LowPass:
-        """Low-pass taps of each simulated quantity."""
-        taps = {
-            name: self.kernels.taps(rate=c.rate) for c in self.channels for name in c.quantities
-        }
+        """Low-pass taps of each quantity that the core records with derivatives."""
+        taps = {c.summed_quantity: self.kernels.taps(rate=c.rate) for c in self.channels}
         return LowPass(taps, self.kernels.step)
 
     def filtered_channels(

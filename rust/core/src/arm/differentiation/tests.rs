@@ -24,12 +24,6 @@ fn check<A: Arm<N>, const N: usize>(arm: &A, values: &[f64], [q, dq, ddq]: &[[f6
     near(&closed_form.angle, &other.angle);
     near(&closed_form.velocity, &other.velocity);
     near(&by, &other_by);
-    let signals = arm.link_signal_slopes(&at, dq, ddq);
-    for (closed_form, other) in signals.iter().zip(&link_signal_slopes(arm, motion)) {
-        near(&closed_form.angle, &other.angle);
-        near(&closed_form.velocity, &other.velocity);
-        near(&closed_form.acceleration, &other.acceleration);
-    }
     let regressor = arm.regressor(&at, dq, ddq);
     let torques = arm.torques(&base, &at, dq, ddq);
     for i in 0..N {
