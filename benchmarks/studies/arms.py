@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -112,7 +112,7 @@ def run_all(
     out: Path | None,
     at_once: int | None = None,
 ) -> Iterator[dict[str, Any]]:
-    """Results of all arms, one process per core.
+    """Results of all arms as they finish, one process per core.
 
     `evaluate` takes an arm's seed. With `out`, results are kept as lines of JSON, and seeds in that
     file are not evaluated again.
@@ -124,7 +124,8 @@ def run_all(
     remaining = [seed for seed in seeds if seed not in done]
     os.environ |= {"OPENBLAS_NUM_THREADS": "1"}
     with ProcessPoolExecutor(at_once or os.cpu_count(), mp_context=get_context("spawn")) as pool:
-        for result in pool.map(evaluate, remaining):
+        for future in as_completed([pool.submit(evaluate, seed) for seed in remaining]):
+            result = future.result()
             if out is not None:
                 with out.open("a") as file:
                     file.write(json.dumps(result) + "\n")

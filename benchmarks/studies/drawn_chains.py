@@ -91,11 +91,11 @@ class Chain:
     noise: SensorNoise
 
 
-def draw_chain(seed: int) -> Chain:
-    """Chain of a seed; 24 seeds in a row have all numbers of joints, engines and sensors."""
+def draw_chain(seed: int, numbers: Sequence[int] = _JOINT_NUMBERS) -> Chain:
+    """Chain of a seed; the seeds cycle through all `numbers` of joints, engines and sensors."""
     rng = np.random.default_rng([7, 2, seed])
-    turn = seed // len(_JOINT_NUMBERS)
-    n = _JOINT_NUMBERS[seed % len(_JOINT_NUMBERS)]
+    turn = seed // len(numbers)
+    n = numbers[seed % len(numbers)]
     engine, sensors = list(_ENGINES)[turn % 2], _SENSORS[(seed + turn // 2) % 2]
     origins = _draw_origins(rng, n)
     links = _draw_links(rng, origins)
@@ -244,9 +244,9 @@ def _experiments(n: int) -> tuple[Experiment, ...]:
     return tuple(experiments)
 
 
-def evaluate(seed: int, stages: tuple[str, ...]) -> dict[str, Any]:
+def evaluate(seed: int, stages: tuple[str, ...], numbers: Sequence[int]) -> dict[str, Any]:
     """Simulate and identify one chain; a failure is returned as a result."""
-    chain = draw_chain(seed)
+    chain = draw_chain(seed, numbers)
     arm = Arm.of(chain.study.arm)
     head = {"seed": seed, "joints": arm.n_joints, "engine": chain.engine, "sensors": chain.sensors}
     with TemporaryDirectory() as folder:
@@ -366,7 +366,7 @@ def tabulate(rows: Sequence[dict[str, Any]]) -> list[Table]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--chains", type=int, default=50)
-    parser.add_argument("--joints", default="2,3,4,5,6,7", help="only chains of these lengths")
+    parser.add_argument("--joints", default="2,3,4,5,6,7", help="lengths of the chains, in turn")
     parser.add_argument("--stages", default=",".join(STAGES))
     parser.add_argument("--at-once", type=int, default=os.cpu_count())
     parser.add_argument(
@@ -376,13 +376,11 @@ def main() -> None:
         help="a repeated run continues",
     )
     options = parser.parse_args()
-    numbers = {int(n) for n in options.joints.split(",")}
-    candidates = range(len(_JOINT_NUMBERS) * options.chains)
-    seeds = [s for s in candidates if _JOINT_NUMBERS[s % len(_JOINT_NUMBERS)] in numbers]
+    numbers = [int(n) for n in options.joints.split(",")]
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    work = partial(evaluate, stages=tuple(options.stages.split(",")))
+    work = partial(evaluate, stages=tuple(options.stages.split(",")), numbers=numbers)
     rows, console = [], Console(width=160)
-    for row in run_all(seeds[: options.chains], work, options.out, options.at_once):
+    for row in run_all(range(options.chains), work, options.out, options.at_once):
         rows.append(row)
         outcome = row.get("status") or row["failure"]
         console.print(f"{row['seed']}: {row['joints']} joints, {row['engine']}: {outcome}")
