@@ -31,6 +31,9 @@ _MIN_SLIDING_ROWS = 60
 _MAX_LOG_RATIO = float(np.log(1e3))
 # Number of grid points of the ratio search; the spacing is 0.7 %.
 _RATIO_GRID_SIZE = 2001
+# Torsion moves links by some milliradians, so the torques of a rigid arm are wrong by this share.
+_MODEL_ERROR_SHARE = 1e-3
+
 # Rows of a chain between two postures at which inertias are evaluated, for their mean.
 _POSTURE_STRIDE = 16
 # Norm of a column of an equation over that of the largest below which the column is zero.
@@ -202,7 +205,7 @@ def _regress_torque(
     columns = np.concatenate(blocks)
     norms = np.linalg.norm(columns, axis=0)
     used = np.flatnonzero(norms > _MIN_COLUMN_NORM * norms.max())
-    fit = regress(np.concatenate(targets), columns[:, used])
+    fit = regress(np.concatenate(targets), columns[:, used], None, _MODEL_ERROR_SHARE)
     if fit is None:
         return None
     base = used[used < arm.n_body]

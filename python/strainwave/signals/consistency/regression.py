@@ -30,11 +30,17 @@ class Fit:
         return np.asarray(self.root @ self.root.T)
 
 
-def regress(target: FloatArray, columns: FloatArray, prior: FloatArray | None = None) -> Fit | None:
+def regress(
+    target: FloatArray,
+    columns: FloatArray,
+    prior: FloatArray | None = None,
+    min_residual_share: float = 1e-9,
+) -> Fit | None:
     """Least squares by QR with a free constant. The covariance allows for correlated residuals.
 
     `target` has shape (n_rows,), `columns` (n_rows, n_columns). `prior`, of shape (n_columns,),
     holds prior standard deviations of the coefficients about zero; infinity means no prior.
+    The assumed residual is at least `min_residual_share` of the target, in standard deviations.
     Returns None if the target or a column is constant, or if the columns are linearly dependent.
     """
     y = target - target.mean()
@@ -56,7 +62,7 @@ def regress(target: FloatArray, columns: FloatArray, prior: FloatArray | None = 
         value = np.linalg.solve(R, Q[: len(y)].T @ y)
         residual = y - X @ value
         residual_std = float(np.sqrt(residual @ residual / max(1, len(y) - X.shape[1])))
-        residual_std = max(residual_std, 1e-9 * float(np.sqrt(total / len(y))))
+        residual_std = max(residual_std, min_residual_share * float(np.sqrt(total / len(y))))
     inverse = np.linalg.inv(R)
     root = inverse * residual_std * np.sqrt(ROWS_PER_INDEPENDENT_ROW)
     factor = np.maximum(
