@@ -26,6 +26,9 @@ _MAX_COARSE_UPDATES = 8  # maximum updates of the weights in the coarse search
 _WEIGHT_TOLERANCE = 0.2
 # ratio of new to old standard deviations below which another search follows
 _MAX_DECREASED_RATIO = 0.7
+# Maximum evaluations with the same weights near the minimum. If the model lacks an effect, the cost
+# is rough, and slow progress would use up the evaluations before the effect is found.
+_MAX_EVALUATIONS_PER_WEIGHTS = 10
 _NEAR_DAMPING = 1e-8  # initial damping near the minimum
 
 
@@ -111,7 +114,15 @@ def refine(fit: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERAN
     for _ in range(_MAX_WEIGHT_UPDATES):
         if fit.iterations >= options.max_iterations:
             return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
-        fit = search_minimum(fit, options, tolerance=tolerance, damping=_NEAR_DAMPING)
+        fit = search_minimum(
+            fit,
+            options,
+            tolerance=tolerance,
+            damping=_NEAR_DAMPING,
+            max_evaluations=_MAX_EVALUATIONS_PER_WEIGHTS,
+        )
+        if fit.end is SearchEnd.EVALUATION_LIMIT and fit.iterations < options.max_iterations:
+            fit = replace(fit, end=SearchEnd.STALLED)
         updated = fit.objective.update_weights(fit.z)
         if not fit.end.is_minimum or _has_converged(fit.objective, updated):
             break
