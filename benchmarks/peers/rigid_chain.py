@@ -17,9 +17,15 @@ ROWS_PER_SECOND = 50.0
 N_REWEIGHTINGS = 2  # weights by the residuals of each joint
 
 
-def fit_plain(arm: Arm, records: Sequence[Signals], cutoff_hz: float) -> FloatArray:
-    """Base parameters and friction in the order of `Arm.rigid_columns`."""
-    parts = [_equations(arm, record, cutoff_hz) for record in records]
+def fit_plain(
+    arm: Arm, records: Sequence[Signals], cutoff_hz: float, *, filters_sign: bool = False
+) -> FloatArray:
+    """Base parameters and friction in the order of `Arm.rigid_columns`.
+
+    `filters_sign`: The regressor of Coulomb friction is the low-passed sliding direction, as the
+    torque is low-passed. The usual regressor is the sign of the low-passed velocity.
+    """
+    parts = [_equations(arm, record, cutoff_hz, filters_sign) for record in records]
     X, y = (np.concatenate(columns) for columns in list(zip(*parts, strict=True))[:2])
     joint = np.concatenate([part[2] for part in parts])
     root = np.ones(len(y))
@@ -39,20 +45,22 @@ def _solve(X: FloatArray, y: FloatArray, root: FloatArray) -> FloatArray:
 
 
 def _equations(
-    arm: Arm, record: Signals, cutoff_hz: float
+    arm: Arm, record: Signals, cutoff_hz: float, filters_sign: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Rows, torques and joints (from 0) of the samples at which joints move."""
     T = record.sample_time
     at = np.arange(0, len(record.time), max(1, round(1.0 / (ROWS_PER_SECOND * T))))
-    angle, velocity, acceleration, torque = (
+    angle, velocity, acceleration, torque, direction = (
         low_pass(x, cutoff_hz, T)[at]
         for x in (
             record.motor_angle,
             record.motor_velocity,
             record.motor_acceleration,
             record.motor_torque,
+            record.direction,
         )
     )
+    sign = direction if filters_sign else np.sign(velocity)
     of_base, n_links = arm.base.particular(), len(arm.base.links)
     body = _regressor(arm, *map(arm.links_of, (angle, velocity, acceleration)))
     at_links = np.swapaxes(body @ of_base[:n_links], 1, 2)
@@ -64,7 +72,7 @@ def _equations(
         rows[:, : arm.n_body] = at_motors[:, i]
         first = arm.n_body + FRICTION_COLUMNS * i
         rows[:, first : first + FRICTION_COLUMNS] = np.column_stack(
-            [velocity[:, i], np.sign(velocity[:, i]), np.ones(len(at))]
+            [velocity[:, i], sign[:, i], np.ones(len(at))]
         )
         moves = np.abs(velocity[:, i] * arm.gear_ratios[i]) > MIN_LINK_VELOCITY
         X.append(rows[moves])

@@ -3,7 +3,8 @@
 KINOVA is a folder with a study; TX40 has the published CSV files of a Staubli TX40, for which the
 study is built here. Printed are held-out torque fits of every joint, by strainwave and by a plain
 weighted least squares with Pinocchio's regressor, on the same motor signals, the same low-pass and
-the same samples: those at which the joint slides. For the TX40 the base parameters of the whole
+the same samples: those at which the joint slides. The plain fit is repeated with the Coulomb
+regressor that belongs to low-passed torques. For the TX40 the base parameters of the whole
 record follow, with the published ones and their standard deviations, and the friction of axes 1 to
 4 at half of their largest speed: the published law has Coulomb and viscous friction only.
 """
@@ -185,6 +186,11 @@ def main() -> None:
                 (f"strainwave, {model.bandwidth_hz:.0f} Hz", model.solution, model.friction_terms),
                 ("strainwave, same filter", same.solution, same.friction_terms),
                 ("Pinocchio", fit_plain(arm, motion, cutoff_hz), ()),
+                (
+                    "Pinocchio, filtered sign",
+                    fit_plain(arm, motion, cutoff_hz, filters_sign=True),
+                    (),
+                ),
             ):
                 fits = held_out_fits(arm, solution, checks, cutoff_hz, terms)
                 table.add_row(label, f"{cutoff_hz:g} Hz", method, *(f"{fit:.1f}" for fit in fits))
