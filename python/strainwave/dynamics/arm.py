@@ -254,7 +254,10 @@ class Arm(ArmDescription):
         """Motor torques per base parameter, (5), (S2), (S3): (n_samples, n_joints, n_body)."""
         parameters = self.base.particular()
         n_links = len(self.base.links)
-        of_links = self.base_regressor(angle, velocity, acceleration) @ parameters[:n_links]
+        regressor = self.base_regressor(angle, velocity, acceleration)
+        # one product of matrices, which is faster than one per sample
+        of_links = regressor.reshape(-1, n_links) @ parameters[:n_links]
+        of_links = of_links.reshape(len(regressor), self.n_joints, -1)
         torques = np.swapaxes(self.motors_of(np.swapaxes(of_links, 1, 2)), 1, 2)
         motors = parameters[n_links:]
         if motors.any():

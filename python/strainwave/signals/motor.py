@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import Log, Signals
+from strainwave.domain import BoolArray, FloatArray, Log, Signals
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import MAX_STICTION_SHARE
 from strainwave.numerics.filters import differentiate, low_pass
@@ -72,9 +72,17 @@ def mark_standstill(records: Sequence[Signals]) -> tuple[Signals, ...]:
 
     `records` are all records of an arm: a motor stands if it travels far less than in others.
     """
-    travel = np.array([np.ptp(record.motor_angle, axis=0) for record in records])
-    stands = travel < _MIN_TRAVEL_SHARE * np.max(travel, axis=0, initial=0.0)
+    stands = detect_standing_motors([record.motor_angle for record in records])
     return tuple(
         replace(record, direction=np.where(at, 0.0, record.direction)) if at.any() else record
         for record, at in zip(records, stands, strict=True)
     )
+
+
+def detect_standing_motors(angles: Sequence[FloatArray]) -> BoolArray:
+    """Whether each motor only deflects in each record, (n_records, n_joints).
+
+    `angles`, each (n_samples, n_joints), are those of all records of an arm.
+    """
+    travel = np.array([np.ptp(angle, axis=0) for angle in angles])
+    return np.asarray(travel < _MIN_TRAVEL_SHARE * np.max(travel, axis=0, initial=0.0))

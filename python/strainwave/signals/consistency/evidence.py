@@ -30,11 +30,15 @@ from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.consistency.clocks import Clocks, estimate_clocks, find_excited_inputs
 from strainwave.signals.consistency.counts import estimate_encoder_count
 from strainwave.signals.consistency.input_delay import DelayProfile, compute_delay_profile
+from strainwave.signals.motor import detect_standing_motors
 
 # Share of the velocity power, and ratio of the bandwidth to the frequency below which that share
 # lies, for slow and for fast records.
 _SLOW_BAND = (0.8, 2.0)
 _FAST_BAND = (0.5, 0.25)
+# Minimum power of a spectral line of a motion over that of noise, which one line in 22,000 of white
+# noise exceeds.
+_MIN_LINE_OVER_NOISE = 10.0
 # Minimum record length in periods of the bandwidth frequency.
 _MIN_CYCLES = 10.0
 # Rows per period of the bandwidth frequency. Second derivatives lose 0.1 % at this rate.
@@ -233,7 +237,8 @@ def _remapped(
     for name, source in sources.items():
         factor, (kind, joint) = factors[name], channel_parts(name)
         if source in record.channels:
-            channels[name] = factor * record.channels[source] + offsets[name]
+            signal, is_same = record.channels[source], factor == 1.0 and offsets[name] == 0.0
+            channels[name] = signal if is_same else factor * signal + offsets[name]
             noise[name] = abs(factor) * record.noise[source]
         if source in record.clocks.level:
             level[name] = abs(factor) * record.clocks.level[source]
@@ -257,7 +262,10 @@ def _remapped(
 def collect_evidence(logs: Sequence[Log], study: Study) -> Evidence:
     """Collect the evidence of a study. Records that are too short are omitted."""
     arm = Arm.of(study.arm)
-    records = run_parallel([partial(_slow_record, log, arm) for log in logs]) if logs else []
+    moves = _moving_motors(logs, arm)
+    records = run_parallel(
+        [partial(_slow_record, log, arm, at) for log, at in zip(logs, moves, strict=True)]
+    )
     counts = {}
     for joint in range(1, arm.n_joints + 1):
         count = estimate_encoder_count([log.channels[f"theta_m{joint}"] for log in logs])
@@ -266,13 +274,35 @@ def collect_evidence(logs: Sequence[Log], study: Study) -> Evidence:
     return Evidence(study, tuple(r for r in records if r is not None), counts)
 
 
-def _slow_record(log: Log, arm: Arm) -> SlowRecord | None:
-    """Low-pass filter and decimate a record. Returns None if the record is too short."""
+def _moving_motors(logs: Sequence[Log], arm: Arm) -> list[BoolArray]:
+    """Whether each motor (n_joints,) of each record moves.
+
+    Fast records excite the gears of motors that only deflect.
+    """
+    moves = [np.ones(arm.n_joints, dtype=bool) for _ in logs]
+    slow = [k for k, log in enumerate(logs) if is_slow(log.experiment)]
+    if slow:
+        stands = detect_standing_motors([_motor_angles(logs[k], arm) for k in slow])
+        for k, at in zip(slow, stands, strict=True):
+            moves[k] = ~at
+    return moves
+
+
+def _motor_angles(log: Log, arm: Arm) -> FloatArray:
+    """Motor angles of the evaluated samples, (n_samples, n_joints)."""
     joints = range(1, arm.n_joints + 1)
-    n = min(len(log), _MAX_SAMPLES)
-    T = log.sample_time
-    angle = np.column_stack([log.channels[f"theta_m{i}"][:n] for i in joints])
-    band = max(motion_band(angle, T, slow=is_slow(log.experiment)), _MIN_CYCLES / (n * T))
+    return np.column_stack([log.channels[f"theta_m{i}"][:_MAX_SAMPLES] for i in joints])
+
+
+def _slow_record(log: Log, arm: Arm, moves: BoolArray) -> SlowRecord | None:
+    """Low-pass filter and decimate a record. Returns None if the record is too short.
+
+    The motion of the motors that `moves` marks, (n_joints,), determines the bandwidth.
+    """
+    angle, T = _motor_angles(log, arm), log.sample_time
+    n = len(angle)
+    band = motion_band(angle[:, moves], T, slow=is_slow(log.experiment))
+    band = max(band, _MIN_CYCLES / (n * T))
     block = max(1, int(1.0 / (_ROWS_PER_CYCLE * band * T)))
     n_rows = n // block
     edge = int(np.ceil(1.0 / (band * block * T)))
@@ -330,13 +360,28 @@ def motion_band(angle: FloatArray, sample_time: float, *, slow: bool) -> float:
 
     Slow records: 2 times the frequency below which 80 % of the velocity power lies. Fast records
     excite the gear resonances: 0.25 times the frequency below which 50 % of the power lies.
-    `angle` has shape (n_samples, n_joints).
+    Spectral lines of slow records that angle noise can have do not count. `angle` has shape
+    (n_samples, n_joints).
     """
     velocity = np.diff(angle[: 2**16], axis=0)
-    power = np.cumsum(np.abs(np.fft.rfft(velocity - velocity.mean(axis=0), axis=0)) ** 2, axis=0)
+    power = np.abs(np.fft.rfft(velocity - velocity.mean(axis=0), axis=0)) ** 2
     frequency = np.fft.rfftfreq(len(velocity), sample_time)
     share, ratio = _SLOW_BAND if slow else _FAST_BAND
+    if slow:
+        power[power < _MIN_LINE_OVER_NOISE * _noise_power(power)] = 0.0
+    power = np.cumsum(power, axis=0)
     moving = power.T[power[-1] > 0.0]
     return max(
         (ratio * float(frequency[np.searchsorted(p, share * p[-1])]) for p in moving), default=0.0
     )
+
+
+def _noise_power(power: FloatArray) -> FloatArray:
+    """Expected velocity power of white angle noise, (n_lines, n_joints), from the upper half band.
+
+    `power` has the lines of the differences of consecutive angles.
+    """
+    n_lines = len(power)
+    shape = np.sin(0.5 * np.pi * np.arange(n_lines) / max(1, n_lines - 1))[:, None] ** 2
+    upper = slice(n_lines // 2, None)
+    return np.asarray(shape * power[upper].mean(axis=0) / shape[upper].mean())

@@ -7,8 +7,9 @@ gear stiffness.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -18,8 +19,9 @@ from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
 from strainwave.signals.consistency.regression import regress
-from strainwave.signals.consistency.sensors import motion_of
+from strainwave.signals.consistency.sensors import recall_motion
 from strainwave.signals.drive_law import DriveLaw
+from strainwave.signals.link_readings import JointMotion
 
 # Maximum share of samples at the servo limit; above it, the servo law does not hold.
 _MAX_SATURATED_SHARE = 0.01
@@ -33,7 +35,13 @@ _MAX_LOG_RATIO = float(np.log(1e3))
 _RATIO_GRID_SIZE = 2001
 # Torsion moves links by some milliradians, so the torques of a rigid arm are wrong by this share.
 _MODEL_ERROR_SHARE = 1e-3
-
+# Rounding error of the eigenvalues of a matrix relative to the largest one.
+_EPSILON = float(np.finfo(float).eps)
+# Rows of all records that the torques are regressed on: 200 are independent, more than a joint has
+# unknowns. Each hypothesis about the input is another regression.
+_MAX_ROWS = 2000
+# Rows of a stretch of a long record: ten periods of the bandwidth frequency.
+_STRETCH_ROWS = 200
 # Rows of a chain between two postures at which inertias are evaluated, for their mean.
 _POSTURE_STRIDE = 16
 # Norm of a column of an equation over that of the largest below which the column is zero.
@@ -114,27 +122,57 @@ def compute_velocity_ratios(evidence: Evidence) -> list[Ratio]:
     ratios: list[Ratio] = []
     for record in evidence.records:
         for i in range(1, evidence.arm.n_joints + 1):
-            name = f"omega_m{i}"
-            if name in record.channels:
-                slope = differentiate(record.channels[f"theta_m{i}"], record.sample_time)
-                columns = slope[record.inside, None]
-                ratios.extend(_regress_ratio(record, name, record.channels[name], columns))
+            if f"omega_m{i}" in record.channels:
+                ratios.extend(_recall_velocity_ratio(evidence, record, i))
     return ratios
 
 
-def regress_torques(evidence: Evidence) -> list[TorqueRegression]:
+def _recall_velocity_ratio(evidence: Evidence, record: SlowRecord, i: int) -> list[Ratio]:
+    """Velocity ratio of motor i, from 1, in one record, computed once."""
+    name = f"omega_m{i}"
+    angle, velocity = record.channels[f"theta_m{i}"], record.channels[name]
+
+    def compute() -> list[Ratio]:
+        columns = differentiate(angle, record.sample_time)[record.inside, None]
+        return [*_regress_ratio(record, name, velocity, columns)]
+
+    setting = ("velocity", i, record.sample_time)
+    return evidence.memory.recall(setting, (angle, velocity), compute)
+
+
+def regress_torques(evidence: Evidence) -> Iterator[TorqueRegression]:
     """Regress the torque of each joint on the regressor of the rigid-joint equations.
 
     The joints are regressed separately, so base parameters that couple joints are estimated by
-    each of them. Joints without a torque or voltage channel are omitted.
+    each of them. Joints without a torque or voltage channel are omitted. A joint is regressed when
+    the result is needed, and once for each set of signals.
     """
+    arm = evidence.arm
     slow = [r for r in evidence.records if is_slow(r.experiment)]
     used = slow or list(evidence.records)
-    sources = [x for r in used for x in motor_signals(r, evidence.arm)]
+    stretches = spread_stretches(used, _MAX_ROWS)
+    angles = [r.channels[f"theta_m{i + 1}"] for r in used for i in range(arm.n_joints)]
     setting = ("torques", *(r.sample_time for r in used), *(r.experiment.joint for r in used))
-    return evidence.memory.recall(
-        setting, (evidence.arm, *sources), lambda: _regress_torques(evidence, used, bool(slow))
-    )
+
+    @cache
+    def equations_of(k: int) -> _Equations:
+        return _Equations.of(recall_motion(used[k], evidence), arm, stretches[k])
+
+    for i in range(arm.n_joints):
+        names = f"torque{i + 1}", f"u{i + 1}"
+        chosen = [
+            k
+            for k, r in enumerate(used)
+            if (slow or r.experiment.joint in (None, i + 1)) and set(names) & set(r.channels)
+        ]
+        torques = [used[k].channels.get(name) for k in chosen for name in names]
+
+        def compute(i: int = i, chosen: Sequence[int] = chosen) -> TorqueRegression | None:
+            return _regress_torque([(used[k], equations_of(k)) for k in chosen], arm, i)
+
+        estimate = evidence.memory.recall((*setting, i), (arm, *angles, *torques), compute)
+        if estimate is not None:
+            yield estimate
 
 
 def motor_signals(record: SlowRecord, arm: Arm) -> list[FloatArray]:
@@ -143,20 +181,6 @@ def motor_signals(record: SlowRecord, arm: Arm) -> list[FloatArray]:
         f"{kind}{i}" for kind in ("theta_m", "u", "torque") for i in range(1, arm.n_joints + 1)
     )
     return [record.channels[name] for name in names if name in record.channels]
-
-
-def _regress_torques(
-    evidence: Evidence, used: list[SlowRecord], are_slow: bool
-) -> list[TorqueRegression]:
-    equations = {r.experiment.name: _Equations.of(r, evidence.arm) for r in used}
-    estimates = []
-    for i in range(evidence.arm.n_joints):
-        records = [r for r in used if are_slow or r.experiment.joint in (None, i + 1)]
-        records = [r for r in records if {f"u{i + 1}", f"torque{i + 1}"} & set(r.channels)]
-        estimate = _regress_torque(records, equations, evidence.arm, i)
-        if estimate is not None:
-            estimates.append(estimate)
-    return estimates
 
 
 def _servo_controlled(evidence: Evidence) -> Iterator[tuple[SlowRecord, int]]:
@@ -186,17 +210,20 @@ def _regress_ratio(
 
 
 def _regress_torque(
-    records: list[SlowRecord], equations: Mapping[str, _Equations], arm: Arm, i: int
+    records: Sequence[tuple[SlowRecord, _Equations]], arm: Arm, i: int
 ) -> TorqueRegression | None:
     """Regress the torque of joint i (from 0) over all records, with one constant per record."""
     targets, blocks, inertias = [], [], []
-    for record in records:
-        equation = equations[record.experiment.name]
-        rows = sliding_rows(record, i)
-        rate = differentiate(record.channels[f"theta_m{i + 1}"], record.sample_time)
+    for record, equation in records:
+        used = equation.rows
+        rows = sliding_rows(record, i)[used]
+        if not rows.any():
+            continue
+        rate = differentiate(record.channels[f"theta_m{i + 1}"], record.sample_time)[used]
         shared = equation.shared_friction[:, i]
-        parts = equation.regressor[:, i], shared, rate, record.direction[:, i]
-        torque, block = compute_motor_torque(record, arm, i)[rows], np.column_stack(parts)[rows]
+        parts = equation.regressor[:, i], shared, rate, record.direction[used, i]
+        torque = compute_motor_torque(record, arm, i)[used][rows]
+        block = np.column_stack(parts)[rows]
         targets.append(torque - torque.mean())
         blocks.append(block - block.mean(axis=0))
         inertias.append(equation.inertia[rows[equation.postures], i])
@@ -204,11 +231,11 @@ def _regress_torque(
         return None
     columns = np.concatenate(blocks)
     norms = np.linalg.norm(columns, axis=0)
-    used = np.flatnonzero(norms > _MIN_COLUMN_NORM * norms.max())
-    fit = regress(np.concatenate(targets), columns[:, used], None, _MODEL_ERROR_SHARE)
+    varying = np.flatnonzero(norms > _MIN_COLUMN_NORM * norms.max())
+    fit = regress(np.concatenate(targets), columns[:, varying], None, _MODEL_ERROR_SHARE)
     if fit is None:
         return None
-    base = used[used < arm.n_body]
+    base = varying[varying < arm.n_body]
     n = len(base)
     weights = np.concatenate(inertias).mean(axis=0)[base]
     return TorqueRegression(
@@ -220,6 +247,25 @@ def _regress_torque(
         value=fit.value[:n],
         covariance=fit.covariance[:n, :n],
     )
+
+
+def spread_stretches(records: Sequence[SlowRecord], max_rows: int) -> list[list[slice]]:
+    """Stretches of rows of each record, spread evenly over it; one at least per record.
+
+    Whole records if these have no more than `max_rows`.
+    """
+    n_rows = [len(record.inside) for record in records]
+    if sum(n_rows) <= max_rows:
+        return [[slice(0, n)] for n in n_rows]
+    share = max_rows / sum(n_rows)
+    return [_stretches(n, max(1, int(share * n / _STRETCH_ROWS))) for n in n_rows]
+
+
+def _stretches(n_rows: int, count: int) -> list[slice]:
+    """Stretches in the centres of `count` equal parts of a record."""
+    length, part = min(_STRETCH_ROWS, n_rows), n_rows / count
+    starts = [int((k + 0.5) * part - 0.5 * length) for k in range(count)]
+    return [slice(start, start + length) for start in starts]
 
 
 def sliding_rows(record: SlowRecord, i: int) -> BoolArray:
@@ -247,15 +293,19 @@ def compute_motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
 class _Equations:
     """Rigid-joint equations of all joints in one record, motor side, per base parameter."""
 
+    rows: BoolArray  # (n_record_rows,) rows of the record with equations
     regressor: FloatArray  # (n_rows, n_joints, n_body)
     shared_friction: FloatArray  # (n_rows, n_joints, n_shared) of links that motors share
     inertia: FloatArray  # (n_postures, n_joints, n_body) of the motor's own acceleration
-    postures: slice  # rows of the postures
+    postures: slice  # of the rows with equations
 
     @classmethod
-    def of(cls, record: SlowRecord, arm: Arm) -> _Equations:
-        motion = motion_of(record, arm)
-        q, dq, ddq = motion.angle, motion.velocity, motion.acceleration
+    def of(cls, motion: JointMotion, arm: Arm, stretches: Sequence[slice]) -> _Equations:
+        """Equations in the rows of `stretches`."""
+        rows = np.zeros(len(motion.angle), dtype=bool)
+        for stretch in stretches:
+            rows[stretch] = True
+        q, dq, ddq = (x[rows] for x in (motion.angle, motion.velocity, motion.acceleration))
         postures = slice(None, None, 1 if arm.has_planar_program else _POSTURE_STRIDE)
         angle, rest = q[postures], np.zeros_like(q[postures])
         at_rest = arm.rigid_regressor(angle, rest, rest)
@@ -263,7 +313,7 @@ class _Equations:
         inertia = [arm.rigid_regressor(angle, rest, unit)[:, i] for i, unit in enumerate(units)]
         regressor = arm.rigid_regressor(q, dq, ddq)
         shared = arm.shared_friction_regressor(arm.motor_accelerations(dq))
-        return cls(regressor, shared, np.stack(inertia, axis=1) - at_rest, postures)
+        return cls(rows, regressor, shared, np.stack(inertia, axis=1) - at_rest, postures)
 
 
 def estimate_torque_ratios(
@@ -293,14 +343,17 @@ def _torque_ratio(first: TorqueRegression, second: TorqueRegression) -> tuple[fl
     if not k1:
         return None
     x1, x2 = first.value[k1], second.value[k2]
-    covariances = first.covariance[np.ix_(k1, k1)], second.covariance[np.ix_(k2, k2)]
+    C1, C2 = first.covariance[np.ix_(k1, k1)], second.covariance[np.ix_(k2, k2)]
+    # In the eigenvectors of C2 relative to C1 + C2, both covariances are diagonal.
+    size = np.sqrt(np.diag(C1 + C2))
+    values, axes = np.linalg.eigh((C1 + C2) / np.outer(size, size))
+    white = (axes / np.sqrt(np.maximum(values, _EPSILON * values[-1]))).T / size
+    share2, vectors = np.linalg.eigh(white @ C2 @ white.T)
+    y1, y2 = (vectors.T @ white @ x for x in (x1, x2))
 
     def costs_of(ratios: FloatArray) -> FloatArray:
-        error = x1 - ratios[:, None] * x2
-        covariance = covariances[0] + ratios[:, None, None] ** 2 * covariances[1]
-        return np.asarray(
-            (error * np.linalg.solve(covariance, error[..., None])[..., 0]).sum(axis=1)
-        )
+        error = y1 - ratios[:, None] * y2
+        return np.asarray((error**2 / (1.0 - share2 + ratios[:, None] ** 2 * share2)).sum(axis=1))
 
     grid = np.exp(np.linspace(-_MAX_LOG_RATIO, _MAX_LOG_RATIO, _RATIO_GRID_SIZE))
     costs = costs_of(grid)

@@ -224,10 +224,10 @@ def compute_observations(evidence: Evidence) -> Iterator[Observation]:
     yield from _observe_clocks(evidence)
     yield from _observe_test_signals(evidence)
     yield from _observe_input_delays(evidence)
-    yield from _observe_torque_fit(evidence)
     yield from _observe_ratios("reference", compute_reference_ratios(evidence))
     yield from _observe_ratios("servo", compute_servo_output_ratios(evidence))
     yield from _observe_ratios("velocity", compute_velocity_ratios(evidence))
+    yield from _observe_torque_fit(evidence)
     yield from _observe_sensors(evidence)
     yield from _observe_torques(evidence)
 
@@ -368,8 +368,9 @@ def _observe_sensor(place: Place, readings: list[Reading]) -> Iterator[Observati
 
 
 def _observe_torques(evidence: Evidence) -> Iterator[Observation]:
-    estimates = regress_torques(evidence)
-    for each in estimates:
+    estimates = []
+    for each in regress_torques(evidence):
+        estimates.append(each)
         place = Place(channel=f"u{each.joint}")
         yield Observation("inertia", place, each.inertia, each.inertia_std)
         yield Observation("explained-share", Place(joint=each.joint), each.explained, 0.0)

@@ -52,7 +52,7 @@ def regress(
     X = X / norms
     known = np.zeros(0) if prior is None else np.flatnonzero(np.isfinite(prior))
     residual_std = np.sqrt(total / len(y))
-    for _ in range(2):
+    for _ in range(2 if len(known) else 1):
         ridge = np.zeros((len(known), X.shape[1]))
         if prior is not None:
             ridge[np.arange(len(known)), known] = residual_std / (prior[known] * norms[known])

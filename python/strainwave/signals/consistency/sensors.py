@@ -92,7 +92,7 @@ def regress_readings(evidence: Evidence) -> Iterator[tuple[str, list[Reading]]]:
     joint. Omits records that do not determine the regression.
     """
     slow = {name for r in evidence.records if is_slow(r.experiment) for name in r.channels}
-    arm, motions = evidence.arm, _Motions(evidence.arm)
+    arm = evidence.arm
     for kind in LINK_CHANNELS:
         for i in range(arm.n_joints):
             name = f"{kind}{i + 1}"
@@ -104,37 +104,21 @@ def regress_readings(evidence: Evidence) -> Iterator[tuple[str, list[Reading]]]:
                 and (is_slow(record.experiment) or record.experiment.joint in (None, i + 1))
             ]
             if used:
-                yield name, [x for r in used for x in _recall(r, evidence, motions, kind, i)]
+                yield name, [x for r in used for x in _recall(r, evidence, kind, i)]
 
 
-class _Motions:
-    """Motion of the joints in each record, computed when first needed."""
-
-    def __init__(self, arm: Arm) -> None:
-        self.arm = arm
-        self._by_record: dict[str, JointMotion] = {}
-
-    def of(self, record: SlowRecord) -> JointMotion:
-        name = record.experiment.name
-        if name not in self._by_record:
-            self._by_record[name] = motion_of(record, self.arm)
-        return self._by_record[name]
-
-
-def _recall(
-    record: SlowRecord, evidence: Evidence, motions: _Motions, kind: str, i: int
-) -> tuple[Reading, ...]:
+def _recall(record: SlowRecord, evidence: Evidence, kind: str, i: int) -> tuple[Reading, ...]:
     """Regression of a channel of joint i (from 0), computed once per hypothesis about its sources.
 
     A link moves with the motors up to its own, or with all if the motors are coupled.
     """
-    arm, name = motions.arm, f"{kind}{i + 1}"
+    arm, name = evidence.arm, f"{kind}{i + 1}"
     n_motors = arm.n_joints if arm.coupling else i + 1
     sources = [record.channels[f"theta_m{j}"] for j in range(1, n_motors + 1)]
     return evidence.memory.recall(
         ("reading", name, record.sample_time, evidence.high_passes.get(name)),
         (arm, record.channels[name], *sources),
-        lambda: tuple(_regress_channel(record, evidence, motions.of(record), kind, i)),
+        lambda: tuple(_regress_channel(record, evidence, recall_motion(record, evidence), kind, i)),
     )
 
 
@@ -214,6 +198,14 @@ def motion_of(record: SlowRecord, arm: Arm) -> JointMotion:
     """Joint motion from the motor angles, each (n_rows, n_joints)."""
     motors = np.column_stack([record.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)])
     return JointMotion.of_motors(motors, arm, record.sample_time)
+
+
+def recall_motion(record: SlowRecord, evidence: Evidence) -> JointMotion:
+    """Joint motion of a record under a hypothesis, computed once."""
+    arm = evidence.arm
+    angles = [record.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)]
+    setting = ("motion", record.sample_time)
+    return evidence.memory.recall(setting, (arm, *angles), lambda: motion_of(record, arm))
 
 
 def _predicted_parts(

@@ -10,8 +10,9 @@ torque that the fit does not explain is then larger than with the correct chain.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -23,9 +24,12 @@ from strainwave.signals.consistency.motors import (
     compute_motor_torque,
     motor_signals,
     sliding_rows,
+    spread_stretches,
 )
 from strainwave.signals.consistency.regression import ROWS_PER_INDEPENDENT_ROW
-from strainwave.signals.consistency.sensors import motion_of
+from strainwave.signals.consistency.sensors import recall_motion
+
+Array = TypeVar("Array", FloatArray, BoolArray)
 
 # Every row in `_ROW_STRIDE` is used; 5 of 20 rows per period of the bandwidth frequency remain.
 _ROW_STRIDE = 4
@@ -224,29 +228,30 @@ def _blocks(
     """
     arm = evidence.arm
     records = [r for r in evidence.records if is_slow(r.experiment)]
-    share = min(1.0, _MAX_ROWS / max(1, sum(len(r.inside) for r in records)))
-    for record in records:
-        end = int(share * len(record.inside))
-        motion = motion_of(record, arm)
+    for record, stretches in zip(records, spread_stretches(records, _MAX_ROWS), strict=True):
+        motion = recall_motion(record, evidence)
         states = motion.angle, motion.velocity, motion.acceleration
-        of_links = torques_of(arm, *(x[:end:_FILTER_STRIDE] for x in states))
-        of_motors = np.swapaxes(arm.motors_of(np.swapaxes(of_links, 1, 2)), 1, 2)
-        # The torques of a smooth motion have harmonics, which the filter removed from the log.
-        flat, T = of_motors.reshape(len(of_motors), -1), record.sample_time * _FILTER_STRIDE
-        flat = low_pass(flat, record.bandwidth_hz, T)[:: _ROW_STRIDE // _FILTER_STRIDE]
-        of_motors = flat.reshape(-1, *of_motors.shape[1:])
+        parts = []
+        for each in stretches:
+            of_links = torques_of(arm, *(x[each][::_FILTER_STRIDE] for x in states))
+            of_motors = np.swapaxes(arm.motors_of(np.swapaxes(of_links, 1, 2)), 1, 2)
+            # The torques of a smooth motion have harmonics, which the filter removed from the log.
+            flat, T = of_motors.reshape(len(of_motors), -1), record.sample_time * _FILTER_STRIDE
+            flat = low_pass(flat, record.bandwidth_hz, T)[:: _ROW_STRIDE // _FILTER_STRIDE]
+            parts.append(flat.reshape(-1, *of_motors.shape[1:]))
+        of_motors = np.concatenate(parts)
         for i in range(arm.n_joints):
             if not {f"u{i + 1}", f"torque{i + 1}"} & set(record.channels):
                 continue
-            rows, basis = _recall_basis(evidence, record, i, end)
-            torque = compute_motor_torque(record, arm, i)[:end:_ROW_STRIDE][rows]
+            rows, basis = _recall_basis(evidence, record, i, stretches)
+            torque = _strided(compute_motor_torque(record, arm, i), stretches)[rows]
             if basis is not None and np.ptp(torque) > 0.0:
                 block = _Block(i + 1, torque - torque.mean(), basis)
                 yield block, block.remainder(of_motors[rows, i])
 
 
 def _recall_basis(
-    evidence: Evidence, record: SlowRecord, i: int, end: int
+    evidence: Evidence, record: SlowRecord, i: int, stretches: Sequence[slice]
 ) -> tuple[BoolArray, FloatArray | None]:
     """Sliding rows of joint i, from 0, and a basis of what its motor and friction explain.
 
@@ -255,18 +260,25 @@ def _recall_basis(
     angle, T = record.channels[f"theta_m{i + 1}"], record.sample_time
 
     def compute() -> tuple[BoolArray, FloatArray | None]:
-        inside = sliding_rows(record, i)
-        if end < len(inside):  # the rows at a cut are as inaccurate as those at the end
-            edge = int(np.ceil(1.0 / (record.bandwidth_hz * T)))
-            inside = inside & (np.arange(len(inside)) < end - edge)
-        rows = inside[:end:_ROW_STRIDE]
+        sliding = sliding_rows(record, i)
+        edge = int(np.ceil(1.0 / (record.bandwidth_hz * T)))
+        exact = np.zeros(len(sliding), dtype=bool)  # rows without end effects of the filter
+        for each in stretches:
+            exact[each.start + edge : each.stop - edge] = True
+        rows = _strided(sliding & exact, stretches)
         if not rows.any():
             return rows, None
         rate = differentiate(angle, T)
         columns = [differentiate(rate, T), rate, record.direction[:, i]]
-        own = np.column_stack(columns)[:end:_ROW_STRIDE][rows]
+        own = _strided(np.column_stack(columns), stretches)[rows]
         own = own - own.mean(axis=0)
         norms = np.linalg.norm(own, axis=0)
         return rows, np.linalg.qr(own / norms)[0] if norms.min() > 0.0 else None
 
-    return evidence.memory.recall(("own", i, T, end), (angle,), compute)
+    setting = ("own", i, T, *(each.start for each in stretches))
+    return evidence.memory.recall(setting, (angle,), compute)
+
+
+def _strided(signal: Array, stretches: Sequence[slice]) -> Array:
+    """Every row in `_ROW_STRIDE` of the stretches of a signal."""
+    return np.concatenate([signal[each][::_ROW_STRIDE] for each in stretches])
