@@ -107,6 +107,17 @@ def worst_use(study: Study, values: Values, limits: Limits, record: design.Plann
 # --- the rigid motion ---------------------------------------------------------------------------
 
 
+def test_the_gradient_of_the_search_is_that_of_the_cost() -> None:
+    search = rigid_motion.Search(Arm.of(STUDY.arm), GUESS, LIMITS, 8.0)
+    point = np.random.default_rng(3).normal(size=search.n_unknowns)
+    cost, gradient = search.with_gradient(point)
+    assert cost == pytest.approx(float(search.cost(point[None])[0]), rel=1e-12)
+    step = 1e-6  # central differences: their error is of second order, if no limit changes
+    moved = [search.cost(point + sign * step * np.eye(len(point))) for sign in (1.0, -1.0)]
+    expected = (moved[0] - moved[1]) / (2.0 * step)
+    np.testing.assert_allclose(gradient, expected, atol=1e-5 * np.abs(expected).max())
+
+
 def test_the_condition_number_is_a_third_of_that_of_the_built_in_motion(
     designed: design.Design,
 ) -> None:

@@ -260,8 +260,9 @@ class Arm(ArmDescription):
         of_links = of_links.reshape(len(regressor), self.n_joints, -1)
         torques = np.swapaxes(self.motors_of(np.swapaxes(of_links, 1, 2)), 1, 2)
         motors = parameters[n_links:]
-        if motors.any():
-            torques += self.motor_accelerations(acceleration)[:, :, None] * motors
+        used = np.flatnonzero(motors.any(axis=0))
+        of_motors = self.motor_accelerations(acceleration)[:, :, None] * motors[:, used]
+        torques[:, :, used] += of_motors
         return np.asarray(torques)
 
     def motor_accelerations(self, links: FloatArray) -> FloatArray:

@@ -103,16 +103,25 @@ def full_regressor(arm: Arm, motion: Motion) -> FloatArray:
 def condition_number(arm: Arm, limits: Limits, motion: Motion) -> FloatArray:
     """Condition number of the rigid regressor for motions; 1 is best.
 
+    Infinite if a column is zero.
+    """
+    rows = scaled_regressor(arm, limits, motion)
+    values = np.linalg.svd(rows, compute_uv=False)
+    is_excited = np.abs(rows).max(axis=-2).min(axis=-1) > 0.0
+    return np.where(is_excited, values[..., 0] / np.maximum(values[..., -1], 1e-300), np.inf)
+
+
+def scaled_regressor(arm: Arm, limits: Limits, motion: Motion) -> FloatArray:
+    """Rigid regressor of motions, (..., n_samples * n_joints, n_columns).
+
     Rows are torques over the largest torque of each drive, and columns have norm one, so that the
-    number does not depend on units or on the sizes of the parameters.
+    condition number does not depend on units or on the sizes of the parameters.
     """
     largest_torque = np.array(limits.voltage) * arm.torque_per_volt
     rows = full_regressor(arm, motion) / largest_torque[:, None]
     rows = rows.reshape(*rows.shape[:-3], -1, rows.shape[-1])
     norms = np.linalg.norm(rows, axis=-2, keepdims=True)
-    values = np.linalg.svd(rows / np.maximum(norms, 1e-300), compute_uv=False)
-    is_excited = norms.min(axis=(-2, -1)) > 0.0
-    return np.where(is_excited, values[..., 0] / np.maximum(values[..., -1], 1e-300), np.inf)
+    return np.asarray(rows / np.maximum(norms, 1e-300))
 
 
 def optimise(
@@ -180,9 +189,20 @@ class Search:
         return np.asarray(_DISTANCE_WEIGHT * missing**2)
 
     def with_gradient(self, point: FloatArray) -> tuple[float, FloatArray]:
-        """Cost of a point and its forward differences, in one evaluation."""
-        costs = self.cost(np.vstack([point, point + _DIFFERENCE_STEP * np.eye(len(point))]))
-        return float(costs[0]), (costs[1:] - costs[0]) / _DIFFERENCE_STEP
+        """Cost of a point and its forward differences, in one evaluation.
+
+        The differences of the regressor A give those of its singular values, u' dA v, so that one
+        decomposition suffices.
+        """
+        motion = self.motion_of(np.vstack([point, point + _DIFFERENCE_STEP * np.eye(len(point))]))
+        rows, nearness = scaled_regressor(self.arm, self.limits, motion), self._nearness(motion)
+        left, values, right = np.linalg.svd(rows[0], full_matrices=False)
+        largest, smallest = values[0], max(float(values[-1]), 1e-300)
+        products = rows @ right[[0, -1]].T  # A v of the largest and the smallest one
+        moved = np.einsum("prk,rk->pk", products, left[:, [0, -1]])
+        slopes = (moved[1:] - moved[0]) / [largest, smallest]
+        costs = slopes[:, 0] - slopes[:, 1] + nearness[1:] - nearness[0]
+        return float(np.log(largest / smallest) + nearness[0]), costs / _DIFFERENCE_STEP
 
     def motion_of(self, points: FloatArray) -> Motion:
         """One period of the feasible series of each point; arrays (..., n_samples, n_joints)."""
