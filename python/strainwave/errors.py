@@ -38,6 +38,10 @@ class InvalidInput(StrainwaveError):  # noqa: N818 - named after the condition
         return type(self), (self.problem,), state
 
 
+class RecordTooShort(InvalidInput):
+    """A record is shorter than the transients of a filter at its ends."""
+
+
 class NotIdentifiable(StrainwaveError):  # noqa: N818
     """The data do not determine the model (exit code 3); `reason` is a clause without a stop."""
 

@@ -10,6 +10,7 @@ from strainwave.domain import (
     Clause,
     Diagnostic,
     DriveGains,
+    Log,
     Place,
     Prediction,
     RigidModel,
@@ -17,7 +18,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.combinations import is_uncoupled
 from strainwave.dynamics.arm import Arm
-from strainwave.errors import NotIdentifiable
+from strainwave.errors import NotIdentifiable, RecordTooShort
 from strainwave.identification import rigid, validation
 from strainwave.numerics.parallel import run_parallel
 from strainwave.pipeline.inputs import Inputs
@@ -45,13 +46,15 @@ def fit_rigid_joints(
     """
     arm = inputs.arm
     with reporter.time_part("rigid", "rigid joints: least squares"):
-        logs = (*inputs.logs_of("motion"), *inputs.logs_of("check"))
-        records = mark_standstill(
-            run_parallel([partial(prepare_motor_signals, log, arm) for log in logs])
+        motion_logs = inputs.logs_of("motion")
+        prepared = run_parallel(
+            [partial(prepare_motor_signals, log, arm) for log in motion_logs]
+            + [partial(_prepare_check, log, arm) for log in inputs.logs_of("check")]
         )
-        n_motion = len(inputs.logs_of("motion"))
-        motion, checks = records[:n_motion], records[n_motion:]
+        records = mark_standstill([each for each in prepared if isinstance(each, Signals)])
+        motion, checks = records[: len(motion_logs)], records[len(motion_logs) :]
         warnings = tuple(warning for each in (*motion, *checks) for warning in each.warnings)
+        warnings += tuple(each for each in prepared if isinstance(each, Diagnostic))
         try:
             model = rigid.fit_rigid(motion, arm, inputs.study.options.rigid, gains)
         except NotIdentifiable as failure:
@@ -67,6 +70,17 @@ def fit_rigid_joints(
         checked, warnings_of_checks = _predict(model, checks, arm, fitted)
     warnings += warnings_of_fit + warnings_of_checks
     return RigidStage(model, fitted, checked, warnings)
+
+
+def _prepare_check(log: Log, arm: Arm) -> Signals | Diagnostic:
+    """Signals of a check record; a warning if it is too short for a rigid prediction."""
+    try:
+        return prepare_motor_signals(log, arm)
+    except RecordTooShort as error:
+        place = Place.in_records(log.name)
+        return Diagnostic(
+            "nothing-to-predict", place, "reason", reason=f"is too short: {error.problem}"
+        )
 
 
 def _predict(

@@ -11,7 +11,7 @@ import numpy as np
 from strainwave.domain import BoolArray, Decoupled, Diagnostic, FloatArray, Joint, Lag, Log, Place
 from strainwave.domain.link_sensors import sensor_of
 from strainwave.dynamics.arm import Arm
-from strainwave.errors import InvalidInput
+from strainwave.errors import InvalidInput, RecordTooShort
 from strainwave.signals.standstill import runs_of, sliding_direction
 
 _MIN_STANDSTILL_TIME = 0.02  # [s] minimum duration of a standstill of the encoder
@@ -61,10 +61,10 @@ def channel_of(log: Log, name: str) -> FloatArray:
 def check_length(log: Log, edge: int, cutoff_hz: float) -> None:
     """Check that a record lasts longer than the transients of a low-pass at its ends.
 
-    `edge` [samples] is the length of a transient. Raises InvalidInput otherwise.
+    `edge` [samples] is the length of a transient. Raises RecordTooShort otherwise.
     """
     if len(log) < 4 * edge + 16:
-        raise InvalidInput(
+        raise RecordTooShort(
             f"{len(log)} samples are too few for a filter of {cutoff_hz:.3g} Hz",
             where=log.name,
             remedy="record a longer motion",

@@ -82,9 +82,9 @@ def test_a_clean_arms_statistic_is_chi_square(seed: int) -> None:
     rigid = root @ root.T
     # Shares of the rigid covariance; the last one is zero to rounding.
     shares = np.diag([1.0, 0.3, 0.01, 1e-8])
-    covariance = root @ shares @ root.T
+    covariance, none = root @ shares @ root.T, np.zeros((4, 4))
     draws = rng.multivariate_normal(np.zeros(4), covariance, N_RUNS)
-    statistics = [_chi_square(draw, covariance, rigid) for draw in draws]
+    statistics = [_chi_square(draw, covariance, rigid, none) for draw in draws]
     assert {degrees for _, degrees in statistics} == {3}
     squares = np.array([q for q, _ in statistics])
     assert squares.mean() == pytest.approx(3.0, abs=4.0 * np.sqrt(6.0 / N_RUNS))

@@ -45,6 +45,9 @@ Noise alone exceeds it in one of 100 runs. Above `domain.arm_model.MAX_DISAGREEM
 rejected.
 """
 
+RIGID_MODEL_ERROR = 5e-4
+"""Relative error of the rigid model's values, because torsion moves the links by milliradians."""
+
 MIN_EXPLAINED_SHARE = 0.1
 """Smallest share of the objective that a reported hypothesis explains."""
 
@@ -91,8 +94,9 @@ def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
     """Chi-square tests of the differences: all values, inertias, and the friction of each joint.
 
     The statistic is d' C^-1 d with the differences d and their covariance C. C has the correlations
-    of steady errors, which about 1,000 rows determine, and the larger of both variances. Only
-    directions in which the records add information to the rigid model are included.
+    of steady errors, which about 1,000 rows determine, and the larger of both variances, to which
+    the squares of `RIGID_MODEL_ERROR` are added. Only directions in which the records add
+    information to the rigid model are included.
 
     `fit` is at its minimum. The result is empty without a rigid model, or if the records contain no
     information on its values.
@@ -104,7 +108,9 @@ def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
     covariance = with_variances(steady, std**2)
     rigid, difference = F @ prior.errors @ F.T, F @ confidence.prior_residual
     sizes = reference_sizes(dict(zip(prior.names, prior.mean.tolist(), strict=True)))
-    relative = np.abs(difference) / np.maximum(list(sizes.values()), 1e-300)
+    size = np.maximum(list(sizes.values()), 1e-300)
+    relative = np.abs(difference) / size
+    model_error = np.diag((RIGID_MODEL_ERROR * size) ** 2)
     groups: dict[tuple[Scope, int | None], list[int]] = {}
     for k, (name, joint) in enumerate(prior.names):
         group_key: tuple[Scope, int | None] = ("inertias", None)
@@ -115,7 +121,9 @@ def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
     tests = []
     for (scope, joint), rows in groups.items():
         block = np.ix_(rows, rows)
-        chi_square, degrees = _chi_square(difference[rows], covariance[block], rigid[block])
+        chi_square, degrees = _chi_square(
+            difference[rows], covariance[block], rigid[block], model_error[block]
+        )
         if degrees:
             largest = float(np.max(relative[rows]))
             tests.append(
@@ -127,9 +135,9 @@ def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
 
 
 def _chi_square(
-    difference: FloatArray, covariance: FloatArray, rigid: FloatArray
+    difference: FloatArray, covariance: FloatArray, rigid: FloatArray, added: FloatArray
 ) -> tuple[float, int]:
-    """Statistic d' C^-1 d and its degrees of freedom.
+    """Statistic d' (C + added)^-1 d and its degrees of freedom.
 
     Directions in which C is negligible relative to the rigid covariance are omitted.
     """
@@ -138,11 +146,10 @@ def _chi_square(
     is_regular = values > _MIN_EIGENVALUE_RATIO * values[-1]
     whiten = (vectors[:, is_regular] / np.sqrt(values[is_regular])).T / rigid_std
     ratios, directions = np.linalg.eigh(whiten @ covariance @ whiten.T)
-    is_informative = ratios > _MIN_STD_RATIO**2
-    projection = directions.T[is_informative] @ (whiten @ difference)
-    return float(np.sum(projection**2 / ratios[is_informative])), int(
-        np.count_nonzero(is_informative)
-    )
+    informative = directions.T[ratios > _MIN_STD_RATIO**2] @ whiten
+    projection = informative @ difference
+    total = informative @ (covariance + added) @ informative.T
+    return float(projection @ np.linalg.solve(total, projection)), len(projection)
 
 
 def _as_normal(chi_square: float, degrees: int) -> float:
