@@ -12,9 +12,13 @@ from dataclasses import replace
 from strainwave.domain import ArmModel, JointModel, Log, RigidModel, WholeArmOptions
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
+from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.conclusion import arm_model
 from strainwave.identification.whole_arm.inference.predicted_precision import predicted_parameters
-from strainwave.identification.whole_arm.problem.effect_unknowns import set_record_effects
+from strainwave.identification.whole_arm.problem.effect_unknowns import (
+    set_record_effects,
+    with_effects,
+)
 from strainwave.identification.whole_arm.problem.restrictions import expand_published_options
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import (
@@ -22,7 +26,12 @@ from strainwave.identification.whole_arm.search.solver import (
     coarse_search,
     fine_search,
     polish,
+    refine,
     report_progress,
+)
+from strainwave.identification.whole_arm.search.undescribed_records import (
+    are_exceptions,
+    find_undescribed,
 )
 from strainwave.identification.whole_arm.selection.candidate import Selection
 from strainwave.identification.whole_arm.selection.model_selection import COARSE, FINE, select_model
@@ -96,6 +105,29 @@ def fit_records(
 
 
 def _fit(start: Start, selection: Selection) -> Fit:
+    """Fit all records; again from the fit of the others if single records are not described."""
+    fit = _search(start, selection)
+    undescribed = find_undescribed(fit)
+    if not fit.end.is_minimum or not are_exceptions(undescribed, fit):
+        return fit
+    others = [k for k in range(len(start.records)) if k not in undescribed]
+    of_others = replace(
+        start,
+        records=tuple(start.records[k] for k in others),
+        coarse=replace(start.coarse, objective=start.coarse.objective.select_records(*others)),
+    )
+    options = replace(selection.options, max_iterations=selection.budget)
+    try:
+        without = _search(of_others, Selection(selection.arm, options))
+    except NotIdentifiable:
+        return fit
+    objective = with_effects(fit.objective, without.space, selection.arm)
+    rejoined = without.restart(objective.update_weights(without.z), without.z)
+    again = polish(refine(rejoined, selection.options), selection.options)
+    return fit if find_undescribed(again) else again
+
+
+def _search(start: Start, selection: Selection) -> Fit:
     """Fit in long steps to near the minimum, then in short steps, with the selected model."""
     coarse = coarse_search(start.coarse, selection.options)
     coarse = select_model(coarse, COARSE, selection)
@@ -103,8 +135,8 @@ def _fit(start: Start, selection: Selection) -> Fit:
         replace(record, begins_in_motion=long_steps.begins_in_motion)
         for record, long_steps in zip(start.records, coarse.objective.records, strict=True)
     ]
-    with_effects = set_record_effects(records, selection.arm, coarse.space.keys)
-    objective = coarse.objective.replace_records(with_effects).update_weights(coarse.z)
+    with_found = set_record_effects(records, selection.arm, coarse.space.keys)
+    objective = coarse.objective.replace_records(with_found).update_weights(coarse.z)
     fine = fine_search(replace(coarse, objective=objective), selection.options)
     if fine.end.is_minimum:  # the model selection has its own budget of evaluations
         selection.renew(fine)

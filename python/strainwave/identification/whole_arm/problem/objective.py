@@ -159,11 +159,14 @@ class Objective:
         """Replace the shared unknowns."""
         return replace(self, space=space, memory=_Memory(list(self.memory.record_parameters)))
 
-    def select_record(self, k: int) -> Objective:
-        """Restrict the objective to record k."""
-        memory = _Memory([self.memory.record_parameters[k]])
+    def select_records(self, *chosen: int) -> Objective:
+        """Restrict the objective to some records, by their indices."""
+        memory = _Memory([self.memory.record_parameters[k] for k in chosen])
         return replace(
-            self, records=self.records[k : k + 1], weights=self.weights[k : k + 1], memory=memory
+            self,
+            records=tuple(self.records[k] for k in chosen),
+            weights=tuple(self.weights[k] for k in chosen),
+            memory=memory,
         )
 
     def add_initial_states(self, k: int, start: FloatArray | None = None) -> Objective:

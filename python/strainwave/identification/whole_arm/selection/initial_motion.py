@@ -68,7 +68,7 @@ def _estimate_initial_motion(
     enough of it.
     """
     fixed_space = objective.space.fix_values(objective.space.values(z))
-    free_start = objective.add_initial_states(k).select_record(k).replace_unknowns(fixed_space)
+    free_start = objective.add_initial_states(k).select_records(k).replace_unknowns(fixed_space)
     rough_start = replace(free_start, initial_state_tolerance=ROUGH_INITIAL_STATE_TOLERANCE)
     weights = objective.weights[k]
     try:
