@@ -22,6 +22,7 @@ class SampledPlants:
     B: FloatArray  # (n_plants, n, n_joints)
     motors: FloatArray  # (n_joints, n)
     links: FloatArray  # (n_joints, n)
+    ratios: FloatArray  # (n_joints,) link angle per motor angle without torsion
 
 
 def sample(plants: Plants, clock: Clock, chosen: IntArray | slice = slice(None)) -> SampledPlants:
@@ -52,7 +53,8 @@ def sample(plants: Plants, clock: Clock, chosen: IntArray | slice = slice(None))
     if clock.delay:
         A, B = _with_last_voltage(A, B, old)
         motors, links = (_padded(rows, A.shape[1]) for rows in (plants.motors, plants.links))
-    return SampledPlants(A, B, motors, links)
+    ratios = np.diagonal(plants.links @ plants.rigid)
+    return SampledPlants(A, B, motors, links, ratios)
 
 
 def _held(
@@ -93,6 +95,7 @@ class ClosedLoop:
     B: FloatArray  # (n_plants, n, 2)
     motor: FloatArray  # (n,)
     link: FloatArray  # (n,)
+    ratio: float  # link angle per motor angle without torsion
 
     def poles(self) -> ComplexArray:
         """Poles (n_plants, n)."""
@@ -126,10 +129,41 @@ def close(plants: SampledPlants, laws: Sequence[ControlLaw], joint: int) -> Clos
         if i == joint:
             B[:, :n] = voltage[:, :, None] * law.D[:2]
             B[:, own] = law.B[:, :2] + np.outer(law.E, law.D[:2])
-    return ClosedLoop(
-        A, B, _end(plants.motors[joint], starts[-1]), _end(plants.links[joint], starts[-1])
-    )
+    size = int(starts[-1])
+    rows = (_end(each[joint], size) for each in (plants.motors, plants.links))
+    return ClosedLoop(A, B, *rows, ratio=float(plants.ratios[joint]))
 
 
 def _end(row: FloatArray, n: int) -> FloatArray:
     return np.concatenate([row, np.zeros(n - len(row))])
+
+
+_STEP_SECONDS = 2.0
+_SETTLED = 0.02  # of a step
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """Response of the link to a unit step of the reference: an entry per plant."""
+
+    time: FloatArray  # (n_samples,) [s]
+    link: FloatArray  # (n_plants, n_samples) over the final angle
+    settling: FloatArray  # [s] to 2 %; infinite if it does not settle in the simulated time
+    overshoot: FloatArray  # share of the step
+
+    @classmethod
+    def of(cls, loop: ClosedLoop, period: float, reference: FloatArray | None = None) -> Steps:
+        """Simulate a step, or a reference (n_samples, 2) that ends at a constant angle."""
+        if reference is None:
+            reference = np.zeros((round(_STEP_SECONDS / period), 2))
+            reference[:, 0] = 1.0
+        _, link = loop.simulate(reference)
+        final = reference[-1, 0] * np.abs(loop.ratio)
+        share = link / (final * np.sign(link[:, -1:]))
+        is_apart = np.abs(share - 1.0) > _SETTLED
+        n = share.shape[1]
+        last = n - np.argmax(is_apart[:, ::-1], axis=1)
+        settling = np.where(
+            is_apart[:, -1], np.inf, np.where(is_apart.any(axis=1), last, 0) * period
+        )
+        return cls(np.arange(n) * period, share, settling, np.maximum(share.max(axis=1) - 1.0, 0.0))
