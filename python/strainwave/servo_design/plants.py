@@ -23,6 +23,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.export.coordinates import coordinates_of
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import JointCovariance
+from strainwave.servo_design.payload_motion import payload_motion, payload_torques
 
 _MAX_STDS = 4.0  # of a drawn parameter from its estimate
 _MIN_SHARE = 0.01  # of the estimate, the smallest value drawn for a positive parameter
@@ -186,31 +187,13 @@ def _links_at(model: Arm, base: FloatArray, condition: Condition) -> tuple[Float
     rest = np.zeros_like(postures)
     torques = model.link_torques(base, postures, rest, rest)
     if condition.payload is not None:
-        jacobian, load = _payload_motion(model, condition.payload, postures)
-        mass = condition.payload.mass
-        at_posture, _ = _payload_motion(model, condition.payload, q[None])
-        inertia = inertia + mass * at_posture[0].T @ at_posture[0]
-        torques = torques + mass * np.einsum("pxj,px->pj", jacobian, load)
+        torques = torques + payload_torques(model, condition.payload, postures, rest, rest)
+        jacobian, _ = payload_motion(
+            model, condition.payload, *np.stack([q, 0 * q, 0 * q])[:, None]
+        )
+        inertia = inertia + condition.payload.mass * jacobian[0].T @ jacobian[0]
     ahead, behind = torques[:n], torques[n:]
     return inertia, ((ahead - behind) / (2.0 * _GRAVITY_STEP)).T
-
-
-def _payload_motion(
-    model: Arm, payload: Payload, postures: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Jacobian (n, 3, n_joints) of a payload's position and its specific force (n, 3) at rest.
-
-    Both in the frame of the last link.
-    """
-    rest, at = np.zeros_like(postures), np.array(payload.xyz)
-
-    def force(acceleration: FloatArray) -> FloatArray:
-        motion = model.link_motion(postures, rest, acceleration)[:, -1]
-        return np.asarray(motion[:, 6:] + np.cross(motion[:, 3:6], at))
-
-    load = force(rest)
-    units = (rest + unit for unit in np.eye(model.n_joints))
-    return np.stack([force(unit) - load for unit in units], axis=2), load
 
 
 def drawn_values(
