@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
-from strainwave.domain import ComplexArray, FloatArray, IntArray
-from strainwave.servo_design.control_law import ControlLaw
+from strainwave.domain import ComplexArray, ControlLaw, FloatArray, IntArray
 from strainwave.servo_design.plants import Plants
 from strainwave.servo_design.sampling import Clock
 

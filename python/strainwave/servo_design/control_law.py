@@ -1,24 +1,12 @@
-"""Sampled control laws of a joint: gains, filters and observer as one linear system.
-
-From a reading of the motor angle y_k [rad] to the voltage u_k [V]:
-
-    v_k = C x_k + D (r_k, w_k, y_k),   u_k = v_k limited
-    x_k+1 = A x_k + B (r_k, w_k, y_k) + E u_k
-
-r_k [rad] and w_k [rad/s] are angle and velocity of the reference. States of integrators keep their
-value while the voltage is limited.
-"""
+"""Gains and filters of a joint's servo, and their control law."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import BoolArray, ComplexArray, FloatArray
-
-INPUTS = ("reference_angle", "reference_velocity", "motor_angle")
-"""Inputs of a law."""
+from strainwave.domain import ComplexArray, ControlLaw
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,29 +47,6 @@ def low_pass(hz: float, period: float) -> Biquad:
     b = (1.0 / scale, 2.0 / scale, 1.0 / scale)
     a = (2.0 * (1.0 - c * c) / scale, (c * c - np.sqrt(2.0) * c + 1.0) / scale)
     return Biquad(b, a, "low-pass", hz)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ControlLaw:
-    """The matrices of a law."""
-
-    A: FloatArray  # (n, n)
-    B: FloatArray  # (n, 3)
-    C: FloatArray  # (n,)
-    D: FloatArray  # (3,)
-    E: FloatArray  # (n,)
-    holds: BoolArray  # (n,) states that keep their value while the voltage is limited
-    names: tuple[str, ...] = field(default=())
-
-    def feedback(self, z: ComplexArray) -> ComplexArray:
-        """Response from the motor angle to minus the voltage."""
-        closed = self.A + np.outer(self.E, self.C)
-        inputs = self.B[:, 2] + self.E * self.D[2]
-        states = np.linalg.solve(
-            z[:, None, None] * np.eye(len(closed)) - closed,
-            np.broadcast_to(inputs[:, None], (len(z), len(inputs), 1)),
-        )[..., 0]
-        return np.asarray(-(states @ self.C + self.D[2]))
 
 
 @dataclass(frozen=True, slots=True)
