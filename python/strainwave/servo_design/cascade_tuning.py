@@ -9,25 +9,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray, IntArray
-from strainwave.servo_design.closed_loop import Steps, close, sample
+from strainwave.domain.control_law import ControlLaw
+from strainwave.servo_design.closed_loop import ClosedLoop, SampledPlants, Steps, close, sample
 from strainwave.servo_design.control_law import Biquad, Gains, low_pass, notch
 from strainwave.servo_design.margins import Margins, Requirements, effective_plants, margins_of
 from strainwave.servo_design.plants import Plants
 from strainwave.servo_design.sampling import Clock, frequency_grid, sampled_responses
 
 _LOWEST_BANDWIDTH = 2.0  # [rad/s] of a velocity loop
+_START_BANDWIDTH = 0.1  # of a velocity loop, over period and delay
 _COARSE_STEP, _FINE_STEP = 1.3, 1.03  # ratios of gains in the search
 _INTEGRAL_RATIO = 5.0  # bandwidth of the velocity loop over the corner of its integral part
 _POSITION_RATIOS = (2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0)  # the same over the position gain
 _START_POSITION_RATIO = 5.0
 _LOW_PASS_RATIOS = (5.0, 10.0)  # corner of a low-pass over the bandwidth
+_HIGHEST_SHARE = 0.8  # of half the sampling rate, of a filter
 _NOTCH_WIDTHS, _NOTCH_DEPTH = (0.2, 0.5), 0.2
 _MIN_GAIN = 1.1  # ratio of gains by which a filter must raise the bandwidth to be used
-_MAX_RIPPLE_SHARE = 0.02  # of the voltage limit, by one count of the encoder
+_MAX_RIPPLE_SHARE = 0.05  # of the voltage limit, by one count of the encoder
 _MAX_OVERSHOOT = 0.05  # of the link after a step of the position
 _N_SEARCH_DRAWS = 8
 _N_SWEEPS = 2  # over the joints; a third changes gains by less than a step
@@ -90,7 +94,8 @@ def tune_cascades(
 ) -> list[TunedJoint]:
     """Gains of all joints.
 
-    `resolutions` (n_joints,) are counts of the motor encoders [rad], `limit` is the largest voltage.
+    `resolutions` (n_joints,) are counts of the motor encoders [rad], `limit` is the largest
+    voltage.
     Without `uses_filters` the loops have gains only.
     """
     plants, period = loops.plants, loops.clock.period
@@ -102,7 +107,8 @@ def tune_cascades(
         _Tuner(loops, required, i, float(inertia), float(largest), uses_filters)
         for i, (inertia, largest) in enumerate(zip(inertias, max_kp, strict=True))
     ]
-    gains = [tuner.gains(_LOWEST_BANDWIDTH, _START_POSITION_RATIO) for tuner in tuners]
+    start = _START_BANDWIDTH / (period + loops.clock.delay)
+    gains = [tuner.gains(start, _START_POSITION_RATIO) for tuner in tuners]
     for _ in range(_N_SWEEPS):
         for i, tuner in enumerate(tuners):
             gains[i] = tuner.raise_gains(gains, search)
@@ -147,69 +153,109 @@ class _Tuner:
 
     def raise_gains(self, gains: Sequence[Gains], search: IntArray) -> Gains:
         """The largest gains at which the searched plants keep their margins."""
-        closed = self.loops.controllers(gains)
-        plant = effective_plants(self.loops.responses[search], closed, self.joint)
+        trials = _Trials.of(self.loops, self.required, gains, self.joint, search)
         best, bandwidth, self.limit = gains[self.joint], 0.0, "margins"
         for make in self._filters(search):
-            reached, is_encoder = self._largest_bandwidth(plant, make)
+            reached, is_encoder = self._largest_bandwidth(trials, make)
             if reached > bandwidth * (_MIN_GAIN if bandwidth else 1.0):
                 bandwidth, self.limit = reached, "encoder" if is_encoder else "margins"
                 best = self.gains(reached, _START_POSITION_RATIO, make(reached))
-        return self._set_position_gain(best, bandwidth, plant, gains, search)
+        return self._set_position_gain(best, bandwidth, trials)
 
-    def _largest_bandwidth(self, plant: ComplexArray, make: FilterMaker) -> tuple[float, bool]:
-        """The largest bandwidth [rad/s] with margins, and whether the encoder limits it."""
-        highest = self.max_kp / self.inertia
-        bandwidth, step = _LOWEST_BANDWIDTH, _COARSE_STEP
-        while step > _FINE_STEP:
-            trial = bandwidth * step
-            if trial <= min(highest, 0.5 * self.loops.clock.nyquist) and self._keeps(
-                plant, self.gains(trial, _START_POSITION_RATIO, make(trial))
-            ):
-                bandwidth = trial
-            else:
-                step = np.sqrt(step)
-        return bandwidth, bandwidth * _COARSE_STEP**0.25 > highest
+    def _largest_bandwidth(self, trials: _Trials, make: FilterMaker) -> tuple[float, bool]:
+        """The largest bandwidth [rad/s] with margins, and whether the encoder limits it.
 
-    def _keeps(self, plant: ComplexArray, gains: Gains) -> bool:
-        """Whether all plants keep their margins."""
-        loop = plant * gains.response(self.loops.z)
-        return bool(margins_of(loop, self.loops.omega).share(self.required).min() >= 1.0)
+        Zero if there is none. Arms that stand upright need some gain to be stable.
+        """
+        encoder = self.max_kp / self.inertia
+        highest = min(encoder, 0.5 * self.loops.clock.nyquist)
+
+        def keeps(bandwidth: float) -> bool:
+            gains = self.gains(bandwidth, _START_POSITION_RATIO, make(bandwidth))
+            return bandwidth <= highest and trials.keep(gains)
+
+        reached, bandwidth = 0.0, _LOWEST_BANDWIDTH
+        while bandwidth <= highest and (not reached or bandwidth < _COARSE_STEP * reached * 1.001):
+            if keeps(bandwidth):
+                reached = bandwidth
+            bandwidth *= _COARSE_STEP
+        step = float(np.sqrt(_COARSE_STEP))
+        while reached and step > _FINE_STEP:
+            if keeps(reached * step):
+                reached *= step
+            step = float(np.sqrt(step))
+        return reached, bool(reached * _COARSE_STEP**0.25 > encoder)
 
     def _filters(self, search: IntArray) -> Iterator[FilterMaker]:
         """No filter, a low-pass, and a notch over the spread of each resonance."""
-        period, nyquist = self.loops.clock.period, self.loops.clock.nyquist
         yield lambda _: ()
         if not self.uses_filters:
             return
-        for ratio in _LOW_PASS_RATIOS:
-            yield lambda bandwidth, ratio=ratio: (
-                low_pass(min(ratio * bandwidth, 0.8 * nyquist) / (2.0 * np.pi), period),
-            )
+        nyquist = self.loops.clock.nyquist
+        yield from (partial(self._low_pass, ratio) for ratio in _LOW_PASS_RATIOS)
         for omega, _ in self.loops.plants.resonances():
-            low, high = omega[search].min(), omega[search].max()
-            for width in _NOTCH_WIDTHS:
-                if high < 0.8 * nyquist:
-                    hz, wide = np.sqrt(low * high) / (2.0 * np.pi), max(width, high / low - 1.0)
-                    yield lambda _, hz=hz, wide=wide: (notch(hz, wide, _NOTCH_DEPTH, period),)
+            low, high = float(omega[search].min()), float(omega[search].max())
+            if high < _HIGHEST_SHARE * nyquist:
+                yield from (partial(self._notch, low, high, width) for width in _NOTCH_WIDTHS)
 
-    def _set_position_gain(
-        self,
-        gains: Gains,
-        bandwidth: float,
-        plant: ComplexArray,
-        others: Sequence[Gains],
-        search: IntArray,
-    ) -> Gains:
+    def _low_pass(self, ratio: float, bandwidth: float) -> tuple[Biquad, ...]:
+        """Low-pass at a multiple of the bandwidth [rad/s]."""
+        clock = self.loops.clock
+        corner = min(ratio * bandwidth, _HIGHEST_SHARE * clock.nyquist)
+        return (low_pass(corner / (2.0 * np.pi), clock.period),)
+
+    def _notch(self, low: float, high: float, width: float, _: float) -> tuple[Biquad, ...]:
+        """Notch between two frequencies [rad/s]."""
+        hz = float(np.sqrt(low * high)) / (2.0 * np.pi)
+        return (notch(hz, max(width, high / low - 1.0), _NOTCH_DEPTH, self.loops.clock.period),)
+
+    def _set_position_gain(self, gains: Gains, bandwidth: float, trials: _Trials) -> Gains:
         """The largest position gain with margins and little overshoot of the link."""
-        sampled = sample(self.loops.plants, self.loops.clock, search)
         for ratio in _POSITION_RATIOS:
             candidate = replace(gains, position_gain=bandwidth / ratio)
-            if not self._keeps(plant, candidate):
-                continue
-            laws = [each.law() for each in others]
-            laws[self.joint] = candidate.law()
-            steps = Steps.of(close(sampled, laws, self.joint), self.loops.clock.period)
-            if steps.overshoot.max() <= _MAX_OVERSHOOT:
+            if trials.keep(candidate) and trials.overshoot(candidate) <= _MAX_OVERSHOOT:
                 return candidate
         return replace(gains, position_gain=bandwidth / _POSITION_RATIOS[-1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Trials:
+    """Some plants with the loops of the other joints closed, on which gains are tried."""
+
+    loops: Loops
+    required: Requirements
+    joint: int
+    others: list[ControlLaw]
+    plant: ComplexArray  # (n_plants, n_omega) motor angle by voltage
+    sampled: SampledPlants
+
+    @classmethod
+    def of(
+        cls,
+        loops: Loops,
+        required: Requirements,
+        gains: Sequence[Gains],
+        joint: int,
+        search: IntArray,
+    ) -> _Trials:
+        """Trials of one joint, from 0, on the searched plants."""
+        plant = effective_plants(loops.responses[search], loops.controllers(gains), joint)
+        laws = [each.law() for each in gains]
+        sampled = sample(loops.plants, loops.clock, search)
+        return cls(loops, required, joint, laws, plant, sampled)
+
+    def keep(self, gains: Gains) -> bool:
+        """Whether all plants are stable and keep their margins."""
+        margins = margins_of(self.plant * gains.response(self.loops.z), self.loops.omega)
+        if margins.share(self.required).min() < 1.0:
+            return False
+        return bool(np.abs(self._closed(gains).poles()).max() < 1.0)
+
+    def overshoot(self, gains: Gains) -> float:
+        """Largest overshoot of the link after a step of the position."""
+        return float(Steps.of(self._closed(gains), self.loops.clock.period).overshoot.max())
+
+    def _closed(self, gains: Gains) -> ClosedLoop:
+        laws = list(self.others)
+        laws[self.joint] = gains.law()
+        return close(self.sampled, laws, self.joint)

@@ -129,8 +129,8 @@ def close(plants: SampledPlants, laws: Sequence[ControlLaw], joint: int) -> Clos
             B[:, :n] = voltage[:, :, None] * law.D[:2]
             B[:, own] = law.B[:, :2] + np.outer(law.E, law.D[:2])
     size = int(starts[-1])
-    rows = (_end(each[joint], size) for each in (plants.motors, plants.links))
-    return ClosedLoop(A, B, *rows, ratio=float(plants.ratios[joint]))
+    motor, link = _end(plants.motors[joint], size), _end(plants.links[joint], size)
+    return ClosedLoop(A, B, motor, link, float(plants.ratios[joint]))
 
 
 def _end(row: FloatArray, n: int) -> FloatArray:

@@ -1,0 +1,221 @@
+"""Design of the servos of an identified arm, and what follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from strainwave.domain import FloatArray, Payload
+from strainwave.domain.keys import label_of
+from strainwave.dynamics.arm import Arm
+from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.export.source import IdentifiedArm
+from strainwave.io.joint_covariance import JointCovariance
+from strainwave.servo_design.cascade_tuning import Loops, TunedJoint, tune_cascades
+from strainwave.servo_design.closed_loop import Steps, close, sample
+from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.margins import Margins, Requirements
+from strainwave.servo_design.plants import Condition, drawn_values, plants_of
+from strainwave.servo_design.sampling import Clock
+from strainwave.servo_design.shaper_ranking import RankedShaper, rank_shapers
+
+_DEFAULT_PERIOD = 1e-3  # [s] of the servo
+_DEFAULT_LIMIT = 10.0  # [V] or N m
+_DELAY_SHARE = 0.5  # of the period, if no delay is given
+_N_POSTURES = 4  # drawn, besides zero angles, if no posture is given
+_MAX_MODES = 4  # slowest modes that are shaped
+_NO_LIMIT = 0.75 * np.pi  # [rad] of a joint without limits in the study
+
+
+@dataclass(frozen=True, slots=True)
+class ServoOptions:
+    """What a design must hold for; None: from the study, or as documented."""
+
+    postures: tuple[tuple[float, ...], ...] = ()  # link angles [rad]
+    payloads: tuple[Payload, ...] = ()  # in addition to none
+    draws: int = 1000
+    seed: int = 0
+    period: float | None = None  # [s]
+    delay: float | None = None  # [s] from an encoder reading to its voltage
+    bandwidth_hz: float | None = None  # required of each velocity loop
+    required: Requirements = field(default_factory=Requirements)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointServo:
+    """Servo of one joint: the designed one, and the current one for comparison."""
+
+    joint: int  # from 1
+    tuned: TunedJoint
+    steps: Steps
+    current: Gains | None
+    current_margins: Margins | None
+    current_steps: Steps | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ServoDesign:
+    """Servos and input shapers of an arm."""
+
+    arm: IdentifiedArm
+    options: ServoOptions
+    clock: Clock
+    limit: float  # [V]
+    conditions: tuple[Condition, ...]
+    n_plants: int
+    joints: tuple[JointServo, ...]
+    modes_hz: FloatArray  # (n_modes, 2) central 95 % of the links' modes behind held motors
+    shapers: tuple[RankedShaper, ...]
+
+    @property
+    def gains(self) -> list[Gains]:
+        """Gains of all joints."""
+        return [joint.tuned.gains for joint in self.joints]
+
+
+def design_servo(
+    arm: IdentifiedArm, covariance: JointCovariance | None, options: ServoOptions
+) -> ServoDesign:
+    """Design the servos of all joints for the drawn parameters in all conditions.
+
+    Raises `NotIdentifiable` if the result lacks a parameter that the design needs, and
+    `InvalidInput` if a posture is outside the limits of a joint, or if encoder, delay or margins do
+    not allow the required bandwidth.
+    """
+    _check_parameters(arm)
+    conditions = _conditions(arm, options)
+    rng = np.random.default_rng(options.seed)
+    plants = plants_of(arm, drawn_values(arm, covariance, options.draws, rng), conditions)
+    servo = arm.study.arm.servo
+    period = options.period or (servo.period if servo else _DEFAULT_PERIOD)
+    delay = _DELAY_SHARE * period if options.delay is None else options.delay
+    clock, limit = Clock(period, delay), servo.limit if servo else _DEFAULT_LIMIT
+    if not 0.0 <= delay <= period:
+        raise InvalidInput(
+            f"a delay of {delay:g} s is not between zero and the servo period of {period:g} s",
+            where="--delay",
+            remedy="give the time from an encoder reading to the voltage that follows from it",
+        )
+    loops = Loops.of(plants, clock)
+    resolutions = np.array([joint.encoder_resolution for joint in arm.study.arm.joints])
+    tuned = tune_cascades(loops, options.required, resolutions=resolutions, limit=limit)
+    if options.bandwidth_hz is not None:
+        _check_bandwidth(tuned, options.bandwidth_hz, clock)
+    sampled = sample(plants, clock)
+    laws = [each.gains.law() for each in tuned]
+    steps = [Steps.of(close(sampled, laws, i), period) for i in range(len(tuned))]
+    current = _current_gains(arm, clock)
+    margins: Sequence[Margins | None] = [None] * len(tuned)
+    of_current: Sequence[Steps | None] = [None] * len(tuned)
+    if current is not None:
+        margins = loops.margins(current)
+        current_laws = [each.law() for each in current]
+        of_current = [Steps.of(close(sampled, current_laws, i), period) for i in range(len(tuned))]
+    modes = plants.locked_resonances()[:_MAX_MODES]
+    shapers: Sequence[RankedShaper] = ()
+    if modes:
+        omega, damping = (np.array(part) for part in zip(*modes, strict=True))
+        shapers = rank_shapers(omega, damping, period)
+    intervals = [np.percentile(omega, (2.5, 97.5)) / (2.0 * np.pi) for omega, _ in modes]
+    return ServoDesign(
+        arm=arm,
+        options=options,
+        clock=clock,
+        limit=limit,
+        conditions=conditions,
+        n_plants=len(plants),
+        joints=tuple(
+            JointServo(i + 1, each, steps[i], current[i] if current else None, margins[i],
+                       of_current[i])
+            for i, each in enumerate(tuned)
+        ),
+        modes_hz=np.array(intervals).reshape(-1, 2),
+        shapers=tuple(shapers),
+    )  # fmt: skip
+
+
+def _check_parameters(arm: IdentifiedArm) -> None:
+    """Raise NotIdentifiable if the result lacks a parameter of the linear plants."""
+    description, known = arm.study.arm, arm.values
+    needed = list(Arm.of(description).base.effective)
+    for number, joint in enumerate(description.joints, start=1):
+        names = ["motor_inertia", "motor_viscous_friction", "link_viscous_friction"]
+        if joint.elastic:
+            names += ["gear_damping", *joint.law.slopes]
+        needed += [(name, number) for name in names]
+    missing = [label_of(*key) for key in needed if key not in known]
+    if missing:
+        raise NotIdentifiable(
+            f"{arm.source} does not determine {', '.join(missing)}, and a servo design needs it; "
+            "record PRBS of a larger amplitude and a motion of all joints, and identify again"
+        )
+
+
+def _conditions(arm: IdentifiedArm, options: ServoOptions) -> tuple[Condition, ...]:
+    """All postures with and without all payloads."""
+    joints = arm.study.arm.joints
+    limits = [
+        (joint.limits.lower, joint.limits.upper)
+        if joint.limits and joint.limits.lower is not None and joint.limits.upper is not None
+        else (-_NO_LIMIT, _NO_LIMIT)
+        for joint in joints
+    ]
+    postures = [np.array(posture) for posture in options.postures]
+    if not postures:
+        rng = np.random.default_rng(options.seed)
+        low, high = np.array(limits).T
+        postures = [np.clip(np.zeros(len(joints)), low, high)]
+        postures += list(rng.uniform(low, high, (_N_POSTURES, len(joints))))
+    for posture in postures:
+        _check_posture(posture, limits)
+    loads = (None, *options.payloads)
+    return tuple(Condition(posture, load) for posture in postures for load in loads)
+
+
+def _check_posture(posture: FloatArray, limits: Sequence[tuple[float, float]]) -> None:
+    """Raise InvalidInput unless a posture has an angle of each joint within its limits."""
+    if len(posture) != len(limits):
+        raise InvalidInput(
+            f"the posture has {len(posture)} angles, but the arm has {len(limits)} joints",
+            where="--posture",
+            remedy="give one angle [rad] per joint, separated by commas",
+        )
+    for number, (angle, (low, high)) in enumerate(zip(posture.tolist(), limits, strict=True), 1):
+        if not low <= angle <= high:
+            raise InvalidInput(
+                f"the angle {angle:g} of joint {number} is outside its limits {low:g} to {high:g}",
+                where="--posture",
+                remedy="give a posture that the arm can reach",
+            )
+
+
+def _check_bandwidth(tuned: Sequence[TunedJoint], required_hz: float, clock: Clock) -> None:
+    """Raise InvalidInput if a velocity loop does not reach a bandwidth."""
+    for number, joint in enumerate(tuned, start=1):
+        reached = float(joint.margins.bandwidth_hz.min())
+        if reached < required_hz:
+            cause = (
+                "the resolution of its encoder"
+                if joint.limit == "encoder"
+                else f"the margins with the period of {clock.period:g} s, the delay of "
+                f"{clock.delay:g} s and the resonances"
+            )
+            raise InvalidInput(
+                f"the velocity loop of joint {number} reaches {reached:.3g} Hz, limited by {cause}",
+                where="--bandwidth",
+                remedy=f"require at most {reached:.3g} Hz",
+            )
+
+
+def _current_gains(arm: IdentifiedArm, clock: Clock) -> list[Gains] | None:
+    """Gains of the servo in the study; None without one."""
+    servo = arm.study.arm.servo
+    if servo is None:
+        return None
+    position = servo.position_gain or (0.0,) * len(servo.kp)
+    return [
+        Gains(kp, ki, gain, clock.period)
+        for kp, ki, gain in zip(servo.kp, servo.ki, position, strict=True)
+    ]
