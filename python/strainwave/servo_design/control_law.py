@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +33,7 @@ def notch(hz: float, width: float, depth: float, period: float) -> Biquad:
 
     The bilinear transformation is warped so that the centre is exact.
     """
-    c = 1.0 / np.tan(np.pi * hz * period)
+    c = 1.0 / math.tan(math.pi * hz * period)
     low, high = 2.0 * width * c, 2.0 * depth * width * c
     scale = c * c + low + 1.0
     b = ((c * c + high + 1.0) / scale, 2.0 * (1.0 - c * c) / scale, (c * c - high + 1.0) / scale)
@@ -42,10 +43,10 @@ def notch(hz: float, width: float, depth: float, period: float) -> Biquad:
 
 def low_pass(hz: float, period: float) -> Biquad:
     """Second-order Butterworth low-pass, sampled by the warped bilinear transformation."""
-    c = 1.0 / np.tan(np.pi * hz * period)
-    scale = c * c + np.sqrt(2.0) * c + 1.0
+    c = 1.0 / math.tan(math.pi * hz * period)
+    scale = c * c + math.sqrt(2.0) * c + 1.0
     b = (1.0 / scale, 2.0 / scale, 1.0 / scale)
-    a = (2.0 * (1.0 - c * c) / scale, (c * c - np.sqrt(2.0) * c + 1.0) / scale)
+    a = (2.0 * (1.0 - c * c) / scale, (c * c - math.sqrt(2.0) * c + 1.0) / scale)
     return Biquad(b, a, "low-pass", hz)
 
 

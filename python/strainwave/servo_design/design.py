@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Payload
+from strainwave.domain import FloatArray, IntArray, Payload
 from strainwave.domain.keys import label_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
@@ -64,10 +64,16 @@ class ServoDesign:
     clock: Clock
     limit: float  # [V]
     conditions: tuple[Condition, ...]
-    n_plants: int
+    condition: IntArray  # (n_plants,) index into `conditions`
+    draw: IntArray  # (n_plants,) drawn parameters; 0 are the estimates
     joints: tuple[JointServo, ...]
     modes_hz: FloatArray  # (n_modes, 2) central 95 % of the links' modes behind held motors
     shapers: tuple[RankedShaper, ...]
+
+    @property
+    def n_plants(self) -> int:
+        """Number of plants for which the servos hold."""
+        return len(self.condition)
 
     @property
     def gains(self) -> list[Gains]:
@@ -111,6 +117,7 @@ def design_servo(
     of_current: Sequence[Steps | None] = [None] * len(tuned)
     if current is not None:
         margins = loops.margins(current)
+    if current is not None and all(each.position_gain for each in current):
         current_laws = [each.law() for each in current]
         of_current = [Steps.of(close(sampled, current_laws, i), period) for i in range(len(tuned))]
     modes = plants.locked_resonances()[:_MAX_MODES]
@@ -125,7 +132,8 @@ def design_servo(
         clock=clock,
         limit=limit,
         conditions=conditions,
-        n_plants=len(plants),
+        condition=plants.condition,
+        draw=plants.draw,
         joints=tuple(
             JointServo(i + 1, each, steps[i], current[i] if current else None, margins[i],
                        of_current[i])
