@@ -17,6 +17,7 @@ from strainwave.domain import ComplexArray, FloatArray, IntArray
 from strainwave.domain.control_law import ControlLaw
 from strainwave.servo_design.closed_loop import ClosedLoop, SampledPlants, Steps, close, sample
 from strainwave.servo_design.control_law import Biquad, Gains, low_pass, notch
+from strainwave.servo_design.loop_bands import LoopBand
 from strainwave.servo_design.margins import Margins, Requirements, effective_plants, margins_of
 from strainwave.servo_design.plants import Plants
 from strainwave.servo_design.sampling import Clock, frequency_grid, sampled_responses
@@ -77,11 +78,17 @@ class Loops:
 
     def margins(self, gains: Sequence[Gains]) -> list[Margins]:
         """Margins of every joint's loop over all plants, the other loops closed."""
+        return [margins_of(loop, self.omega) for loop in self._open(gains)]
+
+    def bands(self, gains: Sequence[Gains]) -> list[LoopBand]:
+        """Bands of every joint's loop over all plants, the other loops closed."""
+        return [LoopBand.of(loop, self.omega) for loop in self._open(gains)]
+
+    def _open(self, gains: Sequence[Gains]) -> Iterator[ComplexArray]:
+        """Open-loop responses (n_plants, n_omega) of every joint."""
         closed = self.controllers(gains)
-        return [
-            margins_of(effective_plants(self.responses, closed, i) * closed[:, i], self.omega)
-            for i in range(len(gains))
-        ]
+        for i in range(len(gains)):
+            yield effective_plants(self.responses, closed, i) * closed[:, i]
 
 
 def tune_cascades(

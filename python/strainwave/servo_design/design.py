@@ -2,30 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Payload
-from strainwave.domain.keys import label_of
+from strainwave.domain import FloatArray, IntArray, Payload
+from strainwave.domain.keys import Values, label_of
 from strainwave.dynamics.arm import Arm
-from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import JointCovariance
 from strainwave.servo_design.cascade_tuning import Loops, TunedJoint, tune_cascades
-from strainwave.servo_design.closed_loop import Steps, close, sample
+from strainwave.servo_design.closed_loop import (
+    STEP_SECONDS,
+    ClosedLoop,
+    SampledPlants,
+    Steps,
+    close,
+    sample,
+)
 from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.loop_bands import LoopBand
 from strainwave.servo_design.margins import Margins, Requirements
-from strainwave.servo_design.plants import Condition, drawn_values, plants_of
+from strainwave.servo_design.plants import Condition, Plants, drawn_values, plants_of
 from strainwave.servo_design.sampling import Clock
-from strainwave.servo_design.shaper_ranking import RankedShaper, rank_shapers
+from strainwave.servo_design.shaper_ranking import COVERAGE, RankedShaper, rank_shapers
+from strainwave.servo_design.verification import Comparison, compare_moves
 
 _DEFAULT_PERIOD = 1e-3  # [s] of the servo
 _DEFAULT_LIMIT = 10.0  # [V] or N m
 _DELAY_SHARE = 0.5  # of the period, if no delay is given
 _N_POSTURES = 4  # drawn, besides zero angles, if no posture is given
 _MAX_MODES = 4  # slowest modes that are shaped
+_N_MOVE_DRAWS = 10  # simulated with friction and the curve of the gear
 _NO_LIMIT = 0.75 * np.pi  # [rad] of a joint without limits in the study
 
 
@@ -44,15 +54,23 @@ class ServoOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LoopResults:
+    """Behaviour of the loop of one joint over all plants."""
+
+    margins: Margins
+    band: LoopBand
+    steps: Steps
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class JointServo:
     """Servo of one joint: the designed one, and the current one for comparison."""
 
     joint: int  # from 1
     tuned: TunedJoint
-    steps: Steps
+    results: LoopResults
     current: Gains | None
-    current_margins: Margins | None
-    current_steps: Steps | None
+    current_results: LoopResults | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,10 +82,18 @@ class ServoDesign:
     clock: Clock
     limit: float  # [V]
     conditions: tuple[Condition, ...]
-    n_plants: int
+    draw: IntArray  # (n_plants,) drawn parameters of each plant; 0 are the estimates
+    condition: IntArray  # (n_plants,) indices of conditions
     joints: tuple[JointServo, ...]
     modes_hz: FloatArray  # (n_modes, 2) central 95 % of the links' modes behind held motors
     shapers: tuple[RankedShaper, ...]
+    moves: tuple[Comparison, ...]  # one per joint, from the first posture; empty if refused
+    refusal: str  # why no moves are compared
+
+    @property
+    def n_plants(self) -> int:
+        """Number of plants: draws, conditions and slopes of curved gears."""
+        return len(self.draw)
 
     @property
     def gains(self) -> list[Gains]:
@@ -76,7 +102,10 @@ class ServoDesign:
 
 
 def design_servo(
-    arm: IdentifiedArm, covariance: JointCovariance | None, options: ServoOptions
+    arm: IdentifiedArm,
+    covariance: JointCovariance | None,
+    options: ServoOptions,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> ServoDesign:
     """Design the servos of all joints for the drawn parameters in all conditions.
 
@@ -86,54 +115,106 @@ def design_servo(
     """
     _check_parameters(arm)
     conditions = _conditions(arm, options)
+    clock, limit = _drives(arm, options)
+    progress("drawing plants")
     rng = np.random.default_rng(options.seed)
-    plants = plants_of(arm, drawn_values(arm, covariance, options.draws, rng), conditions)
-    servo = arm.study.arm.servo
-    period = options.period or (servo.period if servo else _DEFAULT_PERIOD)
-    delay = _DELAY_SHARE * period if options.delay is None else options.delay
-    clock, limit = Clock(period, delay), servo.limit if servo else _DEFAULT_LIMIT
-    if not 0.0 <= delay <= period:
-        raise InvalidInput(
-            f"a delay of {delay:g} s is not between zero and the servo period of {period:g} s",
-            where="--delay",
-            remedy="give the time from an encoder reading to the voltage that follows from it",
-        )
+    draws = drawn_values(arm, covariance, options.draws, rng)
+    plants = plants_of(arm, draws, conditions)
     loops = Loops.of(plants, clock)
+    progress("tuning the loops")
     resolutions = np.array([joint.encoder_resolution for joint in arm.study.arm.joints])
     tuned = tune_cascades(loops, options.required, resolutions=resolutions, limit=limit)
     if options.bandwidth_hz is not None:
         _check_bandwidth(tuned, options.bandwidth_hz, clock)
+    progress("simulating steps")
     sampled = sample(plants, clock)
-    laws = [each.gains.law() for each in tuned]
-    steps = [Steps.of(close(sampled, laws, i), period) for i in range(len(tuned))]
-    current = _current_gains(arm, clock)
-    margins: Sequence[Margins | None] = [None] * len(tuned)
-    of_current: Sequence[Steps | None] = [None] * len(tuned)
-    if current is not None:
-        margins = loops.margins(current)
-        current_laws = [each.law() for each in current]
-        of_current = [Steps.of(close(sampled, current_laws, i), period) for i in range(len(tuned))]
-    modes = plants.locked_resonances()[:_MAX_MODES]
-    shapers: Sequence[RankedShaper] = ()
-    if modes:
-        omega, damping = (np.array(part) for part in zip(*modes, strict=True))
-        shapers = rank_shapers(omega, damping, period)
-    intervals = [np.percentile(omega, (2.5, 97.5)) / (2.0 * np.pi) for omega, _ in modes]
+    gains, current = [each.gains for each in tuned], _current_gains(arm, clock)
+    results = _results(loops, sampled, gains)
+    of_current = _results(loops, sampled, current) if current else [None] * len(tuned)
+    progress("ranking shapers")
+    modes, shapers = _shapers(plants, clock)
+    progress("comparing moves")
+    moves, refusal = _moves(arm, gains, draws[: _N_MOVE_DRAWS + 1], conditions[0].posture, limit)
     return ServoDesign(
         arm=arm,
         options=options,
         clock=clock,
         limit=limit,
         conditions=conditions,
-        n_plants=len(plants),
+        draw=plants.draw,
+        condition=plants.condition,
         joints=tuple(
-            JointServo(i + 1, each, steps[i], current[i] if current else None, margins[i],
-                       of_current[i])
+            JointServo(i + 1, each, results[i], current[i] if current else None, of_current[i])
             for i, each in enumerate(tuned)
         ),
-        modes_hz=np.array(intervals).reshape(-1, 2),
-        shapers=tuple(shapers),
-    )  # fmt: skip
+        modes_hz=modes,
+        shapers=shapers,
+        moves=moves,
+        refusal=refusal,
+    )
+
+
+def _drives(arm: IdentifiedArm, options: ServoOptions) -> tuple[Clock, float]:
+    """Timing and voltage limit, from the options or the servo of the study."""
+    servo = arm.study.arm.servo
+    period = options.period or (servo.period if servo else _DEFAULT_PERIOD)
+    delay = _DELAY_SHARE * period if options.delay is None else options.delay
+    if not 0.0 <= delay <= period:
+        raise InvalidInput(
+            f"a delay of {delay:g} s is not between zero and the servo period of {period:g} s",
+            where="--delay",
+            remedy="give the time from an encoder reading to the voltage that follows from it",
+        )
+    return Clock(period, delay), servo.limit if servo else _DEFAULT_LIMIT
+
+
+def _results(loops: Loops, sampled: SampledPlants, gains: Sequence[Gains]) -> list[LoopResults]:
+    """Margins, bands and steps of all joints."""
+    laws = [each.law() for each in gains]
+    margins, bands = loops.margins(gains), loops.bands(gains)
+    return [
+        LoopResults(margins[i], bands[i], _steps(close(sampled, laws, i), gains[i]))
+        for i in range(len(gains))
+    ]
+
+
+def _steps(loop: ClosedLoop, gains: Gains) -> Steps:
+    """Steps of the reference angle.
+
+    Without a position loop the velocity reference is the derivative of the step: one pulse.
+    """
+    reference = np.zeros((round(STEP_SECONDS / gains.period), 2))
+    if gains.position_gain:
+        reference[:, 0] = 1.0
+    else:
+        reference[0, 1] = 1.0 / gains.period
+    return Steps.of(loop, gains.period, reference)
+
+
+def _shapers(plants: Plants, clock: Clock) -> tuple[FloatArray, tuple[RankedShaper, ...]]:
+    """Intervals [Hz] of the slowest modes, and the shapers for them."""
+    modes = plants.locked_resonances()[:_MAX_MODES]
+    if not modes:
+        return np.zeros((0, 2)), ()
+    omega, damping = (np.array(part) for part in zip(*modes, strict=True))
+    tail = 50.0 * (1.0 - COVERAGE)
+    intervals = np.percentile(omega, (tail, 100.0 - tail), axis=1).T / (2.0 * np.pi)
+    return intervals, tuple(rank_shapers(omega, damping, clock.period))
+
+
+def _moves(
+    arm: IdentifiedArm,
+    gains: Sequence[Gains],
+    draws: Sequence[Values],
+    posture: FloatArray,
+    limit: float,
+) -> tuple[tuple[Comparison, ...], str]:
+    """A move of each joint, or the reason why there is none."""
+    try:
+        numbers = range(1, len(gains) + 1)
+        return tuple(compare_moves(arm, gains, draws, i, posture, limit) for i in numbers), ""
+    except (InvalidInput, NumericalFailure) as error:
+        return (), getattr(error, "problem", str(error))
 
 
 def _check_parameters(arm: IdentifiedArm) -> None:
