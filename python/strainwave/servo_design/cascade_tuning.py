@@ -22,6 +22,9 @@ from strainwave.servo_design.margins import Margins, Requirements, effective_pla
 from strainwave.servo_design.plants import Plants
 from strainwave.servo_design.sampling import Clock, frequency_grid, sampled_responses
 
+MAX_RIPPLE_SHARE = 0.05
+"""Largest share of the voltage limit by which one count of the encoder changes the voltage."""
+
 _LOWEST_BANDWIDTH = 2.0  # [rad/s] of a velocity loop
 _START_BANDWIDTH = 0.1  # of a velocity loop, over period and delay
 _COARSE_STEP, _FINE_STEP = 1.3, 1.03  # ratios of gains in the search
@@ -32,7 +35,6 @@ _LOW_PASS_RATIOS = (5.0, 10.0)  # corner of a low-pass over the bandwidth
 _HIGHEST_SHARE = 0.8  # of half the sampling rate, of a filter
 _NOTCH_WIDTHS, _NOTCH_DEPTH = (0.2, 0.5), 0.2
 _MIN_GAIN = 1.1  # ratio of gains by which a filter must raise the bandwidth to be used
-_MAX_RIPPLE_SHARE = 0.05  # of the voltage limit, by one count of the encoder
 _MAX_OVERSHOOT = 0.05  # of the link after a step of the position
 _N_SEARCH_DRAWS = 8
 _N_SWEEPS = 2  # over the joints; a third changes gains by less than a step
@@ -108,7 +110,7 @@ def tune_cascades(
     plants, period = loops.plants, loops.clock.period
     inertias = np.median(plants.rigid_inertias(), axis=0) / plants.torque_per_volt
     with np.errstate(divide="ignore"):
-        max_kp = _MAX_RIPPLE_SHARE * limit * period / resolutions
+        max_kp = MAX_RIPPLE_SHARE * limit * period / resolutions
     search = np.flatnonzero(plants.draw <= _N_SEARCH_DRAWS)
     tuners = [
         _Tuner(loops, required, i, float(inertia), float(largest), uses_filters)

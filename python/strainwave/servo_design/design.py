@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -35,6 +36,7 @@ _DEFAULT_LIMIT = 10.0  # [V] or N m
 _DELAY_SHARE = 0.5  # of the period, if no delay is given
 _N_POSTURES = 4  # drawn, besides zero angles, if no posture is given
 _MAX_MODES = 4  # slowest modes that are shaped
+_POLE_TOLERANCE = 1e-6  # rounding of the pole at one of a servo without a position loop
 _N_MOVE_DRAWS = 10  # simulated with friction and the curve of the gear
 _NO_LIMIT = 0.75 * np.pi  # [rad] of a joint without limits in the study
 
@@ -84,6 +86,7 @@ class ServoDesign:
     conditions: tuple[Condition, ...]
     draw: IntArray  # (n_plants,) drawn parameters of each plant; 0 are the estimates
     condition: IntArray  # (n_plants,) indices of conditions
+    n_unstable: int  # plants that the current servo does not stabilise
     joints: tuple[JointServo, ...]
     modes_hz: FloatArray  # (n_modes, 2) central 95 % of the links' modes behind held motors
     shapers: tuple[RankedShaper, ...]
@@ -113,6 +116,7 @@ def design_servo(
     `InvalidInput` if a posture is outside the limits of a joint, or if encoder, delay or margins do
     not allow the required bandwidth.
     """
+    _check_options(options)
     _check_parameters(arm)
     conditions = _conditions(arm, options)
     clock, limit = _drives(arm, options)
@@ -130,6 +134,7 @@ def design_servo(
     sampled = sample(plants, clock)
     gains, current = [each.gains for each in tuned], _current_gains(arm, clock)
     results = _results(loops, sampled, gains)
+    _check_loops(results, options.required, _count_unstable(sampled, gains))
     of_current = _results(loops, sampled, current) if current else [None] * len(tuned)
     progress("ranking shapers")
     modes, shapers = _shapers(plants, clock)
@@ -143,6 +148,7 @@ def design_servo(
         conditions=conditions,
         draw=plants.draw,
         condition=plants.condition,
+        n_unstable=_count_unstable(sampled, current) if current else 0,
         joints=tuple(
             JointServo(i + 1, each, results[i], current[i] if current else None, of_current[i])
             for i, each in enumerate(tuned)
@@ -176,6 +182,25 @@ def _results(loops: Loops, sampled: SampledPlants, gains: Sequence[Gains]) -> li
         LoopResults(margins[i], bands[i], _steps(close(sampled, laws, i), gains[i]))
         for i in range(len(gains))
     ]
+
+
+def _count_unstable(sampled: SampledPlants, gains: Sequence[Gains]) -> int:
+    """Number of plants with an unstable pole under a servo."""
+    poles = close(sampled, [each.law() for each in gains], 0).poles()
+    return int((np.abs(poles).max(axis=1) > 1.0 + _POLE_TOLERANCE).sum())
+
+
+def _check_loops(results: Sequence[LoopResults], required: Requirements, n_unstable: int) -> None:
+    """Raise InvalidInput if the best gains violate a margin or leave a plant unstable."""
+    for number, each in enumerate(results, start=1):
+        if each.margins.share(required).min() < 1.0 or n_unstable:
+            raise InvalidInput(
+                f"no gains of joint {number} stabilise all plants with a gain margin of "
+                f"{required.gain_db:g} dB, a phase margin of {required.phase_deg:g} degrees and a "
+                f"modulus margin of {required.modulus:g}",
+                where="the servo design",
+                remedy="require smaller margins or fewer payloads, or shorten period and delay",
+            )
 
 
 def _steps(loop: ClosedLoop, gains: Gains) -> Steps:
@@ -215,6 +240,27 @@ def _moves(
         return tuple(compare_moves(arm, gains, draws, i, posture, limit) for i in numbers), ""
     except (InvalidInput, NumericalFailure) as error:
         return (), getattr(error, "problem", str(error))
+
+
+def _check_options(options: ServoOptions) -> None:
+    """Raise InvalidInput if a number is out of its range."""
+    required = options.required
+    ranges = [
+        ("--draws", "the number of draws", options.draws, -1.0, math.inf),
+        ("--period", "the period", options.period, 0.0, math.inf),
+        ("--bandwidth", "the bandwidth", options.bandwidth_hz, 0.0, math.inf),
+        ("--gain-margin", "the gain margin", required.gain_db, 0.0, math.inf),
+        ("--phase-margin", "the phase margin", required.phase_deg, 0.0, 180.0),
+        ("--modulus-margin", "the modulus margin", required.modulus, 0.0, 1.0),
+        *(("--payload", "the mass", payload.mass, 0.0, math.inf) for payload in options.payloads),
+    ]
+    for option, name, value, low, high in ranges:
+        if value is not None and not low < value < high:
+            wanted = "positive" if math.isinf(high) else f"between 0 and {high:g}"
+            wanted = "zero or positive" if low < 0.0 else wanted
+            raise InvalidInput(
+                f"{name} is {value:g}", where=option, remedy=f"give a number that is {wanted}"
+            )
 
 
 def _check_parameters(arm: IdentifiedArm) -> None:
