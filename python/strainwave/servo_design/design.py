@@ -37,6 +37,7 @@ _DELAY_SHARE = 0.5  # of the period, if no delay is given
 _N_POSTURES = 4  # drawn, besides zero angles, if no posture is given
 _MAX_MODES = 4  # slowest modes that are shaped
 _POLE_TOLERANCE = 1e-6  # rounding of the pole at one of a servo without a position loop
+_FIRST_SHARES = (1.0 / 3.0, 1.0 / 2.0, 2.0 / 3.0)
 _N_MOVE_DRAWS = 10  # simulated with friction and the curve of the gear
 _NO_LIMIT = 0.75 * np.pi  # [rad] of a joint without limits in the study
 
@@ -88,6 +89,7 @@ class ServoDesign:
     condition: IntArray  # (n_plants,) indices of conditions
     n_unstable: int  # plants that the current servo does not stabilise
     joints: tuple[JointServo, ...]
+    first_share: float  # of the bandwidth, for the first trial: it also stabilises all plants
     modes_hz: FloatArray  # (n_modes, 2) central 95 % of the links' modes behind held motors
     shapers: tuple[RankedShaper, ...]
     moves: tuple[Comparison, ...]  # one per joint, from the first posture; empty if refused
@@ -153,6 +155,7 @@ def design_servo(
             JointServo(i + 1, each, results[i], current[i] if current else None, of_current[i])
             for i, each in enumerate(tuned)
         ),
+        first_share=_first_share(sampled, gains),
         modes_hz=modes,
         shapers=shapers,
         moves=moves,
@@ -188,6 +191,21 @@ def _count_unstable(sampled: SampledPlants, gains: Sequence[Gains]) -> int:
     """Number of plants with an unstable pole under a servo."""
     poles = close(sampled, [each.law() for each in gains], 0).poles()
     return int((np.abs(poles).max(axis=1) > 1.0 + _POLE_TOLERANCE).sum())
+
+
+def _first_share(sampled: SampledPlants, gains: Sequence[Gains]) -> float:
+    """The smallest tried share of the bandwidth that stabilises all plants.
+
+    Arms that stand upright need gain.
+    """
+    return next(
+        (
+            share
+            for share in _FIRST_SHARES
+            if not _count_unstable(sampled, [each.slowed(share) for each in gains])
+        ),
+        1.0,
+    )
 
 
 def _check_loops(results: Sequence[LoopResults], required: Requirements, n_unstable: int) -> None:

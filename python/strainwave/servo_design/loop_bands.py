@@ -13,7 +13,7 @@ from strainwave.domain import ComplexArray, FloatArray
 class LoopBand:
     """One loop: its response with the estimates, and the range over all plants.
 
-    The phase is continuous over the frequency. `distance` is |1 + L|.
+    The phase is continuous over the frequency and not positive at the first. `distance` is |1 + L|.
     """
 
     hz: FloatArray  # (n_omega,)
@@ -25,6 +25,7 @@ class LoopBand:
     def of(cls, loop: ComplexArray, omega: FloatArray) -> LoopBand:
         """The band of responses (n_plants, n_omega); the first plant has the estimates."""
         phase = np.unwrap(np.angle(loop), axis=1)
+        phase -= 2.0 * np.pi * (phase[0, 0] > 0.0)
         # resonances turn the phase differently, but all plants are alike below them
         phase -= 2.0 * np.pi * np.round((phase[:, :1] - phase[0, 0]) / (2.0 * np.pi))
         return cls(

@@ -10,6 +10,7 @@ import numpy as np
 from strainwave.domain import FloatArray
 from strainwave.presentation.figures import (
     DASHES,
+    DOTTED,
     FREQUENCY_AXIS,
     PALETTE,
     SHORT_DASH,
@@ -31,14 +32,18 @@ from strainwave.servo_design.verification import Comparison
 
 _MAX_ROWS = 500  # of a band, which has three lines
 _GAIN_RANGE = (-60.0, 80.0)  # [dB]; integrators have no upper limit
+_FARTHEST = 2.0  # distance from -1 that is shown
 _SHOWN_SETTLINGS = 1.5  # duration of a figure over the settling time
 _N_SHAPERS = 3  # lines of a figure
 _N_FREQUENCIES = 400
 _MODE_MARGIN = 1.6  # ratio of the frequencies shown beyond the modes
 
 
-def loops_of(joint: JointServo) -> Figure:
-    """Gain, phase and distance from -1 of the open loop, with the band over all plants."""
+def loops_of(joint: JointServo, required: float) -> Figure:
+    """Gain, phase and distance from -1 of the open loop, with the band over all plants.
+
+    `required` is the modulus margin.
+    """
     gain: list[Mark] = []
     phase: list[Mark] = []
     distance: list[Mark] = []
@@ -48,15 +53,17 @@ def loops_of(joint: JointServo) -> Figure:
         for marks, values in (
             (gain, band.gain_db),
             (phase, band.phase_deg),
-            (distance, band.distance),
+            (distance, np.minimum(band.distance, 2.0 * _FARTHEST)),
         ):
             marks.extend(_band(band.hz[rows], values[rows], name, colour, dash))
+    ends, level = joint.results.band.hz[[0, -1]], np.full(2, required)
+    distance.append(Line(ends, level, "required distance", Colour.RESIDUAL, DOTTED))
     return Figure(
         FREQUENCY_AXIS,
         (
             Panel(Axis("gain [dB]", range=_GAIN_RANGE), tuple(gain)),
             Panel(Axis("phase [degree]"), tuple(phase)),
-            Panel(Axis("|1 + L|", log=True), tuple(distance)),
+            Panel(Axis("|1 + L|", range=(0.0, _FARTHEST)), tuple(distance)),
         ),
     )
 
@@ -77,8 +84,8 @@ def moves_of(move: Comparison) -> Figure:
     settling = np.array([move.step.settling, move.planned.settling])
     shown = _duration(settling, move.time)
     marks = [
-        *_over_time(move.time, move.step_link, shown, "before: step", Colour.MEASURED, SHORT_DASH),
-        *_over_time(move.time, move.planned_link, shown, "after: planned", Colour.MODEL, SOLID),
+        *_over_time(move.time, move.step_link, shown, "step", Colour.MEASURED, SHORT_DASH),
+        *_over_time(move.time, move.planned_link, shown, "planned", Colour.MODEL, SOLID),
     ]
     return Figure(Axis("time [s]"), (Panel(Axis("link angle / move"), tuple(marks)),))
 

@@ -20,8 +20,6 @@ from strainwave.presentation.report.document import document
 from strainwave.servo_design.design import ServoDesign
 from strainwave.servo_design.report import figures, words
 
-_FIRST_SHARE = "a third"  # of the gains, at the first trial
-
 
 def render(design: ServoDesign) -> str:
     """The design as a page that needs no network."""
@@ -49,10 +47,13 @@ def _headline(design: ServoDesign) -> Callout:
         f"{required.phase_deg:g} degrees and a modulus margin of {required.modulus:g} for all "
         f"{design.n_plants} plants."
     )
-    limits = "; ".join(words.limit_sentence(design, joint) for joint in design.joints)
+    limits = [words.limit_sentence(design, joint) for joint in design.joints]
     return Callout(
         "good",
-        (paragraph(Span(lead, strong=True)), paragraph(f"{limits[0].upper()}{limits[1:]}.")),
+        (
+            paragraph(Span(lead, strong=True)),
+            *(paragraph(f"{limit[0].upper()}{limit[1:]}.") for limit in limits),
+        ),
     )
 
 
@@ -68,22 +69,22 @@ def _scope(design: ServoDesign) -> Iterator[Block]:
             ("voltage limit", f"{design.limit:g} V{'' if has_servo else ', assumed'}"),
         )
     )
-    n = len(design.joints)
+    joints = range(1, len(design.joints) + 1)
+    has_load = bool(options.payloads)
     heads: Row = (
         "condition",
-        *(number(f"joint {i} [{_unit(design, i)}]") for i in range(1, n + 1)),
-        number("payload [kg]"),
-        "centre of mass [m]",
+        *(number(f"joint {i} [{_unit(design, i)}]") for i in joints),
+        *((number("payload [kg]"), "centre of mass [m]") if has_load else ()),
     )
     rows: list[Row] = []
     for k, condition in enumerate(design.conditions, start=1):
         load = condition.payload
+        mass, centre = (f"{load.mass:g}", load.xyz) if load else ("0", ())
         rows.append(
             (
                 str(k),
                 *(number(f"{angle:.3g}") for angle in condition.posture),
-                number(f"{load.mass:g}" if load else "0"),
-                ", ".join(f"{x:g}" for x in load.xyz) if load else "",
+                *((number(mass), ", ".join(f"{x:g}" for x in centre)) if has_load else ()),
             )
         )
     yield from table("Postures and payloads", heads, rows)
@@ -123,7 +124,12 @@ def _loops(design: ServoDesign) -> Iterator[Block]:
     )
     for joint in design.joints:
         title = f"Joint {joint.joint}: open loop"
-        yield Plot(f"loop {joint.joint}", title, figures.loops_of(joint), caption)
+        yield Plot(
+            f"loop {joint.joint}",
+            title,
+            figures.loops_of(joint, design.options.required.modulus),
+            caption,
+        )
 
 
 def _steps(design: ServoDesign) -> Iterator[Block]:
@@ -166,7 +172,7 @@ def _moves(design: ServoDesign) -> Iterator[Block]:
         yield paragraph(f"No moves are compared: {design.refusal}.")
         return
     yield paragraph(
-        "Both moves use the designed gains. Before: a step of the reference angle. After: a smooth "
+        "Both moves use the designed gains: a step of the reference angle, and a smooth planned "
         "move with the feed-forward of the elastic arm. The simulation has Coulomb friction, the "
         "whole curve of the gear, encoder counts and the voltage limit."
     )
@@ -193,14 +199,23 @@ def _trial(design: ServoDesign) -> Iterator[Block]:
         "voltage limit and the limits of angle and velocity in the drive."
     )
     yield paragraph(
-        f"2. Start with {_FIRST_SHARE} of kp, ki and position gain, with all filters, at the first "
-        "posture without a payload."
+        f"2. Start with the gains of the table, which have {design.first_share:.0%} of the "
+        "designed bandwidth and stabilise all plants, and with all filters, at the first posture "
+        "without a payload."
     )
+    heads: Row = ("joint", *map(number, ("kp [V s/rad]", "ki [V/rad]", "position [1/s]")))
+    firsts = [gains.slowed(design.first_share) for gains in design.gains]
+    rows: list[Row] = [
+        (str(i), *(number(f"{x:.4g}") for x in (first.kp, first.ki, first.position_gain)))
+        for i, first in enumerate(firsts, start=1)
+    ]
+    yield from table("First gains", heads, rows)
     yield paragraph(
         "3. Move each joint by 0.05 rad. Stop if the motor hums, if the voltage alternates at its "
         "limit, or if the motion does not decay."
     )
     yield paragraph(
-        "4. Double the gains in steps of at most 6 dB up to the designed values, and repeat the "
-        "moves in all postures, then with the payloads."
+        "4. Raise kp and the position gain by at most a factor of 1.5 at a time, and ki by its "
+        "square, up to the designed values. Repeat the moves in all postures, then with the "
+        "payloads."
     )

@@ -195,9 +195,9 @@ def shaper_rows(design: ServoDesign) -> Iterator[Row]:
 def move_rows(design: ServoDesign) -> Iterator[Row]:
     """Behaviour of each joint after a step and in the planned move."""
     for move in design.moves:
-        yield str(move.joint), "before: step", number("0"), *_move_cells(move.step)
+        yield str(move.joint), "step", number("0"), *_move_cells(move.step)
         lasts = number(f"{move.duration:.3g}")
-        yield str(move.joint), "after: planned", lasts, *_move_cells(move.planned)
+        yield str(move.joint), "planned", lasts, *_move_cells(move.planned)
 
 
 def _move_cells(move: Move) -> tuple[Cell, ...]:
@@ -211,7 +211,7 @@ def _move_cells(move: Move) -> tuple[Cell, ...]:
 
 def move_title() -> str:
     """Title of the table of moves."""
-    return f"Moves of {MOVE:g} rad (m for prismatic joints)"
+    return f"Moves of {MOVE:g} rad (or m): a step of the reference, then planned with feed-forward"
 
 
 def seconds(value: float) -> str:
