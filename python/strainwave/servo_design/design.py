@@ -32,7 +32,7 @@ from strainwave.servo_design.shaper_ranking import COVERAGE, RankedShaper, rank_
 from strainwave.servo_design.verification import Comparison, compare_moves
 
 _DEFAULT_PERIOD = 1e-3  # [s] of the servo
-_DEFAULT_LIMIT = 10.0  # [V] or N m
+_DEFAULT_LIMIT = 10.0  # [V]; torques have none
 _DELAY_SHARE = 0.5  # of the period, if no delay is given
 _N_POSTURES = 4  # drawn, besides zero angles, if no posture is given
 _MAX_MODES = 4  # slowest modes that are shaped
@@ -83,7 +83,7 @@ class ServoDesign:
     arm: IdentifiedArm
     options: ServoOptions
     clock: Clock
-    limit: float  # [V]
+    limit: float  # of the drives [V], or [N m] if torques are logged; infinite if not known
     conditions: tuple[Condition, ...]
     draw: IntArray  # (n_plants,) drawn parameters of each plant; 0 are the estimates
     condition: IntArray  # (n_plants,) indices of conditions
@@ -174,7 +174,9 @@ def _drives(arm: IdentifiedArm, options: ServoOptions) -> tuple[Clock, float]:
             where="--delay",
             remedy="give the time from an encoder reading to the voltage that follows from it",
         )
-    return Clock(period, delay), servo.limit if servo else _DEFAULT_LIMIT
+    has_voltages = all(joint.torque_per_volt is not None for joint in arm.study.arm.joints)
+    default = _DEFAULT_LIMIT if has_voltages else math.inf
+    return Clock(period, delay), servo.limit if servo else default
 
 
 def _results(loops: Loops, sampled: SampledPlants, gains: Sequence[Gains]) -> list[LoopResults]:
@@ -253,6 +255,8 @@ def _moves(
     limit: float,
 ) -> tuple[tuple[Comparison, ...], str]:
     """A move of each joint, or the reason why there is none."""
+    if math.isinf(limit):
+        return (), "the torque limit of the drives is unknown without a [servo] table in the study"
     try:
         numbers = range(1, len(gains) + 1)
         return tuple(compare_moves(arm, gains, draws, i, posture, limit) for i in numbers), ""

@@ -31,9 +31,11 @@ from strainwave.servo_design.report.words import shaper_name
 from strainwave.servo_design.verification import Comparison
 
 _MAX_ROWS = 500  # of a band, which has three lines
+_LOWEST_SHARE = 0.05  # of the bandwidth: lower frequencies do not matter
 _GAIN_RANGE = (-60.0, 80.0)  # [dB]; integrators have no upper limit
 _FARTHEST = 2.0  # distance from -1 that is shown
 _SHOWN_SETTLINGS = 1.5  # duration of a figure over the settling time
+_LABEL_STEP = 0.15  # of a panel, between labels that may overlap
 _N_SHAPERS = 3  # lines of a figure
 _N_FREQUENCIES = 400
 _MODE_MARGIN = 1.6  # ratio of the frequencies shown beyond the modes
@@ -47,16 +49,19 @@ def loops_of(joint: JointServo, required: float) -> Figure:
     gain: list[Mark] = []
     phase: list[Mark] = []
     distance: list[Mark] = []
-    for name, colour, dash, results in _servos(joint):
+    servos = list(_servos(joint))
+    lowest = min(float(results.margins.bandwidth_hz.min()) for *_, results in servos)
+    for name, colour, dash, results in servos:
         band = results.band
-        rows = decimate(band.gain_db, _MAX_ROWS)
+        shown = np.flatnonzero(band.hz >= _LOWEST_SHARE * lowest)
+        rows = shown[decimate(band.gain_db[shown], _MAX_ROWS)]
         for marks, values in (
             (gain, band.gain_db),
             (phase, band.phase_deg),
             (distance, np.minimum(band.distance, 2.0 * _FARTHEST)),
         ):
             marks.extend(_band(band.hz[rows], values[rows], name, colour, dash))
-    ends, level = joint.results.band.hz[[0, -1]], np.full(2, required)
+    ends, level = joint.results.band.hz[shown[[0, -1]]], np.full(2, required)
     distance.append(Line(ends, level, "required distance", Colour.RESIDUAL, DOTTED))
     return Figure(
         FREQUENCY_AXIS,
@@ -110,7 +115,8 @@ def shapers_of(design: ServoDesign) -> Figure:
         for k, ends in enumerate(design.modes_hz.tolist(), start=1)
     ]
     labels = tuple(
-        Upright(float(low), f"mode {k}") for k, (low, _) in enumerate(design.modes_hz, start=1)
+        Upright(float(low), f"mode {k + 1}", height=1.0 - _LABEL_STEP * k)
+        for k, (low, _) in enumerate(design.modes_hz)
     )
     axis = Axis("vibration [%]", range=(0.0, 100.0))
     return Figure(FREQUENCY_AXIS, (Panel(axis, (*intervals, *lines)),), labels)

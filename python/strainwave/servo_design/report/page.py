@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from strainwave.presentation.report.blocks import (
@@ -59,14 +60,16 @@ def _headline(design: ServoDesign) -> Callout:
 
 def _scope(design: ServoDesign) -> Iterator[Block]:
     clock, options = design.clock, design.options
-    has_servo = design.arm.study.arm.servo is not None
+    limit = f"{design.limit:g} {words.input_unit(design)}"
+    if design.arm.study.arm.servo is None:
+        limit = f"{limit}, assumed" if math.isfinite(design.limit) else "not known"
     yield Facts(
         (
             ("parameters", f"the estimates and {options.draws} draws of them, seed {options.seed}"),
             ("plants", f"{design.n_plants}: draws, conditions, lowest and highest gear slope"),
             ("servo period", f"{1e3 * clock.period:g} ms"),
             ("delay", f"{1e3 * clock.delay:g} ms from an encoder reading to its voltage"),
-            ("voltage limit", f"{design.limit:g} V{'' if has_servo else ', assumed'}"),
+            ("limit of the drives", limit),
         )
     )
     joints = range(1, len(design.joints) + 1)
@@ -105,7 +108,7 @@ def _current(design: ServoDesign) -> Iterator[Block]:
 
 
 def _designed(design: ServoDesign) -> Iterator[Block]:
-    yield from table("Gains", words.GAIN_HEADS, words.gain_rows(design))
+    yield from table("Gains", words.servo_heads(design), words.gain_rows(design))
     yield from table(
         "Behaviour, worst over all plants", words.BEHAVIOUR_HEADS, words.behaviour_rows(design)
     )
@@ -176,7 +179,7 @@ def _moves(design: ServoDesign) -> Iterator[Block]:
         "move with the feed-forward of the elastic arm. The simulation has Coulomb friction, the "
         "whole curve of the gear, encoder counts and the voltage limit."
     )
-    yield from table(words.move_title(), words.MOVE_HEADS, words.move_rows(design))
+    yield from table(words.move_title(), words.move_heads(design), words.move_rows(design))
     for move in design.moves:
         title = f"Joint {move.joint}: step and planned move"
         yield Plot(f"move {move.joint}", title, figures.moves_of(move))
@@ -203,12 +206,9 @@ def _trial(design: ServoDesign) -> Iterator[Block]:
         "designed bandwidth and stabilise all plants, and with all filters, at the first posture "
         "without a payload."
     )
-    heads: Row = ("joint", *map(number, ("kp [V s/rad]", "ki [V/rad]", "position [1/s]")))
+    heads: Row = ("joint", *words.gain_heads(design))
     firsts = [gains.slowed(design.first_share) for gains in design.gains]
-    rows: list[Row] = [
-        (str(i), *(number(f"{x:.4g}") for x in (first.kp, first.ki, first.position_gain)))
-        for i, first in enumerate(firsts, start=1)
-    ]
+    rows: list[Row] = [(str(i), *words.gain_cells(each)) for i, each in enumerate(firsts, start=1)]
     yield from table("First gains", heads, rows)
     yield paragraph(
         "3. Move each joint by 0.05 rad. Stop if the motor hums, if the voltage alternates at its "

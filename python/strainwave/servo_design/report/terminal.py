@@ -19,14 +19,19 @@ def print_design(design: ServoDesign, page: Path, *, console: Console | None = N
     console = console or Console(highlight=False)
     for line in words.current_sentences(design):
         console.print(Text(line))
-    _print(console, "Gains", words.GAIN_HEADS, words.gain_rows(design))
+    _print(
+        console,
+        "Gains",
+        words.servo_heads(design),
+        words.gain_rows(design),
+    )
     title = "Behaviour, worst over all plants"
     _print(console, title, words.BEHAVIOUR_HEADS, words.behaviour_rows(design))
     _print(console, "Worst margins", words.MARGIN_HEADS, words.margin_rows(design))
     for joint in design.joints:
         console.print(Text(words.limit_sentence(design, joint)))
     _print(console, "Input shapers", words.SHAPER_HEADS, words.shaper_rows(design))
-    _print(console, words.move_title(), words.MOVE_HEADS, words.move_rows(design))
+    _print(console, words.move_title(), words.move_heads(design), words.move_rows(design))
     if design.refusal:
         console.print(Text(f"note: no moves are compared: {design.refusal}"), style="yellow")
     console.print(Text(f"written: {page}"), soft_wrap=True)

@@ -19,12 +19,8 @@ from strainwave.servo_design.verification import MOVE, Move
 
 N_SHOWN_SHAPERS = 5
 
-GAIN_HEADS: Row = (
-    "joint",
-    "servo",
-    *map(number, ("kp [V s/rad]", "ki [V/rad]", "position [1/s]")),
-    "filters",
-)
+_NEGLIGIBLE = 1e-4  # share of a step
+
 BEHAVIOUR_HEADS: Row = (
     "joint",
     "servo",
@@ -35,11 +31,6 @@ SHAPER_HEADS: Row = (
     "shaper",
     *map(number, ("at [Hz]", "duration [ms]", "vibration [%]")),
     "use",
-)
-MOVE_HEADS: Row = (
-    "joint",
-    "move",
-    *map(number, ("lasts [s]", "settling [s]", "overshoot [%]", "vibration [%]", "peak [V]")),
 )
 
 
@@ -100,8 +91,8 @@ def limit_sentence(design: ServoDesign, joint: JointServo) -> str:
         counts = design.arm.study.arm.joints[joint.joint - 1].encoder_counts
         return (
             f"joint {joint.joint} is limited by its encoder of {counts:g} counts per turn: with a "
-            f"higher gain, one count changes the voltage by more than {100 * MAX_RIPPLE_SHARE:g} % "
-            "of its limit"
+            f"higher gain, one count changes the voltage by more than {100 * MAX_RIPPLE_SHARE:g}"
+            "\N{NO-BREAK SPACE}% of its limit"
         )
     worst = min(worst_margins(design, joint.results.margins), key=lambda m: m.value / m.required)
     return (
@@ -121,13 +112,38 @@ def plant_words(design: ServoDesign, plant: int) -> str:
     return ", ".join(words)
 
 
+def input_unit(design: ServoDesign) -> str:
+    """Unit of the drives' inputs."""
+    units = {
+        "V" if joint.torque_per_volt is not None else "N m" if joint.motion == "revolute" else "N"
+        for joint in design.arm.study.arm.joints
+    }
+    return " or ".join(sorted(units))
+
+
+def gain_heads(design: ServoDesign) -> tuple[Cell, ...]:
+    """Heads of gains with units."""
+    unit = input_unit(design)
+    return tuple(map(number, (f"kp [{unit} s/rad]", f"ki [{unit}/rad]", "position [1/s]")))
+
+
+def servo_heads(design: ServoDesign) -> Row:
+    """Heads of the table of gains."""
+    return ("joint", "servo", *gain_heads(design), "filters")
+
+
+def gain_cells(gains: Gains) -> tuple[Cell, ...]:
+    """Gains under `gain_heads`."""
+    return tuple(number(f"{x:.4g}") for x in (gains.kp, gains.ki, gains.position_gain))
+
+
 def gain_rows(design: ServoDesign) -> Iterator[Row]:
     """Designed and current gains of each joint."""
     for joint, servo, gains, _ in _servos(design):
         yield (
             joint,
             servo,
-            *(number(f"{x:.4g}") for x in (gains.kp, gains.ki, gains.position_gain)),
+            *gain_cells(gains),
             prose(", ".join(map(filter_words, gains.filters)) or "none"),
         )
 
@@ -139,7 +155,7 @@ def behaviour_rows(design: ServoDesign) -> Iterator[Row]:
             joint,
             servo,
             number(f"{results.margins.bandwidth_hz.min():.3g}"),
-            number(f"{100.0 * results.steps.overshoot.max():.2g}"),
+            number(percent(float(results.steps.overshoot.max()))),
             number(seconds(float(results.steps.settling.max()))),
         )
 
@@ -187,9 +203,15 @@ def shaper_rows(design: ServoDesign) -> Iterator[Row]:
             shaper_name(ranked),
             number(", ".join(f"{s.omega / (2.0 * math.pi):.3g}" for s in ranked.shapers)),
             number(f"{1e3 * ranked.impulses.duration:.0f}"),
-            number(f"{100.0 * ranked.vibration:.2g}"),
+            number(percent(ranked.vibration)),
             Cell("recommended" if k == 0 and ranked.is_sufficient else verdict),
         )
+
+
+def move_heads(design: ServoDesign) -> Row:
+    """Heads of the table of moves."""
+    names = ("lasts [s]", "settling [s]", "overshoot [%]", "vibration [%]")
+    return ("joint", "move", *map(number, names), number(f"peak [{input_unit(design)}]"))
 
 
 def move_rows(design: ServoDesign) -> Iterator[Row]:
@@ -203,8 +225,8 @@ def move_rows(design: ServoDesign) -> Iterator[Row]:
 def _move_cells(move: Move) -> tuple[Cell, ...]:
     return (
         number(seconds(move.settling)),
-        number(f"{100.0 * move.overshoot:.2g}"),
-        number(f"{100.0 * move.vibration:.2g}"),
+        number(percent(move.overshoot)),
+        number(percent(move.vibration)),
         number(f"{move.peak_voltage:.2g}"),
     )
 
@@ -212,6 +234,13 @@ def _move_cells(move: Move) -> tuple[Cell, ...]:
 def move_title() -> str:
     """Title of the table of moves."""
     return f"Moves of {MOVE:g} rad (or m): a step of the reference, then planned with feed-forward"
+
+
+def percent(share: float) -> str:
+    """A share [%] with two digits, or that it is negligible."""
+    if share < _NEGLIGIBLE:
+        return "0" if share == 0.0 else f"< {100.0 * _NEGLIGIBLE:g}"
+    return f"{100.0 * share:.2g}"
 
 
 def seconds(value: float) -> str:
