@@ -73,7 +73,7 @@ class JointServo:
     tuned: TunedJoint
     results: LoopResults
     current: Gains | None
-    current_results: LoopResults | None
+    current_results: LoopResults | None  # None if a plant is unstable under the current servo
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +137,10 @@ def design_servo(
     gains, current = [each.gains for each in tuned], _current_gains(arm, clock)
     results = _results(loops, sampled, gains)
     _check_loops(results, options.required, _count_unstable(sampled, gains))
-    of_current = _results(loops, sampled, current) if current else [None] * len(tuned)
+    n_unstable = _count_unstable(sampled, current) if current else 0
+    of_current: Sequence[LoopResults | None] = [None] * len(tuned)
+    if current and not n_unstable:
+        of_current = _results(loops, sampled, current)
     progress("ranking shapers")
     modes, shapers = _shapers(plants, clock)
     progress("comparing moves")
@@ -150,7 +153,7 @@ def design_servo(
         conditions=conditions,
         draw=plants.draw,
         condition=plants.condition,
-        n_unstable=_count_unstable(sampled, current) if current else 0,
+        n_unstable=n_unstable,
         joints=tuple(
             JointServo(i + 1, each, results[i], current[i] if current else None, of_current[i])
             for i, each in enumerate(tuned)
@@ -354,7 +357,7 @@ def _check_bandwidth(tuned: Sequence[TunedJoint], required_hz: float, clock: Clo
             raise InvalidInput(
                 f"the velocity loop of joint {number} reaches {reached:.3g} Hz, limited by {cause}",
                 where="--bandwidth",
-                remedy=f"require at most {reached:.3g} Hz",
+                remedy=f"require at most {math.floor(100.0 * reached) / 100.0:g} Hz",
             )
 
 

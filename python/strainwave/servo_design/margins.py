@@ -83,7 +83,9 @@ def _phase_margins(loop: ComplexArray, hz: FloatArray) -> tuple[FloatArray, Floa
     degrees = np.where(crosses, np.abs(np.degrees(_wrapped(phase[:, :-1] + share * turn))), np.inf)
     least, where = _least(degrees, hz, share)
     last = crosses.shape[1] - 1 - np.argmax(crosses[:, ::-1], axis=1)
-    bandwidth = np.where(crosses.any(axis=1), hz[last], 0.0)
+    every = np.arange(len(loop))
+    highest = hz[last] + share[every, last] * (hz[last + 1] - hz[last])
+    bandwidth = np.where(crosses.any(axis=1), highest, 0.0)
     return least, where, bandwidth
 
 

@@ -62,6 +62,8 @@ def worst_margins(design: ServoDesign, margins: Margins) -> tuple[WorstMargin, .
 
 def current_sentences(design: ServoDesign) -> Iterator[str]:
     """Margins of the servo in the study; none if there is no servo."""
+    if design.n_unstable:
+        yield f"your servo is unstable for {design.n_unstable} of {design.n_plants} plants"
     for joint in design.joints:
         if joint.current_results is None:
             return
@@ -71,11 +73,6 @@ def current_sentences(design: ServoDesign) -> Iterator[str]:
         yield (
             f"your servo: joint {joint.joint} has {_at(gain)}, {_at(phase)}, "
             f"modulus {modulus.value:.2g}, bandwidth {bandwidth:.3g} Hz"
-        )
-    if design.n_unstable:
-        yield (
-            f"your servo is unstable for {design.n_unstable} of {design.n_plants} plants; their "
-            "margins have no meaning"
         )
 
 
