@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from servo_arms import rig, vertical_rig
 from strainwave.domain import JointLimits, Payload
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.export import IdentifiedArm
+from strainwave.servo_design import design as module
 from strainwave.servo_design.cascade_tuning import MAX_RIPPLE_SHARE
 from strainwave.servo_design.closed_loop import close, sample
 from strainwave.servo_design.control_law import Gains
@@ -25,9 +27,15 @@ OPTIONS = ServoOptions(postures=POSTURES, payloads=(LOAD,), draws=4, seed=3)
 FEW = replace(OPTIONS, draws=1, payloads=())
 
 
+def without_shapers(arm: IdentifiedArm, options: ServoOptions) -> ServoDesign:
+    """A design whose shapers, half of its time, are not of interest."""
+    with patch.object(module, "_shapers", return_value=(np.zeros((0, 2)), ())):
+        return design_servo(arm, None, options)
+
+
 @cache
-def designed(required: Requirements = Requirements()) -> ServoDesign:  # noqa: B008 - a value
-    return design_servo(rig(), None, replace(OPTIONS, required=required))
+def designed() -> ServoDesign:
+    return design_servo(rig(), None, OPTIONS)
 
 
 def plants_behind(design: ServoDesign) -> Plants:
@@ -46,7 +54,7 @@ def largest_pole(design: ServoDesign, gains: list[Gains]) -> float:
 
 def refusal(options: ServoOptions, arm: IdentifiedArm | None = None) -> str:
     with pytest.raises(InvalidInput) as error:
-        design_servo(arm or rig(), None, options)
+        without_shapers(arm or rig(), options)
     return str(error.value)
 
 
@@ -87,7 +95,7 @@ def test_the_gain_margin_is_the_change_of_gain_that_is_unstable(joint: int) -> N
         )
         return largest_pole(design, scaled)
 
-    tolerance = 0.1  # [dB]; the aliases that the responses neglect
+    tolerance = 0.02  # [dB]; interpolation between frequencies
     assert max(changed(smallest - tolerance), changed(tolerance - smallest)) < 1.0
     assert max(changed(smallest + tolerance), changed(-smallest - tolerance)) > 1.0
 
@@ -102,7 +110,7 @@ def test_the_modulus_margin_is_that_of_the_exact_plants(joint: int) -> None:
     inputs = np.broadcast_to(sampled.B[:, None], (*system.shape[:3], 2)).astype(complex)
     responses = sampled.motors @ np.linalg.solve(system, inputs)
     closed = np.stack([gains.response(z) for gains in design.gains], axis=1)
-    loop = effective_plants(responses, closed, joint) * closed[:, joint]
+    loop = effective_plants(np.asarray(responses, complex), closed, joint) * closed[:, joint]
     nearest = np.abs(1.0 + loop).min()
     assert nearest == pytest.approx(design.joints[joint].results.margins.modulus.min(), rel=0.01)
 
@@ -121,7 +129,7 @@ def test_gains_are_as_high_as_the_margins_allow() -> None:
     ids=["gain", "phase", "modulus"],
 )
 def test_a_higher_margin_never_gives_a_higher_bandwidth(required: Requirements) -> None:
-    stricter = designed(required)
+    stricter = without_shapers(rig(), replace(OPTIONS, required=required))
     for strict, loose in zip(stricter.joints, designed().joints, strict=True):
         assert strict.tuned.gains.kp < loose.tuned.gains.kp
         assert strict.results.margins.share(required).min() >= 1.0
@@ -129,7 +137,7 @@ def test_a_higher_margin_never_gives_a_higher_bandwidth(required: Requirements) 
 
 def test_a_coarse_encoder_limits_the_gain() -> None:
     counts = 1000
-    design = design_servo(rig(counts), None, FEW)
+    design = without_shapers(rig(counts), FEW)
     for joint in design.joints:
         assert joint.tuned.limit == "encoder"
         ripple = joint.tuned.gains.kp * 2.0 * np.pi / counts / design.clock.period
@@ -137,7 +145,7 @@ def test_a_coarse_encoder_limits_the_gain() -> None:
 
 
 def test_a_longer_delay_costs_bandwidth() -> None:
-    slow, fast = (design_servo(rig(), None, replace(FEW, delay=delay)) for delay in (1e-3, 0.0))
+    slow, fast = (without_shapers(rig(), replace(FEW, delay=delay)) for delay in (1e-3, 0.0))
     for late, early in zip(slow.gains, fast.gains, strict=True):
         assert late.kp < 0.9 * early.kp
     assert (slow.clock.delay, fast.clock.delay) == (1e-3, 0.0)
@@ -145,7 +153,7 @@ def test_a_longer_delay_costs_bandwidth() -> None:
 
 def test_an_upright_arm_is_stabilised() -> None:
     upright = ServoOptions(postures=((np.pi / 2.0, 0.0),), draws=2)
-    design = design_servo(vertical_rig(), None, upright)
+    design = without_shapers(vertical_rig(), upright)
     plants = plants_behind(design)
     assert np.linalg.eigvalsh(plants.stiffness).min() < 0.0  # it falls without a servo
     assert largest_pole(design, design.gains) < 1.0
@@ -154,6 +162,14 @@ def test_an_upright_arm_is_stabilised() -> None:
     for joint in design.joints:
         # the motor reaches the reference; gravity bends the gear by some per mille
         np.testing.assert_allclose(joint.results.steps.link[:, -1], 1.0, atol=5e-3)
+
+
+def test_the_first_trial_has_gains_that_stabilise(monkeypatch: pytest.MonkeyPatch) -> None:
+    upright = ServoOptions(postures=((np.pi / 2.0, 0.0),), draws=0)
+    monkeypatch.setattr(module, "_FIRST_SHARES", (1e-3, 0.4, 0.5))
+    design = without_shapers(vertical_rig(), upright)
+    assert largest_pole(design, [gains.slowed(1e-3) for gains in design.gains]) > 1.0
+    assert design.first_share == 0.4
 
 
 def test_slower_gains_have_the_same_shape() -> None:
@@ -188,7 +204,7 @@ def test_the_current_servo_is_that_of_the_study() -> None:
     assert designed().n_unstable == 0
     study = rig().study
     wild = replace(study, arm=replace(study.arm, servo=replace(servo, kp=(5.0, 5.0))))
-    unstable = design_servo(replace(rig(), study=wild), None, FEW)
+    unstable = without_shapers(replace(rig(), study=wild), FEW)
     assert unstable.n_unstable == unstable.n_plants == 4
     assert all(joint.current and not joint.current_results for joint in unstable.joints)
 
@@ -208,7 +224,7 @@ def test_without_a_limit_of_the_drives_no_moves_are_compared() -> None:
     arm = rig()
     joints = tuple(replace(joint, torque_per_volt=None) for joint in arm.study.arm.joints)
     study = replace(arm.study, arm=replace(arm.study.arm, joints=joints, servo=None))
-    design = design_servo(replace(arm, study=study), None, FEW)
+    design = without_shapers(replace(arm, study=study), FEW)
     assert design.moves == ()
     assert "torque limit of the drives is unknown" in design.refusal
     assert all(joint.current is None for joint in design.joints)
@@ -229,7 +245,7 @@ def test_postures_are_drawn_within_the_limits() -> None:
     joints = tuple(replace(joint, limits=limits) for joint in arm.study.arm.joints)
     study = replace(arm.study, arm=arm.study.arm.with_joints(joints))
     arm = replace(arm, study=study)
-    design = design_servo(arm, None, replace(FEW, postures=()))
+    design = without_shapers(arm, replace(FEW, postures=()))
     postures = np.array([each.posture for each in design.conditions])
     assert len(np.unique(postures, axis=0)) == 5
     assert postures.min() >= 0.2
@@ -244,7 +260,7 @@ def test_the_required_bandwidth_is_reached_or_refused() -> None:
     assert "limited by the margins" in message
     possible = float(message.split("require at most ")[1].split(" Hz")[0])
     with pytest.raises(InvalidInput):
-        design_servo(rig(), None, replace(FEW, bandwidth_hz=possible + 0.02))
+        without_shapers(rig(), replace(FEW, bandwidth_hz=possible + 0.02))
 
 
 def test_margins_that_no_gains_keep_are_refused() -> None:
@@ -277,4 +293,4 @@ def test_a_missing_parameter_is_named(name: str) -> None:
     arm = rig()
     parameters = tuple(replace(p, value=None) if p.key == (name, 2) else p for p in arm.parameters)
     with pytest.raises(NotIdentifiable, match=rf"does not determine {name} 2"):
-        design_servo(replace(arm, parameters=parameters), None, FEW)
+        without_shapers(replace(arm, parameters=parameters), FEW)

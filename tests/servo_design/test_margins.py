@@ -61,13 +61,13 @@ def test_an_integrator_with_delay_has_its_closed_form_margins(gain: float, delay
 def test_a_loop_that_needs_gain_has_a_margin_downwards() -> None:
     """2 (s + 1)^2 / s^3 is -4 at one radian per second: a quarter of the gain is the limit."""
     s = 1j * OMEGA
-    margins = margins_of((2.0 * (s + 1.0) ** 2 / s**3)[None], OMEGA)
+    margins = margins_of(np.array([2.0 * (s + 1.0) ** 2 / s**3]), OMEGA)
     assert margins.gain_db[0] == pytest.approx(20.0 * np.log10(4.0), abs=1e-3)
     assert margins.gain_hz[0] == pytest.approx(0.5 / np.pi, rel=1e-4)
 
 
 def test_a_loop_without_crossings_has_no_limits() -> None:
-    margins = margins_of((0.5 / (1.0 + 1j * OMEGA))[None], OMEGA)
+    margins = margins_of(np.array([0.5 / (1.0 + 1j * OMEGA)]), OMEGA)
     assert margins.gain_db[0] == margins.phase_deg[0] == np.inf
     assert np.isnan(margins.gain_hz[0])
     assert margins.bandwidth_hz[0] == 0.0
@@ -78,7 +78,7 @@ def test_the_smallest_crossing_of_a_resonance_counts() -> None:
     """A light resonance behind the integrator adds crossings; the bandwidth is the last one."""
     s = 1j * OMEGA
     resonance = 100.0**2 / (s**2 + 2.0 * 0.02 * 100.0 * s + 100.0**2)
-    margins = margins_of((10.0 / s * resonance)[None], OMEGA)
+    margins = margins_of(np.array([10.0 / s * resonance]), OMEGA)
     # at the resonance the loop is -10 / (100 * 2 * 0.02); chords of its circle are 0.3 % short
     assert margins.gain_db[0] == pytest.approx(20.0 * np.log10(2.5), abs=0.03)
     assert margins.gain_hz[0] == pytest.approx(100.0 / (2.0 * np.pi), rel=1e-3)
@@ -106,11 +106,11 @@ def test_sampled_responses_are_those_of_the_exact_discretisation(
     exact = exact_responses(sample(plants, clock), np.exp(1j * omega * clock.period))
     responses = sampled_responses(plants, omega, clock)
     for i in range(2):
-        # three aliases of each sign; the others are a few per mille of the response at most
+        # of the aliases that are left out, those of the fourth sampling rate are 3e-4 at most
         error = np.abs(responses[..., i, i] / exact[..., i, i] - 1.0)
-        assert error.max() < 4e-3
+        assert error.max() < 5e-4
     size = np.abs(exact[..., 0, 0] * exact[..., 1, 1]) ** 0.5
-    assert (np.abs(responses - exact)[..., 0, 1] / size).max() < 4e-3
+    assert (np.abs(responses - exact)[..., 0, 1] / size).max() < 1e-5
 
 
 @pytest.mark.parametrize("joint", [0, 1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 from collections.abc import Callable
@@ -20,7 +21,7 @@ from strainwave.servo_design.design import design_servo
 from strainwave.servo_design.report import words
 from strainwave.servo_design.report.page import render
 from strainwave.servo_design.report.terminal import print_design
-from strainwave.servo_design.tune import read_payloads, read_postures
+from strainwave.servo_design.tune import read_payloads, read_postures, tune_document
 
 POSTURES = ("0,0", "0.3,1.8")
 LOAD = "2,0.3,0,0"
@@ -141,7 +142,7 @@ def test_figures_compare_the_servos(tuned: tuple[Finished, str]) -> None:
 
 
 def printed(design: sw.ServoDesign) -> str:
-    console = Console(width=80, record=True, highlight=False, file=_Nowhere())
+    console = Console(width=80, record=True, highlight=False, file=io.StringIO())
     print_design(design, Path("tune.html"), console=console)
     return " ".join(console.export_text().split())
 
@@ -201,6 +202,23 @@ def test_another_study_gives_the_servo(result: Path, tmp_path: Path) -> None:
     finished = run_here("tune", result, "--out", tmp_path, *QUICK, "--study", other)
     assert finished.returncode == 0
     assert re.search(r"2 +current +0\.123 ", finished.stdout)
+
+
+def test_draws_follow_the_joint_covariance(result: Path) -> None:
+    """Stiffnesses with a third of their value as standard deviation spread the modes."""
+    document = json.loads(result.read_text())
+    names = ["gear_stiffness 1", "gear_stiffness 2"]
+    values = {f"{p['name']} {p['joint']}": p["value"] for p in document["parameters"]}
+    matrix = [[(values[names[i]] / 3.0) ** 2 * (i == j) for j in range(2)] for i in range(2)]
+    covariance = {"stage": "tuned", "names": names, "matrix": matrix}
+    options = replace(FEW, draws=10)
+    narrow, wide = (
+        tune_document(document | extra, result, options)
+        for extra in ({}, {"covariance": covariance})
+    )
+    ratios = [each.modes_hz[0, 1] / each.modes_hz[0, 0] for each in (narrow, wide)]
+    assert ratios[0] < 1.1
+    assert ratios[1] > 1.3
 
 
 @pytest.mark.parametrize(
@@ -265,17 +283,9 @@ def test_a_result_without_a_gear_has_exit_code_3(result: Path, tmp_path: Path) -
 
 
 def test_the_tables_fit_eighty_columns(design: sw.ServoDesign) -> None:
-    console = Console(width=80, record=True, highlight=False, file=_Nowhere())
+    console = Console(width=80, record=True, highlight=False, file=io.StringIO())
     print_design(design, Path("tune.html"), console=console)
     lines = console.export_text().splitlines()
     heads = [line for line in lines if line.startswith("joint ")]
     assert len(heads) == 4 + len(design.joints)  # a table wraps no head
     assert max(map(len, lines)) <= 80
-
-
-class _Nowhere:
-    def write(self, text: str) -> int:
-        return len(text)
-
-    def flush(self) -> None:
-        return None
