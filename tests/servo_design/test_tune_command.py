@@ -115,6 +115,7 @@ def test_the_page_has_the_numbers_of_the_design(
         assert f" {move.joint} planned {move.duration:.3g} {move.planned.settling:.3g} " in text
     assert "payload 2 kg" in text
     assert "emergency stop" in text
+    assert f"{100.0 * design.first_share:.0f} % of the designed bandwidth" in text
 
 
 def test_the_page_has_a_figure_of_each_loop_step_and_move(tuned: tuple[Finished, str]) -> None:
@@ -171,6 +172,14 @@ def test_an_unstable_servo_is_reported() -> None:
     design = design_servo(replace(arm, study=study), None, FEW)
     assert printed(design).startswith("your servo is unstable for 2 of 2 plants Gains")
     assert "Your servo is unstable for 2 of 2 plants." in render(design)
+
+
+def test_python_writes_the_page_and_reports_progress(result: Path, tmp_path: Path) -> None:
+    seen: list[str] = []
+    design = sw.read_result(result).tune(FEW, out=tmp_path / "new", progress=seen.append)
+    assert (tmp_path / "new" / "tune.html").read_text() == render(design)
+    assert seen[0] == "drawing plants"
+    assert seen[-1] == "writing the report"
 
 
 def test_quiet_prints_nothing(result: Path, tmp_path: Path) -> None:

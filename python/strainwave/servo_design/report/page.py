@@ -201,9 +201,10 @@ def _trial(design: ServoDesign) -> Iterator[Block]:
         "1. Keep the emergency stop within reach, clear the workspace of people, and set the "
         "voltage limit and the limits of angle and velocity in the drive."
     )
+    share = 100.0 * design.first_share
     yield paragraph(
-        f"2. Start with the gains of the table, which have {design.first_share:.0%} of the "
-        "designed bandwidth and stabilise all plants, and with all filters, at the first posture "
+        f"2. Start with the gains of the table, which have {share:.0f} % of the designed "
+        "bandwidth and stabilise all plants, and with all filters, at the first posture "
         "without a payload."
     )
     heads: Row = ("joint", *words.gain_heads(design))
