@@ -17,9 +17,13 @@ from strainwave.domain import ComplexArray, FloatArray, IntArray
 from strainwave.domain.control_law import ControlLaw
 from strainwave.servo_design.closed_loop import ClosedLoop, SampledPlants, Steps, close, sample
 from strainwave.servo_design.control_law import Biquad, Gains, low_pass, notch
+from strainwave.servo_design.loop_bands import LoopBand
 from strainwave.servo_design.margins import Margins, Requirements, effective_plants, margins_of
 from strainwave.servo_design.plants import Plants
 from strainwave.servo_design.sampling import Clock, frequency_grid, sampled_responses
+
+MAX_RIPPLE_SHARE = 0.05
+"""Largest share of the voltage limit by which one count of the encoder changes the voltage."""
 
 _LOWEST_BANDWIDTH = 2.0  # [rad/s] of a velocity loop
 _START_BANDWIDTH = 0.1  # of a velocity loop, over period and delay
@@ -31,7 +35,6 @@ _LOW_PASS_RATIOS = (5.0, 10.0)  # corner of a low-pass over the bandwidth
 _HIGHEST_SHARE = 0.8  # of half the sampling rate, of a filter
 _NOTCH_WIDTHS, _NOTCH_DEPTH = (0.2, 0.5), 0.2
 _MIN_GAIN = 1.1  # ratio of gains by which a filter must raise the bandwidth to be used
-_MAX_RIPPLE_SHARE = 0.05  # of the voltage limit, by one count of the encoder
 _MAX_OVERSHOOT = 0.05  # of the link after a step of the position
 _N_SEARCH_DRAWS = 8
 _N_SWEEPS = 2  # over the joints; a third changes gains by less than a step
@@ -77,11 +80,17 @@ class Loops:
 
     def margins(self, gains: Sequence[Gains]) -> list[Margins]:
         """Margins of every joint's loop over all plants, the other loops closed."""
+        return [margins_of(loop, self.omega) for loop in self._open(gains)]
+
+    def bands(self, gains: Sequence[Gains]) -> list[LoopBand]:
+        """Bands of every joint's loop over all plants, the other loops closed."""
+        return [LoopBand.of(loop, self.omega) for loop in self._open(gains)]
+
+    def _open(self, gains: Sequence[Gains]) -> Iterator[ComplexArray]:
+        """Open-loop responses (n_plants, n_omega) of every joint."""
         closed = self.controllers(gains)
-        return [
-            margins_of(effective_plants(self.responses, closed, i) * closed[:, i], self.omega)
-            for i in range(len(gains))
-        ]
+        for i in range(len(gains)):
+            yield effective_plants(self.responses, closed, i) * closed[:, i]
 
 
 def tune_cascades(
@@ -101,7 +110,7 @@ def tune_cascades(
     plants, period = loops.plants, loops.clock.period
     inertias = np.median(plants.rigid_inertias(), axis=0) / plants.torque_per_volt
     with np.errstate(divide="ignore"):
-        max_kp = _MAX_RIPPLE_SHARE * limit * period / resolutions
+        max_kp = MAX_RIPPLE_SHARE * limit * period / resolutions
     search = np.flatnonzero(plants.draw <= _N_SEARCH_DRAWS)
     tuners = [
         _Tuner(loops, required, i, float(inertia), float(largest), uses_filters)

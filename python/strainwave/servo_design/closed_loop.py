@@ -137,7 +137,9 @@ def _end(row: FloatArray, n: int) -> FloatArray:
     return np.concatenate([row, np.zeros(n - len(row))])
 
 
-_STEP_SECONDS = 2.0
+STEP_SECONDS = 2.0
+"""Duration of a simulated step."""
+
 _SETTLED = 0.02  # of a step
 
 
@@ -152,17 +154,17 @@ class Steps:
 
     @classmethod
     def of(cls, loop: ClosedLoop, period: float, reference: FloatArray | None = None) -> Steps:
-        """Simulate a step, or a reference (n_samples, 2) that ends at a constant angle."""
+        """Simulate a unit step of the angle, or a reference (n_samples, 2) with the same end."""
         if reference is None:
-            reference = np.zeros((round(_STEP_SECONDS / period), 2))
+            reference = np.zeros((round(STEP_SECONDS / period), 2))
             reference[:, 0] = 1.0
         _, link = loop.simulate(reference)
-        final = reference[-1, 0] * np.abs(loop.ratio)
-        share = link / (final * np.sign(link[:, -1:]))
+        share = link / loop.ratio
         is_apart = np.abs(share - 1.0) > _SETTLED
         n = share.shape[1]
         last = n - np.argmax(is_apart[:, ::-1], axis=1)
         settling = np.where(
             is_apart[:, -1], np.inf, np.where(is_apart.any(axis=1), last, 0) * period
         )
-        return cls(np.arange(n) * period, share, settling, np.maximum(share.max(axis=1) - 1.0, 0.0))
+        time: FloatArray = period * np.arange(n, dtype=np.float64)
+        return cls(time, share, settling, np.maximum(share.max(axis=1) - 1.0, 0.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -59,6 +59,11 @@ class Gains:
     position_gain: float  # [1/s]
     period: float  # [s]
     filters: tuple[Biquad, ...] = ()
+
+    def slowed(self, share: float) -> Gains:
+        """Gains of a share of the bandwidth, with the same ratios of all corner frequencies."""
+        kp, ki = share * self.kp, share**2 * self.ki
+        return replace(self, kp=kp, ki=ki, position_gain=share * self.position_gain)
 
     def law(self) -> ControlLaw:
         """The cascade u = F(z) (kp e + ki T sum e), e = w + K (r - y) - (y_k - y_k-1) / T."""

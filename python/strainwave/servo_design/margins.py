@@ -62,7 +62,7 @@ def margins_of(loop: ComplexArray, omega: FloatArray) -> Margins:
 def _gain_margins(loop: ComplexArray, hz: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Distance of the gain from one [dB] where the loop crosses the negative real axis."""
     imaginary, real = loop.imag, loop.real
-    crosses = (imaginary[:, :-1] * imaginary[:, 1:] <= 0.0) & (real[:, :-1] < 0.0)
+    crosses = imaginary[:, :-1] * imaginary[:, 1:] <= 0.0
     span = imaginary[:, 1:] - imaginary[:, :-1]
     share = np.divide(-imaginary[:, :-1], span, out=np.zeros_like(span), where=span != 0.0)
     at_axis = real[:, :-1] + share * (real[:, 1:] - real[:, :-1])
@@ -83,7 +83,9 @@ def _phase_margins(loop: ComplexArray, hz: FloatArray) -> tuple[FloatArray, Floa
     degrees = np.where(crosses, np.abs(np.degrees(_wrapped(phase[:, :-1] + share * turn))), np.inf)
     least, where = _least(degrees, hz, share)
     last = crosses.shape[1] - 1 - np.argmax(crosses[:, ::-1], axis=1)
-    bandwidth = np.where(crosses.any(axis=1), hz[last], 0.0)
+    every = np.arange(len(loop))
+    highest = hz[last] + share[every, last] * (hz[last + 1] - hz[last])
+    bandwidth = np.where(crosses.any(axis=1), highest, 0.0)
     return least, where, bandwidth
 
 

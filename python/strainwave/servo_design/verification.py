@@ -7,7 +7,7 @@ allows, with the elastic arm's feed-forward.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,60 +70,101 @@ def compare_moves(
 
     Raises `InvalidInput` if no duration up to a second stays within the voltage limit.
     """
-    period = gains[0].period
-    model = Arm.of(arm.study.arm)
-    samples = round(_SECONDS / period)
     end = posture.copy()
     end[joint - 1] += move
-    plan = _shortest(arm, posture, end, period, limit)
-    laws = tuple(each.law() for each in gains)
-    loops = LinearServo(laws, period, limit)
-    # the step enters through the reference angle alone
-    without = tuple(
-        replace(law, B=law.B * [1.0, 0.0, 1.0], D=law.D * [1.0, 0.0, 1.0]) for law in laws
-    )
-    steps = LinearServo(without, period, limit)
-    reference = np.zeros((samples, model.n_joints))
-    reference[0] = model.motor_accelerations((end - posture)[None])[0] / period
-    held = np.broadcast_to(plan.voltage[0], reference.shape)
-    step_link, planned_link, volts = [], [], ([], [])  # type: ignore[var-annotated]
-    padded = _padded(plan, samples)
-    for values in draws:
-        start = _start(plan)
-        for servo, moved, added, links, peaks in (
-            (steps, reference, held, step_link, volts[0]),
-            (loops, padded[0], padded[1], planned_link, volts[1]),
-        ):
-            drive = Drive(
-                tick=period,
-                voltage=np.ascontiguousarray(added),
-                reference=np.ascontiguousarray(moved),
-                servo=(True,) * model.n_joints,
-                linear_servo=servo,
-                **start,
-            )
-            run = simulate(
-                model,
-                values,
-                drive,
-                sample_time=period,
-                samples=samples,
-                record=["link_angle", "voltage"],
-            )
-            angle = run["link_angle"][:, joint - 1]
-            links.append((angle - angle[0]) / move)
-            peaks.append(float(np.abs(run["voltage"][:, joint - 1]).max()))
-    time = period * np.arange(samples)
-    stacked = np.array(step_link), np.array(planned_link)
+    plan = _shortest(arm, posture, end, gains[0].period, limit)
+    model = Arm.of(arm.study.arm)
+    step_run = _simulate_all(model, draws, _step(model, gains, plan, end - posture, limit), joint)
+    planned_run = _simulate_all(model, draws, _follow(gains, plan, limit), joint)
     return Comparison(
         joint=joint,
         posture=posture,
         duration=float(plan.time[-1]),
-        step=_move(stacked[0], time, max(volts[0])),
-        planned=_move(stacked[1], time, max(volts[1])),
-        time=time,
-        step_link=stacked[0],
-        planned_link=stacked[1],
+        step=step_run.move(move),
+        planned=planned_run.move(move),
+        time=step_run.time,
+        step_link=step_run.link / move,
+        planned_link=planned_run.link / move,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Runs:
+    """Motion of one link and the peak voltages of its motor."""
+
+    time: FloatArray  # (n_samples,) [s]
+    link: FloatArray  # (n_draws, n_samples) from the first angle
+    peaks: FloatArray  # (n_draws,) [V]
+
+    def move(self, size: float) -> Move:
+        """The worst behaviour of all draws."""
+        share = self.link / size
+        if not np.isfinite(share).all():
+            raise NumericalFailure("the simulated move diverges")
+        is_apart = np.abs(share - 1.0) > _SETTLED
+        last = share.shape[1] - np.argmax(is_apart[:, ::-1], axis=1)
+        settling = np.where(is_apart[:, -1], np.inf, last * self.time[1])
+        tail = share[:, 2 * share.shape[1] // 3 :]
+        return Move(
+            settling=float(settling.max()),
+            overshoot=float(max(0.0, share.max() - 1.0)),
+            vibration=float(0.5 * np.ptp(tail, axis=1).max()),
+            peak_voltage=float(self.peaks.max()),
+        )
+
+
+def _simulate_all(model: Arm, draws: Sequence[Values], drive: Drive, joint: int) -> _Runs:
+    """The motion of a joint, from 1, for all draws."""
+    samples, links, peaks = len(drive.reference), [], []
+    for values in draws:
+        run = simulate(
+            model,
+            values,
+            drive,
+            sample_time=drive.tick,
+            samples=samples,
+            record=["link_angle", "voltage"],
+        )
+        angle = run["link_angle"][:, joint - 1]
+        links.append(angle - angle[0])
+        peaks.append(np.abs(run["voltage"][:, joint - 1]).max())
+    time: FloatArray = drive.tick * np.arange(samples, dtype=np.float64)
+    return _Runs(time, np.array(links), np.array(peaks))
+
+
+def _step(
+    model: Arm, gains: Sequence[Gains], plan: FeedForward, change: FloatArray, limit: float
+) -> Drive:
+    """A step of the reference angles by a change of the link angles, without feed-forward."""
+    period = gains[0].period
+    # the step enters through the reference angle alone
+    laws = [each.law() for each in gains]
+    without = [replace(law, B=law.B * [1.0, 0.0, 1.0], D=law.D * [1.0, 0.0, 1.0]) for law in laws]
+    reference = np.zeros((round(_SECONDS / period), model.n_joints))
+    reference[0] = model.motor_accelerations(change[None])[0] / period
+    held = np.broadcast_to(plan.voltage[0], reference.shape)
+    return _drive(LinearServo(tuple(without), period, limit), plan, reference, held)
+
+
+def _follow(gains: Sequence[Gains], plan: FeedForward, limit: float) -> Drive:
+    """The planned move with its feed-forward."""
+    period = gains[0].period
+    servo = LinearServo(tuple(each.law() for each in gains), period, limit)
+    return _drive(servo, plan, *_padded(plan, round(_SECONDS / period)))
+
+
+def _drive(
+    servo: LinearServo, plan: FeedForward, reference: FloatArray, voltage: FloatArray
+) -> Drive:
+    """All motors under the servo, from the planned posture at rest."""
+    return Drive(
+        tick=servo.period,
+        voltage=np.ascontiguousarray(voltage),
+        reference=np.ascontiguousarray(reference),
+        servo=(True,) * reference.shape[1],
+        motor_angle=tuple(plan.motor_angle[0].tolist()),
+        initial_voltage=tuple(plan.voltage[0].tolist()),
+        linear_servo=servo,
     )
 
 
@@ -149,14 +190,6 @@ def _shortest(
     )
 
 
-def _start(plan: FeedForward) -> Mapping[str, tuple[float, ...]]:
-    """Initial state at rest."""
-    return {
-        "motor_angle": tuple(plan.motor_angle[0].tolist()),
-        "initial_voltage": tuple(plan.voltage[0].tolist()),
-    }
-
-
 def _padded(plan: FeedForward, samples: int) -> tuple[FloatArray, FloatArray]:
     """Velocity references and voltages; at the end the arm is held."""
     reference = np.zeros((samples, plan.voltage.shape[1]))
@@ -164,19 +197,3 @@ def _padded(plan: FeedForward, samples: int) -> tuple[FloatArray, FloatArray]:
     n = min(samples, len(plan.time))
     reference[:n], voltage[:n] = plan.reference_velocity[:n], plan.voltage[:n]
     return reference, voltage
-
-
-def _move(links: FloatArray, time: FloatArray, peak: float) -> Move:
-    """The worst behaviour of all draws."""
-    if not np.isfinite(links).all():
-        raise NumericalFailure("the simulated move diverges")
-    is_apart = np.abs(links - 1.0) > _SETTLED
-    last = links.shape[1] - np.argmax(is_apart[:, ::-1], axis=1)
-    settling = np.where(is_apart[:, -1], np.inf, last * (time[1] - time[0]))
-    tail = links[:, 2 * links.shape[1] // 3 :]
-    return Move(
-        float(settling.max()),
-        float(max(0.0, links.max() - 1.0)),
-        float(0.5 * np.ptp(tail, axis=1).max()),
-        peak,
-    )
