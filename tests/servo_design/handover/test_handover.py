@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import exports
 from strainwave.domain import Joint
 from strainwave.errors import InvalidInput
 from strainwave.servo_design.control_law import Gains
-from strainwave.servo_design.design import ServoDesign, ServoOptions, design_servo
+from strainwave.servo_design.design import ServoDesign
 from strainwave.servo_design.handover import FORMATS, hand_over
 from strainwave.servo_design.handover.c_header import to_c_header
 from strainwave.servo_design.handover.difference_equations import difference_equations
@@ -110,20 +109,8 @@ def test_script_and_text_print_the_equations(filtered: ServoDesign) -> None:
 def test_the_text_has_margins_and_what_limits_them(design: ServoDesign) -> None:
     text = to_markdown(design).data.decode()
     for each in design.joints:
-        margins = each.tuned.margins
+        margins = each.results.margins
         assert f"| phase [deg] | 30 | {margins.phase_deg.min():.3g} |" in text
         reason = {"encoder": "The resolution of the motor encoder", "margins": "The margins with"}
         assert reason[each.tuned.limit] in text
     assert "| 1 | 0.3, -0.4 | none |" in text
-
-
-def test_a_servo_without_position_gain_has_no_step(tmp_path: Path) -> None:
-    """The step of a reference angle moves nothing without a position loop."""
-    study = exports.two_links(tmp_path)
-    servo = study.arm.servo
-    assert servo is not None
-    assert servo.position_gain is None
-    arm = exports.arm_of(study, exports.values_of(study))
-    design = design_servo(arm, None, ServoOptions(postures=((0.0, 0.0),), draws=1))
-    assert all(joint.current_margins is not None for joint in design.joints)
-    assert all(joint.current_steps is None for joint in design.joints)

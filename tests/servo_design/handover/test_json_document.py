@@ -44,7 +44,7 @@ def test_the_document_has_the_servo(filtered: ServoDesign) -> None:
 def test_margins_have_their_plant(design: ServoDesign) -> None:
     """Two conditions, of which the second has the worst phase."""
     loaded = Condition(np.zeros(2), Payload(2.0, (0.1, 0.0, 0.0)))
-    margins = design.joints[0].tuned.margins
+    margins = design.joints[0].results.margins
     phase = np.array([50.0, 40.0, 60.0, 31.0, 50.0, 45.0])
     changed = replace(margins, phase_deg=phase, gain_db=np.full(6, np.inf))
     first = design.joints[0]
@@ -53,7 +53,7 @@ def test_margins_have_their_plant(design: ServoDesign) -> None:
         conditions=(*design.conditions, loaded),
         condition=np.array([0, 1] * 3),
         draw=np.array([0, 0, 1, 1, 2, 2]),
-        joints=(replace(first, tuned=replace(first.tuned, margins=changed)), design.joints[1]),
+        joints=(replace(first, results=replace(first.results, margins=changed)), design.joints[1]),
     )
     document = document_of(design)
     assert document["conditions"][1] == {
@@ -82,7 +82,10 @@ def test_the_current_servo_is_listed(design: ServoDesign) -> None:
     assert servo is not None
     for entry, kp in zip(document_of(design)["joints"], servo.kp, strict=True):
         assert entry["current"]["kp"] == kp
-        assert entry["current"]["step"] is None  # it has no position loop
-    bare = [replace(each, current=None, current_margins=None) for each in design.joints]
+        assert entry["current"]["is_stable"]
+    unstable = [replace(each, current_results=None) for each in design.joints]
+    document = document_of(replace(design, joints=tuple(unstable)))
+    assert all(entry["current"]["margins"] is None for entry in document["joints"])
+    bare = [replace(each, current=None, current_results=None) for each in design.joints]
     document = document_of(replace(design, joints=tuple(bare)))
     assert all(entry["current"] is None for entry in document["joints"])

@@ -89,11 +89,13 @@ def _joint(design: ServoDesign, servo: JointServo) -> dict[str, Any]:
     number = servo.joint
     units = Units.of(design.arm.joint(number))
     current = None
-    if servo.current is not None and servo.current_margins is not None:
+    if servo.current is not None:
+        results = servo.current_results
         current = {
             **_gains(servo.current),
-            "margins": _margins(design, servo.current_margins),
-            "step": _step(servo.current_steps),
+            "is_stable": results is not None,
+            "margins": results and _margins(design, results.margins),
+            "step": results and _step(results.steps),
         }
     return {
         "joint": number,
@@ -108,8 +110,8 @@ def _joint(design: ServoDesign, servo: JointServo) -> dict[str, Any]:
         "filters": [asdict(one) for one in servo.tuned.gains.filters],
         "law": _law(servo.tuned.gains.law()),
         "bandwidth_is_limited_by": servo.tuned.limit,
-        "margins": _margins(design, servo.tuned.margins),
-        "step": _step(servo.steps),
+        "margins": _margins(design, servo.results.margins),
+        "step": _step(servo.results.steps),
         "current": current,
     }
 
@@ -143,10 +145,8 @@ def _margins(design: ServoDesign, margins: Margins) -> dict[str, Any]:
     }
 
 
-def _step(steps: Steps | None) -> dict[str, Any] | None:
+def _step(steps: Steps) -> dict[str, Any]:
     """Settling and overshoot of the link after a step of the reference angle."""
-    if steps is None:
-        return None
     return {
         "settling": _worst_and_median(steps.settling),
         "overshoot": _worst_and_median(steps.overshoot),

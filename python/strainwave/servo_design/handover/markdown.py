@@ -32,7 +32,7 @@ def to_markdown(design: ServoDesign) -> Export:
                 difference_equations(gains, design.limit, units),
                 [
                     (one, design.condition[one.plant] + 1)
-                    for one in margin_summaries(each.tuned.margins, design.options.required)
+                    for one in margin_summaries(each.results.margins, design.options.required)
                 ],
             )
         )
