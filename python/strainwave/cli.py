@@ -232,7 +232,7 @@ def tune(
     result: Annotated[
         Path, typer.Argument(help="A result.json, or a directory with one.", metavar="RESULT")
     ],
-    out: Annotated[Path, typer.Option("--out", help="Directory for tune.html.", metavar="DIR")],
+    out: Annotated[Path, typer.Option("--out", help="Directory for the results.", metavar="DIR")],
     posture: Annotated[
         list[str] | None,
         typer.Option(
@@ -288,7 +288,7 @@ def tune(
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Design servo gains and input shapers that hold for the uncertain arm; write tune.html."""
+    """Design servos and input shapers for the uncertain arm; write DIR/tune.html and servo.*."""
     from strainwave.servo_design.design import ServoOptions
     from strainwave.servo_design.margins import Requirements
     from strainwave.servo_design.report.terminal import print_design

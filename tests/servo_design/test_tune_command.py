@@ -18,10 +18,11 @@ from command_line import Finished, run_here
 from servo_arms import rig
 from strainwave.io.study import read_study, write_study
 from strainwave.servo_design.design import design_servo
+from strainwave.servo_design.handover import FORMATS
 from strainwave.servo_design.report import words
 from strainwave.servo_design.report.page import render
 from strainwave.servo_design.report.terminal import print_design
-from strainwave.servo_design.tune import read_payloads, read_postures, tune_document
+from strainwave.servo_design.tune import PAGE, read_payloads, read_postures, tune_document
 
 POSTURES = ("0,0", "0.3,1.8")
 LOAD = "2,0.3,0,0"
@@ -50,7 +51,10 @@ def tuned(result: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Finis
     finished = run_here("tune", result, "--out", out, *postures, "--payload", LOAD, *drawn)
     assert finished.stderr == ""
     assert finished.returncode == 0
-    assert [path.name for path in out.iterdir()] == ["tune.html"]
+    assert {path.name for path in out.iterdir()} == {
+        PAGE,
+        *(form.file for form in FORMATS.values()),
+    }
     return finished, (out / "tune.html").read_text()
 
 

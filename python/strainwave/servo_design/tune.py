@@ -27,7 +27,7 @@ def tune_file(
     study: Path | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> ServoDesign:
-    """Design the servos for a result.json, or the one in a directory, and write the report.
+    """Design the servos for a result.json, or the one in a directory; write page and hand-over.
 
     `study` is a study file with other gear ratios, limits or another servo.
     """
@@ -48,10 +48,12 @@ def tune_document(
     arm = arm_of(document, source, study)
     design = design_servo(arm, covariance_of(document), options, progress)
     if out is not None:
+        from strainwave.servo_design.handover import FORMATS
         from strainwave.servo_design.report.page import render
 
         progress("writing the report")
-        write_whole(out, {PAGE: render(design).encode()})
+        forms = {form.file: form.render(design).data for form in FORMATS.values()}
+        write_whole(out, {PAGE: render(design).encode(), **forms})
     return design
 
 
