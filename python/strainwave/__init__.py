@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from strainwave.domain import LinkOptions as LinkOptions
     from strainwave.domain import Options as Options
     from strainwave.domain import Parameter as Parameter
+    from strainwave.domain import Payload as Payload
     from strainwave.domain import PhysicalOptions as PhysicalOptions
     from strainwave.domain import Prbs as Prbs
     from strainwave.domain import RigidOptions as RigidOptions
@@ -58,6 +59,9 @@ if TYPE_CHECKING:
     from strainwave.identification.validation import predict_rigid as predict_rigid
     from strainwave.identification.whole_arm import fit_whole_arm as fit_whole_arm
     from strainwave.io.logs import read_logs as read_logs
+    from strainwave.servo_design.design import ServoDesign as ServoDesign
+    from strainwave.servo_design.design import ServoOptions as ServoOptions
+    from strainwave.servo_design.margins import Requirements as Requirements
     from strainwave.signals.consistency import check_consistency as check_consistency
     from strainwave.signals.hygiene import repair_records as repair_records
     from strainwave.signals.link_motion import prepare_link_signals as prepare_link_signals
@@ -70,7 +74,8 @@ _NAMES_OF_MODULE = {
     "strainwave.campaign.store": "read_parameters read_runs",
     "strainwave.domain": (
         "ArmDescription Channel Experiment FrequencyOptions Joint LinearOptions LinkOptions "
-        "Options Parameter PhysicalOptions Prbs RigidOptions Servo Stage Study WholeArmOptions"
+        "Options Parameter Payload PhysicalOptions Prbs RigidOptions Servo Stage Study "
+        "WholeArmOptions"
     ),
     "strainwave.domain.progress": "ProgressEvent",
     "strainwave.dynamics.arm": "Arm",
@@ -85,6 +90,8 @@ _NAMES_OF_MODULE = {
     "strainwave.identification.validation": "predict_elastic predict_rigid",
     "strainwave.identification.whole_arm": "fit_whole_arm",
     "strainwave.io.logs": "read_logs",
+    "strainwave.servo_design.design": "ServoDesign ServoOptions",
+    "strainwave.servo_design.margins": "Requirements",
     "strainwave.signals.consistency": "check_consistency",
     "strainwave.signals.hygiene": "repair_records",
     "strainwave.signals.link_motion": "prepare_link_signals",

@@ -22,6 +22,20 @@ __all__ = [
 GEAR_CORNER: float
 """Half width [rad] over which the knees of a three-slope gear are rounded."""
 
+_Law = tuple[
+    NDArray[np.float64],  # A (n, n)
+    NDArray[np.float64],  # B (n, 3)
+    NDArray[np.float64],  # C (n,)
+    Sequence[float],  # D (3,)
+    NDArray[np.float64],  # E (n,)
+    Sequence[bool],  # states that hold (n,)
+    NDArray[np.float64],  # states at rest per angle and voltage (n, 2)
+]
+_Servo = (
+    tuple[Sequence[float], Sequence[float], float, Sequence[bool], Sequence[float] | None]
+    | tuple[Sequence[_Law | None], float]
+)
+
 @final
 class Arm:
     """An arm with its known constants; parameters are flat lists in `parameter_names`' order."""
@@ -81,10 +95,7 @@ class Arm:
         samples: int,
         record: Sequence[str],
         reference: NDArray[np.float64] | None = None,
-        servo: tuple[
-            Sequence[float], Sequence[float], float, Sequence[bool], Sequence[float] | None
-        ]
-        | None = None,
+        servo: _Servo | None = None,
         steps_per_servo: int = 1,
         motor_velocity: Sequence[float] | None = None,
         link_angle: Sequence[float] | None = None,
@@ -93,9 +104,12 @@ class Arm:
     ) -> dict[str, NDArray[np.float64]]:
         """Arms in one experiment, a row of `parameters` each: (n_arms, samples, n_joints) arrays.
 
-        `servo` is (kp, ki, limit, active joints, gains of a position loop around it). Raises
-        ValueError for sizes that do not fit and values no arm can have, FloatingPointError where a
-        motion leaves the finite numbers.
+        `servo` is (kp, ki, limit, active joints, gains of a position loop around it), or (laws,
+        limit) with a linear law per joint, None for a joint without servo: v_k = C x_k +
+        D (r_k, w_k, y_k), u_k = v_k + voltage_k limited, x_k+1 = A x_k + B (r_k, w_k, y_k) +
+        E (u_k - voltage_k), with w the reference, r its integral from the first encoder reading,
+        and y the encoder reading. Raises ValueError for sizes that do not fit and values no arm can
+        have, FloatingPointError where a motion leaves the finite numbers.
         """
     def sensitivities(
         self,
@@ -110,10 +124,7 @@ class Arm:
         samples: int,
         record: Sequence[str],
         reference: NDArray[np.float64] | None = None,
-        servo: tuple[
-            Sequence[float], Sequence[float], float, Sequence[bool], Sequence[float] | None
-        ]
-        | None = None,
+        servo: _Servo | None = None,
         steps_per_servo: int = 1,
         motor_velocity: Sequence[float] | None = None,
         link_angle: Sequence[float] | None = None,

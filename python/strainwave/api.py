@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from strainwave.presentation.report import FigureKind
+    from strainwave.servo_design.design import ServoDesign, ServoOptions
 
 Key = str | tuple[str, int | None]
 
@@ -540,6 +541,26 @@ class Result:
 
         written = export_arm(self._arm(), Path(path), form=format)
         return (*(each.message for each in written.warnings), *written.notes)
+
+    def tune(
+        self,
+        options: ServoOptions | None = None,
+        *,
+        out: Path | str | None = None,
+        progress: Callable[[str], None] = lambda _: None,
+    ) -> ServoDesign:
+        """Design servo gains and input shapers that hold for the uncertain arm.
+
+        `sw.ServoOptions` has postures, payloads, required margins and the clock. The report
+        tune.html is written into the directory `out`, if there is one. Raises `NotIdentifiable` if
+        a parameter is missing, and `InvalidInput` if no gains keep the margins.
+        """
+        from strainwave.servo_design.design import ServoOptions
+        from strainwave.servo_design.tune import tune_document
+
+        folder = None if out is None else Path(out)
+        document, options = self._document, options or ServoOptions()
+        return tune_document(document, self.source, options, folder, progress=progress)
 
     def plot(
         self,

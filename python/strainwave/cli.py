@@ -224,6 +224,93 @@ def export(
 
 
 @app.command(
+    short_help="Design the servos of an arm.",
+    epilog="Example: strainwave tune results/result.json --posture 0,1.2 --payload 2,0.1,0,0 "
+    "--out tuned",
+)
+def tune(
+    result: Annotated[
+        Path, typer.Argument(help="A result.json, or a directory with one.", metavar="RESULT")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Directory for the results.", metavar="DIR")],
+    posture: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--posture",
+            help="Link angles [rad] for which the servos must hold: 0,1.2; repeat for more. "
+            "Default: zero and four drawn postures.",
+            metavar="ANGLES",
+        ),
+    ] = None,
+    payload: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--payload",
+            help="Mass [kg] and centre of mass [m] in the last link's frame: 2,0.1,0,0; repeat "
+            "for more. The arm without a payload is always included.",
+            metavar="MASS,X,Y,Z",
+        ),
+    ] = None,
+    draws: Annotated[
+        int, typer.Option("--draws", help="Number of draws of the uncertain parameters.")
+    ] = 1000,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of draws and postures.")] = 0,
+    period: Annotated[
+        float | None,
+        typer.Option("--period", help="Period of the servo [s]; default: that of the study."),
+    ] = None,
+    delay: Annotated[
+        float | None,
+        typer.Option(
+            "--delay",
+            help="Time from an encoder reading to its voltage [s]; default: half of the period.",
+        ),
+    ] = None,
+    bandwidth: Annotated[
+        float | None,
+        typer.Option("--bandwidth", help="Smallest bandwidth of each velocity loop.", metavar="HZ"),
+    ] = None,
+    gain_margin: Annotated[
+        float, typer.Option("--gain-margin", help="Smallest gain margin.", metavar="DB")
+    ] = 6.0,
+    phase_margin: Annotated[
+        float, typer.Option("--phase-margin", help="Smallest phase margin.", metavar="DEG")
+    ] = 30.0,
+    modulus_margin: Annotated[
+        float,
+        typer.Option("--modulus-margin", help="Smallest distance of the open loop from -1."),
+    ] = 0.5,
+    study: Annotated[
+        Path | None,
+        typer.Option(
+            "--study", help="Study file with another servo or limits.", metavar="STUDY.toml"
+        ),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Design servos and input shapers for the uncertain arm; write DIR/tune.html and servo.*."""
+    from strainwave.servo_design.design import ServoOptions
+    from strainwave.servo_design.margins import Requirements
+    from strainwave.servo_design.report.terminal import print_design
+    from strainwave.servo_design.tune import PAGE, read_payloads, read_postures, tune_file
+
+    options = ServoOptions(
+        postures=read_postures(posture or ()),
+        payloads=read_payloads(payload or ()),
+        draws=draws,
+        seed=seed,
+        period=period,
+        delay=delay,
+        bandwidth_hz=bandwidth,
+        required=Requirements(gain_margin, phase_margin, modulus_margin),
+    )
+    with _progress(quiet) as report:
+        design = tune_file(result, out, options, study=study, progress=report)
+    if not quiet:
+        print_design(design, out / PAGE)
+
+
+@app.command(
     short_help="Design the experiments to record.",
     epilog="Example: strainwave excite study.toml --parameters arm.json --out designed "
     "--limit-angle 1.2 --limit-velocity 180",

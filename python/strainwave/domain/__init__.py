@@ -59,6 +59,8 @@ from strainwave.domain.consistency import CheckStatus as CheckStatus
 from strainwave.domain.consistency import Consistency as Consistency
 from strainwave.domain.consistency import InputCheck as InputCheck
 from strainwave.domain.consistency import Relation as Relation
+from strainwave.domain.control_law import ControlLaw as ControlLaw
+from strainwave.domain.control_law import LinearServo as LinearServo
 from strainwave.domain.corrections import Correction as Correction
 from strainwave.domain.estimates import Diagnostic as Diagnostic
 from strainwave.domain.estimates import Parameter as Parameter

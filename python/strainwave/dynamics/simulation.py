@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from strainwave.domain import FloatArray
+from strainwave.domain import ControlLaw, FloatArray, LinearServo, Servo
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.link_sensors.accelerometer import ACCELEROMETER_DENSITY
 from strainwave.domain.link_sensors.link_signals import ACCELEROMETER_QUANTITIES
@@ -36,6 +36,7 @@ class Drive:
     motor_velocity: tuple[float, ...] | None = None  # [rad/s] at the start; None: zero
     link_angle: tuple[float, ...] | None = None  # [rad]; None: static equilibrium of the gears
     link_velocity: tuple[float, ...] | None = None  # [rad/s]; None: zero
+    linear_servo: LinearServo | None = None  # in place of the servo of the arm
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,20 +168,22 @@ def _experiment(
     arm: Arm, drive: Drive, sample_time: float, samples: int, max_time_step: float
 ) -> dict[str, Any]:
     """Arguments of the core for an experiment."""
-    servo = arm.servo if any(drive.servo) else None
+    servo = drive.linear_servo or arm.servo if any(drive.servo) else None
     if any(drive.servo) and servo is None:
         raise InvalidInput(
             "an experiment is under servo control but the study describes no servo",
             where="[servo]",
             remedy="add a [servo] table",
         )
+    if isinstance(servo, LinearServo) and len(servo.laws) != arm.n_joints:
+        raise InvalidInput(f"expected {arm.n_joints} control laws, got {len(servo.laws)}")
     clocks = [drive.tick, sample_time] + ([servo.period] if servo else [])
     step = common_step(clocks, max_time_step)
     counts = [round(clock / step) for clock in clocks]
     return {
         "voltage": np.ascontiguousarray(drive.voltage, dtype=float),
         "reference": np.ascontiguousarray(drive.reference, dtype=float),
-        "servo": servo and (servo.kp, servo.ki, servo.limit, drive.servo, servo.position_gain),
+        "servo": servo and _servo_arguments(servo, drive.servo),
         "step": step,
         "steps_per_tick": counts[0],
         "steps_per_sample": counts[1],
@@ -192,6 +195,18 @@ def _experiment(
         "link_velocity": drive.link_velocity,
         "initial_voltage": drive.initial_voltage,
     }
+
+
+def _servo_arguments(servo: Servo | LinearServo, active: tuple[bool, ...]) -> tuple[Any, ...]:
+    """Servo for the core, with the joints under servo."""
+    if isinstance(servo, Servo):
+        return servo.kp, servo.ki, servo.limit, active, servo.position_gain
+    laws = zip(servo.laws, active, strict=True)
+    return [_law_arguments(law) if one else None for law, one in laws], servo.limit
+
+
+def _law_arguments(law: ControlLaw) -> tuple[Any, ...]:
+    return law.A, law.B, law.C, law.D.tolist(), law.E, law.holds.tolist(), law.rest()
 
 
 def common_step(clocks: Sequence[float], longest: float = MAX_TIME_STEP) -> float:

@@ -3,7 +3,9 @@
 //! The number of joints is a constant in the programs of an arm, but not in this interface. Lists
 //! of numbers are flat, with a row of joints for each sample or tick.
 
-use crate::actuation::{PiPosition, PiVelocity, Servo};
+use std::sync::Arc;
+
+use crate::actuation::{JointLaw, LinearServo, PiPosition, PiVelocity, Servo};
 use crate::arm::link_signals::LinkSensor;
 use crate::arm::{Arm, Kinematics, Name};
 use crate::experiment::{Clock, Diverged, Initial, Member, Quantity, Record, Source, Task};
@@ -18,7 +20,7 @@ pub struct Experiment {
     /// Clock of steps, ticks and samples.
     pub clock: Clock,
     /// Servo; `None`: each joint gets its feed-forward voltage.
-    pub servo: Option<ServoGains>,
+    pub servo: Option<ServoSettings>,
     /// Feed-forward voltage [V], a row per tick.
     pub voltage: Vec<f64>,
     /// Servo reference [rad/s], a row per tick; may be empty without a servo.
@@ -29,6 +31,24 @@ pub struct Experiment {
     pub record: Vec<Quantity>,
     /// Sensors on the links that the record names.
     pub link_sensors: Vec<LinkSensor>,
+}
+
+/// Settings of a servo.
+#[derive(Clone, Debug)]
+pub enum ServoSettings {
+    /// Of a PI velocity servo, with or without a position loop.
+    Gains(ServoGains),
+    /// Of a linear servo.
+    Laws(ServoLaws),
+}
+
+/// Laws of a linear servo.
+#[derive(Clone, Debug)]
+pub struct ServoLaws {
+    /// One per joint; `None`: the joint is not under servo.
+    pub laws: Arc<[Option<JointLaw>]>,
+    /// Output limit [V].
+    pub limit: f64,
 }
 
 /// Gains of a PI velocity servo, one number per joint.
@@ -187,10 +207,15 @@ impl Experiment {
         at_least("voltage", self.voltage.len())?;
         if let Some(servo) = &self.servo {
             at_least("reference", self.reference.len())?;
-            exact("kp", servo.kp.len())?;
-            exact("ki", servo.ki.len())?;
-            exact("active", servo.active.len())?;
-            optional("position_gain", &servo.position_gain)?;
+            match servo {
+                ServoSettings::Gains(gains) => {
+                    exact("kp", gains.kp.len())?;
+                    exact("ki", gains.ki.len())?;
+                    exact("active", gains.active.len())?;
+                    optional("position_gain", &gains.position_gain)?;
+                }
+                ServoSettings::Laws(servo) => exact("laws", servo.laws.len())?,
+            }
         }
         for sensor in &self.link_sensors {
             exact("link_sensors", sensor.weights.len())?;
@@ -206,7 +231,7 @@ impl Experiment {
         Task {
             config: *config,
             clock: self.clock,
-            servo: self.servo.as_ref().map(|gains| gains.servo(&self.clock)),
+            servo: self.servo.as_ref().map(|servo| servo.servo(&self.clock)),
             record: self.record.clone(),
             link_sensors: self.link_sensors.clone(),
         }
@@ -240,13 +265,27 @@ impl Experiment {
     }
 }
 
-impl ServoGains {
+impl ServoSettings {
     fn servo<const N: usize>(&self, clock: &Clock) -> Servo<N> {
+        let period = clock.step * clock.steps_per_servo as f64;
+        match self {
+            Self::Gains(gains) => gains.servo(period),
+            Self::Laws(servo) => Servo::LinearServo(LinearServo {
+                laws: Arc::clone(&servo.laws),
+                limit: servo.limit,
+                period,
+            }),
+        }
+    }
+}
+
+impl ServoGains {
+    fn servo<const N: usize>(&self, period: f64) -> Servo<N> {
         let velocity = PiVelocity {
             kp: row(&self.kp),
             ki: row(&self.ki),
             limit: self.limit,
-            period: clock.step * clock.steps_per_servo as f64,
+            period,
             active: row(&self.active),
         };
         match &self.position_gain {

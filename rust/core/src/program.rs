@@ -286,6 +286,7 @@ fn forward_on<
         without_plant_effects(&task.config, member.parameters).expect("effects of size zero");
     let plain = Task {
         config,
+        servo: task.servo.clone(),
         record: task.record.clone(),
         link_sensors: task.link_sensors.clone(),
         ..*task

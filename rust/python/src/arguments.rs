@@ -1,16 +1,29 @@
 //! Conversion and checks of arguments from Python.
 
-use numpy::PyReadonlyArray2;
+use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use strainwave_core::actuation::{JointLaw, LawState, MAX_LAW_STATES};
 use strainwave_core::arm::link_signals::{self, LINK_SIGNALS, LinkSensor};
 use strainwave_core::arm::{ChainJoint, JointType};
+use strainwave_core::compiled::{ServoGains, ServoLaws, ServoSettings};
 use strainwave_core::experiment::{Clock, Quantity};
 use strainwave_core::joint::effects::EffectKinds;
 use strainwave_core::joint::gear::{self, Law};
 use strainwave_core::plant::config::JointConfig;
 
 pub type Matrix<'py> = PyReadonlyArray2<'py, f64>;
+pub type Vector<'py> = PyReadonlyArray1<'py, f64>;
+/// A, B, C, D and E of a law, the states that hold, and the states at rest.
+type LawArguments<'py> = (
+    Matrix<'py>,
+    Matrix<'py>,
+    Vector<'py>,
+    [f64; 3],
+    Vector<'py>,
+    Vec<bool>,
+    Matrix<'py>,
+);
 /// A sensor on each link: its name in the record, whether it is a gyro, and a row of weights of the
 /// links' signals per joint.
 pub type LinkSensorArguments<'py> = (String, bool, Matrix<'py>);
@@ -86,6 +99,69 @@ fn joint_type(name: &str) -> PyResult<JointType> {
         "prismatic" => Ok(JointType::Prismatic),
         _ => Err(PyValueError::new_err(format!("no joint of type {name:?}"))),
     }
+}
+
+/// A servo.
+#[derive(FromPyObject)]
+pub enum ServoArguments<'py> {
+    /// kp, ki, limit, joints under servo, and the optional gains of the position loop.
+    Gains(Vec<f64>, Vec<f64>, f64, Vec<bool>, Option<Vec<f64>>),
+    /// A law per joint under servo, and the limit.
+    Laws(Vec<Option<LawArguments<'py>>>, f64),
+}
+
+impl ServoArguments<'_> {
+    pub fn settings(self) -> PyResult<ServoSettings> {
+        Ok(match self {
+            Self::Gains(kp, ki, limit, active, position_gain) => ServoSettings::Gains(ServoGains {
+                kp,
+                ki,
+                limit,
+                active,
+                position_gain,
+            }),
+            Self::Laws(laws, limit) => ServoSettings::Laws(ServoLaws {
+                laws: laws
+                    .iter()
+                    .map(|law| law.as_ref().map(joint_law).transpose())
+                    .collect::<PyResult<_>>()?,
+                limit,
+            }),
+        })
+    }
+}
+
+fn joint_law((a, b, c, d, e, holds, rest): &LawArguments<'_>) -> PyResult<JointLaw> {
+    let [a, b, rest] = [a, b, rest].map(|matrix| matrix.as_array());
+    let [c, e] = [c, e].map(|vector| vector.as_array());
+    let n = c.len();
+    let fits = a.dim() == (n, n) && b.dim() == (n, 3) && rest.dim() == (n, 2);
+    if !fits || e.len() != n || holds.len() != n || n > MAX_LAW_STATES {
+        return Err(PyValueError::new_err(format!(
+            "expected a law with A (n, n), B (n, 3), C (n,), D (3,), E (n,), holds (n,) and rest \
+             (n, 2), n at most {MAX_LAW_STATES}; got A {:?}, B {:?}, C {n}, E {}, holds {} and rest \
+             {:?}",
+            a.dim(),
+            b.dim(),
+            e.len(),
+            holds.len(),
+            rest.dim(),
+        )));
+    }
+    let state = |k: usize| {
+        let mut row = [0.0; MAX_LAW_STATES];
+        row[..n].copy_from_slice(&a.row(k).to_vec());
+        LawState {
+            a: row,
+            b: std::array::from_fn(|input| b[[k, input]]),
+            c: c[k],
+            e: e[k],
+            holds: holds[k],
+            rest: std::array::from_fn(|source| rest[[k, source]]),
+        }
+    };
+    let law = JointLaw::new((0..n).map(state).collect(), *d);
+    Ok(law.expect("few states"))
 }
 
 pub fn check_clock(clock: &Clock) -> PyResult<()> {

@@ -1,27 +1,22 @@
 //! Python class of an arm.
 
-use numpy::{PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods, PyReadonlyArray1};
+use numpy::{PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods};
 use pyo3::exceptions::{PyFloatingPointError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use strainwave_arms::{Drives, Links, compiled_arm};
 use strainwave_core::arm::Kinematics;
-use strainwave_core::compiled::{
-    CompiledArm, Derivatives, Experiment, InitialState, LinkMotion, ServoGains,
-};
+use strainwave_core::compiled::{CompiledArm, Derivatives, Experiment, InitialState, LinkMotion};
 use strainwave_core::experiment::{Clock, Diverged, Source};
 use strainwave_core::joint::gear;
 use strainwave_core::program::Width;
 use strainwave_core::sensors::decimation::Decimation;
 
 use crate::arguments::{
-    JointPlacement, Joints, LinkSensorArguments, Matrix, chain_joints, check_clock, per_joint,
-    quantities, rows, same_rows, value_error,
+    JointPlacement, Joints, LinkSensorArguments, Matrix, ServoArguments, Vector, chain_joints,
+    check_clock, per_joint, quantities, rows, same_rows, value_error,
 };
 
-type Vector<'py> = PyReadonlyArray1<'py, f64>;
-/// kp, ki, limit, joints under servo, and the optional gains of the position loop.
-type ServoArguments = (Vec<f64>, Vec<f64>, f64, Vec<bool>, Option<Vec<f64>>);
 /// Name of a parameter or an initial state, and its joint from 1 if it belongs to a joint.
 type Direction = (String, Option<usize>);
 /// Message for taps of a wrong shape.
@@ -109,7 +104,7 @@ impl Arm {
         samples: usize,
         record: Vec<String>,
         reference: Option<Matrix<'py>>,
-        servo: Option<ServoArguments>,
+        servo: Option<ServoArguments<'py>>,
         steps_per_servo: usize,
         motor_velocity: Option<Vec<f64>>,
         link_angle: Option<Vec<f64>>,
@@ -178,7 +173,7 @@ impl Arm {
         samples: usize,
         record: Vec<String>,
         reference: Option<Matrix<'py>>,
-        servo: Option<ServoArguments>,
+        servo: Option<ServoArguments<'py>>,
         steps_per_servo: usize,
         motor_velocity: Option<Vec<f64>>,
         link_angle: Option<Vec<f64>>,
@@ -354,19 +349,13 @@ impl Arm {
         &self,
         clock: Clock,
         (voltage, reference): (&Matrix<'_>, Option<&Matrix<'_>>),
-        servo: Option<ServoArguments>,
+        servo: Option<ServoArguments<'_>>,
         initial: InitialState,
         record: &[String],
         link_sensors: &[LinkSensorArguments<'_>],
     ) -> PyResult<Experiment> {
         let (n, ticks) = (self.n_joints(), clock.ticks());
-        let servo = servo.map(|(kp, ki, limit, active, position_gain)| ServoGains {
-            kp,
-            ki,
-            limit,
-            active,
-            position_gain,
-        });
+        let servo = servo.map(ServoArguments::settings).transpose()?;
         let reference = match reference {
             Some(reference) => rows(reference, "reference", ticks, n)?,
             None => vec![0.0; ticks * n],

@@ -3,6 +3,7 @@
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use strainwave_arms::WithPrograms;
+use strainwave_core::actuation::{JointLaw, LawState, LinearServo, MAX_LAW_STATES, Servo};
 use strainwave_core::arm::{
     Arm, ChainJoint, JointType, MAX_CHAIN_JOINTS, OneLink, SerialChain, TwoLink,
 };
@@ -103,6 +104,51 @@ pub fn at_rest<const N: usize>(motor_angle: [f64; N]) -> Initial<N> {
         link_angle: None,
         link_velocity: [0.0; N],
         voltage: [0.0; N],
+    }
+}
+
+/// Laws of a loop with the states last angle and integral.
+///
+/// e = w + K (r - y) - (y - last angle) / T, integral+ = integral + T e, v = kp e + ki integral+.
+pub fn linear_laws<const N: usize>(servo: &Servo<N>) -> LinearServo<N> {
+    let (velocity, gains) = match servo {
+        Servo::PiVelocity(velocity) => (velocity, [0.0; N]),
+        Servo::PiPosition(position) => (&position.velocity, position.position_gain),
+        Servo::LinearServo(_) => unreachable!("a loop"),
+    };
+    let period = velocity.period;
+    let law = |i: usize| {
+        let (kp, ki, gain) = (velocity.kp[i], velocity.ki[i], gains[i]);
+        let by_inputs = [gain, 1.0, -gain - 1.0 / period];
+        let row = |first: f64, second: f64| {
+            let mut a = [0.0; MAX_LAW_STATES];
+            (a[0], a[1]) = (first, second);
+            a
+        };
+        let last_angle = LawState {
+            a: row(0.0, 0.0),
+            b: [0.0, 0.0, 1.0],
+            c: kp / period + ki,
+            e: 0.0,
+            holds: false,
+            rest: [1.0, 0.0],
+        };
+        let integral = LawState {
+            a: row(1.0, 1.0),
+            b: by_inputs.map(|entry| period * entry),
+            c: ki,
+            e: 0.0,
+            holds: true,
+            rest: [0.0, if ki > 0.0 { 1.0 / ki } else { 0.0 }],
+        };
+        let d = by_inputs.map(|entry| (kp + ki * period) * entry);
+        let law = JointLaw::new(vec![last_angle, integral], d).expect("two states");
+        velocity.active[i].then_some(law)
+    };
+    LinearServo {
+        laws: (0..N).map(law).collect(),
+        limit: velocity.limit,
+        period,
     }
 }
 

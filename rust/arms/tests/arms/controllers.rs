@@ -3,10 +3,12 @@
 use std::iter::zip;
 
 use crate::common::{
-    LINEAR, RIGID, clock, config, differentiate_over_dual_numbers, level_joint, scara,
+    LINEAR, RIGID, clock, config, differentiate_over_dual_numbers, level_joint, linear_laws, scara,
     sensitivities, simulate,
 };
-use strainwave_core::actuation::{Controller, PiPosition, PiVelocity, Servo};
+use strainwave_core::actuation::{
+    Controller, JointLaw, LawState, LinearServo, MAX_LAW_STATES, PiPosition, PiVelocity, Servo,
+};
 use strainwave_core::arm::{OneLink, TwoLink};
 use strainwave_core::experiment::{Initial, Member, Quantity, Source, Task};
 use strainwave_core::program::Width;
@@ -24,8 +26,8 @@ fn pi_velocity<const N: usize>(kp: f64, ki: f64) -> PiVelocity<N> {
     }
 }
 
-/// Both kinds of servo.
-fn servos<const N: usize>() -> [Servo<N>; 2] {
+/// Both kinds of loops.
+fn loops<const N: usize>() -> [Servo<N>; 2] {
     let velocity = pi_velocity(0.6, 9.0);
     let position_gain = [8.0; N];
     [
@@ -35,6 +37,103 @@ fn servos<const N: usize>() -> [Servo<N>; 2] {
             position_gain,
         }),
     ]
+}
+
+/// The loops, and linear laws that are equal to them.
+fn servos<const N: usize>() -> [Servo<N>; 4] {
+    let [velocity, position] = loops();
+    let laws = [linear_laws(&velocity), linear_laws(&position)];
+    let [of_velocity, of_position] = laws.map(Servo::LinearServo);
+    [velocity, position, of_velocity, of_position]
+}
+
+/// Linear laws move the arm as the loops that they are equal to: free, limited, with feed-forward,
+/// and with a joint without servo. The velocity is a difference of angles in both, with different
+/// rounding; the tolerance is that of kp / period times the rounding of an angle.
+#[test]
+fn linear_laws_equal_loops() {
+    let samples = 800;
+    let parameters = scara(1.0, 1.0);
+    let reference: Vec<[f64; 2]> = (0..samples)
+        .map(|k| [0.02, 0.05].map(|w| 60.0 * (w * k as f64).sin()))
+        .collect();
+    let feed_forward: Vec<[f64; 2]> = (0..samples)
+        .map(|k| [1.0, 0.5].map(|volts| volts * (0.01 * k as f64).cos()))
+        .collect();
+    let member = Member {
+        parameters: &parameters,
+        feed_forward: &feed_forward,
+        reference: &reference,
+        initial: Initial {
+            voltage: [1.0, 0.5],
+            ..at_rest()
+        },
+    };
+    for mut servo in loops::<2>() {
+        for (limit, active) in [(1e3, [true; 2]), (3.0, [true; 2]), (3.0, [false, true])] {
+            let (Servo::PiVelocity(velocity) | Servo::PiPosition(PiPosition { velocity, .. })) =
+                &mut servo
+            else {
+                unreachable!("a loop")
+            };
+            (velocity.limit, velocity.active) = (limit, active);
+            let run = |servo: Servo<2>| {
+                let task = Task {
+                    config: config::<TwoLink<true>, 2>([LINEAR; 2]),
+                    clock: clock(samples),
+                    servo: Some(servo),
+                    record: vec![Quantity::Voltage, Quantity::MotorVelocity],
+                    link_sensors: Vec::new(),
+                };
+                simulate(&task, &member, Width::detect()).expect("finite")
+            };
+            let one = run(servo.clone());
+            let other = run(Servo::LinearServo(linear_laws(&servo)));
+            let is_limited = |volts: &[f64; 2]| volts[1].abs() == limit;
+            let limited = one[0].iter().filter(|volts| is_limited(volts)).count();
+            assert_eq!(limited > 10, limit == 3.0, "{limited} limited samples");
+            for (one, other) in zip(one.concat(), other.concat()) {
+                for (one, other) in zip(one, other) {
+                    assert!((one - other).abs() < 1e-9, "{one} {other}");
+                }
+            }
+        }
+    }
+}
+
+/// E multiplies the limited voltage without the feed-forward, and only states that hold keep their
+/// value.
+#[test]
+fn laws_observe_the_limited_voltage() {
+    let mut integral = LawState {
+        a: [0.0; MAX_LAW_STATES],
+        b: [0.0, 1.0, 0.0],
+        c: 1.0,
+        e: 0.0,
+        holds: true,
+        rest: [0.0; 2],
+    };
+    let observer = LawState {
+        e: 1.0,
+        holds: false,
+        rest: [2.0, 3.0],
+        ..integral
+    };
+    integral.a[1] = 1.0;
+    let law = JointLaw::new(vec![observer, integral], [0.0, 10.0, 0.0]);
+    let servo = LinearServo::<1> {
+        laws: [law].into(),
+        limit: 12.0,
+        period: PERIOD,
+    };
+    let mut memory = servo.at_rest(&[0.5], &[0.25]); // 2 * 0.25 + 3 * 0.5, and 0
+    // v = 2, u = 2 + 1
+    assert_eq!(servo.command(&mut memory, &[0.0], &[0.25], &[1.0]), [3.0]);
+    // the observer has u - 1 = 2, so v = 2 + 10, and u = 12 is limited
+    assert_eq!(servo.command(&mut memory, &[1.0], &[0.25], &[1.0]), [12.0]);
+    // the observer has w + u - 1 = 1 + 11, and the integral has not changed
+    assert_eq!(servo.command(&mut memory, &[0.0], &[0.25], &[-9.0]), [3.0]);
+    assert!(JointLaw::new(vec![integral; MAX_LAW_STATES + 1], [0.0; 3]).is_none());
 }
 
 #[test]
@@ -121,8 +220,10 @@ fn loops_reach_their_reference() {
         assert!((record[1][last][0] - 20.0).abs() < 1e-6);
         lags.push(1.0 + 20.0 * PERIOD * last as f64 - record[0][last][0]);
     }
-    assert!(lags[0] > 1e-3, "{lags:?}"); // a velocity loop does not remove the position error
-    assert!(lags[1].abs() < 1e-5, "{lags:?}");
+    for lags in lags.chunks(2) {
+        assert!(lags[0] > 1e-3, "{lags:?}"); // a velocity loop does not remove the position error
+        assert!(lags[1].abs() < 1e-5, "{lags:?}");
+    }
 }
 
 /// Derivatives through the loop, by the variational equations and over dual numbers.

@@ -4,7 +4,7 @@ use std::iter::zip;
 
 use crate::common::{
     BuiltIn, Chain, Draw, LINEAR, RIGID, THREE_SLOPE, config, differentiate_over_dual_numbers,
-    sensitivities, simulate,
+    linear_laws, sensitivities, simulate,
 };
 use proptest::prelude::*;
 use strainwave_arms::WithPrograms;
@@ -173,6 +173,13 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
         let matrix = std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j)));
         self.task.config.arm = self.task.config.arm.coupled(&matrix);
         self.task.config.joints[1].ratio *= -1.0;
+        self
+    }
+
+    /// The same arm under linear laws that are equal to its servo.
+    fn under_linear_laws(mut self) -> Self {
+        let servo = self.task.servo.as_ref().expect("a servo");
+        self.task.servo = Some(Servo::LinearServo(linear_laws(servo)));
         self
     }
 
@@ -687,7 +694,7 @@ fn check_planar_chain(seed: u64, servo: bool) {
         task: Task {
             config,
             clock: planar.task.clock,
-            servo: planar.task.servo.map(|servo| match servo {
+            servo: planar.task.servo.clone().map(|servo| match servo {
                 Servo::PiVelocity(loops) => Servo::PiVelocity(PiVelocity {
                     kp: padded(loops.kp),
                     ki: padded(loops.ki),
@@ -695,7 +702,7 @@ fn check_planar_chain(seed: u64, servo: bool) {
                     period: loops.period,
                     active: padded(loops.active),
                 }),
-                Servo::PiPosition(_) => unreachable!("cases have velocity loops"),
+                _ => unreachable!("cases have velocity loops"),
             }),
             record: planar.task.record.clone(),
             link_sensors: link_sensors(2),
@@ -846,6 +853,14 @@ proptest! {
         check_methods(&Case::<Chain, MAX_CHAIN_JOINTS>::random([LINEAR, THREE_SLOPE, LINEAR], seed, servo, 240));
         check_methods(&Case::<Chain, MAX_CHAIN_JOINTS>::random([LINEAR; 6], seed, servo, 80));
         check_methods(&Case::<Chain, MAX_CHAIN_JOINTS>::random([LINEAR; 7], seed, servo, 80));
+    }
+
+    #[test]
+    fn methods_agree_for_linear_laws(seed in any::<u64>()) {
+        let two_link = Case::<TwoLink<true>, 2>::random([THREE_SLOPE, LINEAR], seed, true, 400);
+        check_methods(&two_link.under_linear_laws());
+        let chain = Case::<Chain, MAX_CHAIN_JOINTS>::random([LINEAR, THREE_SLOPE, LINEAR], seed, true, 240);
+        check_methods(&chain.under_linear_laws());
     }
 
     #[test]

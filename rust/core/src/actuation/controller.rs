@@ -3,7 +3,7 @@
 //! To add a controller, implement [`Controller`] for it in a file here and name it in the list of
 //! [`Servo`]. Derivatives through the loop follow from its equations over dual numbers.
 
-use super::{PiPosition, PiVelocity};
+use super::{LinearServo, PiPosition, PiVelocity};
 use crate::scalar::Real;
 
 /// A controller of `N` joints, sampled at a fixed period.
@@ -33,7 +33,7 @@ pub trait Controller<const N: usize> {
 macro_rules! controllers {
     ($($controller:ident)*) => {
         /// The controllers of the core.
-        #[derive(Clone, Copy, Debug)]
+        #[derive(Clone, Debug)]
         pub enum Servo<const N: usize> {
             $(
                 #[doc = concat!("See [`", stringify!($controller), "`].")]
@@ -95,4 +95,4 @@ macro_rules! controllers {
     };
 }
 
-controllers! { PiVelocity PiPosition }
+controllers! { PiVelocity PiPosition LinearServo }

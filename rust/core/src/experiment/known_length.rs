@@ -1,6 +1,7 @@
 //! Experiments on chains whose number of joints the compiler knows.
 
 use super::{Initial, Member, Record, Task};
+use crate::actuation::Servo;
 use crate::arm::{SerialChain, first_joints};
 use crate::plant::config::Config;
 
@@ -21,7 +22,7 @@ pub fn with_known_length<T, const N: usize, const LENGTH: usize>(
             joints: first_joints(&config.joints),
         },
         clock: task.clock,
-        servo: task.servo.map(|servo| servo.of_first_joints()),
+        servo: task.servo.as_ref().map(Servo::of_first_joints),
         record: task.record.clone(),
         link_sensors: task.link_sensors.clone(),
     };

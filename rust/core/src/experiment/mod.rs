@@ -168,7 +168,7 @@ impl<A: Copy, const N: usize> Task<A, N> {
                 joints: self.config.joints,
             },
             clock: self.clock,
-            servo: self.servo,
+            servo: self.servo.clone(),
             record: self.record.clone(),
             link_sensors: self.link_sensors.clone(),
         }

@@ -1,0 +1,1 @@
+"""Servos for an identified arm: gains, filters, shapers, observers, feed-forward, verification."""

@@ -1,0 +1,270 @@
+"""Gains of PI velocity loops and position loops: the largest bandwidth that keeps the margins.
+
+Joint by joint, with the loops of the other joints closed, gains are raised until the first plant
+violates a margin. The search uses a few plants; all plants are then checked, and the worst is added
+to the search until all keep their margins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from strainwave.domain import ComplexArray, FloatArray, IntArray
+from strainwave.domain.control_law import ControlLaw
+from strainwave.servo_design.closed_loop import ClosedLoop, SampledPlants, Steps, close, sample
+from strainwave.servo_design.control_law import Biquad, Gains, low_pass, notch
+from strainwave.servo_design.loop_bands import LoopBand
+from strainwave.servo_design.margins import Margins, Requirements, effective_plants, margins_of
+from strainwave.servo_design.plants import Plants
+from strainwave.servo_design.sampling import Clock, frequency_grid, sampled_responses
+
+MAX_RIPPLE_SHARE = 0.05
+"""Largest share of the voltage limit by which one count of the encoder changes the voltage."""
+
+_LOWEST_BANDWIDTH = 2.0  # [rad/s] of a velocity loop
+_START_BANDWIDTH = 0.1  # of a velocity loop, over period and delay
+_COARSE_STEP, _FINE_STEP = 1.3, 1.03  # ratios of gains in the search
+_INTEGRAL_RATIO = 5.0  # bandwidth of the velocity loop over the corner of its integral part
+_POSITION_RATIOS = (2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0)  # the same over the position gain
+_START_POSITION_RATIO = 5.0
+_LOW_PASS_RATIOS = (5.0, 10.0)  # corner of a low-pass over the bandwidth
+_HIGHEST_SHARE = 0.8  # of half the sampling rate, of a filter
+_NOTCH_WIDTHS, _NOTCH_DEPTH = (0.2, 0.5), 0.2
+_MIN_GAIN = 1.1  # ratio of gains by which a filter must raise the bandwidth to be used
+_MAX_OVERSHOOT = 0.05  # of the link after a step of the position
+_N_SEARCH_DRAWS = 8
+_N_SWEEPS = 2  # over the joints; a third changes gains by less than a step
+_MAX_ADDED = 12  # rounds in which the worst plants join the search
+
+
+FilterMaker = Callable[[float], tuple[Biquad, ...]]
+"""Filters of a loop by its bandwidth [rad/s]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TunedJoint:
+    """Gains of one joint and the margins of all plants."""
+
+    gains: Gains
+    margins: Margins
+    limit: str  # what prevents higher gains: "margins" or "encoder"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loops:
+    """Sampled plants at the frequencies at which loops are judged."""
+
+    plants: Plants
+    clock: Clock
+    omega: FloatArray
+    responses: ComplexArray  # (n_plants, n_omega, n_joints, n_joints)
+
+    @classmethod
+    def of(cls, plants: Plants, clock: Clock) -> Loops:
+        """The responses of plants under a clock."""
+        omega = frequency_grid(plants, clock)
+        return cls(plants, clock, omega, sampled_responses(plants, omega, clock))
+
+    @property
+    def z(self) -> ComplexArray:
+        """Points of the unit circle."""
+        return np.asarray(np.exp(1j * self.omega * self.clock.period))
+
+    def controllers(self, gains: Sequence[Gains]) -> ComplexArray:
+        """Responses (n_omega, n_joints) from motor angles to minus voltages."""
+        return np.stack([each.response(self.z) for each in gains], axis=1)
+
+    def margins(self, gains: Sequence[Gains]) -> list[Margins]:
+        """Margins of every joint's loop over all plants, the other loops closed."""
+        return [margins_of(loop, self.omega) for loop in self._open(gains)]
+
+    def bands(self, gains: Sequence[Gains]) -> list[LoopBand]:
+        """Bands of every joint's loop over all plants, the other loops closed."""
+        return [LoopBand.of(loop, self.omega) for loop in self._open(gains)]
+
+    def _open(self, gains: Sequence[Gains]) -> Iterator[ComplexArray]:
+        """Open-loop responses (n_plants, n_omega) of every joint."""
+        closed = self.controllers(gains)
+        for i in range(len(gains)):
+            yield effective_plants(self.responses, closed, i) * closed[:, i]
+
+
+def tune_cascades(
+    loops: Loops,
+    required: Requirements,
+    *,
+    resolutions: FloatArray,
+    limit: float,
+    uses_filters: bool = True,
+) -> list[TunedJoint]:
+    """Gains of all joints.
+
+    `resolutions` (n_joints,) are counts of the motor encoders [rad], `limit` is the largest
+    voltage.
+    Without `uses_filters` the loops have gains only.
+    """
+    plants, period = loops.plants, loops.clock.period
+    inertias = np.median(plants.rigid_inertias(), axis=0) / plants.torque_per_volt
+    with np.errstate(divide="ignore"):
+        max_kp = MAX_RIPPLE_SHARE * limit * period / resolutions
+    search = np.flatnonzero(plants.draw <= _N_SEARCH_DRAWS)
+    tuners = [
+        _Tuner(loops, required, i, float(inertia), float(largest), uses_filters)
+        for i, (inertia, largest) in enumerate(zip(inertias, max_kp, strict=True))
+    ]
+    start = _START_BANDWIDTH / (period + loops.clock.delay)
+    gains = [tuner.gains(start, _START_POSITION_RATIO) for tuner in tuners]
+    for _ in range(_N_SWEEPS):
+        for i, tuner in enumerate(tuners):
+            gains[i] = tuner.raise_gains(gains, search)
+    for _ in range(_MAX_ADDED):
+        margins = loops.margins(gains)
+        short = [i for i, each in enumerate(margins) if each.share(required).min() < 1.0]
+        if not short:
+            break
+        search = np.union1d(search, [margins[i].worst(required) for i in short])
+        for i in short:
+            gains[i] = tuners[i].raise_gains(gains, search)
+    return [
+        TunedJoint(each, of_joint, tuner.limit)
+        for each, of_joint, tuner in zip(gains, margins, tuners, strict=True)
+    ]
+
+
+@dataclass(slots=True)
+class _Tuner:
+    """Search for the gains of one joint."""
+
+    loops: Loops
+    required: Requirements
+    joint: int  # from 0
+    inertia: float  # [V s^2/rad] at the motor, without torsion
+    max_kp: float  # [V s/rad], by the encoder
+    uses_filters: bool
+    limit: str = "margins"
+
+    def gains(
+        self, bandwidth: float, position_ratio: float, filters: tuple[Biquad, ...] = ()
+    ) -> Gains:
+        """Gains of a velocity bandwidth [rad/s]."""
+        kp = bandwidth * self.inertia
+        return Gains(
+            kp=kp,
+            ki=kp * bandwidth / _INTEGRAL_RATIO,
+            position_gain=bandwidth / position_ratio,
+            period=self.loops.clock.period,
+            filters=filters,
+        )
+
+    def raise_gains(self, gains: Sequence[Gains], search: IntArray) -> Gains:
+        """The largest gains at which the searched plants keep their margins."""
+        trials = _Trials.of(self.loops, self.required, gains, self.joint, search)
+        best, bandwidth, self.limit = gains[self.joint], 0.0, "margins"
+        for make in self._filters(search):
+            reached, is_encoder = self._largest_bandwidth(trials, make)
+            if reached > bandwidth * (_MIN_GAIN if bandwidth else 1.0):
+                bandwidth, self.limit = reached, "encoder" if is_encoder else "margins"
+                best = self.gains(reached, _START_POSITION_RATIO, make(reached))
+        return self._set_position_gain(best, bandwidth, trials)
+
+    def _largest_bandwidth(self, trials: _Trials, make: FilterMaker) -> tuple[float, bool]:
+        """The largest bandwidth [rad/s] with margins, and whether the encoder limits it.
+
+        Zero if there is none. Arms that stand upright need some gain to be stable.
+        """
+        encoder = self.max_kp / self.inertia
+        highest = min(encoder, 0.5 * self.loops.clock.nyquist)
+
+        def keeps(bandwidth: float) -> bool:
+            gains = self.gains(bandwidth, _START_POSITION_RATIO, make(bandwidth))
+            return bandwidth <= highest and trials.keep(gains)
+
+        reached, bandwidth = 0.0, _LOWEST_BANDWIDTH
+        while bandwidth <= highest and (not reached or bandwidth < _COARSE_STEP * reached * 1.001):
+            if keeps(bandwidth):
+                reached = bandwidth
+            bandwidth *= _COARSE_STEP
+        step = float(np.sqrt(_COARSE_STEP))
+        while reached and step > _FINE_STEP:
+            if keeps(reached * step):
+                reached *= step
+            step = float(np.sqrt(step))
+        return reached, bool(reached * _COARSE_STEP**0.25 > encoder)
+
+    def _filters(self, search: IntArray) -> Iterator[FilterMaker]:
+        """No filter, a low-pass, and a notch over the spread of each resonance."""
+        yield lambda _: ()
+        if not self.uses_filters:
+            return
+        nyquist = self.loops.clock.nyquist
+        yield from (partial(self._low_pass, ratio) for ratio in _LOW_PASS_RATIOS)
+        for omega, _ in self.loops.plants.resonances():
+            low, high = float(omega[search].min()), float(omega[search].max())
+            if high < _HIGHEST_SHARE * nyquist:
+                yield from (partial(self._notch, low, high, width) for width in _NOTCH_WIDTHS)
+
+    def _low_pass(self, ratio: float, bandwidth: float) -> tuple[Biquad, ...]:
+        """Low-pass at a multiple of the bandwidth [rad/s]."""
+        clock = self.loops.clock
+        corner = min(ratio * bandwidth, _HIGHEST_SHARE * clock.nyquist)
+        return (low_pass(corner / (2.0 * np.pi), clock.period),)
+
+    def _notch(self, low: float, high: float, width: float, _: float) -> tuple[Biquad, ...]:
+        """Notch between two frequencies [rad/s]."""
+        hz = float(np.sqrt(low * high)) / (2.0 * np.pi)
+        return (notch(hz, max(width, high / low - 1.0), _NOTCH_DEPTH, self.loops.clock.period),)
+
+    def _set_position_gain(self, gains: Gains, bandwidth: float, trials: _Trials) -> Gains:
+        """The largest position gain with margins and little overshoot of the link."""
+        for ratio in _POSITION_RATIOS:
+            candidate = replace(gains, position_gain=bandwidth / ratio)
+            if trials.keep(candidate) and trials.overshoot(candidate) <= _MAX_OVERSHOOT:
+                return candidate
+        return replace(gains, position_gain=bandwidth / _POSITION_RATIOS[-1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Trials:
+    """Some plants with the loops of the other joints closed, on which gains are tried."""
+
+    loops: Loops
+    required: Requirements
+    joint: int
+    others: list[ControlLaw]
+    plant: ComplexArray  # (n_plants, n_omega) motor angle by voltage
+    sampled: SampledPlants
+
+    @classmethod
+    def of(
+        cls,
+        loops: Loops,
+        required: Requirements,
+        gains: Sequence[Gains],
+        joint: int,
+        search: IntArray,
+    ) -> _Trials:
+        """Trials of one joint, from 0, on the searched plants."""
+        plant = effective_plants(loops.responses[search], loops.controllers(gains), joint)
+        laws = [each.law() for each in gains]
+        sampled = sample(loops.plants, loops.clock, search)
+        return cls(loops, required, joint, laws, plant, sampled)
+
+    def keep(self, gains: Gains) -> bool:
+        """Whether all plants are stable and keep their margins."""
+        margins = margins_of(self.plant * gains.response(self.loops.z), self.loops.omega)
+        if margins.share(self.required).min() < 1.0:
+            return False
+        return bool(np.abs(self._closed(gains).poles()).max() < 1.0)
+
+    def overshoot(self, gains: Gains) -> float:
+        """Largest overshoot of the link after a step of the position."""
+        return float(Steps.of(self._closed(gains), self.loops.clock.period).overshoot.max())
+
+    def _closed(self, gains: Gains) -> ClosedLoop:
+        laws = list(self.others)
+        laws[self.joint] = gains.law()
+        return close(self.sampled, laws, self.joint)

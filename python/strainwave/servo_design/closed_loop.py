@@ -1,0 +1,170 @@
+"""Arms under sampled control laws as linear systems in discrete time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from strainwave.domain import ComplexArray, ControlLaw, FloatArray, IntArray
+from strainwave.servo_design.plants import Plants
+from strainwave.servo_design.sampling import Clock
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledPlants:
+    """x_k+1 = A x_k + B u_k, motor angles `motors` x, link angles `links` x."""
+
+    A: FloatArray  # (n_plants, n, n)
+    B: FloatArray  # (n_plants, n, n_joints)
+    motors: FloatArray  # (n_joints, n)
+    links: FloatArray  # (n_joints, n)
+    ratios: FloatArray  # (n_joints,) link angle per motor angle without torsion
+
+
+def sample(plants: Plants, clock: Clock, chosen: IntArray | slice = slice(None)) -> SampledPlants:
+    """Exact discretisation for voltages that a hold keeps for a period, after the delay.
+
+    States are coordinates, their velocities, torques behind current loops, and the voltages of the
+    last reading if there is a delay of at most one period.
+    """
+    mass, damping, stiffness = plants.mass[chosen], plants.damping[chosen], plants.stiffness[chosen]
+    count, size, n = len(mass), mass.shape[1], plants.n_joints
+    inputs = np.broadcast_to(plants.motors.T, (count, size, n))
+    response = np.linalg.solve(mass, np.concatenate([-stiffness, -damping, inputs], axis=2))
+    lags = np.flatnonzero(np.isfinite(plants.current_loop))
+    n_states = 2 * size + len(lags)
+    system = np.zeros((count, n_states + n, n_states + n))
+    system[:, :size, size : 2 * size] = np.eye(size)
+    system[:, size : 2 * size, : 2 * size] = response[:, :, : 2 * size]
+    of_torque = response[:, :, 2 * size :]
+    system[:, size : 2 * size, n_states:] = of_torque * plants.torque_per_volt
+    for k, joint in enumerate(lags):
+        rate = plants.current_loop[joint]
+        system[:, size : 2 * size, 2 * size + k] = of_torque[:, :, joint]
+        system[:, size : 2 * size, n_states + joint] = 0.0
+        system[:, 2 * size + k, 2 * size + k] = -rate
+        system[:, 2 * size + k, n_states + joint] = rate * plants.torque_per_volt[joint]
+    A, B, old = _held(system, n_states, clock)
+    motors, links = (_padded(rows, A.shape[1]) for rows in (plants.motors, plants.links))
+    if clock.delay:
+        A, B = _with_last_voltage(A, B, old)
+        motors, links = (_padded(rows, A.shape[1]) for rows in (plants.motors, plants.links))
+    ratios = np.diagonal(plants.links @ plants.rigid)
+    return SampledPlants(A, B, motors, links, ratios)
+
+
+def _held(
+    system: FloatArray, n_states: int, clock: Clock
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Transition over a period, and responses to the new and to the last voltage."""
+    after = expm(system * (clock.period - clock.delay))
+    new, A = after[:, :n_states, n_states:], after[:, :n_states, :n_states]
+    if not clock.delay:
+        return A, new, np.zeros_like(new)
+    before = expm(system * clock.delay)
+    last = A @ before[:, :n_states, n_states:]
+    return A @ before[:, :n_states, :n_states], new, last
+
+
+def _with_last_voltage(
+    A: FloatArray, B: FloatArray, old: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Adds the last voltages to the states."""
+    count, n, n_inputs = B.shape
+    below = np.zeros((count, n_inputs, n + n_inputs))
+    units = np.broadcast_to(np.eye(n_inputs), (count, n_inputs, n_inputs))
+    return (
+        np.concatenate([np.concatenate([A, old], axis=2), below], axis=1),
+        np.concatenate([B, units], axis=1),
+    )
+
+
+def _padded(rows: FloatArray, n: int) -> FloatArray:
+    return np.hstack([rows, np.zeros((len(rows), n - rows.shape[1]))])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClosedLoop:
+    """x_k+1 = A x_k + B (r_k, w_k) of one joint; its motor and link angles, link by motor angle."""
+
+    A: FloatArray  # (n_plants, n, n)
+    B: FloatArray  # (n_plants, n, 2)
+    motor: FloatArray  # (n,)
+    link: FloatArray  # (n,)
+    ratio: float  # link angle per motor angle without torsion
+
+    def poles(self) -> ComplexArray:
+        """Poles (n_plants, n)."""
+        return np.asarray(np.linalg.eigvals(self.A))
+
+    def simulate(self, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Motor and link angles (n_plants, n_samples) for a reference (n_samples, 2)."""
+        x = np.zeros((len(self.A), self.A.shape[1]))
+        motor, link = (np.empty((len(self.A), len(reference))) for _ in range(2))
+        for k, now in enumerate(reference):
+            motor[:, k], link[:, k] = x @ self.motor, x @ self.link
+            x = (self.A @ x[..., None])[..., 0] + self.B @ now
+        return motor, link
+
+
+def close(plants: SampledPlants, laws: Sequence[ControlLaw], joint: int) -> ClosedLoop:
+    """Close the loops of all joints; the reference is that of one joint, from 0."""
+    count, n = plants.A.shape[:2]
+    sizes = [len(law.A) for law in laws]
+    starts = n + np.concatenate([[0], np.cumsum(sizes)]).astype(int)
+    A, B = np.zeros((count, starts[-1], starts[-1])), np.zeros((count, starts[-1], 2))
+    A[:, :n, :n] = plants.A
+    for i, (law, start) in enumerate(zip(laws, starts, strict=False)):
+        own = slice(start, start + len(law.A))
+        voltage = plants.B[:, :, i]
+        angle = plants.motors[i]
+        A[:, :n, :n] += voltage[:, :, None] * (law.D[2] * angle)
+        A[:, :n, own] = voltage[:, :, None] * law.C
+        A[:, own, own] = law.A + np.outer(law.E, law.C)
+        A[:, own, :n] = np.outer(law.B[:, 2] + law.E * law.D[2], angle)
+        if i == joint:
+            B[:, :n] = voltage[:, :, None] * law.D[:2]
+            B[:, own] = law.B[:, :2] + np.outer(law.E, law.D[:2])
+    size = int(starts[-1])
+    motor, link = _end(plants.motors[joint], size), _end(plants.links[joint], size)
+    return ClosedLoop(A, B, motor, link, float(plants.ratios[joint]))
+
+
+def _end(row: FloatArray, n: int) -> FloatArray:
+    return np.concatenate([row, np.zeros(n - len(row))])
+
+
+STEP_SECONDS = 2.0
+"""Duration of a simulated step."""
+
+_SETTLED = 0.02  # of a step
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """Response of the link to a unit step of the reference: an entry per plant."""
+
+    time: FloatArray  # (n_samples,) [s]
+    link: FloatArray  # (n_plants, n_samples) over the final angle
+    settling: FloatArray  # [s] to 2 %; infinite if it does not settle in the simulated time
+    overshoot: FloatArray  # share of the step
+
+    @classmethod
+    def of(cls, loop: ClosedLoop, period: float, reference: FloatArray | None = None) -> Steps:
+        """Simulate a unit step of the angle, or a reference (n_samples, 2) with the same end."""
+        if reference is None:
+            reference = np.zeros((round(STEP_SECONDS / period), 2))
+            reference[:, 0] = 1.0
+        _, link = loop.simulate(reference)
+        share = link / loop.ratio
+        is_apart = np.abs(share - 1.0) > _SETTLED
+        n = share.shape[1]
+        last = n - np.argmax(is_apart[:, ::-1], axis=1)
+        settling = np.where(
+            is_apart[:, -1], np.inf, np.where(is_apart.any(axis=1), last, 0) * period
+        )
+        time: FloatArray = period * np.arange(n, dtype=np.float64)
+        return cls(time, share, settling, np.maximum(share.max(axis=1) - 1.0, 0.0))

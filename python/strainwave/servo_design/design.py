@@ -1,0 +1,373 @@
+"""Design of the servos of an identified arm, and what follows from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from strainwave.domain import FloatArray, IntArray, Payload
+from strainwave.domain.keys import Values, label_of
+from strainwave.dynamics.arm import Arm
+from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
+from strainwave.export.source import IdentifiedArm
+from strainwave.io.joint_covariance import JointCovariance
+from strainwave.servo_design.cascade_tuning import Loops, TunedJoint, tune_cascades
+from strainwave.servo_design.closed_loop import (
+    STEP_SECONDS,
+    ClosedLoop,
+    SampledPlants,
+    Steps,
+    close,
+    sample,
+)
+from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.loop_bands import LoopBand
+from strainwave.servo_design.margins import Margins, Requirements
+from strainwave.servo_design.plants import Condition, Plants, drawn_values, plants_of
+from strainwave.servo_design.sampling import Clock
+from strainwave.servo_design.shaper_ranking import COVERAGE, RankedShaper, rank_shapers
+from strainwave.servo_design.verification import Comparison, compare_moves
+
+_DEFAULT_PERIOD = 1e-3  # [s] of the servo
+_DEFAULT_LIMIT = 10.0  # [V]; torques have none
+_DELAY_SHARE = 0.5  # of the period, if no delay is given
+_N_POSTURES = 4  # drawn, besides zero angles, if no posture is given
+_MAX_MODES = 4  # slowest modes that are shaped
+_POLE_TOLERANCE = 1e-6  # rounding of the pole at one of a servo without a position loop
+_FIRST_SHARES = (1.0 / 3.0, 1.0 / 2.0, 2.0 / 3.0)
+_N_MOVE_DRAWS = 10  # simulated with friction and the curve of the gear
+_NO_LIMIT = 0.75 * np.pi  # [rad] of a joint without limits in the study
+
+
+@dataclass(frozen=True, slots=True)
+class ServoOptions:
+    """What a design must hold for; None: from the study, or as documented."""
+
+    postures: tuple[tuple[float, ...], ...] = ()  # link angles [rad]
+    payloads: tuple[Payload, ...] = ()  # in addition to none
+    draws: int = 1000
+    seed: int = 0
+    period: float | None = None  # [s]
+    delay: float | None = None  # [s] from an encoder reading to its voltage
+    bandwidth_hz: float | None = None  # required of each velocity loop
+    required: Requirements = field(default_factory=Requirements)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopResults:
+    """Behaviour of the loop of one joint over all plants."""
+
+    margins: Margins
+    band: LoopBand
+    steps: Steps
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointServo:
+    """Servo of one joint: the designed one, and the current one for comparison."""
+
+    joint: int  # from 1
+    tuned: TunedJoint
+    results: LoopResults
+    current: Gains | None
+    current_results: LoopResults | None  # None if a plant is unstable under the current servo
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ServoDesign:
+    """Servos and input shapers of an arm."""
+
+    arm: IdentifiedArm
+    options: ServoOptions
+    clock: Clock
+    limit: float  # of the drives [V], or [N m] if torques are logged; infinite if not known
+    conditions: tuple[Condition, ...]
+    draw: IntArray  # (n_plants,) drawn parameters of each plant; 0 are the estimates
+    condition: IntArray  # (n_plants,) indices of conditions
+    n_unstable: int  # plants that the current servo does not stabilise
+    joints: tuple[JointServo, ...]
+    first_share: float  # of the bandwidth, for the first trial: it also stabilises all plants
+    modes_hz: FloatArray  # (n_modes, 2) central 95 % of the links' modes behind held motors
+    shapers: tuple[RankedShaper, ...]
+    moves: tuple[Comparison, ...]  # one per joint, from the first posture; empty if refused
+    refusal: str  # why no moves are compared
+
+    @property
+    def n_plants(self) -> int:
+        """Number of plants: draws, conditions and slopes of curved gears."""
+        return len(self.draw)
+
+    @property
+    def gains(self) -> list[Gains]:
+        """Gains of all joints."""
+        return [joint.tuned.gains for joint in self.joints]
+
+
+def design_servo(
+    arm: IdentifiedArm,
+    covariance: JointCovariance | None,
+    options: ServoOptions,
+    progress: Callable[[str], None] = lambda _: None,
+) -> ServoDesign:
+    """Design the servos of all joints for the drawn parameters in all conditions.
+
+    Raises `NotIdentifiable` if the result lacks a parameter that the design needs, and
+    `InvalidInput` if a posture is outside the limits of a joint, or if encoder, delay or margins do
+    not allow the required bandwidth.
+    """
+    _check_options(options)
+    _check_parameters(arm)
+    conditions = _conditions(arm, options)
+    clock, limit = _drives(arm, options)
+    progress("drawing plants")
+    rng = np.random.default_rng(options.seed)
+    draws = drawn_values(arm, covariance, options.draws, rng)
+    plants = plants_of(arm, draws, conditions)
+    loops = Loops.of(plants, clock)
+    progress("tuning the loops")
+    resolutions = np.array([joint.encoder_resolution for joint in arm.study.arm.joints])
+    tuned = tune_cascades(loops, options.required, resolutions=resolutions, limit=limit)
+    if options.bandwidth_hz is not None:
+        _check_bandwidth(tuned, options.bandwidth_hz, clock)
+    progress("simulating steps")
+    sampled = sample(plants, clock)
+    gains, current = [each.gains for each in tuned], _current_gains(arm, clock)
+    results = _results(loops, sampled, gains)
+    _check_loops(results, options.required, _count_unstable(sampled, gains))
+    n_unstable = _count_unstable(sampled, current) if current else 0
+    of_current: Sequence[LoopResults | None] = [None] * len(tuned)
+    if current and not n_unstable:
+        of_current = _results(loops, sampled, current)
+    progress("ranking shapers")
+    modes, shapers = _shapers(plants, clock)
+    progress("comparing moves")
+    moves, refusal = _moves(arm, gains, draws[: _N_MOVE_DRAWS + 1], conditions[0].posture, limit)
+    return ServoDesign(
+        arm=arm,
+        options=options,
+        clock=clock,
+        limit=limit,
+        conditions=conditions,
+        draw=plants.draw,
+        condition=plants.condition,
+        n_unstable=n_unstable,
+        joints=tuple(
+            JointServo(i + 1, each, results[i], current[i] if current else None, of_current[i])
+            for i, each in enumerate(tuned)
+        ),
+        first_share=_first_share(sampled, gains),
+        modes_hz=modes,
+        shapers=shapers,
+        moves=moves,
+        refusal=refusal,
+    )
+
+
+def _drives(arm: IdentifiedArm, options: ServoOptions) -> tuple[Clock, float]:
+    """Timing and voltage limit, from the options or the servo of the study."""
+    servo = arm.study.arm.servo
+    period = options.period or (servo.period if servo else _DEFAULT_PERIOD)
+    delay = _DELAY_SHARE * period if options.delay is None else options.delay
+    if not 0.0 <= delay <= period:
+        raise InvalidInput(
+            f"a delay of {delay:g} s is not between zero and the servo period of {period:g} s",
+            where="--delay",
+            remedy="give the time from an encoder reading to the voltage that follows from it",
+        )
+    has_voltages = all(joint.torque_per_volt is not None for joint in arm.study.arm.joints)
+    default = _DEFAULT_LIMIT if has_voltages else math.inf
+    return Clock(period, delay), servo.limit if servo else default
+
+
+def _results(loops: Loops, sampled: SampledPlants, gains: Sequence[Gains]) -> list[LoopResults]:
+    """Margins, bands and steps of all joints."""
+    laws = [each.law() for each in gains]
+    margins, bands = loops.margins(gains), loops.bands(gains)
+    return [
+        LoopResults(margins[i], bands[i], _steps(close(sampled, laws, i), gains[i]))
+        for i in range(len(gains))
+    ]
+
+
+def _count_unstable(sampled: SampledPlants, gains: Sequence[Gains]) -> int:
+    """Number of plants with an unstable pole under a servo."""
+    poles = close(sampled, [each.law() for each in gains], 0).poles()
+    return int((np.abs(poles).max(axis=1) > 1.0 + _POLE_TOLERANCE).sum())
+
+
+def _first_share(sampled: SampledPlants, gains: Sequence[Gains]) -> float:
+    """The smallest tried share of the bandwidth that stabilises all plants.
+
+    Arms that stand upright need gain.
+    """
+    return next(
+        (
+            share
+            for share in _FIRST_SHARES
+            if not _count_unstable(sampled, [each.slowed(share) for each in gains])
+        ),
+        1.0,
+    )
+
+
+def _check_loops(results: Sequence[LoopResults], required: Requirements, n_unstable: int) -> None:
+    """Raise InvalidInput if the best gains violate a margin or leave a plant unstable."""
+    for number, each in enumerate(results, start=1):
+        if each.margins.share(required).min() < 1.0 or n_unstable:
+            raise InvalidInput(
+                f"no gains of joint {number} stabilise all plants with a gain margin of "
+                f"{required.gain_db:g} dB, a phase margin of {required.phase_deg:g} degrees and a "
+                f"modulus margin of {required.modulus:g}",
+                where="the servo design",
+                remedy="require smaller margins or fewer payloads, or shorten period and delay",
+            )
+
+
+def _steps(loop: ClosedLoop, gains: Gains) -> Steps:
+    """Steps of the reference angle.
+
+    Without a position loop the velocity reference is the derivative of the step: one pulse.
+    """
+    reference = np.zeros((round(STEP_SECONDS / gains.period), 2))
+    if gains.position_gain:
+        reference[:, 0] = 1.0
+    else:
+        reference[0, 1] = 1.0 / gains.period
+    return Steps.of(loop, gains.period, reference)
+
+
+def _shapers(plants: Plants, clock: Clock) -> tuple[FloatArray, tuple[RankedShaper, ...]]:
+    """Intervals [Hz] of the slowest modes, and the shapers for them."""
+    modes = plants.locked_resonances()[:_MAX_MODES]
+    if not modes:
+        return np.zeros((0, 2)), ()
+    omega, damping = (np.array(part) for part in zip(*modes, strict=True))
+    tail = 50.0 * (1.0 - COVERAGE)
+    intervals = np.percentile(omega, (tail, 100.0 - tail), axis=1).T / (2.0 * np.pi)
+    return intervals, tuple(rank_shapers(omega, damping, clock.period))
+
+
+def _moves(
+    arm: IdentifiedArm,
+    gains: Sequence[Gains],
+    draws: Sequence[Values],
+    posture: FloatArray,
+    limit: float,
+) -> tuple[tuple[Comparison, ...], str]:
+    """A move of each joint, or the reason why there is none."""
+    if math.isinf(limit):
+        return (), "the torque limit of the drives is unknown without a [servo] table in the study"
+    try:
+        numbers = range(1, len(gains) + 1)
+        return tuple(compare_moves(arm, gains, draws, i, posture, limit) for i in numbers), ""
+    except (InvalidInput, NumericalFailure) as error:
+        return (), getattr(error, "problem", str(error))
+
+
+def _check_options(options: ServoOptions) -> None:
+    """Raise InvalidInput if a number is out of its range."""
+    required = options.required
+    ranges = [
+        ("--draws", "the number of draws", options.draws, -1.0, math.inf),
+        ("--period", "the period", options.period, 0.0, math.inf),
+        ("--bandwidth", "the bandwidth", options.bandwidth_hz, 0.0, math.inf),
+        ("--gain-margin", "the gain margin", required.gain_db, 0.0, math.inf),
+        ("--phase-margin", "the phase margin", required.phase_deg, 0.0, 180.0),
+        ("--modulus-margin", "the modulus margin", required.modulus, 0.0, 1.0),
+        *(("--payload", "the mass", payload.mass, 0.0, math.inf) for payload in options.payloads),
+    ]
+    for option, name, value, low, high in ranges:
+        if value is not None and not low < value < high:
+            wanted = "positive" if math.isinf(high) else f"between 0 and {high:g}"
+            wanted = "zero or positive" if low < 0.0 else wanted
+            raise InvalidInput(
+                f"{name} is {value:g}", where=option, remedy=f"give a number that is {wanted}"
+            )
+
+
+def _check_parameters(arm: IdentifiedArm) -> None:
+    """Raise NotIdentifiable if the result lacks a parameter of the linear plants."""
+    description, known = arm.study.arm, arm.values
+    needed = list(Arm.of(description).base.effective)
+    for number, joint in enumerate(description.joints, start=1):
+        names = ["motor_inertia", "motor_viscous_friction", "link_viscous_friction"]
+        if joint.elastic:
+            names += ["gear_damping", *joint.law.slopes]
+        needed += [(name, number) for name in names]
+    missing = [label_of(*key) for key in needed if key not in known]
+    if missing:
+        raise NotIdentifiable(
+            f"{arm.source} does not determine {', '.join(missing)}, and a servo design needs it; "
+            "record PRBS of a larger amplitude and a motion of all joints, and identify again"
+        )
+
+
+def _conditions(arm: IdentifiedArm, options: ServoOptions) -> tuple[Condition, ...]:
+    """All postures with and without all payloads."""
+    joints = arm.study.arm.joints
+    limits = [
+        (joint.limits.lower, joint.limits.upper)
+        if joint.limits and joint.limits.lower is not None and joint.limits.upper is not None
+        else (-_NO_LIMIT, _NO_LIMIT)
+        for joint in joints
+    ]
+    postures = [np.array(posture) for posture in options.postures]
+    if not postures:
+        rng = np.random.default_rng(options.seed)
+        low, high = np.array(limits).T
+        postures = [np.clip(np.zeros(len(joints)), low, high)]
+        postures += list(rng.uniform(low, high, (_N_POSTURES, len(joints))))
+    for posture in postures:
+        _check_posture(posture, limits)
+    loads = (None, *options.payloads)
+    return tuple(Condition(posture, load) for posture in postures for load in loads)
+
+
+def _check_posture(posture: FloatArray, limits: Sequence[tuple[float, float]]) -> None:
+    """Raise InvalidInput unless a posture has an angle of each joint within its limits."""
+    if len(posture) != len(limits):
+        raise InvalidInput(
+            f"the posture has {len(posture)} angles, but the arm has {len(limits)} joints",
+            where="--posture",
+            remedy="give one angle [rad] per joint, separated by commas",
+        )
+    for number, (angle, (low, high)) in enumerate(zip(posture.tolist(), limits, strict=True), 1):
+        if not low <= angle <= high:
+            raise InvalidInput(
+                f"the angle {angle:g} of joint {number} is outside its limits {low:g} to {high:g}",
+                where="--posture",
+                remedy="give a posture that the arm can reach",
+            )
+
+
+def _check_bandwidth(tuned: Sequence[TunedJoint], required_hz: float, clock: Clock) -> None:
+    """Raise InvalidInput if a velocity loop does not reach a bandwidth."""
+    for number, joint in enumerate(tuned, start=1):
+        reached = float(joint.margins.bandwidth_hz.min())
+        if reached < required_hz:
+            cause = (
+                "the resolution of its encoder"
+                if joint.limit == "encoder"
+                else f"the margins with the period of {clock.period:g} s, the delay of "
+                f"{clock.delay:g} s and the resonances"
+            )
+            raise InvalidInput(
+                f"the velocity loop of joint {number} reaches {reached:.3g} Hz, limited by {cause}",
+                where="--bandwidth",
+                remedy=f"require at most {math.floor(100.0 * reached) / 100.0:g} Hz",
+            )
+
+
+def _current_gains(arm: IdentifiedArm, clock: Clock) -> list[Gains] | None:
+    """Gains of the servo in the study; None without one."""
+    servo = arm.study.arm.servo
+    if servo is None:
+        return None
+    position = servo.position_gain or (0.0,) * len(servo.kp)
+    return [
+        Gains(kp, ki, gain, clock.period)
+        for kp, ki, gain in zip(servo.kp, servo.ki, position, strict=True)
+    ]

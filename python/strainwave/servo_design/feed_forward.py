@@ -1,0 +1,381 @@
+"""Feed-forward of elastic arms: motor references and voltages that move the links along a motion.
+
+The links' motion q(t) gives the torques through the gears, these the torsions, and these the
+motors' motion (inverse dynamics of the reduced model, Spong 1987):
+
+    tau = M(q) ddq + c(q, dq) + g(q) + D_L dq
+    T(delta) + d_G ddelta = tau
+    theta_M = (C N)^-1 (q + delta)
+    e u = m_M ddtheta_M + d_M dtheta_M + f_0 + N C^T tau + dry friction
+
+Rates of tau are those of the motion's Taylor polynomial of degree four at each instant. They are
+exact but for the fourth-order differences in time. Gear damping enters to first order: T = tau -
+d_G dtau / k. The neglected part of the torsion is (d_G/k)^2 ddtau / k, which is 2e-3 of the torsion
+for d_G/k = 1.5 ms and a motion of 5 Hz.
+
+A voltage is held for a period. It has the mean torque of that period: the change of the motor's
+velocity, which includes its steps at the knees of a gear, and Simpson's rule for the rest. First-
+order lags of the drive are led by their time constant times the rate of the torque, without that of
+dry friction.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from strainwave.domain import FloatArray, Payload
+from strainwave.domain.arm import UNKNOWN
+from strainwave.dynamics.arm import Arm
+from strainwave.errors import InvalidInput
+from strainwave.export.source import IdentifiedArm
+from strainwave.servo_design.joint_effects import JointEffects, effects_of
+from strainwave.servo_design.link_motion import LinkMotion
+from strainwave.servo_design.payload_motion import payload_torques
+
+_DIFFERENCE_SHARE = 0.25  # of the period, step of differences in time: truncation and rounding 1e-9
+_FIRST = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0  # fourth-order central differences
+_SECOND = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeedForward:
+    """References and feed-forward of all motors at the ticks of a servo: (n_samples, n_joints)."""
+
+    time: FloatArray  # (n_samples,) [s]
+    link_angle: FloatArray  # [rad]
+    torsion: FloatArray  # [rad]
+    motor_angle: FloatArray  # [rad]
+    motor_velocity: FloatArray  # [rad/s] at the tick
+    reference_velocity: FloatArray  # [rad/s] difference of the angles, as a servo measures it
+    voltage: FloatArray  # [V]
+    friction_voltage: FloatArray  # [V] the part of `voltage` that compensates dry friction
+    friction_velocity: FloatArray  # (n_joints,) [rad/s] at which 76 % of it are reached
+    friction_share: FloatArray  # (n_joints,) of the estimated dry friction
+    notes: tuple[str, ...]  # identified effects without compensation
+
+    def servo_reference(self, position_gain: FloatArray) -> FloatArray:
+        """Velocity references [rad/s] of a servo that integrates them to its position reference.
+
+        Such a servo (`strainwave.domain.Servo` with `position_gain` [1/s], (n_joints,)) has no
+        error if the motors follow `motor_angle`. Without a position loop the references are
+        `reference_velocity`.
+        """
+        period = self.time[1] - self.time[0]
+        change = np.diff(self.reference_velocity, axis=0) * period
+        lag = np.zeros_like(self.motor_angle)  # of the integral behind the motor angle
+        for k, more in enumerate(change):
+            lag[k + 1] = (1.0 - position_gain * period) * lag[k] + more
+        return self.reference_velocity + position_gain * lag
+
+
+def feed_forward(
+    arm: IdentifiedArm,
+    motion: LinkMotion,
+    *,
+    payload: Payload | None = None,
+    friction_share: FloatArray | None = None,
+    delay: float = 0.0,
+) -> FeedForward:
+    """Motor references and voltages of a motion, sampled at its ticks.
+
+    Dry friction is compensated by `friction_share` (n_joints,) tanh(dtheta_M / w) of its estimate,
+    with the velocity of the reference, so that encoder noise cannot switch it. w is one encoder
+    count per period, the resolution of the measured velocity. Without an encoder in the study it is
+    the largest change of the reference velocity in a period. By default the share is the lower
+    limit of the 95 % interval of `motor_coulomb_friction` over its value, and one without an
+    interval. `delay` [s] is that of a voltage after its tick.
+
+    Raises InvalidInput if a parameter is missing, or if the motion exceeds the limits of a joint or
+    the voltage of the servo.
+    """
+    model = _InverseArm.of(arm, payload)
+    n = model.arm.n_joints
+    period, ticks = motion.period, motion.time
+    _check_shape(motion, n)
+    at_ticks = model.follow(motion, ticks)
+    _check_limits(arm, ticks, at_ticks)
+    before = model.follow(motion, ticks[:1] - period).motor_angle
+    reference_velocity = np.diff(at_ticks.motor_angle, axis=0, prepend=before) / period
+
+    halves = ticks[0] + 0.5 * period * np.arange(2 * len(ticks) + 1) + delay
+    held = model.follow(motion, halves)
+    shares = _friction_shares(arm) if friction_share is None else _checked(friction_share, n)
+    acceleration = np.diff(held.motor_velocity[::2], axis=0) / period
+    velocity = _friction_velocity(arm, period, np.abs(acceleration).max(axis=0))
+    friction = shares * _mean(held.dry_friction * _smooth_sign(held.motor_velocity, velocity))
+    torque = model.column("motor_inertia") * acceleration + _mean(held.steady_torque)
+    torque = torque + model.lags * np.gradient(torque, period, axis=0)
+    voltage = (torque + friction) / model.torque_per_volt
+    _check_voltage(arm, ticks, voltage)
+    return FeedForward(
+        time=ticks,
+        link_angle=at_ticks.link[0],
+        torsion=at_ticks.torsion,
+        motor_angle=at_ticks.motor_angle,
+        motor_velocity=at_ticks.motor_velocity,
+        reference_velocity=reference_velocity,
+        voltage=voltage,
+        friction_voltage=friction / model.torque_per_volt,
+        friction_velocity=velocity,
+        friction_share=shares,
+        notes=model.notes,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Instants:
+    """The arm at instants of a motion: (n, n_joints)."""
+
+    link: FloatArray  # (5, n, n_joints) angle and its derivatives
+    link_torque: FloatArray
+    torsion: FloatArray
+    motor_angle: FloatArray
+    motor_velocity: FloatArray
+    steady_torque: FloatArray  # motor torque without inertia of the motor and dry friction
+    dry_friction: FloatArray  # without its sign
+
+
+@dataclass(frozen=True, eq=False)
+class _InverseArm:
+    """An identified arm whose links follow a motion."""
+
+    identified: IdentifiedArm
+    arm: Arm
+    payload: Payload | None
+    effects: tuple[JointEffects, ...]
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, identified: IdentifiedArm, payload: Payload | None) -> _InverseArm:
+        """The arm with the identified torques per volt."""
+        description = identified.study.arm
+        for number, joint in enumerate(description.joints, start=1):
+            if joint.torque_per_volt == UNKNOWN:
+                gain = identified.need("torque_per_volt", number)
+                description = description.with_joint(number, torque_per_volt=gain)
+        return cls(identified, Arm.of(description), payload, *effects_of(identified))
+
+    def column(self, name: str) -> FloatArray:
+        """A parameter of all joints: (n_joints,)."""
+        numbers = range(1, self.arm.n_joints + 1)
+        return np.array([self.identified.need(name, number) for number in numbers])
+
+    @cached_property
+    def base(self) -> FloatArray:
+        """Base parameters: (n_base,)."""
+        effective, need = set(self.arm.base.effective), self.identified.need
+        return np.array([need(*key) if key in effective else 0.0 for key in self.arm.base_names])
+
+    @cached_property
+    def link_viscous_friction(self) -> FloatArray:
+        """d_L: (n_joints,)."""
+        return self.column("link_viscous_friction")
+
+    @cached_property
+    def gears(self) -> Mapping[int, tuple[Mapping[str, float], float]]:
+        """Values of the gear law and gear damping of the elastic joints, from 0.
+
+        A curve that is identified in part has its first slopes.
+        """
+        need, known = self.identified.need, self.identified.values
+        gears = {}
+        for i, joint in enumerate(self.arm.joints):
+            if joint.elastic:
+                names = joint.law.drawn([name for name, number in known if number == i + 1])
+                values = {name: need(name, i + 1) for name in names or joint.law.names}
+                gears[i] = values, need("gear_damping", i + 1)
+        return gears
+
+    @cached_property
+    def lags(self) -> FloatArray:
+        """Time constants [s] of the drives: (n_joints,)."""
+        loops = [joint.current_loop_hz for joint in self.arm.joints]
+        times = [1.0 / (math.tau * hz) if hz else 0.0 for hz in loops]
+        return np.array(times) + [effects.drive_lag for effects in self.effects]
+
+    @cached_property
+    def torque_per_volt(self) -> FloatArray:
+        """e, with identified errors: (n_joints,)."""
+        return self.arm.torque_per_volt * [effects.drive_gain for effects in self.effects]
+
+    def link_torques(
+        self, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    ) -> FloatArray:
+        """Torques that the gears transmit: (n, n_joints)."""
+        torques = self.arm.link_torques(self.base, angle, velocity, acceleration)
+        torques = torques + self.link_viscous_friction * velocity
+        if self.payload is not None:
+            torques += payload_torques(self.arm, self.payload, angle, velocity, acceleration)
+        is_planar = self.arm.has_planar_program
+        for i, effects in enumerate(self.effects):
+            torques[:, i] += effects.load(angle[:, i])
+            if is_planar:  # parallel axes: all joints before carry the link
+                torques[:, : i + 1] += effects.weight(angle[:, : i + 1].sum(axis=1))[:, None]
+            else:
+                torques[:, i] += effects.weight(angle[:, i])
+        return torques
+
+    def follow(self, motion: LinkMotion, time: FloatArray) -> _Instants:
+        """All joints at instants [s]."""
+        link = motion.derivatives(time)
+        step = _DIFFERENCE_SHARE * motion.period
+        around = [_taylor(link, k * step) for k in (-2.0, -1.0, 0.0, 1.0, 2.0)]
+        angle, velocity, acceleration = (
+            np.concatenate([at[order] for at in around]) for order in range(3)
+        )
+        torques = self.link_torques(angle, velocity, acceleration).reshape(5, *link.shape[1:])
+        rate = np.tensordot(_FIRST, torques, 1) / step
+        change = np.tensordot(_SECOND, torques, 1) / step**2
+        torque = torques[2]
+        torsion, torsion_rate = self._torsions(torque, rate, change)
+        motor = self.arm.motor_accelerations(link[0] + torsion)
+        turning = self.arm.motor_accelerations(link[1] + torsion_rate)
+        load = self.arm.motors_of(torque)
+        steady, dry = np.empty_like(motor), np.empty_like(motor)
+        viscous, coulomb = self._motor_friction
+        for i, (effects, joint) in enumerate(zip(self.effects, self.arm.joints, strict=True)):
+            motor[:, i], ratio = effects.motor_angle(motor[:, i], joint.gear_ratio)
+            turning[:, i] /= ratio
+            load[:, i] *= ratio
+            steady[:, i] = load[:, i] + viscous[i] * turning[:, i]
+            steady[:, i] += effects.motor_torque(motor[:, i], turning[:, i])
+            dry[:, i] = coulomb[i] + effects.dry_friction(turning[:, i], load[:, i])
+        return _Instants(link, torque, torsion, motor, turning, steady + self._offsets, dry)
+
+    @cached_property
+    def _motor_friction(self) -> tuple[FloatArray, FloatArray]:
+        return self.column("motor_viscous_friction"), self.column("motor_coulomb_friction")
+
+    @cached_property
+    def _offsets(self) -> FloatArray:
+        """f_0, zero if it is not identified: (n_joints,)."""
+        known = self.identified.values
+        numbers = range(1, self.arm.n_joints + 1)
+        return np.array([known.get(("friction_offset", number), 0.0) for number in numbers])
+
+    def _torsions(
+        self, torque: FloatArray, rate: FloatArray, change: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Torsions and their rates for gear torques with their first and second derivatives."""
+        torsion, torsion_rate = np.zeros_like(torque), np.zeros_like(torque)
+        for i, (values, damping) in self.gears.items():
+            law = self.arm.joints[i].law
+            slope = law.stiffness(values, law.torsion(values, torque[:, i]))
+            elastic = torque[:, i] - damping * rate[:, i] / slope
+            torsion[:, i] = law.torsion(values, elastic)
+            slope = law.stiffness(values, torsion[:, i])
+            torsion_rate[:, i] = (rate[:, i] - damping * change[:, i] / slope) / slope
+        return torsion, torsion_rate
+
+
+def _taylor(derivatives: FloatArray, step: float) -> FloatArray:
+    """Angle, velocity and acceleration a step [s] later: (3, n, n_joints)."""
+    powers = [step**k / math.factorial(k) for k in range(len(derivatives))]
+    return np.stack(
+        [
+            np.tensordot(powers[: len(derivatives) - order], derivatives[order:], 1)
+            for order in range(3)
+        ]
+    )
+
+
+def _mean(halves: FloatArray) -> FloatArray:
+    """Means over periods by Simpson's rule, from samples at half periods."""
+    return np.asarray((halves[:-1:2] + 4.0 * halves[1::2] + halves[2::2]) / 6.0)
+
+
+def _smooth_sign(velocity: FloatArray, transition: FloatArray) -> FloatArray:
+    """tanh(velocity / transition); zero for a joint that never moves."""
+    return np.tanh(
+        np.divide(velocity, transition, out=np.zeros_like(velocity), where=transition > 0)
+    )
+
+
+def _friction_velocity(arm: IdentifiedArm, period: float, acceleration: FloatArray) -> FloatArray:
+    """Velocity [rad/s] over which compensation changes its sign: (n_joints,)."""
+    counts = np.array([joint.encoder_resolution for joint in arm.study.arm.joints])
+    return np.asarray(np.where(counts > 0.0, counts / period, acceleration * period))
+
+
+def _friction_shares(arm: IdentifiedArm) -> FloatArray:
+    """Lower limits of Coulomb friction over the estimates: (n_joints,)."""
+    shares = np.ones(arm.study.arm.n_joints)
+    for parameter in arm.parameters:
+        if parameter.name == "motor_coulomb_friction" and parameter.ci95 and parameter.value:
+            share = parameter.ci95[0] / parameter.value
+            shares[(parameter.joint or 1) - 1] = min(max(share, 0.0), 1.0)
+    return shares
+
+
+def _checked(shares: FloatArray, n_joints: int) -> FloatArray:
+    shares = np.asarray(shares, dtype=float)
+    if shares.shape != (n_joints,) or not np.all((shares >= 0.0) & (shares <= 1.0)):
+        raise InvalidInput(
+            f"the shares of friction compensation are {shares.tolist()}",
+            remedy=f"give {n_joints} numbers from 0 to 1",
+        )
+    return shares
+
+
+def _check_shape(motion: LinkMotion, n_joints: int) -> None:
+    angle = motion.of(motion.time, 0)
+    expected = len(motion.time), n_joints
+    if angle.shape != expected or not np.isfinite(angle).all():
+        raise InvalidInput(
+            f"the motion has angles of the shape {angle.shape}, expected finite numbers of the"
+            f" shape {expected}",
+            where="motion",
+            remedy="give one column per joint",
+        )
+
+
+def _check_limits(arm: IdentifiedArm, time: FloatArray, at: _Instants) -> None:
+    """Compare a motion with the limits of the joints."""
+    for i, joint in enumerate(arm.study.arm.joints):
+        if joint.limits is None:
+            continue
+        limits, angle = joint.limits, at.link[0, :, i]
+        position, speed, force = (
+            ("m", "m/s", "N") if joint.motion == "prismatic" else ("rad", "rad/s", "N m")
+        )
+        checks = (
+            ("lower position", position, angle, limits.lower, -1.0),
+            ("upper position", position, angle, limits.upper, 1.0),
+            ("velocity", speed, np.abs(at.link[1, :, i]), limits.velocity, 1.0),
+            ("effort", force, np.abs(at.link_torque[:, i]), limits.effort, 1.0),
+        )
+        for name, unit, size, limit, sign in checks:
+            if limit is not None:
+                _check_limit(f"the {name} limit", unit, time, size, limit, i, sign)
+
+
+def _check_voltage(arm: IdentifiedArm, time: FloatArray, voltage: FloatArray) -> None:
+    servo = arm.study.arm.servo
+    if servo is not None:
+        for i, of_joint in enumerate(np.abs(voltage).T):
+            _check_limit("the voltage limit of the servo", "V", time, of_joint, servo.limit, i)
+
+
+def _check_limit(
+    name: str,
+    unit: str,
+    time: FloatArray,
+    size: FloatArray,
+    limit: float,
+    joint: int,
+    sign: float = 1.0,
+) -> None:
+    """Refuse a size beyond an upper limit, or beyond a lower one if `sign` is negative."""
+    sample = int(np.argmax(sign * size))
+    if sign * size[sample] > sign * limit:
+        raise InvalidInput(
+            f"joint {joint + 1} needs {size[sample]:.4g} {unit} at {time[sample]:.4g} s, beyond"
+            f" {name} of {limit:.4g} {unit}",
+            where="motion",
+            remedy="make the motion slower or smaller",
+        )

@@ -1,0 +1,56 @@
+"""The servo and its input shaper as a C99 header for a task of fixed period."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from strainwave.domain import FloatArray
+from strainwave.export.flat import HEADER_PREFIX
+from strainwave.export.source import Export
+from strainwave.io.templates import fill_text
+from strainwave.servo_design.design import ServoDesign
+from strainwave.servo_design.handover.shaper_summary import chosen_shaper
+from strainwave.servo_design.handover.units import Units
+
+_NOTES = (
+    "the delay from a reading to its input is a property of the task that calls the servo",
+    "the feed-forward is an argument; the header does not compute it",
+)
+
+
+def to_c_header(design: ServoDesign) -> Export:
+    """Laws of all joints, their step and reset, and the first shaper if there is one.
+
+    States beyond those of a law are zero, so that all joints have one type.
+    """
+    laws = [gains.law() for gains in design.gains]
+    n_states = max(len(law.A) for law in laws)
+    joints = []
+    for number, law in enumerate(laws, start=1):
+        n = len(law.A)
+        rows = {name: getattr(law, name) for name in "ABCDE"}
+        rows |= {"holds": law.holds.astype(int), "rest": law.rest()}
+        values = {name: _initializer(row) for name, row in rows.items()}
+        unit = Units.of(design.arm.joint(number)).input
+        name = design.arm.study.arm.joint_names[number - 1]
+        joints.append((number, name, n, unit, law.names, values))
+    text = fill_text(
+        Path(__file__).with_name("servo.h.j2"),
+        prefix=HEADER_PREFIX,
+        period=design.clock.period,
+        delay=design.clock.delay,
+        limit=design.limit,
+        n_states=n_states,
+        joints=joints,
+        shaper=chosen_shaper(design),
+        notes=_NOTES,
+        comment=lambda text: text.replace("*/", "* /"),  # which would end it
+    )
+    return Export(text.encode(), design.arm.warnings, _NOTES)
+
+
+def _initializer(values: FloatArray) -> str:
+    """Nested braces."""
+    if values.ndim == 0:
+        return repr(values.item())
+    return "{" + ", ".join(_initializer(row) for row in values) + "}"

@@ -1,0 +1,182 @@
+"""All numbers of a servo design as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from strainwave.domain import FloatArray
+from strainwave.domain.control_law import INPUTS, ControlLaw
+from strainwave.export.source import Export
+from strainwave.servo_design.closed_loop import Steps
+from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.design import JointServo, ServoDesign
+from strainwave.servo_design.handover.margin_summary import margin_summaries
+from strainwave.servo_design.handover.shaper_summary import ShaperSummary
+from strainwave.servo_design.handover.units import Units
+from strainwave.servo_design.margins import Margins
+from strainwave.servo_design.plants import Condition
+from strainwave.servo_design.shaper_ranking import RankedShaper
+
+SCHEMA = "strainwave/servo/1"
+
+_EQUATIONS = (
+    "v[k] = C x[k] + D (r[k], w[k], y[k])",
+    "u[k] = v[k] + feed_forward[k], limited to -limit ... limit",
+    "x[k+1] = A x[k] + B (r[k], w[k], y[k]) + E (u[k] - feed_forward[k])",
+    "a state that holds keeps its value while u is limited",
+    "at rest: x = rest (y, u)",
+)
+_UNITS = {
+    "period": "s",
+    "delay": "s",
+    "posture": "rad, or m of a prismatic joint",
+    "mass": "kg",
+    "xyz": "m",
+    "hz": "Hz",
+    "modes_hz": "Hz",
+    "times": "s",
+    "duration": "s",
+    "position_gain": "1/s",
+    "settling": "s",
+    "overshoot": "1",
+    "vibration": "1",
+}
+
+
+def to_json(design: ServoDesign) -> Export:
+    """Gains, filters, laws, margins, shapers and the conditions that they hold for.
+
+    A number that is not finite, such as the margin of a loop without crossing, is null.
+    """
+    options = design.options
+    document = {
+        "schema": SCHEMA,
+        "source": design.arm.source,
+        "units": _UNITS,
+        "equations": _EQUATIONS,
+        "inputs": INPUTS,
+        "period": design.clock.period,
+        "delay": design.clock.delay,
+        "limit": design.limit,
+        "required_margins": asdict(options.required),
+        "required_bandwidth_hz": options.bandwidth_hz,
+        "draws": options.draws,
+        "seed": options.seed,
+        "plants": design.n_plants,
+        "conditions": [_condition(condition) for condition in design.conditions],
+        "joints": [_joint(design, joint) for joint in design.joints],
+        "modes_hz": design.modes_hz.tolist(),
+        "shapers": [_shaper(shaper) for shaper in design.shapers],
+    }
+    text = json.dumps(_finite(document), indent=2, allow_nan=False)
+    return Export((text + "\n").encode(), design.arm.warnings)
+
+
+def _condition(condition: Condition) -> dict[str, Any]:
+    payload = condition.payload
+    return {
+        "posture": condition.posture.tolist(),
+        "payload": None if payload is None else {"mass": payload.mass, "xyz": payload.xyz},
+    }
+
+
+def _joint(design: ServoDesign, servo: JointServo) -> dict[str, Any]:
+    number = servo.joint
+    units = Units.of(design.arm.joint(number))
+    current = None
+    if servo.current is not None:
+        results = servo.current_results
+        current = {
+            **_gains(servo.current),
+            "is_stable": results is not None,
+            "margins": results and _margins(design, results.margins),
+            "step": results and _step(results.steps),
+        }
+    return {
+        "joint": number,
+        "name": design.arm.study.arm.joint_names[number - 1],
+        "units": {
+            "motor_angle": units.angle,
+            "limit": units.input,
+            "kp": units.kp,
+            "ki": units.ki,
+        },
+        **_gains(servo.tuned.gains),
+        "filters": [asdict(one) for one in servo.tuned.gains.filters],
+        "law": _law(servo.tuned.gains.law()),
+        "bandwidth_is_limited_by": servo.tuned.limit,
+        "margins": _margins(design, servo.results.margins),
+        "step": _step(servo.results.steps),
+        "current": current,
+    }
+
+
+def _gains(gains: Gains) -> dict[str, float]:
+    return {"kp": gains.kp, "ki": gains.ki, "position_gain": gains.position_gain}
+
+
+def _law(law: ControlLaw) -> dict[str, Any]:
+    return {
+        "states": law.names,
+        **{name: getattr(law, name).tolist() for name in "ABCDE"},
+        "holds": law.holds.tolist(),
+        "rest": law.rest().tolist(),
+    }
+
+
+def _margins(design: ServoDesign, margins: Margins) -> dict[str, Any]:
+    """By name: the smallest margin, its frequency and plant, and the median of all plants."""
+    return {
+        one.name: {
+            "unit": one.unit,
+            "required": one.required,
+            "worst": one.least,
+            "worst_hz": one.hz,
+            "worst_condition": int(design.condition[one.plant]),
+            "worst_draw": int(design.draw[one.plant]),
+            "median": one.median,
+        }
+        for one in margin_summaries(margins, design.options.required)
+    }
+
+
+def _step(steps: Steps) -> dict[str, Any]:
+    """Settling and overshoot of the link after a step of the reference angle."""
+    return {
+        "settling": _worst_and_median(steps.settling),
+        "overshoot": _worst_and_median(steps.overshoot),
+    }
+
+
+def _worst_and_median(values: FloatArray) -> dict[str, float]:
+    return {"worst": float(values.max()), "median": float(np.median(values))}
+
+
+def _shaper(ranked: RankedShaper) -> dict[str, Any]:
+    summary = ShaperSummary.of(ranked)
+    return {
+        "parts": [
+            {"kind": one.kind, "hz": one.omega / (2.0 * np.pi), "damping": one.damping}
+            for one in ranked.shapers
+        ],
+        "samples": summary.samples,
+        "times": summary.times,
+        "amplitudes": summary.amplitudes,
+        "duration": summary.duration,
+        "vibration": summary.vibration,
+        "is_sufficient": ranked.is_sufficient,
+    }
+
+
+def _finite(value: Any) -> Any:
+    """The document with null for numbers that JSON lacks."""
+    if isinstance(value, Mapping):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -1,0 +1,46 @@
+"""The servo as objects of python-control."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from strainwave.domain.control_law import INPUTS, ControlLaw
+from strainwave.errors import import_optional
+from strainwave.servo_design.design import ServoDesign
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+
+def state_names(law: ControlLaw) -> list[str]:
+    """Names of the states of a law as identifiers."""
+    return [re.sub(r"\W+", "_", name) for name in law.names]
+
+
+def controllers(design: ServoDesign) -> list[StateSpace]:
+    """Discrete state-space system of each joint: `INPUTS` to `voltage`, not limited.
+
+    The limit, the hold of integrators and the feed-forward are not linear parts of the law and are
+    absent. Raises `InvalidInput` if python-control is missing.
+    """
+    control = import_optional("control", "a controller as state-space object", "control")
+    systems = []
+    for number, gains in enumerate(design.gains, start=1):
+        law = gains.law()
+        systems.append(
+            control.ss(
+                law.A + np.outer(law.E, law.C),
+                law.B + np.outer(law.E, law.D),
+                law.C[None],
+                law.D[None],
+                dt=gains.period,
+                name=f"servo_{number}",
+                states=state_names(law),
+                inputs=list(INPUTS),
+                outputs=["voltage"],
+            )
+        )
+    return systems

@@ -1,0 +1,233 @@
+"""Linear arms behind their drives, for drawn parameters, postures, payloads and gear slopes.
+
+With the coordinates p of `strainwave.export.coordinates`, a deviation from rest follows
+
+    M ddp + D dp + K p = P tau_M
+
+M has the motor inertias and M(q), K the gears and the slope of gravity, and P transmits torques to
+motors behind rigid gears. Coulomb friction is neglected: it damps, so that the margins are those
+of joints that slide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from strainwave.domain import ComplexArray, FloatArray, IntArray, Payload
+from strainwave.domain.keys import Values
+from strainwave.dynamics.arm import Arm
+from strainwave.export.coordinates import coordinates_of
+from strainwave.export.source import IdentifiedArm
+from strainwave.io.joint_covariance import JointCovariance
+from strainwave.servo_design.payload_motion import payload_motion, payload_torques
+
+_MAX_STDS = 4.0  # of a drawn parameter from its estimate
+_MIN_SHARE = 0.01  # of the estimate, the smallest value drawn for a positive parameter
+_GRAVITY_STEP = 1e-3  # [rad] of central differences; gravity is smooth
+_RIGID_SHARE = 1e-3  # of the highest frequency, below which a mode has no torsion
+_SIGNED = ("friction_offset",)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Condition:
+    """A posture and a load for which a servo must hold."""
+
+    posture: FloatArray  # link angles (n_joints,)
+    payload: Payload | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plants:
+    """Linear arms: matrices over the coordinates, motors and drives."""
+
+    mass: FloatArray  # (n_plants, n, n)
+    damping: FloatArray  # (n_plants, n, n)
+    stiffness: FloatArray  # (n_plants, n, n)
+    motors: FloatArray  # (n_joints, n) motor angles per coordinate
+    links: FloatArray  # (n_joints, n) link angles per coordinate
+    rigid: FloatArray  # (n, n_joints) coordinates per motor angle, without torsion
+    torque_per_volt: FloatArray  # (n_joints,) [N m/V]
+    current_loop: FloatArray  # (n_joints,) [rad/s]; infinite without a lag
+    draw: IntArray  # (n_plants,) drawn parameters; 0 are the estimates
+    condition: IntArray  # (n_plants,)
+
+    def __len__(self) -> int:
+        return len(self.mass)
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints."""
+        return len(self.motors)
+
+    def responses(self, omega: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Responses of motor angles and link angles to voltages, at frequencies [rad/s].
+
+        Each has the shape (n_plants, n_omega, n_joints, n_joints): by angle, then by voltage.
+        """
+        s = 1j * omega[:, None, None]
+        system = s**2 * self.mass[:, None] + s * self.damping[:, None] + self.stiffness[:, None]
+        drive = self.torque_per_volt / (1.0 + 1j * omega[:, None] / self.current_loop)
+        inputs = self.motors.T * drive[:, None, :]
+        angles = np.linalg.solve(system, np.broadcast_to(inputs, (len(self), *inputs.shape)))
+        return np.asarray(self.motors @ angles), np.asarray(self.links @ angles)
+
+    def motor_inertias(self) -> FloatArray:
+        """Inertia that each motor accelerates in the first instant: (n_plants, n_joints)."""
+        compliance = self.motors @ np.linalg.solve(self.mass, np.broadcast_to(
+            self.motors.T, (len(self), *self.motors.T.shape)
+        ))  # fmt: skip
+        return np.asarray(1.0 / np.diagonal(compliance, axis1=1, axis2=2))
+
+    def rigid_inertias(self) -> FloatArray:
+        """Inertia at each motor without torsion, the others locked: (n_plants, n_joints)."""
+        inertia = np.swapaxes(self.rigid, 0, 1) @ self.mass @ self.rigid
+        return np.asarray(np.diagonal(inertia, axis1=1, axis2=2))
+
+    def resonances(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Elastic modes with free motors: (frequencies [rad/s], damping ratios) of all plants."""
+        return self._oscillations(np.arange(self.mass.shape[1]))
+
+    def locked_resonances(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Modes of the links while the motors are held: those that an ideal servo leaves."""
+        return self._oscillations(np.flatnonzero(~self.motors.any(axis=0)))
+
+    def _oscillations(self, free: IntArray) -> list[tuple[FloatArray, FloatArray]]:
+        """Modes of some coordinates, slowest first, while the others are at rest."""
+        if not len(free):
+            return []
+        at = np.ix_(np.arange(len(self)), free, free)
+        root = np.linalg.inv(np.linalg.cholesky(self.mass[at]))
+        turned = np.swapaxes(root, 1, 2)
+        squares, vectors = np.linalg.eigh(root @ self.stiffness[at] @ turned)
+        shapes = turned @ vectors  # of unit modal mass
+        damping = np.einsum("pci,pcd,pdi->pi", shapes, self.damping[at], shapes, optimize=True)
+        omega = np.sqrt(np.maximum(squares, 0.0))
+        moving = omega.min(axis=0) > _RIGID_SHARE * omega.max()
+        return [(omega[:, k], 0.5 * damping[:, k] / omega[:, k]) for k in np.flatnonzero(moving)]
+
+
+def plants_of(
+    arm: IdentifiedArm,
+    draws: Sequence[Values],
+    conditions: Sequence[Condition],
+) -> Plants:
+    """Plants of all draws in all conditions, with the lowest and highest slope of curved gears.
+
+    `draws` begin with the estimates. Raises `InvalidInput` if a parameter is missing or not
+    physical.
+    """
+    description, model = arm.study.arm, Arm.of(arm.study.arm)
+    coordinates = coordinates_of(description)
+    motors, torsions = coordinates.motor_angles, coordinates.torsions
+    n, size = description.n_joints, motors.shape[1]
+    links = np.eye(n, size, k=size - n)
+    numbers = range(1, n + 1)
+    laws = [(number, arm.joint(number).law) for number in coordinates.elastic]
+    slopes = (0, 1) if any(law.is_curved for _, law in laws) else (1,)
+    base_names, effective = model.base_names, model.base.effective
+    parts: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+    places = []
+    for (d, values), slope in product(enumerate(draws), slopes):
+
+        def column(name: str, values: Values = values) -> FloatArray:
+            return np.array([values[name, number] for number in numbers])
+
+        gears = np.array(
+            [law.stiffness_range(law.of_joint(values, number))[slope] for number, law in laws]
+        )
+        gear_damping = np.array([values["gear_damping", number] for number, _ in laws])
+        base = np.array([values[key] if key in effective else 0.0 for key in base_names])
+        damping = _form(motors, column("motor_viscous_friction"))
+        damping += _form(torsions, gear_damping) + _form(links, column("link_viscous_friction"))
+        of_motors, of_gears = _form(motors, column("motor_inertia")), _form(torsions, gears)
+        for c, condition in enumerate(conditions):
+            inertia, gravity = _links_at(model, base, condition)
+            parts.append(
+                (
+                    of_motors + links.T @ inertia @ links,
+                    damping,
+                    of_gears + links.T @ gravity @ links,
+                )
+            )
+            places.append((d, c))
+    mass, damping, stiffness = (np.array(part) for part in zip(*parts, strict=True))
+    loops = [joint.current_loop_hz for joint in description.joints]
+    rigid = np.zeros((size, n))
+    rigid[: size - n] = np.eye(n)[np.array(coordinates.elastic, dtype=int) - 1]
+    rigid[size - n :] = model.transmission
+    draw, condition_index = np.array(places).T
+    return Plants(
+        mass=mass,
+        damping=damping,
+        stiffness=stiffness,
+        motors=motors,
+        links=links,
+        rigid=rigid,
+        torque_per_volt=model.torque_per_volt,
+        current_loop=np.array([2.0 * np.pi * hz if hz else np.inf for hz in loops]),
+        draw=draw,
+        condition=condition_index,
+    )
+
+
+def _form(rows: FloatArray, weights: FloatArray) -> FloatArray:
+    """Quadratic form of weighted rows over the coordinates."""
+    return np.asarray(rows.T @ (weights[:, None] * rows))
+
+
+def _links_at(model: Arm, base: FloatArray, condition: Condition) -> tuple[FloatArray, FloatArray]:
+    """M(q) and dg/dq with a payload, both (n_joints, n_joints)."""
+    n, q = model.n_joints, condition.posture
+    inertia = model.inertia_matrix(base, q)
+    postures = np.concatenate([q + sign * _GRAVITY_STEP * np.eye(n) for sign in (1.0, -1.0)])
+    rest = np.zeros_like(postures)
+    torques = model.link_torques(base, postures, rest, rest)
+    if condition.payload is not None:
+        torques = torques + payload_torques(model, condition.payload, postures, rest, rest)
+        jacobian, _ = payload_motion(
+            model, condition.payload, *np.stack([q, 0 * q, 0 * q])[:, None]
+        )
+        inertia = inertia + condition.payload.mass * jacobian[0].T @ jacobian[0]
+    ahead, behind = torques[:n], torques[n:]
+    return inertia, ((ahead - behind) / (2.0 * _GRAVITY_STEP)).T
+
+
+def drawn_values(
+    arm: IdentifiedArm, covariance: JointCovariance | None, n_draws: int, rng: np.random.Generator
+) -> list[Values]:
+    """The estimates, then draws from their joint covariance.
+
+    Parameters outside the covariance are drawn from their own intervals, independently. Draws are
+    limited to `_MAX_STDS` standard deviations, and positive parameters stay positive.
+    """
+    estimates = arm.values
+    std = {p.label: p.std for p in arm.parameters if p.value is not None and p.std is not None}
+    keys = {p.label: p.key for p in arm.parameters if p.value is not None}
+    names = [] if covariance is None else [name for name in covariance.names if name in keys]
+    at = [] if covariance is None else [covariance.names.index(name) for name in names]
+    root = np.zeros((0, 0))
+    if covariance is not None and names:
+        squares, vectors = np.linalg.eigh(covariance.matrix[np.ix_(at, at)])
+        root = vectors * np.sqrt(np.clip(squares, 0.0, None))
+    others = [name for name in std if name not in names]
+    draws = [estimates]
+    for _ in range(n_draws):
+        unit = np.clip(rng.standard_normal(len(names)), -_MAX_STDS, _MAX_STDS)
+        changes = dict(zip(names, (root @ unit).tolist(), strict=True)) if names else {}
+        own = np.clip(rng.standard_normal(len(others)), -_MAX_STDS, _MAX_STDS).tolist()
+        changes |= {name: std[name] * x for name, x in zip(others, own, strict=True)}
+        draws.append(dict(_changed(estimates, {keys[n]: x for n, x in changes.items()})))
+    return draws
+
+
+def _changed(estimates: Values, changes: Values) -> Iterator[tuple[tuple[str, int | None], float]]:
+    """The estimates with changes; positive parameters stay positive."""
+    for key, value in estimates.items():
+        changed = value + changes.get(key, 0.0)
+        if value > 0.0 and key[0] not in _SIGNED:
+            changed = max(changed, _MIN_SHARE * value)
+        yield key, changed

@@ -1,0 +1,1 @@
+"""A servo design in the terminal and as a page."""

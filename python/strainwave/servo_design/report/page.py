@@ -1,0 +1,222 @@
+"""The report of a servo design: one self-contained page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from strainwave.presentation.report.blocks import (
+    Block,
+    Callout,
+    Facts,
+    Plot,
+    Row,
+    Section,
+    Span,
+    number,
+    paragraph,
+    table,
+)
+from strainwave.presentation.report.document import document
+from strainwave.servo_design.design import ServoDesign
+from strainwave.servo_design.report import figures, words
+
+
+def render(design: ServoDesign) -> str:
+    """The design as a page that needs no network."""
+    arm = design.arm
+    sections = (
+        Section("scope", "Scope of the design", tuple(_scope(design))),
+        Section("current", "Current servo", tuple(_current(design))),
+        Section("designed", "Designed servo", tuple(_designed(design))),
+        Section("loops", "Open loops", tuple(_loops(design))),
+        Section("steps", "Steps of the links", tuple(_steps(design))),
+        Section("shapers", "Input shapers", tuple(_shapers(design))),
+        Section("moves", "Moves", tuple(_moves(design))),
+        Section("margins", "Meaning of the margins", tuple(_meaning(design))),
+        Section("trial", "First trial on the rig", tuple(_trial(design))),
+    )
+    n = len(design.joints)
+    subtitle = f"{arm.source}: {n} joint{'s' if n > 1 else ''}, {design.n_plants} plants"
+    return document("Servo design", subtitle, sections, before=(_headline(design),))
+
+
+def _headline(design: ServoDesign) -> Callout:
+    required = design.options.required
+    lead = (
+        f"The designed servos keep a gain margin of {required.gain_db:g} dB, a phase margin of "
+        f"{required.phase_deg:g} degrees and a modulus margin of {required.modulus:g} for all "
+        f"{design.n_plants} plants."
+    )
+    limits = [words.limit_sentence(design, joint) for joint in design.joints]
+    return Callout(
+        "good",
+        (
+            paragraph(Span(lead, strong=True)),
+            *(paragraph(f"{limit[0].upper()}{limit[1:]}.") for limit in limits),
+        ),
+    )
+
+
+def _scope(design: ServoDesign) -> Iterator[Block]:
+    clock, options = design.clock, design.options
+    limit = f"{design.limit:g} {words.input_unit(design)}"
+    if design.arm.study.arm.servo is None:
+        limit = f"{limit}, assumed" if math.isfinite(design.limit) else "not known"
+    yield Facts(
+        (
+            ("parameters", f"the estimates and {options.draws} draws of them, seed {options.seed}"),
+            ("plants", f"{design.n_plants}: draws, conditions, lowest and highest gear slope"),
+            ("servo period", f"{1e3 * clock.period:g} ms"),
+            ("delay", f"{1e3 * clock.delay:g} ms from an encoder reading to its voltage"),
+            ("limit of the drives", limit),
+        )
+    )
+    joints = range(1, len(design.joints) + 1)
+    has_load = bool(options.payloads)
+    heads: Row = (
+        "condition",
+        *(number(f"joint {i} [{_unit(design, i)}]") for i in joints),
+        *((number("payload [kg]"), "centre of mass [m]") if has_load else ()),
+    )
+    rows: list[Row] = []
+    for k, condition in enumerate(design.conditions, start=1):
+        load = condition.payload
+        mass, centre = (f"{load.mass:g}", load.xyz) if load else ("0", ())
+        rows.append(
+            (
+                str(k),
+                *(number(f"{angle:.3g}") for angle in condition.posture),
+                *((number(mass), ", ".join(f"{x:g}" for x in centre)) if has_load else ()),
+            )
+        )
+    yield from table("Postures and payloads", heads, rows)
+
+
+def _unit(design: ServoDesign, joint: int) -> str:
+    return "m" if design.arm.study.arm.joints[joint - 1].motion == "prismatic" else "rad"
+
+
+def _current(design: ServoDesign) -> Iterator[Block]:
+    sentences = list(words.current_sentences(design))
+    if not sentences:
+        yield paragraph(
+            "The study has no servo. Add a [servo] table, or give --study, to compare it."
+        )
+    for sentence in sentences:
+        yield paragraph(f"{sentence[0].upper()}{sentence[1:]}.")
+
+
+def _designed(design: ServoDesign) -> Iterator[Block]:
+    yield from table("Gains", words.servo_heads(design), words.gain_rows(design))
+    yield from table(
+        "Behaviour, worst over all plants", words.BEHAVIOUR_HEADS, words.behaviour_rows(design)
+    )
+    yield paragraph(
+        "u = F (kp e + ki integral(e)), e = velocity reference + position gain (angle reference - "
+        "angle) - velocity, at the motor; F are the filters. Overshoot and settling are those of a "
+        "linear step."
+    )
+    yield from table("Worst margins", words.MARGIN_HEADS, words.margin_rows(design))
+
+
+def _loops(design: ServoDesign) -> Iterator[Block]:
+    caption = (
+        "Lines: the estimates in the first posture. Bands: smallest and largest value over all "
+        "plants. The other joints' loops are closed. The smallest |1 + L| is the modulus margin."
+    )
+    for joint in design.joints:
+        title = f"Joint {joint.joint}: open loop"
+        yield Plot(
+            f"loop {joint.joint}",
+            title,
+            figures.loops_of(joint, design.options.required.modulus),
+            caption,
+        )
+
+
+def _steps(design: ServoDesign) -> Iterator[Block]:
+    caption = "Linear response to a step of the reference angle; bands cover all plants."
+    for joint in design.joints:
+        text = caption
+        if joint.current is not None and not joint.current.position_gain:
+            text += (
+                " The current servo has no position loop: its velocity reference is one pulse of "
+                "the same angle."
+            )
+        title = f"Joint {joint.joint}: step of the link"
+        yield Plot(f"step {joint.joint}", title, figures.steps_of(joint), text)
+
+
+def _shapers(design: ServoDesign) -> Iterator[Block]:
+    if not design.shapers:
+        yield paragraph("No elastic mode remains while the motors are held: no shaper is needed.")
+        return
+    modes = "; ".join(
+        f"mode {k}: {words.mode_words(interval)}"
+        for k, interval in enumerate(design.modes_hz, start=1)
+    )
+    yield paragraph(
+        "A shaper replaces the reference by delayed shares of it, so that the links do not vibrate "
+        f"after a move. Central 95 % of the frequencies with held motors: {modes}."
+    )
+    yield from table("Shapers, best first", words.SHAPER_HEADS, words.shaper_rows(design))
+    yield Plot(
+        "shapers",
+        "Residual vibration over the frequency",
+        figures.shapers_of(design),
+        "Vibration after a shaped step, as a share of that after an unshaped one. Grey: the "
+        "central 95 % of each mode over all plants.",
+    )
+
+
+def _moves(design: ServoDesign) -> Iterator[Block]:
+    if design.refusal:
+        yield paragraph(f"No moves are compared: {design.refusal}.")
+        return
+    yield paragraph(
+        "Both moves use the designed gains: a step of the reference angle, and a smooth planned "
+        "move with the feed-forward of the elastic arm. The simulation has Coulomb friction, the "
+        "whole curve of the gear, encoder counts and the voltage limit."
+    )
+    yield from table(words.move_title(), words.move_heads(design), words.move_rows(design))
+    for move in design.moves:
+        title = f"Joint {move.joint}: step and planned move"
+        yield Plot(f"move {move.joint}", title, figures.moves_of(move))
+
+
+def _meaning(design: ServoDesign) -> Iterator[Block]:
+    required = design.options.required
+    yield paragraph(
+        f"The gain margin is the change of the loop gain that makes the loop unstable: "
+        f"{required.gain_db:g} dB allow a factor of {10.0 ** (required.gain_db / 20.0):.2g}. "
+        f"The phase margin is the additional phase lag that does so, for example from a longer "
+        f"delay. The modulus margin is the smallest distance of the loop from -1: disturbances "
+        f"are amplified by at most {1.0 / required.modulus:.2g} at any frequency."
+    )
+
+
+def _trial(design: ServoDesign) -> Iterator[Block]:
+    yield paragraph(
+        "1. Keep the emergency stop within reach, clear the workspace of people, and set the "
+        "voltage limit and the limits of angle and velocity in the drive."
+    )
+    share = 100.0 * design.first_share
+    yield paragraph(
+        f"2. Start with the gains of the table, which have {share:.0f} % of the designed "
+        "bandwidth and stabilise all plants, and with all filters, at the first posture "
+        "without a payload."
+    )
+    heads: Row = ("joint", *words.gain_heads(design))
+    firsts = [gains.slowed(design.first_share) for gains in design.gains]
+    rows: list[Row] = [(str(i), *words.gain_cells(each)) for i, each in enumerate(firsts, start=1)]
+    yield from table("First gains", heads, rows)
+    yield paragraph(
+        "3. Move each joint by 0.05 rad. Stop if the motor hums, if the voltage alternates at its "
+        "limit, or if the motion does not decay."
+    )
+    yield paragraph(
+        "4. Raise kp and the position gain by at most a factor of 1.5 at a time, and ki by its "
+        "square, up to the designed values. Repeat the moves in all postures, then with the "
+        "payloads."
+    )

@@ -1,0 +1,250 @@
+"""Phrases and tables that the page and the terminal share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from strainwave.domain import FloatArray
+from strainwave.presentation.report.blocks import Cell, Row, number, prose
+from strainwave.servo_design.cascade_tuning import MAX_RIPPLE_SHARE
+from strainwave.servo_design.control_law import Biquad, Gains
+from strainwave.servo_design.design import JointServo, LoopResults, ServoDesign
+from strainwave.servo_design.margins import Margins
+from strainwave.servo_design.shaper_ranking import RankedShaper
+from strainwave.servo_design.verification import MOVE, Move
+
+N_SHOWN_SHAPERS = 5
+
+_NEGLIGIBLE = 1e-4  # share of a step
+
+BEHAVIOUR_HEADS: Row = (
+    "joint",
+    "servo",
+    *map(number, ("bandwidth [Hz]", "overshoot [%]", "settling [s]")),
+)
+MARGIN_HEADS: Row = ("joint", "margin", *map(number, ("worst", "required", "at [Hz]")), "plant")
+SHAPER_HEADS: Row = (
+    "shaper",
+    *map(number, ("at [Hz]", "duration [ms]", "vibration [%]")),
+    "use",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class WorstMargin:
+    """The smallest margin of one kind over all plants."""
+
+    name: str
+    value: float
+    required: float
+    unit: str
+    hz: float
+    plant: int  # index
+
+
+def worst_margins(design: ServoDesign, margins: Margins) -> tuple[WorstMargin, ...]:
+    """Gain, phase and modulus margin, each at its own worst plant."""
+    required = design.options.required
+    kinds = (
+        ("gain", margins.gain_db, margins.gain_hz, required.gain_db, "dB"),
+        ("phase", margins.phase_deg, margins.phase_hz, required.phase_deg, "degrees"),
+        ("modulus", margins.modulus, margins.modulus_hz, required.modulus, ""),
+    )
+    return tuple(
+        WorstMargin(name, float(values[k := int(np.argmin(values))]), limit, unit, float(hz[k]), k)
+        for name, values, hz, limit, unit in kinds
+    )
+
+
+def current_sentences(design: ServoDesign) -> Iterator[str]:
+    """Margins of the servo in the study; none if there is no servo."""
+    if design.n_unstable:
+        yield f"your servo is unstable for {design.n_unstable} of {design.n_plants} plants"
+    for joint in design.joints:
+        if joint.current_results is None:
+            return
+        margins = joint.current_results.margins
+        gain, phase, modulus = worst_margins(design, margins)
+        bandwidth = float(margins.bandwidth_hz.min())
+        yield (
+            f"your servo: joint {joint.joint} has {_at(gain)}, {_at(phase)}, "
+            f"modulus {modulus.value:.2g}, bandwidth {bandwidth:.3g} Hz"
+        )
+
+
+def _at(margin: WorstMargin) -> str:
+    if not math.isfinite(margin.value):
+        return f"no limit of the {margin.name}"
+    return f"{margin.value:.3g} {margin.unit} at {margin.hz:.3g} Hz"
+
+
+def limit_sentence(design: ServoDesign, joint: JointServo) -> str:
+    """What prevents a higher bandwidth of a joint."""
+    if joint.tuned.limit == "encoder":
+        counts = design.arm.study.arm.joints[joint.joint - 1].encoder_counts
+        return (
+            f"joint {joint.joint} is limited by its encoder of {counts:g} counts per turn: with a "
+            f"higher gain, one count changes the voltage by more than {100 * MAX_RIPPLE_SHARE:g}"
+            "\N{NO-BREAK SPACE}% of its limit"
+        )
+    worst = min(worst_margins(design, joint.results.margins), key=lambda m: m.value / m.required)
+    return (
+        f"joint {joint.joint} is limited by its {worst.name} margin at {worst.hz:.3g} Hz, "
+        f"{plant_words(design, worst.plant)}"
+    )
+
+
+def plant_words(design: ServoDesign, plant: int) -> str:
+    """Draw, posture and payload of a plant."""
+    condition = design.conditions[design.condition[plant]]
+    draw = int(design.draw[plant])
+    words = [f"posture ({', '.join(f'{angle:.2g}' for angle in condition.posture)})"]
+    if condition.payload is not None:
+        words.append(f"payload {condition.payload.mass:g} kg")
+    words.append(f"draw {draw}" if draw else "estimates")
+    return ", ".join(words)
+
+
+def input_unit(design: ServoDesign) -> str:
+    """Unit of the drives' inputs."""
+    units = {
+        "V" if joint.torque_per_volt is not None else "N m" if joint.motion == "revolute" else "N"
+        for joint in design.arm.study.arm.joints
+    }
+    return " or ".join(sorted(units))
+
+
+def gain_heads(design: ServoDesign) -> tuple[Cell, ...]:
+    """Heads of gains with units."""
+    unit = input_unit(design)
+    return tuple(map(number, (f"kp [{unit} s/rad]", f"ki [{unit}/rad]", "position [1/s]")))
+
+
+def servo_heads(design: ServoDesign) -> Row:
+    """Heads of the table of gains."""
+    return ("joint", "servo", *gain_heads(design), "filters")
+
+
+def gain_cells(gains: Gains) -> tuple[Cell, ...]:
+    """Gains under `gain_heads`."""
+    return tuple(number(f"{x:.4g}") for x in (gains.kp, gains.ki, gains.position_gain))
+
+
+def gain_rows(design: ServoDesign) -> Iterator[Row]:
+    """Designed and current gains of each joint."""
+    for joint, servo, gains, _ in _servos(design):
+        yield (
+            joint,
+            servo,
+            *gain_cells(gains),
+            prose(", ".join(map(filter_words, gains.filters)) or "none"),
+        )
+
+
+def behaviour_rows(design: ServoDesign) -> Iterator[Row]:
+    """Bandwidth and step of each joint, designed and current."""
+    for joint, servo, _, results in _servos(design):
+        yield (
+            joint,
+            servo,
+            number(f"{results.margins.bandwidth_hz.min():.3g}"),
+            number(percent(float(results.steps.overshoot.max()))),
+            number(seconds(float(results.steps.settling.max()))),
+        )
+
+
+def _servos(design: ServoDesign) -> Iterator[tuple[str, str, Gains, LoopResults]]:
+    """Joint, name, gains and results of all servos."""
+    for joint in design.joints:
+        yield str(joint.joint), "designed", joint.tuned.gains, joint.results
+        if joint.current is not None and joint.current_results is not None:
+            yield str(joint.joint), "current", joint.current, joint.current_results
+
+
+def filter_words(one: Biquad) -> str:
+    """Kind and frequency of a filter."""
+    if one.kind == "notch":
+        return f"notch {one.hz:.3g} Hz, width {one.width:.2g}, depth {one.depth:.2g}"
+    return f"{one.kind} {one.hz:.3g} Hz"
+
+
+def margin_rows(design: ServoDesign) -> Iterator[Row]:
+    """Worst margins of the designed loops."""
+    for joint in design.joints:
+        for worst in worst_margins(design, joint.results.margins):
+            is_finite = math.isfinite(worst.value)
+            yield (
+                str(joint.joint),
+                f"{worst.name} [{worst.unit}]" if worst.unit else worst.name,
+                number(f"{worst.value:.3g}" if is_finite else "no limit"),
+                number(f"{worst.required:g}"),
+                number(f"{worst.hz:.3g}" if is_finite else ""),
+                prose(plant_words(design, worst.plant) if is_finite else ""),
+            )
+
+
+def shaper_name(ranked: RankedShaper) -> str:
+    """Kinds of the shapers of one candidate."""
+    return " and ".join(str(shaper.kind) for shaper in ranked.shapers)
+
+
+def shaper_rows(design: ServoDesign) -> Iterator[Row]:
+    """The best shapers, the recommended one first."""
+    for k, ranked in enumerate(design.shapers[:N_SHOWN_SHAPERS]):
+        verdict = "possible" if ranked.is_sufficient else "vibrates"
+        yield (
+            shaper_name(ranked),
+            number(", ".join(f"{s.omega / (2.0 * math.pi):.3g}" for s in ranked.shapers)),
+            number(f"{1e3 * ranked.impulses.duration:.0f}"),
+            number(percent(ranked.vibration)),
+            Cell("recommended" if k == 0 and ranked.is_sufficient else verdict),
+        )
+
+
+def move_heads(design: ServoDesign) -> Row:
+    """Heads of the table of moves."""
+    names = ("lasts [s]", "settling [s]", "overshoot [%]", "vibration [%]")
+    return ("joint", "move", *map(number, names), number(f"peak [{input_unit(design)}]"))
+
+
+def move_rows(design: ServoDesign) -> Iterator[Row]:
+    """Behaviour of each joint after a step and in the planned move."""
+    for move in design.moves:
+        yield str(move.joint), "step", number("0"), *_move_cells(move.step)
+        lasts = number(f"{move.duration:.3g}")
+        yield str(move.joint), "planned", lasts, *_move_cells(move.planned)
+
+
+def _move_cells(move: Move) -> tuple[Cell, ...]:
+    return (
+        number(seconds(move.settling)),
+        number(percent(move.overshoot)),
+        number(percent(move.vibration)),
+        number(f"{move.peak_voltage:.2g}"),
+    )
+
+
+def move_title() -> str:
+    """Title of the table of moves."""
+    return f"Moves of {MOVE:g} rad (or m): a step of the reference, then planned with feed-forward"
+
+
+def percent(share: float) -> str:
+    """A share [%] with two digits, or that it is negligible."""
+    if share < _NEGLIGIBLE:
+        return "0" if share == 0.0 else f"< {100.0 * _NEGLIGIBLE:g}"
+    return f"{100.0 * share:.2g}"
+
+
+def seconds(value: float) -> str:
+    """A duration; text if it is infinite."""
+    return f"{value:.3g}" if math.isfinite(value) else "does not settle"
+
+
+def mode_words(interval: FloatArray) -> str:
+    """A mode's interval."""
+    return f"{interval[0]:.3g} to {interval[1]:.3g} Hz"

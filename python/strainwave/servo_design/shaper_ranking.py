@@ -1,0 +1,178 @@
+"""Choice of input shapers for modes that vary over draws, postures and payloads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import reduce
+from heapq import nsmallest
+from itertools import islice, product
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from strainwave.domain import FloatArray
+from strainwave.errors import InvalidInput
+from strainwave.servo_design.shapers import (
+    MIN_TOLERANCE,
+    TOLERANT,
+    Impulses,
+    Shaper,
+    ShaperKind,
+    check_modes,
+    check_period,
+    design_shaper,
+    has_design,
+)
+
+COVERAGE = 0.95
+"""Share of a mode's frequencies that its interval covers."""
+
+_MAX_TOLERANCE = 0.5  # of an extra-insensitive shaper, which hardly attenuates beyond
+_N_FREQUENCIES = 101  # of an interval; a shaper has at most three zeros in it
+_N_RANKED = 35  # candidates: all for two modes
+_N_STARTS = 17  # of a search over frequencies or tolerances, which has few minima
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RankedShaper:
+    """Shapers that together form one candidate."""
+
+    shapers: tuple[Shaper, ...]  # at most one per mode
+    impulses: Impulses  # on the clock of the servo
+    vibration: float  # the largest share of residual vibration over the modes' intervals
+    is_sufficient: bool  # whether the vibration is within the requirement
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Interval:
+    """Frequencies that a mode may have, and damping ratios at them."""
+
+    omega: FloatArray
+    damping: FloatArray
+
+    @staticmethod
+    def of(omega: FloatArray, damping: FloatArray) -> _Interval:
+        """The central `COVERAGE` of drawn modes, and frequencies between the draws."""
+        tail = 0.5 * (1.0 - COVERAGE)
+        low, high = np.quantile(omega, [tail, 1.0 - tail])
+        order = np.argsort(omega)
+        inside = omega[(omega >= low) & (omega <= high)]
+        grid = np.unique(np.concatenate([inside, np.linspace(low, high, _N_FREQUENCIES)]))
+        return _Interval(grid, np.interp(grid, omega[order], damping[order]))
+
+    @property
+    def middle_damping(self) -> float:
+        """Damping ratio for which shapers are designed."""
+        return 0.5 * float(self.damping.min() + self.damping.max())
+
+
+def rank_shapers(
+    omega: FloatArray, damping: FloatArray, period: float, required: float = 0.05
+) -> list[RankedShaper]:
+    """Shapers for drawn modes on a clock of a `period` [s], the best first.
+
+    `omega` [rad/s] and `damping` are (n_draws,) of one mode or (n_modes, n_draws). First are those
+    that keep the residual vibration within the share `required` over the central 95 % of every
+    mode's frequencies, the shortest first; then the others, those with the least vibration first.
+    The design frequency of a shaper, and the tolerance of an extra-insensitive one, are those for
+    which the largest vibration over the interval of its mode is least.
+
+    Several modes have the convolution of their shapers; a mode may have none if the shapers of the
+    others suffice. Raises `InvalidInput` if a mode does not oscillate, or too fast for the clock.
+    """
+    omega, damping = check_modes(np.atleast_2d(omega), np.atleast_2d(damping))
+    if omega.ndim != 2 or not omega.size:
+        raise InvalidInput(
+            f"modes have the shape {omega.shape}, expected (n_modes, n_draws) with at least one",
+            remedy="an arm without elastic modes needs no shaper",
+        )
+    if not 0.0 < required < 1.0:
+        raise InvalidInput(f"the required vibration {required:g} is not between 0 and 1")
+    intervals = [_Interval.of(*mode) for mode in zip(omega, damping, strict=True)]
+    for interval in intervals:
+        check_period(period, interval.omega, interval.damping)
+    choices = [_choices(one, intervals, period) for one in intervals]
+    combinations = islice(product(*choices), 1, None)  # the first has no shaper
+    return nsmallest(
+        _N_RANKED,
+        (_combined(parts, period, required) for parts in combinations),
+        key=lambda r: (max(r.vibration, required), r.impulses.duration, r.vibration),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Choice:
+    """A shaper for one mode, or none."""
+
+    shaper: Shaper | None
+    weights: FloatArray  # (n_samples,)
+    vibration: FloatArray  # of all modes, over their intervals
+
+
+def _choices(mode: _Interval, modes: list[_Interval], period: float) -> list[_Choice]:
+    """No shaper, and a shaper of each kind for one of the modes."""
+    omega = np.concatenate([one.omega for one in modes])
+    damping = np.concatenate([one.damping for one in modes])
+    choices = [_Choice(None, np.ones(1), np.ones(len(omega)))]
+    for kind in ShaperKind:
+        if has_design(kind, mode.middle_damping, MIN_TOLERANCE):
+            shaper = _least_vibration(kind, mode, period)
+            sampled = shaper.sample(period)
+            vibration = sampled.residual_vibration(omega, damping)
+            choices.append(_Choice(shaper, sampled.amplitudes, vibration))
+    return choices
+
+
+def _least_vibration(kind: ShaperKind, mode: _Interval, period: float) -> Shaper:
+    """Shaper whose frequency, and tolerance if it has one, give the least vibration at worst."""
+    low, high = float(mode.omega[0]), float(mode.omega[-1])
+
+    def worst(omega: float, tolerance: float) -> float:
+        sampled = design_shaper(kind, omega, mode.middle_damping, tolerance).sample(period)
+        return float(sampled.residual_vibration(mode.omega, mode.damping).max())
+
+    def best(tolerance: float) -> _Minimum:
+        return _minimum(lambda omega: worst(omega, tolerance), low, high)
+
+    def worst_of_best(log_ratio: float) -> float:
+        tolerance = MIN_TOLERANCE * float(np.exp(log_ratio))
+        exists = has_design(kind, mode.middle_damping, tolerance)
+        return best(tolerance).cost if exists else 1.0
+
+    tolerance = MIN_TOLERANCE
+    if kind in TOLERANT:
+        widest = float(np.log(_MAX_TOLERANCE / MIN_TOLERANCE))
+        tolerance *= float(np.exp(_minimum(worst_of_best, 0.0, widest).argument))
+    return design_shaper(kind, best(tolerance).argument, mode.middle_damping, tolerance)
+
+
+class _Minimum(NamedTuple):
+    argument: float
+    cost: float
+
+
+def _minimum(cost: Callable[[float], float], low: float, high: float) -> _Minimum:
+    """Least cost: the best of a grid, then refined between its neighbours."""
+    grid = np.unique(np.linspace(low, high, _N_STARTS)).tolist()
+    costs = [cost(x) for x in grid]
+    best = int(np.argmin(costs))
+    begin, end = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    least = _Minimum(grid[best], costs[best])
+    if begin == end:
+        return least
+    search = minimize_scalar(cost, bounds=(begin, end), method="bounded")
+    return min(least, _Minimum(float(search.x), float(search.fun)), key=lambda m: m.cost)
+
+
+def _combined(parts: tuple[_Choice, ...], period: float, required: float) -> RankedShaper:
+    """Convolution of the shapers; its vibration is the product of theirs."""
+    weights = reduce(np.convolve, (part.weights for part in parts))
+    vibration = float(reduce(np.multiply, (part.vibration for part in parts)).max())
+    return RankedShaper(
+        shapers=tuple(part.shaper for part in parts if part.shaper is not None),
+        impulses=Impulses(weights, period * np.arange(len(weights), dtype=float)),
+        vibration=vibration,
+        is_sufficient=vibration <= required,
+    )

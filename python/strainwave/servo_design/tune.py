@@ -1,0 +1,97 @@
+"""Servo design for a result, with options as texts of the command line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from strainwave.domain import Payload
+from strainwave.errors import InvalidInput
+from strainwave.export.source import arm_of
+from strainwave.io.atomic_files import write_whole
+from strainwave.io.joint_covariance import covariance_of
+from strainwave.io.results import read_document, result_path
+from strainwave.servo_design.design import ServoDesign, ServoOptions, design_servo
+
+PAGE = "tune.html"
+"""Name of the report."""
+
+
+def tune_file(
+    result: Path,
+    out: Path,
+    options: ServoOptions,
+    *,
+    study: Path | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> ServoDesign:
+    """Design the servos for a result.json, or the one in a directory; write page and hand-over.
+
+    `study` is a study file with other gear ratios, limits or another servo.
+    """
+    path = result_path(result)
+    return tune_document(read_document(path), path, options, out, study=study, progress=progress)
+
+
+def tune_document(
+    document: Mapping[str, Any],
+    source: Path,
+    options: ServoOptions,
+    out: Path | None = None,
+    *,
+    study: Path | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> ServoDesign:
+    """Design the servos for a result document; `source` names it in messages."""
+    arm = arm_of(document, source, study)
+    design = design_servo(arm, covariance_of(document), options, progress)
+    if out is not None:
+        from strainwave.servo_design.handover import FORMATS
+        from strainwave.servo_design.report.page import render
+
+        progress("writing the report")
+        forms = {form.file: form.render(design).data for form in FORMATS.values()}
+        write_whole(out, {PAGE: render(design).encode(), **forms})
+    return design
+
+
+def read_postures(texts: Sequence[str]) -> tuple[tuple[float, ...], ...]:
+    """Postures from texts such as "0,1.2"; raises InvalidInput for text that is no number."""
+    return tuple(
+        _numbers(text, "--posture", "give one link angle [rad] per joint, such as 0,1.2")
+        for text in texts
+    )
+
+
+def read_payloads(texts: Sequence[str]) -> tuple[Payload, ...]:
+    """Payloads from texts "mass,x,y,z"; raises InvalidInput unless there are four numbers."""
+    remedy = "give mass [kg] and centre of mass [m] in the last link's frame, such as 2,0.1,0,0"
+    payloads = []
+    for text in texts:
+        values = _numbers(text, "--payload", remedy)
+        if len(values) != 4:
+            raise InvalidInput(
+                f"{text!r} has {len(values)} of the four numbers mass,x,y,z",
+                where="--payload",
+                remedy=remedy,
+            )
+        mass, x, y, z = values
+        payloads.append(Payload(mass, (x, y, z)))
+    return tuple(payloads)
+
+
+def _numbers(text: str, option: str, remedy: str) -> tuple[float, ...]:
+    values = []
+    for part in text.split(","):
+        try:
+            value = float(part)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise InvalidInput(
+                f"{part.strip()!r} in {text!r} is not a number", where=option, remedy=remedy
+            )
+        values.append(value)
+    return tuple(values)

@@ -1,0 +1,199 @@
+"""Moves of single joints on the identified arm: a step under the loops alone, and a planned move.
+
+The plant has drawn parameters, friction, the whole curve of the gear, and encoders with counts; the
+servo knows the estimates only. The planned move has the shortest duration that the voltage limit
+allows, with the elastic arm's feed-forward.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from strainwave.domain import FloatArray
+from strainwave.domain.control_law import LinearServo
+from strainwave.domain.keys import Values
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.simulation import Drive, simulate
+from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.export.source import IdentifiedArm
+from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.feed_forward import FeedForward, feed_forward
+from strainwave.servo_design.link_motion import point_to_point
+
+MOVE = 0.05
+"""Move [rad or m] of a link."""
+
+_SETTLED = 0.02  # of the move
+_SECONDS = 1.5  # of a simulation
+_SHORTEST, _LONGEST = 0.02, 1.0  # [s] durations that are tried
+_DURATION_STEP = 1.15
+_VOLTAGE_SHARE = 0.8  # of the limit for the feed-forward; the rest is for the loops
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """Behaviour of a link after a command at time zero: the worst of the drawn plants."""
+
+    settling: float  # [s] to 2 % of the move; infinite if it does not settle
+    overshoot: float  # share of the move
+    vibration: float  # share of the move: half of the range of the last third of the simulation
+    peak_voltage: float  # [V]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Moves of one joint from one posture."""
+
+    joint: int  # from 1
+    posture: FloatArray  # (n_joints,)
+    duration: float  # [s] of the planned move
+    step: Move
+    planned: Move
+    time: FloatArray  # (n_samples,) [s]
+    step_link: FloatArray  # (n_draws, n_samples) over the move
+    planned_link: FloatArray
+
+
+def compare_moves(
+    arm: IdentifiedArm,
+    gains: Sequence[Gains],
+    draws: Sequence[Values],
+    joint: int,
+    posture: FloatArray,
+    limit: float,
+    move: float = MOVE,
+) -> Comparison:
+    """Simulate both moves of a joint, from 1, from a posture [rad], for all draws.
+
+    Raises `InvalidInput` if no duration up to a second stays within the voltage limit.
+    """
+    end = posture.copy()
+    end[joint - 1] += move
+    plan = _shortest(arm, posture, end, gains[0].period, limit)
+    model = Arm.of(arm.study.arm)
+    step_run = _simulate_all(model, draws, _step(model, gains, plan, end - posture, limit), joint)
+    planned_run = _simulate_all(model, draws, _follow(gains, plan, limit), joint)
+    return Comparison(
+        joint=joint,
+        posture=posture,
+        duration=float(plan.time[-1]),
+        step=step_run.move(move),
+        planned=planned_run.move(move),
+        time=step_run.time,
+        step_link=step_run.link / move,
+        planned_link=planned_run.link / move,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Runs:
+    """Motion of one link and the peak voltages of its motor."""
+
+    time: FloatArray  # (n_samples,) [s]
+    link: FloatArray  # (n_draws, n_samples) from the first angle
+    peaks: FloatArray  # (n_draws,) [V]
+
+    def move(self, size: float) -> Move:
+        """The worst behaviour of all draws."""
+        share = self.link / size
+        if not np.isfinite(share).all():
+            raise NumericalFailure("the simulated move diverges")
+        is_apart = np.abs(share - 1.0) > _SETTLED
+        last = share.shape[1] - np.argmax(is_apart[:, ::-1], axis=1)
+        settling = np.where(is_apart[:, -1], np.inf, last * self.time[1])
+        tail = share[:, 2 * share.shape[1] // 3 :]
+        return Move(
+            settling=float(settling.max()),
+            overshoot=float(max(0.0, share.max() - 1.0)),
+            vibration=float(0.5 * np.ptp(tail, axis=1).max()),
+            peak_voltage=float(self.peaks.max()),
+        )
+
+
+def _simulate_all(model: Arm, draws: Sequence[Values], drive: Drive, joint: int) -> _Runs:
+    """The motion of a joint, from 1, for all draws."""
+    samples, links, peaks = len(drive.reference), [], []
+    for values in draws:
+        run = simulate(
+            model,
+            values,
+            drive,
+            sample_time=drive.tick,
+            samples=samples,
+            record=["link_angle", "voltage"],
+        )
+        angle = run["link_angle"][:, joint - 1]
+        links.append(angle - angle[0])
+        peaks.append(np.abs(run["voltage"][:, joint - 1]).max())
+    time: FloatArray = drive.tick * np.arange(samples, dtype=np.float64)
+    return _Runs(time, np.array(links), np.array(peaks))
+
+
+def _step(
+    model: Arm, gains: Sequence[Gains], plan: FeedForward, change: FloatArray, limit: float
+) -> Drive:
+    """A step of the reference angles by a change of the link angles, without feed-forward."""
+    period = gains[0].period
+    # the step enters through the reference angle alone
+    laws = [each.law() for each in gains]
+    without = [replace(law, B=law.B * [1.0, 0.0, 1.0], D=law.D * [1.0, 0.0, 1.0]) for law in laws]
+    reference = np.zeros((round(_SECONDS / period), model.n_joints))
+    reference[0] = model.motor_accelerations(change[None])[0] / period
+    held = np.broadcast_to(plan.voltage[0], reference.shape)
+    return _drive(LinearServo(tuple(without), period, limit), plan, reference, held)
+
+
+def _follow(gains: Sequence[Gains], plan: FeedForward, limit: float) -> Drive:
+    """The planned move with its feed-forward."""
+    period = gains[0].period
+    servo = LinearServo(tuple(each.law() for each in gains), period, limit)
+    return _drive(servo, plan, *_padded(plan, round(_SECONDS / period)))
+
+
+def _drive(
+    servo: LinearServo, plan: FeedForward, reference: FloatArray, voltage: FloatArray
+) -> Drive:
+    """All motors under the servo, from the planned posture at rest."""
+    return Drive(
+        tick=servo.period,
+        voltage=np.ascontiguousarray(voltage),
+        reference=np.ascontiguousarray(reference),
+        servo=(True,) * reference.shape[1],
+        motor_angle=tuple(plan.motor_angle[0].tolist()),
+        initial_voltage=tuple(plan.voltage[0].tolist()),
+        linear_servo=servo,
+    )
+
+
+def _shortest(
+    arm: IdentifiedArm, begin: FloatArray, end: FloatArray, period: float, limit: float
+) -> FeedForward:
+    """The shortest planned move within the voltage limit."""
+    duration = _SHORTEST
+    while duration <= _LONGEST:
+        motion = point_to_point(begin, end, duration, period)
+        try:
+            plan = feed_forward(arm, motion)
+        except InvalidInput:
+            if duration * _DURATION_STEP > _LONGEST:
+                raise
+        else:
+            if np.abs(plan.voltage).max() <= _VOLTAGE_SHARE * limit:
+                return plan
+        duration *= _DURATION_STEP
+    raise InvalidInput(
+        f"a move of {float(np.abs(end - begin).max()):g} rad takes more than {_LONGEST:g} s",
+        remedy="choose a smaller move",
+    )
+
+
+def _padded(plan: FeedForward, samples: int) -> tuple[FloatArray, FloatArray]:
+    """Velocity references and voltages; at the end the arm is held."""
+    reference = np.zeros((samples, plan.voltage.shape[1]))
+    voltage = np.tile(plan.voltage[-1], (samples, 1))
+    n = min(samples, len(plan.time))
+    reference[:n], voltage[:n] = plan.reference_velocity[:n], plan.voltage[:n]
+    return reference, voltage

@@ -1,0 +1,42 @@
+"""Identified arms with known values for the tests of servo designs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from strainwave.domain import Parameter, Study
+from strainwave.domain.keys import Values
+from strainwave.domain.kinds import change_arm_keys
+from strainwave.export import IdentifiedArm
+from strainwave.virtual import scara
+
+REL_STD = 0.03
+"""Relative standard deviation of every parameter."""
+
+
+def identified(study: Study, values: Values) -> IdentifiedArm:
+    """A result with these values, known to `REL_STD`."""
+    parameters = tuple(
+        Parameter(name, joint, value, REL_STD * abs(value), "", "tuned", None)
+        for (name, joint), value in values.items()
+    )
+    return IdentifiedArm(study, parameters, "result.json")
+
+
+def rig(encoder_counts: int | None = None, disks: int = 3) -> IdentifiedArm:
+    """The built-in rig with linear gears."""
+    study = scara.study(Path("nowhere"), "linear")
+    joints = tuple(replace(each, encoder_counts=encoder_counts) for each in study.arm.joints)
+    study = replace(study, arm=study.arm.with_joints(joints))
+    return identified(study, scara.parameters(disks, "linear"))
+
+
+def vertical_rig() -> IdentifiedArm:
+    """The rig in a vertical plane: it stands upright at (pi / 2, 0)."""
+    study = scara.study(Path("nowhere"), "linear")
+    study = replace(study, arm=change_arm_keys(study.arm, gravity=9.81))
+    values = scara.parameters(1, "linear")
+    moment = values["gamma", None] / scara.LINK_LENGTH[0]
+    values |= {("gravity_torque_1", None): 31.0, ("gravity_torque_2", None): 9.81 * moment}
+    return identified(study, values)

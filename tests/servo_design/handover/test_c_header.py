@@ -1,0 +1,154 @@
+"""The compiled servo and shaper against the control law and a convolution in Python."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from strainwave.domain import ControlLaw, FloatArray
+from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.design import ServoDesign
+from strainwave.servo_design.handover.c_header import to_c_header
+
+SAMPLES = 2000
+START = (0.7, -1.2)  # motor angle [rad], voltage [V] at rest
+
+_PROGRAM = """
+#include <math.h>
+#include <stdio.h>
+#include "servo.h"
+#include "servo.h"
+
+int main(void) {
+  strainwave_servo joints[] = {STRAINWAVE_SERVO_1, STRAINWAVE_SERVO_2};
+  strainwave_shaper shaper;
+  double r, w, y, ff;
+  strainwave_servo_reset(&joints[0], 0.7, -1.2);
+  strainwave_servo_reset(&joints[1], 0.7, -1.2);
+  strainwave_shaper_reset(&shaper, 0.7);
+  while (scanf("%lf %lf %lf %lf", &r, &w, &y, &ff) == 4)
+    printf("%.17g %.17g %.17g\\n", strainwave_servo_step(&joints[0], r, w, y, ff),
+           strainwave_servo_step(&joints[1], r, w, y, ff), strainwave_shaper_step(&shaper, r));
+  return fabs(strainwave_servo_period - 1e-3) < 1e-15 ? 0 : 1;
+}
+"""
+
+
+class Observing(Gains):
+    """Gains whose law has a further state, a low-pass of the voltage that the output contains."""
+
+    def law(self) -> ControlLaw:
+        law = Gains.law(self)
+        n = len(law.A)
+        A = np.zeros((n + 1, n + 1))
+        A[:n, :n], A[n, n] = law.A, 0.9
+        return ControlLaw(
+            A,
+            np.vstack([law.B, np.zeros(3)]),
+            np.append(law.C, -0.2),
+            law.D,
+            np.append(law.E, 0.1),
+            np.append(law.holds, False),
+            (*law.names, "voltage"),
+        )
+
+
+@pytest.fixture(scope="module")
+def observing(filtered: ServoDesign) -> ServoDesign:
+    """The second joint has a law that depends on the limited voltage."""
+    first, second = filtered.joints
+    g = second.tuned.gains
+    gains = Observing(g.kp, g.ki, g.position_gain, g.period)
+    return replace(
+        filtered, joints=(first, replace(second, tuned=replace(second.tuned, gains=gains)))
+    )
+
+
+def signals(period: float) -> FloatArray:
+    """Rows (r, w, y, feed-forward); the motor follows the reference with an error and noise."""
+    rng = np.random.default_rng(11)
+    time = period * np.arange(SAMPLES)
+    w = 4.0 * np.sin(9.0 * time)
+    r = START[0] + period * np.concatenate([[0.0], np.cumsum(w[:-1])])
+    y = r - 1.2 * np.sin(14.0 * time) + 1e-3 * rng.standard_normal(SAMPLES)
+    return np.column_stack([r, w, y, 3.0 * np.sin(5.0 * time)])
+
+
+def by_hand(law: ControlLaw, inputs: FloatArray, limit: float) -> FloatArray:
+    """Voltages of a law, in plain loops."""
+    n = len(law.A)
+    rest = law.rest()
+    x = [float(rest[i] @ START) for i in range(n)]
+    voltages = []
+    for *now, ff in inputs.tolist():
+        u = ff
+        for j in range(3):
+            u += law.D[j] * now[j]
+        for i in range(n):
+            u += law.C[i] * x[i]
+        is_limited = abs(u) > limit
+        u = float(np.clip(u, -limit, limit))
+        new = []
+        for i in range(n):
+            moved = law.E[i] * (u - ff)
+            for j in range(3):
+                moved += law.B[i, j] * now[j]
+            for j in range(n):
+                moved += law.A[i, j] * x[j]
+            new.append(x[i] if is_limited and law.holds[i] else moved)
+        x = new
+        voltages.append(u)
+    return np.array(voltages)
+
+
+def run(design: ServoDesign, inputs: FloatArray, folder: Path) -> FloatArray:
+    """Columns that a strictly compiled program with the header prints."""
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler here")
+    (folder / "servo.h").write_bytes(to_c_header(design).data)
+    (folder / "main.c").write_text(_PROGRAM)
+    program = str(folder / "program")
+    strict = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror"]
+    done = subprocess.run(
+        [compiler, *strict, "-O2", "-o", program, str(folder / "main.c"), "-lm"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    text = "\n".join(" ".join(map(repr, row)) for row in inputs.tolist())
+    done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
+    return np.array([line.split() for line in done.stdout.splitlines()], dtype=float)
+
+
+def test_the_compiled_servo_is_the_law(observing: ServoDesign, tmp_path: Path) -> None:
+    inputs = signals(observing.clock.period)
+    printed = run(observing, inputs, tmp_path)
+    for i, gains in enumerate(observing.gains):
+        expected = by_hand(gains.law(), inputs, observing.limit)
+        share = np.mean(np.abs(expected) == observing.limit)
+        assert 0.1 < share < 0.9
+        np.testing.assert_allclose(printed[:, i], expected, rtol=0.0, atol=1e-12)
+    weights = observing.shapers[0].impulses.amplitudes
+    padded = np.concatenate([np.full(len(weights), START[0]), inputs[:, 0]])
+    shaped = np.convolve(padded, weights)[len(weights) : len(padded)]
+    np.testing.assert_allclose(printed[:, 2], shaped, rtol=0.0, atol=1e-14)
+
+
+def test_the_reset_holds_angle_and_voltage(design: ServoDesign, tmp_path: Path) -> None:
+    inputs = np.tile([START[0], 0.0, START[0], 0.0], (50, 1))
+    printed = run(design, inputs, tmp_path)
+    np.testing.assert_allclose(printed[:, :2], START[1], atol=1e-9)
+    np.testing.assert_allclose(printed[:, 2], START[0], atol=1e-14)
+
+
+def test_names_cannot_end_a_comment(design: ServoDesign) -> None:
+    arm = design.arm.study.arm.with_joint(1, name="a*/b")
+    source = replace(design.arm, study=replace(design.arm.study, arm=arm))
+    assert b"a* /b" in to_c_header(replace(design, arm=source)).data

@@ -1,0 +1,37 @@
+"""Objects of python-control against the control law."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+from strainwave.domain.control_law import INPUTS
+from strainwave.errors import InvalidInput
+from strainwave.servo_design.design import ServoDesign
+from strainwave.servo_design.handover import controllers
+
+
+def test_controllers_have_the_response_of_the_law(filtered: ServoDesign) -> None:
+    pytest.importorskip("control", reason="python-control is not installed")
+    period = filtered.clock.period
+    z = np.exp(2j * np.pi * period * np.array([0.5, 5.0, 40.0, 100.0, 300.0]))
+    for number, (gains, system) in enumerate(
+        zip(filtered.gains, controllers(filtered), strict=True), start=1
+    ):
+        assert system.name == f"servo_{number}"
+        assert system.dt == period
+        assert system.input_labels == list(INPUTS)
+        assert system.output_labels == ["voltage"]
+        assert len(system.state_labels) == len(gains.law().A)
+        np.testing.assert_allclose(-system(z)[0, 2], gains.law().feedback(z), rtol=1e-9)
+        np.testing.assert_allclose(-system(z)[0, 2], gains.response(z), rtol=1e-9)
+
+
+def test_without_python_control_the_message_has_the_command(
+    design: ServoDesign, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(InvalidInput, match=r"Remedy: pip install control\."):
+        controllers(design)
