@@ -19,6 +19,7 @@ from strainwave.identification.whole_arm.inference.covariance import confidence_
 from strainwave.identification.whole_arm.problem.prior import combination
 from strainwave.identification.whole_arm.search.fit import Fit
 
+_MIN_RELATIVE_STD = 1e-10  # of an estimate; below, the derivatives of the simulation diverge
 # maximum relative standard deviation of a published viscous friction, slope or knee
 _MAX_RELATIVE_STD = 0.3
 _MOUNTING_STEPS = (1e-6, -1e-6)  # of mounting unknowns for central differences [m or rad]
@@ -43,8 +44,20 @@ def parameters_of(
     covariance = W @ combined @ W.T
     variance = np.diag(covariance)
     stds = np.sqrt(np.where(variance >= 0.0, variance, np.inf))  # negative only by rounding
+    if _has_diverging_derivatives(quantities, stds):
+        stds = np.full_like(stds, np.inf)  # none of the intervals can be trusted
     pairs = zip(quantities, stds.tolist(), strict=True)
     return tuple(_parameter(quantity, std) for quantity, std in pairs), covariance
+
+
+def _has_diverging_derivatives(quantities: Sequence[_Quantity], stds: FloatArray) -> bool:
+    """Whether a standard deviation is smaller than any record can make it.
+
+    The derivatives of a simulation that amplifies small changes grow without limit, and with them
+    the apparent information of the records.
+    """
+    sizes = [abs(quantity.value or 0.0) for quantity in quantities]
+    return bool(np.any(stds < _MIN_RELATIVE_STD * np.array(sizes)))
 
 
 @dataclass(frozen=True, slots=True)
