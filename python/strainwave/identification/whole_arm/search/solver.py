@@ -28,7 +28,7 @@ _WEIGHT_TOLERANCE = 0.2
 _MAX_DECREASED_RATIO = 0.7
 # Maximum evaluations with the same weights near the minimum. If the model lacks an effect, the cost
 # is rough, and slow progress would use up the evaluations before the effect is found.
-_MAX_EVALUATIONS_PER_WEIGHTS = 10
+_MAX_EVALUATIONS_PER_WEIGHTS = 20
 _NEAR_DAMPING = 1e-8  # initial damping near the minimum
 
 
