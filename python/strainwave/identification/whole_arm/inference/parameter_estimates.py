@@ -44,20 +44,24 @@ def parameters_of(
     covariance = W @ combined @ W.T
     variance = np.diag(covariance)
     stds = np.sqrt(np.where(variance >= 0.0, variance, np.inf))  # negative only by rounding
-    if _has_diverging_derivatives(quantities, stds):
+    if diverging_record(fit) is not None:
         stds = np.full_like(stds, np.inf)  # none of the intervals can be trusted
     pairs = zip(quantities, stds.tolist(), strict=True)
     return tuple(_parameter(quantity, std) for quantity, std in pairs), covariance
 
 
-def _has_diverging_derivatives(quantities: Sequence[_Quantity], stds: FloatArray) -> bool:
-    """Whether a standard deviation is smaller than any record can make it.
+def diverging_record(fit: Fit) -> str | None:
+    """Name of the record whose derivatives diverge; None if the intervals can be trusted.
 
     The derivatives of a simulation that amplifies small changes grow without limit, and with them
-    the apparent information of the records.
+    the apparent information of the record: the standard deviation of an unknown is then smaller
+    than any record can make it.
     """
-    sizes = [abs(quantity.value or 0.0) for quantity in quantities]
-    return bool(np.any(stds < _MIN_RELATIVE_STD * np.array(sizes)))
+    stds = np.sqrt(np.abs(np.diag(confidence_of(fit).combined)))
+    if not np.any(stds < _MIN_RELATIVE_STD * np.abs(fit.space.parameters(fit.z))):
+        return None
+    largest = [float(np.abs(each.columns).max()) for each in fit.objective.evaluate(fit.z)]
+    return fit.records[int(np.argmax(largest))]
 
 
 @dataclass(frozen=True, slots=True)
