@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +16,8 @@ if TYPE_CHECKING:
 
 def state_names(law: ControlLaw) -> list[str]:
     """Names of the states of a law as identifiers."""
-    return [re.sub(r"\W+", "_", name) for name in law.names]
+    words = (name.replace("-", " ").replace(",", " ").split() for name in law.names)
+    return ["_".join(each) for each in words]
 
 
 def controllers(design: ServoDesign) -> list[StateSpace]:
