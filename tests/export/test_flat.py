@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +10,7 @@ import numpy as np
 import pytest
 
 import exports
+from c_programs import output_of_c
 from strainwave.domain import Parameter, Prbs
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
@@ -52,22 +51,9 @@ def test_a_single_joint_has_only_the_numbers_of_its_study(tmp_path: Path) -> Non
 
 def compiled(header: bytes, source: str, folder: Path) -> str:
     """Output of a C program that includes the header twice, and <math.h>."""
-    compiler = shutil.which("gcc") or shutil.which("cc")
-    if compiler is None:
-        pytest.skip("no C compiler here")
     (folder / "arm.h").write_bytes(header)
     includes = '#include <math.h>\n#include <stdio.h>\n#include "arm.h"\n#include "arm.h"\n'
-    (folder / "main.c").write_text(includes + source)
-    program = str(folder / "program")
-    strict = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror"]
-    done = subprocess.run(
-        [compiler, *strict, "-O2", "-o", program, str(folder / "main.c"), "-lm"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    return output_of_c(includes + source, folder)
 
 
 def test_a_program_with_the_header_has_the_numbers(arm: IdentifiedArm, tmp_path: Path) -> None:

@@ -89,6 +89,13 @@ class IdentifiedArm:
             raise self._refuse(name, joint, f"{value:g} and not {limit}")
         return value
 
+    def with_identified_drives(self) -> IdentifiedArm:
+        """The arm with its identified torques per volt in place of unknown ones."""
+        arm = self.study.arm
+        for number in arm.unknown_drives:
+            arm = arm.with_joint(number, torque_per_volt=self.need("torque_per_volt", number))
+        return replace(self, study=replace(self.study, arm=arm))
+
     def joint(self, number: int) -> Joint:
         """The configuration of a joint, numbered from 1; `InvalidInput` if there is none."""
         if not 1 <= number <= self.study.arm.n_joints:

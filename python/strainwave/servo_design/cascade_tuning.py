@@ -47,10 +47,9 @@ FilterMaker = Callable[[float], tuple[Biquad, ...]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TunedJoint:
-    """Gains of one joint and the margins of all plants."""
+    """Gains of one joint."""
 
     gains: Gains
-    margins: Margins
     limit: str  # what prevents higher gains: "margins" or "encoder"
 
 
@@ -82,9 +81,12 @@ class Loops:
         """Margins of every joint's loop over all plants, the other loops closed."""
         return [margins_of(loop, self.omega) for loop in self._open(gains)]
 
-    def bands(self, gains: Sequence[Gains]) -> list[LoopBand]:
-        """Bands of every joint's loop over all plants, the other loops closed."""
-        return [LoopBand.of(loop, self.omega) for loop in self._open(gains)]
+    def margins_and_bands(self, gains: Sequence[Gains]) -> list[tuple[Margins, LoopBand]]:
+        """Margins and bands of every joint's loop over all plants, the other loops closed."""
+        return [
+            (margins_of(loop, self.omega), LoopBand.of(loop, self.omega))
+            for loop in self._open(gains)
+        ]
 
     def _open(self, gains: Sequence[Gains]) -> Iterator[ComplexArray]:
         """Open-loop responses (n_plants, n_omega) of every joint."""
@@ -104,8 +106,7 @@ def tune_cascades(
     """Gains of all joints.
 
     `resolutions` (n_joints,) are counts of the motor encoders [rad], `limit` is the largest
-    voltage.
-    Without `uses_filters` the loops have gains only.
+    voltage. Without `uses_filters` the loops have gains only.
     """
     plants, period = loops.plants, loops.clock.period
     inertias = np.median(plants.rigid_inertias(), axis=0) / plants.torque_per_volt
@@ -129,10 +130,7 @@ def tune_cascades(
         search = np.union1d(search, [margins[i].worst(required) for i in short])
         for i in short:
             gains[i] = tuners[i].raise_gains(gains, search)
-    return [
-        TunedJoint(each, of_joint, tuner.limit)
-        for each, of_joint, tuner in zip(gains, margins, tuners, strict=True)
-    ]
+    return [TunedJoint(each, tuner.limit) for each, tuner in zip(gains, tuners, strict=True)]
 
 
 @dataclass(slots=True)

@@ -119,6 +119,7 @@ def design_servo(
     not allow the required bandwidth.
     """
     _check_options(options)
+    arm = arm.with_identified_drives()
     _check_parameters(arm)
     conditions = _conditions(arm, options)
     clock, limit = _drives(arm, options)
@@ -130,12 +131,12 @@ def design_servo(
     progress("tuning the loops")
     resolutions = np.array([joint.encoder_resolution for joint in arm.study.arm.joints])
     tuned = tune_cascades(loops, options.required, resolutions=resolutions, limit=limit)
-    if options.bandwidth_hz is not None:
-        _check_bandwidth(tuned, options.bandwidth_hz, clock)
     progress("simulating steps")
     sampled = sample(plants, clock)
     gains, current = [each.gains for each in tuned], _current_gains(arm, clock)
     results = _results(loops, sampled, gains)
+    if options.bandwidth_hz is not None:
+        _check_bandwidth(tuned, results, options.bandwidth_hz, clock)
     _check_loops(results, options.required, _count_unstable(sampled, gains))
     n_unstable = _count_unstable(sampled, current) if current else 0
     of_current: Sequence[LoopResults | None] = [None] * len(tuned)
@@ -185,10 +186,9 @@ def _drives(arm: IdentifiedArm, options: ServoOptions) -> tuple[Clock, float]:
 def _results(loops: Loops, sampled: SampledPlants, gains: Sequence[Gains]) -> list[LoopResults]:
     """Margins, bands and steps of all joints."""
     laws = [each.law() for each in gains]
-    margins, bands = loops.margins(gains), loops.bands(gains)
     return [
-        LoopResults(margins[i], bands[i], _steps(close(sampled, laws, i), gains[i]))
-        for i in range(len(gains))
+        LoopResults(margins, band, _steps(close(sampled, laws, i), gains[i]))
+        for i, (margins, band) in enumerate(loops.margins_and_bands(gains))
     ]
 
 
@@ -343,10 +343,12 @@ def _check_posture(posture: FloatArray, limits: Sequence[tuple[float, float]]) -
             )
 
 
-def _check_bandwidth(tuned: Sequence[TunedJoint], required_hz: float, clock: Clock) -> None:
+def _check_bandwidth(
+    tuned: Sequence[TunedJoint], results: Sequence[LoopResults], required_hz: float, clock: Clock
+) -> None:
     """Raise InvalidInput if a velocity loop does not reach a bandwidth."""
-    for number, joint in enumerate(tuned, start=1):
-        reached = float(joint.margins.bandwidth_hz.min())
+    for number, (joint, result) in enumerate(zip(tuned, results, strict=True), start=1):
+        reached = float(result.margins.bandwidth_hz.min())
         if reached < required_hz:
             cause = (
                 "the resolution of its encoder"

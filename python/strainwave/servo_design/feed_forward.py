@@ -29,7 +29,6 @@ from functools import cached_property
 import numpy as np
 
 from strainwave.domain import FloatArray, Payload
-from strainwave.domain.arm import UNKNOWN
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
@@ -153,12 +152,8 @@ class _InverseArm:
     @classmethod
     def of(cls, identified: IdentifiedArm, payload: Payload | None) -> _InverseArm:
         """The arm with the identified torques per volt."""
-        description = identified.study.arm
-        for number, joint in enumerate(description.joints, start=1):
-            if joint.torque_per_volt == UNKNOWN:
-                gain = identified.need("torque_per_volt", number)
-                description = description.with_joint(number, torque_per_volt=gain)
-        return cls(identified, Arm.of(description), payload, *effects_of(identified))
+        model = Arm.of(identified.with_identified_drives().study.arm)
+        return cls(identified, model, payload, *effects_of(identified))
 
     def column(self, name: str) -> FloatArray:
         """A parameter of all joints: (n_joints,)."""

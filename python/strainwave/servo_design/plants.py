@@ -63,17 +63,17 @@ class Plants:
         """Number of joints."""
         return len(self.motors)
 
-    def responses(self, omega: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Responses of motor angles and link angles to voltages, at frequencies [rad/s].
+    def responses(self, omega: FloatArray) -> ComplexArray:
+        """Responses of motor angles to voltages, at frequencies [rad/s].
 
-        Each has the shape (n_plants, n_omega, n_joints, n_joints): by angle, then by voltage.
+        The shape is (n_plants, n_omega, n_joints, n_joints): by angle, then by voltage.
         """
         s = 1j * omega[:, None, None]
         system = s**2 * self.mass[:, None] + s * self.damping[:, None] + self.stiffness[:, None]
         drive = self.torque_per_volt / (1.0 + 1j * omega[:, None] / self.current_loop)
         inputs = self.motors.T * drive[:, None, :]
         angles = np.linalg.solve(system, np.broadcast_to(inputs, (len(self), *inputs.shape)))
-        return np.asarray(self.motors @ angles), np.asarray(self.links @ angles)
+        return np.asarray(self.motors @ angles)
 
     def motor_inertias(self) -> FloatArray:
         """Inertia that each motor accelerates in the first instant: (n_plants, n_joints)."""
@@ -84,7 +84,7 @@ class Plants:
 
     def rigid_inertias(self) -> FloatArray:
         """Inertia at each motor without torsion, the others locked: (n_plants, n_joints)."""
-        inertia = np.swapaxes(self.rigid, 0, 1) @ self.mass @ self.rigid
+        inertia = self.rigid.T @ self.mass @ self.rigid
         return np.asarray(np.diagonal(inertia, axis1=1, axis2=2))
 
     def resonances(self) -> list[tuple[FloatArray, FloatArray]]:
@@ -117,8 +117,7 @@ def plants_of(
 ) -> Plants:
     """Plants of all draws in all conditions, with the lowest and highest slope of curved gears.
 
-    `draws` begin with the estimates. Raises `InvalidInput` if a parameter is missing or not
-    physical.
+    `draws` begin with the estimates, which have all parameters of the plants.
     """
     description, model = arm.study.arm, Arm.of(arm.study.arm)
     coordinates = coordinates_of(description)

@@ -50,8 +50,7 @@ def sampled_responses(plants: Plants, omega: FloatArray, clock: Clock) -> Comple
     that of the hold. Beyond half of the sampling rate, motors move as free inertias. Returns
     (n_plants, n_omega, n_joints, n_joints), angle by voltage.
     """
-    angles, _ = plants.responses(omega)
-    total = angles * _hold(omega, 0, clock)[:, None, None]
+    total = plants.responses(omega) * _hold(omega, 0, clock)[:, None, None]
     inertia, rate = plants.motor_inertias(), 2.0 * np.pi / clock.period
     joints = np.arange(plants.n_joints)
     for k in (k for k in range(-_N_ALIASES, _N_ALIASES + 1) if k):

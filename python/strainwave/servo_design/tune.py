@@ -48,12 +48,12 @@ def tune_document(
     arm = arm_of(document, source, study)
     design = design_servo(arm, covariance_of(document), options, progress)
     if out is not None:
-        from strainwave.servo_design.handover import FORMATS
+        from strainwave.servo_design.handover import render_forms
         from strainwave.servo_design.report.page import render
 
         progress("writing the report")
-        forms = {form.file: form.render(design).data for form in FORMATS.values()}
-        write_whole(out, {PAGE: render(design).encode(), **forms})
+        files = {name: export.data for name, export in render_forms(design).items()}
+        write_whole(out, {PAGE: render(design).encode(), **files})
     return design
 
 

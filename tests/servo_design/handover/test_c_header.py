@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from c_programs import output_of_c
 from strainwave.domain import ControlLaw, FloatArray
 from strainwave.servo_design.control_law import Gains
 from strainwave.servo_design.design import ServoDesign
@@ -108,23 +107,10 @@ def by_hand(law: ControlLaw, inputs: FloatArray, limit: float) -> FloatArray:
 
 def run(design: ServoDesign, inputs: FloatArray, folder: Path) -> FloatArray:
     """Columns that a strictly compiled program with the header prints."""
-    compiler = shutil.which("gcc") or shutil.which("cc")
-    if compiler is None:
-        pytest.skip("no C compiler here")
     (folder / "servo.h").write_bytes(to_c_header(design).data)
-    (folder / "main.c").write_text(_PROGRAM)
-    program = str(folder / "program")
-    strict = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror"]
-    done = subprocess.run(
-        [compiler, *strict, "-O2", "-o", program, str(folder / "main.c"), "-lm"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
     text = "\n".join(" ".join(map(repr, row)) for row in inputs.tolist())
-    done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
-    return np.array([line.split() for line in done.stdout.splitlines()], dtype=float)
+    printed = output_of_c(_PROGRAM, folder, text)
+    return np.array([line.split() for line in printed.splitlines()], dtype=float)
 
 
 def test_the_compiled_servo_is_the_law(observing: ServoDesign, tmp_path: Path) -> None:

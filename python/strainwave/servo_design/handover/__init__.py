@@ -17,7 +17,7 @@ from strainwave.servo_design.handover.matlab import to_script
 from strainwave.servo_design.handover.python_control import controllers
 from strainwave.servo_design.handover.ros2_control import to_ros2_control
 
-__all__ = ["FORMATS", "Format", "controllers", "hand_over"]
+__all__ = ["FORMATS", "Format", "controllers", "hand_over", "render_forms"]
 
 
 class Format(NamedTuple):
@@ -36,6 +36,18 @@ FORMATS = {
 }
 
 
+def render_forms(design: ServoDesign, forms: Sequence[str] = tuple(FORMATS)) -> dict[str, Export]:
+    """A design in some formats, by file name. Raises `InvalidInput` if there is no such format."""
+    for form in forms:
+        if form not in FORMATS:
+            raise InvalidInput(
+                f"there is no format {form!r}",
+                where="forms",
+                remedy=f"use one of {', '.join(FORMATS)}{suggest_name(form, FORMATS)}",
+            )
+    return {FORMATS[form].file: FORMATS[form].render(design) for form in forms}
+
+
 def hand_over(
     design: ServoDesign, folder: Path, forms: Sequence[str] = tuple(FORMATS)
 ) -> dict[str, Export]:
@@ -43,13 +55,6 @@ def hand_over(
 
     Raises `InvalidInput` if there is no such format, or if the folder cannot be written to.
     """
-    for form in forms:
-        if form not in FORMATS:
-            raise InvalidInput(
-                f"there is no format {form!r}",
-                where="--format",
-                remedy=f"use one of {', '.join(FORMATS)}{suggest_name(form, FORMATS)}",
-            )
-    exports = {FORMATS[form].file: FORMATS[form].render(design) for form in forms}
+    exports = render_forms(design, forms)
     write_whole(folder, {name: export.data for name, export in exports.items()})
     return exports

@@ -15,9 +15,9 @@ from strainwave.export.source import Export
 from strainwave.servo_design.closed_loop import Steps
 from strainwave.servo_design.control_law import Gains
 from strainwave.servo_design.design import JointServo, ServoDesign
-from strainwave.servo_design.handover.margin_summary import margin_summaries
 from strainwave.servo_design.handover.shaper_summary import ShaperSummary
 from strainwave.servo_design.handover.units import Units
+from strainwave.servo_design.margin_summary import margin_summaries
 from strainwave.servo_design.margins import Margins
 from strainwave.servo_design.plants import Condition
 from strainwave.servo_design.shaper_ranking import RankedShaper

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-
-import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.presentation.report.blocks import Cell, Row, number, prose
 from strainwave.servo_design.cascade_tuning import MAX_RIPPLE_SHARE
 from strainwave.servo_design.control_law import Biquad, Gains
 from strainwave.servo_design.design import JointServo, LoopResults, ServoDesign
+from strainwave.servo_design.margin_summary import MarginSummary, margin_summaries
 from strainwave.servo_design.margins import Margins
 from strainwave.servo_design.shaper_ranking import RankedShaper
 from strainwave.servo_design.verification import MOVE, Move
@@ -34,30 +32,13 @@ SHAPER_HEADS: Row = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class WorstMargin:
-    """The smallest margin of one kind over all plants."""
-
-    name: str
-    value: float
-    required: float
-    unit: str
-    hz: float
-    plant: int  # index
+_UNIT_WORDS = {"deg": "degrees", "1": ""}
 
 
-def worst_margins(design: ServoDesign, margins: Margins) -> tuple[WorstMargin, ...]:
+def worst_margins(design: ServoDesign, margins: Margins) -> tuple[MarginSummary, ...]:
     """Gain, phase and modulus margin, each at its own worst plant."""
-    required = design.options.required
-    kinds = (
-        ("gain", margins.gain_db, margins.gain_hz, required.gain_db, "dB"),
-        ("phase", margins.phase_deg, margins.phase_hz, required.phase_deg, "degrees"),
-        ("modulus", margins.modulus, margins.modulus_hz, required.modulus, ""),
-    )
-    return tuple(
-        WorstMargin(name, float(values[k := int(np.argmin(values))]), limit, unit, float(hz[k]), k)
-        for name, values, hz, limit, unit in kinds
-    )
+    summaries = margin_summaries(margins, design.options.required)
+    return tuple(one for one in summaries if one.required is not None)
 
 
 def current_sentences(design: ServoDesign) -> Iterator[str]:
@@ -72,14 +53,18 @@ def current_sentences(design: ServoDesign) -> Iterator[str]:
         bandwidth = float(margins.bandwidth_hz.min())
         yield (
             f"your servo: joint {joint.joint} has {_at(gain)}, {_at(phase)}, "
-            f"modulus {modulus.value:.2g}, bandwidth {bandwidth:.3g} Hz"
+            f"modulus {modulus.least:.2g}, bandwidth {bandwidth:.3g} Hz"
         )
 
 
-def _at(margin: WorstMargin) -> str:
-    if not math.isfinite(margin.value):
+def _at(margin: MarginSummary) -> str:
+    if not math.isfinite(margin.least):
         return f"no limit of the {margin.name}"
-    return f"{margin.value:.3g} {margin.unit} at {margin.hz:.3g} Hz"
+    return f"{margin.least:.3g} {_unit_words(margin)} at {margin.hz:.3g} Hz"
+
+
+def _unit_words(margin: MarginSummary) -> str:
+    return _UNIT_WORDS.get(margin.unit, margin.unit)
 
 
 def limit_sentence(design: ServoDesign, joint: JointServo) -> str:
@@ -91,7 +76,7 @@ def limit_sentence(design: ServoDesign, joint: JointServo) -> str:
             f"higher gain, one count changes the voltage by more than {100 * MAX_RIPPLE_SHARE:g}"
             "\N{NO-BREAK SPACE}% of its limit"
         )
-    worst = min(worst_margins(design, joint.results.margins), key=lambda m: m.value / m.required)
+    worst = min(worst_margins(design, joint.results.margins), key=lambda m: m.share)
     return (
         f"joint {joint.joint} is limited by its {worst.name} margin at {worst.hz:.3g} Hz, "
         f"{plant_words(design, worst.plant)}"
@@ -176,11 +161,11 @@ def margin_rows(design: ServoDesign) -> Iterator[Row]:
     """Worst margins of the designed loops."""
     for joint in design.joints:
         for worst in worst_margins(design, joint.results.margins):
-            is_finite = math.isfinite(worst.value)
+            is_finite, unit = math.isfinite(worst.least), _unit_words(worst)
             yield (
                 str(joint.joint),
-                f"{worst.name} [{worst.unit}]" if worst.unit else worst.name,
-                number(f"{worst.value:.3g}" if is_finite else "no limit"),
+                f"{worst.name} [{unit}]" if unit else worst.name,
+                number(f"{worst.least:.3g}" if is_finite else "no limit"),
                 number(f"{worst.required:g}"),
                 number(f"{worst.hz:.3g}" if is_finite else ""),
                 prose(plant_words(design, worst.plant) if is_finite else ""),

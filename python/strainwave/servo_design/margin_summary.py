@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -22,6 +23,11 @@ class MarginSummary:
     median: float
     hz: float | None  # of the smallest margin
     plant: int  # with the smallest margin
+
+    @property
+    def share(self) -> float:
+        """The smallest margin over the required one; infinite if none is required."""
+        return self.least / self.required if self.required else math.inf
 
 
 def margin_summaries(margins: Margins, required: Requirements) -> Iterator[MarginSummary]:
