@@ -28,6 +28,9 @@ _SAMPLES = 60  # random states; each gives one equation per joint for at most 77
 # Part of a column of norm one across all others below which motion does not show its parameter:
 # axes that are parallel to a microradian count as parallel.
 _MIN_INDEPENDENT_PART = 1e-6
+# Columns of links with a smaller part become independent after those with a larger one: others
+# have large weights over them.
+_CLEARLY_INDEPENDENT_PART = 1e-3
 # Relative rounding error of norms, weights and ratios of the regressor's
 # columns. Smaller ones are zero.
 _MAX_ROUNDING_ERROR = 1e-8
@@ -138,7 +141,8 @@ def base_parameters(arm: ArmDescription) -> BaseParameters:
 def _base_parameters(arm: ArmDescription) -> BaseParameters:
     regressor, links = _regressor(arm)
     norms = np.linalg.norm(regressor, axis=0)
-    norms[norms < _MAX_ROUNDING_ERROR * norms.max()] = 0.0
+    of_links = norms[: len(links)]  # the columns of motors are exact and may be far larger
+    of_links[of_links < _MAX_ROUNDING_ERROR * of_links.max()] = 0.0
     regressor = regressor * (norms > 0.0)
     scale = np.where(norms > 0.0, norms, 1.0)
     independent, grouping = _grouping(regressor / scale, _preference(links, arm))
@@ -149,7 +153,7 @@ def _base_parameters(arm: ArmDescription) -> BaseParameters:
     named = kind_of(arm).rigid_combinations(arm)
     columns = []
     for at, weights in zip(independent, grouping, strict=True):
-        row = {keys[k]: float(f"{weights[k]:.10g}") for k in np.flatnonzero(weights)}
+        row = {keys[k]: float(f"{weights[k]:.12g}") for k in np.flatnonzero(weights)}
         columns.append((_named_column(keys[at], row, named, arm), at))
     columns.sort(key=lambda pair: (pair[0].motor is None, pair[0].motor or (0, 0.0)))
     return BaseParameters(
@@ -168,23 +172,25 @@ class _Grouping(NamedTuple):
     weights: FloatArray  # (n_independent, n_columns)
 
 
-def _grouping(columns: FloatArray, order: Sequence[int]) -> _Grouping:
+def _grouping(columns: FloatArray, order: Sequence[tuple[int, float]]) -> _Grouping:
     """Group columns of norm one with independent ones that come before them in `order`.
 
-    A column is independent by its part across the independent columns before it. Nearly dependent
-    columns, such as those of nearly parallel axes, do not take that part from columns after them.
-    Parts of other columns that are as small are rounded to zero.
+    A column is independent if its part across the independent columns before it exceeds the limit
+    beside it in `order`. Nearly dependent columns, such as those of nearly parallel axes, do not
+    take that part from columns after them. Parts of other columns as small are rounded to zero.
     """
     basis, kept = np.zeros((len(columns), 0)), list[int]()
     coefficients = np.zeros((columns.shape[1],) * 2)  # row k: along the k-th vector of the basis
-    for at in order:
+    for at, limit in order:
+        if at in kept:
+            continue
         along = basis.T @ columns[:, at]
         rest = columns[:, at] - basis @ along
         again = basis.T @ rest  # the second pass makes the basis orthogonal to rounding
         rest -= basis @ again
         coefficients[: len(kept), at] = along + again
         size = float(np.linalg.norm(rest))
-        if size > _MIN_INDEPENDENT_PART:
+        if size > limit:
             coefficients[len(kept), at] = size
             basis = np.column_stack([basis, rest / size])
             kept.append(at)
@@ -239,10 +245,11 @@ def _regressor(arm: ArmDescription) -> tuple[FloatArray, tuple[Key, ...]]:
     return np.concatenate([of_links, motors], axis=2).reshape(_SAMPLES * n, -1), links
 
 
-def _preference(links: tuple[Key, ...], arm: ArmDescription) -> list[int]:
-    """Order in which columns become independent; the remaining ones are grouped with them.
+def _preference(links: tuple[Key, ...], arm: ArmDescription) -> list[tuple[int, float]]:
+    """Order in which columns become independent, each with its smallest independent part.
 
-    The mass, the first moment along the axis and one moment of inertia across it come after all
+    The remaining ones are grouped with them. Clearly independent columns of links come first. The
+    mass, the first moment along the axis and one moment of inertia across it come after all
     others, as in the literature (Khalil and Dombre); motor inertias come last.
     """
 
@@ -252,7 +259,10 @@ def _preference(links: tuple[Key, ...], arm: ArmDescription) -> list[int]:
         grouped = _grouped_names(arm.joints[number].axis)
         return name in grouped, -number, k
 
-    return [*sorted(range(len(links)), key=rank), *range(len(links), len(links) + arm.n_joints)]
+    of_links = sorted(range(len(links)), key=rank)
+    of_motors = range(len(links), len(links) + arm.n_joints)
+    clearly = [(k, _CLEARLY_INDEPENDENT_PART) for k in of_links]
+    return [*clearly, *((k, _MIN_INDEPENDENT_PART) for k in (*of_links, *of_motors))]
 
 
 def _grouped_names(axis: Vector) -> tuple[str, str, str]:
