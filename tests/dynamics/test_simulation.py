@@ -21,7 +21,7 @@ from strainwave.dynamics.simulation import (
     simulate,
     simulate_arms,
 )
-from strainwave.errors import InvalidInput
+from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.io import logs
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
@@ -159,6 +159,52 @@ def test_the_fastest_resonance_matches_the_eigenvalues() -> None:
     arm = Arm.of(study.arm)
     assert arm.fastest_resonance(values) == pytest.approx(highest, rel=1e-9)
     assert arm.fastest_resonance({}) == 0.0
+
+
+def test_the_stable_step_of_one_joint_follows_its_pole() -> None:
+    study = scara.study(Path(), "linear")
+    joint = study.arm.joints[0]
+    one = Arm.of(replace(study.arm, kind="single-joint", joints=(joint,)))
+    motor, link, k, d = 1.5e-3, 3.0, 2e4, 5.0
+    values: Values = {("motor_inertia", 1): motor, ("link_inertia", 1): link}
+    values |= {("gear_stiffness", 1): k, ("gear_damping", 1): d}
+    per_inertia = 1.0 / link + joint.gear_ratio**2 / motor
+    poles = np.roots([1.0, d * per_inertia, k * per_inertia])
+    step = one.stable_time_step(values, np.zeros((1, 1)))
+    assert step == pytest.approx(2.0 / np.abs(poles).max(), rel=1e-9)
+    rigid = Arm.of(
+        replace(study.arm, kind="single-joint", joints=(replace(joint, spring="rigid"),))
+    )
+    assert rigid.stable_time_step(values, np.zeros((1, 1))) == np.inf
+    assert one.stable_time_step({}, np.zeros((1, 1))) == np.inf
+
+
+def test_the_integrator_is_stable_at_the_stable_step_and_not_far_above() -> None:
+    """A stiff, lightly damped joint, for which the usual step is too long."""
+    study, values = scara.study(Path(), "linear"), scara.parameters(0, "linear")
+    arm, stiff = Arm.of(study.arm), dict(values)
+    for joint in (1, 2):
+        stiff["gear_stiffness", joint] *= 1e3
+        stiff["gear_damping", joint] = 1e-3
+    step = arm.stable_time_step(stiff, np.array([[0.0, 0.0], [0.0, np.pi]]))
+    assert step < 0.5e-3
+
+    def largest(longest: float) -> float:
+        run = simulate_arms(
+            arm,
+            [stiff],
+            drive(400),
+            sample_time=1e-3,
+            samples=400,
+            record=("torsion",),
+            max_time_step=longest,
+        )
+        return float(np.abs(run["torsion"]).max())
+
+    fine = largest(0.1 * step)
+    assert largest(step) < 3.0 * fine
+    with pytest.raises(NumericalFailure, match="diverged"):
+        largest(2.0 * step)
 
 
 def test_the_time_step_resolves_the_fastest_resonance() -> None:

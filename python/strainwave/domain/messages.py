@@ -200,8 +200,6 @@ TEMPLATES: Mapping[str, str] = {
     + ", so check [servo], the references and the payload of that record",
     "not-described": "the residuals of {channel} are {noise_ratio:.2g} times the sensor's noise and"
     " {share!p:.2g} % of the signal, so the model does not describe the record{advice}",
-    "diverging": "the simulation amplifies small changes without limit, so that no parameter has an"
-    " interval|. Lower the gains of that joint's servo, or leave the record out",
     "implausible-size": "{values}: these sizes are outside the range of robot joints, so {remedy}",
     "urdf-mass": "link {link} weighs {mass:.3g} kg in the URDF; the torques need {low:.3g} to"
     " {high:.3g} kg|. The base parameters do not depend on the URDF; use the exported parameters"

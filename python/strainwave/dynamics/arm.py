@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,8 @@ MAX_TIME_STEP = 1.25e-4
 # fourth-order integrator is (w h)^4/120 = 6e-8, that of the second-order sensor filters is
 # (w h)^2/12 = 2e-4: 1/50 of a usual calibration error. Reference solutions use shorter steps.
 _STEPS_PER_PERIOD = 120.0
+# Largest |pole| h of the fourth-order integrator. It is stable up to 2.6 for any damping.
+_STABLE_STEP = 2.0
 
 _ZERO_BY_DEFAULT = ("friction_offset", "friction_settling_time")
 
@@ -361,33 +363,77 @@ class Arm(ArmDescription):
         M contains the links, folded or stretched, and the motors, seen from the links. Zero if the
         values do not determine the frequency.
         """
+        folded = np.full(self.n_joints, np.pi)
+        folded[0] = 0.0
+        fastest = 0.0
+        for angle in (folded, np.zeros(self.n_joints)):
+            gears = self._gear_equations(values, angle)
+            if gears is None:
+                return 0.0
+            squared = np.linalg.eigvals(np.linalg.solve(gears.inertia, gears.stiffness)).real
+            fastest = max(fastest, float(np.sqrt(squared.max(initial=0.0)) / (2.0 * np.pi)))
+        return fastest
+
+    def stable_time_step(self, values: Values, angles: FloatArray) -> float:
+        """Longest time step [s] for which the integrator is stable at the link angles.
+
+        `angles` (n_postures, n_joints) [rad]. Infinite if the values do not determine it, or if no
+        gear is elastic.
+        """
+        fastest = 0.0
+        for angle in angles:
+            gears = self._gear_equations(values, angle)
+            if gears is None:
+                return np.inf
+            n = len(gears.inertia)
+            of_motion = np.hstack([gears.stiffness, gears.damping])
+            rates = np.vstack([np.eye(n, 2 * n, n), -np.linalg.solve(gears.inertia, of_motion)])
+            poles = np.linalg.eigvals(rates)
+            fastest = max(fastest, float(np.abs(poles).max(initial=0.0)))
+        return _STABLE_STEP / fastest if fastest else np.inf
+
+    def _gear_equations(self, values: Values, angle: FloatArray) -> _GearEquations | None:
+        """Equations of small motions about an angle; None if the values do not determine them.
+
+        Coordinates are the links and the outputs of elastic gears. Rigid gears connect motors to
+        links.
+        """
         known, n = complete_values(values, self), self.n_joints
-        if not all(joint.elastic for joint in self.joints):
-            return 0.0
+        elastic = np.array([joint.elastic for joint in self.joints])
+        stiffness, damping = np.zeros(n), np.zeros(n)
         try:
-            joints = [(i, joint.law) for i, joint in enumerate(self.joints, start=1)]
-            k = np.diag([law.stiffness_range(law.of_joint(known, i))[1] for i, law in joints])
+            for i, joint in enumerate(self.joints, start=1):
+                if joint.elastic:
+                    stiffness[i - 1] = joint.law.stiffness_range(joint.law.of_joint(known, i))[1]
+                    damping[i - 1] = known.get(("gear_damping", i), 0.0)
             by_links = self.motor_accelerations(np.eye(n))
-            motor = by_links @ np.diag([known["motor_inertia", i] for i, _ in joints]) @ by_links.T
+            motors = np.diag([known["motor_inertia", i + 1] for i in range(n)])
             base = [
                 known.get(key, 0.0) if _is_zero_by_default(key) else known[key]
                 for key in self.base_names
             ]
         except KeyError:
-            return 0.0
-        stiffness, fastest = np.block([[k, -k], [-k, k]]), 0.0
-        for bend in (np.pi, 0.0):
-            angle = np.full(n, bend)
-            angle[0] = 0.0
-            link = self.inertia_matrix(np.array(base), angle)
-            inertia = np.block([[link, np.zeros((n, n))], [np.zeros((n, n)), motor]])
-            try:
-                root = np.linalg.inv(np.linalg.cholesky(inertia))
-            except np.linalg.LinAlgError:
-                return 0.0  # an impossible arm: the core reports the fault
-            squared = float(np.linalg.eigvalsh(root @ stiffness @ root.T)[-1])
-            fastest = max(fastest, float(np.sqrt(max(squared, 0.0)) / (2.0 * np.pi)))
-        return fastest
+            return None
+        outputs = np.eye(n)[:, elastic]
+        links = self.inertia_matrix(np.array(base), angle)
+        of_motors = by_links @ motors @ by_links.T
+        # torsion and output of each gear over links and outputs of elastic gears
+        torsion = np.hstack([-np.diag(elastic.astype(float)), outputs])
+        output = np.hstack([np.diag((~elastic).astype(float)), outputs])
+        inertia = output.T @ of_motors @ output
+        inertia[:n, :n] += links
+        if np.linalg.eigvalsh(inertia)[0] <= 0.0:
+            return None  # an impossible arm: the core reports the fault
+        of_gears = ((torsion.T * k) @ torsion for k in (stiffness, damping))
+        return _GearEquations(inertia, *of_gears)
+
+
+class _GearEquations(NamedTuple):
+    """Matrices of M q'' + D q' + K q = 0."""
+
+    inertia: FloatArray
+    stiffness: FloatArray
+    damping: FloatArray
 
 
 def _core_effects(joint: Joint) -> list[str]:

@@ -43,10 +43,6 @@ _RESULT = {
         "The model does not describe the records it was fitted to.",
         'Give gears that harden spring = "three-slope"; else fit a likely effect.',
     ),
-    "diverging": Advice(
-        "The simulated loop of that record is unstable. The whole-arm fit identifies nothing.",
-        "Lower the gains of that joint's servo and record again, or leave the record out.",
-    ),
     "urdf-mass": Advice(
         "The inertial values of the URDF are a guess. The base parameters do not depend on them.",
         "Use the exported parameters; compare the payload of the records and the torque constants.",

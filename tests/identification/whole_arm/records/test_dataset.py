@@ -123,6 +123,23 @@ def test_the_true_arm_repeats_its_record(
         assert np.all(np.abs(difference) < off * np.std(dataset.measured, axis=0))
 
 
+def test_a_mode_too_fast_for_the_step_of_the_record_shortens_the_step() -> None:
+    study, values, logs = ideal()
+    stiff = dict(values)
+    for joint in (1, 2):
+        stiff["gear_stiffness", joint] *= 1e4
+        stiff["gear_damping", joint] = 1e-3
+    dataset = dataset_of(logs[0], Arm.of(study.arm), CUTOFF)
+    exact = replace(dataset, max_time_step=2e-5)
+    long = replace(dataset, max_time_step=1e-3)
+    rows, exact_rows = (simulated(each, stiff, dataset.start()) for each in (long, exact))
+    assert np.abs(rows - exact_rows)[:, :2].max() < 0.05 * np.abs(exact_rows[:, :2]).max()
+    columns, exact_columns = (
+        each.linearise(stiff, dataset.start(), [("motor_inertia", 1)])[1] for each in (long, exact)
+    )
+    assert np.abs(columns).max() < 2.0 * np.abs(exact_columns).max()
+
+
 def test_a_servoed_record_is_driven_by_its_voltages() -> None:
     """The recorded voltages drive the simulation; the servo has no influence."""
     study, logs = rig_logs()

@@ -19,7 +19,6 @@ from strainwave.identification.whole_arm.inference.covariance import confidence_
 from strainwave.identification.whole_arm.problem.prior import combination
 from strainwave.identification.whole_arm.search.fit import Fit
 
-_MIN_RELATIVE_STD = 1e-10  # of an estimate; below, the derivatives of the simulation diverge
 # maximum relative standard deviation of a published viscous friction, slope or knee
 _MAX_RELATIVE_STD = 0.3
 _MOUNTING_STEPS = (1e-6, -1e-6)  # of mounting unknowns for central differences [m or rad]
@@ -44,24 +43,8 @@ def parameters_of(
     covariance = W @ combined @ W.T
     variance = np.diag(covariance)
     stds = np.sqrt(np.where(variance >= 0.0, variance, np.inf))  # negative only by rounding
-    if diverging_record(fit) is not None:
-        stds = np.full_like(stds, np.inf)  # none of the intervals can be trusted
     pairs = zip(quantities, stds.tolist(), strict=True)
     return tuple(_parameter(quantity, std) for quantity, std in pairs), covariance
-
-
-def diverging_record(fit: Fit) -> str | None:
-    """Name of the record whose derivatives diverge; None if the intervals can be trusted.
-
-    The derivatives of a simulation that amplifies small changes grow without limit, and with them
-    the apparent information of the record: the standard deviation of an unknown is then smaller
-    than any record can make it.
-    """
-    stds = np.sqrt(np.abs(np.diag(confidence_of(fit).combined)))
-    if not np.any(stds < _MIN_RELATIVE_STD * np.abs(fit.space.parameters(fit.z))):
-        return None
-    largest = [float(np.abs(each.columns).max()) for each in fit.objective.evaluate(fit.z)]
-    return fit.records[int(np.argmax(largest))]
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,6 @@ from strainwave.domain.link_sensors import is_hidden
 from strainwave.domain.parameter_table import SETTLING, VISCOUS
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.inference.parameter_estimates import (
-    diverging_record,
     vanished_parameters,
 )
 from strainwave.identification.whole_arm.search.fit import Fit
@@ -56,10 +55,7 @@ def warnings_of(
 
     `is_at_bound` states for each unknown whether it is at a bound of its range.
     """
-    space, diverging = fit.space, diverging_record(fit)
-    if diverging is not None:  # its standard deviations are no reason for other warnings
-        yield Diagnostic("diverging", Place.in_records(diverging))
-        return
+    space = fit.space
     values = space.parameters(fit.z)
     stds = np.sqrt(np.diag(confidence_of(fit).combined))
     places = [Place(joint=joint, parameter=name) for name, joint in space.keys]

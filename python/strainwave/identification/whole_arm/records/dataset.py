@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, Log
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import Key, Values
 from strainwave.domain.link_sensors import (
     Axis,
     ConstantKind,
@@ -43,7 +43,7 @@ _REFINEMENT_FACTOR = 4.0  # factor of shorter steps with negligible step error
 # steps per period of the cut-off (600 per resonance period): negligible error
 _REFINED_STEPS_PER_PERIOD = 120.0
 _RELATIVE_BANDWIDTH_STEP = 1e-3  # relative change of a bandwidth for its numerical derivative
-
+_POSTURES = 4  # of a record, for which the stable time step is computed
 
 _MIN_NOISE = 1e-12  # [SI] of an ideal sensor, far below the resolution of any real one
 
@@ -105,7 +105,7 @@ class Dataset:
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=record,
-            max_time_step=self.max_time_step,
+            max_time_step=self._time_step(inputs.values),
         )
         return {name: run[0] for name, run in runs.items()}
 
@@ -133,7 +133,7 @@ class Dataset:
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=list(dict.fromkeys(c.summed_quantity for c in self.channels)),
-            max_time_step=self.max_time_step,
+            max_time_step=self._time_step(inputs.values),
             low_pass=None if resonates else self.low_pass(),
             sums=self._sums(values),
         )
@@ -164,6 +164,16 @@ class Dataset:
             hanging=not self.begins_in_motion,
             payload=self.log.experiment.payload,
         )
+
+    def _time_step(self, values: Values) -> float:
+        """Time step [s] for the simulation: shorter than that of the record if a mode requires it.
+
+        A mode far above the cut-off, as of a wrist, need not be resolved, but in a longer step the
+        integrator would be unstable.
+        """
+        n_samples = len(self.log)
+        angles = prepare_record(self.log, self.arm).motor_angle[:: max(1, n_samples // _POSTURES)]
+        return min(self.max_time_step, self.arm.stable_time_step(values, self.arm.links_of(angles)))
 
     def _arm_at(self, values: Mapping[Key, float]) -> Arm:
         """The arm with the sensor bandwidths of `values`."""
