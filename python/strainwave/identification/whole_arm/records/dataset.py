@@ -44,6 +44,7 @@ _REFINEMENT_FACTOR = 4.0  # factor of shorter steps with negligible step error
 _REFINED_STEPS_PER_PERIOD = 120.0
 _RELATIVE_BANDWIDTH_STEP = 1e-3  # relative change of a bandwidth for its numerical derivative
 _POSTURES = 4  # of a record, for which the stable time step is computed
+_MAX_SHORTENING = 10.0  # of the time step; values with even faster modes cannot be simulated
 
 _MIN_NOISE = 1e-12  # [SI] of an ideal sensor, far below the resolution of any real one
 
@@ -173,7 +174,8 @@ class Dataset:
         """
         n_samples = len(self.log)
         angles = prepare_record(self.log, self.arm).motor_angle[:: max(1, n_samples // _POSTURES)]
-        return min(self.max_time_step, self.arm.stable_time_step(values, self.arm.links_of(angles)))
+        stable = self.arm.stable_time_step(values, self.arm.links_of(angles))
+        return min(self.max_time_step, max(stable, self.max_time_step / _MAX_SHORTENING))
 
     def _arm_at(self, values: Mapping[Key, float]) -> Arm:
         """The arm with the sensor bandwidths of `values`."""
