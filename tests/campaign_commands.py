@@ -16,6 +16,7 @@ import strainwave as sw
 from strainwave.campaign.store import Store
 
 COUNT = 24
+PATIENCE = 300.0  # [s]; a loaded machine is several times slower
 
 
 def command(*arguments: str | Path) -> list[str]:
@@ -42,11 +43,12 @@ def running(*arguments: str | Path) -> Iterator[subprocess.Popen[str]]:
             driver.kill()
 
 
-def wait_for(store: Path, count: int) -> None:
-    """Wait until a number of runs is recorded."""
-    until = time.monotonic() + 60.0
-    while Store.at(store).table("runs", ["run"]).num_rows < count:
-        assert time.monotonic() < until
+def wait_for(store: Path, count: int, driver: subprocess.Popen[str]) -> None:
+    """Wait until a number of runs is recorded by a driver."""
+    until = time.monotonic() + PATIENCE
+    while (recorded := Store.at(store).table("runs", ["run"]).num_rows) < count:
+        assert driver.poll() is None, driver.communicate()
+        assert time.monotonic() < until, f"{recorded} of {count} runs"
         time.sleep(0.02)
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 import strainwave as sw
-from campaign_commands import COUNT, campaign, records_by_study, running, wait_for
+from campaign_commands import COUNT, PATIENCE, campaign, records_by_study, running, wait_for
 from campaign_rigs import rig, rigs
 from strainwave.campaign import cluster
 from strainwave.campaign.plan import Plan
@@ -55,7 +55,7 @@ def dask(folder: Path, workers: int = 2) -> Iterator[Dask]:
         scheduler = start("scheduler", "--port", "0", "--host", "127.0.0.1")
         threads = ["--nthreads", "1", "--no-nanny"]
         started = [start("worker", *threads, "--name", str(n)) for n in range(workers)]
-        until = time.monotonic() + 60.0
+        until = time.monotonic() + PATIENCE
         while not file.exists():
             late = scheduler.poll() is not None or time.monotonic() > until
             assert not late, (folder / "scheduler-0.txt").read_text()
@@ -84,9 +84,9 @@ def test_a_worker_and_then_the_driver_are_killed(studies: Path, tmp_path: Path) 
     with dask(tmp_path) as it:
         arguments = (studies, "--out", out, "--scheduler", it.address)
         with running(*arguments, "--workers", "4") as driver:
-            wait_for(out, 3)
+            wait_for(out, 3, driver)
             it.workers[0].kill()
-            wait_for(out, 8)
+            wait_for(out, 8, driver)
             driver.kill()
         first = {row["run"]: row["started"] for row in sw.read_runs(out).to_pylist()}
         again = campaign(*arguments)
@@ -110,9 +110,9 @@ def test_the_scheduler_is_killed_and_another_cluster_continues(
         dask(tmp_path) as it,
         running(studies, "--out", out, "--scheduler", it.address, "--workers", "2") as driver,
     ):
-        wait_for(out, 3)
+        wait_for(out, 3, driver)
         it.scheduler.kill()
-        _, errors = driver.communicate(timeout=60.0)
+        _, errors = driver.communicate(timeout=PATIENCE)
     assert driver.returncode == 3, errors
     assert errors.count("\n") == 1, errors
     assert "the Dask scheduler is lost; the same command continues" in errors

@@ -25,7 +25,7 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_killed_worker_is_one_failed_study(studies: Path, tmp_path: Path) -> None:
     with running(studies, "--out", tmp_path, "--workers", "2") as driver:
-        wait_for(tmp_path, 4)
+        wait_for(tmp_path, 4, driver)
         workers_of(driver)[0].kill()
         stdout, _ = driver.communicate()
     rows = sw.read_runs(tmp_path).to_pylist()
@@ -43,7 +43,7 @@ def test_a_killed_worker_is_one_failed_study(studies: Path, tmp_path: Path) -> N
 
 def test_a_killed_driver_loses_nothing(studies: Path, tmp_path: Path) -> None:
     with running(studies, "--out", tmp_path, "--workers", "2") as driver:
-        wait_for(tmp_path, 4)
+        wait_for(tmp_path, 4, driver)
         workers = workers_of(driver)
         driver.kill()
         driver.wait()
@@ -70,7 +70,7 @@ def interrupts_reach_children() -> Iterator[None]:
 @pytest.mark.usefixtures("interrupts_reach_children")
 def test_ctrl_c_ends_the_workers_and_keeps_finished_runs(studies: Path, tmp_path: Path) -> None:
     with running(studies, "--out", tmp_path, "--workers", "2") as driver:
-        wait_for(tmp_path, 4)
+        wait_for(tmp_path, 4, driver)
         workers = workers_of(driver)
         start = time.monotonic()
         driver.send_signal(signal.SIGINT)
