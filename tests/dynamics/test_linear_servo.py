@@ -86,11 +86,18 @@ def test_closed_loop_equals_the_linear_model() -> None:
     arm, values = frictionless(study.arm)
     source = IdentifiedArm(replace(study, arm=arm), (), "test")
     plants = plants_of(source, [values], [Condition(np.zeros(2))])
-    closed = close(sample(plants, Clock(PERIOD)), laws(), 0)
+    sampled = sample(plants, Clock(PERIOD))
+    closed = close(sampled, laws(), 0)
     reference = small_steps(1e-3)
     angle = PERIOD * np.concatenate([[0.0], np.cumsum(reference[:-1, 0])])
-    motor, link = closed.simulate(np.column_stack([angle, reference[:, 0]]))
-    expected: dict[Quantity, FloatArray] = {"motor_angle": motor[0], "link_angle": link[0]}
+    states = [np.zeros(closed.A.shape[1])]
+    for inputs in np.column_stack([angle, reference[:, 0]])[:-1]:
+        states.append(closed.A[0] @ states[-1] + closed.B[0] @ inputs)
+    motor = np.pad(sampled.motors[0], (0, len(closed.link) - sampled.A.shape[1]))
+    expected: dict[Quantity, FloatArray] = {
+        "motor_angle": np.array(states) @ motor,
+        "link_angle": np.array(states) @ closed.link,
+    }
     run = simulate(
         Arm.of(arm),
         values,

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
 from servo_arms import rig
 from strainwave.domain import ComplexArray, FloatArray
-from strainwave.servo_design.closed_loop import SampledPlants, close, sample
+from strainwave.servo_design.closed_loop import SampledPlants, Steps, close, sample
 from strainwave.servo_design.control_law import Gains
 from strainwave.servo_design.loop_bands import LoopBand
 from strainwave.servo_design.margins import Requirements, effective_plants, margins_of
@@ -129,7 +131,8 @@ def test_an_effective_plant_has_the_other_loop_closed(plants: Plants, joint: int
     loop = close(sampled, [gains.law() for gains in GAINS], joint)
     system = z[:, None, None] * np.eye(loop.A.shape[1]) - loop.A[:, None]
     inputs = np.broadcast_to(loop.B[:, None, :, 1:], (*system.shape[:3], 1)).astype(complex)
-    response = (loop.motor @ np.linalg.solve(system, inputs))[..., 0]
+    motor = np.pad(sampled.motors[joint], (0, loop.A.shape[1] - sampled.A.shape[1]))
+    response = (motor @ np.linalg.solve(system, inputs))[..., 0]
     np.testing.assert_allclose(response, expected, rtol=1e-6)
     alone = exact_responses(sampled, z)[..., joint, joint]
     assert np.abs(plant / alone - 1.0).max() > 0.01  # the coupling matters
@@ -147,3 +150,37 @@ def test_bands_contain_all_loops_and_begin_with_the_estimates() -> None:
     np.testing.assert_allclose(band.phase_deg, np.tile(phase[:, None], 3), atol=1e-9)
     np.testing.assert_allclose(band.distance[:, 0], np.abs(1.0 + loops).min(axis=0))
     np.testing.assert_allclose(band.distance[:, 2], np.abs(1.0 + loops).max(axis=0))
+
+
+@pytest.mark.parametrize("by_velocity", [False, True])
+def test_steps_equal_the_recursion_sample_by_sample(plants: Plants, by_velocity: bool) -> None:
+    sampled = sample(plants, Clock(1e-3, 0.4e-3))
+    loop = close(sampled, [gains.law() for gains in GAINS], 1)
+    steps = Steps.of(loop, 1e-3, by_velocity=by_velocity)
+    reference = np.zeros((len(steps.time), 2))
+    reference[slice(1) if by_velocity else slice(None), int(by_velocity)] = (
+        1e3 if by_velocity else 1.0
+    )
+    state = np.zeros(loop.A.shape[:2])
+    link = np.empty((len(state), len(reference)))
+    for k, now in enumerate(reference):
+        link[:, k] = state @ loop.link / loop.ratio
+        state = (loop.A @ state[..., None])[..., 0] + loop.B @ now
+    np.testing.assert_allclose(steps.link[:, 0], link.min(axis=0), atol=1e-9)
+    np.testing.assert_allclose(steps.link[:, 1], link[0], atol=1e-9)
+    np.testing.assert_allclose(steps.overshoot, np.maximum(link.max(axis=1) - 1.0, 0.0), atol=1e-9)
+    parts = [
+        Steps.of(close(p, [g.law() for g in GAINS], 1), 1e-3, by_velocity=by_velocity)
+        for p in halves(sampled)
+    ]
+    joined = Steps.join(parts)
+    np.testing.assert_allclose(joined.link, steps.link, atol=1e-12)
+    np.testing.assert_array_equal(joined.settling, steps.settling)
+
+
+def halves(sampled: SampledPlants) -> list[SampledPlants]:
+    half = len(sampled.A) // 2
+    return [
+        replace(sampled, A=sampled.A[part], B=sampled.B[part])
+        for part in (slice(half), slice(half, None))
+    ]

@@ -10,11 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray, IntArray
 from strainwave.domain.control_law import ControlLaw
+from strainwave.numerics.parallel import run_parallel
 from strainwave.servo_design.closed_loop import ClosedLoop, SampledPlants, Steps, close, sample
 from strainwave.servo_design.control_law import Biquad, Gains, low_pass, notch
 from strainwave.servo_design.loop_bands import LoopBand
@@ -41,6 +43,10 @@ _N_SWEEPS = 2  # over the joints; a third changes gains by less than a step
 _MAX_ADDED = 12  # rounds in which the worst plants join the search
 
 
+_PART = 500  # plants whose responses one thread computes at a time
+
+T = TypeVar("T")
+
 FilterMaker = Callable[[float], tuple[Biquad, ...]]
 """Filters of a loop by its bandwidth [rad/s]."""
 
@@ -65,8 +71,15 @@ class Loops:
     @classmethod
     def of(cls, plants: Plants, clock: Clock) -> Loops:
         """The responses of plants under a clock."""
-        omega = frequency_grid(plants, clock)
-        return cls(plants, clock, omega, sampled_responses(plants, omega, clock))
+        omega, n = frequency_grid(plants, clock), plants.n_joints
+        responses = np.empty((len(plants), len(omega), n, n), dtype=complex)
+
+        def fill(chosen: slice) -> None:
+            responses[chosen] = sampled_responses(plants.part(chosen), omega, clock)
+
+        starts = range(0, len(plants), _PART)
+        run_parallel([partial(fill, slice(start, start + _PART)) for start in starts])
+        return cls(plants, clock, omega, responses)
 
     @property
     def z(self) -> ComplexArray:
@@ -79,20 +92,22 @@ class Loops:
 
     def margins(self, gains: Sequence[Gains]) -> list[Margins]:
         """Margins of every joint's loop over all plants, the other loops closed."""
-        return [margins_of(loop, self.omega) for loop in self._open(gains)]
+        return self._of_joints(gains, lambda loop: margins_of(loop, self.omega))
 
     def margins_and_bands(self, gains: Sequence[Gains]) -> list[tuple[Margins, LoopBand]]:
         """Margins and bands of every joint's loop over all plants, the other loops closed."""
-        return [
-            (margins_of(loop, self.omega), LoopBand.of(loop, self.omega))
-            for loop in self._open(gains)
-        ]
+        return self._of_joints(
+            gains, lambda loop: (margins_of(loop, self.omega), LoopBand.of(loop, self.omega))
+        )
 
-    def _open(self, gains: Sequence[Gains]) -> Iterator[ComplexArray]:
-        """Open-loop responses (n_plants, n_omega) of every joint."""
+    def _of_joints(self, gains: Sequence[Gains], work: Callable[[ComplexArray], T]) -> list[T]:
+        """Results of the open-loop responses (n_plants, n_omega) of every joint."""
         closed = self.controllers(gains)
-        for i in range(len(gains)):
-            yield effective_plants(self.responses, closed, i) * closed[:, i]
+
+        def of_joint(i: int) -> T:
+            return work(effective_plants(self.responses, closed, i) * closed[:, i])
+
+        return run_parallel([partial(of_joint, i) for i in range(len(gains))])
 
 
 def tune_cascades(

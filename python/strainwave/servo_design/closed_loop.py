@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import expm
@@ -11,6 +11,8 @@ from scipy.linalg import expm
 from strainwave.domain import ComplexArray, ControlLaw, FloatArray, IntArray
 from strainwave.servo_design.plants import Plants
 from strainwave.servo_design.sampling import Clock
+
+_PART = 500  # plants
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,6 +24,12 @@ class SampledPlants:
     motors: FloatArray  # (n_joints, n)
     links: FloatArray  # (n_joints, n)
     ratios: FloatArray  # (n_joints,) link angle per motor angle without torsion
+
+    def parts(self) -> list[SampledPlants]:
+        """The plants in parts, for threads and small temporary arrays."""
+        n_parts = -(-len(self.A) // _PART)
+        pairs = zip(np.array_split(self.A, n_parts), np.array_split(self.B, n_parts), strict=True)
+        return [replace(self, A=A, B=B) for A, B in pairs]
 
 
 def sample(plants: Plants, clock: Clock, chosen: IntArray | slice = slice(None)) -> SampledPlants:
@@ -88,11 +96,10 @@ def _padded(rows: FloatArray, n: int) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedLoop:
-    """x_k+1 = A x_k + B (r_k, w_k) of one joint; its motor and link angles, link by motor angle."""
+    """x_k+1 = A x_k + B (r_k, w_k) of one joint; its link angle, and link by motor angle."""
 
     A: FloatArray  # (n_plants, n, n)
     B: FloatArray  # (n_plants, n, 2)
-    motor: FloatArray  # (n,)
     link: FloatArray  # (n,)
     ratio: float  # link angle per motor angle without torsion
 
@@ -100,14 +107,27 @@ class ClosedLoop:
         """Poles (n_plants, n)."""
         return np.asarray(np.linalg.eigvals(self.A))
 
-    def simulate(self, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Motor and link angles (n_plants, n_samples) for a reference (n_samples, 2)."""
-        x = np.zeros((len(self.A), self.A.shape[1]))
-        motor, link = (np.empty((len(self.A), len(reference))) for _ in range(2))
-        for k, now in enumerate(reference):
-            motor[:, k], link[:, k] = x @ self.motor, x @ self.link
-            x = (self.A @ x[..., None])[..., 0] + self.B @ now
-        return motor, link
+    def step(self, n_samples: int, first: FloatArray, held: FloatArray) -> FloatArray:
+        """Link angles (n_plants, n_samples) from rest.
+
+        The reference (r, w) is `first` at the first sample and `held` afterwards.
+        """
+        count, n = self.A.shape[:2]
+        system = np.zeros((count, n + 1, n + 1))  # the held reference is a constant state
+        system[:, :n, :n], system[:, :n, n], system[:, n, n] = self.A, self.B @ held, 1.0
+        state = np.concatenate([self.B @ first, np.ones((count, 1))], axis=1)[..., None]
+        # rows of a block of samples over the state at its begin
+        size = int(np.ceil(np.sqrt(n_samples)))
+        rows = np.empty((count, size, n + 1))
+        rows[:, 0] = _end(self.link, n + 1)
+        for k in range(1, size):
+            rows[:, k] = (rows[:, k - 1, None] @ system)[:, 0]
+        over_block = np.linalg.matrix_power(system, size)
+        blocks = [np.zeros((count, 1))]
+        for _ in range(size):
+            blocks.append((rows @ state)[..., 0])
+            state = over_block @ state
+        return np.concatenate(blocks, axis=1)[:, :n_samples]
 
 
 def close(plants: SampledPlants, laws: Sequence[ControlLaw], joint: int) -> ClosedLoop:
@@ -129,8 +149,7 @@ def close(plants: SampledPlants, laws: Sequence[ControlLaw], joint: int) -> Clos
             B[:, :n] = voltage[:, :, None] * law.D[:2]
             B[:, own] = law.B[:, :2] + np.outer(law.E, law.D[:2])
     size = int(starts[-1])
-    motor, link = _end(plants.motors[joint], size), _end(plants.links[joint], size)
-    return ClosedLoop(A, B, motor, link, float(plants.ratios[joint]))
+    return ClosedLoop(A, B, _end(plants.links[joint], size), float(plants.ratios[joint]))
 
 
 def _end(row: FloatArray, n: int) -> FloatArray:
@@ -148,23 +167,39 @@ class Steps:
     """Response of the link to a unit step of the reference: an entry per plant."""
 
     time: FloatArray  # (n_samples,) [s]
-    link: FloatArray  # (n_plants, n_samples) over the final angle
+    # (n_samples, 3) over the final angle: smallest, of the estimates, largest
+    link: FloatArray
     settling: FloatArray  # [s] to 2 %; infinite if it does not settle in the simulated time
     overshoot: FloatArray  # share of the step
 
     @classmethod
-    def of(cls, loop: ClosedLoop, period: float, reference: FloatArray | None = None) -> Steps:
-        """Simulate a unit step of the angle, or a reference (n_samples, 2) with the same end."""
-        if reference is None:
-            reference = np.zeros((round(STEP_SECONDS / period), 2))
-            reference[:, 0] = 1.0
-        _, link = loop.simulate(reference)
+    def of(cls, loop: ClosedLoop, period: float, *, by_velocity: bool = False) -> Steps:
+        """Step of the reference angle, or of a servo without position loop.
+
+        For the latter (`by_velocity`) the velocity reference is the derivative of the step: one
+        pulse.
+        """
+        n = round(STEP_SECONDS / period)
+        step, pulse, rest = np.array([1.0, 0.0]), np.array([0.0, 1.0 / period]), np.zeros(2)
+        link = loop.step(n, pulse, rest) if by_velocity else loop.step(n, step, step)
         share = link / loop.ratio
         is_apart = np.abs(share - 1.0) > _SETTLED
-        n = share.shape[1]
         last = n - np.argmax(is_apart[:, ::-1], axis=1)
         settling = np.where(
             is_apart[:, -1], np.inf, np.where(is_apart.any(axis=1), last, 0) * period
         )
+        band = np.stack([share.min(axis=0), share[0], share.max(axis=0)], axis=1)
         time: FloatArray = period * np.arange(n, dtype=np.float64)
-        return cls(time, share, settling, np.maximum(share.max(axis=1) - 1.0, 0.0))
+        return cls(time, band, settling, np.maximum(share.max(axis=1) - 1.0, 0.0))
+
+    @classmethod
+    def join(cls, parts: Sequence[Steps]) -> Steps:
+        """Steps of all plants from those of parts of them, the estimates first."""
+        bands = np.stack([part.link for part in parts])
+        link = np.stack([bands[..., 0].min(0), bands[0, :, 1], bands[..., 2].max(0)], axis=1)
+        return cls(
+            parts[0].time,
+            link,
+            np.concatenate([part.settling for part in parts]),
+            np.concatenate([part.overshoot for part in parts]),
+        )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -14,15 +15,9 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import JointCovariance
+from strainwave.numerics.parallel import one_blas_thread, run_parallel
 from strainwave.servo_design.cascade_tuning import Loops, TunedJoint, tune_cascades
-from strainwave.servo_design.closed_loop import (
-    STEP_SECONDS,
-    ClosedLoop,
-    SampledPlants,
-    Steps,
-    close,
-    sample,
-)
+from strainwave.servo_design.closed_loop import SampledPlants, Steps, close, sample
 from strainwave.servo_design.control_law import Gains
 from strainwave.servo_design.loop_bands import LoopBand
 from strainwave.servo_design.margins import Margins, Requirements
@@ -123,6 +118,19 @@ def design_servo(
     _check_parameters(arm)
     conditions = _conditions(arm, options)
     clock, limit = _drives(arm, options)
+    with one_blas_thread():  # thousands of small matrices
+        return _design(arm, covariance, options, clock, limit, conditions, progress)
+
+
+def _design(
+    arm: IdentifiedArm,
+    covariance: JointCovariance | None,
+    options: ServoOptions,
+    clock: Clock,
+    limit: float,
+    conditions: tuple[Condition, ...],
+    progress: Callable[[str], None],
+) -> ServoDesign:
     progress("drawing plants")
     rng = np.random.default_rng(options.seed)
     draws = drawn_values(arm, covariance, options.draws, rng)
@@ -145,7 +153,9 @@ def design_servo(
     progress("ranking shapers")
     modes, shapers = _shapers(plants, clock)
     progress("comparing moves")
-    moves, refusal = _moves(arm, gains, draws[: _N_MOVE_DRAWS + 1], conditions[0].posture, limit)
+    moves, refusal = _moves(
+        arm, gains, current, draws[: _N_MOVE_DRAWS + 1], conditions[0].posture, limit
+    )
     return ServoDesign(
         arm=arm,
         options=options,
@@ -185,17 +195,22 @@ def _drives(arm: IdentifiedArm, options: ServoOptions) -> tuple[Clock, float]:
 
 def _results(loops: Loops, sampled: SampledPlants, gains: Sequence[Gains]) -> list[LoopResults]:
     """Margins, bands and steps of all joints."""
-    laws = [each.law() for each in gains]
+    pairs = loops.margins_and_bands(gains)
     return [
-        LoopResults(margins, band, _steps(close(sampled, laws, i), gains[i]))
-        for i, (margins, band) in enumerate(loops.margins_and_bands(gains))
+        LoopResults(margins, band, _steps(sampled, gains, i))
+        for i, (margins, band) in enumerate(pairs)
     ]
 
 
 def _count_unstable(sampled: SampledPlants, gains: Sequence[Gains]) -> int:
     """Number of plants with an unstable pole under a servo."""
-    poles = close(sampled, [each.law() for each in gains], 0).poles()
-    return int((np.abs(poles).max(axis=1) > 1.0 + _POLE_TOLERANCE).sum())
+    laws = [each.law() for each in gains]
+
+    def count(part: SampledPlants) -> int:
+        poles = close(part, laws, 0).poles()
+        return int((np.abs(poles).max(axis=1) > 1.0 + _POLE_TOLERANCE).sum())
+
+    return sum(run_parallel([partial(count, part) for part in sampled.parts()]))
 
 
 def _first_share(sampled: SampledPlants, gains: Sequence[Gains]) -> float:
@@ -226,17 +241,15 @@ def _check_loops(results: Sequence[LoopResults], required: Requirements, n_unsta
             )
 
 
-def _steps(loop: ClosedLoop, gains: Gains) -> Steps:
-    """Steps of the reference angle.
+def _steps(sampled: SampledPlants, gains: Sequence[Gains], joint: int) -> Steps:
+    """Steps of the reference angle of a joint, from 0."""
+    own, laws = gains[joint], [each.law() for each in gains]
 
-    Without a position loop the velocity reference is the derivative of the step: one pulse.
-    """
-    reference = np.zeros((round(STEP_SECONDS / gains.period), 2))
-    if gains.position_gain:
-        reference[:, 0] = 1.0
-    else:
-        reference[0, 1] = 1.0 / gains.period
-    return Steps.of(loop, gains.period, reference)
+    def steps(part: SampledPlants) -> Steps:
+        loop = close(part, laws, joint)
+        return Steps.of(loop, own.period, by_velocity=not own.position_gain)
+
+    return Steps.join(run_parallel([partial(steps, part) for part in sampled.parts()]))
 
 
 def _shapers(plants: Plants, clock: Clock) -> tuple[FloatArray, tuple[RankedShaper, ...]]:
@@ -253,6 +266,7 @@ def _shapers(plants: Plants, clock: Clock) -> tuple[FloatArray, tuple[RankedShap
 def _moves(
     arm: IdentifiedArm,
     gains: Sequence[Gains],
+    current: Sequence[Gains] | None,
     draws: Sequence[Values],
     posture: FloatArray,
     limit: float,
@@ -262,7 +276,10 @@ def _moves(
         return (), "the torque limit of the drives is unknown without a [servo] table in the study"
     try:
         numbers = range(1, len(gains) + 1)
-        return tuple(compare_moves(arm, gains, draws, i, posture, limit) for i in numbers), ""
+        moves = (
+            compare_moves(arm, gains, draws, i, posture, limit, current=current) for i in numbers
+        )
+        return tuple(moves), ""
     except (InvalidInput, NumericalFailure) as error:
         return (), getattr(error, "problem", str(error))
 

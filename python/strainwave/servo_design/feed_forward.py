@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -56,6 +56,29 @@ class FeedForward:
     friction_velocity: FloatArray  # (n_joints,) [rad/s] at which 76 % of it are reached
     friction_share: FloatArray  # (n_joints,) of the estimated dry friction
     notes: tuple[str, ...]  # identified effects without compensation
+
+    def extended(self, n_samples: int) -> FeedForward:
+        """The motion, cut or held at its end, with a number of samples."""
+        more = max(0, n_samples - len(self.time))
+
+        def held(rows: FloatArray) -> FloatArray:
+            return np.concatenate([rows, np.repeat(rows[-1:], more, axis=0)])[:n_samples]
+
+        period = self.time[1] - self.time[0]
+        velocity = held(self.reference_velocity)
+        velocity[len(self.time) :] = 0.0
+        time: FloatArray = self.time[0] + period * np.arange(n_samples, dtype=np.float64)
+        return replace(
+            self,
+            time=time,
+            link_angle=held(self.link_angle),
+            torsion=held(self.torsion),
+            motor_angle=held(self.motor_angle),
+            motor_velocity=held(self.motor_velocity),
+            reference_velocity=velocity,
+            voltage=held(self.voltage),
+            friction_voltage=held(self.friction_voltage),
+        )
 
     def servo_reference(self, position_gain: FloatArray) -> FloatArray:
         """Velocity references [rad/s] of a servo that integrates them to its position reference.

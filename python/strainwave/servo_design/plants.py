@@ -12,7 +12,7 @@ of joints that slide.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -62,6 +62,11 @@ class Plants:
     def n_joints(self) -> int:
         """Number of joints."""
         return len(self.motors)
+
+    def part(self, chosen: slice | IntArray) -> Plants:
+        """Some of the plants."""
+        names = ("mass", "damping", "stiffness", "draw", "condition")
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     def responses(self, omega: FloatArray) -> ComplexArray:
         """Responses of motor angles to voltages, at frequencies [rad/s].
@@ -127,7 +132,8 @@ def plants_of(
     numbers = range(1, n + 1)
     laws = [(number, arm.joint(number).law) for number in coordinates.elastic]
     slopes = (0, 1) if any(law.is_curved for _, law in laws) else (1,)
-    base_names, effective = model.base_names, model.base.effective
+    effective = set(model.base.effective)
+    links_at = [_LinksAt.of(model, condition) for condition in conditions]
     parts: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     places = []
     for (d, values), slope in product(enumerate(draws), slopes):
@@ -139,19 +145,15 @@ def plants_of(
             [law.stiffness_range(law.of_joint(values, number))[slope] for number, law in laws]
         )
         gear_damping = np.array([values["gear_damping", number] for number, _ in laws])
-        base = np.array([values[key] if key in effective else 0.0 for key in base_names])
+        base = np.array([values[key] if key in effective else 0.0 for key in model.base_names])
         damping = _form(motors, column("motor_viscous_friction"))
         damping += _form(torsions, gear_damping) + _form(links, column("link_viscous_friction"))
         of_motors, of_gears = _form(motors, column("motor_inertia")), _form(torsions, gears)
-        for c, condition in enumerate(conditions):
-            inertia, gravity = _links_at(model, base, condition)
-            parts.append(
-                (
-                    of_motors + links.T @ inertia @ links,
-                    damping,
-                    of_gears + links.T @ gravity @ links,
-                )
-            )
+        for c, at in enumerate(links_at):
+            mass, stiffness = of_motors.copy(), of_gears.copy()
+            mass[-n:, -n:] += at.inertia(base)
+            stiffness[-n:, -n:] += at.gravity(base)
+            parts.append((mass, damping, stiffness))
             places.append((d, c))
     mass, damping, stiffness = (np.array(part) for part in zip(*parts, strict=True))
     loops = [joint.current_loop_hz for joint in description.joints]
@@ -178,21 +180,46 @@ def _form(rows: FloatArray, weights: FloatArray) -> FloatArray:
     return np.asarray(rows.T @ (weights[:, None] * rows))
 
 
-def _links_at(model: Arm, base: FloatArray, condition: Condition) -> tuple[FloatArray, FloatArray]:
-    """M(q) and dg/dq with a payload, both (n_joints, n_joints)."""
-    n, q = model.n_joints, condition.posture
-    inertia = model.inertia_matrix(base, q)
-    postures = np.concatenate([q + sign * _GRAVITY_STEP * np.eye(n) for sign in (1.0, -1.0)])
-    rest = np.zeros_like(postures)
-    torques = model.link_torques(base, postures, rest, rest)
-    if condition.payload is not None:
-        torques = torques + payload_torques(model, condition.payload, postures, rest, rest)
-        jacobian, _ = payload_motion(
-            model, condition.payload, *np.stack([q, 0 * q, 0 * q])[:, None]
-        )
-        inertia = inertia + condition.payload.mass * jacobian[0].T @ jacobian[0]
-    ahead, behind = torques[:n], torques[n:]
-    return inertia, ((ahead - behind) / (2.0 * _GRAVITY_STEP)).T
+@dataclass(frozen=True, slots=True, eq=False)
+class _LinksAt:
+    """M(q) and dg/dq at a posture with a payload, linear in the base parameters."""
+
+    inertia_per_base: FloatArray  # (n_joints, n_joints, n_base)
+    gravity_per_base: FloatArray
+    payload_inertia: FloatArray  # (n_joints, n_joints)
+    payload_gravity: FloatArray
+
+    @classmethod
+    def of(cls, model: Arm, condition: Condition) -> _LinksAt:
+        """The matrices of a condition. Row i is the torque of link i, column j moves joint j."""
+        n, q, load = model.n_joints, condition.posture, condition.payload
+        posture, unit = np.tile(q, (n, 1)), np.eye(n)
+        rest = np.zeros_like(posture)
+        ahead, behind = posture + _GRAVITY_STEP * unit, posture - _GRAVITY_STEP * unit
+
+        def columns(torques: FloatArray, others: FloatArray) -> FloatArray:
+            return np.asarray(np.swapaxes(torques - others, 0, 1))
+
+        def regressor(angle: FloatArray, acceleration: FloatArray) -> FloatArray:
+            return model.base_regressor(angle, rest, acceleration)
+
+        inertia = columns(regressor(posture, unit), regressor(posture, rest))
+        gravity = columns(regressor(ahead, rest), regressor(behind, rest)) / (2.0 * _GRAVITY_STEP)
+        of_load, load_gravity = np.zeros((n, n)), np.zeros((n, n))
+        if load is not None:
+            jacobian, _ = payload_motion(model, load, posture[:1], rest[:1], rest[:1])
+            of_load = load.mass * jacobian[0].T @ jacobian[0]
+            weights = [payload_torques(model, load, at, rest, rest) for at in (ahead, behind)]
+            load_gravity = columns(*weights) / (2.0 * _GRAVITY_STEP)
+        return cls(inertia, gravity, of_load, load_gravity)
+
+    def inertia(self, base: FloatArray) -> FloatArray:
+        """M(q), (n_joints, n_joints)."""
+        return np.asarray(self.inertia_per_base @ base + self.payload_inertia)
+
+    def gravity(self, base: FloatArray) -> FloatArray:
+        """dg/dq, (n_joints, n_joints)."""
+        return np.asarray(self.gravity_per_base @ base + self.payload_gravity)
 
 
 def drawn_values(

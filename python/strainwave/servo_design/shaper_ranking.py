@@ -31,6 +31,7 @@ COVERAGE = 0.95
 
 _MAX_TOLERANCE = 0.5  # of an extra-insensitive shaper, which hardly attenuates beyond
 _N_FREQUENCIES = 101  # of an interval; a shaper has at most three zeros in it
+_N_SEARCHED = 300  # frequencies of an interval in the search of a shaper
 _N_RANKED = 35  # candidates: all for two modes
 _N_STARTS = 17  # of a search over frequencies or tolerances, which has few minima
 
@@ -49,8 +50,14 @@ class RankedShaper:
 class _Interval:
     """Frequencies that a mode may have, and damping ratios at them."""
 
-    omega: FloatArray
+    omega: FloatArray  # ascending
     damping: FloatArray
+
+    @property
+    def searched(self) -> _Interval:
+        """Frequencies for the search of a shaper, evenly spread over the draws."""
+        chosen = np.unique(np.linspace(0, len(self.omega) - 1, _N_SEARCHED).round().astype(int))
+        return _Interval(self.omega[chosen], self.damping[chosen])
 
     @staticmethod
     def of(omega: FloatArray, damping: FloatArray) -> _Interval:
@@ -118,7 +125,7 @@ def _choices(mode: _Interval, modes: list[_Interval], period: float) -> list[_Ch
     choices = [_Choice(None, np.ones(1), np.ones(len(omega)))]
     for kind in ShaperKind:
         if has_design(kind, mode.middle_damping, MIN_TOLERANCE):
-            shaper = _least_vibration(kind, mode, period)
+            shaper = _least_vibration(kind, mode.searched, period)
             sampled = shaper.sample(period)
             vibration = sampled.residual_vibration(omega, damping)
             choices.append(_Choice(shaper, sampled.amplitudes, vibration))

@@ -1,4 +1,4 @@
-"""Moves of single joints on the identified arm: a step under the loops alone, and a planned move.
+"""Moves of single joints on the identified arm: steps under the loops alone, and a planned move.
 
 The plant has drawn parameters, friction, the whole curve of the gear, and encoders with counts; the
 servo knows the estimates only. The planned move has the shortest duration that the voltage limit
@@ -50,10 +50,12 @@ class Comparison:
     joint: int  # from 1
     posture: FloatArray  # (n_joints,)
     duration: float  # [s] of the planned move
+    current: Move | None  # step under the current servo; None without one
     step: Move
     planned: Move
     time: FloatArray  # (n_samples,) [s]
-    step_link: FloatArray  # (n_draws, n_samples) over the move
+    # (n_samples, 3) over the move: smallest, with the estimates, largest
+    step_link: FloatArray
     planned_link: FloatArray
 
 
@@ -64,27 +66,36 @@ def compare_moves(
     joint: int,
     posture: FloatArray,
     limit: float,
+    *,
+    current: Sequence[Gains] | None = None,
     move: float = MOVE,
 ) -> Comparison:
-    """Simulate both moves of a joint, from 1, from a posture [rad], for all draws.
+    """Simulate the moves of a joint, from 1, from a posture [rad], for all draws.
 
-    Raises `InvalidInput` if no duration up to a second stays within the voltage limit.
+    `current` are the gains of the current servo. Raises `InvalidInput` if no duration up to a
+    second stays within the voltage limit.
     """
     end = posture.copy()
     end[joint - 1] += move
-    plan = _shortest(arm, posture, end, gains[0].period, limit)
+    plan = shortest_plan(arm, posture, end, gains[0].period, limit)
     model = Arm.of(arm.study.arm)
-    step_run = _simulate_all(model, draws, _step(model, gains, plan, end - posture, limit), joint)
-    planned_run = _simulate_all(model, draws, _follow(gains, plan, limit), joint)
+    change = end - posture
+    step_run = _simulate_all(model, draws, _step(model, gains, plan, change, limit), joint)
+    current_move = None
+    if current is not None:
+        drive = _step(model, current, plan, change, limit)
+        current_move = _simulate_all(model, draws, drive, joint).move(move)
+    planned_run = _simulate_all(model, draws, follow(gains, plan, limit), joint)
     return Comparison(
         joint=joint,
         posture=posture,
         duration=float(plan.time[-1]),
+        current=current_move,
         step=step_run.move(move),
         planned=planned_run.move(move),
         time=step_run.time,
-        step_link=step_run.link / move,
-        planned_link=planned_run.link / move,
+        step_link=step_run.band / move,
+        planned_link=planned_run.band / move,
     )
 
 
@@ -95,6 +106,11 @@ class _Runs:
     time: FloatArray  # (n_samples,) [s]
     link: FloatArray  # (n_draws, n_samples) from the first angle
     peaks: FloatArray  # (n_draws,) [V]
+
+    @property
+    def band(self) -> FloatArray:
+        """Smallest angle, that with the estimates, and largest: (n_samples, 3)."""
+        return np.stack([self.link.min(axis=0), self.link[0], self.link.max(axis=0)], axis=1)
 
     def move(self, size: float) -> Move:
         """The worst behaviour of all draws."""
@@ -135,22 +151,31 @@ def _simulate_all(model: Arm, draws: Sequence[Values], drive: Drive, joint: int)
 def _step(
     model: Arm, gains: Sequence[Gains], plan: FeedForward, change: FloatArray, limit: float
 ) -> Drive:
-    """A step of the reference angles by a change of the link angles, without feed-forward."""
+    """A step of the reference angles by a change of the link angles, without feed-forward.
+
+    It enters through the reference angle alone, or as a pulse of the velocity where a servo has no
+    position loop.
+    """
     period = gains[0].period
-    # the step enters through the reference angle alone
     laws = [each.law() for each in gains]
-    without = [replace(law, B=law.B * [1.0, 0.0, 1.0], D=law.D * [1.0, 0.0, 1.0]) for law in laws]
+    used = [np.array([1.0, 0.0 if each.position_gain else 1.0, 1.0]) for each in gains]
+    without = [
+        replace(law, B=law.B * columns, D=law.D * columns)
+        for law, columns in zip(laws, used, strict=True)
+    ]
     reference = np.zeros((round(_SECONDS / period), model.n_joints))
     reference[0] = model.motor_accelerations(change[None])[0] / period
     held = np.broadcast_to(plan.voltage[0], reference.shape)
     return _drive(LinearServo(tuple(without), period, limit), plan, reference, held)
 
 
-def _follow(gains: Sequence[Gains], plan: FeedForward, limit: float) -> Drive:
+def follow(gains: Sequence[Gains], plan: FeedForward, limit: float) -> Drive:
     """The planned move with its feed-forward."""
     period = gains[0].period
     servo = LinearServo(tuple(each.law() for each in gains), period, limit)
-    return _drive(servo, plan, *_padded(plan, round(_SECONDS / period)))
+    held = plan.extended(round(_SECONDS / period))
+    reference = held.servo_reference(np.array([each.position_gain for each in gains]))
+    return _drive(servo, plan, reference, held.voltage)
 
 
 def _drive(
@@ -168,10 +193,13 @@ def _drive(
     )
 
 
-def _shortest(
+def shortest_plan(
     arm: IdentifiedArm, begin: FloatArray, end: FloatArray, period: float, limit: float
 ) -> FeedForward:
-    """The shortest planned move within the voltage limit."""
+    """The shortest planned move between two postures within the voltage limit.
+
+    Raises `InvalidInput` if a second does not suffice.
+    """
     duration = _SHORTEST
     while duration <= _LONGEST:
         motion = point_to_point(begin, end, duration, period)
@@ -188,12 +216,3 @@ def _shortest(
         f"a move of {float(np.abs(end - begin).max()):g} rad takes more than {_LONGEST:g} s",
         remedy="choose a smaller move",
     )
-
-
-def _padded(plan: FeedForward, samples: int) -> tuple[FloatArray, FloatArray]:
-    """Velocity references and voltages; at the end the arm is held."""
-    reference = np.zeros((samples, plan.voltage.shape[1]))
-    voltage = np.tile(plan.voltage[-1], (samples, 1))
-    n = min(samples, len(plan.time))
-    reference[:n], voltage[:n] = plan.reference_velocity[:n], plan.voltage[:n]
-    return reference, voltage

@@ -138,12 +138,10 @@ def _band(
 
 
 def _over_time(
-    time: FloatArray, links: FloatArray, shown: float, name: str, colour: Colour, dash: Dash
+    time: FloatArray, link: FloatArray, shown: float, name: str, colour: Colour, dash: Dash
 ) -> tuple[Mark, ...]:
-    """Band and first line of motions (n_plants, n_samples) until a time [s]."""
-    n = int(np.searchsorted(time, shown))
-    inside = links[:, :n]
-    values = np.stack([inside.min(axis=0), inside[0], inside.max(axis=0)], axis=1)
+    """Band and line of motions (n_samples, 3) until a time [s]."""
+    values = link[: int(np.searchsorted(time, shown))]
     rows = decimate(values, _MAX_ROWS)
     return _band(time[rows], values[rows], name, colour, dash)
 

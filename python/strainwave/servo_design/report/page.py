@@ -175,9 +175,10 @@ def _moves(design: ServoDesign) -> Iterator[Block]:
         yield paragraph(f"No moves are compared: {design.refusal}.")
         return
     yield paragraph(
-        "Both moves use the designed gains: a step of the reference angle, and a smooth planned "
-        "move with the feed-forward of the elastic arm. The simulation has Coulomb friction, the "
-        "whole curve of the gear, encoder counts and the voltage limit."
+        "Steps of the reference angle with the current and the designed gains, and a smooth "
+        "planned move with the designed gains and the feed-forward of the elastic arm. The "
+        "simulation has Coulomb friction, the whole curve of the gear, encoder counts and the "
+        "voltage limit."
     )
     yield from table(words.move_title(), words.move_heads(design), words.move_rows(design))
     for move in design.moves:

@@ -197,9 +197,11 @@ def move_heads(design: ServoDesign) -> Row:
 
 
 def move_rows(design: ServoDesign) -> Iterator[Row]:
-    """Behaviour of each joint after a step and in the planned move."""
+    """Behaviour of each joint after steps and in the planned move."""
     for move in design.moves:
-        yield str(move.joint), "step", number("0"), *_move_cells(move.step)
+        if move.current is not None:
+            yield str(move.joint), "step, current", number("0"), *_move_cells(move.current)
+        yield str(move.joint), "step, designed", number("0"), *_move_cells(move.step)
         lasts = number(f"{move.duration:.3g}")
         yield str(move.joint), "planned", lasts, *_move_cells(move.planned)
 
