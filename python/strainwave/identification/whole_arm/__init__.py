@@ -129,14 +129,14 @@ def _fit(start: Start, selection: Selection) -> Fit:
 
 def _search(start: Start, selection: Selection) -> Fit:
     """Fit in long steps to near the minimum, then in short steps, with the selected model."""
-    coarse = coarse_search(start.coarse, selection.options)
-    coarse = select_model(coarse, COARSE, selection)
+    coarse = select_model(coarse_search(start.coarse, selection.options), COARSE, selection)
     records = [
         replace(record, begins_in_motion=long_steps.begins_in_motion)
         for record, long_steps in zip(start.records, coarse.objective.records, strict=True)
     ]
     with_found = set_record_effects(records, selection.arm, coarse.space.keys)
     objective = coarse.objective.replace_records(with_found).update_weights(coarse.z)
+    coarse.objective.forget()
     fine = fine_search(replace(coarse, objective=objective), selection.options)
     if fine.end.is_minimum:  # the model selection has its own budget of evaluations
         selection.renew(fine)

@@ -40,13 +40,13 @@ def evidence_of(record: Dataset, rows: Rows, block: IntArray, noise: FloatArray)
     `noise` is the sensor noise in weighted standard deviations. The gradient of the soft L1 loss
     has the weights (1 + r^2)^(-1/2), its second derivative (1 + r^2)^(-3/2).
     """
-    n_own, width = len(rows.step), rows.residual.shape[1]
-    table = rows.evaluated.columns * (rows.root / rows.stds)[..., None]
+    n_initial, width = rows.evaluated.n_initial, rows.residual.shape[1]
+    table = rows.columns
     flat = table.reshape(-1, table.shape[2])
-    local, shared = flat[:, :n_own], flat[:, n_own:]
+    local, shared = flat[:, :n_initial], flat[:, n_initial:]
     n = shared.shape[1]
-    coefficients = np.linalg.lstsq(local, shared)[0]
-    shared = shared - local @ coefficients  # orthogonal to the record's own unknowns
+    if n_initial:  # orthogonal to the record's own unknowns
+        shared = shared - local @ np.linalg.lstsq(local, shared)[0]
     gradients = shared * (rows.residual * rows.root).reshape(-1, 1)
     labels, segment = np.unique(np.repeat(block, width), return_inverse=True)
     sums = np.zeros((len(labels), n))

@@ -146,28 +146,28 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[l
 
     def one(record: Dataset, rows: Rows) -> list[FloatArray]:
         extended = _with_candidates(record, arm, candidates)
-        n_begin, n_own = len(record.initial_states), len(rows.step)
+        n_begin = len(record.initial_states)
         simulated = [keys[k] for k in parameter_places]
         initial = rows.record_parameters[:n_begin]
         readings, tangent = extended.linearise(values, initial, simulated)
         scale = np.sqrt(_MEAN_ROBUST_WEIGHT / filtered_rows_per_error(extended))
         scale = scale / np.maximum(extended.noise, MIN_ERROR_SHARE * np.std(readings, axis=0))
-        columns = rows.evaluated.columns * (rows.root / rows.stds)[..., None]
+        columns = rows.columns
         factor = triangular_factor(columns.reshape(-1, columns.shape[2]))
-        information = [_shared_information(factor, n_own)]
+        information = [_shared_information(factor, n_begin)]
         for k, candidate in enumerate(candidates):
-            # columns: bias of the sensor, record parameters, shared unknowns
+            # columns: bias of the sensor, initial states, shared unknowns
             sensor_rows = np.zeros((len(readings), 1 + columns.shape[2]))
             sensor_rows[:, 0] = candidate.channel.shifted
             sensor_rows[:, 1 : 1 + n_begin] = tangent[:, k, len(parameter_places) :]
-            sensor_rows[:, 1 + n_own :] = (
+            sensor_rows[:, 1 + n_begin :] = (
                 tangent[:, k, : len(parameter_places)] @ slope[parameter_places]
             )
             stacked = np.concatenate([np.pad(factor, ((0, 0), (1, 0))), scale[k] * sensor_rows])
             if not candidate.channel.shifted:
                 stacked = stacked[:, 1:]
             information.append(
-                _shared_information(triangular_factor(stacked), n_own + candidate.channel.shifted)
+                _shared_information(triangular_factor(stacked), n_begin + candidate.channel.shifted)
             )
         return information
 
@@ -175,9 +175,9 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[l
     return run_parallel([partial(one, *pair) for pair in pairs])
 
 
-def _shared_information(factor: FloatArray, n_own: int) -> FloatArray:
-    """Information R'R of the shared unknowns after elimination of the record parameters."""
-    R = factor[n_own:, n_own:]
+def _shared_information(factor: FloatArray, n_first: int) -> FloatArray:
+    """Information R'R of the shared unknowns after elimination of the first columns."""
+    R = factor[n_first:, n_first:]
     return np.asarray(R.T @ R)
 
 

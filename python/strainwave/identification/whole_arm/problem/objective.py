@@ -1,9 +1,7 @@
 """Objective of the whole-arm fit: weighted residuals of all records, and the prior.
 
 Each record has its own unknowns, the record parameters: initial states and sensor biases. They are
-eliminated record by record (variable projection). Their columns come first in the least squares
-problem of the record, so the rows of its triangular factor below them are the problem in the shared
-unknowns.
+eliminated record by record (variable projection).
 """
 
 from __future__ import annotations
@@ -83,7 +81,7 @@ class Objective:
             size = np.maximum(spread, record.noise)
             weights.append(Weights(size, np.ones(len(size))))
         record_parameters = [
-            np.concatenate([r.start(), np.zeros(_shifts(r).shape[1])]) for r in records
+            np.concatenate([r.start(), np.zeros(len(_biased(r)))]) for r in records
         ]
         return cls(
             space,
@@ -154,6 +152,10 @@ class Objective:
             repeats = [estimate_rows_per_error(column) for column in rows.errors.T]
             weights.append(Weights(stds, np.array(repeats)))
         return replace(self, weights=tuple(weights), has_initial_weights=False)
+
+    def forget(self) -> None:
+        """Free the cached evaluations, of which arms of many joints have hundreds of megabytes."""
+        self.memory.last = self.memory.rows = self.memory.long_steps = None
 
     def replace_unknowns(self, space: ParameterSpace) -> Objective:
         """Replace the shared unknowns."""
@@ -270,6 +272,8 @@ class Objective:
             evaluated = cached[k] if cached is not None else self._evaluate_record(k, record, z)
             return evaluated, work(k, evaluated)
 
+        if cached is None:  # the old columns need not stay while the new ones are computed
+            self.memory.last = self.memory.rows = None
         results = self._map_records(evaluate_and_apply)
         self.memory.last = point, [evaluated for evaluated, _ in results]
         return [result for _, result in results]
@@ -305,21 +309,19 @@ class Objective:
     ) -> Evaluation:
         """Evaluate a record at z with given record parameters (n_own,)."""
         n_begin, n = len(record.initial_states), len(self.space.unknowns)
-        n_own = len(record_parameters)
-        values = self.space.values(z)
+        values, slope = self.space.values(z), self.space.slope(z)
         channels, tangent = record.linearise(values, record_parameters[:n_begin], self.space.keys)
-        shifts = _shifts(record)
-        columns = np.empty((*channels.shape, n_own + n))
+        columns = np.empty(tangent.shape)
         columns[..., :n_begin] = tangent[..., n:]
-        columns[..., n_begin:n_own] = shifts
-        columns[..., n_own:] = tangent[..., :n] @ self.space.slope(z)
-        difference = (
-            channels + shifts @ record_parameters[n_begin:] - record.advance_measured(values)
-        )
+        np.matmul(tangent[..., :n], slope, out=columns[..., n_begin:])
+        biases = _spread(record_parameters[n_begin:], record)
+        difference = channels + biases - record.advance_measured(values)
         if record.is_counted is not None:  # zero rows carry no information
             difference = difference * record.is_counted
             columns *= record.is_counted[..., None]
-        return Evaluation(difference, columns, record_parameters.copy())
+        return Evaluation(
+            difference, columns, record_parameters.copy(), _biased(record), record.is_counted
+        )
 
     def simulate(self, z: FloatArray) -> list[FloatArray]:
         """Simulated channels (n_rows, n_channels) of every record at z.
@@ -329,9 +331,9 @@ class Objective:
         values = self.space.values(z)
         simulated = []
         for evaluated, record in zip(self.evaluate(z), self.records, strict=True):
-            shift = _shifts(record) @ evaluated.record_parameters[len(record.initial_states) :]
+            shift = evaluated.record_parameters[len(record.initial_states) :]
             measured = record.advance_measured(values)
-            channels = evaluated.difference - shift + measured - record.drifts(values)
+            channels = evaluated.difference - _spread(shift, record) + measured - record.drifts(values)
             simulated.append(channels / record.sensor_scales(values))
         return simulated
 
@@ -387,12 +389,16 @@ class Objective:
         return run_parallel([partial(work, k, record) for k, record in enumerate(self.records)])
 
 
-def _shifts(record: Dataset) -> FloatArray:
-    """Columns (n_channels, n_biases) of the sensor biases, equal in every row."""
-    biased = [k for k, channel in enumerate(record.channels) if channel.shifted]
-    columns = np.zeros((len(record.channels), len(biased)))
-    columns[biased, range(len(biased))] = 1.0
-    return columns
+def _biased(record: Dataset) -> tuple[int, ...]:
+    """Channels whose sensor has a bias."""
+    return tuple(k for k, channel in enumerate(record.channels) if channel.shifted)
+
+
+def _spread(biases: FloatArray, record: Dataset) -> FloatArray:
+    """Biases (n_channels,), zero where a sensor has none."""
+    spread = np.zeros(len(record.channels))
+    spread[list(_biased(record))] = biases
+    return spread
 
 
 def _robust_std(errors: FloatArray) -> FloatArray:

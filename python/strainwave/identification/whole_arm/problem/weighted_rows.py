@@ -1,7 +1,8 @@
 """Rows of one record, weighted by the soft L1 loss.
 
-Columns of the record parameters come first in the least squares problem of a record, so the rows of
-its triangular factor below them are the problem in the shared unknowns.
+The record parameters are eliminated from the least squares problem of a record. A sensor bias is a
+constant in one channel, so its column is projected out directly. Columns of initial states come
+first, so the rows of the triangular factor below them are the problem in the shared unknowns.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import FloatArray
+from strainwave.domain import BoolArray, FloatArray
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.trust_region import Linearised
 
@@ -33,18 +34,28 @@ class Evaluation:
     """Unweighted residuals of one record at one point, with derivatives."""
 
     difference: FloatArray  # (n_rows, n_channels) simulated minus measured
-    columns: FloatArray  # (n_rows, n_channels, n_own + n_unknowns): record parameters, then shared
-    record_parameters: FloatArray  # (n_own,)
+    # (n_rows, n_channels, n_initial + n_unknowns): initial states, then shared unknowns
+    columns: FloatArray
+    record_parameters: FloatArray  # (n_initial + n_biases,)
+    biased: tuple[int, ...]  # channels with a bias
+    # (n_rows, n_channels) False where rows are zero, because they contain masked samples
+    is_counted: BoolArray | None = None
 
     @property
-    def n_own(self) -> int:
-        """Number of record parameters."""
-        return len(self.record_parameters)
+    def n_initial(self) -> int:
+        """Number of initial states."""
+        return len(self.record_parameters) - len(self.biased)
 
     @property
     def record_columns(self) -> FloatArray:
         """Derivatives with respect to the record parameters: (n_rows, n_channels, n_own)."""
-        return self.columns[..., : self.n_own]
+        n = self.n_initial
+        columns = np.zeros((*self.difference.shape, len(self.record_parameters)))
+        columns[..., :n] = self.columns[..., :n]
+        columns[:, self.biased, range(n, columns.shape[2])] = 1.0
+        if self.is_counted is not None:
+            columns *= self.is_counted[..., None]
+        return columns
 
     def initial_state_problem(self, weights: Weights) -> Linearised:
         """Cost and least squares problem in the record parameters only."""
@@ -60,20 +71,55 @@ class Evaluation:
     def weigh(self, weights: Weights) -> Rows:
         """Weighted rows, with optimal record parameters."""
         initial_residual = self.difference / weights.stds
-        columns = (self.record_columns / weights.stds[:, None]).reshape(initial_residual.size, -1)
         residual, weight = initial_residual, _robust_weight(initial_residual, weights)
-        step = np.zeros(self.n_own)
-        is_separable = bool(self.n_own) and int(np.count_nonzero(columns, axis=1).max()) == 1
-        for _ in range(_MAX_WEIGHT_UPDATES if self.n_own else 0):
-            step = _solve_weighted(
-                columns, -initial_residual.ravel(), weight.ravel(), is_separable=is_separable
-            )
+        step = np.zeros(len(self.record_parameters))
+        solve = self._solve_biases if self.n_initial == 0 else self._solve_all
+        for _ in range(_MAX_WEIGHT_UPDATES if len(step) else 0):
+            step, change = solve(initial_residual, weight, weights)
             previous = residual
-            residual = initial_residual + (columns @ step).reshape(initial_residual.shape)
+            residual = initial_residual + change
             weight = _robust_weight(residual, weights)
             if np.max(np.abs(residual - previous)) < _ROBUST_WEIGHT_TOLERANCE:
                 break
         return Rows(residual, np.sqrt(weight), self, weights.stds, step)
+
+    def _solve_biases(
+        self, residual: FloatArray, weight: FloatArray, weights: Weights
+    ) -> tuple[FloatArray, FloatArray]:
+        """Step of the biases by weighted means, and the change of the residual by it."""
+        if self.is_counted is not None:
+            weight = weight * self.is_counted
+        total = np.sum(weight, axis=0)
+        means = np.sum(weight * residual, axis=0) / np.where(total > 0.0, total, 1.0)
+        shift = np.zeros(residual.shape[1])
+        shift[list(self.biased)] = -means[list(self.biased)]
+        change = np.broadcast_to(shift, residual.shape)
+        if self.is_counted is not None:
+            change = change * self.is_counted
+        return (shift * weights.stds)[list(self.biased)], change
+
+    def _solve_all(
+        self, residual: FloatArray, weight: FloatArray, weights: Weights
+    ) -> tuple[FloatArray, FloatArray]:
+        """Step of all record parameters by least squares, and the change of the residual by it."""
+        columns = (self.record_columns / weights.stds[:, None]).reshape(residual.size, -1)
+        root = np.sqrt(weight.ravel())
+        step = np.linalg.lstsq(columns * root[:, None], -residual.ravel() * root)[0]
+        return step, (columns @ step).reshape(residual.shape)
+
+    def remove_biases(self, table: FloatArray, scale: FloatArray) -> None:
+        """Project rows onto the complement of the biases' columns, in place.
+
+        `table` (n_rows, n_channels, n) are rows multiplied by `scale` (n_rows, n_channels).
+        """
+        if self.is_counted is not None:
+            scale = scale * self.is_counted
+        for channel in self.biased:
+            column = scale[:, channel]
+            power = column @ column
+            if power > 0.0:
+                rows = table[:, channel]
+                rows -= np.outer(column, (column @ rows) / power)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +142,17 @@ class Rows:
         """Optimal record parameters (n_own,)."""
         return self.evaluated.record_parameters + self.step
 
+    @property
+    def columns(self) -> FloatArray:
+        """Weighted columns of initial states and shared unknowns without what biases explain.
+
+        Their shape is (n_rows, n_channels, n_initial + n_unknowns).
+        """
+        scale = self.root / self.stds
+        table = self.evaluated.columns * scale[..., None]
+        self.evaluated.remove_biases(table, scale)
+        return np.asarray(table)
+
     def factor(self, min_curvature_ratio: float) -> FloatArray:
         """R of [shared, residual] after elimination of the record parameters.
 
@@ -106,11 +163,12 @@ class Rows:
         square = self.root**2
         curvature = np.sum(square / (1.0 + self.residual**2), axis=0) / np.sum(square, axis=0)
         curvature = np.sqrt(np.maximum(curvature, min_curvature_ratio))
-        columns, n = self.evaluated.columns, len(self.step)
+        columns, n = self.evaluated.columns, self.evaluated.n_initial
         table = np.empty((*self.residual.shape, columns.shape[2] + 1))
         scale = self.root * (curvature / self.stds)
         np.multiply(columns, scale[..., None], out=table[..., :-1])
         np.multiply(self.residual, self.root / curvature, out=table[..., -1])
+        self.evaluated.remove_biases(table, scale)
         return triangular_factor(table.reshape(-1, table.shape[2]))[n:, n:]
 
     def cost(self, weights: Weights) -> float:
@@ -120,20 +178,6 @@ class Rows:
     def costs(self, weights: Weights) -> FloatArray:
         """Soft L1 loss of each channel, (n_channels,)."""
         return _losses(self.residual, weights)
-
-
-def _solve_weighted(
-    columns: FloatArray, target: FloatArray, weight: FloatArray, *, is_separable: bool
-) -> FloatArray:
-    """Weighted least squares.
-
-    With `is_separable`, no row has two nonzero columns, and each coefficient is a weighted mean.
-    """
-    if not is_separable:
-        root = np.sqrt(weight)
-        return np.asarray(np.linalg.lstsq(columns * root[:, None], target * root)[0])
-    weighted = columns * weight[:, None]
-    return np.asarray((target @ weighted) / np.einsum("ij,ij->j", columns, weighted))
 
 
 def _loss(residual: FloatArray, weights: Weights) -> float:
