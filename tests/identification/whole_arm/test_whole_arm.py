@@ -30,6 +30,7 @@ from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import decoupling, rigid, validation
 from strainwave.identification import joint_model as physical
 from strainwave.identification.whole_arm import WholeArmOptions, fit_whole_arm
+from strainwave.identification.whole_arm.problem import starting_values
 from strainwave.identification.whole_arm.search import solver
 from strainwave.io import logs
 from strainwave.io.parameters import read_parameters
@@ -527,6 +528,19 @@ def test_an_impossible_start_is_replaced(joint: int, name: str, value: float, wh
         assert abs(normalised) < 4.0, key
         if key[0] in ("gear_stiffness", "motor_inertia", "link_inertia"):
             assert abs(relative) < 0.003, key
+
+
+def test_a_rejected_stiffness_may_be_far_from_the_typical_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Light wrists are a hundred times as stiff as a typical joint with their inertia."""
+    monkeypatch.setattr(starting_values, "_TYPICAL_ANTI_RESONANCE_HZ", 1.5)
+    study, true_values, records = rig_records()
+    joints = list(joint_models(study, true_values, 0.05, FACTORS))
+    joints[1] = replace(joints[1], values={**joints[1].values, "gear_stiffness": -1.0})
+    model = fit_whole_arm(records, rigid_model(study, true_values, 0.01), joints, Arm.of(study.arm))
+    assert model.status == "converged"
+    assert abs(errors_of(model, true_values)["gear_stiffness", 2][0]) < 0.003
 
 
 def test_undetermined_starting_values_are_refused() -> None:

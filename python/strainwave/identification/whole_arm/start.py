@@ -19,7 +19,7 @@ from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.closed_loop import keep_known_effects
 from strainwave.identification.whole_arm.problem.arm_unknowns import add_stiffness_curves, space_of
 from strainwave.identification.whole_arm.problem.objective import Objective
-from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
 from strainwave.identification.whole_arm.problem.restrictions import (
     published_records,
     restrict_space,
@@ -46,7 +46,9 @@ from strainwave.identification.whole_arm.selection.mountings import select_mount
 from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
 from strainwave.signals.mounting_start import estimate_mounting_starts
 
-_STIFFNESS_GRID_POINTS = 31  # grid points of an unknown stiffness over its range, a factor of nine
+# an unknown stiffness over the typical one, and around the best of these
+_STIFFNESS_RATIOS = np.geomspace(1.0 / 9.0, 1000.0, 36).tolist()
+_STIFFNESS_REFINEMENT = np.geomspace(1.0 / 1.3, 1.3, 9).tolist()
 _INFEASIBLE_START = (
     "the arm cannot be simulated with the estimates of the earlier stages. Check the signs, units"
     " and assignment of the channels, gear_ratio and torque_per_volt"
@@ -174,20 +176,45 @@ def _records(
 
 
 def _scan_stiffness(start: Fit, joint: int | None) -> Fit:
-    """Scan the range of an unknown stiffness for the minimum of the cost.
+    """Scan an unknown stiffness for the minimum of the cost, on the records of its joint.
 
-    A resonance is about 10 % wide. A search that starts further away ends in a local minimum.
+    A typical stiffness may be wrong by a factor of a hundred, as of a light wrist. A resonance is
+    about 10 % wide, and a search that starts further away ends in a local minimum.
     """
-    slopes = [k for k, key in enumerate(start.space.keys) if key[1] == joint and is_slope(key[0])]
-    low, high = start.space.lower[slopes], start.space.upper[slopes]
-    best, lowest = start.z, np.inf
-    for share in np.linspace(0.0, 1.0, _STIFFNESS_GRID_POINTS):
-        z = start.z.copy()
-        z[slopes] = low + share * (high - low)
-        linearised = start.objective.linearise(z)
-        if linearised is not None and linearised.cost < lowest:
-            best, lowest = z, linearised.cost
-    return replace(start, z=best)
+    records = start.objective.records
+    own = [k for k, record in enumerate(records) if record.log.experiment.joint in (None, joint)]
+    part = start.objective.select_records(*own) if own else start.objective
+    ratio = 1.0
+    for grid in (_STIFFNESS_RATIOS, _STIFFNESS_REFINEMENT):
+        ratios = [ratio * one for one in grid]
+        costs = [_cost_at_stiffness(part, start.z, joint, one) for one in ratios]
+        ratio = ratios[int(np.argmin(costs))]
+    return start.restart(
+        start.objective.replace_unknowns(_scale_stiffness(start.space, joint, ratio)), start.z
+    )
+
+
+def _cost_at_stiffness(
+    objective: Objective, z: FloatArray, joint: int | None, ratio: float
+) -> float:
+    """Cost with a multiple of the stiffness of a joint; infinite if it cannot be simulated."""
+    scaled = objective.replace_unknowns(_scale_stiffness(objective.space, joint, ratio))
+    cost = scaled.cost(z)
+    return np.inf if cost is None else cost
+
+
+def _scale_stiffness(space: ParameterSpace, joint: int | None, ratio: float) -> ParameterSpace:
+    """Unknowns around a multiple of the stiffness of a joint, with the same damping ratio."""
+
+    def scaled(unknown: Unknown) -> Unknown:
+        factor = 1.0
+        if unknown.joint == joint and is_slope(unknown.name):
+            factor = ratio
+        elif unknown.key == ("gear_damping", joint):
+            factor = ratio**0.5
+        return replace(unknown, start=factor * unknown.start, scale=factor * unknown.scale)
+
+    return replace(space, unknowns=tuple(map(scaled, space.unknowns)))
 
 
 def _check_link_encoders(record: Dataset, arm: Arm) -> None:

@@ -333,7 +333,9 @@ class Objective:
         for evaluated, record in zip(self.evaluate(z), self.records, strict=True):
             shift = evaluated.record_parameters[len(record.initial_states) :]
             measured = record.advance_measured(values)
-            channels = evaluated.difference - _spread(shift, record) + measured - record.drifts(values)
+            channels = (
+                evaluated.difference - _spread(shift, record) + measured - record.drifts(values)
+            )
             simulated.append(channels / record.sensor_scales(values))
         return simulated
 

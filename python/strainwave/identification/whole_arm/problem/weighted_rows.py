@@ -96,7 +96,7 @@ class Evaluation:
         change = np.broadcast_to(shift, residual.shape)
         if self.is_counted is not None:
             change = change * self.is_counted
-        return (shift * weights.stds)[list(self.biased)], change
+        return (shift * weights.stds)[list(self.biased)], np.asarray(change)
 
     def _solve_all(
         self, residual: FloatArray, weight: FloatArray, weights: Weights
@@ -105,7 +105,7 @@ class Evaluation:
         columns = (self.record_columns / weights.stds[:, None]).reshape(residual.size, -1)
         root = np.sqrt(weight.ravel())
         step = np.linalg.lstsq(columns * root[:, None], -residual.ravel() * root)[0]
-        return step, (columns @ step).reshape(residual.shape)
+        return np.asarray(step), np.asarray(columns @ step).reshape(residual.shape)
 
     def remove_biases(self, table: FloatArray, scale: FloatArray) -> None:
         """Project rows onto the complement of the biases' columns, in place.
