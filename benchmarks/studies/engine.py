@@ -75,8 +75,12 @@ def in_mujoco(
     samples: int,
     record: Sequence[Quantity],
     plant: Callable[[Arm, Values], Plant] = Plant,
+    delay: float = 0.0,
 ) -> Trajectory:
-    """Simulate one experiment, with the interface of `strainwave.dynamics.simulation.simulate`."""
+    """Simulate one experiment, with the interface of `strainwave.dynamics.simulation.simulate`.
+
+    `delay` [s] is that of the voltages after the encoder readings.
+    """
     simulated = plant(arm, values)
     model = _model(arm, values, simulated, with_frames="specific_force_x" in record)
     data = mujoco.MjData(model)
@@ -84,13 +88,17 @@ def in_mujoco(
     simulated.begin(model, data, drive)
     per_tick, per_sample = round(drive.tick / STEP), round(sample_time / STEP)
     n = (samples - 1) * per_sample + 1
-    servo, current = _Servo(arm, drive), _CurrentLoop(simulated, drive)
+    servo = _LawServo(arm, drive) if drive.linear_servo else _Servo(arm, drive)
+    current, late = _CurrentLoop(simulated, drive), round(delay / STEP)
+    commanded = np.array(drive.initial_voltage)
     sensor_data = np.empty((n, model.nsensordata))
     voltage = np.empty((n, arm.n_joints))
     motors = [model.joint(f"motor_joint{i}").qposadr[0] for i in joints]
     for k in range(n):
         if k % per_tick == 0:
-            commanded = servo.command(k // per_tick, data.qpos[motors])
+            following = servo.command(k // per_tick, data.qpos[motors])
+        if k % per_tick == late:
+            commanded = following
         voltage[k] = commanded
         data.ctrl[:] = current.over_step(simulated.amplified(commanded))
         simulated.act(model, data)
@@ -250,6 +258,38 @@ class _Servo:
         self.integral = np.where(is_limited, self.integral, integral)
         limited = np.clip(unlimited, -servo.limit, servo.limit)
         return np.asarray(np.where(self.drive.servo, limited, voltage))
+
+
+class _LawServo:
+    """Sampled laws v = C x + D (r, w, y), x+ = A x + B (r, w, y) + E v, of all joints."""
+
+    def __init__(self, arm: Arm, drive: Drive) -> None:
+        self.arm, self.drive = arm, drive
+        self.path = _quantise(np.array([drive.motor_angle]), arm.joints)[0]
+        servo = drive.linear_servo
+        assert servo is not None
+        self.servo = servo
+        starts = zip(servo.laws, self.path, drive.initial_voltage, strict=True)
+        held = drive.voltage[0]
+        self.states = [
+            law.rest() @ (angle, volts - ff)
+            for (law, angle, volts), ff in zip(starts, held, strict=True)
+        ]
+
+    def command(self, tick: int, angle: FloatArray) -> FloatArray:
+        tick = min(tick, len(self.drive.voltage) - 1)
+        encoder = _quantise(angle[None], self.arm.joints)[0]
+        output = np.empty(len(encoder))
+        for i, law in enumerate(self.servo.laws):
+            feed_forward, rate = self.drive.voltage[tick, i], self.drive.reference[tick, i]
+            inputs, x = np.array([self.path[i], rate, encoder[i]]), self.states[i]
+            wanted = law.C @ x + law.D @ inputs + feed_forward
+            output[i] = np.clip(wanted, -self.servo.limit, self.servo.limit)
+            following = law.A @ x + law.B @ inputs + law.E * (output[i] - feed_forward)
+            holds = law.holds & (output[i] != wanted)
+            self.states[i] = np.where(holds, x, following)
+            self.path[i] += rate * self.servo.period
+        return output
 
 
 def _quantise(angle: FloatArray, joints: Sequence[Joint]) -> FloatArray:
