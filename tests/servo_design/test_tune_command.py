@@ -117,6 +117,14 @@ def test_the_page_has_the_numbers_of_the_design(
     assert f" {1e3 * best.impulses.duration:.0f} {100.0 * best.vibration:.2g} recommended" in text
     for move in design.moves:
         assert f" {move.joint} planned {move.duration:.3g} {move.planned.settling:.3g} " in text
+    for one in design.estimation:
+        assert f" {one.joint} observer {1e6 * one.by_observer:.3g} " in text
+        assert f" {one.joint} motor angle {1e6 * one.by_motor:.3g} " in text
+    for each in design.dampings:
+        assert f" {each.joint} designed {each.without.least:.2g} " in text
+        assert each.reason in text
+    for sentence in words.unused_sensors(design):
+        assert sentence[1:] in text
     assert "payload 2 kg" in text
     assert "emergency stop" in text
     assert f"{100.0 * design.first_share:.0f} % of the designed bandwidth" in text
@@ -126,7 +134,7 @@ def test_the_page_has_a_figure_of_each_loop_step_and_move(tuned: tuple[Finished,
     found = re.search(r'<script type="application/json" id="figures">(.*?)</script>', tuned[1])
     assert found is not None
     figures = json.loads(found[1])
-    kinds = ("loop", "step", "move")
+    kinds = ("loop", "step", "observer", "move")
     assert figures.keys() == {f"{kind}-{i}" for kind in kinds for i in (1, 2)} | {"shapers"}
     assert sum(len(json.dumps(figure)) for figure in figures.values()) < 1_000_000
     for figure in figures.values():
@@ -142,6 +150,7 @@ def test_figures_compare_the_servos(tuned: tuple[Finished, str]) -> None:
             "loop": {"current", "designed", "required distance"},
             "step": {"current", "designed"},
             "move": {"step", "planned"},
+            "observer": {"motor", "observer"},
         }
         assert expected.get(key.partition("-")[0], names) <= names
 
@@ -300,5 +309,7 @@ def test_the_tables_fit_eighty_columns(design: sw.ServoDesign) -> None:
     print_design(design, Path("tune.html"), console=console)
     lines = console.export_text().splitlines()
     heads = [line for line in lines if line.startswith("joint ")]
-    assert len(heads) == 4 + len(design.joints)  # a table wraps no head
+    sentences = [*words.unused_sensors(design), *words.damping_sentences(design)]
+    # a table wraps no head
+    assert len(heads) == 6 + len(design.joints) + len(sentences)
     assert max(map(len, lines)) <= 80

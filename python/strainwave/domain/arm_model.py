@@ -49,6 +49,7 @@ class ResidualTest:
     input_delay: float  # [s] of the residual relative to that input
     input_probability: float  # p-value: residual and input are independent
     correlation: ResidualCorrelation | None = None
+    sample_noise: float = 0.0  # standard deviation of the noise of a sample, without the low-pass
 
     @property
     def is_far_above_noise(self) -> bool:

@@ -583,7 +583,7 @@ def _whole_arm(model: ArmModel) -> dict[str, Any]:
 
 
 def _criticism(criticism: Criticism) -> dict[str, Any]:
-    plain = ("experiment", "channel", "deviation", "noise", "worst_hz", "whiteness")
+    plain = ("experiment", "channel", "deviation", "noise", "sample_noise", "worst_hz", "whiteness")
     inputs = ("input_joint", "input_correlation", "input_delay", "input_probability")
     return {
         "residuals": [

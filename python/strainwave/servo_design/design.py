@@ -14,17 +14,27 @@ from strainwave.domain.keys import Values, label_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.export.source import IdentifiedArm
+from strainwave.io.identified_noise import IdentifiedNoise
 from strainwave.io.joint_covariance import JointCovariance
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 from strainwave.servo_design.cascade_tuning import Loops, TunedJoint, tune_cascades
 from strainwave.servo_design.closed_loop import SampledPlants, Steps, close, sample
 from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.damping import Damping, design_damping
+from strainwave.servo_design.link_estimation import EstimationError, estimation_errors
 from strainwave.servo_design.loop_bands import LoopBand
 from strainwave.servo_design.margins import Margins, Requirements
+from strainwave.servo_design.observer import Observer, design_observers
 from strainwave.servo_design.plants import Condition, Plants, drawn_values, plants_of
 from strainwave.servo_design.sampling import Clock
 from strainwave.servo_design.shaper_ranking import COVERAGE, RankedShaper, rank_shapers
-from strainwave.servo_design.verification import Comparison, compare_moves
+from strainwave.servo_design.verification import (
+    MOVE,
+    Comparison,
+    compare_moves,
+    follow,
+    shortest_plan,
+)
 
 _DEFAULT_PERIOD = 1e-3  # [s] of the servo
 _DEFAULT_LIMIT = 10.0  # [V]; torques have none
@@ -33,6 +43,7 @@ _N_POSTURES = 4  # drawn, besides zero angles, if no posture is given
 _MAX_MODES = 4  # slowest modes that are shaped
 _POLE_TOLERANCE = 1e-6  # rounding of the pole at one of a servo without a position loop
 _FIRST_SHARES = (1.0 / 3.0, 1.0 / 2.0, 2.0 / 3.0)
+_N_ESTIMATION_DRAWS = 7  # whose links the observers estimate
 _N_MOVE_DRAWS = 10  # simulated with friction and the curve of the gear
 _NO_LIMIT = 0.75 * np.pi  # [rad] of a joint without limits in the study
 
@@ -87,6 +98,9 @@ class ServoDesign:
     first_share: float  # of the bandwidth, for the first trial: it also stabilises all plants
     modes_hz: FloatArray  # (n_modes, 2) central 95 % of the links' modes behind held motors
     shapers: tuple[RankedShaper, ...]
+    observers: tuple[Observer, ...]  # of the elastic joints, at the first posture
+    dampings: tuple[Damping, ...]  # by feedback of the observed torsion
+    estimation: tuple[EstimationError, ...]  # of the observers; empty if moves are refused
     moves: tuple[Comparison, ...]  # one per joint, from the first posture; empty if refused
     refusal: str  # why no moves are compared
 
@@ -106,8 +120,11 @@ def design_servo(
     covariance: JointCovariance | None,
     options: ServoOptions,
     progress: Callable[[str], None] = lambda _: None,
+    noise: IdentifiedNoise | None = None,
 ) -> ServoDesign:
     """Design the servos of all joints for the drawn parameters in all conditions.
+
+    `noise` is that of the observers' sensors; None: by encoder counts.
 
     Raises `NotIdentifiable` if the result lacks a parameter that the design needs, and
     `InvalidInput` if a posture is outside the limits of a joint, or if encoder, delay or margins do
@@ -119,7 +136,9 @@ def design_servo(
     conditions = _conditions(arm, options)
     clock, limit = _drives(arm, options)
     with one_blas_thread():  # thousands of small matrices
-        return _design(arm, covariance, options, clock, limit, conditions, progress)
+        return _design(
+            arm, covariance, options, clock, limit, conditions, noise or IdentifiedNoise(), progress
+        )
 
 
 def _design(
@@ -129,6 +148,7 @@ def _design(
     clock: Clock,
     limit: float,
     conditions: tuple[Condition, ...],
+    noise: IdentifiedNoise,
     progress: Callable[[str], None],
 ) -> ServoDesign:
     progress("drawing plants")
@@ -152,10 +172,26 @@ def _design(
         of_current = _results(loops, sampled, current)
     progress("ranking shapers")
     modes, shapers = _shapers(plants, clock)
+    progress("designing observers")
+    observers = design_observers(arm, conditions[0], clock, noise)
+    by_encoders, by_motors = (
+        design_observers(
+            arm, conditions[0], clock, noise, uses_link_sensors=False, knows_interaction=is_known
+        )
+        for is_known in (True, False)
+    )
+    dampings = design_damping(
+        loops, sampled, gains, by_motors, options.required, [each.margins for each in results]
+    )
     progress("comparing moves")
     moves, refusal = _moves(
         arm, gains, current, draws[: _N_MOVE_DRAWS + 1], conditions[0].posture, limit
     )
+    estimation: tuple[EstimationError, ...] = ()
+    if not refusal:
+        few = draws[: _N_ESTIMATION_DRAWS + 1]
+        pair = observers, by_encoders
+        estimation = _estimation(arm, gains, pair, few, conditions[0].posture, limit)
     return ServoDesign(
         arm=arm,
         options=options,
@@ -172,6 +208,9 @@ def _design(
         first_share=_first_share(sampled, gains),
         modes_hz=modes,
         shapers=shapers,
+        observers=observers,
+        dampings=dampings,
+        estimation=estimation,
         moves=moves,
         refusal=refusal,
     )
@@ -282,6 +321,24 @@ def _moves(
         return tuple(moves), ""
     except (InvalidInput, NumericalFailure) as error:
         return (), getattr(error, "problem", str(error))
+
+
+def _estimation(
+    arm: IdentifiedArm,
+    gains: Sequence[Gains],
+    observers: tuple[Sequence[Observer], Sequence[Observer]],
+    draws: Sequence[Values],
+    posture: FloatArray,
+    limit: float,
+) -> tuple[EstimationError, ...]:
+    """Errors of the observers, all and by encoders alone, in a planned move of all joints."""
+    try:
+        plan = shortest_plan(arm, posture, posture + MOVE, gains[0].period, limit)
+    except InvalidInput:  # a limit of a joint
+        plan = shortest_plan(arm, posture, posture - MOVE, gains[0].period, limit)
+    drive = follow(gains, plan, limit)
+    planned = plan.extended(len(drive.reference)).link_angle
+    return estimation_errors(arm, *observers, draws, drive, planned, np.random.default_rng(0))
 
 
 def _check_options(options: ServoOptions) -> None:

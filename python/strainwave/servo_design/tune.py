@@ -11,6 +11,7 @@ from strainwave.domain import Payload
 from strainwave.errors import InvalidInput
 from strainwave.export.source import arm_of
 from strainwave.io.atomic_files import write_whole
+from strainwave.io.identified_noise import noise_of
 from strainwave.io.joint_covariance import covariance_of
 from strainwave.io.results import read_document, result_path
 from strainwave.servo_design.design import ServoDesign, ServoOptions, design_servo
@@ -46,7 +47,7 @@ def tune_document(
 ) -> ServoDesign:
     """Design the servos for a result document; `source` names it in messages."""
     arm = arm_of(document, source, study)
-    design = design_servo(arm, covariance_of(document), options, progress)
+    design = design_servo(arm, covariance_of(document), options, progress, noise_of(document))
     if out is not None:
         from strainwave.servo_design.handover import render_forms
         from strainwave.servo_design.report.page import render

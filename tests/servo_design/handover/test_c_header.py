@@ -138,3 +138,46 @@ def test_names_cannot_end_a_comment(design: ServoDesign) -> None:
     arm = design.arm.study.arm.with_joint(1, name="a*/b")
     source = replace(design.arm, study=replace(design.arm.study, arm=arm))
     assert b"a* /b" in to_c_header(replace(design, arm=source)).data
+
+
+_OBSERVER_PROGRAM = """
+#include <stdio.h>
+#include "servo.h"
+
+int main(void) {
+  strainwave_observer link = STRAINWAVE_OBSERVER_2;
+  double v[4], u, estimate[2];
+  strainwave_observer_reset(&link, 0.5, 0.01);
+  while (scanf("%lf %lf %lf %lf", &u, &v[1], &v[2], &v[3]) == 4) {
+    v[0] = 1e9; /* the input follows the estimate */
+    strainwave_observer_estimate(&link, v, estimate);
+    v[0] = u;
+    strainwave_observer_advance(&link, v);
+    printf("%.17g %.17g\\\\n", estimate[0], estimate[1]);
+  }
+  return 0;
+}
+""".replace("\\\\", "\\")
+
+
+def test_the_compiled_observer_is_the_recursion(design: ServoDesign, tmp_path: Path) -> None:
+    observer = design.observers[1]
+    assert [one.name for one in observer.measurements] == ["motor encoder", "accelerometer"]
+    rng = np.random.default_rng(8)
+    inputs = rng.normal(size=(300, 4)) * [1.0, 2.0, 0.1, 0.3]
+    x, expected = observer.rest(0.5, 0.01), []
+    for voltage, torque, *readings in inputs:
+        estimate = observer.correct(x, np.array(readings), torque)
+        expected.append(estimate[2:4])
+        x = observer.predict(estimate, voltage, torque)
+    (tmp_path / "servo.h").write_bytes(to_c_header(design).data)
+    text = "\n".join(" ".join(map(repr, row)) for row in inputs.tolist())
+    printed = output_of_c(_OBSERVER_PROGRAM, tmp_path, text)
+    found = np.array([line.split() for line in printed.splitlines()], dtype=float)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_the_damped_law_is_a_servo_of_its_own(design: ServoDesign) -> None:
+    text = to_c_header(design).data.decode()
+    for one in design.dampings:
+        assert (f"SERVO_{one.joint}_DAMPED" in text) == (not one.reason)

@@ -89,3 +89,21 @@ def test_the_current_servo_is_listed(design: ServoDesign) -> None:
     bare = [replace(each, current=None, current_results=None) for each in design.joints]
     document = document_of(replace(design, joints=tuple(bare)))
     assert all(entry["current"] is None for entry in document["joints"])
+
+
+def test_the_document_has_observers_and_damping(design: ServoDesign) -> None:
+    document = document_of(design)
+    for entry, observer in zip(document["observers"], design.observers, strict=True):
+        system = observer.system
+        assert entry["inputs"] == list(system.inputs)
+        for name in "ABCD":
+            assert entry[name] == getattr(system, name).tolist()
+        assert entry["readings"][0]["name"] == "motor encoder"
+        assert entry["rms_errors"]["by_observer"] < entry["rms_errors"]["by_motor"]
+    for entry, damping in zip(document["damping"], design.dampings, strict=True):
+        assert entry["is_used"] == (not damping.reason)
+        assert (entry["law"] is None) == bool(damping.reason)
+        if damping.reason:
+            assert entry["reason"] == damping.reason
+        else:
+            assert entry["law"]["A"] == damping.law.A.tolist()

@@ -10,7 +10,7 @@ import pytest
 from strainwave.domain.control_law import INPUTS
 from strainwave.errors import InvalidInput
 from strainwave.servo_design.design import ServoDesign
-from strainwave.servo_design.handover import controllers
+from strainwave.servo_design.handover import controllers, observers
 
 
 def test_controllers_have_the_response_of_the_law(filtered: ServoDesign) -> None:
@@ -27,6 +27,21 @@ def test_controllers_have_the_response_of_the_law(filtered: ServoDesign) -> None
         assert len(system.state_labels) == len(gains.law().A)
         np.testing.assert_allclose(-system(z)[0, 2], gains.law().feedback(z), rtol=1e-9)
         np.testing.assert_allclose(-system(z)[0, 2], gains.response(z), rtol=1e-9)
+
+
+def test_observers_respond_as_their_recursion(design: ServoDesign) -> None:
+    control = pytest.importorskip("control", reason="python-control is not installed")
+    rng = np.random.default_rng(3)
+    for observer, system in zip(design.observers, observers(design), strict=True):
+        inputs = rng.normal(size=(50, len(observer.system.inputs)))
+        x, expected = np.zeros(len(observer.A)), []
+        for voltage, torque, *readings in inputs:
+            estimate = observer.correct(x, np.array(readings), torque)
+            expected.append(estimate[2:4])
+            x = observer.predict(estimate, voltage, torque)
+        response = control.forced_response(system, inputs=inputs.T)
+        assert system.output_labels == ["link_angle", "link_velocity"]
+        np.testing.assert_allclose(response.outputs.T, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_without_python_control_the_message_has_the_command(

@@ -19,21 +19,28 @@ _NOTES = (
 
 
 def to_c_header(design: ServoDesign) -> Export:
-    """Laws of all joints, their step and reset, and the first shaper if there is one.
+    """Laws of all joints, their step and reset, observers, and the first shaper if there is one.
 
     States beyond those of a law are zero, so that all joints have one type.
     """
-    laws = [gains.law() for gains in design.gains]
-    n_states = max(len(law.A) for law in laws)
-    joints = []
-    for number, law in enumerate(laws, start=1):
-        n = len(law.A)
+    laws = [(f"{i}", i, gains.law()) for i, gains in enumerate(design.gains, start=1)]
+    laws += [
+        (f"{one.joint}_DAMPED", one.joint, one.law) for one in design.dampings if not one.reason
+    ]
+    n_states = max(len(law.A) for _, _, law in laws)
+    entries = []
+    for macro, number, law in laws:
         rows = {name: getattr(law, name) for name in "ABCDE"}
         rows |= {"holds": law.holds.astype(int), "rest": law.rest()}
         values = {name: _initializer(row) for name, row in rows.items()}
         unit = Units.of(design.arm.joint(number)).input
         name = design.arm.study.arm.joint_names[number - 1]
-        joints.append((number, name, n, unit, law.names, values))
+        entries.append((macro, number, name, len(law.A), unit, law.names, values))
+    systems = [(one.joint, one.system) for one in design.observers]
+    observers = [
+        (number, system, {name: _initializer(getattr(system, name)) for name in "ABCD"})
+        for number, system in systems
+    ]
     text = fill_text(
         Path(__file__).with_name("servo.h.j2"),
         prefix=HEADER_PREFIX,
@@ -41,7 +48,11 @@ def to_c_header(design: ServoDesign) -> Export:
         delay=design.clock.delay,
         limit=design.limit,
         n_states=n_states,
-        joints=joints,
+        n_joints=len(design.gains),
+        laws=entries,
+        observers=observers,
+        n_observed=max((len(system.A) for _, system in systems), default=0),
+        n_inputs=max((len(system.inputs) for _, system in systems), default=0),
         shaper=chosen_shaper(design),
         notes=_NOTES,
         comment=lambda text: text.replace("*/", "* /"),  # which would end it

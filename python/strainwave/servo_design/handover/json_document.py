@@ -14,11 +14,14 @@ from strainwave.domain.control_law import INPUTS, ControlLaw
 from strainwave.export.source import Export
 from strainwave.servo_design.closed_loop import Steps
 from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.damping import Damping
 from strainwave.servo_design.design import JointServo, ServoDesign
 from strainwave.servo_design.handover.shaper_summary import ShaperSummary
 from strainwave.servo_design.handover.units import Units
+from strainwave.servo_design.link_measurements import Measurement
 from strainwave.servo_design.margin_summary import margin_summaries
 from strainwave.servo_design.margins import Margins
+from strainwave.servo_design.observer import OUTPUTS, Observer
 from strainwave.servo_design.plants import Condition
 from strainwave.servo_design.shaper_ranking import RankedShaper
 
@@ -31,6 +34,23 @@ _EQUATIONS = (
     "a state that holds keeps its value while u is limited",
     "at rest: x = rest (y, u)",
 )
+_ERRORS = (
+    "by_motor",
+    "by_encoder",
+    "by_observer",
+    "without_interaction",
+    "velocity_by_motor",
+    "velocity_by_encoder",
+    "velocity_by_observer",
+)
+_OBSERVER_EQUATIONS = (
+    "v[k] = (u[k], t_int[k], readings[k])",
+    "(q, dq)[k] = C x[k] + D v[k]; D is zero for u, which follows the readings",
+    "x[k+1] = A x[k] + B v[k]",
+    "t_int is the torque of the link's planned motion without the acceleration of its own joint",
+    "a reading is the sum of weights times channels, less its part by other joints and gravity",
+    "without noise it is factor times quantity plus a bias",
+)
 _UNITS = {
     "period": "s",
     "delay": "s",
@@ -42,6 +62,10 @@ _UNITS = {
     "times": "s",
     "duration": "s",
     "position_gain": "1/s",
+    "torsion_gain": "1/s, of the motor's velocity reference per torsion",
+    "torsion_rate_gain": "1",
+    "link_inertia": "kg m^2, or kg of a prismatic joint",
+    "rms_errors": "rad and rad/s, or m and m/s of a prismatic joint",
     "settling": "s",
     "overshoot": "1",
     "vibration": "1",
@@ -72,6 +96,9 @@ def to_json(design: ServoDesign) -> Export:
         "joints": [_joint(design, joint) for joint in design.joints],
         "modes_hz": design.modes_hz.tolist(),
         "shapers": [_shaper(shaper) for shaper in design.shapers],
+        "observer_equations": _OBSERVER_EQUATIONS,
+        "observers": [_observer(design, one) for one in design.observers],
+        "damping": [_damping(design, one) for one in design.dampings],
     }
     text = json.dumps(_finite(document), indent=2, allow_nan=False)
     return Export((text + "\n").encode(), design.arm.warnings)
@@ -170,6 +197,41 @@ def _shaper(ranked: RankedShaper) -> dict[str, Any]:
         "duration": summary.duration,
         "vibration": summary.vibration,
         "is_sufficient": ranked.is_sufficient,
+    }
+
+
+def _observer(design: ServoDesign, observer: Observer) -> dict[str, Any]:
+    system = observer.system
+    errors = [one for one in design.estimation if one.joint == observer.joint]
+    return {
+        "joint": observer.joint,
+        "inputs": system.inputs,
+        "outputs": OUTPUTS,
+        "states": system.states,
+        **{name: getattr(system, name).tolist() for name in "ABCD"},
+        "readings": [_reading(one) for one in observer.measurements],
+        "unused": observer.unused,
+        "link_inertia": observer.link_inertia,
+        "rms_errors": {name: getattr(one, name) for one in errors for name in _ERRORS},
+    }
+
+
+def _reading(one: Measurement) -> dict[str, Any]:
+    names = ("name", "channels", "weights", "quantity", "factor", "unit", "std", "source")
+    return {name: getattr(one, name) for name in names} | {"has_bias": one.has_bias}
+
+
+def _damping(design: ServoDesign, damping: Damping) -> dict[str, Any]:
+    return {
+        "joint": damping.joint,
+        "torsion_gain": damping.gains[0],
+        "torsion_rate_gain": damping.gains[1],
+        "is_used": not damping.reason,
+        "reason": damping.reason,
+        "ratio_without": asdict(damping.without),
+        "ratio_with": asdict(damping.with_feedback),
+        "margins": damping.margins and _margins(design, damping.margins),
+        "law": None if damping.reason else _law(damping.law),
     }
 
 

@@ -17,6 +17,7 @@ from strainwave.servo_design.handover.difference_equations import HOLD, differen
 from strainwave.servo_design.handover.python_control import state_names
 from strainwave.servo_design.handover.shaper_summary import chosen_shaper
 from strainwave.servo_design.handover.units import Units
+from strainwave.servo_design.observer import OUTPUTS, Observer
 
 _NOTES = (
     "not in the ss models: the limit of the input, the hold of integrators and the feed-forward",
@@ -40,12 +41,34 @@ def to_script(design: ServoDesign) -> Export:
         design=design,
         joints=joints,
         inputs=_cell(INPUTS),
+        observers=[_observer(one) for one in design.observers],
+        damped=[
+            (
+                one,
+                {name: _matrix(getattr(one.law, name)) for name in ("A", "B", "C", "D")}
+                | {"E": _matrix(one.law.E[:, None])},
+            )
+            for one in design.dampings
+            if not one.reason
+        ],
         shaper=chosen_shaper(design),
         notes=_NOTES,
         hold=HOLD,
         sentence_of=sentence_of,
     )
     return Export(text.encode(), design.arm.warnings, _NOTES)
+
+
+def _observer(observer: Observer) -> tuple[Observer, dict[str, str], dict[str, str]]:
+    """An observer, its matrices and its names."""
+    system = observer.system
+    matrices = {name: _matrix(getattr(system, name)) for name in "ABCD"}
+    names = {
+        "StateName": _cell(system.states),
+        "InputName": _cell(system.inputs),
+        "OutputName": _cell(OUTPUTS),
+    }
+    return observer, matrices, names
 
 
 def _matrix(matrix: FloatArray) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from strainwave.domain.control_law import INPUTS, ControlLaw
 from strainwave.errors import import_optional
 from strainwave.servo_design.design import ServoDesign
+from strainwave.servo_design.observer import OUTPUTS
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -41,6 +42,29 @@ def controllers(design: ServoDesign) -> list[StateSpace]:
                 states=state_names(law),
                 inputs=list(INPUTS),
                 outputs=["voltage"],
+            )
+        )
+    return systems
+
+
+def observers(design: ServoDesign) -> list[StateSpace]:
+    """Discrete state-space system of each elastic joint, from its inputs to `OUTPUTS`.
+
+    The inputs are that of the drive, the interaction torque and the readings. Raises `InvalidInput`
+    if python-control is missing.
+    """
+    control = import_optional("control", "an observer as state-space object", "control")
+    systems = []
+    for observer in design.observers:
+        system = observer.system
+        systems.append(
+            control.ss(
+                *(system.A, system.B, system.C, system.D),
+                dt=observer.period,
+                name=f"observer_{observer.joint}",
+                states=list(system.states),
+                inputs=list(system.inputs),
+                outputs=list(OUTPUTS),
             )
         )
     return systems

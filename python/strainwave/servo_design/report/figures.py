@@ -27,6 +27,7 @@ from strainwave.presentation.figures import (
     decimate,
 )
 from strainwave.servo_design.design import JointServo, LoopResults, ServoDesign
+from strainwave.servo_design.link_estimation import EstimationError
 from strainwave.servo_design.report.words import shaper_name
 from strainwave.servo_design.verification import Comparison
 
@@ -93,6 +94,17 @@ def moves_of(move: Comparison) -> Figure:
         *_over_time(move.time, move.planned_link, shown, "planned", Colour.MODEL, SOLID),
     ]
     return Figure(Axis("time [s]"), (Panel(Axis("link angle / move"), tuple(marks)),))
+
+
+def estimation_of(one: EstimationError) -> Figure:
+    """Errors of the link angle in a planned move, by the motor alone and by the observer."""
+    rows = np.linspace(0, len(one.time) - 1, min(len(one.time), _MAX_ROWS)).astype(int)
+    servos = (("motor", Colour.MEASURED, SHORT_DASH), ("observer", Colour.MODEL, SOLID))
+    marks = tuple(
+        Line(one.time[rows], 1e6 * one.errors[rows, k], name, colour, dash)
+        for k, (name, colour, dash) in enumerate(servos)
+    )
+    return Figure(Axis("time [s]"), (Panel(Axis("error [1e-6 rad or m]"), marks),))
 
 
 def shapers_of(design: ServoDesign) -> Figure:

@@ -32,6 +32,8 @@ def render(design: ServoDesign) -> str:
         Section("loops", "Open loops", tuple(_loops(design))),
         Section("steps", "Steps of the links", tuple(_steps(design))),
         Section("shapers", "Input shapers", tuple(_shapers(design))),
+        Section("observers", "Observers of the links", tuple(_observers(design))),
+        Section("damping", "Damping of the links", tuple(_damping(design))),
         Section("moves", "Moves", tuple(_moves(design))),
         Section("margins", "Meaning of the margins", tuple(_meaning(design))),
         Section("trial", "First trial on the rig", tuple(_trial(design))),
@@ -168,6 +170,57 @@ def _shapers(design: ServoDesign) -> Iterator[Block]:
         "Vibration after a shaped step, as a share of that after an unshaped one. Grey: the "
         "central 95 % of each mode over all plants.",
     )
+
+
+def _observers(design: ServoDesign) -> Iterator[Block]:
+    if not design.observers:
+        yield paragraph(
+            "There are no observers: no gear is elastic, or a transmission couples the joints."
+        )
+        return
+    yield paragraph(
+        "A Kalman filter of each joint estimates the angle and velocity of its link. The "
+        "interaction torque of the planned motion is a known input: inertia of the other joints, "
+        "velocities and gravity. Readings of sensors on links enter without their part that the "
+        "planned motion of the other joints and gravity cause."
+    )
+    yield from table("Readings", words.READING_HEADS, words.reading_rows(design))
+    for sentence in words.unused_sensors(design):
+        yield paragraph(f"{sentence[0].upper()}{sentence[1:]}.")
+    if not design.estimation:
+        return
+    yield from table(
+        words.estimation_title(), words.ESTIMATION_HEADS, words.estimation_rows(design)
+    )
+    yield paragraph(
+        "Errors are the largest over the estimates and a few draws of the parameters; the "
+        "observers have the estimates. The last row has an interaction torque of zero. The motor "
+        "angle is multiplied by the gear ratio."
+    )
+    caption = (
+        "Errors with the estimates as the plant, which has friction, the curve of the gear, "
+        "encoder counts, and noise and bandwidth of the sensors."
+    )
+    for one in design.estimation:
+        title = f"Joint {one.joint}: error of the estimated link angle"
+        yield Plot(f"observer {one.joint}", title, figures.estimation_of(one), caption)
+
+
+def _damping(design: ServoDesign) -> Iterator[Block]:
+    if not design.dampings:
+        yield paragraph("There is no feedback of torsions without observers.")
+        return
+    yield paragraph(
+        "With this feedback the velocity reference of the motor yields to the torsion that an "
+        "observer estimates from the motor encoder alone. The servo without it is the designed "
+        "one; the control law with it is in the files as an alternative. Damping ratios are those "
+        "of the least damped mode of the links, with the loops of all joints closed; the margins "
+        "are the worst of all plants."
+    )
+    title = "Least damping of the links over all plants"
+    yield from table(title, words.DAMPING_HEADS, words.damping_rows(design))
+    for sentence in words.damping_sentences(design):
+        yield paragraph(f"{sentence[0].upper()}{sentence[1:]}.")
 
 
 def _moves(design: ServoDesign) -> Iterator[Block]:

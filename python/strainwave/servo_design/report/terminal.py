@@ -15,7 +15,7 @@ from strainwave.servo_design.report import words
 
 
 def print_design(design: ServoDesign, page: Path, *, console: Console | None = None) -> None:
-    """Print current servo, designed gains, margins, limits, shapers and moves."""
+    """Print current servo, designed gains, margins, limits, shapers, observers and moves."""
     console = console or Console(highlight=False)
     for line in words.current_sentences(design):
         console.print(Text(line))
@@ -31,6 +31,12 @@ def print_design(design: ServoDesign, page: Path, *, console: Console | None = N
     for joint in design.joints:
         console.print(Text(words.limit_sentence(design, joint)))
     _print(console, "Input shapers", words.SHAPER_HEADS, words.shaper_rows(design))
+    title = words.estimation_title()
+    _print(console, title, words.ESTIMATION_HEADS, words.estimation_rows(design))
+    title = "Least damping of the links over all plants"
+    _print(console, title, words.DAMPING_HEADS, words.damping_rows(design))
+    for line in (*words.unused_sensors(design), *words.damping_sentences(design)):
+        console.print(Text(line))
     _print(console, words.move_title(), words.move_heads(design), words.move_rows(design))
     if design.refusal:
         console.print(Text(f"note: no moves are compared: {design.refusal}"), style="yellow")

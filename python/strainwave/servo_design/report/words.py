@@ -30,7 +30,13 @@ SHAPER_HEADS: Row = (
     *map(number, ("at [Hz]", "duration [ms]", "vibration [%]")),
     "use",
 )
-
+READING_HEADS: Row = ("joint", "reading", number("standard deviation"), "unit", "from")
+ESTIMATION_HEADS: Row = ("joint", "estimate", *map(number, ("angle [1e-6]", "velocity [1e-6/s]")))
+DAMPING_HEADS: Row = (
+    "joint",
+    "servo",
+    *map(number, ("least", "median", "gain [dB]", "phase [deg]", "modulus")),
+)
 
 _UNIT_WORDS = {"deg": "degrees", "1": ""}
 
@@ -218,6 +224,59 @@ def _move_cells(move: Move) -> tuple[Cell, ...]:
 def move_title() -> str:
     """Title of the table of moves."""
     return f"Moves of {MOVE:g} rad (or m): a step of the reference, then planned with feed-forward"
+
+
+def reading_rows(design: ServoDesign) -> Iterator[Row]:
+    """Readings of the observers."""
+    for observer in design.observers:
+        for one in observer.measurements:
+            cells = (number(f"{one.std:.2g}"), one.unit, one.source)
+            yield str(observer.joint), one.name, *cells
+
+
+def unused_sensors(design: ServoDesign) -> Iterator[str]:
+    """Sensors of the study that the observers do not use."""
+    for observer in design.observers:
+        yield from (f"joint {observer.joint} does not use its {one}" for one in observer.unused)
+
+
+def estimation_title() -> str:
+    """Title of the table of estimation errors."""
+    return f"Error of the link, rms [rad or m], in planned moves of {MOVE:g} rad (or m)"
+
+
+def estimation_rows(design: ServoDesign) -> Iterator[Row]:
+    """Root mean square errors of the estimates of each link."""
+    for one in design.estimation:
+        errors = (
+            ("motor angle", one.by_motor, one.velocity_by_motor),
+            ("observer, motor encoder alone", one.by_encoder, one.velocity_by_encoder),
+            ("observer", one.by_observer, one.velocity_by_observer),
+            ("observer, no interaction", one.without_interaction, None),
+        )
+        for name, angle, velocity in errors:
+            rate = "" if velocity is None else f"{1e6 * velocity:.3g}"
+            yield str(one.joint), name, number(f"{1e6 * angle:.3g}"), number(rate)
+
+
+def damping_sentences(design: ServoDesign) -> Iterator[str]:
+    """Joints whose servo has no feedback of the torsion, and why."""
+    for one in design.dampings:
+        if one.reason:
+            yield f"joint {one.joint} has no feedback of the torsion: {one.reason}"
+
+
+def damping_rows(design: ServoDesign) -> Iterator[Row]:
+    """Damping of each link without and with feedback of the torsion."""
+    for one in design.dampings:
+        plain = next(joint for joint in design.joints if joint.joint == one.joint)
+        servos = [("designed", one.without, plain.results.margins)]
+        if one.margins is not None:
+            servos.append(("torsion feedback", one.with_feedback, one.margins))
+        for name, ratios, margins in servos:
+            least = (f"{margin.least:.3g}" for margin in worst_margins(design, margins))
+            sizes = (f"{ratios.least:.2g}", f"{ratios.median:.2g}", *least)
+            yield str(one.joint), name, *map(number, sizes)
 
 
 def percent(share: float) -> str:

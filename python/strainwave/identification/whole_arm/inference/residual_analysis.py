@@ -76,6 +76,7 @@ def _test_channel(
         input_delay=by_input.delay,
         input_probability=by_input.probability,
         correlation=correlate_residuals(residual, inputs, kernels.step * T),
+        sample_noise=float(raw),
     )
 
 
