@@ -21,20 +21,14 @@ from strainwave.servo_design.cascade_tuning import Loops, TunedJoint, tune_casca
 from strainwave.servo_design.closed_loop import SampledPlants, Steps, close, sample
 from strainwave.servo_design.control_law import Gains
 from strainwave.servo_design.damping import Damping, design_damping
-from strainwave.servo_design.link_estimation import EstimationError, estimation_errors
+from strainwave.servo_design.link_estimation import EstimationError, errors_in_a_move
 from strainwave.servo_design.loop_bands import LoopBand
 from strainwave.servo_design.margins import Margins, Requirements
 from strainwave.servo_design.observer import Observer, design_observers
 from strainwave.servo_design.plants import Condition, Plants, drawn_values, plants_of
 from strainwave.servo_design.sampling import Clock
 from strainwave.servo_design.shaper_ranking import COVERAGE, RankedShaper, rank_shapers
-from strainwave.servo_design.verification import (
-    MOVE,
-    Comparison,
-    compare_moves,
-    follow,
-    shortest_plan,
-)
+from strainwave.servo_design.verification import Comparison, compare_moves
 
 _DEFAULT_PERIOD = 1e-3  # [s] of the servo
 _DEFAULT_LIMIT = 10.0  # [V]; torques have none
@@ -191,7 +185,8 @@ def _design(
     if not refusal:
         few = draws[: _N_ESTIMATION_DRAWS + 1]
         pair = observers, by_encoders
-        estimation = _estimation(arm, gains, pair, few, conditions[0].posture, limit)
+        posture = conditions[0].posture
+        estimation = errors_in_a_move(arm, pair, few, gains, posture, limit)
     return ServoDesign(
         arm=arm,
         options=options,
@@ -321,24 +316,6 @@ def _moves(
         return tuple(moves), ""
     except (InvalidInput, NumericalFailure) as error:
         return (), getattr(error, "problem", str(error))
-
-
-def _estimation(
-    arm: IdentifiedArm,
-    gains: Sequence[Gains],
-    observers: tuple[Sequence[Observer], Sequence[Observer]],
-    draws: Sequence[Values],
-    posture: FloatArray,
-    limit: float,
-) -> tuple[EstimationError, ...]:
-    """Errors of the observers, all and by encoders alone, in a planned move of all joints."""
-    try:
-        plan = shortest_plan(arm, posture, posture + MOVE, gains[0].period, limit)
-    except InvalidInput:  # a limit of a joint
-        plan = shortest_plan(arm, posture, posture - MOVE, gains[0].period, limit)
-    drive = follow(gains, plan, limit)
-    planned = plan.extended(len(drive.reference)).link_angle
-    return estimation_errors(arm, *observers, draws, drive, planned, np.random.default_rng(0))
 
 
 def _check_options(options: ServoOptions) -> None:

@@ -17,9 +17,13 @@ from strainwave.domain.keys import Values
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate_arms
+from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
+from strainwave.servo_design.control_law import Gains
 from strainwave.servo_design.link_measurements import Measurement, known_part, with_places
-from strainwave.servo_design.observer import Observer, base_vector
+from strainwave.servo_design.observer import Observer
+from strainwave.servo_design.two_inertia import base_vector
+from strainwave.servo_design.verification import MOVE, follow, shortest_plan
 from strainwave.signals.link_readings import JointMotion
 
 _QUANTITIES: tuple[Quantity, ...] = ("voltage", "motor_angle", "link_angle", "link_velocity")
@@ -63,6 +67,28 @@ class PlannedInputs:
         i = observer.joint - 1
         parts = [known_part(one, self.model, self.motion, i) for one in observer.measurements]
         return np.stack(parts, axis=1)
+
+
+def errors_in_a_move(
+    arm: IdentifiedArm,
+    observers: tuple[Sequence[Observer], Sequence[Observer]],
+    draws: Sequence[Values],
+    gains: Sequence[Gains],
+    posture: FloatArray,
+    limit: float,
+) -> tuple[EstimationError, ...]:
+    """Errors in a planned move of all joints from a posture.
+
+    `observers` are those with all sensors, and those with the motor encoders alone.
+    """
+    period = gains[0].period
+    try:
+        plan = shortest_plan(arm, posture, posture + MOVE, period, limit)
+    except InvalidInput:  # a limit of a joint
+        plan = shortest_plan(arm, posture, posture - MOVE, period, limit)
+    drive = follow(gains, plan, limit)
+    planned = plan.extended(len(drive.reference)).link_angle
+    return estimation_errors(arm, *observers, draws, drive, planned, np.random.default_rng(0))
 
 
 def estimation_errors(

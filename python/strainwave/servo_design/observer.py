@@ -20,19 +20,24 @@ from typing import Self
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
-from strainwave.domain import FloatArray, Joint
+from strainwave.domain import FloatArray
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.identified_noise import IdentifiedNoise
 from strainwave.servo_design.link_measurements import Measurement, measurements_of
-from strainwave.servo_design.payload_motion import payload_motion
 from strainwave.servo_design.plants import Condition
 from strainwave.servo_design.sampling import Clock
+from strainwave.servo_design.two_inertia import (
+    DISTURBANCE,
+    DRIVE_TORQUE,
+    LAST_INPUT,
+    MOTION,
+    TwoInertia,
+    link_inertias,
+)
 
-_MOTION = ("motor_angle", "motor_velocity", "link_angle", "link_velocity")
-_DISTURBANCE, _DRIVE_TORQUE, _LAST_INPUT = "motor_torque_error", "drive_torque", "last_input"
 _DEFAULT_BAND_HZ = 5.0  # of torque errors, if the result has none
 _DEFAULT_ERROR_SHARE = 0.02  # of the torque at one volt: torque error, if the result has none
 _INTERACTION_RATIO = 5.0  # of unknown interaction torques over the dry friction, at the motor
@@ -152,112 +157,13 @@ def design_observers(
     for number, joint in enumerate(model.joints, start=1):
         if not joint.elastic:
             continue
-        plant = _TwoInertia.of(arm, model, number, float(inertias[number - 1]))
+        plant = TwoInertia.of(arm, model, number, float(inertias[number - 1]))
         used, unused = measurements_of(arm, number, plant.mode_hz, clock.period, noise)
         if not uses_link_sensors:
             used, unused = used[:1], ()
         densities = _NoiseDensities.of(plant, noise, knows_interaction=knows_interaction)
         observers.append(_observer(plant, clock, densities, used, unused))
     return tuple(observers)
-
-
-def link_inertias(arm: IdentifiedArm, model: Arm, condition: Condition) -> FloatArray:
-    """Diagonal of M(q) with the payload: (n_joints,) [kg m^2]."""
-    inertia = model.inertia_matrix(base_vector(arm, model), condition.posture)
-    if condition.payload is not None:
-        posture = condition.posture[None]
-        rest = np.zeros_like(posture)
-        jacobian, _ = payload_motion(model, condition.payload, posture, rest, rest)
-        inertia = inertia + condition.payload.mass * jacobian[0].T @ jacobian[0]
-    return np.diagonal(inertia).copy()
-
-
-def base_vector(arm: IdentifiedArm, model: Arm) -> FloatArray:
-    """Identified base parameters: (n_base,)."""
-    values, effective = arm.values, set(model.base.effective)
-    return np.array([values[key] if key in effective else 0.0 for key in model.base_names])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _TwoInertia:
-    """Parameters of one joint."""
-
-    number: int
-    joint: Joint
-    motor_inertia: float
-    link_inertia: float
-    stiffness: float
-    gear_damping: float
-    motor_friction: float
-    link_friction: float
-    dry_friction: float
-    torque_per_volt: float
-
-    @classmethod
-    def of(cls, arm: IdentifiedArm, model: Arm, number: int, link_inertia: float) -> _TwoInertia:
-        """The joint with the geometric mean of the lowest and highest slope of its gear."""
-        joint, values = arm.joint(number), arm.values
-        slopes = joint.law.stiffness_range(joint.law.of_joint(values, number))
-
-        def of(name: str) -> float:
-            return values.get((name, number), 0.0)
-
-        return cls(
-            number=number,
-            joint=joint,
-            motor_inertia=arm.need("motor_inertia", number),
-            link_inertia=link_inertia,
-            stiffness=math.sqrt(slopes[0] * slopes[1]),
-            gear_damping=arm.need("gear_damping", number),
-            motor_friction=of("motor_viscous_friction"),
-            link_friction=of("link_viscous_friction"),
-            dry_friction=of("motor_coulomb_friction"),
-            torque_per_volt=float(model.torque_per_volt[number - 1]),
-        )
-
-    @property
-    def mode_hz(self) -> float:
-        """Frequency of the link while the motor is held."""
-        return math.sqrt(self.stiffness / self.link_inertia) / math.tau
-
-    @property
-    def gear(self) -> FloatArray:
-        """Torque of the gear over angle and velocity of motor and link: (4,)."""
-        n, k, c = self.joint.gear_ratio, self.stiffness, self.gear_damping
-        return np.array([n * k, n * c, -k, -c])
-
-    def at_rest(self, names: Sequence[str]) -> FloatArray:
-        """States at rest over motor angle, interaction torque and input: (n, 3).
-
-        Dry friction holds what gear and drive leave.
-        """
-        n, rest = self.joint.gear_ratio, np.zeros((len(names), 3))
-        rest[0, 0], rest[2, :2] = 1.0, (n, -1.0 / self.stiffness)
-        rest[4] = 0.0, n, -self.torque_per_volt
-        if _DRIVE_TORQUE in names:
-            rest[names.index(_DRIVE_TORQUE), 2] = self.torque_per_volt
-        if _LAST_INPUT in names:
-            rest[names.index(_LAST_INPUT), 2] = 1.0
-        return rest
-
-    def equations(self, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-        """F (n, n) and G (n, 2) of dx = F x + G (u, t_int) for the states of `names`."""
-        F, G = np.zeros((len(names), len(names))), np.zeros((len(names), 2))
-        n, gear = self.joint.gear_ratio, self.gear
-        F[0, 1] = F[2, 3] = 1.0
-        F[1, :4] = -n * gear / self.motor_inertia
-        F[1, 1] -= self.motor_friction / self.motor_inertia
-        F[3, :4] = gear / self.link_inertia
-        F[3, 3] -= self.link_friction / self.link_inertia
-        F[1, names.index(_DISTURBANCE)] = 1.0 / self.motor_inertia
-        G[3, 1] = -1.0 / self.link_inertia
-        if _DRIVE_TORQUE in names:
-            at, rate = names.index(_DRIVE_TORQUE), math.tau * (self.joint.current_loop_hz or 0.0)
-            F[1, at], F[at, at] = 1.0 / self.motor_inertia, -rate
-            G[at, 0] = rate * self.torque_per_volt
-        else:
-            G[1, 0] = self.torque_per_volt / self.motor_inertia
-        return F, G
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,7 +174,7 @@ class _NoiseDensities:
     link_velocity: float
 
     @classmethod
-    def of(cls, plant: _TwoInertia, noise: IdentifiedNoise, *, knows_interaction: bool) -> Self:
+    def of(cls, plant: TwoInertia, noise: IdentifiedNoise, *, knows_interaction: bool) -> Self:
         """Noise by the torque error of the identification.
 
         The disturbance is a random walk, so that a constant one leaves no error of the link. It
@@ -284,16 +190,16 @@ class _NoiseDensities:
 
 
 def _observer(
-    plant: _TwoInertia,
+    plant: TwoInertia,
     clock: Clock,
     noise: _NoiseDensities,
     measurements: tuple[Measurement, ...],
     unused: tuple[str, ...],
 ) -> Observer:
     """Kalman filter of one joint."""
-    names = [*_MOTION, _DISTURBANCE]
+    names = [*MOTION, DISTURBANCE]
     if plant.joint.current_loop_hz:
-        names.append(_DRIVE_TORQUE)
+        names.append(DRIVE_TORQUE)
     names += [f"{one.label}_bias" for one in measurements if one.has_bias]
     F, G = plant.equations(names)
     densities = np.zeros(len(names))
@@ -302,7 +208,7 @@ def _observer(
     densities[len(names) - len(biases) :] = biases
     A, B, Q = _sampled(F, G, densities, clock)
     if clock.delay:
-        names.append(_LAST_INPUT)
+        names.append(LAST_INPUT)
     C, D = _readings(plant, measurements, names, F, G)
     R = np.diag([one.std**2 for one in measurements])
     try:
@@ -361,7 +267,7 @@ def _sampled(
 
 
 def _readings(
-    plant: _TwoInertia,
+    plant: TwoInertia,
     measurements: Sequence[Measurement],
     names: Sequence[str],
     F: FloatArray,
