@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -14,9 +15,12 @@ from strainwave.domain import FloatArray
 from strainwave.domain.arm import Imu
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.simulation import Drive, simulate_arms
+from strainwave.errors import InvalidInput
 from strainwave.export import IdentifiedArm
 from strainwave.io.identified_noise import IdentifiedNoise
+from strainwave.servo_design import design as design_module
 from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.design import ServoOptions, design_servo
 from strainwave.servo_design.link_estimation import (
     EstimationError,
     estimation_errors,
@@ -26,6 +30,7 @@ from strainwave.servo_design.link_estimation import (
 from strainwave.servo_design.link_measurements import with_places
 from strainwave.servo_design.observer import Observer, design_observers
 from strainwave.servo_design.plants import Condition, drawn_values
+from strainwave.servo_design.report.page import render
 from strainwave.servo_design.sampling import Clock
 from strainwave.servo_design.verification import follow, shortest_plan
 from strainwave.virtual import scara
@@ -140,3 +145,14 @@ def test_an_arm_at_rest_is_estimated_from_the_first_sample() -> None:
     for one in errors("vertical"):
         first = np.abs(one.errors[:5]).max(axis=0)
         assert first[1] < 0.1 * first[0]
+
+
+def test_a_design_without_a_move_states_why_observers_are_unchecked() -> None:
+    error = InvalidInput("a move takes more than 1 s", remedy="choose a smaller move")
+    with patch.object(design_module, "errors_in_a_move", side_effect=error):
+        result = design_servo(rig(8192), None, ServoOptions(postures=((0.0, 0.0),), draws=1))
+    assert result.observers
+    assert result.moves
+    assert not result.estimation
+    assert result.unchecked == "a move takes more than 1 s"
+    assert "not compared in a move: a move takes more than 1 s." in render(result)

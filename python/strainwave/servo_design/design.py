@@ -94,9 +94,10 @@ class ServoDesign:
     shapers: tuple[RankedShaper, ...]
     observers: tuple[Observer, ...]  # of the elastic joints, at the first posture
     dampings: tuple[Damping, ...]  # by feedback of the observed torsion
-    estimation: tuple[EstimationError, ...]  # of the observers; empty if moves are refused
+    estimation: tuple[EstimationError, ...]  # of the observers; empty if unchecked
     moves: tuple[Comparison, ...]  # one per joint, from the first posture; empty if refused
     refusal: str  # why no moves are compared
+    unchecked: str  # why the observers are not compared in a move
 
     @property
     def n_plants(self) -> int:
@@ -181,12 +182,15 @@ def _design(
     moves, refusal = _moves(
         arm, gains, current, draws[: _N_MOVE_DRAWS + 1], conditions[0].posture, limit
     )
+    few = draws[: _N_ESTIMATION_DRAWS + 1]
     estimation: tuple[EstimationError, ...] = ()
-    if not refusal:
-        few = draws[: _N_ESTIMATION_DRAWS + 1]
-        pair = observers, by_encoders
-        posture = conditions[0].posture
-        estimation = errors_in_a_move(arm, pair, few, gains, posture, limit)
+    unchecked = refusal
+    if observers and not refusal:
+        try:
+            pair, posture = (observers, by_encoders), conditions[0].posture
+            estimation = errors_in_a_move(arm, pair, few, gains, posture, limit)
+        except (InvalidInput, NumericalFailure) as error:
+            unchecked = getattr(error, "problem", str(error))
     return ServoDesign(
         arm=arm,
         options=options,
@@ -208,6 +212,7 @@ def _design(
         estimation=estimation,
         moves=moves,
         refusal=refusal,
+        unchecked=unchecked,
     )
 
 

@@ -188,6 +188,7 @@ def _observers(design: ServoDesign) -> Iterator[Block]:
     for sentence in words.unused_sensors(design):
         yield paragraph(f"{sentence[0].upper()}{sentence[1:]}.")
     if not design.estimation:
+        yield paragraph(f"The observers are not compared in a move: {design.unchecked}.")
         return
     yield from table(
         words.estimation_title(), words.ESTIMATION_HEADS, words.estimation_rows(design)
