@@ -87,11 +87,11 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=1000)
     options = parser.parse_args()
     result = design(options.draws)
-    steps, margins = result.steps, result.margins
+    settling, margins = result.steps.settling, result.margins
     Console().print(
-        f"{len(steps.settling)} plants: the load settles within 2 % in "
-        f"{steps.settling.min():.3f} to {steps.settling.max():.3f} s (required {REQUIRED_SECONDS:g} s), overshoot "
-        f"{100.0 * steps.overshoot.max():.2g} %, margins {margins.gain_db.min():.3g} dB, "
+        f"{len(settling)} plants: the load settles within 2 % in {settling.min():.3f} to "
+        f"{settling.max():.3f} s (required {REQUIRED_SECONDS:g} s), overshoot "
+        f"{100.0 * result.steps.overshoot.max():.2g} %, margins {margins.gain_db.min():.3g} dB, "
         f"{margins.phase_deg.min():.3g} degrees, modulus {margins.modulus.min():.2g}, bandwidth "
         f"{margins.bandwidth_hz.min():.3g} Hz"
     )

@@ -50,8 +50,8 @@ from strainwave.virtual.experiments import simulate_study
 _SIZES = (0.01, 0.05)  # [rad] of moves
 _SECONDS, _SETTLED = 1.2, 0.02
 _TRACKED, _TRACKED_SECONDS = (0.6, -0.8), 0.8  # [rad] and [s] of the longer motion
-_SWEEP_HZ = np.geomspace(8.0, 320.0, 22)
-_SWEEP_VOLTS, _SWEEP_SPEED, _SWEEP_SECONDS = 0.25, 25.0, 2.5  # [V] each, [rad/s] of the motor, [s]
+_SWEEP_HZ, _N_RUNS = np.geomspace(4.0, 320.0, 48), 4  # each run has every fourth line
+_SWEEP_VOLTS, _SWEEP_SPEED, _SWEEP_SECONDS = 0.4, 25.0, 3.0  # [V] each, [rad/s] of the motor, [s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,18 +238,21 @@ def sweep(tuned: Tuned) -> Table:
     omega = math.tau * hz
     rng = np.random.default_rng(0)
     for i in range(tuned.arm.n_joints):
-        injected = np.zeros((n, tuned.arm.n_joints))
-        phases = rng.uniform(0.0, math.tau, len(hz))
-        injected[:, i] = _SWEEP_VOLTS * np.sin(np.outer(time, omega) + phases).sum(axis=1)
-        reference = np.zeros_like(injected)
-        reference[:, i] = _SWEEP_SPEED * np.minimum(time / 0.2, 1.0)  # so that the motor slides
-        drive = _drive(design, laws, reference, plan, injected + plan.voltage[0])
-        _, voltage = tuned.run(replace(drive, initial_voltage=tuple(plan.voltage[0])), n)
-        lines = np.round(hz * used * period).astype(int)
-        total = np.fft.rfft(voltage[-used:, i])[lines]
-        own = np.fft.rfft(injected[-used:, i])[lines]
+        measured = np.empty(len(hz), dtype=complex)
+        for run in range(_N_RUNS):
+            lines = slice(run, None, _N_RUNS)
+            phases = rng.uniform(0.0, math.tau, len(hz[lines]))
+            injected = np.zeros((n, tuned.arm.n_joints))
+            waves = np.sin(np.outer(time, omega[lines]) + phases)
+            injected[:, i] = _SWEEP_VOLTS * waves.sum(axis=1)
+            reference = np.zeros_like(injected)
+            reference[:, i] = _SWEEP_SPEED * np.minimum(time / 0.2, 1.0)  # so that the motor slides
+            drive = _drive(design, laws, reference, plan, injected + plan.voltage[0])
+            _, voltage = tuned.run(replace(drive, initial_voltage=tuple(plan.voltage[0])), n)
+            at = np.round(hz[lines] * used * period).astype(int)
+            total = np.fft.rfft(voltage[-used:, i])[at]
+            measured[lines] = np.fft.rfft(injected[-used:, i])[at] / total - 1.0
         z = np.exp(1j * omega * period)
-        measured = -(total - own) / total
         closed = np.stack([each.response(z) for each in design.gains], axis=1)
         each = effective_plants(sampled_responses(plants, omega, design.clock), closed, i)
         loops = {"predicted, lowest slope": each[0], "predicted, highest slope": each[-1]}

@@ -235,6 +235,11 @@ def _moves(design: ServoDesign) -> Iterator[Block]:
         "voltage limit."
     )
     yield from table(words.move_title(), words.move_heads(design), words.move_rows(design))
+    if any(joint.current and not joint.current.position_gain for joint in design.joints):
+        yield paragraph(
+            "The current servo has no position loop: its step is a pulse of the velocity "
+            "reference, of which the voltage limit and friction lose a part."
+        )
     for move in design.moves:
         title = f"Joint {move.joint}: step and planned move"
         yield Plot(f"move {move.joint}", title, figures.moves_of(move))
