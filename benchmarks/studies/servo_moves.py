@@ -51,7 +51,7 @@ _SIZES = (0.01, 0.05)  # [rad] of moves
 _SECONDS, _SETTLED = 1.2, 0.02
 _TRACKED, _TRACKED_SECONDS = (0.6, -0.8), 0.8  # [rad] and [s] of the longer motion
 _SWEEP_HZ, _N_RUNS = np.geomspace(4.0, 320.0, 48), 4  # each run has every fourth line
-_SWEEP_VOLTS, _SWEEP_SPEED, _SWEEP_SECONDS = 0.4, 25.0, 3.0  # [V] each, [rad/s] of the motor, [s]
+_SWEEP_VOLTS, _SWEEP_SPEED, _SWEEP_SECONDS = 0.15, 25.0, 3.0  # [V] each, [rad/s] of the motor, [s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,7 +230,6 @@ def sweep(tuned: Tuned) -> Table:
     time = period * np.arange(n)
     posture = design.conditions[0].posture
     plan = feed_forward(design.arm, point_to_point(posture, posture, 0.1, period))
-    plants = plants_of(design.arm, [design.arm.values], [Condition(posture)])
     laws = [each.law() for each in design.gains]
     # whole periods within the second half of the record
     used = n // 2
@@ -251,9 +250,14 @@ def sweep(tuned: Tuned) -> Table:
             _, voltage = tuned.run(replace(drive, initial_voltage=tuple(plan.voltage[0])), n)
             at = np.round(hz[lines] * used * period).astype(int)
             total = np.fft.rfft(voltage[-used:, i])[at]
-            measured[lines] = np.fft.rfft(injected[-used:, i])[at] / total - 1.0
+            # a late voltage is that of the last reading when the next one is sampled
+            own = injected[-used - 1 : -1, i] if design.clock.delay else injected[-used:, i]
+            measured[lines] = np.fft.rfft(own)[at] / total - 1.0
         z = np.exp(1j * omega * period)
         closed = np.stack([each.response(z) for each in design.gains], axis=1)
+        middle = posture.copy()  # of the used part of the record
+        middle[i] += tuned.arm.gear_ratios[i] * _SWEEP_SPEED * (0.75 * _SWEEP_SECONDS - 0.1)
+        plants = plants_of(design.arm, [design.arm.values], [Condition(middle)])
         each = effective_plants(sampled_responses(plants, omega, design.clock), closed, i)
         loops = {"predicted, lowest slope": each[0], "predicted, highest slope": each[-1]}
         loops = {name: plant * closed[:, i] for name, plant in loops.items()}
