@@ -67,8 +67,28 @@ def test_a_delay_moves_the_voltages_by_its_time() -> None:
 
 
 def test_a_shaped_reference_is_the_sum_of_delayed_shares() -> None:
-    from benchmarks.studies.servo_moves import _shaped
+    from benchmarks.studies.servo_moves.moves import shaped_reference
 
     reference = np.eye(6, 1)
     impulses = Impulses(np.array([0.6, 0.4]), np.array([0.0, 2e-3]))
-    np.testing.assert_allclose(_shaped(reference, impulses, PERIOD)[:, 0], [0.6, 0, 0.4, 0, 0, 0])
+    np.testing.assert_allclose(
+        shaped_reference(reference, impulses, PERIOD)[:, 0], [0.6, 0, 0.4, 0, 0, 0]
+    )
+
+
+def test_the_page_has_the_moves_and_loops() -> None:
+    from benchmarks.studies.servo_moves.moves import Move
+    from benchmarks.studies.servo_moves.page import render
+    from benchmarks.studies.servo_moves.sweep import Loop
+
+    time = PERIOD * np.arange(1000, dtype=np.float64)
+    share = np.asarray(1.0 - np.exp(-time / 0.02), dtype=np.float64)
+    move = Move(1, 0.05, "step", np.asarray(time, dtype=np.float64), share)
+    assert move.cells()[:2] == ("0.079", "0")
+    assert float(move.cells()[2]) < 1e-6
+    omega = np.geomspace(1.0, 1000.0, 400)
+    response = np.asarray(10.0 / (1j * omega * (1.0 + 1j * omega / 20.0)), dtype=complex)
+    loop = Loop(1, "measured", omega, response)
+    page = render([("the arm", [move], "tracked", [loop])])
+    assert all(text in page for text in ("0.079", "tracked", "measured", "Joint 1: open loop"))
+    assert float(loop.cells()[1]) == pytest.approx(66.0, abs=1.0)
