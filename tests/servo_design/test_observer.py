@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import exports
 from servo_arms import rig
 from strainwave.domain.arm import Imu
 from strainwave.export import IdentifiedArm
@@ -112,3 +114,14 @@ def test_the_noise_of_a_result_is_the_median_over_records() -> None:
     }
     assert noise_of(document) == IdentifiedNoise({"a1": 2.0}, {2: 0.5}, 4.0)
     assert noise_of({"stages": {"tuned": None}}) == IdentifiedNoise()
+
+
+def test_joints_that_several_motors_move_have_no_observer() -> None:
+    coupling = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -0.6, 1.0))
+    observed = []
+    for matrix in (None, coupling, exports.COUPLING):
+        study, values = exports.chain(Path("nowhere"), coupling=matrix)
+        arm = exports.arm_of(study, values)
+        found = design_observers(arm, Condition(np.zeros(3)), CLOCK, IdentifiedNoise())
+        observed.append([one.joint for one in found])
+    assert observed == [[1, 2, 3], [1], []]

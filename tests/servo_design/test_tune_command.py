@@ -123,7 +123,7 @@ def test_the_page_has_the_numbers_of_the_design(
     for each in design.dampings:
         assert f" {each.joint} designed {each.without.least:.2g} " in text
         assert each.reason in text
-    for sentence in words.unused_sensors(design):
+    for sentence in words.observer_gaps(design):
         assert sentence[1:] in text
     assert "payload 2 kg" in text
     assert "emergency stop" in text
@@ -309,7 +309,7 @@ def test_the_tables_fit_eighty_columns(design: sw.ServoDesign) -> None:
     print_design(design, Path("tune.html"), console=console)
     lines = console.export_text().splitlines()
     heads = [line for line in lines if line.startswith("joint ")]
-    sentences = [*words.unused_sensors(design), *words.damping_sentences(design)]
+    sentences = [*words.observer_gaps(design), *words.damping_sentences(design)]
     # a table wraps no head
     assert len(heads) == 6 + len(design.joints) + len(sentences)
     assert max(map(len, lines)) <= 80

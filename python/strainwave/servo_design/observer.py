@@ -146,17 +146,15 @@ def design_observers(
 ) -> tuple[Observer, ...]:
     """Observers of the elastic joints, at a posture with a payload.
 
-    Without `uses_link_sensors` they read the motor encoders alone. Without `knows_interaction` the
-    interaction torque counts as noise.
+    Joints that several motors move have none. Without `uses_link_sensors` the observers read the
+    motor encoders alone. Without `knows_interaction` the interaction torque counts as noise.
     """
     model = Arm.of(arm.study.arm)
-    if model.coupling is not None:  # a torsion then depends on several motors
-        return ()
     inertias = link_inertias(arm, model, condition)
     observers = []
     for number, joint in enumerate(model.joints, start=1):
-        if not joint.elastic:
-            continue
+        if not joint.elastic or number in model.coupled_joints:
+            continue  # a torsion behind a coupled transmission depends on several motors
         plant = TwoInertia.of(arm, model, number, float(inertias[number - 1]))
         used, unused = measurements_of(arm, number, plant.mode_hz, clock.period, noise)
         if not uses_link_sensors:

@@ -175,7 +175,7 @@ def _shapers(design: ServoDesign) -> Iterator[Block]:
 def _observers(design: ServoDesign) -> Iterator[Block]:
     if not design.observers:
         yield paragraph(
-            "There are no observers: no gear is elastic, or a transmission couples the joints."
+            "There are no observers: no gear is elastic, or transmissions couple the joints."
         )
         return
     yield paragraph(
@@ -185,7 +185,7 @@ def _observers(design: ServoDesign) -> Iterator[Block]:
         "planned motion of the other joints and gravity cause."
     )
     yield from table("Readings", words.READING_HEADS, words.reading_rows(design))
-    for sentence in words.unused_sensors(design):
+    for sentence in words.observer_gaps(design):
         yield paragraph(f"{sentence[0].upper()}{sentence[1:]}.")
     if not design.estimation:
         yield paragraph(f"The observers are not compared in a move: {design.unchecked}.")

@@ -35,7 +35,7 @@ def print_design(design: ServoDesign, page: Path, *, console: Console | None = N
     _print(console, title, words.ESTIMATION_HEADS, words.estimation_rows(design))
     title = "Least damping of the links over all plants"
     _print(console, title, words.DAMPING_HEADS, words.damping_rows(design))
-    for line in (*words.unused_sensors(design), *words.damping_sentences(design)):
+    for line in (*words.observer_gaps(design), *words.damping_sentences(design)):
         console.print(Text(line))
     _print(console, words.move_title(), words.move_heads(design), words.move_rows(design))
     if design.refusal:

@@ -234,8 +234,10 @@ def reading_rows(design: ServoDesign) -> Iterator[Row]:
             yield str(observer.joint), one.name, *cells
 
 
-def unused_sensors(design: ServoDesign) -> Iterator[str]:
-    """Sensors of the study that the observers do not use."""
+def observer_gaps(design: ServoDesign) -> Iterator[str]:
+    """Joints without observer for their transmission, and sensors that observers do not use."""
+    for joint in sorted(design.arm.study.arm.coupled_joints):
+        yield f"joint {joint} has no observer: a transmission couples it with other motors"
     for observer in design.observers:
         yield from (f"joint {observer.joint} does not use its {one}" for one in observer.unused)
 
