@@ -16,7 +16,8 @@ from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positi
 from strainwave.domain.units import unit_in
 
 _MAX_JOINTS = 7  # of the compiled core
-# standard deviation of a base parameter at the start, relative to the largest of its unit
+# standard deviation of a base parameter at the start, apart from its own, relative to
+# the largest of its unit and joint
 _START_TOLERANCE = 1e-3
 
 
@@ -85,9 +86,10 @@ class SerialChain(Kind[SerialTable]):
         )
         target = np.array([estimates.rigid[key] for key in known], dtype=float)
         target -= rows[:, n_links:] @ np.array([motors[i] for i in numbers])
-        units = [unit_in(arm, key) for key in known]
-        largest = {unit: np.abs(target[[u == unit for u in units]]).max() for unit in units}
-        std = _START_TOLERANCE * np.array([largest[unit] for unit in units])
+        sizes = [(unit_in(arm, key), key[1]) for key in known]
+        largest = {size: np.abs(target[[s == size for s in sizes]]).max() for size in sizes}
+        tolerance = _START_TOLERANCE * np.array([largest[size] for size in sizes])
+        std = np.hypot(tolerance, [estimates.rigid_std[key] for key in known])
         values = consistent_links(priors_of(arm), rows[:, :n_links] / std[:, None], target / std)
         start: Values = dict(zip(links, values.tolist(), strict=True))
         return start | {("motor_inertia", i): value for i, value in motors.items()}, rejected

@@ -24,6 +24,7 @@ class StageInertias:
     motor: Mapping[int, float]  # [kg m^2] by joint, from 1
     link: Mapping[int, float]  # [kg m^2] by joint, from 1
     rigid: Mapping[Key, float | None]  # None: not identified
+    rigid_std: Mapping[Key, float]
     combinations: Mapping[Key, Row]  # of link parameters and motor inertias, in the rigid model
 
     def require_rigid(self, name: str) -> float:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, JointModel, Log, RigidModel, WholeArmOptions
+from strainwave.domain.combinations import value_of
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import STIFFNESS, is_slope
 from strainwave.domain.keys import Key, Values
@@ -25,6 +26,7 @@ from strainwave.identification.whole_arm.problem.restrictions import (
     restrict_space,
 )
 from strainwave.identification.whole_arm.problem.starting_values import (
+    StartingValues,
     starting_values_of,
     warn_rejected_starts,
 )
@@ -46,9 +48,10 @@ from strainwave.identification.whole_arm.selection.mountings import select_mount
 from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
 from strainwave.signals.mounting_start import estimate_mounting_starts
 
-# an unknown stiffness over the typical one, and around the best of these
-_STIFFNESS_RATIOS = np.geomspace(1.0 / 9.0, 1000.0, 36).tolist()
-_STIFFNESS_REFINEMENT = np.geomspace(1.0 / 1.3, 1.3, 9).tolist()
+# an unknown stiffness is searched in steps from a share of the joint stage's or typical value
+_SOFTEST, _STIFFNESS_STEP = 1.0 / 9.0, 1.22
+_MAX_ANTI_RESONANCE = 2.0  # times the cutoff; the records do not distinguish stiffer gears
+_REFINEMENT = np.geomspace(1.0 / _STIFFNESS_STEP, _STIFFNESS_STEP, 9).tolist()
 _INFEASIBLE_START = (
     "the arm cannot be simulated with the estimates of the earlier stages. Check the signs, units"
     " and assignment of the channels, gear_ratio and torque_per_volt"
@@ -105,9 +108,7 @@ def prepare_start(
     if placed:
         coarse = select_mountings(coarse, arm, options)
     stages = starting_values_of(model, best.joints, arm)
-    for name, joint in stages.rejected:
-        if name == STIFFNESS:
-            coarse = _scan_stiffness(coarse, joint)
+    coarse = _scan_uncertain(coarse, stages, best.joints)
     if best.end_values is None or placed:
         initial = coarse.z
     rejected = tuple(warn_rejected_starts(stages, arm))
@@ -175,7 +176,16 @@ def _records(
     return _Records(records, [coarsen_steps(record, step) for record in records])
 
 
-def _scan_stiffness(start: Fit, joint: int | None) -> Fit:
+def _scan_uncertain(start: Fit, stages: StartingValues, joints: Sequence[JointModel]) -> Fit:
+    """Scan the stiffness of joints without a plausible model; twice, as they affect each other."""
+    uncertain = {joint for name, joint in stages.rejected if name == STIFFNESS and joint}
+    uncertain |= {model.joint for model in joints if model.status == "implausible"}
+    for joint in sorted(uncertain) * (2 if len(uncertain) > 1 else 1):
+        start = _scan_stiffness(start, joint)
+    return start
+
+
+def _scan_stiffness(start: Fit, joint: int) -> Fit:
     """Scan an unknown stiffness for the minimum of the cost, on the records of its joint.
 
     A typical stiffness may be wrong by a factor of a hundred, as of a light wrist. A resonance is
@@ -185,13 +195,24 @@ def _scan_stiffness(start: Fit, joint: int | None) -> Fit:
     own = [k for k, record in enumerate(records) if record.log.experiment.joint in (None, joint)]
     part = start.objective.select_records(*own) if own else start.objective
     ratio = 1.0
-    for grid in (_STIFFNESS_RATIOS, _STIFFNESS_REFINEMENT):
+    for grid in (_stiffness_ratios(part, start.z, joint), _REFINEMENT):
         ratios = [ratio * one for one in grid]
         costs = [_cost_at_stiffness(part, start.z, joint, one) for one in ratios]
         ratio = ratios[int(np.argmin(costs))]
     return start.restart(
         start.objective.replace_unknowns(_scale_stiffness(start.space, joint, ratio)), start.z
     )
+
+
+def _stiffness_ratios(objective: Objective, z: FloatArray, joint: int) -> list[float]:
+    """Ratios to the stiffness of a joint, up to an anti-resonance well above the band."""
+    record, values = objective.records[0], objective.space.values(z)
+    stiffness = max(x for (name, i), x in values.items() if i == joint and is_slope(name))
+    inertia = value_of(record.arm.link_inertia(joint), values)
+    highest = (2.0 * np.pi * _MAX_ANTI_RESONANCE * record.cutoff_hz) ** 2 * inertia
+    stiffest = max(highest / stiffness, 1.0 / _SOFTEST)
+    n = int(np.log(stiffest / _SOFTEST) / np.log(_STIFFNESS_STEP)) + 2
+    return [float(ratio) for ratio in np.geomspace(_SOFTEST, stiffest, n)]
 
 
 def _cost_at_stiffness(

@@ -52,6 +52,7 @@ def starting_values_of(
         motor={number: joint.values["motor_inertia"] for number, joint in models.items()},
         link={number: _link_inertia(joint, rigid, arm) for number, joint in models.items()},
         rigid=rigid,
+        rigid_std={p.key: p.std or 0.0 for p in model.parameters} if model else {},
         combinations={column.key: column.parts for column in arm.base.columns},
     )
     start, rejected = kind_of(arm).starting_inertias(arm, estimates)
