@@ -6,9 +6,11 @@ compared results differ, or an arm changes; 130 stopped by Ctrl-C.
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Annotated
 
@@ -48,11 +50,18 @@ Seed = Annotated[int, typer.Option("--seed", help="Seed of the sensor noise and 
 
 DONE, INPUT_AT_FAULT, NOT_DETERMINED, CHANGED = 0, 2, 3, 4
 
+_prints_progress_as_json = ContextVar("prints_progress_as_json", default=False)
+
 
 @app.callback(invoke_without_command=True)
 def _root(
     version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+    progress_json: Annotated[
+        bool,
+        typer.Option("--progress-json", help="Print the progress on stderr, a line of JSON each."),
+    ] = False,
 ) -> None:
+    _prints_progress_as_json.set(progress_json)
     if version:
         typer.echo(f"strainwave {__version__}")
         raise typer.Exit
@@ -596,9 +605,40 @@ def campaign(
     raise typer.Exit(summary.exit_code)
 
 
+@app.command(
+    short_help="Serve the workbench, the whole method in a browser.",
+    epilog="Example: strainwave serve rigs",
+)
+def serve(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of the studies.", metavar="FOLDER")
+    ] = Path(),
+    port: Annotated[
+        int, typer.Option("--port", min=0, max=65535, help="The port; 0 chooses a free one.")
+    ] = 8765,
+    host: Annotated[
+        str,
+        typer.Option("--host", help="Address to listen on; others than 127.0.0.1 need --token."),
+    ] = "127.0.0.1",
+    token: Annotated[
+        str, typer.Option("--token", help="Secret that a browser needs.", metavar="TEXT")
+    ] = "",
+    max_upload: Annotated[
+        int, typer.Option("--max-upload", min=1, help="Limit of one uploaded file [MiB].")
+    ] = 2048,
+) -> None:
+    """Serve the workbench for the studies of a folder, until Ctrl-C."""
+    from strainwave.workbench.server import ServerOptions, serve
+
+    serve(ServerOptions(folder, host, port, token, max_upload))
+
+
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[object], None]]:
-    """Show the current activity on one line of stderr, if stderr is a terminal."""
+    """Show the current activity on one line of stderr, if stderr is a terminal or for programs."""
+    if _prints_progress_as_json.get():
+        yield _print_progress
+        return
     if quiet or not sys.stderr.isatty():
         yield lambda _: None
         return
@@ -606,6 +646,12 @@ def _progress(quiet: bool) -> Iterator[Callable[[object], None]]:
 
     with Console(stderr=True).status("starting") as status:
         yield lambda text: status.update(f"{text} ...")
+
+
+def _print_progress(activity: object) -> None:
+    """Print an activity, and the completed share of the run where it is known."""
+    line = {"activity": str(activity), "fraction": getattr(activity, "fraction", None)}
+    print(json.dumps(line), file=sys.stderr, flush=True)
 
 
 def main() -> None:

@@ -35,11 +35,16 @@ def document(
         key_of=lambda plot: keys[id(plot)],
         style=Markup(read_template("report/page.css")),
         figures=Markup(_inline_json({key: plotly(plot.figure) for key, plot in plots.items()})),
-        scripts=[Markup(_script()), Markup(read_template("report/page.js"))] if plots else [],
+        scripts=[Markup(script) for script in page_scripts()] if plots else [],
     )
 
 
-def _script() -> str:
+def page_scripts() -> list[str]:
+    """The scripts of a page with figures."""
+    return [_plotly_script(), read_template("report/page.js")]
+
+
+def _plotly_script() -> str:
     """Plotly's script. Importing the Python package takes longer than filling the page."""
     spec = find_spec("plotly")
     if spec is None or spec.origin is None:

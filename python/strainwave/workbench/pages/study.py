@@ -1,0 +1,5 @@
+"""Placeholder of the page."""
+
+from starlette.routing import Route
+
+ROUTES: tuple[Route, ...] = ()

@@ -1,0 +1,84 @@
+"""Start the workbench."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+
+from strainwave.errors import InvalidInput, import_optional
+
+
+@dataclass(frozen=True, slots=True)
+class ServerOptions:
+    """Where the workbench listens, and what it accepts."""
+
+    folder: Path
+    host: str = "127.0.0.1"
+    port: int = 8765  # 0: any free port
+    token: str = ""  # required from clients unless empty
+    max_upload_mib: int = 2048  # of one file
+
+    @property
+    def is_local(self) -> bool:
+        """Whether only this machine reaches the host."""
+        if self.host == "localhost":
+            return True
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return False
+
+
+def check_options(options: ServerOptions) -> None:
+    """Raise InvalidInput if the folder does not exist, or if others could use the server."""
+    if not options.folder.is_dir():
+        raise InvalidInput(
+            "is not a folder", where=str(options.folder), remedy="name the folder of your studies"
+        )
+    if not options.is_local and not options.token:
+        raise InvalidInput(
+            f"other machines reach {options.host}, and --token is missing",
+            where="--host",
+            remedy="add --token with a secret, or leave --host out",
+        )
+
+
+def serve(options: ServerOptions) -> None:
+    """Serve the folder until Ctrl-C.
+
+    Raises InvalidInput if the options are invalid, if the port is in use, or if the packages of the
+    extra `serve` are missing.
+    """
+    check_options(options)
+    uvicorn = import_optional("uvicorn", "the workbench", "strainwave[serve]")
+    import_optional("starlette", "the workbench", "strainwave[serve]")
+    from strainwave.workbench.app import create_app
+
+    listener = _listen(options)
+    port = listener.getsockname()[1]
+    address = f"[{options.host}]" if ":" in options.host else options.host
+    query = f"?token={options.token}" if options.token else ""
+    app = create_app(options, port)
+    print(f"strainwave serves {options.folder} at http://{address}:{port}/{query}", flush=True)
+    print("Ctrl-C ends the server; runs go on.", flush=True)
+    config = uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1)
+    uvicorn.Server(config).run(sockets=[listener])
+
+
+def _listen(options: ServerOptions) -> socket.socket:
+    """A listening socket; raises InvalidInput if the address or the port is not available."""
+    family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
+    listener = socket.socket(family)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((options.host, options.port))
+    except OSError as error:
+        listener.close()
+        raise InvalidInput(
+            f"cannot listen on {options.host}, port {options.port}: {error.strerror}",
+            where="--port",
+            remedy="choose another port, or 0 for any free one",
+        ) from error
+    return listener

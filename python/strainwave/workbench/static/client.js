@@ -1,0 +1,69 @@
+// Requests to the workbench, and messages to the user.
+
+export const study = document.body.dataset.study ?? "";
+export const address = (path) => path.split("/").map(encodeURIComponent).join("/");
+export const byId = (id) => document.getElementById(id);
+
+async function request(path, options) {
+  const response = await fetch(path, options);
+  const value = await response.json().catch(() => ({ error: `the server answered ${response.status}` }));
+  if (!response.ok) throw new Error(value.error);
+  return value;
+}
+
+export const getJson = (path, query = {}) => {
+  const text = new URLSearchParams(query).toString();
+  return request(text ? `${path}?${text}` : path);
+};
+
+export const postJson = (path, body = {}) =>
+  request(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) });
+
+export const uploadFile = (path, file) => request(path, { method: "PUT", body: file });
+
+// Show a message at the bottom; errors stay until the next message.
+let timer;
+export function showMessage(text, isError = false) {
+  const place = byId("message");
+  place.textContent = text;
+  place.className = isError ? "bad" : "";
+  place.hidden = !text;
+  clearTimeout(timer);
+  if (text && !isError) timer = setTimeout(() => { place.hidden = true; }, 6000);
+}
+
+// Run an asynchronous action of a control: busy while it runs, its error as a message.
+export async function act(control, action) {
+  if (control) control.setAttribute("aria-busy", "true");
+  try {
+    return await action();
+  } catch (error) {
+    showMessage(error.message, true);
+    return undefined;
+  } finally {
+    control?.removeAttribute("aria-busy");
+  }
+}
+
+export const onClick = (element, action) => element.addEventListener("click", () => act(element, action));
+
+// Make an element: make("td", { class: "number" }, "12.3", child, ...)
+export function make(tag, attributes = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (key.startsWith("on")) element.addEventListener(key.slice(2), value);
+    else if (value === true) element.setAttribute(key, "");
+    else if (value !== false && value != null) element.setAttribute(key, value);
+  }
+  element.append(...children);
+  return element;
+}
+
+// Call `action` at most once per frame, with the latest arguments.
+export function oncePerFrame(action) {
+  let waiting, latest;
+  return (...given) => {
+    latest = given;
+    waiting ??= requestAnimationFrame(() => { waiting = undefined; action(...latest); });
+  };
+}

@@ -1,0 +1,93 @@
+"""Changes of single keys of a study file; comments, order and layout stay."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
+from strainwave.domain.corrections import Correction
+from strainwave.errors import InvalidInput
+from strainwave.io.atomic_files import decode, read_bytes, write_whole
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One key of the file and its new value.
+
+    `place` has table names, and for arrays of tables their position from 0: ("joint", 0,
+    "gear_ratio"), ("channels", "a1", "scale"), ("options", "links", "order").
+    """
+
+    place: tuple[str | int, ...]
+    value: Any  # None: the key is removed
+
+
+def edit_study(path: Path, changes: Sequence[Change]) -> None:
+    """Apply the changes to a study file, which may still have TODO values.
+
+    Raises InvalidInput if the file is not TOML, or if it has no such array of tables.
+    """
+    text = decode(read_bytes(path, "the study file"), path)
+    write_whole(path.parent, {path.name: changed_text(text, changes, path).encode()})
+
+
+def changed_text(text: str, changes: Sequence[Change], path: Path) -> str:
+    """The text of a study file with the changes; `path` is for messages."""
+    try:
+        document = tomlkit.parse(text)
+    except TOMLKitError as error:
+        raise InvalidInput(str(error), where=str(path), remedy="correct the text") from error
+    for change in changes:
+        _apply(document, change, path)
+    return tomlkit.dumps(document)
+
+
+def _apply(table: Any, change: Change, path: Path) -> None:
+    *parents, last = change.place
+    for position, key in enumerate(parents):
+        if isinstance(key, str) and key not in table:
+            if change.value is None:
+                return
+            table[key] = tomlkit.table()
+        try:
+            entry = table[key]
+        except (KeyError, IndexError) as error:
+            name = ".".join(map(str, change.place))
+            raise InvalidInput(f"has no {name}", where=str(path)) from error
+        if isinstance(entry, str) and parents[0] == "channels" and position == 1:
+            table[key] = tomlkit.inline_table()  # "column" stands for { column = "column" }
+            table[key]["column"] = entry
+            entry = table[key]
+        table = entry
+    if change.value is None:
+        table.pop(last, None)
+    else:
+        table[last] = change.value
+
+
+def correction_changes(text: str, corrections: Sequence[Correction]) -> list[Change]:
+    """Changes of a study file that make the corrections of its keys; others are left out."""
+    experiments = [e.get("name") for e in tomlkit.parse(text).get("experiment", [])]
+    changes = []
+    for each in corrections:
+        keys = each.key.split(".")
+        if each.table in ("arm", "transmission"):
+            changes.append(Change((each.table, *keys), _plain(each.value)))
+        elif each.table == "joint":
+            changes.append(Change(("joint", int(each.entry) - 1, *keys), _plain(each.value)))
+        elif each.table == "channels":
+            changes.append(Change(("channels", each.entry, *keys), _plain(each.value)))
+        elif each.table == "experiment" and each.entry in experiments:
+            index = experiments.index(each.entry)
+            changes.append(Change(("experiment", index, *keys), _plain(each.value)))
+    return changes
+
+
+def _plain(value: Any) -> Any:
+    """Tuples as lists."""
+    return [_plain(one) for one in value] if isinstance(value, tuple) else value

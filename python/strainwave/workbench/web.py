@@ -1,0 +1,162 @@
+"""Requests and responses of the pages: HTML from templates, JSON, and errors as sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic_core import to_json
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, Response
+from starlette.routing import Route
+
+from strainwave import __version__
+from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
+from strainwave.io.templates import template_environment
+from strainwave.workbench.workspace import Workspace
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+HERE = Path(__file__).parent
+MAX_BODY = 4 << 20  # [bytes] of a JSON request
+
+# (title, address) of the pages of one study, in the order of the work
+TABS = (
+    ("study", "Study"),
+    ("check", "Check"),
+    ("signals", "Signals"),
+    ("estimate", "Estimate"),
+    ("compare", "Compare"),
+    ("by-hand", "By hand"),
+    ("design", "Design"),
+    ("files", "Files"),
+)
+
+Body = Mapping[str, Any]
+
+
+def workspace_of(request: Request) -> Workspace:
+    """The served folder."""
+    workspace: Workspace = request.app.state.workspace
+    return workspace
+
+
+def study_of(request: Request) -> Path:
+    """The study file that the address names."""
+    return workspace_of(request).study(request.path_params["study"])
+
+
+def page(request: Request, template: str, title: str, **values: Any) -> HTMLResponse:
+    """A page from a template of `templates/`, named without its ending.
+
+    A page of a study gets the tabs of all pages; `study` and `workspace` are its template values.
+    """
+    study = request.path_params.get("study")
+    text = (
+        _templates()
+        .get_template(f"{template}.html.j2")
+        .render(
+            title=title,
+            study=study,
+            tabs=TABS,
+            path=request.url.path,
+            folder=workspace_of(request).folder.name,
+            version=__version__,
+            **values,
+        )
+    )
+    return HTMLResponse(text)
+
+
+def json_response(value: object, status: int = 200) -> Response:
+    """A value as JSON; a number that is not finite is null."""
+    body = to_json(value, inf_nan_mode="null")
+    return Response(body, status, media_type="application/json")
+
+
+def get_page(path: str, answer: Callable[[Request], Response]) -> Route:
+    """A page whose function runs in a thread."""
+    return Route(path, answer, methods=["GET"])
+
+
+def get_json(path: str, answer: Callable[[Request], object]) -> Route:
+    """An address that returns the value of a function as JSON; the function runs in a thread."""
+
+    async def endpoint(request: Request) -> Response:
+        return json_response(await run_in_threadpool(answer, request))
+
+    return Route(path, endpoint, methods=["GET"])
+
+
+def post_json(path: str, answer: Callable[[Request, Body], object]) -> Route:
+    """An address that gets and returns JSON; the function runs in a thread."""
+
+    async def endpoint(request: Request) -> Response:
+        body = await read_body(request)
+        return json_response(await run_in_threadpool(answer, request, body))
+
+    return Route(path, endpoint, methods=["POST"])
+
+
+async def read_body(request: Request) -> Body:
+    """The JSON object of a request.
+
+    Raises InvalidInput if it is none, or exceeds the limit.
+    """
+    from pydantic_core import from_json
+
+    data = bytearray()
+    async for chunk in request.stream():
+        data += chunk
+        if len(data) > MAX_BODY:
+            raise InvalidInput(f"the request has more than {MAX_BODY >> 20} MiB", where="request")
+    try:
+        value = from_json(bytes(data) or b"{}")
+    except ValueError as error:
+        raise InvalidInput("the request is not JSON", where="request") from error
+    if not isinstance(value, dict):
+        raise InvalidInput("the request is not a JSON object", where="request")
+    return value
+
+
+def text_of(body: Body, key: str, default: str | None = None) -> str:
+    """A text of a request; raises InvalidInput if it is missing or not a text."""
+    value = body.get(key, default)
+    if not isinstance(value, str):
+        raise InvalidInput(f"the request has no text {key!r}", where="request")
+    return value
+
+
+def error_response(request: Request, error: Exception) -> Response:
+    """The message of the command line; as a page, or as JSON for a script."""
+    status = 400 if isinstance(error, InvalidInput) else 422
+    if request.headers.get("sec-fetch-dest") == "document":
+        answer = page(request, "error", "Error", message=str(error))
+        answer.status_code = status
+        return answer
+    return json_response({"error": str(error)}, status)
+
+
+HANDLED = (InvalidInput, NotIdentifiable, NumericalFailure)
+"""Errors whose message is the answer."""
+
+
+@cache
+def _templates() -> Environment:
+    def read(name: str) -> str:
+        return (HERE / "templates" / name).read_text(encoding="utf-8")
+
+    environment = template_environment(read, autoescape=True)
+    environment.filters["address"] = address
+    return environment
+
+
+def address(path: str) -> str:
+    """A path of the folder as part of an address."""
+    from urllib.parse import quote
+
+    return quote(path)

@@ -1,0 +1,153 @@
+"""A served folder with the study of the virtual arm, a client, and a browser."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from strainwave.dynamics.simulation import SensorNoise
+from strainwave.virtual import scara
+from strainwave.virtual.experiments import simulate_study
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+    from starlette.testclient import TestClient
+
+CHROMIUM = (
+    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+)
+STUDY = "arm/study.toml"
+"""The study in every served folder: the virtual two-link arm, with its true parameters."""
+
+
+@pytest.fixture(scope="session")
+def arm_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Logs and study of the virtual arm; copy the folder before you change it."""
+    folder = tmp_path_factory.mktemp("virtual") / "arm"
+    study = scara.study(folder)
+    simulate_study(study, scara.parameters(), folder, noise=SensorNoise(), as_recorded=False)
+    return folder
+
+
+@pytest.fixture
+def folder(tmp_path: Path, arm_folder: Path) -> Path:
+    """A folder to serve, with one study."""
+    shutil.copytree(arm_folder, tmp_path / "served" / "arm")
+    return tmp_path / "served"
+
+
+@pytest.fixture
+def client(folder: Path) -> TestClient:
+    """A client of the application without a server."""
+    pytest.importorskip("starlette")
+    from starlette.testclient import TestClient
+
+    from strainwave.workbench.app import create_app
+    from strainwave.workbench.server import ServerOptions
+
+    app = create_app(ServerOptions(folder), 8765)
+    return TestClient(app, base_url="http://127.0.0.1:8765", raise_server_exceptions=True)
+
+
+@dataclass
+class Server:
+    """A served folder: `strainwave serve` as a process."""
+
+    folder: Path
+    process: subprocess.Popen[str]
+    url: str
+
+    def kill(self) -> None:
+        """kill -9."""
+        self.process.kill()
+        self.process.wait()
+
+
+def start_server(folder: Path, *arguments: str) -> Server:
+    """`strainwave serve` on a free port."""
+    command = [sys.executable, "-m", "strainwave", "serve", str(folder), "--port", "0", *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ)
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    return Server(folder, process, line.rsplit(" ", 1)[-1].strip().rstrip("/"))
+
+
+@pytest.fixture
+def server(folder: Path) -> Iterator[Server]:
+    """The served folder as a process."""
+    started = start_server(folder)
+    yield started
+    started.process.terminate()
+    started.process.wait(timeout=20)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """Debian's Chromium, without a window."""
+    if CHROMIUM is None:
+        pytest.skip("Chromium is not installed")
+    sync_api = pytest.importorskip("playwright.sync_api")
+    with sync_api.sync_playwright() as playwright:
+        launched = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield launched
+        launched.close()
+
+
+@dataclass
+class Visit:
+    """A page of the browser, and what went wrong on it."""
+
+    page: Page
+    url: str
+    faults: list[str] = field(default_factory=list)
+
+    def open(self, path: str) -> Page:
+        """Open an address of the server."""
+        self.page.goto(f"{self.url}{path}")
+        return self.page
+
+    def check_accessibility(self) -> None:
+        """Fail if axe-core finds a serious fault on the page."""
+        from axe_playwright_python.sync_playwright import Axe
+
+        found: dict[str, Any] = Axe().run(self.page).response
+        serious = [
+            {"id": v["id"], "nodes": [n["target"] for n in v["nodes"]][:5]}
+            for v in found["violations"]
+            if v["impact"] in ("serious", "critical")
+        ]
+        assert not serious, json.dumps(serious, indent=1)
+
+
+@pytest.fixture
+def visit(server: Server, browser: Browser) -> Iterator[Visit]:
+    """A page; the test fails for each console error, page error and request to outside."""
+    context = browser.new_context(viewport={"width": 1280, "height": 900}, bypass_csp=False)
+    page = context.new_page()
+    page.set_default_timeout(60_000)
+    visited = Visit(page, server.url)
+    page.on(
+        "console",
+        lambda m: visited.faults.append(f"console: {m.text}") if m.type == "error" else None,
+    )
+    page.on("pageerror", lambda error: visited.faults.append(f"page: {error}"))
+    page.on(
+        "request",
+        lambda request: (
+            None
+            if request.url.startswith((server.url, "data:", "blob:"))
+            else visited.faults.append(f"request: {request.url}")
+        ),
+    )
+    yield visited
+    context.close()
+    assert not visited.faults, visited.faults
