@@ -66,10 +66,15 @@ class Server:
     process: subprocess.Popen[str]
     url: str
 
-    def kill(self) -> None:
-        """kill -9."""
-        self.process.kill()
-        self.process.wait()
+    def stop(self, *, at_once: bool = False) -> None:
+        """End the server as Ctrl-C does, or by kill -9."""
+        if at_once:
+            self.process.kill()
+        else:
+            self.process.terminate()
+        self.process.wait(timeout=20)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
 
 
 def start_server(folder: Path, *arguments: str) -> Server:
@@ -86,8 +91,7 @@ def server(folder: Path) -> Iterator[Server]:
     """The served folder as a process."""
     started = start_server(folder)
     yield started
-    started.process.terminate()
-    started.process.wait(timeout=20)
+    started.stop()
 
 
 @pytest.fixture(scope="session")
@@ -108,6 +112,7 @@ class Visit:
 
     page: Page
     url: str
+    folder: Path  # served
     faults: list[str] = field(default_factory=list)
 
     def open(self, path: str) -> Page:
@@ -134,7 +139,7 @@ def visit(server: Server, browser: Browser) -> Iterator[Visit]:
     context = browser.new_context(viewport={"width": 1280, "height": 900}, bypass_csp=False)
     page = context.new_page()
     page.set_default_timeout(60_000)
-    visited = Visit(page, server.url)
+    visited = Visit(page, server.url, server.folder)
     page.on(
         "console",
         lambda m: visited.faults.append(f"console: {m.text}") if m.type == "error" else None,

@@ -1,5 +1,108 @@
-"""Placeholder of the page."""
+"""Page "Estimate": stages and options, runs with progress, order and horizon."""
 
-from starlette.routing import Route
+from __future__ import annotations
 
-ROUTES: tuple[Route, ...] = ()
+import json
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from starlette.requests import Request
+from starlette.responses import Response
+
+from strainwave.errors import InvalidInput
+from strainwave.io.atomic_files import decode, write_whole
+from strainwave.pipeline import check_stages
+from strainwave.workbench.gate import gate_of, require_open
+from strainwave.workbench.option_form import option_arguments, option_groups
+from strainwave.workbench.order_choice import order_figures
+from strainwave.workbench.pages.runs import describe, runs_of
+from strainwave.workbench.records import study_at
+from strainwave.workbench.runs import Run, Runs
+from strainwave.workbench.web import Body, get_json, get_page, page, post_json, study_of, text_of
+
+_STAGE_CHOICES = (
+    (
+        "rigid,decoupled,tuned",
+        "All stages",
+        "Rigid model, joint models, and the whole arm at once.",
+    ),
+    (
+        "rigid,decoupled",
+        "Joint models",
+        "Without the fit of the whole arm: faster, wider intervals.",
+    ),
+    ("rigid", "Rigid model", "Inertias and friction from slow motion; no elasticity."),
+)
+_SNAPSHOT = "study.toml"
+
+
+def show_estimate(request: Request) -> Response:
+    """The page."""
+    path = study_of(request)
+    groups = option_groups(study_at(path).options)
+    name = Runs(path.parent).free_name("identify")
+    return page(request, "estimate", "Estimate", groups=groups, stages=_STAGE_CHOICES, name=name)
+
+
+def estimates(request: Request) -> object:
+    """Gate and runs for the page."""
+    path = study_of(request)
+    gate = gate_of(path)
+    runs = runs_of(request)
+    shown = [_summary(runs, run) for run in reversed(runs.all("identify"))]
+    return {
+        "gate": {"is_open": gate.is_open, "reason": gate.reason, "state": gate.state},
+        "runs": shown,
+        "name": runs.free_name("identify"),
+    }
+
+
+def start_estimate(request: Request, body: Body) -> object:
+    """Start an identification of a copy of the study, which stays in the run's folder."""
+    path = study_of(request)
+    require_open(path)
+    stages = ",".join(check_stages(text_of(body, "stages", _STAGE_CHOICES[0][0])))
+    options = body.get("options", {})
+    if not isinstance(options, dict):
+        raise InvalidInput("the request has no options", where="request")
+    arguments = option_arguments(options, path)
+    runs = Runs(path.parent)
+    name = text_of(body, "name", "") or runs.free_name("identify")
+    folder = runs.prepare(name)
+    write_whole(folder, {_SNAPSHOT: snapshot(path).encode()})
+    command = ("identify", _SNAPSHOT, "--out", ".", "--stages", stages, *arguments)
+    return describe(runs.start(name, "identify", [command], text_of(body, "note", "")))
+
+
+def snapshot(path: Path) -> str:
+    """The text of a study file for a folder two levels below, so that a run can be repeated."""
+    document = tomlkit.parse(decode(path.read_bytes(), path))
+    for experiment in document.get("experiment", []):
+        experiment["file"] = f"../../{experiment['file']}"
+    if "urdf" in document.get("arm", {}):
+        document["arm"]["urdf"] = f"../../{document['arm']['urdf']}"
+    return tomlkit.dumps(document)
+
+
+def show_orders(request: Request) -> object:
+    """Singular values of the subspace method for each record that excites a joint."""
+    return order_figures(study_of(request))
+
+
+def _summary(runs: Runs, run: Run) -> dict[str, Any]:
+    """A run with its verdict."""
+    shown = describe(run) | {"status": None, "reasons": []}
+    result = runs.path(run.name) / "result.json"
+    if run.state == "done" and result.is_file():
+        document = json.loads(result.read_bytes())
+        shown |= {"status": document["status"], "version": document["version"]}
+    return shown
+
+
+ROUTES = (
+    get_page("/estimate/{study:path}", show_estimate),
+    get_json("/api/estimate/{study:path}", estimates),
+    post_json("/api/estimate/{study:path}", start_estimate),
+    get_json("/api/orders/{study:path}", show_orders),
+)

@@ -59,6 +59,13 @@ def remove_run(request: Request, body: Body) -> object:
     return {}
 
 
+def show_log(request: Request) -> object:
+    """Progress and messages of a run."""
+    runs, name = runs_of(request), request.query_params.get("name", "")
+    progress, messages = log_lines(runs.path(runs.get(name).name))
+    return {"progress": progress[-1] if progress else None, "messages": messages[-40:]}
+
+
 def log_lines(folder: Path) -> tuple[list[dict[str, object]], list[str]]:
     """Progress and messages of a run so far."""
     progress, messages = [], []
@@ -136,6 +143,7 @@ ROUTES = (
     get_json("/api/runs/{study:path}", list_runs),
     post_json("/api/cancel-run/{study:path}", cancel_run),
     post_json("/api/remove-run/{study:path}", remove_run),
+    get_json("/api/run-log/{study:path}", show_log),
     Route("/api/run-events/{study:path}", run_events, methods=["GET"]),
     get_page("/report/{study:path}", show_report),
     get_page("/download/{study:path}", download),

@@ -1,0 +1,61 @@
+"""Check, run, cancel and report in a browser."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from strainwave.workbench.study_edit import Change, edit_study
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+
+def press_until_focus(page: Page, name: str) -> None:
+    """Press Tab until the control with an accessible name has the focus."""
+    for _ in range(80):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.textContent").strip() == name:
+            return
+    raise AssertionError(f"Tab does not reach {name!r}")
+
+
+def test_check_remedy_estimate_and_report(visit: Any) -> None:
+    study = visit.folder / "arm" / "study.toml"
+    edit_study(study, [Change(("channels", "theta_m1"), {"column": "theta_m1", "scale": 57.29578})])
+    page = visit.open("/estimate/arm/study.toml")
+    assert page.locator("#start").is_disabled()
+    page = visit.open("/check/arm/study.toml")
+    page.click("#check")
+    page.wait_for_selector("#state[data-state=suspected]")
+    visit.check_accessibility()
+    page.locator(".remedy").first.click()
+    page.wait_for_selector("#state[data-state=consistent]")
+    page.wait_for_selector("#signal[data-drawn]")
+    page.click("#go")
+    page.wait_for_selector("#start:not([disabled])")
+    page.check("input[value='rigid']")
+    page.click("#start")
+    page.wait_for_selector("tr[data-run='identify-1'][data-state='done']")
+    page.get_by_role("button", name="Report of identify-1").click()
+    frame = page.frame_locator("#report-frame")
+    assert "Determined" in frame.locator(".badge").first.inner_text()
+    frame.locator(".js-plotly-plot").first.wait_for()  # its scripts run in the sandbox
+    visit.check_accessibility()
+
+
+def test_a_run_is_started_and_cancelled_by_keyboard(visit: Any) -> None:
+    page = visit.open("/check/arm/study.toml")
+    press_until_focus(page, "Check the study")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("#state[data-state=consistent]")
+    press_until_focus(page, "Continue to Estimate")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("#start:not([disabled])")
+    press_until_focus(page, "Estimate")  # the tab of the page
+    page.focus("#name")
+    press_until_focus(page, "Estimate")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("tr[data-state='running'] progress")
+    press_until_focus(page, "Cancel")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("tr[data-state='cancelled']")

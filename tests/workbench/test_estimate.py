@@ -1,0 +1,128 @@
+"""Page "Estimate": options, snapshots, runs, order and horizon."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from strainwave.domain.options import Options
+from strainwave.errors import InvalidInput
+from strainwave.io.study import read_study
+from strainwave.workbench.option_texts import OPTION_TEXTS
+
+pytest.importorskip("starlette")
+
+from strainwave.workbench.option_form import option_arguments, option_groups
+from strainwave.workbench.study_edit import Change, edit_study
+
+if TYPE_CHECKING:
+    from starlette.testclient import TestClient
+
+API = "/api/estimate/arm/study.toml"
+DOCS = Path(__file__).parents[2] / "docs" / "study.md"
+
+
+def finished(client: TestClient, name: str) -> dict[str, Any]:
+    limit = time.monotonic() + 120.0
+    while True:
+        run: dict[str, Any] = next(
+            run for run in client.get(API).json()["runs"] if run["name"] == name
+        )
+        if run["state"] != "running":
+            return run
+        assert time.monotonic() < limit
+        time.sleep(0.1)
+
+
+def test_every_option_has_a_text_and_a_row_in_the_docs() -> None:
+    names = {f"{stage}.{key}" for stage, table in asdict(Options()).items() for key in table}
+    assert set(OPTION_TEXTS) == names
+    page = DOCS.read_text(encoding="utf-8")
+    assert not [name for name in names if f"`{name}`" not in page]
+
+
+def test_choices_are_those_of_the_types() -> None:
+    rows = {row.name: row for group in option_groups(Options()) for row in group.rows}
+    assert rows["statespace.method"].choices == ("pem", "moesp", "n4sid", "subspace")
+    assert rows["tuning.settling"].choices == ("true", "false")
+    assert rows["links.order"].choices == ("1", "2")
+    assert rows["links.time_constant"].choices == ()
+
+
+def test_values_of_the_study_are_shown(folder: Path) -> None:
+    path = folder / "arm" / "study.toml"
+    edit_study(path, [Change(("options", "tuning", "hold"), ["gear_damping 2"])])
+    rows = {row.name: row for g in option_groups(read_study(path).options) for row in g.rows}
+    assert rows["tuning.hold"].value == '["gear_damping 2"]'
+    assert rows["links.order"].value == ""
+
+
+def test_options_become_arguments_and_wrong_ones_are_refused(folder: Path) -> None:
+    path = folder / "arm" / "study.toml"
+    assert option_arguments({"links.order": " 1 ", "statespace.order": ""}, path) == [
+        "--set",
+        "links.order=1",
+    ]
+    for values in ({"links.orders": "1"}, {"links.order": "7"}, {"links.order": 1}):
+        with pytest.raises(InvalidInput):
+            option_arguments(values, path)
+
+
+def test_a_run_identifies_a_copy_of_the_study_that_can_be_repeated(
+    client: TestClient, folder: Path
+) -> None:
+    client.post("/api/check/arm/study.toml", json={})
+    body = {"name": "slow", "stages": "rigid", "options": {"rigid.bandwidth_hz": "4.0"}}
+    started = client.post(API, json=body).json()
+    assert started["state"] == "running"
+    assert client.post(API, json=body).status_code == 400  # the name is taken
+    run = finished(client, "slow")
+    assert run["status"] == "determined"
+    line = "strainwave identify study.toml --out . --stages rigid --set rigid.bandwidth_hz=4.0"
+    assert run["lines"] == [line]
+    folder_of_run = folder / "arm" / "runs" / "slow"
+    result = json.loads((folder_of_run / "result.json").read_bytes())
+    assert result["stages"]["rigid"]["bandwidth_hz"] == 4.0
+    edit_study(folder / "arm" / "study.toml", [Change(("joint", 0, "gear_ratio"), 0.02)])
+    copy = read_study(folder_of_run / "study.toml")
+    assert copy.arm.joints[0].gear_ratio == 0.01
+    assert copy.log_path(copy.experiments[0]).resolve().parent == (folder / "arm").resolve()
+
+
+def test_events_end_with_the_run(client: TestClient) -> None:
+    client.post("/api/check/arm/study.toml", json={})
+    client.post(API, json={"name": "one", "stages": "rigid", "options": {}})
+    text = client.get("/api/run-events/arm/study.toml", params={"name": "one"}).text
+    events = [json.loads(line[6:]) for line in text.splitlines() if line.startswith("data: ")]
+    assert events[-1]["state"] == "done"
+    fractions = [e["progress"]["fraction"] for e in events if e["progress"]]
+    assert fractions == sorted(fractions)
+    assert fractions[-1] > 0.5
+
+
+def test_a_report_is_shown_without_access_to_the_workbench(client: TestClient) -> None:
+    client.post("/api/check/arm/study.toml", json={})
+    client.post(API, json={"name": "one", "stages": "rigid", "options": {}})
+    finished(client, "one")
+    answer = client.get("/report/arm/study.toml", params={"run": "one"})
+    policy = answer.headers["content-security-policy"]
+    assert "sandbox allow-scripts" in policy
+    assert "allow-same-origin" not in policy
+    assert "'unsafe-inline'" not in policy.split("script-src")[1].split(";")[0]
+    for file in ("../../study.toml", "run.json", "/etc/passwd"):
+        query = {"run": "one", "file": file}
+        assert client.get("/report/arm/study.toml", params=query).status_code == 400
+
+
+def test_orders_show_the_singular_values_of_each_excited_record(client: TestClient) -> None:
+    shown = client.get("/api/orders/arm/study.toml").json()
+    assert [one["experiment"] for one in shown] == ["prbs-j1", "prbs-j2"]
+    for one in shown:
+        values = one["figure"]["data"][0]["y"]
+        assert values == sorted(values, reverse=True)
+        assert 2 <= one["order"] <= 10

@@ -1,0 +1,131 @@
+"""Runs: process groups, cancel, recovery after the server's death, names."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from strainwave.errors import InvalidInput
+from strainwave.workbench.runs import Run, Runs
+
+PATIENCE = 120.0  # [s] on a loaded machine
+
+
+def wait_for(runs: Runs, name: str, state: str) -> Run:
+    limit = time.monotonic() + PATIENCE
+    while (run := runs.get(name)).state != state:
+        assert time.monotonic() < limit, (run, (runs.path(name) / "log.txt").read_text())
+        time.sleep(0.05)
+    return run
+
+
+def start_identify(folder: Path, name: str, *arguments: str) -> Runs:
+    runs = Runs(folder / "arm")
+    runs.prepare(name)
+    command = ("identify", "../../study.toml", "--out", ".", *arguments)
+    runs.start(name, "identify", [command])
+    return runs
+
+
+def is_alive(group: int | None) -> bool:
+    assert group is not None
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_a_finished_run_has_its_result_and_command_line(folder: Path) -> None:
+    runs = start_identify(folder, "one", "--stages", "rigid")
+    run = wait_for(runs, "one", "done")
+    assert run.exit_code == 0
+    assert (runs.path("one") / "result.json").is_file()
+    assert run.lines == ["strainwave identify ../../study.toml --out . --stages rigid"]
+    assert [r.name for r in runs.all()] == ["one"]
+
+
+def test_a_failed_run_keeps_the_message(folder: Path) -> None:
+    runs = start_identify(folder, "one", "--set", "links.order=7")
+    run = wait_for(runs, "one", "failed")
+    assert run.exit_code == 2
+    assert "links.order" in (runs.path("one") / "log.txt").read_text()
+
+
+def test_cancel_ends_the_process_group(folder: Path) -> None:
+    runs = start_identify(folder, "one")
+    group = runs.get("one").group
+    assert is_alive(group)
+    assert runs.cancel("one").state == "cancelled"
+    assert not is_alive(group)
+    assert not (runs.path("one") / "result.json").exists()
+    assert runs.get("one").state == "cancelled"
+
+
+def test_a_failing_command_ends_a_run_of_several(folder: Path) -> None:
+    runs = Runs(folder / "arm")
+    runs.prepare("two")
+    commands = [("check", "no-such-study.toml"), ("identify", "../../study.toml", "--out", ".")]
+    runs.start("two", "virtual", commands)
+    assert wait_for(runs, "two", "failed").exit_code == 2
+    assert not (runs.path("two") / "result.json").exists()
+
+
+SERVER = """
+import sys, time
+from pathlib import Path
+from strainwave.workbench.runs import Runs
+runs = Runs(Path(sys.argv[1]))
+runs.prepare("one")
+runs.start("one", "identify", [("serve", "..", "--port", "0")])
+print("started", flush=True)
+time.sleep(1000)
+"""
+
+
+def test_a_run_survives_the_server_and_a_broken_run_is_marked(folder: Path) -> None:
+    command = [sys.executable, "-c", SERVER, str(folder / "arm")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        assert server.stdout.readline() == "started\n"
+        server.kill()
+    runs = Runs(folder / "arm")
+    run = runs.get("one")
+    assert run.state == "running"  # its processes live
+    assert run.group is not None
+    os.killpg(run.group, signal.SIGKILL)
+    assert wait_for(runs, "one", "interrupted").ended is not None
+    assert Runs(folder / "arm").get("one").state == "interrupted"
+
+
+def test_names_cannot_leave_the_folder(folder: Path) -> None:
+    runs = Runs(folder / "arm")
+    for name in ("", "..", "../x", "a/b", ".hidden", "-x", "a" * 200, "a\0b"):
+        with pytest.raises(InvalidInput):
+            runs.prepare(name)
+    runs.prepare("one")
+    with pytest.raises(InvalidInput, match="already"):
+        runs.prepare("one")
+    assert runs.free_name("one") == "one-1"
+
+
+def test_a_running_run_is_not_removed(folder: Path) -> None:
+    runs = start_identify(folder, "one")
+    with pytest.raises(InvalidInput, match="cancel it first"):
+        runs.remove("one")
+    runs.cancel("one")
+    runs.remove("one")
+    assert runs.all() == []
+
+
+def test_a_damaged_record_is_named(folder: Path) -> None:
+    runs = Runs(folder / "arm")
+    (runs.prepare("one") / "run.json").write_text("{")
+    with pytest.raises(InvalidInput, match=r"run\.json is damaged"):
+        runs.get("one")
