@@ -81,7 +81,7 @@ COMPILE := pip-compile --quiet --generate-hashes --strip-extras --no-header --no
 lock:
 	$(COMPILE) --upgrade --all-extras -o requirements.lock pyproject.toml
 	grep -o '^[^ #]*==[^ ]*' requirements.lock > build-constraints.txt
-	$(COMPILE) --no-annotate --extra build -c build-constraints.txt -o requirements-run.lock pyproject.toml
+	$(COMPILE) --no-annotate --extra build --extra serve -c build-constraints.txt -o requirements-run.lock pyproject.toml
 	rm build-constraints.txt
 
 clean:
