@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -119,6 +120,13 @@ class Visit:
         """Open an address of the server."""
         self.page.goto(f"{self.url}{path}")
         return self.page
+
+    def wait_until(self, expression: str) -> None:
+        """Wait until a JavaScript expression is true; the page's policy allows no eval."""
+        limit = time.monotonic() + 60.0
+        while not self.page.evaluate(expression):
+            assert time.monotonic() < limit, expression
+            time.sleep(0.05)
 
     def check_accessibility(self) -> None:
         """Fail if axe-core finds a serious fault on the page."""

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from dataclasses import replace
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -47,14 +48,19 @@ def study_at(path: Path) -> Study:
     return study
 
 
-def log_of(path: Path, experiment: str) -> Log:
-    """The log of one experiment of a study file; raises InvalidInput if it has a fault."""
+def log_of(path: Path, experiment: str, *, is_whole: bool = False) -> Log:
+    """The log of one experiment of a study file; raises InvalidInput if it has a fault.
+
+    With `is_whole`, the window of the experiment is not cut out.
+    """
     study = study_at(path)
     chosen = next((e for e in study.experiments if e.name == experiment), None)
     if chosen is None:
         names = ", ".join(e.name for e in study.experiments)
         raise InvalidInput(f"there is no experiment {experiment!r}", remedy=f"choose from: {names}")
-    key = ("log", _stamp(path), experiment, _stamp(study.log_path(chosen)))
+    if is_whole:
+        chosen = replace(chosen, start=None, stop=None)
+    key = ("log", _stamp(path), experiment, is_whole, _stamp(study.log_path(chosen)))
     log: Log = _cache.get(key, lambda: read_log(study, chosen), _size)
     return log
 
