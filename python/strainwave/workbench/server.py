@@ -74,6 +74,7 @@ def _listen(options: ServerOptions) -> socket.socket:
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((options.host, options.port))
+        listener.listen(128)  # a client that connects now waits for the application
     except OSError as error:
         listener.close()
         raise InvalidInput(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,12 @@ from tomlkit.exceptions import TOMLKitError
 from strainwave.domain.corrections import Correction
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
+
+TODO = "TODO"
+"""What `strainwave init` writes in place of a value that it cannot know."""
+
+_TODO = re.compile(rf"(?<![\w\"]){TODO}(?![\w\"])")
+_CODE = re.compile(r"""(?:[^#"']|"(?:[^"\\]|\\.)*"|'[^']*')*""")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,13 +45,31 @@ def edit_study(path: Path, changes: Sequence[Change]) -> None:
 
 def changed_text(text: str, changes: Sequence[Change], path: Path) -> str:
     """The text of a study file with the changes; `path` is for messages."""
-    try:
-        document = tomlkit.parse(text)
-    except TOMLKitError as error:
-        raise InvalidInput(str(error), where=str(path), remedy="correct the text") from error
+    document = parse_draft(text, path)
     for change in changes:
         _apply(document, change, path)
-    return tomlkit.dumps(document)
+    changed = tomlkit.dumps(document)
+    return changed.replace(f'"{TODO}"', TODO) if _unquoted_todos(text) else changed
+
+
+def parse_draft(text: str, path: Path) -> tomlkit.TOMLDocument:
+    """A study file as tables; a value that is still TODO is the text "TODO"."""
+    lines = [_TODO.sub(f'"{TODO}"', code) + note for code, note in map(_split, text.split("\n"))]
+    try:
+        return tomlkit.parse("\n".join(lines))
+    except TOMLKitError as error:
+        raise InvalidInput(str(error), where=str(path), remedy="correct the text") from error
+
+
+def _unquoted_todos(text: str) -> bool:
+    return any(_TODO.search(_split(line)[0]) for line in text.split("\n"))
+
+
+def _split(line: str) -> tuple[str, str]:
+    """A line without its comment, and the comment."""
+    match = _CODE.match(line)
+    end = match.end() if match else 0
+    return line[:end], line[end:]
 
 
 def _apply(table: Any, change: Change, path: Path) -> None:
@@ -72,7 +97,7 @@ def _apply(table: Any, change: Change, path: Path) -> None:
 
 def correction_changes(text: str, corrections: Sequence[Correction]) -> list[Change]:
     """Changes of a study file that make the corrections of its keys; others are left out."""
-    experiments = [e.get("name") for e in tomlkit.parse(text).get("experiment", [])]
+    experiments = [e.get("name") for e in parse_draft(text, Path()).get("experiment", [])]
     changes = []
     for each in corrections:
         keys = each.key.split(".")

@@ -134,11 +134,17 @@ def text_of(body: Body, key: str, default: str | None = None) -> str:
 def error_response(request: Request, error: Exception) -> Response:
     """The message of the command line; as a page, or as JSON for a script."""
     status = 400 if isinstance(error, InvalidInput) else 422
+    message = message_of(request, error)
     if request.headers.get("sec-fetch-dest") == "document":
-        answer = page(request, "error", "Error", message=str(error))
+        answer = page(request, "error", "Error", message=message)
         answer.status_code = status
         return answer
-    return json_response({"error": str(error)}, status)
+    return json_response({"error": message}, status)
+
+
+def message_of(request: Request, error: Exception | str) -> str:
+    """The message of an error, with paths relative to the served folder."""
+    return str(error).replace(f"{workspace_of(request).folder}/", "")
 
 
 HANDLED = (InvalidInput, NotIdentifiable, NumericalFailure)

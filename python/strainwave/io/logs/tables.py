@@ -427,3 +427,6 @@ _OPENERS: dict[str, Callable[[Path], Table]] = {  # suffix -> function
     ".h5": _open_hdf5,
     ".hdf5": _open_hdf5,
 }
+
+TABLE_SUFFIXES = tuple(_OPENERS)
+"""Suffixes of tables."""

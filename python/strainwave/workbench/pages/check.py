@@ -19,7 +19,7 @@ from strainwave.presentation.report.predictions import unit_of
 from strainwave.workbench.gate import Gate, gate_of, override_check, run_check
 from strainwave.workbench.records import log_of, study_at
 from strainwave.workbench.study_edit import correction_changes, edit_study
-from strainwave.workbench.web import Body, get_json, get_page, page, post_json, study_of
+from strainwave.workbench.web import Body, get_json, get_page, message_of, page, post_json, study_of
 
 
 def show_check(request: Request) -> Response:
@@ -29,17 +29,17 @@ def show_check(request: Request) -> Response:
 
 def read_gate(request: Request) -> object:
     """The last check, if it is still valid."""
-    return _shown(gate_of(study_of(request)))
+    return _shown(request, gate_of(study_of(request)))
 
 
 def check_now(request: Request, _body: Body) -> object:
     """Check the study."""
-    return _shown(run_check(study_of(request)))
+    return _shown(request, run_check(study_of(request)))
 
 
 def override(request: Request, _body: Body) -> object:
     """Allow an estimate in spite of a suspected fault."""
-    return _shown(override_check(study_of(request)))
+    return _shown(request, override_check(study_of(request)))
 
 
 def apply_remedy(request: Request, body: Body) -> object:
@@ -55,7 +55,7 @@ def apply_remedy(request: Request, body: Body) -> object:
     if not changes:
         raise InvalidInput("the study file cannot correct this fault", remedy="correct the logs")
     edit_study(path, changes)
-    return _shown(run_check(path))
+    return _shown(request, run_check(path))
 
 
 def show_channel(request: Request) -> object:
@@ -73,9 +73,10 @@ def show_channel(request: Request) -> object:
     return plotly(Figure(Axis("time [s]"), (Panel(Axis(title), (line,)),)))
 
 
-def _shown(gate: Gate) -> dict[str, Any]:
+def _shown(request: Request, gate: Gate) -> dict[str, Any]:
     """A gate for the page, with the relations that contradict first."""
-    shown: dict[str, Any] = asdict(gate) | {"is_open": gate.is_open}
+    reason = message_of(request, gate.reason)
+    shown: dict[str, Any] = asdict(gate) | {"is_open": gate.is_open, "reason": reason}
     if gate.document is None:
         return shown
     relations = _merged(gate.document["relations"])

@@ -19,7 +19,16 @@ from strainwave.workbench.order_choice import order_figures
 from strainwave.workbench.pages.runs import describe, runs_of
 from strainwave.workbench.records import study_at
 from strainwave.workbench.runs import Run, Runs
-from strainwave.workbench.web import Body, get_json, get_page, page, post_json, study_of, text_of
+from strainwave.workbench.web import (
+    Body,
+    get_json,
+    get_page,
+    message_of,
+    page,
+    post_json,
+    study_of,
+    text_of,
+)
 
 _STAGE_CHOICES = (
     (
@@ -52,7 +61,11 @@ def estimates(request: Request) -> object:
     runs = runs_of(request)
     shown = [_summary(runs, run) for run in reversed(runs.all("identify"))]
     return {
-        "gate": {"is_open": gate.is_open, "reason": gate.reason, "state": gate.state},
+        "gate": {
+            "is_open": gate.is_open,
+            "reason": message_of(request, gate.reason),
+            "state": gate.state,
+        },
         "runs": shown,
         "name": runs.free_name("identify"),
     }

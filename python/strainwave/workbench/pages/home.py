@@ -2,15 +2,59 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
 from starlette.requests import Request
 from starlette.responses import Response
 
+from strainwave.errors import InvalidInput
+from strainwave.workbench.records import study_at
+from strainwave.workbench.runs import Runs
 from strainwave.workbench.web import get_page, page, workspace_of
+
+
+@dataclass(frozen=True, slots=True)
+class StudyRow:
+    """A study file in the list."""
+
+    path: str
+    description: str  # of the arm, or the error of the file
+    is_valid: bool
+    runs: int
+    status: str  # verdict of the latest finished identification
 
 
 def show_home(request: Request) -> Response:
     """The studies of the folder."""
-    return page(request, "home", "Studies", studies=workspace_of(request).studies())
+    workspace = workspace_of(request)
+    rows = [_row(name, workspace.study(name)) for name in workspace.studies()]
+    return page(request, "home", "Studies", studies=rows)
+
+
+def _row(name: str, path: Path) -> StudyRow:
+    runs = Runs(path.parent)
+    finished = [run for run in runs.all("identify") if run.state == "done"]
+    status = ""
+    if finished:
+        try:
+            result = json.loads((runs.path(finished[-1].name) / "result.json").read_bytes())
+            status = str(result.get("status", ""))
+        except (OSError, ValueError):
+            status = "no result"
+    try:
+        study = study_at(path)
+        arm = study.arm
+        springs = ", ".join(dict.fromkeys(joint.spring for joint in arm.joints))
+        plural = "s" if arm.n_joints > 1 else ""
+        description = (
+            f"{arm.kind.replace('-', ' ')}, {arm.n_joints} joint{plural} ({springs}),"
+            f" {len(study.experiments)} records"
+        )
+    except InvalidInput as error:
+        return StudyRow(name, str(error), False, len(runs.all()), status)
+    return StudyRow(name, description, True, len(runs.all()), status)
 
 
 ROUTES = (get_page("/", show_home),)

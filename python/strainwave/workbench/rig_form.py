@@ -1,0 +1,205 @@
+"""The tables of a study file as a form: fields with unit, meaning and plausible range."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from strainwave.domain import gear_laws, kinds
+from strainwave.domain.link_sensors import key_texts
+from strainwave.domain.study_limits import ARM_LIMITS, IMU_LIMITS, JOINT_LIMITS, SERVO_LIMITS
+from strainwave.errors import InvalidInput
+from strainwave.workbench.study_edit import TODO
+
+FieldKind = Literal["number", "numbers", "text", "choice"]
+Place = tuple[str | int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class FieldText:
+    """Title and meaning of a key."""
+
+    key: str  # dotted for a table in the table: "imu.xyz"
+    title: str
+    meaning: str
+    kind: FieldKind = "number"
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field of the form, with its value."""
+
+    place: Place
+    text: FieldText
+    unit: str
+    value: str
+    is_todo: bool
+    minimum: float | None = None  # plausible
+    maximum: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FieldGroup:
+    """Fields of one table."""
+
+    title: str
+    fields: tuple[Field, ...]
+
+
+_ARM = (
+    FieldText("link_length", "Link length", "Distance of axis 1 and axis 2.", unit="m"),
+    FieldText("gravity", "Gravity", "Acts along -y in the plane of motion; empty: none."),
+)
+_SERIAL_ARM = (
+    FieldText("gravity", "Gravity", "Vector in the frame of the base.", "numbers", "m/s^2"),
+    FieldText("urdf", "URDF", "File that places the joints, next to the study.", "text"),
+)
+_PLACED = (
+    FieldText("name", "Name", "Name of the joint in exports.", "text"),
+    FieldText(
+        "origin.xyz", "Position", "Of this joint in the frame of the link before.", "numbers", "m"
+    ),
+    FieldText("origin.rpy", "Orientation", "Roll, pitch and yaw as in URDF.", "numbers", "rad"),
+    FieldText("axis", "Axis", "Direction in the joint's frame.", "numbers"),
+)
+_DRIVE = (
+    FieldText(
+        "torque_per_volt",
+        "Torque per volt",
+        "At the motor: amplifier gain times torque constant. Not needed where torque is logged.",
+    ),
+    FieldText("current_loop_hz", "Current loop", "Bandwidth from voltage to torque."),
+    FieldText("encoder_counts", "Motor encoder", "Counts per turn of the motor."),
+)
+_IMU = (
+    FieldText("imu.xyz", "IMU position", "In the link's frame; empty: estimated.", "numbers", "m"),
+    FieldText(
+        "imu.rpy", "IMU orientation", "In the link's frame; empty: estimated.", "numbers", "rad"
+    ),
+    FieldText("imu.accelerometer_hz", "IMU accelerometer", "Bandwidth of its low-pass."),
+    FieldText("imu.gyro_hz", "IMU gyro", "Bandwidth of its low-pass."),
+)
+_SERVO = (
+    FieldText("kind", "Servo", "PI velocity loop.", "choice", choices=("pi-velocity",)),
+    FieldText("period", "Period", "Sampling period of the servo."),
+    FieldText("kp", "Proportional gain", "One per joint.", "numbers", "V s/rad"),
+    FieldText("ki", "Integral gain", "One per joint.", "numbers", "V/rad"),
+    FieldText("limit", "Voltage limit", "The integration stops while it is reached."),
+    FieldText(
+        "position_gain", "Position gain", "Of an outer loop, one per joint.", "numbers", "1/s"
+    ),
+)
+_LIMITS = {
+    **{("arm", limit.key): limit for limit in ARM_LIMITS},
+    **{("joint", limit.key): limit for limit in JOINT_LIMITS},
+    **{("joint", f"imu.{limit.key}"): limit for limit in IMU_LIMITS},
+    **{("servo", limit.key): limit for limit in SERVO_LIMITS},
+}
+
+
+def field_groups(document: Mapping[str, Any]) -> list[FieldGroup]:
+    """The form of a study file."""
+    arm = document.get("arm", {})
+    is_serial = arm.get("kind") == "serial"
+    names = tuple(kind.name for kind in kinds.all_kinds())
+    kind = FieldText("kind", "Kind of arm", "Tables of the file depend on it.", "choice", "", names)
+    rows = _SERIAL_ARM if is_serial else _ARM[arm.get("kind") == "single-joint" :]
+    groups = [FieldGroup("Arm", tuple(_fields(arm, ("arm",), (kind, *rows))))]
+    for index, joint in enumerate(document.get("joint", [])):
+        texts = _joint_texts(is_placed=is_serial and "urdf" not in arm)
+        fields = tuple(_fields(joint, ("joint", index), texts))
+        groups.append(FieldGroup(f"Joint {index + 1}", fields))
+    servo = document.get("servo", {})
+    groups.append(FieldGroup("Servo", tuple(_fields(servo, ("servo",), _SERVO))))
+    if is_serial:
+        text = FieldText(
+            "coupling", "Coupling", "Matrix: [[1, 0], [0.2, 1]]; empty: none.", "numbers"
+        )
+        table = document.get("transmission", {})
+        groups.append(FieldGroup("Transmission", tuple(_fields(table, ("transmission",), (text,)))))
+    return groups
+
+
+def _joint_texts(*, is_placed: bool) -> Iterator[FieldText]:
+    yield FieldText(
+        "spring", "Gear", "Elastic law of the gear.", "choice", choices=tuple(gear_laws.names())
+    )
+    motions = ("revolute", "prismatic")
+    yield FieldText("motion", "Motion", "Of the link.", "choice", choices=motions)
+    if is_placed:
+        yield from _PLACED
+    yield FieldText("gear_ratio", "Gear ratio", "Turns of the link per turn of the motor.")
+    yield from _DRIVE
+    for key, (title, unit) in key_texts().items():
+        yield FieldText(key, f"{title[:1].upper()}{title[1:]}", "Sensor on the link.", unit=unit)
+    yield from _IMU
+
+
+def _fields(table: Mapping[str, Any], place: Place, texts: Iterable[FieldText]) -> Iterator[Field]:
+    for text in texts:
+        keys = text.key.split(".")
+        value: Any = table
+        for key in keys:
+            value = value.get(key) if isinstance(value, Mapping) else None
+        limit = _LIMITS.get((str(place[0]), text.key))
+        yield Field(
+            place=(*place, *keys),
+            text=text,
+            unit=text.unit or (limit.unit if limit else ""),
+            value=_shown(value),
+            is_todo=TODO in _shown(value),
+            minimum=limit.minimum if limit else None,
+            maximum=limit.maximum if limit else None,
+        )
+
+
+def _shown(value: Any) -> str:
+    """A value as the user types it."""
+    if value is None:
+        return ""
+    if isinstance(value, list):
+        return ", ".join(f"[{_shown(v)}]" if isinstance(v, list) else _shown(v) for v in value)
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def value_of(text: str, kind: FieldKind) -> Any:
+    """The value of a field's text; None if it is empty.
+
+    Raises InvalidInput if a number is needed and the text is none.
+    """
+    stripped = text.strip()
+    if not stripped:
+        return None
+    if kind == "numbers":
+        return _numbers(stripped)
+    if kind == "number":
+        # "unknown" is a torque per volt that the records determine
+        return stripped if stripped in ("unknown", TODO) else _number(stripped)
+    return stripped
+
+
+def _numbers(text: str) -> list[Any]:
+    """Numbers in one or two levels of brackets: 1, 2 or [1, 0], [0.2, 1]."""
+    inner = text[1:-1] if text.startswith("[[") else text
+    if inner.startswith("[") and "]," in inner.replace(" ", ""):
+        rows = inner.replace(" ", "").strip("[]").split("],[")
+        return [[_number(each) for each in row.split(",")] for row in rows]
+    return [_number(each) for each in inner.strip("[]").split(",")]
+
+
+def _number(text: str) -> float | int | str:
+    cleaned = text.strip()
+    if cleaned == TODO:
+        return cleaned
+    try:
+        value = float(cleaned)
+    except ValueError as error:
+        raise InvalidInput(f"{cleaned!r} is not a number", remedy="use a point: 0.25") from error
+    if not math.isfinite(value):
+        raise InvalidInput(f"{cleaned!r} is not finite")
+    is_integer = value.is_integer() and "." not in cleaned and "e" not in cleaned.lower()
+    return int(value) if is_integer else value

@@ -1,0 +1,110 @@
+// Page "Study": the form and the text show the same file; every change is saved at once.
+import { act, address, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
+import { draw } from "./figures.js";
+
+const api = (name) => `/api/${name}/${address(study)}`;
+let state;
+
+async function save(body) {
+  state = await postJson(api("study"), { sha256: state.sha256, ...body });
+  await show();
+}
+
+// Save one key; the focus stays where the user moved it.
+const saveField = (control, entry) => act(control, () => save({ changes: [{ ...entry, value: control.value }] }));
+
+function fieldControl(id, entry, attributes = {}) {
+  const { kind, choices, value } = entry;
+  const control = kind === "choice"
+    ? make("select", { id, ...attributes }, ...(choices.includes(value) ? [] : [make("option", { value }, value || "default")]), ...choices.map((one) => make("option", {}, one)))
+    : make("input", { id, ...attributes });
+  control.value = value;
+  control.addEventListener("change", () => saveField(control, entry));
+  return control;
+}
+
+function isImplausible(field) {
+  const size = Math.abs(Number(field.value));
+  return field.value !== "" && !Number.isNaN(size) && field.minimum != null && (size < field.minimum || size > field.maximum);
+}
+
+function rigField(field) {
+  const id = `field-${field.place.join("-")}`;
+  const range = field.minimum == null ? "" : ` Plausible: ${field.minimum} to ${field.maximum}.`;
+  const entry = { place: field.place, kind: field.text.kind, choices: field.text.choices, value: field.value };
+  const control = fieldControl(id, entry, { "aria-describedby": `${id}-hint`, "aria-invalid": isImplausible(field) ? "true" : null });
+  return make("div", { class: field.is_todo ? "rig-field todo" : "rig-field" },
+    make("label", { for: id }, field.text.title), control, make("span", { class: "unit" }, field.unit),
+    make("p", { class: "hint", id: `${id}-hint` }, (field.is_todo ? "Missing. " : "") + field.text.meaning + range));
+}
+
+function channelRow(row) {
+  const columns = state.columns[byId("preview-record").value] ?? [];
+  const place = (key) => ["channels", row.channel, key];
+  const id = (key) => `channel-${row.channel}-${key}`;
+  const names = row.column && !columns.includes(row.column) ? [row.column, ...columns] : columns;
+  const select = make("select", { id: id("column"), "aria-label": `Column of ${row.channel}` },
+    make("option", { value: "" }, columns.includes(row.channel) ? `${row.channel} (same name)` : "none"),
+    ...names.map((name) => make("option", {}, name)));
+  select.value = row.column;
+  select.addEventListener("change", () => act(select, () => save({
+    changes: select.value
+      ? [{ place: place("column"), kind: "text", value: select.value }]
+      : [{ place: ["channels", row.channel], kind: "text", value: "" }],
+  })));
+  const number = (key, fallback) => fieldControl(id(key), { place: place(key), kind: "number", choices: [], value: row[key] },
+    { "aria-label": `${key} of ${row.channel}`, placeholder: fallback, disabled: !row.column });
+  const look = make("button", { type: "button", "aria-label": `Preview ${row.channel}` }, "Show");
+  onClick(look, () => preview(row));
+  return make("tr", {}, make("th", { scope: "row" }, row.channel), make("td", {}, row.unit),
+    make("td", {}, select), make("td", {}, number("scale", "1")), make("td", {}, number("offset", "0")), make("td", {}, look));
+}
+
+async function preview(row) {
+  const place = byId("preview");
+  place.hidden = false;
+  const query = { experiment: byId("preview-record").value, channel: row.channel, column: row.column || row.channel, scale: row.scale, offset: row.offset };
+  await draw(place, await getJson(api("preview"), query), { layout: { showlegend: false } });
+}
+
+function showChannels() {
+  const columns = state.columns?.[byId("preview-record").value] ?? [];
+  const used = state.channels.filter((row) => byId("all-channels").checked || row.column || columns.includes(row.channel));
+  byId("channels").replaceChildren(...used.map(channelRow));
+}
+
+function showExperiments() {
+  const heads = state.experiments[0]?.cells.map((cell) => make("th", { scope: "col" }, cell.title)) ?? [];
+  byId("experiment-heads").replaceChildren(...heads);
+  byId("experiments").replaceChildren(...state.experiments.map((row, index) => make("tr", {}, ...row.cells.map((cell) =>
+    make("td", {}, fieldControl(`experiment-${index}-${cell.place[2]}`, cell,
+      { "aria-label": `${cell.title} of ${row.name}`, class: cell.kind === "number" ? "short" : null }))))));
+}
+
+async function show() {
+  const focus = document.activeElement?.id;
+  byId("state").textContent = state.error ?? "The study is complete and has no errors.";
+  byId("state").className = `callout ${state.error ? (state.todos ? "doubt" : "bad") : "good"}`;
+  byId("state").dataset.state = state.error ? "error" : "valid";
+  byId("text").value = state.text;
+  byId("rig").replaceChildren(...state.groups.map((group) =>
+    make("fieldset", {}, make("legend", {}, group.title), ...group.fields.map(rigField))));
+  const record = byId("preview-record").value;
+  byId("preview-record").replaceChildren(...state.experiments.map((row) => make("option", {}, row.name)));
+  if (state.experiments.some((row) => row.name === record)) byId("preview-record").value = record;
+  showChannels();
+  showExperiments();
+  if (focus) byId(focus)?.focus({ preventScroll: true });
+  byId("arm").hidden = !state.arm;
+  byId("no-arm").hidden = Boolean(state.arm);
+  if (state.arm) await draw(byId("arm"), state.arm);
+}
+
+onClick(byId("save"), async () => {
+  await save({ text: byId("text").value });
+  showMessage("study.toml is saved.");
+});
+onClick(byId("reload"), async () => { state = await getJson(api("study")); await show(); });
+byId("preview-record").addEventListener("change", showChannels);
+byId("all-channels").addEventListener("change", showChannels);
+act(null, async () => { state = await getJson(api("study")); await show(); });
