@@ -68,6 +68,7 @@ def identify(
     data: Data | None = None,
     stages: str | Sequence[str] = pipeline.STAGES,
     options: Options | Mapping[str, Mapping[str, Any]] | Sequence[str] | None = None,
+    start: Path | str | Mapping[tuple[str, int | None], float] | None = None,
     progress: Progress = ignore_progress,
     cancel: threading.Event | Callable[[], bool] | None = None,
     threads: int | None = None,
@@ -87,6 +88,9 @@ def identify(
     options : Options, mapping or sequence of str, optional
         Replaces [options] of the study: `sw.Options(links={"order": 1})`. A mapping
         `{"links": {"order": 1}}` or texts `["links.order=1"]` change single options.
+    start : Path, str or mapping, optional
+        Parameters at which the whole-arm fit starts: a result.json or parameter file, or values by
+        (name, joint). Other parameters start at the estimates of the earlier stages.
     progress : callable
         Receives a `ProgressEvent` in the thread of the caller.
     cancel : threading.Event or callable, optional
@@ -118,6 +122,7 @@ def identify(
             data=data,
             stages=pipeline.check_stages(stages),
             options=options,
+            start=Path(start) if isinstance(start, str) else start,
             progress=events.put,
             threads=threads,
         )

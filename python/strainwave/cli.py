@@ -111,6 +111,14 @@ def identify(
     out: Out,
     stages: Stages = None,
     options: Overrides = None,
+    start: Annotated[
+        Path | None,
+        typer.Option(
+            "--start",
+            help="Parameters at which the whole-arm fit starts: a result.json or a parameter file.",
+            metavar="P.json",
+        ),
+    ] = None,
     figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
@@ -126,6 +134,7 @@ def identify(
             study,
             stages=chosen,
             options=options or None,
+            start=start,
             progress=pipeline.with_report_loading(report),
         )
         pipeline.write(identification, out, figures=figures, progress=report)

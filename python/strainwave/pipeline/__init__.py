@@ -26,6 +26,7 @@ from strainwave.domain import (
     Study,
     Suspicion,
 )
+from strainwave.domain.keys import Key, Values
 from strainwave.domain.progress import Progress, ProgressEvent, ignore_progress
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.identification import amplitude_sweep as sweep
@@ -39,6 +40,7 @@ from strainwave.numerics.parallel import limited, one_blas_thread
 from strainwave.pipeline.drives import DriveStage, estimate_drives
 from strainwave.pipeline.elastic_arm import ElasticStages, fit_elastic_arm
 from strainwave.pipeline.input_check import CheckedInputs, check_input, check_inputs
+from strainwave.pipeline.inputs import read_start
 from strainwave.pipeline.reporter import Reporter
 from strainwave.pipeline.rigid_joints import RigidStage, fit_rigid_joints
 from strainwave.presentation.matplotlib_backend import images
@@ -69,6 +71,7 @@ def identify(
     data: Data | None = None,
     stages: Sequence[str] = STAGES,
     options: Options | Mapping[str, Mapping[str, Any]] | Sequence[str] | None = None,
+    start: Path | Mapping[Key, float] | None = None,
     progress: Progress = ignore_progress,
     threads: int | None = None,
 ) -> Identification:
@@ -76,7 +79,8 @@ def identify(
 
     `data` maps names of experiments to logs, tables in memory or paths that replace the study's
     files. `options` replaces the study's options: all of them (`Options`), those that differ
-    (stage -> key -> value), or "stage.key=value" as on the command line. `progress` is called with
+    (stage -> key -> value), or "stage.key=value" as on the command line. `start` has values, or a
+    file with values, at which the whole-arm fit starts. `progress` is called with
     a `ProgressEvent` at the start of each part and at each evaluation of the whole-arm fit.
     `threads` is the number of threads at a time, one per core by default.
 
@@ -90,12 +94,17 @@ def identify(
             the_study = study if isinstance(study, Study) else read_study(study)
             if options is not None:
                 the_study = with_options(the_study, options)
+            starts = read_start(start, the_study)
             raw_logs = logs.read_logs(the_study, data=data)
-        return _identify(the_study, raw_logs, chosen, reporter)
+        return _identify(the_study, raw_logs, chosen, reporter, starts)
 
 
 def _identify(
-    study: Study, raw_logs: Sequence[Log], stages: tuple[Stage, ...], reporter: Reporter
+    study: Study,
+    raw_logs: Sequence[Log],
+    stages: tuple[Stage, ...],
+    reporter: Reporter,
+    start: Values,
 ) -> Identification:
     drives = DriveStage(study)
     if study.arm.unknown_drives:
@@ -103,6 +112,7 @@ def _identify(
         study = drives.study
     with reporter.time_part("consistency", "detecting defects, checking consistency"):
         check = check_inputs(study, raw_logs, stages)
+    check = replace(check, inputs=replace(check.inputs, start=start))
     inputs, is_consistent = check.inputs, not check.consistency.suspected
     rigid = RigidStage()
     if drives.failures:  # without the scale of the torques, no relation holds

@@ -115,7 +115,7 @@ def _fit_whole_arm(
                 start.joints,
                 inputs.arm,
                 inputs.study.options.tuning,
-                start=start.delays,
+                start={**start.delays, **inputs.start},
                 others=start.alternatives,
                 progress=count,
             )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -108,7 +108,8 @@ def prepare_start(
     if placed:
         coarse = select_mountings(coarse, arm, options)
     stages = starting_values_of(model, best.joints, arm)
-    coarse = _scan_uncertain(coarse, stages, best.joints)
+    given_joints = {joint for name, joint in starts if is_slope(name)}
+    coarse = _scan_uncertain(coarse, stages, best.joints, given_joints)
     if best.end_values is None or placed:
         initial = coarse.z
     rejected = tuple(warn_rejected_starts(stages, arm))
@@ -176,10 +177,19 @@ def _records(
     return _Records(records, [coarsen_steps(record, step) for record in records])
 
 
-def _scan_uncertain(start: Fit, stages: StartingValues, joints: Sequence[JointModel]) -> Fit:
-    """Scan the stiffness of joints without a plausible model; twice, as they affect each other."""
+def _scan_uncertain(
+    start: Fit,
+    stages: StartingValues,
+    joints: Sequence[JointModel],
+    given: Collection[int | None],
+) -> Fit:
+    """Scan the stiffness of joints without a plausible model; twice, as they affect each other.
+
+    The stiffness of the joints in `given` is known.
+    """
     uncertain = {joint for name, joint in stages.rejected if name == STIFFNESS and joint}
     uncertain |= {model.joint for model in joints if model.status == "implausible"}
+    uncertain -= set(given)
     for joint in sorted(uncertain) * (2 if len(uncertain) > 1 else 1):
         start = _scan_stiffness(start, joint)
     return start
