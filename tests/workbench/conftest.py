@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -78,7 +78,7 @@ class Server:
         self.process.stdout.close()
 
 
-def start_server(folder: Path, *arguments: str) -> Server:
+def launch_server(folder: Path, *arguments: str) -> Server:
     """`strainwave serve` on a free port."""
     command = [sys.executable, "-m", "strainwave", "serve", str(folder), "--port", "0", *arguments]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ)
@@ -88,11 +88,24 @@ def start_server(folder: Path, *arguments: str) -> Server:
 
 
 @pytest.fixture
-def server(folder: Path) -> Iterator[Server]:
+def start_server() -> Iterator[Callable[[Path], Server]]:
+    """Function that serves a folder; the servers end with the test."""
+    started: list[Server] = []
+
+    def start(folder: Path) -> Server:
+        started.append(launch_server(folder))
+        return started[-1]
+
+    yield start
+    for server in started:
+        if server.process.poll() is None:
+            server.stop()
+
+
+@pytest.fixture
+def server(folder: Path, start_server: Callable[[Path], Server]) -> Server:
     """The served folder as a process."""
-    started = start_server(folder)
-    yield started
-    started.stop()
+    return start_server(folder)
 
 
 @pytest.fixture(scope="session")

@@ -29,6 +29,8 @@ State = Literal["running", "done", "failed", "cancelled", "interrupted"]
 Kind = Literal["identify", "virtual", "excite", "tune", "compare"]
 
 _RECORD, _LOCK, LOG = "run.json", "lock", "log.txt"
+RUN_FILES = frozenset((_RECORD, _LOCK, LOG))
+"""Files of a run that its commands do not write."""
 _PATIENCE = 3.0  # [s] of a cancelled run before it is killed
 
 

@@ -14,7 +14,7 @@ def test_a_slider_moves_the_curves(visit: Any) -> None:
     start.write_text(json.dumps(parameter_document(scara.parameters())))
     page = visit.open("/by-hand/arm/study.toml")
     page.select_option("#record", "step-j1")
-    page.wait_for_selector("#bode[data-drawn]")
+    page.wait_for_selector("#note[data-record='step-j1']", state="attached")
     before = page.inner_text("#fits")
     visit.check_accessibility()
     page.locator(".slider", has_text="motor_inertia 1").locator("input[type=range]").focus()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -110,8 +111,9 @@ def save_comparison(request: Request, body: Body) -> object:
     results = _chosen(request, body.get("paths"))
     runs = Runs(study_of(request).parent)
     name = runs.free_name("compare")
-    runs.prepare(name)
-    command = ("compare", *(str(one.path) for one in results), "--out", ".")
+    folder = runs.prepare(name)
+    paths = (os.path.relpath(one.path, folder) for one in results)
+    command = ("compare", *paths, "--out", ".")
     return describe(runs.start(name, "compare", [command]))
 
 

@@ -1,5 +1,193 @@
-"""Placeholder of the page."""
+"""Page "Design": experiments to record, and servos, by `excite` and `tune`."""
 
-from starlette.routing import Route
+from __future__ import annotations
 
-ROUTES: tuple[Route, ...] = ()
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import pyarrow.csv
+from starlette.requests import Request
+from starlette.responses import Response
+
+from strainwave.errors import InvalidInput
+from strainwave.presentation.figures import Axis, Colour, Figure, Line, Panel, decimate
+from strainwave.presentation.plotly_backend import plotly
+from strainwave.workbench.pages.runs import describe, log_lines
+from strainwave.workbench.records import study_at
+from strainwave.workbench.runs import RUN_FILES, Run, Runs
+from strainwave.workbench.web import (
+    Body,
+    get_json,
+    get_page,
+    page,
+    post_json,
+    study_of,
+    text_of,
+    workspace_of,
+)
+
+Command = Literal["excite", "tune"]
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """One option of a command."""
+
+    flag: str
+    title: str
+    unit: str
+    hint: str
+    default: str = ""
+    choices: tuple[str, ...] = ()
+    is_repeated: bool = False  # whether the values are separated by semicolons
+
+
+EXCITE = (
+    Option("limit-angle", "Largest link angle", "rad", "On either side of zero.", "required"),
+    Option("limit-velocity", "Largest motor velocity", "rad/s", "One, or one per joint: 180, 150."),
+    Option("limit-voltage", "Largest voltage", "V", "", "limit of the servo"),
+    Option("limit-torque", "Largest gear torque", "N m", "At the link; data sheet.", "no limit"),
+    Option("limit-distance", "Smallest distance of the links", "m", "Of centre lines.", "0"),
+    Option("kind", "Excitation", "", "", "prbs", ("prbs", "multisine")),
+    Option("seed", "Seed", "", "Of the search and the phases.", "0"),
+)
+TUNE = (
+    Option(
+        "posture",
+        "Link angles",
+        "rad",
+        "For which the servos must hold: 0, 1.2; 0.5, -1",
+        "zero and four drawn postures",
+        is_repeated=True,
+    ),
+    Option(
+        "payload",
+        "Payloads",
+        "kg, m",
+        "Mass and centre of mass in the last link's frame: 2, 0.1, 0, 0",
+        "none",
+        is_repeated=True,
+    ),
+    Option("bandwidth", "Smallest bandwidth", "Hz", "Of each velocity loop.", "none"),
+    Option("gain-margin", "Smallest gain margin", "dB", "", "6"),
+    Option("phase-margin", "Smallest phase margin", "degree", "", "30"),
+    Option("modulus-margin", "Smallest modulus margin", "", "Distance from -1.", "0.5"),
+    Option("period", "Period of the servo", "s", "", "that of the study"),
+    Option("delay", "Delay", "s", "From encoder reading to voltage.", "half of the period"),
+    Option("draws", "Draws of the parameters", "", "From their joint distribution.", "1000"),
+    Option("seed", "Seed", "", "Of draws and postures.", "0"),
+)
+OPTIONS: Mapping[Command, tuple[Option, ...]] = {"excite": EXCITE, "tune": TUNE}
+
+
+def show_design(request: Request) -> Response:
+    """The page."""
+    path = study_of(request)
+    workspace = workspace_of(request)
+    results = [workspace.relative(p) for p in _parameter_files(path)]
+    return page(request, "design", "Design", options=OPTIONS, results=results)
+
+
+def _parameter_files(path: Path) -> list[Path]:
+    found = [*path.parent.glob("runs/*/result.json"), *path.parent.glob("*.json")]
+    return sorted(found, key=lambda p: -p.stat().st_mtime)
+
+
+def start(request: Request, body: Body) -> object:
+    """Start `excite` or `tune` with the values of the form."""
+    path, kind = study_of(request), body.get("kind")
+    if kind not in ("excite", "tune"):
+        raise InvalidInput("the request has no kind", where="kind")
+    command: Command = kind
+    chosen = text_of(body, "parameters", "")
+    source = workspace_of(request).resolve(chosen) if chosen else None
+    flags = option_flags(OPTIONS[command], body.get("options"))
+    study_at(path)
+    if source is None:
+        raise InvalidInput("a design needs parameters", remedy="choose a finished run")
+    runs = Runs(path.parent)
+    name = runs.free_name(command)
+    folder = runs.prepare(name)
+    given = os.path.relpath(source, folder)
+    if command == "tune":
+        arguments = ["tune", given, "--out", ".", *flags]
+    else:
+        study = f"../../{path.name}"
+        arguments = ["excite", study, "--out", ".", f"--parameters={given}", *flags]
+    return describe(runs.start(name, command, [arguments]))
+
+
+def option_flags(options: tuple[Option, ...], values: object) -> list[str]:
+    """Arguments of the command line; a value cannot become a flag of its own.
+
+    Raises InvalidInput for an unknown option or a value that is no text.
+    """
+    flags = []
+    known = {option.flag: option for option in options}
+    for name, value in (values if isinstance(values, dict) else {}).items():
+        if name not in known or not isinstance(value, str):
+            raise InvalidInput(f"there is no option {name!r}", where="options")
+        parts = value.split(";") if known[name].is_repeated else [value]
+        flags += [f"--{name}={part.strip().replace(' ', '')}" for part in parts if part.strip()]
+    return flags
+
+
+def list_designs(request: Request) -> object:
+    """Designs of the study, the newest first."""
+    runs = Runs(study_of(request).parent)
+    designs = [run for run in runs.all() if run.kind in OPTIONS]
+    return [_shown(runs, run) for run in reversed(designs)]
+
+
+def _shown(runs: Runs, run: Run) -> dict[str, Any]:
+    folder = runs.path(run.name)
+    files = sorted(p.name for p in folder.iterdir() if p.is_file() and p.name not in RUN_FILES)
+    messages = log_lines(folder)[1]
+    return describe(run) | {"files": files, "messages": messages}
+
+
+def show_plan(request: Request) -> object:
+    """Commands of one planned record over time."""
+    runs, query = Runs(study_of(request).parent), request.query_params
+    run, file = runs.get(query.get("run", "")), query.get("file", "")
+    path = runs.path(run.name) / Path(file).name
+    if path.suffix != ".csv" or not path.is_file():
+        raise InvalidInput("there is no such plan", where=file)
+    return plotly(plan_figure(path))
+
+
+def plan_figure(path: Path) -> Figure:
+    """The columns of a table of commands."""
+    table = pyarrow.csv.read_csv(path)
+    time, *names = table.column_names
+    t = table.column(time).to_numpy().astype(float)
+    panels = []
+    for name in names:
+        values = table.column(name).to_numpy().astype(float)
+        rows = decimate(values)
+        panels.append(Panel(Axis(name), (Line(t[rows], values[rows], name, Colour.MEASURED),)))
+    return Figure(Axis(time), tuple(panels))
+
+
+def show_precision(request: Request) -> object:
+    """Predicted intervals of a plan."""
+    runs = Runs(study_of(request).parent)
+    run = runs.get(request.query_params.get("run", ""))
+    file = runs.path(run.name) / "predicted.json"
+    if not file.is_file():
+        raise InvalidInput("the run predicts nothing", where=run.name)
+    entries = json.loads(file.read_bytes())["parameters"]
+    return [entry for entry in entries if entry["value"] is not None]
+
+
+ROUTES = (
+    get_page("/design/{study:path}", show_design),
+    get_json("/api/designs/{study:path}", list_designs),
+    post_json("/api/design/{study:path}", start),
+    get_json("/api/plan/{study:path}", show_plan),
+    get_json("/api/precision/{study:path}", show_precision),
+)

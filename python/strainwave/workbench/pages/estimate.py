@@ -84,6 +84,8 @@ def start_estimate(request: Request, body: Body) -> object:
     name = text_of(body, "name", "") or runs.free_name("identify")
     folder = runs.prepare(name)
     write_whole(folder, {_SNAPSHOT: snapshot(path).encode()})
+    if body.get("figures") is True:
+        arguments.append("--figures")
     command = ("identify", _SNAPSHOT, "--out", ".", "--stages", stages, *arguments)
     return describe(runs.start(name, "identify", [command], text_of(body, "note", "")))
 

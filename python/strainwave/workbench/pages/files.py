@@ -1,5 +1,109 @@
-"""Placeholder of the page."""
+"""Page "Files": what a run leaves to take away, and what repeats it."""
 
-from starlette.routing import Route
+from __future__ import annotations
 
-ROUTES: tuple[Route, ...] = ()
+import tempfile
+import zipfile
+from pathlib import Path
+
+from starlette.background import BackgroundTask
+from starlette.requests import Request
+from starlette.responses import FileResponse, PlainTextResponse, Response
+
+from strainwave.errors import InvalidInput
+from strainwave.export import export_file
+from strainwave.workbench.pages.runs import describe, runs_of
+from strainwave.workbench.runs import RUN_FILES, Run
+from strainwave.workbench.take_away import EXPORT_FILES, python_script
+from strainwave.workbench.web import (
+    Body,
+    get_json,
+    get_page,
+    message_of,
+    page,
+    post_json,
+    study_of,
+    text_of,
+)
+
+_EXPORTS = "exports"
+_MAX_ZIP = 4 << 30  # [bytes] of the files
+
+
+def show_files(request: Request) -> Response:
+    """The page."""
+    study_of(request)
+    return page(request, "files", "Files", formats=list(EXPORT_FILES))
+
+
+def list_files(request: Request) -> object:
+    """Runs with their files, command lines and scripts, the newest first."""
+    runs = runs_of(request)
+    shown = []
+    for run in reversed(runs.all()):
+        folder = runs.path(run.name)
+        files = [p for p in sorted(folder.rglob("*")) if p.is_file() and p.name not in RUN_FILES]
+        entries = [
+            {"name": p.relative_to(folder).as_posix(), "size": p.stat().st_size} for p in files
+        ]
+        script = python_script(run) if run.kind == "identify" else ""
+        is_result = (folder / "result.json").is_file()
+        shown.append(describe(run) | {"files": entries, "script": script, "has_result": is_result})
+    return shown
+
+
+def export(request: Request, body: Body) -> object:
+    """Export the result of a run in one format."""
+    runs, form = runs_of(request), text_of(body, "format")
+    if form not in EXPORT_FILES:
+        formats = ", ".join(EXPORT_FILES)
+        raise InvalidInput(f"there is no format {form!r}", remedy=f"choose from: {formats}")
+    run = runs.get(text_of(body, "name"))
+    folder = runs.path(run.name)
+    (folder / _EXPORTS).mkdir(exist_ok=True)
+    target = folder / _EXPORTS / EXPORT_FILES[form]
+    written = export_file(folder / "result.json", target, form=form)
+    warnings = [f"{w.where}: {w.message}" for w in written.warnings]
+    return {
+        "file": target.relative_to(folder).as_posix(),
+        "messages": [message_of(request, text) for text in (*warnings, *written.notes)],
+    }
+
+
+def download_script(request: Request) -> Response:
+    """The Python script that repeats a run."""
+    run = _run(request)
+    headers = {"content-disposition": f'attachment; filename="{run.name}.py"'}
+    return PlainTextResponse(python_script(run), headers=headers)
+
+
+def download_zip(request: Request) -> Response:
+    """All files of a run in one archive."""
+    runs, run = runs_of(request), _run(request)
+    folder = runs.path(run.name)
+    files = [p for p in sorted(folder.rglob("*")) if p.is_file() and p.name not in RUN_FILES]
+    size = sum(p.stat().st_size for p in files)
+    if size > _MAX_ZIP:
+        raise InvalidInput(f"the run has {size >> 20} MiB", remedy="copy its folder")
+    with tempfile.NamedTemporaryFile(suffix=".zip", delete=False) as file:
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+            for path in files:
+                archive.write(path, f"{run.name}/{path.relative_to(folder).as_posix()}")
+        name = Path(file.name)
+    remove = BackgroundTask(name.unlink, missing_ok=True)
+    return FileResponse(
+        name, filename=f"{run.name}.zip", media_type="application/zip", background=remove
+    )
+
+
+def _run(request: Request) -> Run:
+    return runs_of(request).get(request.query_params.get("run", ""))
+
+
+ROUTES = (
+    get_page("/files/{study:path}", show_files),
+    get_json("/api/files/{study:path}", list_files),
+    post_json("/api/export/{study:path}", export),
+    get_page("/script/{study:path}", download_script),
+    get_page("/zip/{study:path}", download_zip),
+)

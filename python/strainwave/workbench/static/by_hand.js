@@ -5,7 +5,7 @@ import { draw } from "./figures.js";
 const api = (name) => `/api/${name}/${address(study)}`;
 const STEPS = 1000; // of a slider
 const MIN_WAIT = 2; // [ms]
-let sliders = [], busy = false, again = false;
+let sliders = [], busy = false, again = false, latest = 0;
 
 const setting = () => ({
   experiment: byId("record").value,
@@ -21,8 +21,9 @@ async function update() {
     do {
       again = false;
       const begin = performance.now();
+      const chosen = setting();
       const answer = await postJson(api("by-hand"), {
-        ...setting(), values: values(), channels: [byId("channel-a").value, byId("channel-b").value],
+        ...chosen, values: values(), channels: [byId("channel-a").value, byId("channel-b").value],
         joint: byId("joint") ? Number(byId("joint").value) : null,
       });
       byId("fits").replaceChildren(...Object.values(answer.fits).map((fit) => make("td", { class: "number" }, fit == null ? "rest" : `${fit.toFixed(1)} %`)));
@@ -30,7 +31,7 @@ async function update() {
       byId("bode").hidden = !answer.bode;
       if (answer.bode) await draw(byId("bode"), answer.bode);
       byId("note").textContent = "";
-      byId("note").dataset.updates = Number(byId("note").dataset.updates ?? 0) + 1;
+      byId("note").dataset.record = chosen.experiment;
       byId("note").dataset.milliseconds = (performance.now() - begin).toFixed(0);
       byId("note").dataset.server = answer.milliseconds.toFixed(0);
       if (again) await new Promise((resolve) => setTimeout(resolve, MIN_WAIT));
@@ -82,7 +83,9 @@ function showSliders() {
 
 async function begin() {
   byId("note").textContent = "Preparing the record ...";
+  const request = ++latest;
   const answer = await postJson(api("by-hand-begin"), setting());
+  if (request !== latest) return; // another record was chosen in the meantime
   sliders = answer.sliders.map(sliderRow);
   showSliders();
   byId("fit-heads").replaceChildren(...answer.channels.map((name) => make("th", { scope: "col", class: "number" }, `fit of ${name}`)));

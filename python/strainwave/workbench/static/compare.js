@@ -25,7 +25,7 @@ const head = (text, isNumber) => make("th", { scope: "col", class: isNumber ? "n
 const size = (value) => `${value > 0 ? "+" : ""}${value.toFixed(1)} σ`;
 
 function parameterRow(row) {
-  return make("tr", {}, make("th", { scope: "row" }, row.label), make("td", {}, row.unit), ...row.cells.map((cell) => {
+  return make("tr", {}, make("th", { scope: "row" }, row.label), make("td", { class: "unit" }, row.unit), ...row.cells.map((cell) => {
     const change = cell.change == null ? [] : [make("div", { class: Math.abs(cell.change) > LARGE ? "change large" : "change" }, size(cell.change))];
     const title = cell.low == null ? null : `95 %: ${cell.low.toPrecision(5)} to ${cell.high.toPrecision(5)}`;
     return make("td", { class: "number", title }, cell.text, ...change);

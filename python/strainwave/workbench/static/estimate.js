@@ -83,7 +83,7 @@ byId("settings").addEventListener("submit", (event) => {
     if (byId("order").value) options["statespace.order"] = byId("order").value;
     if (byId("horizon").value) options["statespace.horizon"] = byId("horizon").value;
     const stages = new FormData(byId("settings")).get("stages");
-    await postJson(api("estimate"), { name: byId("name").value, stages, options });
+    await postJson(api("estimate"), { name: byId("name").value, stages, options, figures: byId("figures").checked });
     showMessage("The run has started.");
     await refresh();
   });

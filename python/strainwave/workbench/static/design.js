@@ -1,0 +1,84 @@
+// Page "Design": plan experiments and design servos through the command line.
+import { act, address, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
+import { draw } from "./figures.js";
+import { follow } from "./run_events.js";
+
+const api = (name) => `/api/${name}/${address(study)}`;
+const of = (run, file) => `${address(study)}?run=${encodeURIComponent(run)}&file=${encodeURIComponent(file)}`;
+const MARKS = { done: "good", failed: "bad", cancelled: "doubt", interrupted: "doubt" };
+const PANEL = 160; // [px]
+const followed = new Set();
+let shownRun = null;
+
+async function refresh(open) {
+  const designs = await getJson(api("designs"));
+  byId("none").hidden = designs.length > 0;
+  byId("designs").replaceChildren(...designs.map(designRow));
+  const wanted = designs.find((one) => one.name === open);
+  if (wanted && wanted.state !== "running") await show(wanted);
+}
+
+function designRow(run) {
+  const actions = make("div", { class: "row" });
+  const progress = make("span", { class: "faint" });
+  if (run.state === "running") {
+    const cancel = make("button", { type: "button" }, "Cancel");
+    onClick(cancel, async () => { await postJson(api("cancel-run"), { name: run.name }); });
+    actions.append(cancel);
+    if (!followed.has(run.name)) {
+      followed.add(run.name);
+      follow(run.name, (event) => { byId(`progress-${run.name}`).textContent = event.progress?.activity ?? "starting"; },
+        () => { followed.delete(run.name); act(null, () => refresh(run.name)); });
+    }
+  } else {
+    const look = make("button", { type: "button", "aria-label": `Show ${run.name}` }, "Show");
+    onClick(look, () => show(run));
+    actions.append(look);
+  }
+  progress.id = `progress-${run.name}`;
+  return make("tr", { "data-run": run.name, "data-state": run.state },
+    make("th", { scope: "row" }, run.name), make("td", {}, make("span", { class: `badge ${MARKS[run.state] ?? ""}` }, run.state)),
+    make("td", {}, make("code", {}, run.lines[0]), make("br"), progress), make("td", {}, actions));
+}
+
+async function show(run) {
+  shownRun = run.name;
+  byId("shown").hidden = false;
+  byId("shown-title").textContent = run.name;
+  byId("messages").textContent = run.messages.join("\n");
+  byId("files").replaceChildren(...run.files.map((file) => make("a", { class: "button", href: `/download/${of(run.name, file)}` }, file)),
+    ...(run.files.length ? [make("a", { class: "button", href: `/zip/${address(study)}?run=${encodeURIComponent(run.name)}` }, "all as .zip")] : []));
+  const plans = run.files.filter((file) => file.startsWith("apply-") && file.endsWith(".csv"));
+  byId("plan").hidden = plans.length === 0;
+  byId("tuned").hidden = !run.files.includes("tune.html");
+  if (run.files.includes("tune.html")) byId("tuned").src = `/report/${of(run.name, "tune.html")}`;
+  if (!plans.length) return;
+  byId("plan-file").replaceChildren(...plans.map((file) => make("option", {}, file)));
+  await showPlan();
+  const rows = await getJson(api("precision"), { run: run.name });
+  byId("precision").replaceChildren(...rows.map((one) => make("tr", {}, make("th", { scope: "row" }, `${one.name} ${one.joint ?? ""}`), make("td", { class: "unit" }, one.unit),
+    make("td", { class: "number" }, Number(one.value.toPrecision(5)).toString()),
+    make("td", { class: "number" }, one.ci95 && one.value ? (50 * (one.ci95[1] - one.ci95[0]) / Math.abs(one.value)).toPrecision(2) : ""))));
+}
+
+async function showPlan() {
+  const figure = await getJson(api("plan"), { run: shownRun, file: byId("plan-file").value });
+  byId("plan-plot").style.height = `${60 + PANEL * figure.data.length}px`;
+  await draw(byId("plan-plot"), figure, { layout: { showlegend: false } });
+}
+
+for (const form of document.querySelectorAll("form[data-command]")) {
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    const kind = form.dataset.command;
+    act(form.querySelector("button"), async () => {
+      const options = {};
+      for (const field of form.querySelectorAll("[data-flag]")) options[field.dataset.flag] = field.value;
+      const run = await postJson(api("design"), { kind, parameters: byId(`${kind}-parameters`).value, options });
+      showMessage(`${run.name} has started.`);
+      await refresh();
+    });
+  });
+}
+byId("plan-file").addEventListener("change", () => act(byId("plan-file"), showPlan));
+act(null, () => refresh());

@@ -1,0 +1,85 @@
+"""Page "Files": downloads, exports, and the script that repeats a run."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+pytest.importorskip("starlette")
+
+from strainwave.workbench.runs import Run
+from strainwave.workbench.take_away import EXPORT_FILES, python_script
+
+if TYPE_CHECKING:
+    from starlette.testclient import TestClient
+
+STUDY = "arm/study.toml"
+
+
+@pytest.fixture
+def run(client: TestClient) -> dict[str, Any]:
+    """A finished run of the joint models with an option."""
+    client.post(f"/api/check/{STUDY}", json={})
+    body = {"name": "one", "stages": "rigid,decoupled", "options": {"links.order": "1"}}
+    client.post(f"/api/estimate/{STUDY}", json=body)
+    client.get(f"/api/run-events/{STUDY}", params={"name": "one"})  # ends with the run
+    (shown,) = client.get(f"/api/files/{STUDY}").json()
+    assert shown["state"] == "done"
+    return dict(shown)
+
+
+def test_the_script_repeats_the_run(run: dict[str, Any], folder: Path) -> None:
+    place = folder / "arm" / "runs" / "one"
+    (place / "repeat.py").write_text(run["script"])
+    subprocess.run([sys.executable, "repeat.py"], cwd=place, check=True, capture_output=True)
+    first, second = (
+        json.loads((place / name).read_bytes()) for name in ("result.json", "repeated.json")
+    )
+    assert first["parameters"] == second["parameters"]
+    assert first["options"] == second["options"]
+    assert (place / "repeated.xml").is_file()
+
+
+def test_every_format_is_exported_or_gives_the_message_of_the_command_line(
+    client: TestClient, run: dict[str, Any]
+) -> None:
+    for form, file in EXPORT_FILES.items():
+        body = {"name": run["name"], "format": form}
+        answer = client.post(f"/api/export/{STUDY}", json=body)
+        assert answer.status_code == 200, (form, answer.json())
+        query = {"run": "one", "file": f"exports/{file}"}
+        downloaded = client.get(f"/download/{STUDY}", params=query)
+        assert downloaded.headers["content-disposition"].startswith("attachment")
+    body = {"name": "one", "format": "exe"}
+    assert client.post(f"/api/export/{STUDY}", json=body).status_code == 400
+
+
+def test_the_archive_has_all_files(client: TestClient, run: dict[str, Any]) -> None:
+    data = client.get(f"/zip/{STUDY}", params={"run": "one"}).content
+    names = zipfile.ZipFile(io.BytesIO(data)).namelist()
+    assert {"one/result.json", "one/report.html", "one/study.toml"} <= set(names)
+
+
+@pytest.mark.parametrize(
+    "file", ["../../study.toml", "/etc/passwd", "no-such", "../one/../../study.toml"]
+)
+def test_other_files_are_refused(client: TestClient, run: dict[str, Any], file: str) -> None:
+    query = {"run": "one", "file": file}
+    assert client.get(f"/download/{STUDY}", params=query).status_code == 400
+
+
+def test_the_script_has_stages_options_and_start() -> None:
+    options = ("--set", "links.order=1", "--set", 'tuning.hold=["a b"]', "--start", "start.json")
+    command = ("identify", "study.toml", "--out", ".", "--stages", "rigid", *options)
+    script = python_script(Run("x", "identify", (command,), "2026"))
+    assert "stages=['rigid']" in script
+    assert """options=['links.order=1', 'tuning.hold=["a b"]']""" in script
+    assert "start='start.json'" in script
+    compile(script, "script", "exec")

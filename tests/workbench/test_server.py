@@ -1,0 +1,99 @@
+"""`strainwave serve` as a process: refusals, several clients, and a run that blocks nobody."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+from urllib.request import Request, urlopen
+
+import pytest
+
+from strainwave.workbench.runs import Runs
+
+pytest.importorskip("uvicorn")
+
+
+def serve(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "strainwave", "serve", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+def get(url: str) -> bytes:
+    with urlopen(url, timeout=30) as answer:
+        return bytes(answer.read())
+
+
+def post(url: str, body: dict[str, Any]) -> Any:
+    request = Request(url, json.dumps(body).encode(), {"content-type": "application/json"})
+    with urlopen(request, timeout=60) as answer:
+        return json.loads(answer.read())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("no-such-folder",), "is not a folder"),
+        ((".", "--host", "0.0.0.0"), "--token is missing"),
+    ],
+)
+def test_a_wrong_start_is_one_sentence(arguments: tuple[str, ...], words: str) -> None:
+    done = serve(*arguments)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_port_in_use_is_named(folder: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        done = serve(str(folder), "--port", str(listener.getsockname()[1]))
+    assert done.returncode == 2
+    assert "cannot listen on 127.0.0.1" in done.stderr
+
+
+def test_a_run_does_not_block_the_pages(server: Any) -> None:
+    runs = Runs(server.folder / "arm")
+    runs.prepare("one")
+    runs.start("one", "identify", [("identify", "../../study.toml", "--out", ".")])
+    query = f"{server.url}/api/signal-time/arm/study.toml?experiment=prbs-j1&channels=u1"
+    for _ in range(10):
+        begin = time.perf_counter()
+        get(query)
+        assert time.perf_counter() - begin < 10.0  # a run takes longer on a loaded machine
+    assert runs.get("one").state in ("running", "done")
+    runs.cancel("one")
+
+
+def test_clients_on_different_studies_do_not_mix(server: Any) -> None:
+    (server.folder / "other").mkdir()
+    for path in (server.folder / "arm").glob("*.*"):
+        (server.folder / "other" / path.name).symlink_to(path)
+    text = (server.folder / "arm" / "study.toml").read_text().replace("0.35", "0.45")
+    (server.folder / "other" / "study.toml").unlink()
+    (server.folder / "other" / "study.toml").write_text(text)
+
+    def length(study: str) -> str:
+        state = json.loads(get(f"{server.url}/api/study/{study}/study.toml"))
+        (arm,) = [group for group in state["groups"] if group["title"] == "Arm"]
+        return next(str(f["value"]) for f in arm["fields"] if f["text"]["key"] == "link_length")
+
+    with ThreadPoolExecutor(8) as pool:
+        seen = list(pool.map(length, ["arm", "other"] * 10))
+    assert seen == ["0.35", "0.45"] * 10
+
+
+def test_a_second_server_sees_the_same(server: Any) -> None:
+    from strainwave.workbench.app import create_app
+    from strainwave.workbench.server import ServerOptions
+
+    post(f"{server.url}/api/check/arm/study.toml", {})
+    from starlette.testclient import TestClient
+
+    app = create_app(ServerOptions(server.folder), 8765)
+    client = TestClient(app, base_url="http://127.0.0.1:8765")
+    assert client.get("/api/check/arm/study.toml").json()["state"] == "consistent"

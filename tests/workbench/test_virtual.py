@@ -1,0 +1,76 @@
+"""Page "Virtual arm": settings, files and the comparison with the truth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from strainwave.errors import InvalidInput
+from strainwave.io.parameters import read_parameters
+from strainwave.io.study import read_study
+from strainwave.virtual import scara
+
+pytest.importorskip("starlette")
+
+from strainwave.workbench.runs import Runs
+from strainwave.workbench.virtual_rig import virtual_rig
+
+if TYPE_CHECKING:
+    from starlette.testclient import TestClient
+
+SETTING = {"spring": "linear", "accelerometers": True, "gyros": False, "noise": True}
+
+
+def test_settings_change_the_truth_and_the_study(tmp_path: Path) -> None:
+    body = SETTING | {"disks": 2, "stiffness": 1.5, "friction": 0.5, "amplitude": 6.0}
+    rig = virtual_rig(body, tmp_path)
+    usual = scara.parameters(2, "linear")
+    assert rig.values["gear_stiffness", 1] == 1.5 * usual["gear_stiffness", 1]
+    assert rig.values["motor_coulomb_friction", 2] == 0.5 * usual["motor_coulomb_friction", 2]
+    assert rig.values["alpha", None] == usual["alpha", None]
+    assert {e.prbs.amplitude for e in rig.study.experiments if e.prbs} == {6.0}
+    assert rig.study.arm.joints[0].accelerometer_distance == 0.33
+    assert rig.study.arm.joints[0].gyro_hz is None
+
+
+def test_knees_scale_and_encoders_are_set(tmp_path: Path) -> None:
+    body = {"spring": "three-slope", "knees": 0.5, "encoder_bits": 16, "link_encoders": True}
+    rig = virtual_rig(body, tmp_path)
+    assert rig.values["gear_knee_t1", 1] == 0.5 * scara.parameters()["gear_knee_t1", 1]
+    joint = rig.study.arm.joints[1]
+    assert (joint.encoder_counts, joint.link_encoder_counts) == (2**16, 2**20)
+    assert joint.accelerometer_distance is None
+    assert not rig.has_noise
+
+
+@pytest.mark.parametrize("wrong", [{"disks": 9}, {"stiffness": "1"}, {"friction": -0.1}])
+def test_wrong_settings_give_a_sentence_and_leave_nothing(
+    client: TestClient, folder: Path, wrong: dict[str, Any]
+) -> None:
+    with pytest.raises(InvalidInput):
+        virtual_rig(wrong, folder)
+    assert client.post("/api/virtual", json=wrong).status_code == 400
+    assert not list(folder.glob("virtual-*"))
+
+
+def test_the_recorded_arm_is_a_study_and_is_identified(client: TestClient, folder: Path) -> None:
+    run = client.post("/api/virtual", json=SETTING).json()
+    assert run["study"] == "virtual-1/study.toml"
+    client.get(f"/api/run-events/{run['study']}", params={"name": run["name"]})  # ends with it
+    finished = Runs(folder / "virtual-1").get(run["name"])
+    assert finished.state == "done"
+    study = read_study(folder / "virtual-1" / "study.toml")  # with its logs
+    assert study.arm.joints[0].spring == "linear"
+    shown = client.get("/api/virtual/virtual-1/study.toml").json()
+    assert shown["status"] == "determined"
+    by_label = {row["label"]: row for row in shown["rows"]}
+    truth = read_parameters(folder / "virtual-1/runs/record-and-identify/truth.json")
+    assert by_label["gear_stiffness 1"]["true"] == truth["gear_stiffness", 1]
+    assert abs(by_label["gear_stiffness 1"]["percent"]) < 1.0
+    assert by_label["link_inertia 1"]["true"] > 0.0  # a combination
+    errors = [abs(row["stds"]) for row in shown["rows"] if row["stds"] is not None]
+    assert max(errors) < 5.0
+    assert json.loads((folder / "virtual-1/runs" / run["name"] / "run.json").read_bytes())
