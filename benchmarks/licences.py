@@ -43,6 +43,7 @@ FREE = {
 
 EXAMINED = {
     "apsw": "any licence that the Open Source Initiative has approved",
+    "axe-playwright-python": "MIT (its file LICENSE); the axe-core in it is under MPL-2.0",
     "cmeel-qhull": "Qhull: free to use, change and distribute with its notice",
     "docutils": "public domain and BSD; one of its files, an editor's mode, is under the GPL",
 }

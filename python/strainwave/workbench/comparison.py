@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import linalg, signal
+from scipy import linalg
 
 import strainwave as sw
 from strainwave.domain import ComplexArray, Parameter
@@ -139,6 +139,8 @@ def bode_figure(results: Sequence[NamedResult], joint: int) -> Figure:
 
 def step_figure(results: Sequence[NamedResult], joint: int) -> Figure:
     """Motor and link velocity after a step of the motor torque of 1 N m."""
+    from scipy import signal  # takes half a second
+
     lines: list[list[Line]] = [[], []]
     duration = _PERIODS / min(_resonance_hz(one, joint) for one in results)
     time = np.linspace(0.0, duration, _STEP_POINTS)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import cycle
 
 import numpy as np
-from scipy import signal
 
 from strainwave.domain import ArmDescription, BoolArray, FloatArray, IntArray, Log, channel_parts
 from strainwave.dynamics.arm import Arm
@@ -73,6 +72,8 @@ def time_figure(
 
 def spectrum_figure(log: Log, arm: ArmDescription, names: Sequence[str]) -> Figure:
     """Amplitude spectral density of channels, by Welch's method."""
+    from scipy import signal  # takes half a second
+
     panels = []
     for name, colour in zip(require_channels(log, names), cycle(PALETTE), strict=False):
         frequency, density = signal.welch(
@@ -87,6 +88,8 @@ def spectrum_figure(log: Log, arm: ArmDescription, names: Sequence[str]) -> Figu
 
 def coherence_figure(log: Log, n_joints: int) -> Figure:
     """Coherence of each motor's input and velocity."""
+    from scipy import signal
+
     lines = []
     styles = zip(range(1, n_joints + 1), cycle(PALETTE), cycle(DASHES), strict=False)
     for joint, colour, dash in styles:

@@ -41,7 +41,7 @@ function showVerdict({ test, note }) {
   const changed = test.pairs.flatMap((pair) => pair.parameters.filter((one) => one.verdict === "differs")
     .map((one) => `${one.name}${one.joint ? ` ${one.joint}` : ""} (${pair.first} and ${pair.second}, p = ${one.adjusted_p.toPrecision(2)})`));
   const joint = test.pairs.filter((pair) => pair.joint_test)
-    .map((pair) => `joint test of ${pair.first} and ${pair.second}: p = ${pair.joint_test.p.toPrecision(2)}`);
+    .map((pair) => `Joint test of ${pair.first} and ${pair.second}: p = ${pair.joint_test.p.toPrecision(2)}`);
   const text = test.differs ? `The results differ. Changed: ${changed.join("; ") || "all parameters together"}.` : "The results agree.";
   byId("verdict").textContent = `${text} ${joint.length ? `${joint.join("; ")}.` : ""}`;
   byId("verdict").className = `callout ${test.differs ? "bad" : "good"}`;

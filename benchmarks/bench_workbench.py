@@ -1,0 +1,137 @@
+"""The workbench against the times that a user notices.
+
+A first page within a second; a study of about 9 MB on screen within two; a view of a million
+samples, and curves that follow a slider, within a tenth.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+from urllib.request import urlopen
+
+import numpy as np
+
+from benchmarks.timing import Row, best_of
+from strainwave.domain import Experiment, Log
+from strainwave.dynamics.simulation import SensorNoise
+from strainwave.virtual import scara
+from strainwave.virtual.experiments import simulate_study
+from strainwave.workbench.hand_simulation import parameter_document
+from strainwave.workbench.signal_views import time_figure
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+_SAMPLES = 1_000_000
+_PIXELS = 2400
+_FIRST_PAGE, _STUDY, _VIEW, _SLIDER = 1.0, 2.0, 0.1, 0.1  # [s] limits
+_UPDATES = 20
+_SAMPLE_TIME = 8e-5  # [s] of fast records: the study has about 9 MB
+
+
+def rows() -> list[Row]:
+    """The table's rows; without Chromium only those of the server."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        study, values = scara.study(folder / "arm"), scara.parameters()
+        simulate_study(
+            study,
+            values,
+            folder / "arm",
+            noise=SensorNoise(),
+            as_recorded=False,
+            sample_time=_SAMPLE_TIME,
+        )
+        text = json.dumps(parameter_document(values))
+        (folder / "arm" / "values.json").write_text(text)
+        size = sum(p.stat().st_size for p in (folder / "arm").iterdir()) / 1e6
+        table = [
+            Row("workbench, first byte after the start", _first_byte(folder), "limit", _FIRST_PAGE)
+        ]
+        table.append(Row("workbench, view of 1e6 samples", _view_of_a_million(), "limit", _VIEW))
+        if chromium():
+            with serve(folder) as url:
+                table += _in_browser(url, size)
+        return table
+
+
+def chromium() -> str | None:
+    """Path of the system's Chromium."""
+    names = ("chromium", "chromium-browser", "google-chrome")
+    return next((path for path in map(shutil.which, names) if path), None)
+
+
+@contextmanager
+def serve(folder: Path) -> Iterator[str]:
+    """Address of a served folder."""
+    command = [sys.executable, "-m", "strainwave", "serve", str(folder), "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        yield process.stdout.readline().rsplit(" ", 1)[-1].strip().rstrip("/")
+        process.terminate()
+
+
+def _first_byte(folder: Path) -> float:
+    """Time from the start of the command to the first page, without a browser."""
+    begin = time.perf_counter()
+    with serve(folder) as url, urlopen(url) as answer:
+        answer.read()
+        return time.perf_counter() - begin
+
+
+def _view_of_a_million() -> float:
+    time_axis = np.arange(_SAMPLES) * np.float64(1e-4)
+    channels = {"u1": np.random.default_rng(0).normal(size=_SAMPLES)}
+    experiment = Experiment("one", "one.csv", "motion", ("servo", "servo"))
+    log = Log(experiment, time_axis, 1e-4, channels)
+    span = (0.0, float(time_axis[-1]))
+    return best_of(partial(time_figure, log, scara.study(Path()).arm, ["u1"], span, _PIXELS))
+
+
+def _in_browser(url: str, size: float) -> list[Row]:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        first = _time(page, f"{url}/", "main h1")
+        study = _time(page, f"{url}/signals/arm/study.toml", "#time[data-drawn]")
+        slider = _slider(page, url)
+        browser.close()
+    return [
+        Row("workbench, first page in Chromium", first, "limit", _FIRST_PAGE),
+        Row(f"workbench, study of {size:.0f} MB on screen", study, "limit", _STUDY),
+        Row("workbench, curves after a slider", slider, "limit", _SLIDER),
+    ]
+
+
+def _time(page: Page, address: str, selector: str) -> float:
+    begin = time.perf_counter()
+    page.goto(address)
+    page.wait_for_selector(selector)
+    return time.perf_counter() - begin
+
+
+def _slider(page: Page, url: str) -> float:
+    """Median time from a change of a slider to the drawn curves."""
+    page.goto(f"{url}/by-hand/arm/study.toml")
+    page.select_option("#record", "step-j1")
+    page.wait_for_selector("#note[data-record='step-j1']", state="attached")
+    times = []
+    slider = page.locator(".slider input[type=range]").first
+    for _ in range(_UPDATES):
+        slider.press("ArrowUp")
+        page.wait_for_timeout(250)
+        text = page.evaluate("document.querySelector('#note').dataset.milliseconds")
+        times.append(1e-3 * float(text))
+    return float(np.median(times))
