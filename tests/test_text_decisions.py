@@ -16,6 +16,12 @@ READERS = (
     "errors.py",
     "monitoring/visits.py",
     "export/source.py",
+    "workbench/study_edit.py",
+    "workbench/report_figures.py",
+    "workbench/workspace.py",
+    "workbench/take_away.py",
+    "workbench/pages/by_hand.py",
+    "workbench/pages/imports.py",
 )
 """Parse files, options and selection patterns."""
 WRITERS = (
@@ -35,6 +41,7 @@ SENDERS = (
     "experiment_design/",
     "study_draft/",
     "api.py",
+    "workbench/pages/files.py",
 )
 """Show or write the messages of warnings."""
 

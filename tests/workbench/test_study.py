@@ -118,6 +118,8 @@ def test_todo_values_are_marked_and_survive_other_changes() -> None:
     groups = field_groups(document)
     missing = [f.place for group in groups for f in group.fields if f.is_todo]
     assert missing == [("arm", "link_length"), ("joint", 0, "gear_ratio"), ("servo", "kp")]
+    reasons = {f.text.key: f.reason for f in groups[0].fields}
+    assert reasons["link_length"] == "[m] measured"
     text = changed_text(DRAFT, [Change(("arm", "link_length"), 0.35)], Path("study.toml"))
     assert text == DRAFT.replace("link_length = TODO", "link_length = 0.35")
 
@@ -140,10 +142,11 @@ def test_values_of_fields(text: str, kind: Any, value: object) -> None:
     assert value_of(text, kind) == value
 
 
-@pytest.mark.parametrize("text", ["0,5x", "inf", "nan", "1 2"])
+@pytest.mark.parametrize("text", ["0,5x", "1 2", "true", "[1, [2]]"])
 def test_wrong_numbers_are_refused(text: str) -> None:
-    with pytest.raises(InvalidInput):
-        value_of(text, "number")
+    for kind in ("number", "numbers"):
+        with pytest.raises(InvalidInput):
+            value_of(text, kind)
 
 
 def test_imported_logs_become_a_draft_with_the_guesses_of_init(

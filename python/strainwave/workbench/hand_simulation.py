@@ -12,6 +12,7 @@ import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray, Log, Parameter, Study, channel_parts
 from strainwave.domain.keys import Key, Values, label_of
+from strainwave.domain.kinds.bodies import LINK_PARAMETERS
 from strainwave.domain.parameter_table import base_name, parameter_table
 from strainwave.domain.parameters import complete_values
 from strainwave.domain.units import unit_in
@@ -39,6 +40,7 @@ _N_FREQUENCIES = 300
 _DEFAULT_RESONANCE_HZ = 30.0  # where no joint has a linear model
 _RANGE_DECADES = 1.0  # of a slider on either side of its start
 _MOTOR_KINDS = ("omega_m",)
+_LINK_NAMES = frozenset(f"link_{name}" for name in LINK_PARAMETERS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +96,7 @@ def _slider(study: Study, key: Key, value: float, largest: Mapping[str, float]) 
         value / factor if is_log else value - spread,
         value * factor if is_log else value + spread,
         is_log,
-        key[0].startswith("link_") and key[0] != "link_viscous_friction",
+        key[0] in _LINK_NAMES,
     )
 
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
+
+from tomlkit.items import Whitespace
 
 from strainwave.domain import gear_laws, kinds
 from strainwave.domain.link_sensors import key_texts
 from strainwave.domain.study_limits import ARM_LIMITS, IMU_LIMITS, JOINT_LIMITS, SERVO_LIMITS
 from strainwave.errors import InvalidInput
-from strainwave.workbench.study_edit import TODO
+from strainwave.workbench.study_edit import TODO, parse_draft
 
 FieldKind = Literal["number", "numbers", "text", "choice"]
 Place = tuple[str | int, ...]
@@ -38,6 +41,7 @@ class Field:
     unit: str
     value: str
     is_todo: bool
+    reason: str  # comment of the file: why `init` guesses the value, or where to find it
     minimum: float | None = None  # plausible
     maximum: float | None = None
 
@@ -140,6 +144,7 @@ def _joint_texts(*, is_placed: bool) -> Iterator[FieldText]:
 
 
 def _fields(table: Mapping[str, Any], place: Place, texts: Iterable[FieldText]) -> Iterator[Field]:
+    reasons = comments_of(table)
     for text in texts:
         keys = text.key.split(".")
         value: Any = table
@@ -152,9 +157,27 @@ def _fields(table: Mapping[str, Any], place: Place, texts: Iterable[FieldText]) 
             unit=text.unit or (limit.unit if limit else ""),
             value=_shown(value),
             is_todo=TODO in _shown(value),
+            reason=reasons.get(text.key, ""),
             minimum=limit.minimum if limit else None,
             maximum=limit.maximum if limit else None,
         )
+
+
+def comments_of(table: Mapping[str, Any]) -> dict[str, str]:
+    """Comments of a table of tomlkit by key: the lines above the key, or behind its value."""
+    comments: dict[str, str] = {}
+    above: list[str] = []
+    for key, item in getattr(getattr(table, "value", None), "body", []):
+        if isinstance(item, Whitespace):
+            above = []
+            continue
+        comment = item.trivia.comment.lstrip("# ")
+        if key is None:
+            above = [*above, comment] if comment else []
+            continue
+        comments[key.key] = " ".join([*above, comment]).strip()
+        above = []
+    return comments
 
 
 def _shown(value: Any) -> str:
@@ -183,12 +206,18 @@ def value_of(text: str, kind: FieldKind) -> Any:
 
 
 def _numbers(text: str) -> list[Any]:
-    """Numbers in one or two levels of brackets: 1, 2 or [1, 0], [0.2, 1]."""
-    inner = text[1:-1] if text.startswith("[[") else text
-    if inner.startswith("[") and "]," in inner.replace(" ", ""):
-        rows = inner.replace(" ", "").strip("[]").split("],[")
-        return [[_number(each) for each in row.split(",")] for row in rows]
-    return [_number(each) for each in inner.strip("[]").split(",")]
+    """A list of numbers, or of lists of numbers: 1, 2 or [1, 0], [0.2, 1], also in brackets."""
+    try:
+        value = parse_draft(f"list = [{text}]", Path("value")).unwrap()["list"]
+    except InvalidInput as error:
+        raise InvalidInput(f"{text!r} is no list of numbers", remedy="write 0, 0, -9.81") from error
+    while len(value) == 1 and isinstance(value[0], list):
+        value = value[0]
+    rows = value if all(isinstance(row, list) for row in value) else [value]
+    for entry in (entry for row in rows for entry in row):
+        if entry != TODO and (isinstance(entry, bool) or not isinstance(entry, int | float)):
+            raise InvalidInput(f"{text!r} is no list of numbers", remedy="write 0, 0, -9.81")
+    return list(value)
 
 
 def _number(text: str) -> float | int | str:

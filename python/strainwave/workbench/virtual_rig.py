@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from strainwave.domain import Study
+from strainwave.domain.gear_laws import is_slope
 from strainwave.domain.keys import Values, label_of
 from strainwave.errors import InvalidInput
 from strainwave.io.parameters import read_parameters
@@ -16,6 +17,7 @@ from strainwave.virtual import scara
 from strainwave.virtual.experiments import derived
 
 Spring = Literal["linear", "three-slope"]
+KNEES = ("gear_knee_t1", "gear_knee_t2")
 FRICTION = ("motor_coulomb_friction", "motor_viscous_friction", "link_viscous_friction")
 
 
@@ -103,9 +105,9 @@ def _size(body: Any, setting: Setting) -> float:
 
 
 def _factor(name: str, sizes: dict[str, float]) -> float:
-    if name.startswith("gear_stiffness"):
+    if is_slope(name):
         return sizes["stiffness"]
-    if name.startswith("gear_knee"):
+    if name in KNEES:
         return sizes["knees"]
     return sizes["friction"] if name in FRICTION else 1.0
 

@@ -21,7 +21,13 @@ from strainwave.presentation.figures import Axis, Colour, Figure, Line, Panel, d
 from strainwave.presentation.plotly_backend import plotly
 from strainwave.presentation.report.arm_picture import arm_picture
 from strainwave.presentation.report.predictions import unit_of
-from strainwave.workbench.rig_form import FieldKind, FieldText, field_groups, value_of
+from strainwave.workbench.rig_form import (
+    FieldKind,
+    FieldText,
+    comments_of,
+    field_groups,
+    value_of,
+)
 from strainwave.workbench.study_edit import TODO, Change, changed_text, parse_draft
 from strainwave.workbench.web import (
     Body,
@@ -140,6 +146,7 @@ def _experiments(document: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _channels(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     """All channels of the arm with their mapping."""
     mapped = document.get("channels", {})
+    reasons = comments_of(mapped)
     rows = []
     for name in channel_names(len(document.get("joint", []))):
         entry = mapped.get(name)
@@ -151,6 +158,7 @@ def _channels(document: Mapping[str, Any]) -> list[dict[str, Any]]:
                 "scale": str(table.get("scale", "")),
                 "offset": str(table.get("offset", "")),
                 "unit": "s" if name == "t" else unit_of(name),
+                "reason": reasons.get(name, ""),
             }
         )
     return rows

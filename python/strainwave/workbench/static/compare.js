@@ -61,7 +61,8 @@ async function compare() {
   byId("checks").replaceChildren(...result.checks.map((row) => make("tr", {}, make("th", { scope: "row" }, row.record), make("td", {}, row.channel),
     ...row.fits.map((fit) => make("td", { class: "number" }, fit == null ? "" : `${fit.toFixed(1)} %`)))));
   byId("figure").replaceChildren(...result.figures.map((one) => make("option", { value: one.key }, one.title)));
-  const first = result.figures.find((one) => one.key.startsWith("residuals") || one.key.startsWith("check"));
+  const first = result.figures.find((one) => one.key.startsWith("correlation-") && one.title.includes("check"))
+    ?? result.figures.find((one) => one.key.startsWith("check"));
   if (first) byId("figure").value = first.key;
   await draw(byId("intervals"), result.intervals);
   if (result.joints.length) await showJoint();

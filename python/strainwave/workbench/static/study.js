@@ -35,7 +35,8 @@ function rigField(field) {
   const control = fieldControl(id, entry, { "aria-describedby": `${id}-hint`, "aria-invalid": isImplausible(field) ? "true" : null });
   return make("div", { class: field.is_todo ? "rig-field todo" : "rig-field" },
     make("label", { for: id }, field.text.title), control, make("span", { class: "unit" }, field.unit),
-    make("p", { class: "hint", id: `${id}-hint` }, (field.is_todo ? "Missing. " : "") + field.text.meaning + range));
+    make("p", { class: "hint", id: `${id}-hint` }, (field.is_todo ? "Missing. " : "") + field.text.meaning + range,
+      ...(field.reason ? [make("span", { class: "reason" }, ` In the file: ${field.reason}`)] : [])));
 }
 
 function channelRow(row) {
@@ -57,7 +58,7 @@ function channelRow(row) {
   const look = make("button", { type: "button", "aria-label": `Preview ${row.channel}` }, "Show");
   onClick(look, () => preview(row));
   return make("tr", {}, make("th", { scope: "row" }, row.channel), make("td", {}, row.unit),
-    make("td", {}, select), make("td", {}, number("scale", "1")), make("td", {}, number("offset", "0")), make("td", {}, look));
+    make("td", {}, select, ...(row.reason ? [make("span", { class: "hint reason" }, row.reason)] : [])), make("td", {}, number("scale", "1")), make("td", {}, number("offset", "0")), make("td", {}, look));
 }
 
 async function preview(row) {
