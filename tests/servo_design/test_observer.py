@@ -116,11 +116,11 @@ def test_the_noise_of_a_result_is_the_median_over_records() -> None:
     assert noise_of({"stages": {"tuned": None}}) == IdentifiedNoise()
 
 
-def test_joints_that_several_motors_move_have_no_observer() -> None:
+def test_joints_that_several_motors_move_have_no_observer(tmp_path: Path) -> None:
     coupling = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -0.6, 1.0))
     observed = []
     for matrix in (None, coupling, exports.COUPLING):
-        study, values = exports.chain(Path("nowhere"), coupling=matrix)
+        study, values = exports.chain(tmp_path, coupling=matrix)
         arm = exports.arm_of(study, values)
         found = design_observers(arm, Condition(np.zeros(3)), CLOCK, IdentifiedNoise())
         observed.append([one.joint for one in found])
