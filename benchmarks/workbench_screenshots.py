@@ -69,7 +69,7 @@ def _study_with_run(folder: Path) -> str:
     finished = [
         study
         for study in studies
-        if any(run.state == "done" for run in Runs(workspace.study(study).parent).all())
+        if any(run.state == "done" for run in Runs(workspace.study(study)).all())
     ]
     return (finished or studies)[0]
 

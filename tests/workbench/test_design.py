@@ -81,4 +81,4 @@ def test_wrong_requests_start_nothing(
     client: TestClient, folder: Path, body: dict[str, str]
 ) -> None:
     assert client.post(f"/api/design/{STUDY}", json=body).status_code == 400
-    assert not Runs(folder / "arm").all()
+    assert not Runs(folder / "arm" / "study.toml").all()

@@ -26,7 +26,7 @@ def wait_for(runs: Runs, name: str, state: str) -> Run:
 
 
 def start_identify(folder: Path, name: str, *arguments: str) -> Runs:
-    runs = Runs(folder / "arm")
+    runs = Runs(folder / "arm" / "study.toml")
     runs.prepare(name)
     command = ("identify", "../../study.toml", "--out", ".", *arguments)
     runs.start(name, "identify", [command])
@@ -69,7 +69,7 @@ def test_cancel_ends_the_process_group(folder: Path) -> None:
 
 
 def test_a_failing_command_ends_a_run_of_several(folder: Path) -> None:
-    runs = Runs(folder / "arm")
+    runs = Runs(folder / "arm" / "study.toml")
     runs.prepare("two")
     commands = [("check", "no-such-study.toml"), ("identify", "../../study.toml", "--out", ".")]
     runs.start("two", "virtual", commands)
@@ -83,29 +83,29 @@ from pathlib import Path
 from strainwave.workbench.runs import Runs
 runs = Runs(Path(sys.argv[1]))
 runs.prepare("one")
-runs.start("one", "identify", [("serve", "..", "--port", "0")])
+runs.start("one", "identify", [("serve", ".", "--port", "0")])
 print("started", flush=True)
 time.sleep(1000)
 """
 
 
 def test_a_run_survives_the_server_and_a_broken_run_is_marked(folder: Path) -> None:
-    command = [sys.executable, "-c", SERVER, str(folder / "arm")]
+    command = [sys.executable, "-c", SERVER, str(folder / "arm" / "study.toml")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         assert server.stdout is not None
         assert server.stdout.readline() == "started\n"
         server.kill()
-    runs = Runs(folder / "arm")
+    runs = Runs(folder / "arm" / "study.toml")
     run = runs.get("one")
     assert run.state == "running"  # its processes live
     assert run.group is not None
     os.killpg(run.group, signal.SIGKILL)
     assert wait_for(runs, "one", "interrupted").ended is not None
-    assert Runs(folder / "arm").get("one").state == "interrupted"
+    assert Runs(folder / "arm" / "study.toml").get("one").state == "interrupted"
 
 
 def test_names_cannot_leave_the_folder(folder: Path) -> None:
-    runs = Runs(folder / "arm")
+    runs = Runs(folder / "arm" / "study.toml")
     for name in ("", "..", "../x", "a/b", ".hidden", "-x", "a" * 200, "a\0b"):
         with pytest.raises(InvalidInput):
             runs.prepare(name)
@@ -125,7 +125,17 @@ def test_a_running_run_is_not_removed(folder: Path) -> None:
 
 
 def test_a_damaged_record_is_named(folder: Path) -> None:
-    runs = Runs(folder / "arm")
+    runs = Runs(folder / "arm" / "study.toml")
     (runs.prepare("one") / "run.json").write_text("{")
     with pytest.raises(InvalidInput, match=r"run\.json is damaged"):
         runs.get("one")
+
+
+def test_two_studies_of_one_folder_have_runs_of_their_own(folder: Path) -> None:
+    other = folder / "arm" / "payload.toml"
+    other.write_text((folder / "arm" / "study.toml").read_text())
+    Runs(other).prepare("one")
+    assert (folder / "arm" / "runs-payload" / "one").is_dir()
+    runs = start_identify(folder, "one", "--stages", "rigid")
+    wait_for(runs, "one", "done")
+    assert Runs(other).all() == []

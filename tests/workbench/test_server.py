@@ -57,7 +57,7 @@ def test_a_port_in_use_is_named(folder: Path) -> None:
 
 
 def test_a_run_does_not_block_the_pages(server: Any) -> None:
-    runs = Runs(server.folder / "arm")
+    runs = Runs(server.folder / "arm" / "study.toml")
     runs.prepare("one")
     runs.start("one", "identify", [("identify", "../../study.toml", "--out", ".")])
     query = f"{server.url}/api/signal-time/arm/study.toml?experiment=prbs-j1&channels=u1"

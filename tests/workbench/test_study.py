@@ -211,3 +211,14 @@ def test_the_list_of_studies_names_arms_errors_and_verdicts(
     page = client.get("/").text
     assert "planar two link, 2 joints" in page
     assert "there is no [[joint]] table" in page
+
+
+@pytest.mark.parametrize("name", ["ä rig #1", "100 % + more", "a&b=c", "quote's"])
+def test_unusual_names_of_folders_work(client: TestClient, folder: Path, name: str) -> None:
+    from urllib.parse import quote
+
+    shutil.copytree(folder / "arm", folder / name)
+    path = quote(f"{name}/study.toml")
+    assert path in client.get("/").text
+    assert client.get(f"/signals/{path}").status_code == 200
+    assert client.get(f"/api/study/{path}").json()["error"] is None

@@ -60,7 +60,7 @@ def test_the_recorded_arm_is_a_study_and_is_identified(client: TestClient, folde
     run = client.post("/api/virtual", json=SETTING).json()
     assert run["study"] == "virtual-1/study.toml"
     client.get(f"/api/run-events/{run['study']}", params={"name": run["name"]})  # ends with it
-    finished = Runs(folder / "virtual-1").get(run["name"])
+    finished = Runs(folder / "virtual-1" / "study.toml").get(run["name"])
     assert finished.state == "done"
     study = read_study(folder / "virtual-1" / "study.toml")  # with its logs
     assert study.arm.joints[0].spring == "linear"

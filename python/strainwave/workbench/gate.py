@@ -17,7 +17,7 @@ from strainwave.io.atomic_files import write_whole
 from strainwave.io.check_document import check_document
 from strainwave.io.results import to_json
 from strainwave.workbench.records import fingerprint, study_at
-from strainwave.workbench.workspace import RUNS
+from strainwave.workbench.workspace import runs_folder
 
 GateState = Literal["unchecked", "consistent", "suspected", "overridden", "invalid"]
 
@@ -100,7 +100,7 @@ def require_open(path: Path) -> Gate:
 
 
 def _file(path: Path) -> tuple[Path, str]:
-    return path.parent / RUNS, f".check-{path.stem}.json"
+    return runs_folder(path), ".check.json"
 
 
 def _read(path: Path) -> _Stored | None:

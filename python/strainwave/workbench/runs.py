@@ -23,7 +23,7 @@ from typing import Literal
 
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import write_whole
-from strainwave.workbench.workspace import RUNS, check_name
+from strainwave.workbench.workspace import check_name, runs_folder
 
 State = Literal["running", "done", "failed", "cancelled", "interrupted"]
 Kind = Literal["identify", "virtual", "excite", "tune", "compare"]
@@ -55,10 +55,10 @@ class Run:
 
 
 class Runs:
-    """The runs of the studies in one folder."""
+    """The runs of one study file."""
 
-    def __init__(self, study_folder: Path) -> None:
-        self.folder = study_folder / RUNS
+    def __init__(self, study: Path) -> None:
+        self.folder = runs_folder(study)
 
     def all(self, kind: Kind | None = None) -> list[Run]:
         """Runs in the order of their start; a run that was broken off is marked."""

@@ -11,8 +11,7 @@ from pathlib import Path
 
 from strainwave.errors import InvalidInput
 
-RUNS = "runs"
-"""Folder of the runs, next to the study file."""
+_RUNS = "runs"
 
 _MAX_DEPTH = 3  # of folders in which studies are searched
 _MAX_STUDIES = 500  # listed
@@ -37,7 +36,7 @@ class Workspace:
             depth = len(Path(root).relative_to(self.folder).parts)
             is_last = depth >= _MAX_DEPTH
             folders[:] = [
-                f for f in folders if not is_last and f != RUNS and not f.startswith((".", "_"))
+                f for f in folders if not is_last and not is_runs_folder(f) and f[0] not in "._"
             ]
             for name in files:
                 if name.endswith(".toml") and _STUDY.search((Path(root) / name).read_bytes()):
@@ -104,6 +103,16 @@ class Workspace:
         finally:
             os.unlink(temporary)
         return target
+
+
+def runs_folder(study: Path) -> Path:
+    """Folder of the runs of a study file: `runs`, or `runs-NAME` next to NAME.toml."""
+    return study.parent / (_RUNS if study.stem == "study" else f"{_RUNS}-{study.stem}")
+
+
+def is_runs_folder(name: str) -> bool:
+    """Whether a folder has the runs of a study, by its name."""
+    return name == _RUNS or name.startswith(f"{_RUNS}-")
 
 
 def check_name(name: str) -> None:

@@ -30,7 +30,7 @@ def test_after_a_kill_the_study_and_finished_runs_are_there(
     page.click("#start")
     page.wait_for_selector("tr[data-run='identify-2'][data-state='running']")
     server.stop(at_once=True)
-    group = Runs(folder / "arm").get("identify-2").group
+    group = Runs(folder / "arm" / "study.toml").get("identify-2").group
     assert group is not None  # its processes live
     os.killpg(group, signal.SIGKILL)
 

@@ -55,8 +55,8 @@ def show_by_hand(request: Request) -> Response:
     ]
     starts = [
         workspace.relative(file)
-        for pattern in ("runs/*/result.json", "*.json")
-        for file in sorted(path.parent.glob(pattern), key=lambda p: -p.stat().st_mtime)
+        for files in (Runs(path).folder.glob("*/result.json"), path.parent.glob("*.json"))
+        for file in sorted(files, key=lambda p: -p.stat().st_mtime)
     ]
     elastic = [i for i, joint in enumerate(study.arm.joints, start=1) if joint.elastic]
     return page(request, "by_hand", "By hand", records=records, starts=starts, joints=elastic)
@@ -149,7 +149,7 @@ def fit_from_here(request: Request, body: Body) -> object:
     held = body.get("held", [])
     if not isinstance(held, list) or not all(isinstance(each, str) for each in held):
         raise InvalidInput("the request names no parameters to hold", where="held")
-    runs = Runs(path.parent)
+    runs = Runs(path)
     name = runs.free_name("identify")
     folder = runs.prepare(name)
     write_whole(folder, {"study.toml": snapshot(path).encode(), _START: _json(values)})

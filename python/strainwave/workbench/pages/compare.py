@@ -28,7 +28,7 @@ from strainwave.workbench.web import (
     study_of,
     workspace_of,
 )
-from strainwave.workbench.workspace import RUNS
+from strainwave.workbench.workspace import is_runs_folder
 
 _MAX_RESULTS = 200  # listed
 
@@ -56,7 +56,7 @@ def list_results(request: Request) -> object:
 def _name(path: Path, here: Path) -> str:
     """Name of a result: its run, with the study's folder if it belongs to another study."""
     folder = path.parent
-    if folder.parent.name != RUNS:
+    if not is_runs_folder(folder.parent.name):
         return folder.name
     study = folder.parent.parent
     return folder.name if study == here else f"{study.name}/{folder.name}"
@@ -109,7 +109,7 @@ def report_figure(request: Request, body: Body) -> object:
 def save_comparison(request: Request, body: Body) -> object:
     """Start `strainwave compare`, which writes comparison.json and comparison.html."""
     results = _chosen(request, body.get("paths"))
-    runs = Runs(study_of(request).parent)
+    runs = Runs(study_of(request))
     name = runs.free_name("compare")
     folder = runs.prepare(name)
     paths = (os.path.relpath(one.path, folder) for one in results)

@@ -93,7 +93,7 @@ def show_design(request: Request) -> Response:
 
 
 def _parameter_files(path: Path) -> list[Path]:
-    found = [*path.parent.glob("runs/*/result.json"), *path.parent.glob("*.json")]
+    found = [*Runs(path).folder.glob("*/result.json"), *path.parent.glob("*.json")]
     return sorted(found, key=lambda p: -p.stat().st_mtime)
 
 
@@ -109,7 +109,7 @@ def start(request: Request, body: Body) -> object:
     study_at(path)
     if source is None:
         raise InvalidInput("a design needs parameters", remedy="choose a finished run")
-    runs = Runs(path.parent)
+    runs = Runs(path)
     name = runs.free_name(command)
     folder = runs.prepare(name)
     given = os.path.relpath(source, folder)
@@ -138,7 +138,7 @@ def option_flags(options: tuple[Option, ...], values: object) -> list[str]:
 
 def list_designs(request: Request) -> object:
     """Designs of the study, the newest first."""
-    runs = Runs(study_of(request).parent)
+    runs = Runs(study_of(request))
     designs = [run for run in runs.all() if run.kind in OPTIONS]
     return [_shown(runs, run) for run in reversed(designs)]
 
@@ -152,7 +152,7 @@ def _shown(runs: Runs, run: Run) -> dict[str, Any]:
 
 def show_plan(request: Request) -> object:
     """Commands of one planned record over time."""
-    runs, query = Runs(study_of(request).parent), request.query_params
+    runs, query = Runs(study_of(request)), request.query_params
     run, file = runs.get(query.get("run", "")), query.get("file", "")
     path = runs.path(run.name) / Path(file).name
     if path.suffix != ".csv" or not path.is_file():
@@ -175,7 +175,7 @@ def plan_figure(path: Path) -> Figure:
 
 def show_precision(request: Request) -> object:
     """Predicted intervals of a plan."""
-    runs = Runs(study_of(request).parent)
+    runs = Runs(study_of(request))
     run = runs.get(request.query_params.get("run", ""))
     file = runs.path(run.name) / "predicted.json"
     if not file.is_file():

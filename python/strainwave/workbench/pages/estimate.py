@@ -50,7 +50,7 @@ def show_estimate(request: Request) -> Response:
     """The page."""
     path = study_of(request)
     groups = option_groups(study_at(path).options)
-    name = Runs(path.parent).free_name("identify")
+    name = Runs(path).free_name("identify")
     return page(request, "estimate", "Estimate", groups=groups, stages=_STAGE_CHOICES, name=name)
 
 
@@ -80,7 +80,7 @@ def start_estimate(request: Request, body: Body) -> object:
     if not isinstance(options, dict):
         raise InvalidInput("the request has no options", where="request")
     arguments = option_arguments(options, path)
-    runs = Runs(path.parent)
+    runs = Runs(path)
     name = text_of(body, "name", "") or runs.free_name("identify")
     folder = runs.prepare(name)
     write_whole(folder, {_SNAPSHOT: snapshot(path).encode()})

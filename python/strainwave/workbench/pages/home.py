@@ -34,7 +34,7 @@ def show_home(request: Request) -> Response:
 
 
 def _row(name: str, path: Path) -> StudyRow:
-    runs = Runs(path.parent)
+    runs = Runs(path)
     finished = [run for run in runs.all("identify") if run.state == "done"]
     status = ""
     if finished:

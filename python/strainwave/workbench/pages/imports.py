@@ -24,7 +24,7 @@ from strainwave.workbench.web import (
     text_of,
     workspace_of,
 )
-from strainwave.workbench.workspace import RUNS, check_name
+from strainwave.workbench.workspace import check_name, is_runs_folder
 
 LOG_SUFFIXES = (*TABLE_SUFFIXES, *BAG_SUFFIXES)
 _ACCEPTED = (*LOG_SUFFIXES, ".urdf", ".yaml")  # .yaml: metadata of a bag
@@ -39,7 +39,7 @@ def show_import(request: Request) -> Response:
 def _folders(request: Request) -> list[str]:
     """Folders with logs and without a study file."""
     root = workspace_of(request).folder
-    folders = [path for path in root.iterdir() if path.is_dir() and path.name != RUNS]
+    folders = [path for path in root.iterdir() if path.is_dir() and not is_runs_folder(path.name)]
     return sorted(path.name for path in folders if not path.name.startswith(".") and _logs(path))
 
 

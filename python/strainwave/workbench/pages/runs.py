@@ -35,7 +35,7 @@ _POLL = 0.15  # [s] between two looks at the log of a run
 
 def runs_of(request: Request) -> Runs:
     """The runs of the study in the address."""
-    return Runs(study_of(request).parent)
+    return Runs(study_of(request))
 
 
 def describe(run: Run) -> dict[str, object]:

@@ -48,7 +48,7 @@ def record_and_identify(request: Request, body: Body) -> object:
     except InvalidInput:
         folder.rmdir()
         raise
-    runs = Runs(folder)
+    runs = Runs(folder / "study.toml")
     run_folder = runs.prepare(_RUN)
     _write(rig.study, folder / "study.toml")
     _write(rig.study, run_folder / _RIG)
@@ -82,7 +82,7 @@ def _write(study: Study, path: Path) -> None:
 def show_result(request: Request) -> object:
     """Estimates, true values and verdict of a finished run."""
     path = study_of(request)
-    folder = Runs(path.parent).path(_RUN)
+    folder = Runs(path).path(_RUN)
     result = folder / "result.json"
     if not result.is_file():
         raise InvalidInput("the run has no result", where=path.name)
