@@ -97,3 +97,18 @@ def test_a_second_server_sees_the_same(server: Any) -> None:
     app = create_app(ServerOptions(server.folder), 8765)
     client = TestClient(app, base_url="http://127.0.0.1:8765")
     assert client.get("/api/check/arm/study.toml").json()["state"] == "consistent"
+
+
+def test_an_unknown_study_is_a_page_with_a_sentence(client: Any) -> None:
+    answer = client.get("/study/none/study.toml", headers={"sec-fetch-dest": "document"})
+    assert answer.status_code == 400
+    assert "there is no such study" in answer.text
+    assert answer.headers["content-type"].startswith("text/html")
+
+
+def test_a_broken_link_and_a_large_file_are_no_studies(client: Any, folder: Path) -> None:
+    (folder / "broken.toml").symlink_to(folder / "missing.toml")
+    (folder / "large.toml").write_text("[arm]\n" + "#" * (2 << 20))
+    page = client.get("/").text
+    assert "arm/study.toml" in page
+    assert "large.toml" not in page

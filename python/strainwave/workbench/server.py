@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import os
 import socket
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +34,10 @@ class ServerOptions:
 
 def check_options(options: ServerOptions) -> None:
     """Raise InvalidInput if the folder does not exist, or if others could use the server."""
+    if os.name != "posix":  # runs are process groups with locks
+        raise InvalidInput(
+            "the workbench runs on Linux and macOS only", remedy="use the command line"
+        )
     if not options.folder.is_dir():
         raise InvalidInput(
             "is not a folder", where=str(options.folder), remedy="name the folder of your studies"
@@ -53,7 +58,8 @@ def serve(options: ServerOptions) -> None:
     """
     check_options(options)
     uvicorn = import_optional("uvicorn", "the workbench", "strainwave[serve]")
-    import_optional("starlette", "the workbench", "strainwave[serve]")
+    for module in ("starlette", "tomlkit"):
+        import_optional(module, "the workbench", "strainwave[serve]")
     from strainwave.workbench.app import create_app
 
     listener = _listen(options)

@@ -15,6 +15,7 @@ _RUNS = "runs"
 
 _MAX_DEPTH = 3  # of folders in which studies are searched
 _MAX_STUDIES = 500  # listed
+_MAX_STUDY_BYTES = 1 << 20
 _STUDY = re.compile(rb"^\s*\[(arm|\[experiment\])\]", re.MULTILINE)
 _NAME = re.compile(r"[^\W.][\w .()+=@,-]*", re.UNICODE)
 
@@ -39,7 +40,7 @@ class Workspace:
                 f for f in folders if not is_last and not is_runs_folder(f) and f[0] not in "._"
             ]
             for name in files:
-                if name.endswith(".toml") and _STUDY.search((Path(root) / name).read_bytes()):
+                if name.endswith(".toml") and _is_study(Path(root) / name):
                     yield Path(root) / name
                     count += 1
                     if count == _MAX_STUDIES:
@@ -103,6 +104,13 @@ class Workspace:
         finally:
             os.unlink(temporary)
         return target
+
+
+def _is_study(path: Path) -> bool:
+    try:
+        return path.stat().st_size < _MAX_STUDY_BYTES and bool(_STUDY.search(path.read_bytes()))
+    except OSError:  # a broken link, or no permission
+        return False
 
 
 def runs_folder(study: Path) -> Path:

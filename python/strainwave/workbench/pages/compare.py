@@ -42,10 +42,13 @@ def show_compare(request: Request) -> Response:
 def list_results(request: Request) -> object:
     """Results of the folder, those of this study first."""
     workspace, here = workspace_of(request), study_of(request).parent
-    paths = sorted(
-        (p for p in workspace.folder.rglob("result.json") if p.is_file()),
-        key=lambda p: (not p.is_relative_to(here), -p.stat().st_mtime),
-    )
+    found = {
+        path
+        for study in map(workspace.study, workspace.studies())
+        for folder in (study.parent, Runs(study).folder)
+        for path in (*folder.glob("result.json"), *folder.glob("*/result.json"))
+    }
+    paths = sorted(found, key=lambda p: (not p.is_relative_to(here), -p.stat().st_mtime))
     shown = [
         {"path": workspace.relative(p), "name": _name(p, here), "own": p.is_relative_to(here)}
         for p in paths[:_MAX_RESULTS]

@@ -42,14 +42,23 @@ def list_files(request: Request) -> object:
     shown = []
     for run in reversed(runs.all()):
         folder = runs.path(run.name)
-        files = [p for p in sorted(folder.rglob("*")) if p.is_file() and p.name not in RUN_FILES]
         entries = [
-            {"name": p.relative_to(folder).as_posix(), "size": p.stat().st_size} for p in files
+            {"name": p.relative_to(folder).as_posix(), "size": p.stat().st_size}
+            for p in _files(folder)
         ]
         script = python_script(run) if run.kind == "identify" else ""
         is_result = (folder / "result.json").is_file()
         shown.append(describe(run) | {"files": entries, "script": script, "has_result": is_result})
     return shown
+
+
+def _files(folder: Path) -> list[Path]:
+    """Files that the commands of a run wrote; a link could lead out of the served folder."""
+    return [
+        path
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and not path.is_symlink() and path.name not in RUN_FILES
+    ]
 
 
 def export(request: Request, body: Body) -> object:
@@ -81,7 +90,7 @@ def download_zip(request: Request) -> Response:
     """All files of a run in one archive."""
     runs, run = runs_of(request), _run(request)
     folder = runs.path(run.name)
-    files = [p for p in sorted(folder.rglob("*")) if p.is_file() and p.name not in RUN_FILES]
+    files = _files(folder)
     size = sum(p.stat().st_size for p in files)
     if size > _MAX_ZIP:
         raise InvalidInput(f"the run has {size >> 20} MiB", remedy="copy its folder")
