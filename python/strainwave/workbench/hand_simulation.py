@@ -39,6 +39,8 @@ _DECADES = 1.0  # of a Bode plot below the anti-resonance and above the resonanc
 _N_FREQUENCIES = 300
 _DEFAULT_RESONANCE_HZ = 30.0  # where no joint has a linear model
 _RANGE_DECADES = 1.0  # of a slider on either side of its start
+_MIN_MOTION_TO_NOISE = 3.0  # a channel with less has no fit
+_MIN_MOTION_SHARE = 0.02  # of the largest motion of a channel of its kind
 _MOTOR_KINDS = ("omega_m",)
 _LINK_NAMES = frozenset(f"link_{name}" for name in LINK_PARAMETERS)
 
@@ -133,12 +135,18 @@ def simulate(
     for k, name in enumerate(record.channel_names):
         if channel_parts(name)[0] not in _MOTOR_KINDS:  # a sensor on the link has a bias
             residual[:, k] -= residual[:, k].mean()
-    motion = record.measured - record.measured.mean(axis=0)
-    sizes = np.linalg.norm(motion, axis=0)
-    errors = np.linalg.norm(residual, axis=0)
-    fits = 100.0 * (1.0 - errors / np.where(sizes > 0.0, sizes, np.nan))
+    motion, errors = record.measured.std(axis=0), np.sqrt(np.mean(residual**2, axis=0))
+    rests = (motion < _MIN_MOTION_TO_NOISE * record.noise) | (motion < _rest_level(record, motion))
+    fits = 100.0 * (1.0 - errors / np.where(rests, np.nan, motion))
     names = record.channel_names
     return Comparison(record, simulated, residual, dict(zip(names, fits.tolist(), strict=True)))
+
+
+def _rest_level(record: Dataset, motion: FloatArray) -> FloatArray:
+    """Standard deviation of each channel below which it only reacts to the motion of others."""
+    kinds = [channel_parts(name)[0] for name in record.channel_names]
+    largest = {k: max(m for m, kind in zip(motion, kinds, strict=True) if kind == k) for k in kinds}
+    return np.array([_MIN_MOTION_SHARE * largest[kind] for kind in kinds])
 
 
 @lru_cache(maxsize=6)
@@ -150,8 +158,8 @@ def _prepared(
     cut = _cut(log, window)
     arm = Arm.of(study.arm)
     cutoff = cutoff_of([cut], arm, _DEFAULT_RESONANCE_HZ)
-    has_servo = study.arm.servo is not None and "servo" in cut.experiment.control
-    closed_loop = has_servo and study.options.tuning.closed_loop
+    # under gravity the error of a simulation by recorded voltages grows; a servo holds it
+    closed_loop = study.arm.servo is not None and "servo" in cut.experiment.control
     return lengthen_steps(dataset_of(cut, arm, cutoff, closed_loop=closed_loop))
 
 
