@@ -124,11 +124,14 @@ def test_a_running_run_is_not_removed(folder: Path) -> None:
     assert runs.all() == []
 
 
-def test_a_damaged_record_is_named(folder: Path) -> None:
+@pytest.mark.parametrize("record", ["{", "[]", '{"name": "one"}', "null", "\udcff"])
+def test_a_damaged_record_is_marked_and_can_be_removed(folder: Path, record: str) -> None:
     runs = Runs(folder / "arm" / "study.toml")
-    (runs.prepare("one") / "run.json").write_text("{")
-    with pytest.raises(InvalidInput, match=r"run\.json is damaged"):
-        runs.get("one")
+    (runs.prepare("one") / "run.json").write_bytes(record.encode("utf-8", "surrogateescape"))
+    (run,) = runs.all()
+    assert (run.state, run.note) == ("failed", "run.json is damaged")
+    runs.remove("one")
+    assert runs.all() == []
 
 
 def test_two_studies_of_one_folder_have_runs_of_their_own(folder: Path) -> None:

@@ -87,5 +87,6 @@ def test_a_client_needs_the_token(folder: Path) -> None:
     client = TestClient(app, base_url="http://rig.example:8765")
     assert client.get("/").status_code == 401
     assert client.get("/?token=wrong").status_code == 401
+    assert client.get("/?token=geheïm&token=2").status_code == 401
     assert client.get("/?token=secret").status_code == 200  # follows the redirection
     assert client.get("/").status_code == 200  # by its cookie

@@ -149,6 +149,10 @@ def read_document(path: Path) -> dict[str, Any]:
         raise InvalidInput(
             f"{problem}; this version reads {SCHEMA!r}", where=str(path), remedy=NOT_A_RESULT
         )
+    for name in ("study", "stages", "verdict"):
+        if not isinstance(document.get(name, {}), dict):
+            raise InvalidInput(f"'{name}' is not a table", where=str(path), remedy=NOT_A_RESULT)
+    _validated(tuple[_CheckEntry, ...], document.get("checks", []), f"{path}: checks")
     return dict(document)
 
 
@@ -228,6 +232,12 @@ def verdict_of(document: Mapping[str, Any]) -> Verdict:
         suspected=tuple(map(_suspicion, entry.suspected)),
         reason_clauses=tuple(map(_plain, reason.split("; ") if reason else ())),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _CheckEntry:
+    experiment: str
+    fit_percent: dict[str, float | None]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -106,9 +106,11 @@ def _file(path: Path) -> tuple[Path, str]:
 def _read(path: Path) -> _Stored | None:
     folder, name = _file(path)
     try:
-        return _Stored(**json.loads((folder / name).read_bytes()))
-    except (OSError, ValueError, TypeError):
+        stored = _Stored(**json.loads((folder / name).read_bytes()))
+        entries = [*stored.document["relations"], *stored.document["suspected"]]
+    except (OSError, ValueError, TypeError, KeyError):
         return None
+    return stored if all(isinstance(entry, dict) for entry in entries) else None
 
 
 def _write(path: Path, stored: _Stored) -> None:

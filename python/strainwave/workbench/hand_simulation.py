@@ -110,7 +110,7 @@ def check_values(study: Study, entries: object) -> Values:
         if not isinstance(entry, dict) or not isinstance(entry.get("value"), int | float):
             raise InvalidInput("the request has no values", where="values")
         key = str(entry.get("name")), entry.get("joint")
-        if key not in names:
+        if not isinstance(key[1], int | None) or key not in names:
             raise InvalidInput(f"there is no parameter {label_of(*key)}", where="values")
         values[key] = float(entry["value"])
     return values

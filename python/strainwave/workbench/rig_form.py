@@ -14,7 +14,7 @@ from strainwave.domain import gear_laws, kinds
 from strainwave.domain.link_sensors import key_texts
 from strainwave.domain.study_limits import ARM_LIMITS, IMU_LIMITS, JOINT_LIMITS, SERVO_LIMITS
 from strainwave.errors import InvalidInput
-from strainwave.workbench.study_edit import TODO, parse_draft
+from strainwave.workbench.study_edit import TODO, parse_draft, table_of, tables_of
 
 FieldKind = Literal["number", "numbers", "text", "choice"]
 Place = tuple[str | int, ...]
@@ -107,23 +107,23 @@ _LIMITS = {
 
 def field_groups(document: Mapping[str, Any]) -> list[FieldGroup]:
     """The form of a study file."""
-    arm = document.get("arm", {})
+    arm = table_of(document, "arm")
     is_serial = arm.get("kind") == "serial"
     names = tuple(kind.name for kind in kinds.all_kinds())
     kind = FieldText("kind", "Kind of arm", "Tables of the file depend on it.", "choice", "", names)
     rows = _SERIAL_ARM if is_serial else _ARM[arm.get("kind") == "single-joint" :]
     groups = [FieldGroup("Arm", tuple(_fields(arm, ("arm",), (kind, *rows))))]
-    for index, joint in enumerate(document.get("joint", [])):
+    for index, joint in enumerate(tables_of(document, "joint")):
         texts = _joint_texts(is_placed=is_serial and "urdf" not in arm)
         fields = tuple(_fields(joint, ("joint", index), texts))
         groups.append(FieldGroup(f"Joint {index + 1}", fields))
-    servo = document.get("servo", {})
+    servo = table_of(document, "servo")
     groups.append(FieldGroup("Servo", tuple(_fields(servo, ("servo",), _SERVO))))
     if is_serial:
         text = FieldText(
             "coupling", "Coupling", "Matrix: [[1, 0], [0.2, 1]]; empty: none.", "numbers"
         )
-        table = document.get("transmission", {})
+        table = table_of(document, "transmission")
         groups.append(FieldGroup("Transmission", tuple(_fields(table, ("transmission",), (text,)))))
     return groups
 

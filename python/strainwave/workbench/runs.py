@@ -18,12 +18,17 @@ import threading
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import write_whole
+from strainwave.io.results import read_document
 from strainwave.workbench.workspace import check_name, runs_folder
+
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
 
 State = Literal["running", "done", "failed", "cancelled", "interrupted"]
 Kind = Literal["identify", "virtual", "excite", "tune", "compare"]
@@ -52,6 +57,11 @@ class Run:
     def lines(self) -> list[str]:
         """The command lines, as a user types them in the folder of the run."""
         return [shlex.join(("strainwave", *command)) for command in self.commands]
+
+    @classmethod
+    def damaged(cls, name: str) -> Run:
+        """Stands for a run whose record cannot be read; it can be deleted."""
+        return cls(name, "identify", (), "", state="failed", note=f"{_RECORD} is damaged")
 
 
 class Runs:
@@ -197,19 +207,36 @@ class Runs:
         return False
 
     def _read(self, name: str) -> Run:
+        from pydantic import ValidationError
+
         try:
-            fields = json.loads((self.path(name) / _RECORD).read_bytes())
-            fields["commands"] = tuple(tuple(command) for command in fields["commands"])
-            return Run(**fields)
+            run = _adapter().validate_json((self.path(name) / _RECORD).read_bytes())
         except FileNotFoundError as error:
             raise InvalidInput("there is no such run", where=name) from error
-        except (ValueError, TypeError, KeyError) as error:
-            raise InvalidInput(f"{_RECORD} is damaged", where=name, remedy="delete it") from error
+        except ValidationError:
+            return Run.damaged(name)
+        is_whole = all(len(command) > 1 for command in run.commands)
+        return replace(run, name=name) if is_whole else Run.damaged(name)
 
     def _write(self, run: Run) -> None:
         if self.path(run.name).is_dir():
             text = json.dumps(asdict(run), indent=1)
             write_whole(self.path(run.name), {_RECORD: text.encode()})
+
+
+def status_of(folder: Path) -> str | None:
+    """Status in the result.json of a run's folder; None if there is none, or it is no result."""
+    try:
+        return str(read_document(folder / "result.json")["status"])
+    except (InvalidInput, KeyError):
+        return None
+
+
+@cache
+def _adapter() -> TypeAdapter[Run]:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(Run)
 
 
 def _now() -> str:

@@ -72,11 +72,11 @@ class Guard:
     def _token_refusal(self, scope: Scope, headers: Headers) -> Response | None:
         """None if the client has the token as a cookie; a token in the address sets the cookie."""
         cookie = SimpleCookie(headers.get("cookie", "")).get(_COOKIE)
-        if cookie is not None and hmac.compare_digest(cookie.value, self._token):
+        if cookie is not None and self._is_token(cookie.value):
             return None
         query = parse_qs(scope["query_string"].decode("latin-1"))
         given = query.pop("token", [""])[0]
-        if scope["method"] == "GET" and hmac.compare_digest(given, self._token):
+        if scope["method"] == "GET" and self._is_token(given):
             rest = urlencode(query, doseq=True)
             answer = RedirectResponse(f"{scope['path']}{'?' if rest else ''}{rest}", 303)
             answer.set_cookie(_COOKIE, self._token, httponly=True, samesite="strict")
@@ -84,6 +84,9 @@ class Guard:
         return PlainTextResponse(
             "This workbench needs a token: open the address that strainwave serve printed.", 401
         )
+
+    def _is_token(self, given: str) -> bool:
+        return hmac.compare_digest(given.encode(), self._token.encode())
 
 
 def _is_cross_site(headers: Headers, host: str, method: str) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -61,6 +61,19 @@ def parse_draft(text: str, path: Path) -> tomlkit.TOMLDocument:
         raise InvalidInput(str(error), where=str(path), remedy="correct the text") from error
 
 
+def table_of(document: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    """A table of a draft; empty if it is missing or no table, which the command line reports."""
+    table = document.get(name)
+    return table if isinstance(table, Mapping) else {}
+
+
+def tables_of(document: Mapping[str, Any], name: str) -> Sequence[Mapping[str, Any]]:
+    """An array of tables of a draft; empty if it is missing or none."""
+    tables = document.get(name)
+    is_array = isinstance(tables, list) and all(isinstance(each, Mapping) for each in tables)
+    return tables if is_array else []  # type: ignore[return-value]
+
+
 def _unquoted_todos(text: str) -> bool:
     return any(_TODO.search(_split(line)[0]) for line in text.split("\n"))
 
@@ -75,29 +88,34 @@ def _split(line: str) -> tuple[str, str]:
 def _apply(table: Any, change: Change, path: Path) -> None:
     *parents, last = change.place
     for position, key in enumerate(parents):
-        if isinstance(key, str) and key not in table:
+        if isinstance(table, dict) and isinstance(key, str) and key not in table:
             if change.value is None:
                 return
             table[key] = tomlkit.table()
         try:
             entry = table[key]
-        except (KeyError, IndexError) as error:
-            name = ".".join(map(str, change.place))
-            raise InvalidInput(f"has no {name}", where=str(path)) from error
+        except (LookupError, TypeError) as error:
+            raise _no_place(change, path) from error
         if isinstance(entry, str) and parents[0] == "channels" and position == 1:
             table[key] = tomlkit.inline_table()  # "column" stands for { column = "column" }
             table[key]["column"] = entry
             entry = table[key]
         table = entry
+    if not isinstance(table, dict) or not isinstance(last, str):
+        raise _no_place(change, path)
     if change.value is None:
         table.pop(last, None)
     else:
         table[last] = change.value
 
 
+def _no_place(change: Change, path: Path) -> InvalidInput:
+    return InvalidInput(f"has no {'.'.join(map(str, change.place))}", where=str(path))
+
+
 def correction_changes(text: str, corrections: Sequence[Correction]) -> list[Change]:
     """Changes of a study file that make the corrections of its keys; others are left out."""
-    experiments = [e.get("name") for e in parse_draft(text, Path()).get("experiment", [])]
+    experiments = [e.get("name") for e in tables_of(parse_draft(text, Path()), "experiment")]
     changes = []
     for each in corrections:
         keys = each.key.split(".")

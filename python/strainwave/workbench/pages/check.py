@@ -49,6 +49,8 @@ def apply_remedy(request: Request, body: Body) -> object:
     index = body.get("index")
     if document is None or not isinstance(index, int):
         raise InvalidInput("the study has changed since the check", remedy="check it again")
+    if index not in range(len(document["suspected"])):
+        raise InvalidInput("the check suspects no such fault", remedy="check the study again")
     entries = document["suspected"][index]["corrections"]
     text = decode(path.read_bytes(), path)
     changes = correction_changes(text, [Correction(**entry) for entry in entries])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from strainwave.workbench.option_form import option_arguments, option_groups
 from strainwave.workbench.order_choice import order_figures
 from strainwave.workbench.pages.runs import describe, runs_of
 from strainwave.workbench.records import study_at
-from strainwave.workbench.runs import Run, Runs
+from strainwave.workbench.runs import Run, Runs, status_of
 from strainwave.workbench.web import (
     Body,
     get_json,
@@ -107,12 +106,8 @@ def show_orders(request: Request) -> object:
 
 def _summary(runs: Runs, run: Run) -> dict[str, Any]:
     """A run with its verdict."""
-    shown = describe(run) | {"status": None, "reasons": []}
-    result = runs.path(run.name) / "result.json"
-    if run.state == "done" and result.is_file():
-        document = json.loads(result.read_bytes())
-        shown |= {"status": document["status"], "version": document["version"]}
-    return shown
+    is_done = run.state == "done"
+    return describe(run) | {"status": status_of(runs.path(run.name)) if is_done else None}
 
 
 ROUTES = (

@@ -46,7 +46,7 @@ def list_files(request: Request) -> object:
             {"name": p.relative_to(folder).as_posix(), "size": p.stat().st_size}
             for p in _files(folder)
         ]
-        script = python_script(run) if run.kind == "identify" else ""
+        script = python_script(run) if _is_repeatable(run) else ""
         is_result = (folder / "result.json").is_file()
         shown.append(describe(run) | {"files": entries, "script": script, "has_result": is_result})
     return shown
@@ -82,8 +82,15 @@ def export(request: Request, body: Body) -> object:
 def download_script(request: Request) -> Response:
     """The Python script that repeats a run."""
     run = _run(request)
+    if not _is_repeatable(run):
+        raise InvalidInput(f"the run {run.name!r} identifies nothing", remedy="choose another run")
     headers = {"content-disposition": f'attachment; filename="{run.name}.py"'}
     return PlainTextResponse(python_script(run), headers=headers)
+
+
+def _is_repeatable(run: Run) -> bool:
+    """Whether a script can repeat a run; a run with a damaged record has no commands."""
+    return run.kind == "identify" and bool(run.commands)
 
 
 def download_zip(request: Request) -> Response:

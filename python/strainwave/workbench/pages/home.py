@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from starlette.responses import Response
 
 from strainwave.errors import InvalidInput
 from strainwave.workbench.records import study_at
-from strainwave.workbench.runs import Runs
+from strainwave.workbench.runs import Runs, status_of
 from strainwave.workbench.web import get_page, page, workspace_of
 
 
@@ -36,13 +35,7 @@ def show_home(request: Request) -> Response:
 def _row(name: str, path: Path) -> StudyRow:
     runs = Runs(path)
     finished = [run for run in runs.all("identify") if run.state == "done"]
-    status = ""
-    if finished:
-        try:
-            result = json.loads((runs.path(finished[-1].name) / "result.json").read_bytes())
-            status = str(result.get("status", ""))
-        except (OSError, ValueError):
-            status = "no result"
+    status = (status_of(runs.path(finished[-1].name)) or "no result") if finished else ""
     try:
         study = study_at(path)
         arm = study.arm

@@ -28,7 +28,13 @@ from strainwave.workbench.rig_form import (
     field_groups,
     value_of,
 )
-from strainwave.workbench.study_edit import TODO, Change, changed_text, parse_draft
+from strainwave.workbench.study_edit import (
+    Change,
+    changed_text,
+    parse_draft,
+    table_of,
+    tables_of,
+)
 from strainwave.workbench.web import (
     Body,
     get_json,
@@ -93,7 +99,9 @@ def _changes(entries: object) -> list[Change]:
         raise InvalidInput("the request has no changes", where="request")
     changes = []
     for entry in entries:
-        place, kind = entry.get("place"), _KINDS.get(entry.get("kind"))
+        if not isinstance(entry, dict):
+            raise InvalidInput("the request has no changes", where="request")
+        place, kind = entry.get("place"), _KINDS.get(str(entry.get("kind")))
         if kind is None or not isinstance(place, list) or not place:
             raise InvalidInput("the request has no place", where="request")
         value = value_of(text_of(entry, "value"), kind)
@@ -124,7 +132,7 @@ def _state(request: Request, path: Path) -> dict[str, Any]:
 
 def _experiments(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     rows = []
-    for index, experiment in enumerate(document.get("experiment", [])):
+    for index, experiment in enumerate(tables_of(document, "experiment")):
         cells = []
         for text, is_list in _EXPERIMENT:
             value = experiment.get(text.key)
@@ -145,10 +153,10 @@ def _experiments(document: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def _channels(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     """All channels of the arm with their mapping."""
-    mapped = document.get("channels", {})
+    mapped = table_of(document, "channels")
     reasons = comments_of(mapped)
     rows = []
-    for name in channel_names(len(document.get("joint", []))):
+    for name in channel_names(len(tables_of(document, "joint"))):
         entry = mapped.get(name)
         table = entry if isinstance(entry, Mapping) else {"column": entry or ""}
         rows.append(
@@ -167,7 +175,7 @@ def _channels(document: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _columns(document: Mapping[str, Any], folder: Path) -> dict[str, list[str]]:
     """Names of the columns of each log; empty if it cannot be read."""
     columns: dict[str, list[str]] = {}
-    for experiment in document.get("experiment", []):
+    for experiment in tables_of(document, "experiment"):
         name, file = str(experiment.get("name")), folder / str(experiment.get("file"))
         try:
             columns[name] = list((Bag(file) if is_bag(file) else open_table(file)).names)
@@ -180,10 +188,11 @@ def preview(request: Request) -> object:
     """One column of a log after scaling, over its samples."""
     path, query = study_of(request), request.query_params
     document = parse_draft(decode(read_bytes(path, "the study file"), path), path)
-    named = [e for e in document.get("experiment", []) if e.get("name") == query.get("experiment")]
+    wanted = query.get("experiment")
+    named = [e for e in tables_of(document, "experiment") if e.get("name") == wanted]
     if not named:
         raise InvalidInput("there is no such experiment", where=path.name)
-    file, column = path.parent / str(named[0]["file"]), query.get("column", "")
+    file, column = path.parent / str(named[0].get("file", "")), query.get("column", "")
     values = _read_column(file, column)
     scale, offset = (_factor(query.get(k), d) for k, d in (("scale", 1.0), ("offset", 0.0)))
     values = scale * values + offset
@@ -206,7 +215,7 @@ def _read_column(file: Path, column: str) -> FloatArray:
 
 def _factor(text: str | None, default: float) -> float:
     value = value_of(text or "", "number")
-    return default if value is None or value == TODO else float(value)
+    return default if value is None or isinstance(value, str) else float(value)
 
 
 ROUTES = (

@@ -35,9 +35,11 @@ function progressCell(run) {
 
 function endCell(run) {
   const lines = run.lines.map((line) => make("code", {}, line));
-  const messages = run.state === "failed" ? [make("p", { class: "bad", "data-log": run.name })] : [];
+  const messages = run.note ? [make("p", { class: "faint" }, run.note)] : [];
   if (run.state === "failed") {
-    getJson(api("run-log"), { name: run.name }).then((log) => { messages[0].textContent = log.messages.join("\n"); });
+    const log = make("p", { class: "bad", "data-log": run.name });
+    getJson(api("run-log"), { name: run.name }).then((read) => { log.textContent = read.messages.join("\n"); });
+    messages.push(log);
   }
   return make("td", {}, ...lines, ...messages);
 }
@@ -59,7 +61,7 @@ function runRow(run) {
   return make("tr", { "data-run": run.name, "data-state": run.state },
     make("th", { scope: "row" }, run.name),
     make("td", {}, make("span", { class: `badge ${mark}` }, state)),
-    make("td", {}, new Date(run.created).toLocaleString()),
+    make("td", {}, run.created ? new Date(run.created).toLocaleString() : ""),
     run.state === "running" ? progressCell(run) : endCell(run), make("td", {}, actions));
 }
 

@@ -1,0 +1,179 @@
+"""Whatever a request or a file of the folder contains, the answer is a page or a sentence."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import tomlkit
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+pytest.importorskip("starlette")
+
+from starlette.routing import Route
+from starlette.testclient import TestClient
+
+import strainwave as sw
+from strainwave.workbench.app import create_app
+from strainwave.workbench.pages import ROUTES
+from strainwave.workbench.runs import Run, Runs
+from strainwave.workbench.server import ServerOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+STUDY = "arm/study.toml"
+START, OTHER = "arm/runs/one/result.json", "arm/runs/other/result.json"
+QUERY = {"experiment": "motion", "channel": "u1", "channels": "u1", "run": "one", "name": "one"}
+VALUES = [{"name": "motor_inertia", "joint": 1, "value": 1e-4}]
+BODIES: dict[str, dict[str, Any]] = {
+    "study": {"changes": [{"place": ["joint", 0, "gear_ratio"], "kind": "number", "value": "1"}]},
+    "apply-remedy": {"index": 0},
+    "compare": {"paths": [START, OTHER]},
+    "compare-joint": {"paths": [START, OTHER], "joint": 1},
+    "by-hand-begin": {"start": START, "experiment": "motion"},
+    "by-hand": {"start": START, "experiment": "motion", "values": VALUES, "channels": ["u1"]},
+    "by-hand-save": {"name": "mine", "values": VALUES},
+    "by-hand-fit": {"values": VALUES, "held": ["motor_inertia"]},
+    "window": {"experiment": "motion", "start": 0, "stop": 1},
+    "cancel-run": {"name": "one"},
+    "remove-run": {"name": "two"},
+    "export": {"name": "one", "format": "json"},
+    "design": {"kind": "tune", "parameters": START, "options": {"seed": "1"}},
+    "estimate": {"name": "two", "stages": "rigid", "options": {"joints.order": "4"}},
+}
+ODD: st.SearchStrategy[Any] = st.sampled_from(
+    [None, "", 0, -1, 99, 1e300, "x", "a\0", "../..", [], [1], ["a"], [[]], [None], {}, {"a": 1}]
+)
+SLOW = ("events", "orders", "joint-spectrum")
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory, arm_folder: Path) -> Iterator[TestClient]:
+    """A client of a folder with one study and one run; runs do not start processes."""
+    folder = tmp_path_factory.mktemp("served")
+    shutil.copytree(arm_folder, folder / "arm")
+    run = Runs(folder / STUDY).prepare("one")
+    record = {"name": "one", "kind": "identify", "commands": [["identify", "study.toml"]]}
+    (run / "run.json").write_text(json.dumps(record | {"created": "", "state": "done"}))
+    result = sw.identify(folder / STUDY, stages=("rigid", "decoupled"))
+    result.save(run / "result.json")
+    shutil.copytree(run, run.with_name("other"))
+
+    def start(
+        _runs: Runs, name: str, kind: Any, commands: Sequence[Sequence[str]], **_: Any
+    ) -> Run:
+        return Run(name, kind, tuple(map(tuple, commands)), "")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Runs, "start", start)
+        app = create_app(ServerOptions(folder), 8765)
+        yield TestClient(app, base_url="http://127.0.0.1:8765")  # raises what a page raises
+
+
+def study_file(client: TestClient) -> Path:
+    folder: Path = client.app.state.workspace.folder  # type: ignore[attr-defined]
+    return folder / STUDY
+
+
+@contextmanager
+def restored(file: Path) -> Iterator[None]:
+    """A file gets its content back at the end; a file that did not exist is deleted."""
+    before = file.read_bytes() if file.is_file() else None
+    try:
+        yield
+    finally:
+        if before is None:
+            file.unlink(missing_ok=True)
+        else:
+            file.write_bytes(before)
+
+
+def places(value: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Every place in nested tables and lists."""
+    yield at
+    if isinstance(value, dict | list):
+        for key in value if isinstance(value, dict) else range(len(value)):
+            yield from places(value[key], (*at, key))
+
+
+def replaced(document: Any, place: tuple[Any, ...], value: Any) -> Any:
+    if not place:
+        return value
+    copy = json.loads(json.dumps(document))
+    table = copy
+    for key in place[:-1]:
+        table = table[key]
+    table[place[-1]] = value
+    return copy
+
+
+@settings(max_examples=100)
+@given(data=st.data())
+def test_any_body_gets_an_answer(served: TestClient, data: st.DataObject) -> None:
+    route = data.draw(st.sampled_from(sorted(BODIES)))
+    body = replaced(
+        BODIES[route], data.draw(st.sampled_from(list(places(BODIES[route])))), data.draw(ODD)
+    )
+    study = study_file(served)
+    with restored(study):
+        if route == "study" and isinstance(body, dict):
+            body["sha256"] = served.get(f"/api/study/{STUDY}").json()["sha256"]
+        answer = served.post(f"/api/{route}/{STUDY}", json=body)
+        assert answer.status_code in (200, 400, 422)
+        assert served.get(f"/api/study/{STUDY}").status_code == 200
+    shutil.rmtree(Runs(study).path("two"), ignore_errors=True)
+
+
+@settings(max_examples=50)
+@given(
+    route=st.sampled_from(
+        [r.path for r in ROUTES if isinstance(r, Route) and r.methods and "GET" in r.methods]
+    ),
+    name=st.sampled_from(
+        ["experiment", "channels", "run", "file", "column", "scale", "from", "to"]
+    ),
+    value=st.sampled_from(
+        ["", "x", "-1", "1e300", "nan", "a\0", "..", "/", "a,b", "unknown", "[1"]
+    ),
+)
+def test_any_query_gets_an_answer(served: TestClient, route: str, name: str, value: str) -> None:
+    if not any(part in route for part in SLOW):
+        path = route.replace("{study:path}", STUDY)
+        answer = served.get(path, params=QUERY | {name: value})
+        assert answer.status_code in (200, 400, 422)
+
+
+@settings(max_examples=100)
+@given(data=st.data())
+def test_any_study_file_is_shown_with_its_error(served: TestClient, data: st.DataObject) -> None:
+    study = study_file(served)
+    document = tomlkit.parse(study.read_text()).unwrap()
+    place = data.draw(st.sampled_from([at for at in places(document) if at]))
+    value = data.draw(ODD.filter(lambda value: value not in (None, [None])))
+    query = {"experiment": "motion", "column": "u1", "channel": "u1"}
+    with restored(study):
+        study.write_text(tomlkit.dumps(replaced(document, place, value)))
+        for path in ("/", f"/api/study/{STUDY}", f"/api/preview/{STUDY}", f"/signals/{STUDY}"):
+            assert served.get(path, params=query).status_code in (200, 400, 422)
+
+
+@pytest.mark.parametrize("name", ["result.json", "report.html", "run.json", "../.check.json"])
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"null", b"\xff", b"{}", b'{"schema": 1}'])
+def test_a_damaged_file_of_a_run_is_no_internal_error(
+    served: TestClient, name: str, content: bytes
+) -> None:
+    file = Runs(study_file(served)).path("one") / name
+    with restored(file):
+        file.write_bytes(content)
+        for page in ("api/estimate", "api/files", "api/check"):
+            assert served.get(f"/{page}/{STUDY}").status_code == 200
+        assert served.get("/").status_code == 200
+        answer = served.post(f"/api/compare/{STUDY}", json={"paths": [START, OTHER]})
+        assert answer.status_code == (400 if name == "result.json" else 200)
