@@ -77,6 +77,7 @@ from strainwave.domain.joint_models import RecordModel as RecordModel
 from strainwave.domain.joint_models import Resonance as Resonance
 from strainwave.domain.joint_models import Sweep as Sweep
 from strainwave.domain.joint_models import SweepPoint as SweepPoint
+from strainwave.domain.joint_models import TorsionFit as TorsionFit
 from strainwave.domain.linear_models import ContinuousStateSpace as ContinuousStateSpace
 from strainwave.domain.linear_models import FrequencyResponse as FrequencyResponse
 from strainwave.domain.linear_models import Hold as Hold

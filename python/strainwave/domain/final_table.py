@@ -118,6 +118,10 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
     accepted = [_at_zero_angles(joint, table, study.arm) for joint in accepted]
     for joint in accepted:
         table.update({p.key: _Entry(p) for p in joint.parameters})
+    for torsion in results.torsions:
+        entry = _Entry(torsion.stiffness)
+        is_faulty = first_affected <= _DECOUPLED
+        table.setdefault(torsion.stiffness.key, entry.reject(_FAULT_REASON) if is_faulty else entry)
     if whole_arm is not None:
         _enter_whole_arm(table, whole_arm, first_affected)
         _remove_equivalent_stiffness(table, study)

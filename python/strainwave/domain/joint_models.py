@@ -76,6 +76,22 @@ class Resonance:
 
 
 @dataclass(frozen=True, slots=True)
+class TorsionFit:
+    """Stiffness of a gear from the torsion that its encoders show in slow motion.
+
+    Torque and torsion are low-passed, without offsets and without the parts that follow the link's
+    own acceleration and velocity.
+    """
+
+    joint: int  # from 1
+    experiments: tuple[str, ...]
+    stiffness: Parameter
+    torque: FloatArray  # (n_rows,) [N m, N] of the rigid model
+    torsion: FloatArray  # (n_rows,) [rad, m]
+    fit_percent: float
+
+
+@dataclass(frozen=True, slots=True)
 class JointModel(Displayed):
     """Physical parameters of one joint, estimated from one or several records."""
 

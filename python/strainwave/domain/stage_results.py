@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from strainwave.domain.arm_model import ArmModel, MotorResponse
 from strainwave.domain.clauses import Clause
 from strainwave.domain.estimates import Diagnostic, Parameter, Prediction, Suspicion
-from strainwave.domain.joint_models import JointModel, RecordModel, Sweep
+from strainwave.domain.joint_models import JointModel, RecordModel, Sweep, TorsionFit
 from strainwave.domain.linear_models import FrequencyResponse
 from strainwave.domain.rigid_model import RigidModel
 from strainwave.domain.signals import Activity, LinkSummary, Log
@@ -29,6 +29,7 @@ class StageResults:
     links: tuple[LinkSummary, ...] = ()  # for every joint and record that excites a gear
     records: tuple[RecordModel, ...] = ()  # for every excited joint, record by record
     joints: tuple[JointModel, ...] = ()  # fitted to all records of a joint
+    torsions: tuple[TorsionFit, ...] = ()  # of joints without a model
     responses: Mapping[int, FrequencyResponse] = field(default_factory=dict)  # by joint
     sweeps: tuple[Sweep, ...] = ()
     whole_arm: ArmModel | None = None

@@ -38,6 +38,7 @@ from strainwave.domain import (
     Status,
     Study,
     Suspicion,
+    TorsionFit,
     Validation,
     Verdict,
 )
@@ -82,6 +83,7 @@ def to_document(identification: Identification) -> dict[str, Any]:
         stages["decoupled"] = [_record(record) for record in identification.records]
         stages["decoupled"] += _motor_response_entries(identification.joints)
         stages["joints"] = [_joint(joint) for joint in identification.joints]
+        stages["torsions"] = [_torsion(torsion) for torsion in identification.torsions]
         stages["sweeps"] = [asdict(sweep) for sweep in identification.sweeps]
         stages["links"] = [asdict(link) for link in identification.links]
         stages["responses"] = _responses(identification)
@@ -344,6 +346,15 @@ def _study(study: Study) -> dict[str, Any]:
     tables = document_of(replace(study, arm=replace(study.arm, urdf=None)))
     rig = {name: tables[name] for name in _RIG_TABLES if name in tables}
     return {"path": str(study.path), "sha256": study.sha256, **rig}
+
+
+def _torsion(torsion: TorsionFit) -> dict[str, Any]:
+    return {
+        "joint": torsion.joint,
+        "experiments": list(torsion.experiments),
+        "fit_percent": torsion.fit_percent,
+        "parameters": [parameter_entry(torsion.stiffness)],
+    }
 
 
 def _responses(identification: Identification) -> list[dict[str, Any]]:

@@ -142,6 +142,7 @@ def _identify(
         timing_s=reporter.timing_s,
         records=elastic.records,
         joints=elastic.joints,
+        torsions=elastic.torsions,
         responses=elastic.responses,
         links=elastic.links,
         sweeps=sweep.compare_amplitudes(elastic.records),

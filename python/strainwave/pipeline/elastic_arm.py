@@ -17,11 +17,13 @@ from strainwave.domain import (
     Prediction,
     RecordModel,
     RigidModel,
+    TorsionFit,
 )
 from strainwave.domain.link_sensors import with_estimates
 from strainwave.errors import NotIdentifiable
 from strainwave.identification import validation, whole_arm
 from strainwave.identification.motor_responses import motor_response
+from strainwave.identification.torsion import fit_torsions
 from strainwave.numerics.parallel import both, run_parallel
 from strainwave.pipeline.elastic_joints import JointStage, fit_elastic_joints, typical_joints
 from strainwave.pipeline.inputs import Inputs
@@ -39,6 +41,7 @@ class ElasticStages:
 
     records: tuple[RecordModel, ...] = ()
     joints: tuple[JointModel, ...] = ()
+    torsions: tuple[TorsionFit, ...] = ()
     responses: Mapping[int, FrequencyResponse] = field(default_factory=dict)
     links: tuple[LinkSummary, ...] = ()
     whole_arm: ArmModel | None = None
@@ -84,9 +87,14 @@ def fit_elastic_arm(
         motor_responses = _compare_motors(inputs, outcome, start.joints, reporter)
         predicted = (warning for each in checks for warning in each.warnings)
         warnings = (*kept, *outcome.warnings, *predicted)
+    torsions: tuple[TorsionFit, ...] = ()
+    if not isinstance(outcome, ArmModel) and rigid_model is not None:
+        torsions, of_torsions = _fit_torsions(inputs, rigid_model, stage, reporter)
+        warnings += of_torsions
     return ElasticStages(
         records,
         stage.joints,
+        torsions,
         stage.responses,
         stage.links,
         outcome if isinstance(outcome, ArmModel) else None,
@@ -95,6 +103,20 @@ def fit_elastic_arm(
         warnings,
         stage.failures,
     )
+
+
+def _fit_torsions(
+    inputs: Inputs, rigid_model: RigidModel, stage: JointStage, reporter: Reporter
+) -> tuple[tuple[TorsionFit, ...], tuple[Diagnostic, ...]]:
+    """Stiffness of joints without a model, where encoders on both sides show the torsion."""
+    fitted = {joint.joint for joint in stage.joints}
+    elastic = [i for i, joint in enumerate(inputs.arm.joints, start=1) if joint.elastic]
+    # the torsion of a coupled link is that of several gears
+    if inputs.arm.is_coupled or rigid_model.status == "not-identifiable":
+        return (), ()
+    with reporter.measure_time("decoupled"):
+        missing = [i for i in elastic if i not in fitted]
+        return fit_torsions(inputs.logs_of("motion"), rigid_model, inputs.arm, missing)
 
 
 def _fit_whole_arm(

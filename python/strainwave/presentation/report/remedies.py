@@ -69,8 +69,12 @@ _RESULT = {
         "Log the angle and the voltage of every motor; check signs, units and channel assignment.",
     ),
     "no-frequency-record": Advice(
-        "The gears are identified from steps alone, or not at all.",
+        "The gears are identified from steps or torsion alone, or not at all.",
         'Record a PRBS on each joint with use = "frequency".',
+    ),
+    "no-torsion": Advice(
+        "The encoders of the joint do not determine the stiffness of its gear.",
+        "Record motion in which gravity or acceleration loads the gear more, or a PRBS.",
     ),
     "iteration-limit": Advice(
         "The values are provisional; do not trust the intervals.",

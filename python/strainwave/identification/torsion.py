@@ -1,0 +1,249 @@
+"""Gear stiffness from the torsion that encoders on both sides of a gear show in slow motion.
+
+The links' torque, which the rigid model predicts, twists the gear by delta = n theta_M - theta_L:
+
+    delta = tau / k + a ddq + b dq + c
+
+The column of the own acceleration absorbs the part of the inertia that rigid motion does not
+separate from the motor's; that of the velocity absorbs the link's viscous friction and a delay
+between the encoders. Each record has its own zero c. The gear damping is negligible far below the
+resonance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from strainwave.domain import (
+    BoolArray,
+    Diagnostic,
+    FloatArray,
+    IntArray,
+    Log,
+    Parameter,
+    Place,
+    RigidModel,
+    Signals,
+    TorsionFit,
+)
+from strainwave.domain.distributions import student_quantile
+from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.units import unit_in
+from strainwave.dynamics.arm import Arm
+from strainwave.identification.rigid.repetition import period_of
+from strainwave.numerics.filters import differentiate, low_pass
+from strainwave.numerics.parallel import run_parallel
+from strainwave.signals.channels import unmeasured
+from strainwave.signals.motor import prepare_motor_signals
+
+_BLOCKS = 20  # of the jackknife, of all records together
+_ROWS_PER_CUTOFF = 4.0  # rows per period of the filter's cut-off
+# the torques are nonlinear in the motion, which keeps frequencies up to eight cut-offs
+_MOTION_RATE = 32.0
+_MIN_WEIGHT = 1e-10  # of a direction of columns that counts as zero
+_EDGE_PERIODS = 2.5  # of the cut-off, after which the filter's response to the ends has decayed
+
+
+@dataclass(frozen=True, slots=True)
+class _Record:
+    """One record at the rows of the regression, all low-passed to the rigid model's bandwidth."""
+
+    name: str
+    torque: FloatArray  # (n_rows, n_joints, n_body) [N m] of the links, per base parameter
+    payload: FloatArray  # (n_rows, n_joints) [N m] that a known payload adds
+    velocity: FloatArray  # (n_rows, n_joints)
+    acceleration: FloatArray  # (n_rows, n_joints)
+    torsion: FloatArray  # (n_rows, n_joints) [rad, m]; zero without a reading
+    valid: BoolArray  # (n_rows, n_joints)
+    phase: FloatArray  # (n_rows,) 0 to 1 within one period of the motion
+
+
+def measures_torsion(log: Log, joint: int) -> bool:
+    """Whether a record has the motion of both sides of a gear; `joint` counts from 1."""
+    return f"theta_l{joint}" in log.channels or f"deflection{joint}" in log.channels
+
+
+def fit_torsions(
+    logs: Sequence[Log], model: RigidModel, arm: Arm, joints: Sequence[int]
+) -> tuple[tuple[TorsionFit, ...], tuple[Diagnostic, ...]]:
+    """Estimate the stiffness of joints, numbered from 1, from records of slow motion.
+
+    Joints without torsion in any record are left out. A joint whose torsion does not follow its
+    torque gets a warning instead of an estimate.
+    """
+    joints = [j for j in joints if any(measures_torsion(log, j) for log in logs)]
+    if not joints:
+        return (), ()
+    records = run_parallel([partial(_prepare, log, model.bandwidth_hz, arm) for log in logs])
+    fits = [_fit_joint([r for r in records if r is not None], model, arm, j) for j in joints]
+    return (
+        tuple(fit for fit in fits if isinstance(fit, TorsionFit)),
+        tuple(fit for fit in fits if isinstance(fit, Diagnostic)),
+    )
+
+
+def _prepare(log: Log, bandwidth_hz: float, arm: Arm) -> _Record | None:
+    """The rows of a record; None if it is shorter than the filter needs."""
+    signals, T = prepare_motor_signals(log, arm), log.sample_time
+    edge = int(_EDGE_PERIODS / (bandwidth_hz * T))
+    step = max(1, int(1.0 / (_MOTION_RATE * bandwidth_hz * T)))
+    per_row = max(1, int(1.0 / (_ROWS_PER_CUTOFF * bandwidth_hz * T)) // step)
+    rows = np.arange(edge - edge % step, len(log) - edge, step * per_row)
+    if not len(rows):
+        return None
+    torsion, is_measured = _torsion(log, arm)
+    q, dq, ddq = _link_motion(signals, torsion, bandwidth_hz, step, arm)
+
+    def filtered(values: FloatArray) -> FloatArray:
+        return low_pass(values, bandwidth_hz, T, decimated=step)[rows // step]
+
+    regressor = arm.base_regressor(q, dq, ddq) @ arm.links_of_rigid(0.5)
+    added = arm.link_torques(arm.payload_vector(log.experiment.payload), q, dq, ddq)
+    gap = round(1.0 / (8.0 * bandwidth_hz * T))
+    valid = _clear_of(signals.valid & is_measured, gap)
+    span = min(period_of(signals), float(len(log)))
+    return _Record(
+        log.name,
+        filtered(regressor),
+        filtered(added),
+        filtered(dq),
+        filtered(ddq),
+        low_pass(torsion, bandwidth_hz, T, kept=slice(0, None, step))[rows // step],
+        valid[rows],
+        np.asarray((rows % span) / span, dtype=np.float64),
+    )
+
+
+def _link_motion(
+    signals: Signals, torsion: FloatArray, bandwidth_hz: float, step: int, arm: Arm
+) -> Iterator[FloatArray]:
+    """Angle, velocity and acceleration of the links, (n_motion, n_joints), at every step."""
+    T = signals.sample_time
+    twist = low_pass(torsion, 2.0 * bandwidth_hz, T)  # twice: it is differentiated twice
+    for motors in (signals.motor_angle, signals.motor_velocity, signals.motor_acceleration):
+        yield np.ascontiguousarray((arm.links_of(motors) - twist)[::step])
+        twist = differentiate(twist, T)
+
+
+def _torsion(log: Log, arm: Arm) -> tuple[FloatArray, BoolArray]:
+    """Torsion [rad, m], (n_samples, n_joints), and where it is measured; zero without a reading."""
+    motors = np.column_stack([log.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)])
+    torsion, is_measured = arm.links_of(motors), np.zeros(motors.shape, dtype=bool)
+    for i in range(arm.n_joints):
+        second, sensor = f"theta_l{i + 1}", f"deflection{i + 1}"
+        if second in log.channels:
+            torsion[:, i] -= log.channels[second]
+        elif sensor in log.channels:
+            torsion[:, i] = -log.channels[sensor]
+        else:
+            torsion[:, i] = 0.0
+            continue
+        is_measured[:, i] = ~unmeasured(log, (second, sensor))
+    return torsion, is_measured
+
+
+def _clear_of(valid: BoolArray, gap: int) -> BoolArray:
+    """Samples that are valid with all samples up to `gap` before and after."""
+    counts = np.concatenate([np.zeros((1, valid.shape[1])), np.cumsum(~valid, axis=0)])
+    at = np.arange(len(valid))
+    first, last = np.maximum(at - gap, 0), np.minimum(at + gap + 1, len(valid))
+    return np.asarray(counts[last] == counts[first])
+
+
+@dataclass(frozen=True, slots=True)
+class _Equations:
+    """Regression of one joint, all records together."""
+
+    per_parameter: FloatArray  # (n_rows, n_body) [N m] torque per base parameter
+    payload: FloatArray  # (n_rows,) [N m]
+    others: FloatArray  # (n_rows, 2 + n_records) acceleration, velocity, one per record
+    torsion: FloatArray  # (n_rows,) [rad, m]
+    block: IntArray  # (n_rows,) of the jackknife
+
+    @staticmethod
+    def of(records: Sequence[_Record], joint: int) -> _Equations | None:
+        """The rows of a joint, from 0; None if there are too few."""
+        parts = [(r, r.valid[:, joint]) for r in records if r.valid[:, joint].any()]
+        per_record = max(2, round(_BLOCKS / max(1, len(parts))))
+        blocks = [k * per_record + (per_record * r.phase[at]) for k, (r, at) in enumerate(parts)]
+        block = np.concatenate(blocks or [np.zeros(0)]).astype(np.int64)
+        n_columns = 3 + len(parts)
+        if len(np.unique(block)) < 3 or len(block) <= 2 * n_columns:
+            return None
+        number = np.repeat(np.arange(len(parts)), [int(at.sum()) for _, at in parts])
+        others = [
+            np.concatenate([r.acceleration[at, joint] for r, at in parts]),
+            np.concatenate([r.velocity[at, joint] for r, at in parts]),
+            *(number == k for k in range(len(parts))),
+        ]
+        return _Equations(
+            np.concatenate([r.torque[at, joint] for r, at in parts]),
+            np.concatenate([r.payload[at, joint] for r, at in parts]),
+            np.column_stack(others),
+            np.concatenate([r.torsion[at, joint] for r, at in parts]),
+            block,
+        )
+
+
+def _fit_joint(
+    records: Sequence[_Record], model: RigidModel, arm: Arm, joint: int
+) -> TorsionFit | Diagnostic:
+    """The stiffness of one joint, from 1, with its interval; a warning without one."""
+    key, lacking = (STIFFNESS, joint), Diagnostic("no-torsion", Place(joint=joint), joint=joint)
+    equations = _Equations.of(records, joint - 1)
+    if equations is None:
+        return lacking
+    solution = model.solution[: arm.n_body]
+    torque = equations.per_parameter @ solution + equations.payload
+    compliance, own = _slope(torque, equations.others, equations.torsion)
+    residual = own.torsion - compliance * own.torque
+    without = [equations.block != block for block in np.unique(equations.block)]
+    parts = [_slope(torque[at], equations.others[at], equations.torsion[at])[0] for at in without]
+    # errors of the rigid model shift the torque along its columns
+    shifts = _projected(equations.per_parameter, equations.others)
+    change = (residual - compliance * own.torque) @ shifts / (own.torque @ own.torque)
+    of_model = np.nan_to_num(model.covariance[: arm.n_body, : arm.n_body])
+    variance = (len(parts) - 1) * float(np.var(parts)) + float(change @ of_model @ change)
+    half = student_quantile(0.975, len(parts) - 1) * float(np.sqrt(variance))
+    if not compliance > half:
+        return lacking
+    value, ends = 1.0 / compliance, (1.0 / (compliance + half), 1.0 / (compliance - half))
+    std = float(np.sqrt(variance)) * value**2
+    return TorsionFit(
+        joint,
+        tuple(record.name for record in records if record.valid[:, joint - 1].any()),
+        Parameter(*key, value, std, unit_in(arm, key), "decoupled", ends),
+        own.torque,
+        own.torsion,
+        100.0 * (1.0 - float(np.linalg.norm(residual) / np.linalg.norm(own.torsion))),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Own:
+    """Torque and torsion without the parts that follow the other columns."""
+
+    torque: FloatArray
+    torsion: FloatArray
+
+
+def _slope(torque: FloatArray, others: FloatArray, torsion: FloatArray) -> tuple[float, _Own]:
+    """Coefficient of the torque in the regression of the torsion on it and on other columns."""
+    own = _projected(np.column_stack([torque, torsion]), others)
+    squares = float(own[:, 0] @ own[:, 0])
+    slope = float(own[:, 0] @ own[:, 1]) / squares if squares > 0.0 else 0.0
+    return slope, _Own(own[:, 0], own[:, 1])
+
+
+def _projected(columns: FloatArray, others: FloatArray) -> FloatArray:
+    """The parts of columns that are orthogonal to others."""
+    scale = np.linalg.norm(others, axis=0)
+    basis, weights, _ = np.linalg.svd(
+        others / np.where(scale > 0.0, scale, 1.0), full_matrices=False
+    )
+    basis = basis[:, weights > _MIN_WEIGHT * weights[0]]
+    return np.asarray(columns - basis @ (basis.T @ columns))
