@@ -89,6 +89,7 @@ class Chain:
     engine: str
     sensors: str
     noise: SensorNoise
+    sample_time: float = _SAMPLE_TIME
 
 
 def draw_chain(seed: int, numbers: Sequence[int] = _JOINT_NUMBERS) -> Chain:
@@ -245,8 +246,12 @@ def _experiments(n: int) -> tuple[Experiment, ...]:
 
 
 def evaluate(seed: int, stages: tuple[str, ...], numbers: Sequence[int]) -> dict[str, Any]:
-    """Simulate and identify one chain; a failure is returned as a result."""
-    chain = draw_chain(seed, numbers)
+    """Draw, simulate and identify one chain; a failure is returned as a result."""
+    return identify_chain(draw_chain(seed, numbers), seed, stages)
+
+
+def identify_chain(chain: Chain, seed: int, stages: tuple[str, ...]) -> dict[str, Any]:
+    """Simulate and identify a chain; a failure is returned as a result."""
     arm = Arm.of(chain.study.arm)
     head = {"seed": seed, "joints": arm.n_joints, "engine": chain.engine, "sensors": chain.sensors}
     with TemporaryDirectory() as folder:
@@ -258,7 +263,7 @@ def evaluate(seed: int, stages: tuple[str, ...], numbers: Sequence[int]) -> dict
                 seed=seed,
                 noise=chain.noise,
                 as_recorded=False,
-                sample_time=_SAMPLE_TIME,
+                sample_time=chain.sample_time,
                 simulator=_ENGINES[chain.engine],
             )
             path = Path(folder) / "study.toml"

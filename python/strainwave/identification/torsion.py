@@ -123,7 +123,8 @@ def _link_motion(
 ) -> Iterator[FloatArray]:
     """Angle, velocity and acceleration of the links, (n_motion, n_joints), at every step."""
     T = signals.sample_time
-    twist = low_pass(torsion, 2.0 * bandwidth_hz, T)  # twice: it is differentiated twice
+    # the zero of the link encoder is unknown; the bandwidth is double for two differentiations
+    twist = low_pass(torsion - torsion.mean(axis=0), 2.0 * bandwidth_hz, T)
     for motors in (signals.motor_angle, signals.motor_velocity, signals.motor_acceleration):
         yield np.ascontiguousarray((arm.links_of(motors) - twist)[::step])
         twist = differentiate(twist, T)

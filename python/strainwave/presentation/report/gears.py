@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Identification, Parameter, TorqueHistogram
+from strainwave.domain import FloatArray, Identification, Parameter, TorqueHistogram, TorsionFit
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.gear_laws import GearLaw, gear_law
 from strainwave.presentation.figures import (
@@ -27,6 +27,7 @@ from strainwave.presentation.figures import (
 _POINTS_PER_SEGMENT = 200  # of a curve between two knees
 _RANGE_BEYOND_LAST_KNEE = 1.5  # largest torque drawn over the last knee if the loads are unknown
 _KNEE_MARGIN = 1e-9  # share of a segment omitted at its ends, where the stiffness jumps
+_MAX_TORSION_POINTS = 1500
 _KNEE_SIZE = 9.0  # [px] of a knee marker
 
 
@@ -126,6 +127,30 @@ def torsion_figure(curve: StiffnessCurve) -> Figure:
     )
     axis = Axis(f"gear torsion at the link [{'mm' if curve.is_prismatic else 'mrad'}]")
     return Figure(axis, (Panel(Axis(f"gear torque [{curve.torque_unit}]"), marks),))
+
+
+def measured_torsion_figure(fit: TorsionFit, *, is_prismatic: bool = False) -> Figure:
+    """Torque of the rigid model over the measured torsion, and the line of the stiffness."""
+    step = -(-len(fit.torque) // _MAX_TORSION_POINTS)
+    torque, torsion = fit.torque[::step], 1e3 * fit.torsion[::step]
+    ends = np.array([torque.min(), torque.max()])
+    stiffness = fit.stiffness.value or np.inf
+    marks = (
+        Markers(torsion, torque, "measured", Colour.MEASURED, 3.0, 0.4),
+        Line(1e3 * ends / stiffness, ends, "estimated stiffness", Colour.MODEL, width=2.0),
+    )
+    axis = Axis(f"measured torsion [{'mm' if is_prismatic else 'mrad'}]")
+    return Figure(axis, (Panel(Axis(f"link torque [{'N' if is_prismatic else 'N m'}]"), marks),))
+
+
+def describe_measured(fit: TorsionFit) -> str:
+    """Caption of the figure of the measured torsion."""
+    p = fit.stiffness
+    return (
+        f"Stiffness {p.value:.4g} ± {p.std:.2g} {p.unit} from {', '.join(fit.experiments)}: the"
+        f" torque explains {fit.fit_percent:.1f} % of the torsion, without offsets and without the"
+        " parts that follow acceleration and velocity."
+    )
 
 
 def describe(curve: StiffnessCurve) -> str:

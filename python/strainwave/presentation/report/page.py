@@ -357,6 +357,12 @@ def _gear_blocks(result: Identification) -> Iterator[Block]:
         if curve.is_nonlinear:
             label = f"Gear {curve.joint}: torque over torsion"
             yield Plot(replace(name, part="torsion"), label, gears.torsion_figure(curve))
+    for fit in result.torsions:
+        label = f"Gear {fit.joint}: link torque over measured torsion"
+        is_prismatic = result.study.arm.joints[fit.joint - 1].motion == "prismatic"
+        figure = gears.measured_torsion_figure(fit, is_prismatic=is_prismatic)
+        name = FigureName("gear", fit.joint, part="torsion")
+        yield Plot(name, label, figure, gears.describe_measured(fit))
 
 
 def _residual_blocks(result: Identification) -> Iterator[Block]:
