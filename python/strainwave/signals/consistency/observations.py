@@ -371,7 +371,8 @@ def _observe_torques(evidence: Evidence) -> Iterator[Observation]:
     estimates = []
     for each in regress_torques(evidence):
         estimates.append(each)
-        place = Place(channel=f"u{each.joint}")
+        names = f"torque{each.joint}", f"u{each.joint}"
+        place = Place(channel=next(name for name in names if name in evidence.channels))
         yield Observation("inertia", place, each.inertia, each.inertia_std)
         yield Observation("explained-share", Place(joint=each.joint), each.explained, 0.0)
     if evidence.geometries:
