@@ -40,6 +40,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.arm import Imu, Origin, Vector
 from strainwave.domain.keys import Key, Values, label_of
+from strainwave.domain.study import Channel
 from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise, simulate
@@ -66,6 +67,9 @@ _N_POSTURES = 50  # at which loads of gears are evaluated
 _ACCELERATION = 4.0  # [rad/s^2] of all links, for the size of the gears
 _ENGINES: dict[str, Simulator] = {"own": simulate, "mujoco": in_mujoco}
 _SENSORS = ("imu", "motor")
+# channels of each set of sensors on the links; IMUs are in the study
+_LINK_CHANNELS = {"imu": "", "motor": "", "encoder": "theta_l", "torque": "tau_l"}
+_LINK_COUNTS = 2**20  # of a link encoder, per turn
 _JOINT_NUMBERS = (2, 3, 4, 5, 6, 7)
 _CLASSES: dict[str, Callable[[str], bool]] = {
     "stiffness": lambda name: name.startswith("gear_stiffness"),
@@ -92,12 +96,19 @@ class Chain:
     sample_time: float = _SAMPLE_TIME
 
 
-def draw_chain(seed: int, numbers: Sequence[int] = _JOINT_NUMBERS) -> Chain:
+def draw_chain(
+    seed: int, numbers: Sequence[int] = _JOINT_NUMBERS, sensors_in_turn: Sequence[str] = _SENSORS
+) -> Chain:
     """Chain of a seed; the seeds cycle through all `numbers` of joints, engines and sensors."""
     rng = np.random.default_rng([7, 2, seed])
     turn = seed // len(numbers)
     n = numbers[seed % len(numbers)]
-    engine, sensors = list(_ENGINES)[turn % 2], _SENSORS[(seed + turn // 2) % 2]
+    engine, sensors = (
+        list(_ENGINES)[turn % 2],
+        sensors_in_turn[(seed + turn // 2) % len(sensors_in_turn)],
+    )
+    if sensors == "torque":
+        engine = "own"  # the other has no torque sensors
     origins = _draw_origins(rng, n)
     links = _draw_links(rng, origins)
     gravity = np.array([0.0, 0.0, -_GRAVITY])
@@ -114,7 +125,12 @@ def draw_chain(seed: int, numbers: Sequence[int] = _JOINT_NUMBERS) -> Chain:
         values |= {(name, i): float(x) for name, x in zip(names, link, strict=True)}
         values |= {(name, i): float(x) for name, x in drive.values.items()}
     joints = [
-        replace(drive.joint, origin=origin, imu=_draw_imu(rng) if sensors == "imu" else None)
+        replace(
+            drive.joint,
+            origin=origin,
+            imu=_draw_imu(rng) if sensors == "imu" else None,
+            link_encoder_counts=_LINK_COUNTS if sensors == "encoder" else None,
+        )
         for drive, origin in zip(drives, origins, strict=True)
     ]
     gains = tuple(drive.gain for drive in drives)
@@ -126,7 +142,12 @@ def draw_chain(seed: int, numbers: Sequence[int] = _JOINT_NUMBERS) -> Chain:
         limit=_VOLTAGE_LIMIT,
     )
     arm = replace(arm, joints=tuple(joints), servo=servo)
-    study = Study(arm=arm, experiments=_experiments(n), path=Path("study.toml"))
+    study = Study(
+        arm=arm,
+        experiments=_experiments(n),
+        path=Path("study.toml"),
+        channels=channels_with(_LINK_CHANNELS[sensors], n),
+    )
     peak = max(
         _PEAK_SHARE
         * drive.joint.torque_per_command
@@ -138,6 +159,14 @@ def draw_chain(seed: int, numbers: Sequence[int] = _JOINT_NUMBERS) -> Chain:
     )
     noise = SensorNoise(accelerometer_range=max(5.0 * _GRAVITY, peak))
     return Chain(study, values, engine, sensors, noise)
+
+
+def channels_with(link_kind: str, n: int) -> dict[str, Channel]:
+    """Channels of the motors and of one kind of sensor on each link; none if `link_kind` is ""."""
+    if not link_kind:
+        return {}
+    names = [f"{kind}{i}" for i in range(1, n + 1) for kind in ("u", "theta_m", "ref", link_kind)]
+    return {name: Channel(name) for name in ("t", *names)}
 
 
 def _draw_origins(rng: np.random.Generator, n: int) -> list[Origin]:
@@ -245,9 +274,11 @@ def _experiments(n: int) -> tuple[Experiment, ...]:
     return tuple(experiments)
 
 
-def evaluate(seed: int, stages: tuple[str, ...], numbers: Sequence[int]) -> dict[str, Any]:
+def evaluate(
+    seed: int, stages: tuple[str, ...], numbers: Sequence[int], sensors: Sequence[str] = _SENSORS
+) -> dict[str, Any]:
     """Draw, simulate and identify one chain; a failure is returned as a result."""
-    return identify_chain(draw_chain(seed, numbers), seed, stages)
+    return identify_chain(draw_chain(seed, numbers, sensors), seed, stages)
 
 
 def identify_chain(chain: Chain, seed: int, stages: tuple[str, ...]) -> dict[str, Any]:
@@ -329,7 +360,7 @@ def silently_wrong(row: dict[str, Any]) -> list[str]:
 def tabulate(rows: Sequence[dict[str, Any]]) -> list[Table]:
     """Tables of classes of parameters, of chains, and of times by number of joints."""
     classes = Table("class", "sensors", "values", "inside", "rms error", "largest error", box=None)
-    for sensors in _SENSORS:
+    for sensors in _LINK_CHANNELS:
         parameters = [
             p
             for row in rows
@@ -372,6 +403,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--chains", type=int, default=50)
     parser.add_argument("--joints", default="2,3,4,5,6,7", help="lengths of the chains, in turn")
+    parser.add_argument("--sensors", default=",".join(_SENSORS), help="imu, motor, encoder, torque")
     parser.add_argument("--stages", default=",".join(STAGES))
     parser.add_argument("--at-once", type=int, default=os.cpu_count())
     parser.add_argument(
@@ -383,7 +415,8 @@ def main() -> None:
     options = parser.parse_args()
     numbers = [int(n) for n in options.joints.split(",")]
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    work = partial(evaluate, stages=tuple(options.stages.split(",")), numbers=numbers)
+    stages, sensors = tuple(options.stages.split(",")), options.sensors.split(",")
+    work = partial(evaluate, stages=stages, numbers=numbers, sensors=sensors)
     rows, console = [], Console(width=160)
     for row in run_all(range(options.chains), work, options.out, options.at_once):
         rows.append(row)

@@ -22,35 +22,23 @@ from rich.console import Console
 from benchmarks.studies.arms import run_all
 from benchmarks.studies.drawn_chains import Chain, draw_chain, identify_chain, silently_wrong
 from strainwave.domain import Control, Experiment, Use
-from strainwave.domain.study import Channel
 
-_LINK_COUNTS = 2**20  # of a link encoder, per turn
 _SAMPLE_TIME = 1e-3  # [s]
 _MOTIONS = 4
 
 
 def slow_chain(seed: int, numbers: Sequence[int]) -> Chain:
     """The drawn chain of a seed with link encoders and slow motion."""
-    chain = draw_chain(seed, numbers)
-    joints = [
-        replace(j, imu=None, link_encoder_counts=_LINK_COUNTS) for j in chain.study.arm.joints
-    ]
-    names = [f"{kind}{i + 1}" for i in range(len(joints)) for kind in ("u", "theta_m", "theta_l")]
-    names += [f"ref{i + 1}" for i in range(len(joints))]
+    chain = draw_chain(seed, numbers, ["encoder"])
     servo: Control = "servo"
     motion: Use = "motion"
     uses = (*[motion] * _MOTIONS, "check")
     experiments = tuple(
-        Experiment(f"motion-{k}", f"motion-{k}.parquet", use, (servo,) * len(joints))
+        Experiment(f"motion-{k}", f"motion-{k}.parquet", use, (servo,) * chain.study.arm.n_joints)
         for k, use in enumerate(uses, start=1)
     )
-    study = replace(
-        chain.study,
-        arm=replace(chain.study.arm, joints=tuple(joints)),
-        experiments=experiments,
-        channels={name: Channel(name) for name in ("t", *names)},
-    )
-    return replace(chain, study=study, sensors="encoders", sample_time=_SAMPLE_TIME)
+    study = replace(chain.study, experiments=experiments)
+    return replace(chain, study=study, sample_time=_SAMPLE_TIME)
 
 
 def evaluate(seed: int, numbers: Sequence[int]) -> dict[str, Any]:
