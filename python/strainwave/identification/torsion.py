@@ -34,11 +34,11 @@ from strainwave.domain.distributions import student_quantile
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.rigid.repetition import period_of
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.channels import unmeasured
 from strainwave.signals.motor import prepare_motor_signals
+from strainwave.signals.repetition import period_of
 
 _BLOCKS = 20  # of the jackknife, of all records together
 _ROWS_PER_CUTOFF = 4.0  # rows per period of the filter's cut-off

@@ -11,8 +11,8 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.identification import rigid
 from strainwave.identification.rigid.bandwidth import bandwidths_of
-from strainwave.identification.rigid.repetition import period_of
 from strainwave.signals import motor as signals
+from strainwave.signals.repetition import period_of
 
 CLOCK = virtual_arms.CLOCK
 PERIOD = 4.0
