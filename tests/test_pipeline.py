@@ -147,5 +147,5 @@ def test_coupled_joints_start_from_typical_values_without_records_of_their_gears
     inputs = Inputs(study, arm, (), ("decoupled",))
     stage = fit_elastic_joints(inputs, None, Reporter(inputs.stages, lambda _: None))
     assert not stage.joints
-    assert "only step records" in stage.warnings[0].message
+    assert "typical values" in stage.warnings[0].message
     assert not typical_joints(inputs, None).warnings  # without step records

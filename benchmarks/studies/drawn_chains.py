@@ -103,12 +103,9 @@ def draw_chain(
     rng = np.random.default_rng([7, 2, seed])
     turn = seed // len(numbers)
     n = numbers[seed % len(numbers)]
-    engine, sensors = (
-        list(_ENGINES)[turn % 2],
-        sensors_in_turn[(seed + turn // 2) % len(sensors_in_turn)],
-    )
-    if sensors == "torque":
-        engine = "own"  # the other has no torque sensors
+    sensors = sensors_in_turn[(seed + turn // 2) % len(sensors_in_turn)]
+    # MuJoCo has no torque sensors here
+    engine = "own" if sensors == "torque" else list(_ENGINES)[turn % 2]
     origins = _draw_origins(rng, n)
     links = _draw_links(rng, origins)
     gravity = np.array([0.0, 0.0, -_GRAVITY])
@@ -287,16 +284,7 @@ def identify_chain(chain: Chain, seed: int, stages: tuple[str, ...]) -> dict[str
     head = {"seed": seed, "joints": arm.n_joints, "engine": chain.engine, "sensors": chain.sensors}
     with TemporaryDirectory() as folder:
         try:
-            simulate_study(
-                chain.study,
-                chain.values,
-                Path(folder),
-                seed=seed,
-                noise=chain.noise,
-                as_recorded=False,
-                sample_time=chain.sample_time,
-                simulator=_ENGINES[chain.engine],
-            )
+            simulate_chain(chain, Path(folder), seed)
             path = Path(folder) / "study.toml"
             begin, cpu = time.perf_counter(), time.process_time()
             result = identify(path, stages=stages)
@@ -304,6 +292,20 @@ def identify_chain(chain: Chain, seed: int, stages: tuple[str, ...]) -> dict[str
             return head | _errors(result, derived(chain.values, read_study(path).arm))
         except Exception as failure:  # counted, so that the other chains run
             return head | {"failure": f"{type(failure).__name__}: {failure}"}
+
+
+def simulate_chain(chain: Chain, folder: Path, seed: int) -> None:
+    """Write the logs and the study of a chain to a folder."""
+    simulate_study(
+        chain.study,
+        chain.values,
+        folder,
+        seed=seed,
+        noise=chain.noise,
+        as_recorded=False,
+        sample_time=chain.sample_time,
+        simulator=_ENGINES[chain.engine],
+    )
 
 
 def _errors(result: Identification, true_values: Values) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from benchmarks.studies.engine import in_mujoco
+from benchmarks.studies.drawn_chains import simulate_chain
 from benchmarks.studies.slow_motion import slow_chain
 
 from strainwave.domain import FloatArray, Identification, Log, RigidModel, TorsionFit
@@ -16,7 +16,6 @@ from strainwave.dynamics.arm import Arm
 from strainwave.identification.torsion import fit_torsions
 from strainwave.pipeline import identify
 from strainwave.presentation.report import figures_of
-from strainwave.virtual.experiments import simulate_study
 
 SEED, JOINTS = 3, (1, 2)  # a chain with two joints under gravity
 
@@ -43,16 +42,9 @@ class Case:
 @pytest.fixture(scope="module")
 def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
     folder, chain = tmp_path_factory.mktemp("slow"), slow_chain(SEED, [2, 3, 4])
-    simulate_study(
-        replace(chain.study, experiments=chain.study.experiments[:2]),
-        chain.values,
-        folder,
-        seed=SEED,
-        noise=chain.noise,
-        as_recorded=False,
-        sample_time=chain.sample_time,
-        simulator=in_mujoco,
-    )
+    assert chain.engine == "mujoco"
+    study = replace(chain.study, experiments=chain.study.experiments[:2])
+    simulate_chain(replace(chain, study=study), folder, SEED)
     result = identify(folder / "study.toml", stages=("rigid", "decoupled"))
     return Case(result, chain.values)
 

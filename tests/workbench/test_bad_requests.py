@@ -21,6 +21,7 @@ from starlette.testclient import TestClient
 
 import strainwave as sw
 from strainwave.workbench.app import create_app
+from strainwave.workbench.gate import run_check
 from strainwave.workbench.pages import ROUTES
 from strainwave.workbench.runs import Run, Runs
 from strainwave.workbench.server import ServerOptions
@@ -46,7 +47,7 @@ BODIES: dict[str, dict[str, Any]] = {
     "remove-run": {"name": "two"},
     "export": {"name": "one", "format": "json"},
     "design": {"kind": "tune", "parameters": START, "options": {"seed": "1"}},
-    "estimate": {"name": "two", "stages": "rigid", "options": {"joints.order": "4"}},
+    "estimate": {"name": "two", "stages": "rigid", "options": {"statespace.order": "4"}},
 }
 ODD: st.SearchStrategy[Any] = st.sampled_from(
     [None, "", 0, -1, 99, 1e300, "x", "a\0", "../..", [], [1], ["a"], [[]], [None], {}, {"a": 1}]
@@ -67,10 +68,11 @@ def served(tmp_path_factory: pytest.TempPathFactory, arm_folder: Path) -> Iterat
     shutil.copytree(run, run.with_name("other"))
 
     def start(
-        _runs: Runs, name: str, kind: Any, commands: Sequence[Sequence[str]], **_: Any
+        _runs: Runs, name: str, kind: Any, commands: Sequence[Sequence[str]], note: str = ""
     ) -> Run:
-        return Run(name, kind, tuple(map(tuple, commands)), "")
+        return Run(name, kind, tuple(map(tuple, commands)), "", note=note)
 
+    run_check(folder / STUDY)  # opens the gate before an estimate
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Runs, "start", start)
         app = create_app(ServerOptions(folder), 8765)
@@ -112,6 +114,13 @@ def replaced(document: Any, place: tuple[Any, ...], value: Any) -> Any:
         table = table[key]
     table[place[-1]] = value
     return copy
+
+
+@pytest.mark.parametrize("route", ["by-hand-fit", "estimate"])
+def test_the_bodies_before_a_change_start_a_run(served: TestClient, route: str) -> None:
+    answer = served.post(f"/api/{route}/{STUDY}", json=BODIES[route])
+    assert answer.status_code == 200, answer.text
+    shutil.rmtree(Runs(study_file(served)).path(answer.json()["name"]))
 
 
 @settings(max_examples=100)

@@ -150,8 +150,8 @@ TEMPLATES: Mapping[str, str] = {
     "input-richness": "tau is nearly a linear function of u (eigenvalue ratio {ratio:.1g})|; excite"
     " all joints at once with independent sequences",
     "no-frequency-record": 'the study has no record with use = "frequency" or "sweep": without one'
-    " only step records, or link encoders in slow motion, show the gears|; record a PRBS on each"
-    " joint",
+    " the gears start from typical values in the whole-arm fit, if there are step records, and only"
+    " link encoders show their stiffness in slow motion|; record a PRBS on each joint",
     "no-torsion": "the torsion of gear {joint} does not follow the torque of its link|; record"
     " motion in which gravity or acceleration loads the gear more",
     "subspace-not-determined": "the predictor diverges on its own data|. Take off means and drifts,"
