@@ -38,6 +38,7 @@ from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.channels import unmeasured
 from strainwave.signals.motor import prepare_motor_signals
+from strainwave.signals.prepared_record import add_link_angles, prepare_record
 from strainwave.signals.repetition import period_of
 
 _BLOCKS = 20  # of the jackknife, of all records together
@@ -132,18 +133,14 @@ def _link_motion(
 
 def _torsion(log: Log, arm: Arm) -> tuple[FloatArray, BoolArray]:
     """Torsion [rad, m], (n_samples, n_joints), and where it is measured; zero without a reading."""
-    motors = np.column_stack([log.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)])
-    torsion, is_measured = arm.links_of(motors), np.zeros(motors.shape, dtype=bool)
+    with_angles = add_link_angles(log, arm)
+    links = arm.links_of(prepare_record(log, arm).motor_angle)
+    torsion, is_measured = np.zeros(links.shape), np.zeros(links.shape, dtype=bool)
     for i in range(arm.n_joints):
-        second, sensor = f"theta_l{i + 1}", f"deflection{i + 1}"
-        if second in log.channels:
-            torsion[:, i] -= log.channels[second]
-        elif sensor in log.channels:
-            torsion[:, i] = -log.channels[sensor]
-        else:
-            torsion[:, i] = 0.0
-            continue
-        is_measured[:, i] = ~unmeasured(log, (second, sensor))
+        second = f"theta_l{i + 1}"
+        if second in with_angles.channels:
+            torsion[:, i] = links[:, i] - with_angles.channels[second]
+            is_measured[:, i] = ~unmeasured(with_angles, (second,))
     return torsion, is_measured
 
 

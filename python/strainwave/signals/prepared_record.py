@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +19,7 @@ from strainwave.signals.channels import (
     channel_of,
     detect_saturation,
     directions,
+    unmeasured,
 )
 from strainwave.signals.drive_law import DriveLaw
 from strainwave.signals.held_commands import held_commands
@@ -163,3 +164,14 @@ def _read_only(columns: Sequence[FloatArray]) -> FloatArray:
     array = np.column_stack(columns)
     array.setflags(write=False)
     return array
+
+
+def add_link_angles(log: Log, arm: Arm) -> Log:
+    """Add link angles of joints with measured deflection: motor side plus deflection."""
+    channels, masked = dict(log.channels), dict(log.masked)
+    for i in range(1, arm.n_joints + 1):
+        if f"deflection{i}" in channels and f"theta_l{i}" not in channels:
+            motor_side = arm.links_of(prepare_record(log, arm).motor_angle)
+            channels[f"theta_l{i}"] = motor_side[:, i - 1] + channels[f"deflection{i}"]
+            masked[f"theta_l{i}"] = unmeasured(log, (f"theta_m{i}", f"deflection{i}"))
+    return replace(log, channels=channels, masked=masked)

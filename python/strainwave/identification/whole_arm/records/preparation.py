@@ -22,7 +22,7 @@ from strainwave.identification.whole_arm.records.dataset import (
 )
 from strainwave.identification.whole_arm.records.low_pass import Kernels, low_pass_kernels
 from strainwave.signals.channels import unmeasured
-from strainwave.signals.prepared_record import prepare_record
+from strainwave.signals.prepared_record import add_link_angles, prepare_record
 from strainwave.signals.recorded_input import (
     driven_by_voltage,
     missing_motor_signal,
@@ -67,7 +67,7 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
     missing = missing_motor_signal(arm, log)
     if missing:
         raise InvalidInput(missing, where=log.name, remedy="log every motor's angle and voltage")
-    log = _add_link_angles(log, arm)
+    log = add_link_angles(log, arm)
     T = log.sample_time
     kernels = low_pass_kernels(cutoff_hz, T)
     n_taps = len(kernels.smooth)
@@ -159,17 +159,6 @@ def _decimate(record: Dataset, every: int) -> Dataset:
         noise=record.noise,
         begins_in_motion=record.begins_in_motion,
     )
-
-
-def _add_link_angles(log: Log, arm: Arm) -> Log:
-    """Add link angles of joints with measured deflection: motor side plus deflection."""
-    channels, masked = dict(log.channels), dict(log.masked)
-    for i in range(1, arm.n_joints + 1):
-        if f"deflection{i}" in channels and f"theta_l{i}" not in channels:
-            motor_side = arm.links_of(prepare_record(log, arm).motor_angle)
-            channels[f"theta_l{i}"] = motor_side[:, i - 1] + channels[f"deflection{i}"]
-            masked[f"theta_l{i}"] = unmeasured(log, (f"theta_m{i}", f"deflection{i}"))
-    return replace(log, channels=channels, masked=masked)
 
 
 def _unmasked_rows(log: Log, channels: Sequence[Axis], kernels: Kernels) -> BoolArray | None:
