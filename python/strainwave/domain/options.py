@@ -17,7 +17,7 @@ EstimationMethod = Literal["pem", "moesp", "n4sid", "subspace"]
 Channels = Literal["both", "motor"]
 Route = Literal["equations", "transfer-function"]
 
-PUBLISHED_RANGE = (0.5, 2.0)
+PUBLISHED_RANGE = (0.9, 1.1)
 """Default range of a parameter over its starting value for a fit with `as_published`."""
 
 

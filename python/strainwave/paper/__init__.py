@@ -16,6 +16,7 @@ from strainwave.paper.joint_estimates import evidence_of
 from strainwave.paper.page import to_markdown
 from strainwave.paper.rig import Rig, WholeArmEstimate
 from strainwave.paper.settings import OWN_SETTINGS, PUBLISHED_SETTINGS, Settings
+from strainwave.virtual.scara import SOFT, BuiltInArm
 
 __all__ = [
     "OWN_SETTINGS",
@@ -35,7 +36,7 @@ class ComparisonOptions:
     """Extent of the simulations."""
 
     figures: tuple[int, ...] = (2, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
-    amplitudes: tuple[float, ...] = (2.0, 4.0, 6.0, 8.0, 10.0)  # [V]
+    amplitudes: tuple[float, ...] = (4.0, 6.0, 8.0, 10.0)  # [V]; below, friction holds the motors
     payloads: tuple[int, ...] = (5, 3, 1, 0)  # [kg]
     records: int | None = None  # of one period at each amplitude; None: from the settings
 
@@ -45,17 +46,17 @@ def compare(
     *,
     seed: int = 0,
     settings: Settings = OWN_SETTINGS,
+    built_in: BuiltInArm = SOFT,
     options: ComparisonOptions | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Comparison, ...]:
     """All comparisons in the order of the source's figures.
 
-    `tuned` is the whole-arm fit of the arm with its full payload, computed here if None. `seed` is
-    that of sensor noise, motions and the start of the PRBS. `progress` receives the current
-    activity.
+    `whole_arm` is the fit of the arm with its full payload, computed here if None. `seed` is that
+    of sensor noise, motions and the start of the PRBS. `progress` receives the current activity.
     """
     comparison_options = options or ComparisonOptions()
-    rig = Rig(seed, settings, progress)
+    rig = Rig(seed, settings, progress, built_in)
     # verdicts must not depend on the number of threads that share a sum
     with one_blas_thread():
         comparisons = [
@@ -72,6 +73,7 @@ def compare_seeds(
     *,
     whole_arm: ArmModel | None = None,
     settings: Sequence[Settings] = (OWN_SETTINGS,),
+    built_in: BuiltInArm = SOFT,
     options: ComparisonOptions | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Tally, ...]:
@@ -83,7 +85,14 @@ def compare_seeds(
 
     def job(seed: int, run_settings: Settings) -> tuple[Comparison, ...]:
         fit = whole_arm if seed == seeds[0] and run_settings.protocol == "own" else None
-        run = compare(fit, seed=seed, settings=run_settings, options=options, progress=progress)
+        run = compare(
+            fit,
+            seed=seed,
+            settings=run_settings,
+            built_in=built_in,
+            options=options,
+            progress=progress,
+        )
         progress(f"seed {seed} is done")
         return (
             run if seed == seeds[0] else tuple(replace(comparison, plots=()) for comparison in run)

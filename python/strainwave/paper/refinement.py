@@ -96,9 +96,7 @@ def responses(rig: Rig, joint: int, whole_arm: WholeArmEstimate) -> Comparison:
             criterion_of(
                 "tuned-error",
                 errors["tuned_db"] - errors["modified_db"],
-                ", ".join(
-                    [rig.settings.why_not_better, *(f"{k} {v:+.1f}" for k, v in gear.items())]
-                ),
+                ", ".join(f"{name} {value:+.1f}" for name, value in gear.items()),
             ),
         ),
         evidence=(models.initial.evidence, models.evidence, *whole_arm.evidence),

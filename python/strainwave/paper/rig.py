@@ -38,7 +38,7 @@ from strainwave.paper.settings import OWN_SETTINGS, Settings
 from strainwave.paper.truth import equivalent, joint_with
 from strainwave.signals import motor as signals
 from strainwave.signals.link_motion import prepare_link_signals
-from strainwave.virtual import scara
+from strainwave.virtual.scara import SOFT, BuiltInArm
 from strainwave.virtual.plans import STEP_HOLD, smooth_reference
 
 Progress = Callable[[str], None]
@@ -48,7 +48,6 @@ MAX_AMPLITUDE = 10.0  # [V] limit of the rig's drives
 CLOCK_PERIOD = 1e-3  # [s] of servo and PRBS
 PRBS_ORDER = 10  # of the PRBS: 1023 clocks
 STEP_SAMPLE_TIME = 2.5e-4  # [s] of step records
-TUNING_STEPS = (0.0, 40.0, 0.0)  # [rad/s] of the motor
 _SERVOS: tuple[Control, Control] = ("servo", "servo")
 _SENSORS: tuple[Quantity, ...] = ("voltage", "encoder", "accelerometer")
 _TRUTH: tuple[Quantity, ...] = ("motor_angle", "link_angle", "link_velocity", "link_acceleration")
@@ -77,19 +76,24 @@ class WholeArmEstimate:
 
 
 class Rig:
-    """The virtual SCARA arm with three-slope gears and noisy sensors. Runs are cached.
+    """A built-in arm with three-slope gears and noisy sensors. Runs are cached.
 
     `seed` is that of sensor noise, motions and the start of the PRBS.
     """
 
     def __init__(
-        self, seed: int, settings: Settings = OWN_SETTINGS, progress: Progress = lambda _: None
+        self,
+        seed: int,
+        settings: Settings = OWN_SETTINGS,
+        progress: Progress = lambda _: None,
+        built_in: BuiltInArm = SOFT,
     ) -> None:
         self.seed = seed
+        self.built_in = built_in
         self.settings = settings
         self.progress = progress
         self.payload = DEFAULT_PAYLOAD
-        self.arm = Arm.of(scara.study(Path("rig")).arm)
+        self.arm = Arm.of(built_in.study(Path("rig")).arm)
         self.rigid = cache(self._rigid)
         self.prbs = cache(self._prbs)
         self.estimate = cache(self._estimate)
@@ -97,6 +101,10 @@ class Rig:
         self.transfer = cache(self._transfer)
         self.whole_arm = cache(self._whole_arm)
         self._prbs_start = int(self._rng(3).integers(2**PRBS_ORDER - 1))
+
+    def tuning_steps(self, joint: int) -> tuple[float, ...]:
+        """Reference [rad/s] of a motor in the record for fine tuning."""
+        return (0.0, self.built_in.step_speed[joint - 1], 0.0)
 
     def clear_caches(self) -> None:
         """Release all runs and models, which take some hundred megabytes."""
@@ -109,7 +117,7 @@ class Rig:
 
         `levels` [rad/s] are those of the motor for half a second each. `number` selects the noise.
         """
-        values = scara.parameters(DEFAULT_PAYLOAD)
+        values = self.built_in.parameters(DEFAULT_PAYLOAD)
         trajectory = run_steps(self.arm, values, levels, joint)
         name = f"steps-j{joint}-{number}"
         experiment = Experiment(name, f"{name}.csv", "tuning", _SERVOS, joint)
@@ -126,7 +134,7 @@ class Rig:
         reference = np.column_stack(
             [smooth_reference(joint.gear_ratio, CLOCK_PERIOD, rng) for joint in self.arm.joints]
         )
-        values = scara.parameters(disks)
+        values = self.built_in.parameters(disks)
         trajectory = _simulated(self.arm, values, _SERVOS, CLOCK_PERIOD, reference=reference)
         experiment = Experiment("motion", "motion.csv", "motion", _SERVOS)
         log = _log(experiment, trajectory, SensorNoise(), rng)
@@ -152,7 +160,7 @@ class Rig:
         sequence = excitation.prbs(Prbs(PRBS_ORDER, CLOCK_PERIOD, count, amplitude))
         voltage = np.zeros((len(sequence), 2))
         voltage[:, joint - 1] = np.roll(sequence, -start - self._prbs_start)
-        values = scara.parameters(disks)
+        values = self.built_in.parameters(disks)
         trajectory = _simulated(
             self.arm, values, control, self.settings.sample_time, voltage=voltage
         )
@@ -219,7 +227,7 @@ class Rig:
     def _whole_arm(self) -> WholeArmEstimate:
         """All parameters from a PRBS and a step of each joint, or as published."""
         self.progress("fine tuning")
-        logs = [self.steps(TUNING_STEPS, joint, 0) for joint in (1, 2)]
+        logs = [self.steps(self.tuning_steps(joint), joint, 0) for joint in (1, 2)]
         arm, name = self.arm, "whole arm"
         if self.settings.tuning.as_published:
             joints = [self.transfer(joint) for joint in (1, 2)]

@@ -22,7 +22,6 @@ class Settings:
     linear: LinearOptions = field(default_factory=LinearOptions)
     tuning: WholeArmOptions = field(default_factory=WholeArmOptions)
     records: int = 4  # of one period at each amplitude of Figs. 14 and 15
-    why_not_better: str = "the first model was already accurate"  # by fine tuning
 
 
 OWN_SETTINGS = Settings("own", sample_time=2.5e-4, periods=4)
@@ -36,7 +35,5 @@ PUBLISHED_SETTINGS = Settings(
     linear=LinearOptions(order=4, decimation=80, filter="decimation"),
     tuning=WholeArmOptions(as_published=True),
     records=1,
-    why_not_better="steps load the gear less than the PRBS does, and the one stiffness follows the "
-    "softer slope there",
 )
 """Settings of the source: 0.025 ms, one period of 1.023 s, decimated to 2 ms, order 4."""

@@ -11,12 +11,12 @@ from strainwave.domain.keys import Values
 from strainwave.identification.closed_loop import restrict_to_values
 from strainwave.numerics.filters import band_pass, low_pass
 from strainwave.paper.claims import comparison_of, criterion_of
-from strainwave.paper.rig import TUNING_STEPS, Rig, WholeArmEstimate, ideal_log, run_steps
+from strainwave.paper.rig import Rig, WholeArmEstimate, ideal_log, run_steps
 from strainwave.presentation.figures import Figure
 from strainwave.presentation.figures.curves import Series, pair
 from strainwave.signals.link_motion import prepare_link_signals
 
-_VALIDATION_STEPS = ((0.0, 60.0, 0.0), (0.0, 20.0, -20.0))  # [rad/s] of the motor
+_VALIDATION_STEPS = ((0.0, 1.5, 0.0), (0.0, 0.5, -0.5))  # over the speed of the tuning steps
 _MAX_SIGNAL_HZ = 100.0  # above, the velocity is noise
 _VIBRATION_HZ = (5.0, 60.0)  # band of the gears' vibration, above that of the servo
 
@@ -24,7 +24,7 @@ _VIBRATION_HZ = (5.0, 60.0)  # band of the gears' vibration, above that of the s
 def tuning(rig: Rig, before: WholeArmEstimate, after: WholeArmEstimate) -> Comparison:
     """Fig. 7: step of joint 1 and the response of the model before and after tuning."""
     models = {"before": before, "after": after}
-    steps = [_link_velocities(rig, m.values, TUNING_STEPS, 0) for m in models.values()]
+    steps = [_link_velocities(rig, m.values, rig.tuning_steps(1), 0) for m in models.values()]
     fits = [step.fit() for step in steps]
     vibration_fits = [step.vibration().fit() for step in steps]
     plots = [
@@ -33,7 +33,7 @@ def tuning(rig: Rig, before: WholeArmEstimate, after: WholeArmEstimate) -> Compa
     ]
     return comparison_of(
         7,
-        criteria=(criterion_of("tuned-fit", fits[1] - fits[0], rig.settings.why_not_better),),
+        criteria=(criterion_of("tuned-fit", fits[1] - fits[0]),),
         evidence=(*before.evidence, *after.evidence),
         values={
             "vibration fit before [%]": vibration_fits[0],
@@ -49,7 +49,8 @@ def tuning(rig: Rig, before: WholeArmEstimate, after: WholeArmEstimate) -> Compa
 def validation(rig: Rig, whole_arm: WholeArmEstimate) -> Comparison:
     """Fig. 8: steps for validation."""
     fits, plots = [], []
-    for number, levels in enumerate(_VALIDATION_STEPS, start=1):
+    for number, shares in enumerate(_VALIDATION_STEPS, start=1):
+        levels = tuple(share * rig.built_in.step_speed[0] for share in shares)
         step = _link_velocities(rig, whole_arm.values, levels, number)
         fits.append(step.fit())
         level_list = " to ".join(f"{level:g}" for level in levels)

@@ -26,9 +26,9 @@ from strainwave.io import logs
 from strainwave.io import study as studies
 from strainwave.io.parameters import read_parameters
 from strainwave.signals.recorded_input import recorded_drive
-from strainwave.virtual import scara
 from strainwave.virtual.plans import Plan, default_plan
 from strainwave.virtual.records import Simulator, record_experiment
+from strainwave.virtual.scara import SOFT, BuiltInArm
 
 Progress = Callable[[str], None]
 
@@ -116,15 +116,19 @@ def simulate_study(
 
 
 def demonstrate(
-    folder: Path, *, seed: int, progress: Progress, figures: bool = False
+    folder: Path,
+    *,
+    seed: int,
+    progress: Progress,
+    figures: bool = False,
+    built_in: BuiltInArm = SOFT,
 ) -> tuple[Identification, Values]:
-    """Simulate the built-in arm, identify it from the files, and write the report.
+    """Simulate a built-in arm, identify it from the files, and write the report.
 
     The folder gets the logs, study.toml, result.json and report.html, with `figures` also all
     figures as files. The true values of the identified parameters are returned second.
     """
-    values = scara.parameters()
-    study = scara.study(folder)
+    values, study = built_in.parameters(), built_in.study(folder)
     simulate_study(
         study, values, folder, seed=seed, noise=SensorNoise(), as_recorded=False, progress=progress
     )

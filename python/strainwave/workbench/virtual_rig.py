@@ -13,7 +13,7 @@ from strainwave.domain.keys import Values, label_of
 from strainwave.errors import InvalidInput
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
-from strainwave.virtual import scara
+from strainwave.virtual.scara import SOFT, MAX_DISKS
 from strainwave.virtual.experiments import derived
 
 Spring = Literal["linear", "three-slope"]
@@ -35,7 +35,7 @@ class Setting:
 
 
 SETTINGS = (
-    Setting("disks", "Payload", "disks of 1 kg", 5, 0, scara.MAX_DISKS, 1),
+    Setting("disks", "Payload", "disks of 1 kg", 5, 0, MAX_DISKS, 1),
     Setting("stiffness", "Gear stiffness", "times the usual", 1.0, 0.5, 2.0, 0.05),
     Setting("knees", "Knee torques of the gears", "times the usual", 1.0, 0.5, 2.0, 0.05),
     Setting("friction", "Friction", "times the usual", 1.0, 0.0, 3.0, 0.05),
@@ -70,9 +70,9 @@ def virtual_rig(body: Any, folder: Path) -> VirtualRig:
     spring: Spring = "linear" if body.get("spring") == "linear" else "three-slope"
     values = {
         (name, joint): value * _factor(name, sizes)
-        for (name, joint), value in scara.parameters(int(sizes["disks"]), spring).items()
+        for (name, joint), value in SOFT.parameters(int(sizes["disks"]), spring).items()
     }
-    study = scara.study(folder, spring)
+    study = SOFT.study(folder, spring)
     joints = tuple(
         replace(
             joint,

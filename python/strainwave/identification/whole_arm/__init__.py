@@ -21,6 +21,7 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
 )
 from strainwave.identification.whole_arm.problem.restrictions import expand_published_options
 from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search.published import published_search
 from strainwave.identification.whole_arm.search.solver import (
     Progress,
     coarse_search,
@@ -106,6 +107,9 @@ def fit_records(
 
 def _fit(start: Start, selection: Selection) -> Fit:
     """Fit all records; again from the fit of the others if single records are not described."""
+    if selection.options.as_published:
+        budget = selection.options.max_iterations
+        return published_search(start.coarse, start.records, selection.arm, budget)
     fit = _search(start, selection)
     undescribed = find_undescribed(fit)
     if not fit.end.is_minimum or not are_exceptions(undescribed, fit):

@@ -136,7 +136,7 @@ def add_significant_sensor_constants(fit: Fit, selection: Selection, *, coarse: 
     `coarse` selects the search that follows and raises the required cost reduction.
     """
     options = selection.options
-    while fit.iterations < options.max_iterations and not options.as_published:
+    while fit.iterations < options.max_iterations:
         estimates = _significant_constants(
             fit, options, _MIN_COARSE_COST_SHARE * fit.cost if coarse else 0.0
         )

@@ -50,7 +50,7 @@ def add_mount_resonances(fit: Fit, selection: Selection) -> Fit:
     Returns the fit itself if no sensor has residuals above its noise.
     """
     options = selection.options
-    while fit.iterations < options.max_iterations and not options.as_published:
+    while fit.iterations < options.max_iterations:
         best = _best_mount_fit(fit, selection)
         if best is None:
             break
