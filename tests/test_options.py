@@ -138,6 +138,7 @@ CHANGES: dict[str, dict[str, Any]] = {
         "outputs": "motor",
         "inputs": "motor",
         "method": "n4sid",
+        "focus": "stability",
         "horizon": 12,
         "decimation": 8,
         "filter": "decimation",
@@ -159,6 +160,9 @@ CHANGES: dict[str, dict[str, Any]] = {
 BASIS: dict[tuple[str, str], Any] = {
     # options that have an effect only together with another option
     ("responses", "transient_periods"): FrequencyOptions(inputs=1),
+    ("statespace", "focus"): LinearOptions(
+        order=4, method="n4sid", decimation=8, filter="decimation"
+    ),
     ("statespace", "horizon"): LinearOptions(method="n4sid"),
     ("statespace", "filter"): LinearOptions(decimation=8),
 }

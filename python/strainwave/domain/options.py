@@ -13,6 +13,7 @@ from strainwave.errors import InvalidInput, suggest_name
 Positive = Annotated[float, Gt(0.0)]
 Band = tuple[Positive, Positive]  # lowest and highest frequency [Hz]
 
+Focus = Literal["prediction", "stability"]
 EstimationMethod = Literal["pem", "moesp", "n4sid", "subspace"]
 Channels = Literal["both", "motor"]
 Route = Literal["equations", "transfer-function"]
@@ -77,6 +78,7 @@ class LinearOptions(_Checked):
     inputs: Channels = "both"  # "motor": without the interaction torque
     # "subspace": the better of MOESP and a long autoregression (consistent under feedback)
     method: EstimationMethod = "pem"
+    focus: Focus = "prediction"  # "stability": the estimate is the best stable model
     horizon: Annotated[int, Ge(2)] | None = None  # past samples of the subspace step; None: AIC
     # factor of downsampling, which sets the upper edge of the band; None: from the band
     decimation: Annotated[int, Ge(1)] | None = None
