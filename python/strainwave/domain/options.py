@@ -82,6 +82,8 @@ class LinearOptions(_Checked):
     horizon: Annotated[int, Ge(2)] | None = None  # past samples of the subspace step; None: AIC
     # factor of downsampling, which sets the upper edge of the band; None: from the band
     decimation: Annotated[int, Ge(1)] | None = None
+    # [s] after downsampling by the nearest factor, in place of `decimation`
+    sample_time: Positive | None = None
     # "band": for the prediction-error method; "decimation": as published, a low-pass below the new
     # Nyquist frequency, with fused link velocities
     filter: Literal["band", "decimation"] = "band"
@@ -136,6 +138,15 @@ class Options(_Checked):
             if isinstance(value, Mapping):
                 record: Any = type(stage.default)
                 object.__setattr__(self, stage.name, record(**value))
+
+
+PUBLISHED_OPTIONS = Options(
+    links=LinkOptions(order=1),  # the source does not give its time constant
+    statespace=LinearOptions(order=4, focus="stability", sample_time=2e-3, filter="decimation"),
+    physical=PhysicalOptions(route="transfer-function"),
+    tuning=WholeArmOptions(as_published=True),
+)
+"""Options of the source, which gives each gear one stiffness."""
 
 
 def changed_options(options: Options) -> list[str]:

@@ -100,6 +100,11 @@ OPTION_TEXTS: Mapping[str, OptionText] = {
         "from the band",
         "The sample rate follows the band of the resonances.",
     ),
+    "statespace.sample_time": OptionText(
+        "Sampling period [s] after downsampling, in place of the factor.",
+        "from the band",
+        "The sample rate follows the band of the resonances.",
+    ),
     "statespace.filter": OptionText(
         "Filter of the records: band-pass, or the decimation of the paper.",
         "band",
