@@ -30,12 +30,15 @@ from strainwave.domain import (
     WholeArmOptions,
 )
 from strainwave.domain.kinds import single_joint
+from strainwave.domain.options import PUBLISHED_OPTIONS
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification import frequency, rigid, whole_arm
 from strainwave.identification import joint_model as physical
 from strainwave.io import results as result
 from strainwave.io.logs import read_logs
+from strainwave.io.study import AS_PUBLISHED, read_study
+from strainwave.presentation.report import render
 from strainwave.signals import link_motion as links
 from strainwave.signals import motor as signals
 from strainwave.virtual.experiments import simulate_study
@@ -138,8 +141,10 @@ CHANGES: dict[str, dict[str, Any]] = {
         "outputs": "motor",
         "inputs": "motor",
         "method": "n4sid",
+        "focus": "stability",
         "horizon": 12,
         "decimation": 8,
+        "sample_time": 4e-3,
         "filter": "decimation",
         "band_hz": (4.0, 50.0),
     },
@@ -159,6 +164,9 @@ CHANGES: dict[str, dict[str, Any]] = {
 BASIS: dict[tuple[str, str], Any] = {
     # options that have an effect only together with another option
     ("responses", "transient_periods"): FrequencyOptions(inputs=1),
+    ("statespace", "focus"): LinearOptions(
+        order=4, method="n4sid", decimation=8, filter="decimation"
+    ),
     ("statespace", "horizon"): LinearOptions(method="n4sid"),
     ("statespace", "filter"): LinearOptions(decimation=8),
 }
@@ -267,6 +275,52 @@ def test_tuning_as_published_needs_steps(small: Path, tmp_path: Path) -> None:
     assert identification.whole_arm is None
     reasons = [w.message for w in identification.warnings if w.code == "not-tuned"]
     assert any('use = "tuning"' in reason for reason in reasons)
+
+
+def test_the_sample_time_sets_the_factor_of_each_record() -> None:
+    by_factor, by_time, by_both = (
+        state_space_with(LinearOptions(order=4, filter="decimation", **changes))
+        for changes in (
+            {"decimation": 8},
+            {"sample_time": 2.1e-3},  # 8.4 samples of 0.25 ms
+            {"decimation": 8, "sample_time": 1e-3},
+        )
+    )
+    assert np.array_equal(by_factor, by_time)
+    assert np.array_equal(by_factor, by_both)
+
+
+def test_as_published_without_servo_keeps_the_values_of_the_joints(small: Path) -> None:
+    study = read_study(small)
+    study = replace(study, arm=replace(study.arm, servo=None))
+    identification = pipeline.identify(study, options=AS_PUBLISHED)
+    assert identification.whole_arm is None
+    (reason,) = [w.message for w in identification.warnings if w.code == "not-tuned"]
+    assert "closed loop, but the study has no [servo] table" in reason
+    stiffness = next(p for p in identification.parameters if p.name == "gear_stiffness")
+    assert stiffness.stage == "decoupled"
+    assert stiffness.value == pytest.approx(25000.0, rel=0.1)
+    assert "decoupled" in render(identification)
+
+
+def test_as_published_is_the_whole_recipe(small: Path) -> None:
+    """The recorded options are those of the source, and later ones override them."""
+    study = read_study(small)
+    joints = (replace(study.arm.joints[0], spring="three-slope", effects="auto"),)
+    study = replace(study, arm=replace(study.arm, joints=joints))
+    identification = pipeline.identify(study, options=[AS_PUBLISHED, "statespace.order=5"])
+    linear = replace(PUBLISHED_OPTIONS.statespace, order=5)
+    assert identification.study.options == replace(PUBLISHED_OPTIONS, statespace=linear)
+    models = [record.state_space for record in identification.records if record.state_space]
+    assert [model.order for model in models] == [5, 5, 5]
+    assert [model.sample_time for model in models] == pytest.approx([2e-3] * 3)
+    (joint,) = identification.joints
+    assert joint.method == "transfer-function"
+    assert identification.whole_arm is not None
+    assert set(identification.whole_arm.fit_percent) == {"step"}
+    stiffness = next(p for p in identification.parameters if p.name == "gear_stiffness")
+    assert stiffness.stage == "tuned"
+    assert stiffness.value == pytest.approx(25000.0, rel=0.1)
 
 
 def test_the_published_route_runs_to_the_end(small: Path) -> None:

@@ -270,11 +270,15 @@ class Innovations:
         gain: bool,
         feedthrough: Sequence[bool],
         initial_states: bool,
+        stable: bool,
         floor: Sequence[float],
         max_iterations: int,
         tolerance: float,
     ) -> InnovationsFit:
-        """Prediction-error fit from a start whose predictor is stable."""
+        """Prediction-error fit from a start whose predictor is stable.
+
+        With `stable`, the start has a stable A, and all iterates keep it.
+        """
 
 @final
 class InnovationsFit:

@@ -67,7 +67,7 @@ def identify(
     *,
     data: Data | None = None,
     stages: str | Sequence[str] = pipeline.STAGES,
-    options: Options | Mapping[str, Mapping[str, Any]] | Sequence[str] | None = None,
+    options: Options | Mapping[str, Mapping[str, Any]] | Sequence[str] | str | None = None,
     start: Path | str | Mapping[tuple[str, int | None], float] | None = None,
     progress: Progress = ignore_progress,
     cancel: threading.Event | Callable[[], bool] | None = None,
@@ -85,9 +85,10 @@ def identify(
     stages : str or sequence of str
         The first of "rigid", "decoupled", "tuned": `stages="rigid"`, `stages=("rigid",
         "decoupled")`. All by default.
-    options : Options, mapping or sequence of str, optional
+    options : Options, mapping, str or sequence of str, optional
         Replaces [options] of the study: `sw.Options(links={"order": 1})`. A mapping
-        `{"links": {"order": 1}}` or texts `["links.order=1"]` change single options.
+        `{"links": {"order": 1}}` or texts `["links.order=1"]` change single options, and
+        "as-published" selects the settings of the paper.
     start : Path, str or mapping, optional
         Parameters at which the whole-arm fit starts: a result.json or parameter file, or values by
         (name, joint). Other parameters start at the estimates of the earlier stages.

@@ -111,6 +111,14 @@ def identify(
     out: Out,
     stages: Stages = None,
     options: Overrides = None,
+    as_published: Annotated[
+        bool,
+        typer.Option(
+            "--as-published",
+            help="Use the settings of the paper: one stiffness, order 4, decimation to 2 ms, "
+            "tuning in closed loop; --set and the study override them.",
+        ),
+    ] = False,
     start: Annotated[
         Path | None,
         typer.Option(
@@ -124,6 +132,7 @@ def identify(
 ) -> None:
     """Identify the arm of a study; write DIR/result.json and DIR/report.html."""
     from strainwave import pipeline
+    from strainwave.io.study import AS_PUBLISHED
     from strainwave.presentation.matplotlib_backend import require_matplotlib
 
     if figures:
@@ -133,7 +142,7 @@ def identify(
         identification = pipeline.identify(
             study,
             stages=chosen,
-            options=options or None,
+            options=[*([AS_PUBLISHED] if as_published else ()), *(options or ())] or None,
             start=start,
             progress=pipeline.with_report_loading(report),
         )

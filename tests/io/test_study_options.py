@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import studies
+from command_line import run_here
 from strainwave.domain import (
     LinearOptions,
     LinkOptions,
@@ -17,11 +18,11 @@ from strainwave.domain import (
     Study,
     WholeArmOptions,
 )
-from strainwave.domain.options import changed_options
+from strainwave.domain.options import PUBLISHED_OPTIONS, changed_options
 from strainwave.domain.parameters import whole_arm_parameter_names
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
-from strainwave.io.study import read_study, with_options, write_study
+from strainwave.io.study import AS_PUBLISHED, read_study, with_options, write_study
 from tuning_runs import joint_models, rigid_model, truth
 
 INLINE = """
@@ -126,6 +127,34 @@ def test_flags_override_the_file(tmp_path: Path) -> None:
     assert study.options.physical.route == "transfer-function"
     assert study.options.tuning.ranges == {"gear_stiffness 2": (0.9, 1.1)}
     assert not study.options.tuning.as_published
+
+
+def test_as_published_gives_way_to_the_file_and_to_flags(tmp_path: Path) -> None:
+    text = studies.STUDY.replace('spring = "linear"', 'spring = "three-slope"')
+    text += "[options]\nlinks = { time_constant = 0.1 }\nstatespace = { order = 5 }\n"
+    study = with_options(
+        read_study(studies.write(tmp_path, text)), ["statespace.order=6", AS_PUBLISHED]
+    )
+    assert study.options == Options(
+        links=LinkOptions(0.1, 1),
+        statespace=replace(PUBLISHED_OPTIONS.statespace, order=6),
+        physical=PhysicalOptions(route="transfer-function"),
+        tuning=WholeArmOptions(as_published=True),
+    )
+    assert [joint.spring for joint in study.arm.joints] == ["linear", "linear"]
+    rigid = study.arm.behind_rigid_gears()
+    assert with_options(replace(study, arm=rigid), AS_PUBLISHED).arm == rigid
+
+
+def test_as_published_refuses_other_arms(tmp_path: Path) -> None:
+    text = studies.STUDY.replace('"planar-two-link"\nlink_length = 0.35', '"serial"')
+    path = studies.write(tmp_path, text)
+    with pytest.raises(InvalidInput, match=r"for two-link arms and single joints.*'serial'"):
+        with_options(read_study(path), AS_PUBLISHED)
+    process = run_here("identify", path, "--as-published", "--out", tmp_path / "out")
+    assert process.returncode == 2
+    assert process.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
 
 
 FLAG_FAULTS = {

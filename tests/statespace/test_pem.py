@@ -18,6 +18,7 @@ from strainwave.statespace import PemOptions, modes, pem, propagate, subspace, t
 from strainwave.statespace._entries import Matrices, balance, rescale
 from strainwave.statespace._evaluate import Evaluator
 from strainwave.statespace._stack import stack
+from strainwave.statespace.subspace import Method
 from two_inertia import TwoInertia, excitation, simulate
 
 ARM = TwoInertia()
@@ -416,3 +417,68 @@ def test_a_start_without_a_stable_predictor_is_passed_over(
     expected = pem(data, 3)
     monkeypatch.setattr(module, "_starts", first_unstable)
     assert pem(data, 3).log_likelihood == pytest.approx(expected.log_likelihood, abs=1e-6)
+
+
+def drifting(seed: int) -> InputOutput:
+    """A nearly integrating channel in coloured noise, too short to show that its pole is stable."""
+    rng = np.random.default_rng(seed)
+    u, e = rng.standard_normal((2, 120))
+    y = lfilter([0.0, 0.1], [1.0, -0.999], u) + lfilter([1.0, -0.6], [1.0, -0.999], e)
+    return InputOutput(inputs=u[:, None], outputs=y[:, None], sample_time=0.01)
+
+
+def growth(model: StateSpace) -> float:
+    return float(np.abs(np.linalg.eigvals(model.A)).max())
+
+
+def test_stability_is_the_best_stable_model() -> None:
+    """Constrained minimum of one state by scanning K at the limit A = 1, the active constraint.
+
+    The barriers of A and A - K C cost at most half a unit of likelihood each.
+    """
+    n_unstable = 0
+    for seed in range(20):
+        data = drifting(seed)
+        free, stable = pem(data, 1), pem(data, 1, options=PemOptions(focus="stability"))
+        assert stable.status == "converged"
+        assert growth(stable) < 1.0
+        warned = any(warning.code == "stability-enforced" for warning in stable.warnings)
+        assert warned == (growth(free) >= 1.0)
+        if not warned:
+            assert np.array_equal(stable.A, free.A)
+            assert np.array_equal(stable.K, free.K)
+            continue
+        n_unstable += 1
+        stacked = stack(data)
+        evaluator = Evaluator(stacked, 1)
+        one, zero = np.ones((1, 1)), np.zeros((1, 1))
+        costs = [
+            evaluator.cost(
+                evaluator.linear(
+                    Matrices((1.0 - 1e-9) * one, one, one, zero, K * one, zero),
+                    (False,),
+                    gain=True,
+                ).pack()
+            )
+            for K in np.linspace(0.05, 1.5, 146)
+        ]
+        limit = -min(costs) - 0.5 * stacked.n_samples * (
+            1.0 + np.log(2.0 * np.pi) + 2.0 * np.log(stacked.output_scale[0])
+        )
+        assert limit - 1.0 < stable.log_likelihood < free.log_likelihood + 1.0
+    assert n_unstable >= 3
+
+
+@pytest.mark.parametrize("method", ["moesp", "n4sid", "predictor"])
+def test_stability_of_a_subspace_estimate_reflects_its_pole(method: Method) -> None:
+    estimates = [
+        (subspace(data, 1, method=method), subspace(data, 1, method=method, focus="stability"))
+        for data in map(drifting, range(20))
+    ]
+    assert {growth(free) >= 1.0 for free, _ in estimates} == {True, False}
+    for free, stable in estimates:
+        if growth(free) < 1.0:
+            assert np.array_equal(stable.A, free.A)
+        else:
+            assert growth(stable) == pytest.approx(1.0 / growth(free), rel=1e-9)
+            assert stable.warnings[0].code == "stability-enforced"

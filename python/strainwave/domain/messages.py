@@ -169,6 +169,8 @@ TEMPLATES: Mapping[str, str] = {
     " drifts, change the order, or estimate an output-error model",
     "unstable-model": "the slowest pole grows by {rate:.2g} 1/s, as friction that is not quite"
     " taken off makes it seem|; the simulated fit means nothing, resonances are not touched",
+    "stability-enforced": "without the constraint to stable models, a pole has the modulus"
+    " {modulus:.4g}|; the resonances are hardly affected, the response below them is doubtful",
     "pole-near-nyquist": "a pole at {frequency_hz:.3g} Hz, with samples at {rate_hz:.3g} Hz, may be"
     " the alias of a faster one|. Lower the order, or sample faster",
     # parameters of a joint

@@ -13,6 +13,7 @@ from strainwave.errors import InvalidInput, suggest_name
 Positive = Annotated[float, Gt(0.0)]
 Band = tuple[Positive, Positive]  # lowest and highest frequency [Hz]
 
+Focus = Literal["prediction", "stability"]
 EstimationMethod = Literal["pem", "moesp", "n4sid", "subspace"]
 Channels = Literal["both", "motor"]
 Route = Literal["equations", "transfer-function"]
@@ -77,9 +78,12 @@ class LinearOptions(_Checked):
     inputs: Channels = "both"  # "motor": without the interaction torque
     # "subspace": the better of MOESP and a long autoregression (consistent under feedback)
     method: EstimationMethod = "pem"
+    focus: Focus = "prediction"  # "stability": the estimate is the best stable model
     horizon: Annotated[int, Ge(2)] | None = None  # past samples of the subspace step; None: AIC
     # factor of downsampling, which sets the upper edge of the band; None: from the band
     decimation: Annotated[int, Ge(1)] | None = None
+    # [s] after downsampling by the nearest factor, in place of `decimation`
+    sample_time: Positive | None = None
     # "band": for the prediction-error method; "decimation": as published, a low-pass below the new
     # Nyquist frequency, with fused link velocities
     filter: Literal["band", "decimation"] = "band"
@@ -134,6 +138,15 @@ class Options(_Checked):
             if isinstance(value, Mapping):
                 record: Any = type(stage.default)
                 object.__setattr__(self, stage.name, record(**value))
+
+
+PUBLISHED_OPTIONS = Options(
+    links=LinkOptions(order=1),  # the source does not give its time constant
+    statespace=LinearOptions(order=4, focus="stability", sample_time=2e-3, filter="decimation"),
+    physical=PhysicalOptions(route="transfer-function"),
+    tuning=WholeArmOptions(as_published=True),
+)
+"""Options of the source, which gives each gear one stiffness."""
 
 
 def changed_options(options: Options) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from strainwave.domain import LinearOptions, LinkOptions, Protocol, WholeArmOptions
-from strainwave.domain.options import EstimationMethod
+from strainwave.domain.options import PUBLISHED_OPTIONS, EstimationMethod
 
 CLASSICAL_METHOD: EstimationMethod = "moesp"
 """One of the weightings of MATLAB's n4sid. Feedback biases it."""
@@ -31,9 +31,9 @@ PUBLISHED_SETTINGS = Settings(
     "as-published",
     sample_time=2.5e-5,
     periods=1,
-    links=LinkOptions(order=1),  # the source does not give its time constant
-    linear=LinearOptions(order=4, decimation=80, filter="decimation"),
-    tuning=WholeArmOptions(as_published=True),
+    links=PUBLISHED_OPTIONS.links,
+    linear=PUBLISHED_OPTIONS.statespace,
+    tuning=PUBLISHED_OPTIONS.tuning,
     records=1,
 )
 """Settings of the source: 0.025 ms, one period of 1.023 s, decimated to 2 ms, order 4."""

@@ -70,7 +70,7 @@ def identify(
     *,
     data: Data | None = None,
     stages: Sequence[str] = STAGES,
-    options: Options | Mapping[str, Mapping[str, Any]] | Sequence[str] | None = None,
+    options: Options | Mapping[str, Mapping[str, Any]] | Sequence[str] | str | None = None,
     start: Path | Mapping[Key, float] | None = None,
     progress: Progress = ignore_progress,
     threads: int | None = None,

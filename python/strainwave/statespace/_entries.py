@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.statespace._riccati import is_stable
+from strainwave.statespace._riccati import is_stable, reflect_poles, stabilising_gain
 from strainwave.statespace._stack import Stack
 
 
@@ -81,6 +81,15 @@ def unscale(matrices: Matrices, data: Stack) -> Matrices:
 def rescale(matrices: Matrices, data: Stack) -> Matrices:
     """Convert a model in the units of the data to scaled channels."""
     return matrices.with_units(1.0 / data.input_scale, 1.0 / data.output_scale)
+
+
+def stabilise(matrices: Matrices) -> Matrices:
+    """Model with the unstable poles reflected into the unit circle, and a stable predictor.
+
+    The reflection of a pole scales the magnitude of the frequency response and changes its phase.
+    """
+    A, C = reflect_poles(matrices.A), matrices.C
+    return replace(matrices, A=A, K=stabilising_gain(A, C, matrices.K, np.eye(len(C))))
 
 
 def balance(matrices: Matrices) -> Matrices:

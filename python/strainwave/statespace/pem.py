@@ -22,9 +22,10 @@ from strainwave.domain import (
     SearchEnd,
     StateSpace,
 )
+from strainwave.domain.options import Focus
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.numerics.parallel import raise_if_stopped
-from strainwave.statespace._entries import Matrices, balance, n_entries, rescale, unscale
+from strainwave.statespace._entries import Matrices, balance, n_entries, rescale, stabilise, unscale
 from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
 from strainwave.statespace._restricted import restrict_steps
 from strainwave.statespace._riccati import is_stable, reflect_poles, stabilising_gain
@@ -48,6 +49,8 @@ _MAX_ZERO_GAIN_COST_FACTOR = 3.0
 class PemOptions:
     """Options of `pem`."""
 
+    # "stability": the best stable model, if that of "prediction" is unstable
+    focus: Focus = "prediction"
     disturbance: Literal["innovations", "none"] = "innovations"  # "none": K = 0, output error
     # one flag per input; None: True for first-order hold
     feedthrough: tuple[bool, ...] | None = None
@@ -77,6 +80,10 @@ def pem(
     "not-determined" if the data do not determine all parameters. A warning also reports an output
     whose simulation error exceeds its variation.
 
+    With the focus "stability", a fit whose A is unstable is repeated among stable models: a barrier
+    -(1/2) log det(I - A (x) A) is added to the negative log-likelihood, and a warning is given. The
+    likelihood is then that of the best stable model, up to half a unit per pole at the limit.
+
     Raises `InvalidInput` for wrong shapes, entries that are not finite, an order below 1, neither
     order nor start, or a start that does not match the data. Raises `NumericalFailure` if no
     starting value has a stable predictor.
@@ -87,9 +94,27 @@ def pem(
     through = check_feedthrough(options.feedthrough, stacked)
     candidates = _starts(stacked, order, start, through, options)
     evaluator = Evaluator(stacked, candidates[0].order)
+    best = _best_fit(evaluator, candidates, through, replace(options, focus="prediction"))
+    if options.focus == "prediction" or is_stable(best.matrices.A):
+        return _model(evaluator, best, through, options)
+    stable = [stabilise(each) for each in (*candidates, best.matrices)]
+    starts = [evaluator.linear(each, through, gain=True, solutions=1) for each in stable]
+    modulus = float(np.abs(np.linalg.eigvals(best.matrices.A)).max())
+    warning = Diagnostic("stability-enforced", STATE_SPACE_MODEL, modulus=modulus)
+    model = _model(evaluator, _best_fit(evaluator, starts, through, options), through, options)
+    return replace(model, warnings=(*model.warnings, warning))
+
+
+def _best_fit(
+    evaluator: Evaluator,
+    starts: list[Matrices],
+    through: tuple[bool, ...],
+    options: PemOptions,
+) -> _Fit:
+    """Best fit from several starting values, without or with restricted gain."""
     fits = []
-    for candidate in sorted(candidates, key=lambda each: evaluator.cost(each.pack())):
-        fit = _fit(evaluator, candidate, through, options)
+    for start in sorted(starts, key=lambda each: evaluator.cost(each.pack())):
+        fit = _fit(evaluator, start, through, options)
         fits += [] if fit is None else [fit]
         if fit is not None and fit.end is SearchEnd.CONVERGED:
             break
@@ -99,7 +124,7 @@ def pem(
     if options.disturbance == "innovations" and best.end is SearchEnd.CONVERGED:
         without = _fit_without_gain(evaluator, best, through, options)
         best = without or _restricted(evaluator, best, through, options)
-    return _model(evaluator, best, through, options)
+    return best
 
 
 def _fit_without_gain(
@@ -215,7 +240,7 @@ def _fit(
 ) -> _Fit | None:
     """Fit from one starting value.
 
-    None if the predictor is unstable or the innovations are not finite.
+    None if the predictor or a model that must be stable is unstable, or innovations are not finite.
     """
     if options.initial_state == "zero":
         start = replace(start, initial_states=np.zeros_like(start.initial_states))
@@ -228,11 +253,13 @@ def _fit(
             gain=options.disturbance == "innovations",
             feedthrough=list(feedthrough),
             initial_states=options.initial_state == "estimate",
+            # without a gain, the predictor is the model
+            stable=options.focus == "stability" and options.disturbance == "innovations",
             floor=[MIN_VARIANCE_SHARE] * evaluator.data.n_outputs,
             max_iterations=options.max_iterations,
             tolerance=options.tolerance,
         )
-    except ValueError:  # unstable predictor or innovations that are not finite
+    except ValueError:  # unstable start or innovations that are not finite
         return None
     return _Fit(
         matrices=evaluator.unpack(fit.values),
@@ -372,7 +399,7 @@ def _check(order: int | None, start: StateSpace | None, options: PemOptions) -> 
         raise InvalidInput(f"expected an order of at least 1, got {order}")
     if order is not None and start is not None and start.order != order:
         raise InvalidInput(f"expected a start of order {order}, got {start.order}")
-    for name in ("disturbance", "initial_state", "covariance"):
+    for name in ("focus", "disturbance", "initial_state", "covariance"):
         got, expected = getattr(options, name), get_args(get_type_hints(PemOptions)[name])
         if got not in expected:
             raise InvalidInput(f"expected {name} {' or '.join(expected)}, got {got!r}")

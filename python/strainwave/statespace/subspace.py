@@ -21,11 +21,12 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import STATE_SPACE_MODEL, Diagnostic, FloatArray, StateSpace
+from strainwave.domain.options import Focus
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.statespace._entries import Matrices, balance
+from strainwave.statespace._entries import Matrices, balance, stabilise
 from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
 from strainwave.statespace._hankel import solve_upper, triangular_factor
-from strainwave.statespace._riccati import innovations_gain, stabilising_gain
+from strainwave.statespace._riccati import innovations_gain, is_stable, stabilising_gain
 from strainwave.statespace._stack import Data, Stack, stack
 
 Method = Literal["auto", "moesp", "n4sid", "predictor"]
@@ -54,6 +55,7 @@ def subspace(
     method: Method = "auto",
     horizon: int | None = None,
     feedthrough: tuple[bool, ...] | None = None,
+    focus: Focus = "prediction",
 ) -> StateSpace:
     """Estimate a state-space model by a subspace method.
 
@@ -64,6 +66,8 @@ def subspace(
       model by Akaike's criterion.
     - `feedthrough`: Whether each input acts on the outputs without delay. None: True for inputs
       with first-order hold, because their slope depends on the next sample.
+    - `focus`: "stability" reflects unstable poles into the unit circle, with a warning. Least
+      squares then re-estimates B, D and the initial states.
 
     `status` is "estimated", or "not-determined" with a warning if the predictor diverges on the
     data.
@@ -74,7 +78,7 @@ def subspace(
     """
     _check(order, horizon, method)
     stacked = stack(data)
-    return _estimate(Factors(stacked), order, method, horizon, feedthrough)
+    return _estimate(Factors(stacked), order, method, horizon, feedthrough, focus)
 
 
 def subspace_orders(data: Data) -> Callable[[int], StateSpace]:
@@ -92,17 +96,24 @@ def _estimate(
     method: Method,
     horizon: int | None,
     feedthrough: tuple[bool, ...] | None,
+    focus: Focus = "prediction",
 ) -> StateSpace:
     data = factors.data
     through = check_feedthrough(feedthrough, data)
     realisation = realise(factors, order, method, horizon, through)
     evaluator = Evaluator(data, realisation.matrices.order)
-    matrices = evaluator.linear(realisation.matrices, through, gain=True)
+    matrices, warnings = realisation.matrices, list[Diagnostic]()
+    if focus == "stability" and not is_stable(matrices.A):
+        modulus = float(np.abs(np.linalg.eigvals(matrices.A)).max())
+        warnings.append(Diagnostic("stability-enforced", STATE_SPACE_MODEL, modulus=modulus))
+        matrices = stabilise(matrices)
+    matrices = evaluator.linear(matrices, through, gain=True)
     is_finite = np.isfinite(evaluator.cost(matrices.pack()))
     status: Literal["estimated", "not-determined"]
     status = "estimated" if is_finite else "not-determined"
-    warnings = () if is_finite else (Diagnostic("subspace-not-determined", STATE_SPACE_MODEL),)
-    model = assemble(data, matrices, "subspace", status, through, warnings)
+    if not is_finite:
+        warnings.append(Diagnostic("subspace-not-determined", STATE_SPACE_MODEL))
+    model = assemble(data, matrices, "subspace", status, through, tuple(warnings))
     return replace(model, singular_values=realisation.singular_values, horizon=realisation.horizon)
 
 

@@ -85,6 +85,11 @@ OPTION_TEXTS: Mapping[str, OptionText] = {
         "pem",
         "It is efficient, holds under feedback and gives intervals.",
     ),
+    "statespace.focus": OptionText(
+        "The best predicting model, or the best stable one.",
+        "prediction",
+        "An unstable slow pole shows residual friction; the resonances are not affected.",
+    ),
     "statespace.horizon": OptionText(
         "Past samples of the subspace step.",
         "Akaike's criterion",
@@ -92,6 +97,11 @@ OPTION_TEXTS: Mapping[str, OptionText] = {
     ),
     "statespace.decimation": OptionText(
         "Only every k-th sample is used.",
+        "from the band",
+        "The sample rate follows the band of the resonances.",
+    ),
+    "statespace.sample_time": OptionText(
+        "Sampling period [s] after downsampling, in place of the factor.",
         "from the band",
         "The sample rate follows the band of the resonances.",
     ),

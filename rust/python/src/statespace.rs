@@ -151,7 +151,8 @@ impl Innovations {
         ))
     }
 
-    /// Prediction-error fit from a starting model with a stable predictor.
+    /// Prediction-error fit from a starting model with a stable predictor, and with a stable A if
+    /// `stable`.
     #[allow(clippy::too_many_arguments)]
     fn fit(
         &self,
@@ -160,6 +161,7 @@ impl Innovations {
         gain: bool,
         feedthrough: Vec<bool>,
         initial_states: bool,
+        stable: bool,
         floor: Vec<f64>,
         max_iterations: usize,
         tolerance: f64,
@@ -174,6 +176,7 @@ impl Innovations {
             gain,
             feedthrough,
             initial_states,
+            stable,
             floor,
             max_iterations,
             tolerance,

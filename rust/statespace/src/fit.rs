@@ -4,7 +4,8 @@
 //! innovations, concentrated over their covariance. Levenberg-Marquardt minimises it in local
 //! coordinates. Its gradient is that of the sum of squares weighted by the inverse of the current
 //! covariance (Ljung, System Identification, 2nd ed., (7.94) and 10.2), so one pass over the data
-//! gives both. The barrier keeps the predictor stable.
+//! gives both. The barrier keeps the predictor stable. With a second barrier, A is stable as well; the
+//! cost then exceeds that of the best stable model by about half per pole at the limit.
 
 use crate::linalg::{cholesky, log_determinant, solve_lower, solve_lower_transposed};
 use crate::model::{Model, Record};
@@ -22,6 +23,8 @@ pub struct Options {
     pub feedthrough: Vec<bool>,
     /// Whether the initial states are estimated.
     pub initial_states: bool,
+    /// Whether A is kept stable, in addition to A - K C.
+    pub stable: bool,
     /// F, (p,): variances at the level of rounding, which keep the objective finite for exact data.
     pub floor: Vec<f64>,
     /// Largest number of accepted steps.
@@ -69,7 +72,7 @@ pub struct Fit {
 /// Why a fit cannot start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InvalidStart {
-    /// The predictor of the starting model, A - K C, is not stable.
+    /// A - K C of the starting model, or A if it must be stable, is not stable.
     Unstable,
     /// The innovations of the starting model are not finite.
     NotFinite,
@@ -88,17 +91,28 @@ struct Point {
     covariance: Vec<f64>,
     whitener: Vec<f64>,
     cost: f64,
-    barrier: Barrier,
+    /// Of A - K C, and of A if it is kept stable.
+    barriers: Vec<Barrier>,
+}
+
+/// Barriers of a model; `None` if one of its matrices is unstable.
+fn barriers(model: &Model, options: &Options) -> Option<Vec<Barrier>> {
+    let n = model.shape.order;
+    let mut barriers = vec![Barrier::at(&model.predictor_matrix(), n)?];
+    if options.stable {
+        barriers.push(Barrier::at(model.a(), n)?);
+    }
+    Some(barriers)
 }
 
 impl Point {
-    fn at(model: Model, records: &[Record<'_>], floor: &[f64]) -> Option<Self> {
-        let barrier = Barrier::at(&model)?;
+    fn at(model: Model, records: &[Record<'_>], options: &Options) -> Option<Self> {
+        let barriers = barriers(&model, options)?;
         let p = model.shape.outputs;
         let innovations = predictor::innovations(&model, records);
         let covariance = predictor::covariance(&innovations, p);
         let mut floored = covariance.clone();
-        for (o, floor) in floor.iter().enumerate() {
+        for (o, floor) in options.floor.iter().enumerate() {
             floored[o * p + o] += floor;
         }
         let whitener = cholesky(&floored, p)?;
@@ -109,7 +123,7 @@ impl Point {
             covariance,
             whitener,
             cost,
-            barrier,
+            barriers,
         };
         cost.is_finite().then_some(point)
     }
@@ -117,11 +131,11 @@ impl Point {
 
 /// Fits a model to records from a starting model.
 pub fn fit(start: Model, records: &[Record<'_>], options: &Options) -> Result<Fit, InvalidStart> {
-    if Barrier::at(&start).is_none() {
+    if barriers(&start, options).is_none() {
         return Err(InvalidStart::Unstable);
     }
     let free = free_entries(&start, options);
-    let mut point = Point::at(start, records, &options.floor).ok_or(InvalidStart::NotFinite)?;
+    let mut point = Point::at(start, records, options).ok_or(InvalidStart::NotFinite)?;
     let mut damping = INITIAL_DAMPING;
     let (mut iterations, mut evaluations) = (0, 1);
     loop {
@@ -193,24 +207,31 @@ impl Step {
         let coordinates = Coordinates::at(&point.model, free, &standard_deviations(&information));
         let reduced_information = coordinates.reduce_hessian(&information);
         let gradient = coordinates.reduce_gradient(&gradient);
-        let directions: Vec<Vec<f64>> = (0..coordinates.width)
-            .map(|index| predictor_change(&point.model, &coordinates.direction(index)))
+        let changes: Vec<Vec<f64>> = (0..coordinates.width)
+            .map(|index| coordinates.direction(index))
             .collect();
-        let add = |left: &[f64], right: Vec<f64>| -> Vec<f64> {
-            left.iter().zip(right).map(|(l, r)| l + r).collect()
+        let of_predictor = changes.iter().map(|c| predictor_change(&point.model, c));
+        let of_plant = changes.iter().map(|c| c[point.model.shape.a()].to_vec());
+        let directions: [Vec<Vec<f64>>; 2] = [of_predictor.collect(), of_plant.collect()];
+        let with_barriers = |definite: bool| {
+            let mut sums = (gradient.clone(), reduced_information.clone());
+            for (barrier, directions) in point.barriers.iter().zip(&directions) {
+                let (slope, curvature) = barrier.along(directions, definite);
+                sums.0.iter_mut().zip(slope).for_each(|(g, s)| *g += s);
+                sums.1.iter_mut().zip(curvature).for_each(|(h, c)| *h += c);
+            }
+            sums
         };
-        let (slope, curvature) = point.barrier.along(&directions, false);
-        let mut step = Self {
-            gradient: add(&gradient, slope),
-            hessian: add(&reduced_information, curvature),
+        let (mut total_gradient, mut hessian) = with_barriers(false);
+        if cholesky(&hessian, coordinates.width).is_none() {
+            (total_gradient, hessian) = with_barriers(true);
+        }
+        Self {
+            gradient: total_gradient,
+            hessian,
             coordinates,
             information,
-        };
-        if cholesky(&step.hessian, step.coordinates.width).is_none() {
-            let (_, definite) = point.barrier.along(&directions, true);
-            step.hessian = add(&reduced_information, definite);
         }
-        step
     }
 
     /// -(H + damping I)^-1 g, if the sum is positive definite.
@@ -252,9 +273,9 @@ impl Step {
                 let mut model = point.model.clone();
                 self.coordinates.advance(&mut model.values, &step);
                 *evaluations += 1;
-                if let Some(trial) = Point::at(model, records, &options.floor) {
-                    let decrease =
-                        (point.cost - trial.cost) + (point.barrier.value - trial.barrier.value);
+                if let Some(trial) = Point::at(model, records, options) {
+                    let value = |at: &Point| at.barriers.iter().map(|b| b.value).sum::<f64>();
+                    let decrease = (point.cost - trial.cost) + (value(point) - value(&trial));
                     let gain = decrease / expected;
                     if gain > 0.0 {
                         *damping *= (1.0 - (2.0 * gain - 1.0).powi(3)).max(1.0 / 3.0);

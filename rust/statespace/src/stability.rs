@@ -34,8 +34,8 @@ pub fn is_stable(matrix: &[f64], order: usize) -> bool {
     false
 }
 
-/// -(1/2) log det(I - F (x) F) of F = A - K C, with its first two derivatives with respect to the
-/// entries of F.
+/// -(1/2) log det(I - F (x) F) of a matrix F, with its first two derivatives with respect to the
+/// entries of F, which is A - K C, and A as well if the model must be stable.
 ///
 /// In terms of eigenvalues this is -(1/2) sum log(1 - l_i l_j): smooth, invariant to coordinates,
 /// and infinite at the unit circle. A likelihood with fitted initial states lacks the loss of
@@ -50,11 +50,9 @@ pub struct Barrier {
 }
 
 impl Barrier {
-    /// Barrier of a model; `None` if F is unstable.
-    pub fn at(model: &Model) -> Option<Self> {
-        let n = model.shape.order;
-        let f = model.predictor_matrix();
-        if !is_stable(&f, n) {
+    /// Barrier of F, (n, n) row-major; `None` if F is unstable.
+    pub fn at(f: &[f64], n: usize) -> Option<Self> {
+        if !is_stable(f, n) {
             return None;
         }
         let size = n * n;
@@ -67,7 +65,7 @@ impl Barrier {
         let (inverse, log_determinant) = inverse(difference, size)?;
         // M^-1 dM for each entry of F, dM = -(E (x) F + F (x) E).
         let relative: Vec<Vec<f64>> = pairs(n)
-            .map(|e| relative_change(&inverse, &f, n, e))
+            .map(|e| relative_change(&inverse, f, n, e))
             .collect();
         let trace = |p: &[f64]| (0..size).map(|i| p[i * size + i]).sum::<f64>();
         let slope = relative.iter().map(|p| -0.5 * trace(p)).collect();

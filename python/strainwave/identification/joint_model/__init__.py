@@ -287,7 +287,8 @@ def _in_other_bands(
         return []
     models = []
     for band in other_bands(band_for(resonances, records, options), records):
-        band_options = replace(options, band_hz=band, decimation=None)  # the rate follows the band
+        # the rate follows the band
+        band_options = replace(options, band_hz=band, decimation=None, sample_time=None)
         try:
             estimate = state_space_of(records, band_options, near)
             model = replace(estimate, covariance=None)

@@ -40,6 +40,7 @@ from strainwave.identification.joint_model.stretches import (
 )
 from strainwave.signals.channels import check_alike
 from strainwave.statespace import (
+    PemOptions,
     check_model,
     modes,
     pem,
@@ -228,11 +229,10 @@ def _best_order(data: Sequence[InputOutput], options: LinearOptions) -> int:
 
 def _fit(data: Sequence[InputOutput], order: int, options: LinearOptions) -> StateSpace:
     if options.method == "pem":
-        if options.horizon is None:
-            return pem(data, order)
-        return pem(data, order, start=subspace(data, order, horizon=options.horizon))
+        start = options.horizon and subspace(data, order, horizon=options.horizon)
+        return pem(data, order, start=start or None, options=PemOptions(focus=options.focus))
     method = "auto" if options.method == "subspace" else options.method
-    return subspace(data, order, method=method, horizon=options.horizon)
+    return subspace(data, order, method=method, horizon=options.horizon, focus=options.focus)
 
 
 def _fit_from(
@@ -254,7 +254,7 @@ def _fit_near(
     """Fit starting from a model of the same sampling rate; None if the result is not usable."""
     if options.method != "pem":
         return None
-    model = pem(data, start=near)
+    model = pem(data, start=near, options=PemOptions(focus=options.focus))
     return model if _is_usable(model) else None
 
 

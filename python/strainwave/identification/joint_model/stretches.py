@@ -80,10 +80,18 @@ def band_for(rings_hz: Band, records: Sequence[Decoupled], options: LinearOption
 
 def limit_to_rate(band_hz: Band, records: Sequence[Decoupled], options: LinearOptions) -> Band:
     """Limit the upper edge of the band to what the decimation of the options allows."""
-    if options.decimation is None:
+    factor = _decimation_of(records[0], options)
+    if factor is None:
         return band_hz
-    high = 1.0 / (_RATE_TO_HIGH_EDGE * options.decimation * records[0].sample_time)
+    high = 1.0 / (_RATE_TO_HIGH_EDGE * factor * records[0].sample_time)
     return min(band_hz[0], high / _MIN_EDGE_RATIO), high
+
+
+def _decimation_of(record: Decoupled, options: LinearOptions) -> int | None:
+    """Factor of downsampling that the options set; None: it follows from the band."""
+    if options.decimation is not None or options.sample_time is None:
+        return options.decimation
+    return max(1, round(options.sample_time / record.sample_time))
 
 
 def band_of(f: FloatArray, band_hz: Band) -> FloatArray:
@@ -132,7 +140,7 @@ def input_output_of(
 def _pieces(record: Decoupled, band_hz: Band, options: LinearOptions) -> Iterator[InputOutput]:
     low, high = band_hz
     T = record.sample_time
-    step = options.decimation or max(1, round(1.0 / (_RATE_TO_HIGH_EDGE * high * T)))
+    step = _decimation_of(record, options) or max(1, round(1.0 / (_RATE_TO_HIGH_EDGE * high * T)))
 
     def compensated_band(f: FloatArray) -> ComplexArray:
         attenuation = np.where(
@@ -156,12 +164,13 @@ def _pieces(record: Decoupled, band_hz: Band, options: LinearOptions) -> Iterato
 
 def decimated_hz(record: Decoupled, options: LinearOptions) -> float:
     """Cut-off frequency [Hz] of the low-pass before decimation."""
-    return _CUTOFF_TO_NYQUIST * 0.5 / ((options.decimation or 1) * record.sample_time)
+    return _CUTOFF_TO_NYQUIST * 0.5 / ((_decimation_of(record, options) or 1) * record.sample_time)
 
 
 def _decimate(record: Decoupled, _: Band, options: LinearOptions) -> Iterator[InputOutput]:
     """Low-passed, decimated stretches without their means, prepared as in the source."""
-    T, step, cutoff = record.sample_time, options.decimation or 1, decimated_hz(record, options)
+    T, cutoff = record.sample_time, decimated_hz(record, options)
+    step = _decimation_of(record, options) or 1
     for start, stop in runs_of(record.valid).tolist():
         edge = int(1.0 / (cutoff * T))
         if (stop - start) * T * cutoff < _MIN_CUTOFF_PERIODS * MIN_PERIODS:

@@ -15,6 +15,7 @@ from typing import Any
 
 from strainwave.domain import Options, Study
 from strainwave.domain.kinds import kind_of
+from strainwave.domain.options import PUBLISHED_OPTIONS
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
 from strainwave.io.study.checks import check_consistency, check_files, check_options, check_sizes
@@ -23,6 +24,9 @@ from strainwave.io.study.reader import PLACED_BY_URDF, Reader
 from strainwave.io.toml_files import parse_toml
 
 __all__ = ["check_study", "copy_to", "document_of", "read_study", "with_options", "write_study"]
+
+AS_PUBLISHED = "as-published"
+"""Text that stands for all options of the source."""
 
 _TODO = re.compile(r'\s*(\w+)\s*=\s*(?:"?TODO\b|\[\s*TODO\b|\{[^#]*=\s*"?TODO\b)')
 
@@ -51,13 +55,15 @@ def read_study(
 
 
 def with_options(
-    study: Study, options: Options | Mapping[str, Mapping[str, Any]] | Sequence[str]
+    study: Study, options: Options | Mapping[str, Mapping[str, Any]] | Sequence[str] | str
 ) -> Study:
     """A study with other options of the stages.
 
     `options` is a complete set of options, the changed options by stage and key, or texts
-    "stage.key=value" with TOML values as on the command line. Raises InvalidInput if an option is
-    unknown or has an invalid type or value.
+    "stage.key=value" with TOML values as on the command line. The text "as-published" selects the
+    options and the gears of the source; options of the study that differ from the defaults, and
+    later texts, override it. Raises InvalidInput if an option is unknown or has an invalid type or
+    value.
     """
     if isinstance(options, Options):  # checked as those of a file are
         reader = Flag(study.path, "options")
@@ -65,16 +71,43 @@ def with_options(
         changed = dataclasses.replace(study, options=checked)
         check_options(changed, reader)
         return changed
+    texts = [options] if isinstance(options, str) else list(options)
+    if AS_PUBLISHED in texts:
+        study = _as_published(study)
     given: dict[str, Mapping[str, Any]]
     if isinstance(options, Mapping):
         given = {f"options.{stage}": {stage: table} for stage, table in options.items()}
     else:
-        given = {f"--set {text}": parse_flag(text) for text in options}
+        given = {f"--set {text}": parse_flag(text) for text in texts if text != AS_PUBLISHED}
     for place, table in given.items():
         reader = Flag(study.path, place)
         study = dataclasses.replace(study, options=reader.options(table, study.options))
         check_options(study, reader)
     return study
+
+
+def _as_published(study: Study) -> Study:
+    """The study with the options of the source, one stiffness per gear and no selected effects."""
+    reader = Flag(study.path, f"--{AS_PUBLISHED}")
+    if not study.arm.has_planar_program:
+        raise InvalidInput(
+            f"the published method is for two-link arms and single joints, and the kind is "
+            f"{study.arm.kind!r}",
+            where=f"{study.path}, --{AS_PUBLISHED}",
+            remedy=f"identify the arm without --{AS_PUBLISHED}",
+        )
+    arm = study.arm.with_joints(
+        dataclasses.replace(
+            joint,
+            spring="linear" if joint.elastic else joint.spring,
+            effects=joint.named_effects,
+        )
+        for joint in study.arm.joints
+    )
+    options = reader.options(_table(study.options), PUBLISHED_OPTIONS)
+    published = dataclasses.replace(study, arm=arm, options=options)
+    check_options(published, reader)
+    return published
 
 
 def _check_placeholders(text: str, path: Path) -> None:

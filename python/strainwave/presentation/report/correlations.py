@@ -31,8 +31,8 @@ def correlations(identification: Identification) -> Correlations | None:
     if whole_arm is not None:
         return _of(arm, whole_arm.parameters, whole_arm.covariance)
     if len(joints) == 1:
-        size = len(joints[0].parameters)
-        return _of(arm, joints[0].parameters, joints[0].covariance[:size, :size])
+        covariance = joints[0].covariance  # without the total viscous friction, the last parameter
+        return _of(arm, joints[0].parameters[: len(covariance)], covariance)
     return _of(arm, rigid.parameters, rigid.covariance) if rigid is not None else None
 
 

@@ -252,6 +252,10 @@ _DATA = {
         "The simulated fit is meaningless; the resonances are not affected.",
         "Raise the amplitude, lower the order, or remove drifts.",
     ),
+    "stability-enforced": Advice(
+        "The model is the best stable one; its response below the resonances is doubtful.",
+        "Raise the amplitude, record longer, lower the order, or remove drifts.",
+    ),
     "state-space-failed": Advice(
         "The record has no state-space model; the joint model does not need one.",
         "Record a longer interval without saturation.",

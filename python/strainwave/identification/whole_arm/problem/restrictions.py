@@ -36,7 +36,7 @@ def published_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
     """Select the records of the published tuning method: steps in closed loop.
 
     `logs` have the motor signals that a simulation needs. Raises `NotIdentifiable` if none has
-    use = "tuning", and `InvalidInput` if one lacks data for a closed-loop simulation.
+    use = "tuning", or if one lacks data for a closed-loop simulation.
     """
     selected = [log for log in logs if log.experiment.use == "tuning"]
     if not selected:
@@ -46,10 +46,9 @@ def published_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
     for log in selected:
         missing = missing_recorded_input(arm, log)
         if missing is not None:
-            raise InvalidInput(
-                f"tuning as published simulates in closed loop, but {missing}",
-                where=log.name,
-                remedy="add the missing data, or remove tuning.as_published",
+            raise NotIdentifiable(
+                f"tuning as published simulates {log.name} in closed loop, but {missing}: add the "
+                "missing data, or set tuning.as_published = false"
             )
     return selected
 
