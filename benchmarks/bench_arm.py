@@ -46,14 +46,14 @@ def _voltage() -> FloatArray:
 
 
 def _time_step() -> float:
-    rig = Arm.of(scara.study(Path()).arm)
-    values = rig.parameter_vector(scara.parameters())[None, :]
+    rig = Arm.of(scara.STIFF.study(Path()).arm)
+    values = rig.parameter_vector(scara.STIFF.parameters())[None, :]
     return best_of(lambda: rig.core.simulate(values, **_experiment())) / STEPS
 
 
 def _time_derivatives(count: int) -> float:
-    rig = Arm.of(scara.study(Path()).arm)
-    values = rig.parameter_vector(scara.parameters())
+    rig = Arm.of(scara.STIFF.study(Path()).arm)
+    values = rig.parameter_vector(scara.STIFF.parameters())
     names = [name for name in rig.parameter_names if not name[0].startswith("gravity")][:count]
     return (
         best_of(lambda: rig.core.sensitivities(values, with_respect_to=names, **_experiment()))
@@ -101,7 +101,7 @@ def _c_peer() -> float | None:
 
 def _c_values() -> str:
     """The built-in arm's parameters as the C loop's constants; knees by their torsion."""
-    values, joints = scara.parameters(), scara.study(Path()).arm.joints
+    values, joints = scara.STIFF.parameters(), scara.STIFF.study(Path()).arm.joints
 
     def pair(name: str) -> list[float]:
         return [values[name, joint] for joint in (1, 2)]
@@ -139,7 +139,7 @@ def _scipy() -> float:
     """The same arm; friction is regularised, because SciPy has no set-valued friction."""
     from scipy.integrate import solve_ivp
 
-    values, joints = scara.parameters(), scara.study(Path()).arm.joints
+    values, joints = scara.STIFF.parameters(), scara.STIFF.study(Path()).arm.joints
     p = {name: value for (name, joint), value in values.items() if joint is None}
     joint = [{name: v for (name, j), v in values.items() if j == i} for i in (1, 2)]
     voltage = _voltage()
@@ -188,9 +188,9 @@ def _mujoco() -> float | None:
         return None
     parameters = tuple(
         Parameter(name, joint, value, 0.0, "1", "tuned")
-        for (name, joint), value in scara.parameters().items()
+        for (name, joint), value in scara.STIFF.parameters().items()
     )
-    arm = IdentifiedArm(scara.study(Path()), parameters, "truth")
+    arm = IdentifiedArm(scara.STIFF.study(Path()), parameters, "truth")
     model = mujoco.MjModel.from_xml_string(to_mjcf(arm).data.decode())
     model.opt.timestep = STEP
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4

@@ -20,10 +20,10 @@ from strainwave.virtual import scara
 
 def rows() -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
-        study = scara.study(Path(folder) / "x")
+        study = scara.STIFF.study(Path(folder) / "x")
         csv = tuple(replace(e, file=f"{e.name}.csv") for e in study.experiments)
         target = Path(folder) / "study"
-        virtual.simulate_study(replace(study, experiments=csv), scara.parameters(), target)
+        virtual.simulate_study(replace(study, experiments=csv), scara.STIFF.parameters(), target)
         files = sorted(target.glob("*.csv"))
         size = sum(file.stat().st_size for file in files) / 1e6
         task = f"reading a study of {size:.1f} MB of CSV"

@@ -40,9 +40,9 @@ def rows() -> list[Row]:
 
 
 def _record() -> tuple[Study, Log, Values]:
-    values = scara.parameters()
+    values = scara.STIFF.parameters()
     with TemporaryDirectory() as folder:
-        study = scara.study(Path(folder))
+        study = scara.STIFF.study(Path(folder))
         motion = tuple(e for e in study.experiments if e.name == "motion")
         motion_study = replace(study, experiments=motion)
         simulate_study(motion_study, values, Path(folder), noise=SensorNoise(), as_recorded=False)

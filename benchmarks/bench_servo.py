@@ -23,12 +23,12 @@ _DRAWS = 1000
 def rows() -> list[Row]:
     table = []
     for spring in ("linear", "three-slope"):
-        values = scara.parameters(5, spring)
+        values = scara.STIFF.parameters(5, spring)
         parameters = tuple(
             Parameter(name, joint, value, _REL_STD * abs(value), "", "tuned")
             for (name, joint), value in values.items()
         )
-        arm = IdentifiedArm(scara.study(Path(), spring), parameters, "the built-in arm")
+        arm = IdentifiedArm(scara.STIFF.study(Path(), spring), parameters, "the built-in arm")
         options = ServoOptions(draws=_DRAWS)
         time = best_of(partial(design_servo, arm, None, options), repeats=2, at_most=30.0)
         table.append(Row(f"servo design, {_DRAWS} draws, {spring}", time, "limit", _LIMIT))

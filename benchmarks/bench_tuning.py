@@ -134,9 +134,9 @@ def _record(spring: Spring, periods: int) -> tuple[Study, list[Log], Values]:
         for volt in (10.0, 8.0, 6.0)
         for j in (1, 2)
     )
-    values = scara.parameters(5, spring)
+    values = scara.STIFF.parameters(5, spring)
     with TemporaryDirectory() as folder:
-        study = replace(scara.study(Path(folder), spring), experiments=experiments)
+        study = replace(scara.STIFF.study(Path(folder), spring), experiments=experiments)
         simulate_study(study, values, Path(folder), noise=SensorNoise(), as_recorded=False)
         written = read_study(Path(folder) / "study.toml")
         return written, list(read_logs(written)), values

@@ -43,7 +43,7 @@ def rows() -> list[Row]:
     """The table's rows; without Chromium only those of the server."""
     with TemporaryDirectory() as name:
         folder = Path(name)
-        study, values = scara.study(folder / "arm"), scara.parameters()
+        study, values = scara.STIFF.study(folder / "arm"), scara.STIFF.parameters()
         simulate_study(
             study,
             values,
@@ -95,7 +95,7 @@ def _view_of_a_million() -> float:
     experiment = Experiment("one", "one.csv", "motion", ("servo", "servo"))
     log = Log(experiment, time_axis, 1e-4, channels)
     span = (0.0, float(time_axis[-1]))
-    return best_of(partial(time_figure, log, scara.study(Path()).arm, ["u1"], span, _PIXELS))
+    return best_of(partial(time_figure, log, scara.STIFF.study(Path()).arm, ["u1"], span, _PIXELS))
 
 
 def _in_browser(url: str, size: float) -> list[Row]:

@@ -39,7 +39,7 @@ print(json.dumps({"timing": result.timing_s, "peak": peak, "used": used, "values
 
 def servoed_study(periods: int) -> Study:
     """The built-in rig's motion, and a PRBS of some periods on each joint."""
-    study = scara.study(Path(), "linear")
+    study = scara.STIFF.study(Path(), "linear")
     experiments: list[Experiment] = []
     for experiment in study.experiments:
         if experiment.use == "motion":
@@ -54,7 +54,7 @@ def measure(periods: int, stages: str) -> dict[str, object]:
     """Times, memory and values for one length."""
     study = servoed_study(periods)
     with TemporaryDirectory() as folder:
-        values = scara.parameters(spring="linear")
+        values = scara.STIFF.parameters(spring="linear")
         simulate_study(study, values, Path(folder), noise=SensorNoise(), as_recorded=False)
         command = [sys.executable, "-c", _ONE, str(Path(folder) / "study.toml"), stages]
         process = subprocess.run(command, check=True, capture_output=True, text=True)

@@ -50,7 +50,7 @@ CURVE = {
 
 
 def study() -> Study:
-    return scara.study(Path("rig/study.toml"), "three-slope")
+    return scara.STIFF.study(Path("rig/study.toml"), "three-slope")
 
 
 def response(f: FloatArray) -> ComplexArray:

@@ -20,16 +20,16 @@ PRBS = Prbs(order=10, clock=1e-3, periods=3, amplitude=10.0)
 
 
 def rig(gravity: float | None = None, *, counts: float | None = 8192.0) -> Study:
-    study = scara.study(Path("nowhere"), "linear")
+    study = scara.STIFF.study(Path("nowhere"), "linear")
     joints = tuple(replace(joint, encoder_counts=counts) for joint in study.arm.joints)
     return replace(study, arm=change_arm_keys(study.arm.with_joints(joints), gravity=gravity))
 
 
 def rig_values(study: Study) -> Values:
-    values = scara.parameters(5, "linear")
+    values = scara.STIFF.parameters(5, "linear")
     if study.arm.gravity is not None:
         values["gravity_torque_1", None] = 60.0
-        values["gravity_torque_2", None] = 9.81 * values["gamma", None] / scara.LINK_LENGTH[0]
+        values["gravity_torque_2", None] = 9.81 * values["gamma", None] / scara.STIFF.link_length[0]
     return values
 
 

@@ -26,17 +26,17 @@ MOTION = Experiment("motion", "motion.csv", "motion", ("servo",))
 
 def two_links(folder: Path, spring: Spring = "linear", gravity: float | None = None) -> Study:
     """The built-in rig without a current loop."""
-    study = scara.study(folder, spring)
+    study = scara.STIFF.study(folder, spring)
     joints = tuple(replace(joint, current_loop_hz=None) for joint in study.arm.joints)
     return replace(study, arm=change_arm_keys(study.arm.with_joints(joints), gravity=gravity))
 
 
 def values_of(study: Study) -> Values:
     """Parameters of the rig; G2 differs by 2 % from the value of a rigid body."""
-    values = scara.parameters(5, study.arm.joints[0].spring)
+    values = scara.STIFF.parameters(5, study.arm.joints[0].spring)
     if study.arm.gravity is not None:
         values["gravity_torque_1", None] = 60.0
-        first_moment = values["gamma", None] / scara.LINK_LENGTH[0]
+        first_moment = values["gamma", None] / scara.STIFF.link_length[0]
         values["gravity_torque_2", None] = 1.02 * study.arm.gravity_size * first_moment
     return values
 

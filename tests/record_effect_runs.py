@@ -93,7 +93,7 @@ def runs(changed: Key | None = None, *, vertical: bool = False) -> Runs:
     base, known = rig(()), truth()[1]
     if vertical:
         base = replace(base, arm=change_arm_keys(base.arm, gravity=9.81))
-        second = 9.81 * known["gamma", None] / scara.LINK_LENGTH[0]
+        second = 9.81 * known["gamma", None] / scara.STIFF.link_length[0]
         known |= {("gravity_torque_1", None): 60.0, ("gravity_torque_2", None): second}
     logs: list[Log] = []
     each = zip(AMPLITUDES, POSTURES, CHANGES, strict=True)

@@ -26,17 +26,17 @@ def identified(study: Study, values: Values) -> IdentifiedArm:
 
 def rig(encoder_counts: int | None = None, disks: int = 3) -> IdentifiedArm:
     """The built-in rig with linear gears."""
-    study = scara.study(Path("nowhere"), "linear")
+    study = scara.STIFF.study(Path("nowhere"), "linear")
     joints = tuple(replace(each, encoder_counts=encoder_counts) for each in study.arm.joints)
     study = replace(study, arm=study.arm.with_joints(joints))
-    return identified(study, scara.parameters(disks, "linear"))
+    return identified(study, scara.STIFF.parameters(disks, "linear"))
 
 
 def vertical_rig() -> IdentifiedArm:
     """The rig in a vertical plane: it stands upright at (pi / 2, 0)."""
-    study = scara.study(Path("nowhere"), "linear")
+    study = scara.STIFF.study(Path("nowhere"), "linear")
     study = replace(study, arm=change_arm_keys(study.arm, gravity=9.81))
-    values = scara.parameters(1, "linear")
-    moment = values["gamma", None] / scara.LINK_LENGTH[0]
+    values = scara.STIFF.parameters(1, "linear")
+    moment = values["gamma", None] / scara.STIFF.link_length[0]
     values |= {("gravity_torque_1", None): 31.0, ("gravity_torque_2", None): 9.81 * moment}
     return identified(study, values)

@@ -47,7 +47,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 def test_the_demonstration_identifies_its_arm(demo: tuple[Path, str]) -> None:
     folder, printed = demo
     document = json.loads((folder / "result.json").read_text())
-    truth = virtual.derived(scara.parameters(), scara.study(folder).arm)
+    truth = virtual.derived(scara.SOFT.parameters(), scara.SOFT.study(folder).arm)
     names = [p["name"] for p in document["parameters"]]
     # the gears have three slopes
     assert "gear_stiffness" not in names
@@ -206,7 +206,7 @@ def test_motion_without_reversal_exits_with_three(tmp_path: Path) -> None:
 
 
 def test_simulate_runs_a_study_on_another_arm(demo: tuple[Path, str], tmp_path: Path) -> None:
-    values = scara.parameters(disks=3)
+    values = scara.SOFT.parameters(disks=3)
     document = {"parameters": [{"name": n, "joint": j, "value": v} for (n, j), v in values.items()]}
     (tmp_path / "p.json").write_text(json.dumps(document))
     study = str(demo[0] / "study.toml")
@@ -222,7 +222,7 @@ def test_simulate_runs_a_study_on_another_arm(demo: tuple[Path, str], tmp_path: 
 
 
 def test_simulate_does_not_overwrite_its_study(tmp_path: Path) -> None:
-    study = scara.study(tmp_path)
+    study = scara.SOFT.study(tmp_path)
     write_study(study, study.path)
     (tmp_path / "p.json").write_text('{"parameters": []}')
     arguments = ["simulate", str(study.path), "--parameters", str(tmp_path / "p.json")]
@@ -233,9 +233,9 @@ def test_simulate_does_not_overwrite_its_study(tmp_path: Path) -> None:
 
 def test_excite_needs_assumed_parameters(tmp_path: Path) -> None:
     # the command needs no experiment
-    study = replace(scara.study(tmp_path, "rigid"), experiments=())
+    study = replace(scara.SOFT.study(tmp_path, "rigid"), experiments=())
     write_study(study, study.path)
-    values = scara.parameters(spring="rigid")
+    values = scara.SOFT.parameters(spring="rigid")
     document = {"parameters": [{"name": n, "joint": j, "value": v} for (n, j), v in values.items()]}
     (tmp_path / "p.json").write_text(json.dumps(document))
     out = tmp_path / "designed"

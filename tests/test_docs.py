@@ -95,8 +95,8 @@ def test_study_files_are_read(tmp_path: Path) -> None:
 def test_parameter_files_are_read(name: str, text: str, tmp_path: Path) -> None:
     path = tmp_path / f"{Path(name).name}.json"
     path.write_text(text, encoding="utf-8")
-    assert set(read_parameters(path)) <= set(scara.parameters()) | set(
-        scara.parameters(spring="linear")
+    assert set(read_parameters(path)) <= set(scara.STIFF.parameters()) | set(
+        scara.STIFF.parameters(spring="linear")
     )
 
 

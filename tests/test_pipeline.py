@@ -39,11 +39,11 @@ def lab(shared_data: Path) -> Callable[[str], tuple[Identification, dict[str, An
 
 def test_progress_reports_the_current_part_and_the_number_of_parts(tmp_path: Path) -> None:
     """Parts are reported in order, and evaluations count up to their limit."""
-    study = scara.study(tmp_path, "linear")
+    study = scara.STIFF.study(tmp_path, "linear")
     short = [replace(e, prbs=Prbs(8, 1e-3, 2, 10.0)) if e.prbs else e for e in study.experiments]
     used = [e for e in short if e.use in ("motion", "frequency")]
     study = replace(study, experiments=tuple(used))
-    virtual.simulate_study(study, scara.parameters(5, "linear"), tmp_path, as_recorded=False)
+    virtual.simulate_study(study, scara.STIFF.parameters(5, "linear"), tmp_path, as_recorded=False)
     events: list[ProgressEvent] = []
     identification = pipeline.identify(tmp_path / "study.toml", progress=events.append)
     pipeline.write(identification, tmp_path / "out", progress=events.append)
@@ -142,7 +142,7 @@ def test_a_tuned_linear_arm_predicts_steps(
 
 
 def test_coupled_joints_start_from_typical_values_without_records_of_their_gears() -> None:
-    study = scara.study(Path("nowhere"))
+    study = scara.STIFF.study(Path("nowhere"))
     arm = Arm.of(replace(study.arm, kind="serial", coupling=((1.0, 0.0), (-0.8, 1.0))))
     inputs = Inputs(study, arm, (), ("decoupled",))
     stage = fit_elastic_joints(inputs, None, Reporter(inputs.stages, lambda _: None))

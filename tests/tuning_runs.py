@@ -53,8 +53,8 @@ JOINT_NAMES = (
 def truth(spring: str = "linear") -> tuple[Study, Values]:
     """Study and true parameters of the rig."""
     assert spring in ("linear", "three-slope")
-    study = scara.study(Path("nowhere"), "linear" if spring == "linear" else "three-slope")
-    values = scara.parameters(5, "linear" if spring == "linear" else "three-slope")
+    study = scara.STIFF.study(Path("nowhere"), "linear" if spring == "linear" else "three-slope")
+    values = scara.STIFF.parameters(5, "linear" if spring == "linear" else "three-slope")
     return study, derived(values, study.arm)
 
 

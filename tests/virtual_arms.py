@@ -32,7 +32,7 @@ ELASTIC_JOINT: Values = {
 
 def rigid_two_link(gravity: float | None = None) -> Study:
     """The built-in rig with rigid gears."""
-    study = scara.study(Path("nowhere"), "rigid")
+    study = scara.STIFF.study(Path("nowhere"), "rigid")
     return replace(study, arm=change_arm_keys(study.arm, gravity=gravity))
 
 
@@ -46,7 +46,7 @@ def values_of(study: Study, seed: int) -> Values:
     """Parameters of the built-in rig, each changed by a factor of up to about two."""
     rng = np.random.default_rng(seed)
     spring = study.arm.joints[0].spring
-    values = scara.parameters(int(rng.integers(0, 6)), spring)
+    values = scara.STIFF.parameters(int(rng.integers(0, 6)), spring)
     for (name, joint), value in values.items():
         if joint is not None and name != "friction_offset" and "knee" not in name:
             values[name, joint] = value * float(np.exp(rng.uniform(-0.5, 0.5)))
@@ -55,7 +55,7 @@ def values_of(study: Study, seed: int) -> Values:
         values["friction_offset", joint] = float(offset)
     if study.arm.gravity is not None:
         values["gravity_torque_1", None] = 31.0 * float(rng.uniform(0.7, 1.2))
-        values["gravity_torque_2", None] = 9.81 * values["gamma", None] / scara.LINK_LENGTH[0]
+        values["gravity_torque_2", None] = 9.81 * values["gamma", None] / scara.STIFF.link_length[0]
     return values
 
 

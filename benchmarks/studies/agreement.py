@@ -78,7 +78,7 @@ CASES: dict[str, tuple[bool, Change]] = {
 
 def simulate_arm(folder: Path, seed: int, *, stribeck: bool) -> Study:
     """Simulate the records of one arm; its study names no effect."""
-    study, values = scara.study(Path(), "linear"), scara.parameters(_DISKS, "linear")
+    study, values = scara.STIFF.study(Path(), "linear"), scara.STIFF.parameters(_DISKS, "linear")
     experiments = [e for e in study.experiments if e.use in ("motion", "frequency")]
     short = Prbs(10, 1e-3, 1, 10.0)
     experiments = [replace(e, prbs=short) if e.use == "frequency" else e for e in experiments]

@@ -36,7 +36,7 @@ def draw_arm(seed: int) -> tuple[Study, Values]:
     """Draw payload, gears, motors and friction around the built-in arm."""
     rng = np.random.default_rng([2009, seed])
     spring = SPRINGS[seed % len(SPRINGS)]
-    values = scara.parameters(int(rng.integers(0, scara.MAX_DISKS + 1)), spring)
+    values = scara.STIFF.parameters(int(rng.integers(0, scara.MAX_DISKS + 1)), spring)
     gears: dict[int, float] = {}
     for name, joint in list(values):
         if joint is None or name == "friction_offset":
@@ -50,7 +50,7 @@ def draw_arm(seed: int) -> tuple[Study, Values]:
         values["friction_offset", joint] = float(rng.uniform(-0.05, 0.05)) * friction
         if rng.uniform() < SETTLING_SHARE:
             values["friction_settling_time", joint] = float(rng.uniform(*SETTLING))
-    return replace(scara.study(Path(), spring), experiments=_experiments(spring)), values
+    return replace(scara.STIFF.study(Path(), spring), experiments=_experiments(spring)), values
 
 
 def draw_rig(seed: int) -> Rig:
@@ -61,7 +61,7 @@ def draw_rig(seed: int) -> Rig:
 def _experiments(spring: Spring) -> tuple[Experiment, ...]:
     """The built-in rig's experiments, shorter; three-slope gears need a second amplitude."""
     experiments = []
-    for experiment in scara.study(Path(), spring).experiments:
+    for experiment in scara.STIFF.study(Path(), spring).experiments:
         if experiment.use == "frequency":
             experiments.append(replace(experiment, prbs=Prbs(10, 1e-3, 2, 10.0)))
             if spring == "three-slope":

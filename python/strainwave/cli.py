@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -516,6 +516,12 @@ def demo(
             help="Also compare the published figures with the settings of the paper.",
         ),
     ] = False,
+    arm: Annotated[
+        Literal["soft", "stiff"],
+        typer.Option(
+            "--arm", help="Built-in arm: soft gears, or stiff ones, which are loaded less."
+        ),
+    ] = "soft",
     figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
@@ -524,11 +530,14 @@ def demo(
     from strainwave.presentation.matplotlib_backend import require_matplotlib
     from strainwave.presentation.terminal import print_comparisons, print_summary
     from strainwave.virtual.experiments import demonstrate
+    from strainwave.virtual.scara import ARMS
 
     if figures:
         require_matplotlib()
     with _progress(quiet) as report:
-        identification, truth = demonstrate(out, seed=seed, progress=report, figures=figures)
+        identification, truth = demonstrate(
+            out, seed=seed, progress=report, figures=figures, built_in=ARMS[arm]
+        )
     if not quiet:
         print_summary(identification, out, truth=truth, figures=figures)
     if not quick:
@@ -539,6 +548,7 @@ def demo(
                 seed=seed,
                 seeds=seeds,
                 as_published=as_published,
+                built_in=ARMS[arm],
                 progress=report,
             )
         if not quiet:

@@ -41,8 +41,8 @@ from strainwave.domain.verdict import model_defects
 from strainwave.virtual import scara
 from virtual_arms import rigid_drive, rigid_two_link
 
-ELASTIC = scara.study(rigid_two_link().path, "linear")
-TRUTH = scara.parameters(spring="linear")
+ELASTIC = scara.STIFF.study(rigid_two_link().path, "linear")
+TRUTH = scara.STIFF.parameters(spring="linear")
 N = 0.01
 RIGID = (
     ("rigid_inertia", 1),
@@ -550,7 +550,7 @@ def test_required_parameters_depend_on_springs_and_stages() -> None:
     assert replace(drive, rigid=None).verdict.status == "not-determined"
     with_gravity = replace(drive, study=rigid_drive(9.81))
     assert with_gravity.verdict.not_identified == (("gravity_torque_1", None),)
-    curved = scara.study(ELASTIC.path, "three-slope")
+    curved = scara.STIFF.study(ELASTIC.path, "three-slope")
     assert run(study=curved, stages=("rigid", "decoupled")).verdict.status == "determined"
     missing = run(study=curved).verdict.not_identified
     assert {key for key in missing if key[0].startswith("gear")} == {

@@ -17,7 +17,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.virtual import scara
 
 ONE = Arm.of(single_joint(Joint("rigid", 0.02), gravity=9.81))
-TWO = Arm.of(change_arm_keys(scara.study(Path(), "rigid").arm, gravity=9.81))
+TWO = Arm.of(change_arm_keys(scara.STIFF.study(Path(), "rigid").arm, gravity=9.81))
 ARMS = {"one joint": ONE, "two links": TWO}
 
 
@@ -88,7 +88,7 @@ def test_link_inertias_are_the_diagonal_of_the_stretched_inertia_matrix() -> Non
 
 
 def test_arms_are_values_with_a_cached_core() -> None:
-    description: ArmDescription = scara.study(Path()).arm
+    description: ArmDescription = scara.STIFF.study(Path()).arm
     arm = Arm.of(description)
     assert arm == Arm.of(description)
     assert arm.core is arm.core

@@ -44,7 +44,7 @@ ALL: tuple[EffectName, ...] = ("stribeck", "hysteresis", "kinematic-error")
 def one_joint(effects: tuple[EffectName, ...] = ALL) -> Study:
     joint = Joint("linear", RATIO, torque_per_volt=0.1, effects=effects)
     arm = single_joint(joint)
-    return Study(arm=arm, experiments=scara.study(Path()).experiments, path=Path("study.toml"))
+    return Study(arm=arm, experiments=scara.STIFF.study(Path()).experiments, path=Path("study.toml"))
 
 
 def drive(volts: FloatArray) -> Drive:
@@ -185,17 +185,17 @@ def test_sensitivities_to_effect_parameters_match_differences() -> None:
 
 
 def test_a_study_file_with_effects_is_simulated(tmp_path: Path) -> None:
-    study = scara.study(tmp_path)
+    study = scara.STIFF.study(tmp_path)
     first = replace(study.arm.joints[0], effects=ALL)
     step = tuple(e for e in study.experiments if e.name == "step-j1")
     study = replace(
         study, arm=replace(study.arm, joints=(first, study.arm.joints[1])), experiments=step
     )
     with pytest.raises(InvalidInput, match="missing parameters: stribeck_friction of joint 1"):
-        virtual.simulate_study(study, scara.parameters(), tmp_path / "none")
-    virtual.simulate_study(study, scara.parameters() | EFFECTS, tmp_path / "with")
-    plain = replace(study, arm=replace(study.arm, joints=scara.study(tmp_path).arm.joints))
-    virtual.simulate_study(plain, scara.parameters(), tmp_path / "without")
+        virtual.simulate_study(study, scara.STIFF.parameters(), tmp_path / "none")
+    virtual.simulate_study(study, scara.STIFF.parameters() | EFFECTS, tmp_path / "with")
+    plain = replace(study, arm=replace(study.arm, joints=scara.STIFF.study(tmp_path).arm.joints))
+    virtual.simulate_study(plain, scara.STIFF.parameters(), tmp_path / "without")
     back = read_study(tmp_path / "with" / "study.toml")
     assert back.arm.joints == study.arm.joints
     with_them, without = (
@@ -206,16 +206,16 @@ def test_a_study_file_with_effects_is_simulated(tmp_path: Path) -> None:
 
 
 def test_the_rigid_step_accepts_effects(tmp_path: Path) -> None:
-    study = scara.study(tmp_path)
+    study = scara.STIFF.study(tmp_path)
     first = replace(study.arm.joints[0], effects=ALL)
     motion = tuple(e for e in study.experiments if e.use == "motion")
     study = replace(
         study, arm=replace(study.arm, joints=(first, study.arm.joints[1])), experiments=motion
     )
-    virtual.simulate_study(study, scara.parameters() | EFFECTS, tmp_path)
+    virtual.simulate_study(study, scara.STIFF.parameters() | EFFECTS, tmp_path)
     result = pipeline.identify(tmp_path / "study.toml", stages=pipeline.STAGES[:1])
     assert result.rigid is not None
-    true = virtual.derived(scara.parameters(), study.arm)
+    true = virtual.derived(scara.STIFF.parameters(), study.arm)
     for name, joint in (("rigid_inertia", 1), ("beta", None), ("gamma", None)):
         # a few per mille, as without effects, which slow motion hardly excites
         assert result.rigid.value(name, joint) == pytest.approx(true[name, joint], rel=0.01)

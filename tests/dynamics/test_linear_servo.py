@@ -28,7 +28,7 @@ PERIOD = 1e-3
 def frictionless(arm: ArmDescription) -> tuple[ArmDescription, Values]:
     """The built-in arm with linear gears, without friction and quantisation."""
     joints = tuple(replace(joint, encoder_counts=None) for joint in arm.joints)
-    values = scara.parameters(spring="linear")
+    values = scara.STIFF.parameters(spring="linear")
     for number in (1, 2):
         values["motor_coulomb_friction", number] = 0.0
         values["friction_offset", number] = 0.0
@@ -82,7 +82,7 @@ def small_steps(size: float, samples: int = 600) -> FloatArray:
 
 def test_closed_loop_equals_the_linear_model() -> None:
     """The motions are small, so that the inertia of the links is constant."""
-    study = scara.study(Path(), "linear")
+    study = scara.STIFF.study(Path(), "linear")
     arm, values = frictionless(study.arm)
     source = IdentifiedArm(replace(study, arm=arm), (), "test")
     plants = plants_of(source, [values], [Condition(np.zeros(2))])
@@ -135,7 +135,7 @@ def law_by_hand(
 
 def test_limited_laws_equal_a_loop_in_python() -> None:
     """On the arm with friction and encoders; its open loop with the voltages moves equally."""
-    study, values = scara.study(Path()), scara.parameters()
+    study, values = scara.STIFF.study(Path()), scara.STIFF.parameters()
     arm, limit, start = Arm.of(study.arm), 3.0, (0.4, -0.3)
     reference = np.column_stack([small_steps(60.0)[:, 0], -small_steps(40.0)[:, 0]])
     volts = np.column_stack([np.full(600, 0.2), 0.3 * np.sin(0.02 * np.arange(600))])
@@ -160,7 +160,7 @@ def test_limited_laws_equal_a_loop_in_python() -> None:
 
 def test_a_cascade_as_law_equals_the_servo_of_the_arm() -> None:
     """Joint 2 is not under servo."""
-    study, values = scara.study(Path()), scara.parameters()
+    study, values = scara.STIFF.study(Path()), scara.STIFF.parameters()
     servo = study.arm.servo
     assert servo is not None
     gains = (servo.kp, servo.ki, servo.position_gain or (0.0, 0.0))
@@ -178,7 +178,7 @@ def test_a_cascade_as_law_equals_the_servo_of_the_arm() -> None:
 
 
 def test_derivatives_include_the_laws() -> None:
-    study = scara.study(Path(), "linear")
+    study = scara.STIFF.study(Path(), "linear")
     arm, values = frictionless(study.arm)
     core, drive = Arm.of(arm), driven(small_steps(5.0), 100.0)
     key = ("gear_stiffness", 1)
@@ -236,10 +236,10 @@ def test_proportional_law_has_no_states() -> None:
     drive = replace(
         driven(small_steps(1.0), 10.0), linear_servo=LinearServo((law, law), PERIOD, 10.0)
     )
-    study = scara.study(Path())
+    study = scara.STIFF.study(Path())
     run = simulate(
         Arm.of(study.arm),
-        scara.parameters(),
+        scara.STIFF.parameters(),
         drive,
         sample_time=PERIOD,
         samples=600,
@@ -249,7 +249,7 @@ def test_proportional_law_has_no_states() -> None:
 
 
 def test_laws_that_do_not_fit_are_rejected() -> None:
-    study, values = scara.study(Path()), scara.parameters()
+    study, values = scara.STIFF.study(Path()), scara.STIFF.parameters()
     one = LinearServo(laws()[:1], PERIOD, 10.0)
     drive = replace(driven(small_steps(1.0), 10.0), linear_servo=one)
     with pytest.raises(InvalidInput, match="expected 2 control laws, got 1"):

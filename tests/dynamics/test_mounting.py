@@ -32,7 +32,7 @@ NAMES = ("ax", "ay", "az", "gx", "gy", "gz")
 
 def rig(gravity: float | None, joint: int, imu: Imu | None = IMU) -> Study:
     """The rig with an ideal IMU on one of its links."""
-    study = scara.study(Path("nowhere"))
+    study = scara.STIFF.study(Path("nowhere"))
     joints = tuple(
         replace(description, imu=imu if i == joint else None)
         for i, description in enumerate(study.arm.joints, start=1)
@@ -68,7 +68,7 @@ def path_of(angle: FloatArray, study: Study, joint: int) -> tuple[FloatArray, Fl
 def test_the_simulated_imu_matches_its_path(gravity: float | None, joint: int) -> None:
     """Second differences of the position in the sensor's frame, and the rate of its attitude."""
     study = rig(gravity, joint)
-    values = scara.parameters() | {
+    values = scara.STIFF.parameters() | {
         ("gravity_torque_1", None): 40.0,
         ("gravity_torque_2", None): 9.0,
     }
@@ -100,7 +100,7 @@ def test_the_simulated_imu_matches_its_path(gravity: float | None, joint: int) -
 @pytest.mark.parametrize("gravity", [None, 9.81])
 def test_the_kinematics_match_the_core(gravity: float | None) -> None:
     study = rig(gravity, 2)
-    values = scara.parameters() | {
+    values = scara.STIFF.parameters() | {
         ("gravity_torque_1", None): 40.0,
         ("gravity_torque_2", None): 9.0,
     }

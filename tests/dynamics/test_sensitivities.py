@@ -20,9 +20,9 @@ from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.records.low_pass import low_pass_kernels
 from strainwave.virtual import scara
 
-RIG = Arm.of(scara.study(Path()).arm)
+RIG = Arm.of(scara.STIFF.study(Path()).arm)
 ARM = RIG.core
-VALUES = RIG.parameter_vector(scara.parameters())
+VALUES = RIG.parameter_vector(scara.STIFF.parameters())
 ONE = excitation.prbs(Prbs(8, 1e-3, 1, 6.0))[:200]
 VOLTAGE = np.column_stack([ONE, ONE[::-1]])
 RECORD = ["motor_velocity", "accelerometer", "gyro", "link_angle"]
@@ -80,8 +80,8 @@ def test_unknown_directions_are_rejected(direction: tuple[str, int | None]) -> N
 @pytest.mark.parametrize("spring", ["three-slope", "rigid"])  # two implementations of derivatives
 @pytest.mark.parametrize("n_directions", [0, 3, 8])
 def test_rows_are_filtered_samples(spring: Spring, n_directions: int) -> None:
-    rig = Arm.of(scara.study(Path(), spring).arm)
-    arm, values = rig.core, rig.parameter_vector(scara.parameters(spring=spring))
+    rig = Arm.of(scara.STIFF.study(Path(), spring).arm)
+    arm, values = rig.core, rig.parameter_vector(scara.STIFF.parameters(spring=spring))
     directions = arm.parameter_names[:n_directions]
     full = arm.sensitivities(values, VOLTAGE, with_respect_to=directions, **EXPERIMENT)
     kernels = low_pass_kernels(60.0, 1e-3)

@@ -41,7 +41,7 @@ def fit(measured: FloatArray, simulated: FloatArray) -> float:
 
 
 def test_a_constant_voltage_accelerates_the_whole_arm() -> None:
-    study, values = scara.study(Path()), scara.parameters()
+    study, values = scara.STIFF.study(Path()), scara.STIFF.parameters()
     run = simulate(
         Arm.of(study.arm),
         values,
@@ -56,27 +56,27 @@ def test_a_constant_voltage_accelerates_the_whole_arm() -> None:
 
 
 def test_missing_parameters_are_rejected_by_name() -> None:
-    study = scara.study(Path())
+    study = scara.STIFF.study(Path())
     arm = Arm.of(study.arm)
-    vector = arm.parameter_vector(scara.parameters())
+    vector = arm.parameter_vector(scara.STIFF.parameters())
     named = dict(zip(arm.parameter_names, vector, strict=True))
     assert named["gear_knee_t2", 1] == 25.0
     assert named["gravity_torque_1", None] == 0.0
-    incomplete = scara.parameters()
+    incomplete = scara.STIFF.parameters()
     del incomplete["gear_damping", 2]
     with pytest.raises(InvalidInput, match="missing parameters: gear_damping of joint 2"):
         arm.parameter_vector(incomplete)
 
 
 def test_impossible_parameters_are_rejected_by_name() -> None:
-    study = scara.study(Path())
+    study = scara.STIFF.study(Path())
     cases: list[tuple[Values, str]] = [
         ({("motor_inertia", 1): -1.0}, "motor_inertia of joint 1 is -1, but must be positive"),
         ({("gamma", None): 5.0}, "gamma is 5, but must be smaller"),
         ({("gear_knee_t2", 1): 1.0}, "gear_knee_t2 of joint 1 is 1, but must be above"),
     ]
     for change, message in cases:
-        values = scara.parameters() | change
+        values = scara.STIFF.parameters() | change
         with pytest.raises(InvalidInput, match=message):
             simulate(
                 Arm.of(study.arm),
@@ -89,8 +89,8 @@ def test_impossible_parameters_are_rejected_by_name() -> None:
 
 
 def test_a_rigid_arm_is_simulated_from_its_rigid_model() -> None:
-    study = scara.study(Path(), "rigid")
-    whole = scara.parameters(spring="rigid")
+    study = scara.STIFF.study(Path(), "rigid")
+    whole = scara.STIFF.parameters(spring="rigid")
     known = virtual.derived(whole, study.arm)
     sums = {
         name: known[name]
@@ -115,11 +115,11 @@ def test_the_payload_determines_the_inertia() -> None:
         (3, 1.3647, 0.46175, 0.5775),
         (5, 1.6097, 0.64425, 0.7875),
     ]:
-        values = scara.parameters(disks)
+        values = scara.STIFF.parameters(disks)
         base = [values[name, None] for name in ("alpha", "beta", "gamma")]
         np.testing.assert_allclose(base, [alpha, beta, gamma], rtol=1e-12)
     with pytest.raises(InvalidInput, match="6 disks"):
-        scara.parameters(6)
+        scara.STIFF.parameters(6)
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_the_step_divides_every_clock(clocks: list[float], step: float) -> None:
 
 def test_the_fastest_resonance_matches_the_eigenvalues() -> None:
     """One joint in closed form; two joints against the eigenvalues of the stretched and folded arm."""
-    study, values = scara.study(Path(), "linear"), scara.parameters(0, "linear")
+    study, values = scara.STIFF.study(Path(), "linear"), scara.STIFF.parameters(0, "linear")
     one = replace(study, arm=replace(study.arm, kind="single-joint", joints=study.arm.joints[:1]))
     motor, link, k, n = 1.5e-3, 3.0, 2e4, study.arm.joints[0].gear_ratio
     alone: Values = {("motor_inertia", 1): motor, ("link_inertia", 1): link}
@@ -162,7 +162,7 @@ def test_the_fastest_resonance_matches_the_eigenvalues() -> None:
 
 
 def test_the_stable_step_of_one_joint_follows_its_pole() -> None:
-    study = scara.study(Path(), "linear")
+    study = scara.STIFF.study(Path(), "linear")
     joint = study.arm.joints[0]
     one = Arm.of(replace(study.arm, kind="single-joint", joints=(joint,)))
     motor, link, k, d = 1.5e-3, 3.0, 2e4, 5.0
@@ -181,7 +181,7 @@ def test_the_stable_step_of_one_joint_follows_its_pole() -> None:
 
 def test_the_integrator_is_stable_at_the_stable_step_and_not_far_above() -> None:
     """A stiff, lightly damped joint, for which the usual step is too long."""
-    study, values = scara.study(Path(), "linear"), scara.parameters(0, "linear")
+    study, values = scara.STIFF.study(Path(), "linear"), scara.STIFF.parameters(0, "linear")
     arm, stiff = Arm.of(study.arm), dict(values)
     for joint in (1, 2):
         stiff["gear_stiffness", joint] *= 1e3
@@ -209,7 +209,7 @@ def test_the_integrator_is_stable_at_the_stable_step_and_not_far_above() -> None
 
 def test_the_time_step_resolves_the_fastest_resonance() -> None:
     """Ten times the stiffness; the error against much shorter steps is below the sensor resolution."""
-    study, values = scara.study(Path(), "linear"), scara.parameters(0, "linear")
+    study, values = scara.STIFF.study(Path(), "linear"), scara.STIFF.parameters(0, "linear")
     arm = Arm.of(study.arm)
     assert arm.max_time_step(values) == MAX_TIME_STEP
     stiff = dict(values)
@@ -268,12 +268,12 @@ def test_clocks_without_a_common_step_are_rejected() -> None:
 
 
 def test_a_servo_must_be_described() -> None:
-    study = replace(scara.study(Path()), arm=replace(scara.study(Path()).arm, servo=None))
+    study = replace(scara.STIFF.study(Path()), arm=replace(scara.STIFF.study(Path()).arm, servo=None))
     held = replace(drive(20), servo=(True, True))
     with pytest.raises(InvalidInput, match="no servo"):
         simulate(
             Arm.of(study.arm),
-            scara.parameters(),
+            scara.STIFF.parameters(),
             held,
             sample_time=1e-3,
             samples=20,
@@ -282,11 +282,11 @@ def test_a_servo_must_be_described() -> None:
 
 
 def test_sensors_add_bias_noise_and_rounding() -> None:
-    study = scara.study(Path())
+    study = scara.STIFF.study(Path())
     record: list[Quantity] = ["accelerometer", "gyro", "encoder"]
     run = simulate(
         Arm.of(study.arm),
-        scara.parameters(),
+        scara.STIFF.parameters(),
         drive(4000, 0.0),
         sample_time=1e-3,
         samples=4000,
@@ -309,8 +309,8 @@ def test_sensors_add_bias_noise_and_rounding() -> None:
 
 
 def test_every_use_has_a_default_excitation(tmp_path: Path) -> None:
-    study = scara.study(tmp_path)
-    assert virtual.simulate_study(study, scara.parameters(), tmp_path, seed=3) == len(
+    study = scara.STIFF.study(tmp_path)
+    assert virtual.simulate_study(study, scara.STIFF.parameters(), tmp_path, seed=3) == len(
         study.experiments
     )
     back = read_study(tmp_path / "study.toml")
@@ -327,9 +327,9 @@ def test_every_use_has_a_default_excitation(tmp_path: Path) -> None:
 
 
 def test_the_seed_determines_motion_and_noise(tmp_path: Path) -> None:
-    study = replace(scara.study(tmp_path), experiments=scara.study(tmp_path).experiments[:1])
+    study = replace(scara.STIFF.study(tmp_path), experiments=scara.STIFF.study(tmp_path).experiments[:1])
     for name, seed, noise in [("a", 1, None), ("b", 1, SensorNoise()), ("c", 2, None)]:
-        virtual.simulate_study(study, scara.parameters(), tmp_path / name, seed=seed, noise=noise)
+        virtual.simulate_study(study, scara.STIFF.parameters(), tmp_path / name, seed=seed, noise=noise)
     a, b, c = (logs.read_logs(read_study(tmp_path / name / "study.toml"))[0] for name in "abc")
     np.testing.assert_array_equal(a.channels["theta_m1"], b.channels["theta_m1"])
     assert not np.array_equal(a.channels["a1"], b.channels["a1"])
@@ -337,9 +337,9 @@ def test_the_seed_determines_motion_and_noise(tmp_path: Path) -> None:
 
 
 def test_an_arm_under_gravity_starts_in_equilibrium(tmp_path: Path) -> None:
-    study = scara.study(tmp_path)
+    study = scara.STIFF.study(tmp_path)
     upright = replace(study, arm=change_arm_keys(study.arm, gravity=9.81))
-    values = scara.parameters(0) | {
+    values = scara.STIFF.parameters(0) | {
         ("gravity_torque_1", None): 31.0,
         ("gravity_torque_2", None): 7.4,
     }
@@ -352,10 +352,10 @@ def test_an_arm_under_gravity_starts_in_equilibrium(tmp_path: Path) -> None:
 
 
 def test_open_loop_motion_without_a_log_is_rejected(tmp_path: Path) -> None:
-    study = scara.study(tmp_path)
+    study = scara.STIFF.study(tmp_path)
     free = Experiment("free", "free.csv", "motion", ("open", "open"))
     with pytest.raises(InvalidInput, match="moves joint 1 in open loop and has no log"):
-        virtual.simulate_study(replace(study, experiments=(free,)), scara.parameters(), tmp_path)
+        virtual.simulate_study(replace(study, experiments=(free,)), scara.STIFF.parameters(), tmp_path)
     assert not list(tmp_path.iterdir())
 
 
@@ -409,7 +409,7 @@ def test_the_servo_reproduces_the_logged_voltage(shared_data: Path) -> None:
 
 def test_a_position_loop_corrects_the_reference(tmp_path: Path) -> None:
     """The control law on simulated encoder and reference gives the simulated voltage."""
-    study = scara.study(tmp_path)
+    study = scara.STIFF.study(tmp_path)
     servo = study.arm.servo
     assert servo is not None
     arm = replace(study.arm, servo=replace(servo, position_gain=(8.0, 5.0)))
@@ -426,7 +426,7 @@ def test_a_position_loop_corrects_the_reference(tmp_path: Path) -> None:
     )
     ran = simulate(
         Arm.of(arm),
-        scara.parameters(),
+        scara.STIFF.parameters(),
         moved,
         sample_time=servo.period,
         samples=ticks,
@@ -442,10 +442,10 @@ def test_a_position_loop_corrects_the_reference(tmp_path: Path) -> None:
 
 
 def test_a_prbs_adds_to_the_servo_voltage(tmp_path: Path) -> None:
-    study = scara.study(tmp_path)
+    study = scara.STIFF.study(tmp_path)
     prbs = Prbs(order=8, clock=1e-3, periods=2, amplitude=8.0)
     ridden = Experiment("p", "p.parquet", "frequency", ("servo", "servo"), joint=1, prbs=prbs)
-    virtual.simulate_study(replace(study, experiments=(ridden,)), scara.parameters(), tmp_path)
+    virtual.simulate_study(replace(study, experiments=(ridden,)), scara.STIFF.parameters(), tmp_path)
     log = logs.read_logs(read_study(tmp_path / "study.toml"))[0]
     u = log.channels["u1"]
     assert np.abs(u).max() > 8.0  # PRBS and servo
@@ -454,7 +454,7 @@ def test_a_prbs_adds_to_the_servo_voltage(tmp_path: Path) -> None:
 
 
 def test_parameters_round_trip_through_a_result_like_file(tmp_path: Path) -> None:
-    values = scara.parameters()
+    values = scara.STIFF.parameters()
     entries = [{"name": name, "joint": joint, "value": v} for (name, joint), v in values.items()]
     (tmp_path / "p.json").write_text(json.dumps({"parameters": entries}))
     assert read_parameters(tmp_path / "p.json") == values

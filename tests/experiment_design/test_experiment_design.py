@@ -38,8 +38,8 @@ from strainwave.virtual import scara
 
 ANY = (float("inf"), float("inf"))
 LIMITS = Limits((1.2, 1.0), (180.0, 150.0), (10.0, 10.0), (90.0, 40.0))
-STUDY = scara.study(Path("nowhere"))
-GUESS = scara.parameters()
+STUDY = scara.STIFF.study(Path("nowhere"))
+GUESS = scara.STIFF.parameters()
 
 
 @pytest.fixture(scope="module")
@@ -57,9 +57,9 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def upright() -> tuple[Study, Values]:
     """The rig without disks in a vertical plane."""
-    values = scara.parameters(0)
+    values = scara.STIFF.parameters(0)
     values["gravity_torque_1", None] = 31.0
-    values["gravity_torque_2", None] = 9.81 * values["gamma", None] / scara.LINK_LENGTH[0]
+    values["gravity_torque_2", None] = 9.81 * values["gamma", None] / scara.STIFF.link_length[0]
     return replace(STUDY, arm=change_arm_keys(STUDY.arm, gravity=9.81)), values
 
 

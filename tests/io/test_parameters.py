@@ -139,8 +139,8 @@ def test_any_json_document_is_read_or_refused(
 
 
 def test_an_identification_of_an_elastic_arm_can_be_simulated() -> None:
-    study = scara.study(Path("x"), "linear")
-    whole = scara.parameters(5, "linear")
+    study = scara.STIFF.study(Path("x"), "linear")
+    whole = scara.STIFF.parameters(5, "linear")
     derived = virtual.derived(whole, study.arm)
     reported = {
         key: value
@@ -161,10 +161,10 @@ def test_an_identification_of_an_elastic_arm_can_be_simulated() -> None:
 
 
 def test_one_stiffness_replaces_three_slopes() -> None:
-    study = scara.study(Path("x"), "three-slope")
-    made = complete_values(scara.parameters(5, "linear"), study.arm)
+    study = scara.STIFF.study(Path("x"), "three-slope")
+    made = complete_values(scara.STIFF.parameters(5, "linear"), study.arm)
     slopes = {made[f"gear_stiffness_{k}", 1] for k in ("k1", "k2", "k3")}
-    assert slopes == {scara.parameters(5, "linear")["gear_stiffness", 1]}
+    assert slopes == {scara.STIFF.parameters(5, "linear")["gear_stiffness", 1]}
     assert made["gear_knee_t1", 1] < made["gear_knee_t2", 1]
 
 

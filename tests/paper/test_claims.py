@@ -128,18 +128,18 @@ def sound(name: str = "given") -> tuple[Evidence, ...]:
 
 def test_claims_of_tuning_can_fail() -> None:
     rig = Rig(1)
-    truth = WholeArmEstimate(scara.parameters(), sound())
+    truth = WholeArmEstimate(scara.STIFF.parameters(), sound())
     result = refinement.responses(rig, 1, truth)
     assert result.outcome == "shown"
     assert result.values["tuned_db"] == pytest.approx(0.0, abs=1e-9)
     stiff = WholeArmEstimate(
-        scara.parameters(spring="linear") | {("gear_stiffness", 1): 60000.0}, sound()
+        scara.STIFF.parameters(spring="linear") | {("gear_stiffness", 1): 60000.0}, sound()
     )
     missed = refinement.responses(rig, 1, stiff)
     assert missed.outcome == "does-not-hold"
     assert "stiffness" in missed.reasons[0]
     assert steps.tuning(rig, truth, stiff).outcome == "does-not-hold"
-    heavy = WholeArmEstimate(scara.parameters() | {("motor_inertia", 1): 3e-4}, sound())
+    heavy = WholeArmEstimate(scara.STIFF.parameters() | {("motor_inertia", 1): 3e-4}, sound())
     assert steps.validation(rig, truth).outcome == "shown"
     assert steps.validation(rig, heavy).outcome == "does-not-hold"
 
@@ -147,7 +147,7 @@ def test_claims_of_tuning_can_fail() -> None:
 @pytest.mark.parametrize("status", ["iteration-limit", "stalled", "at-bounds", "failed"])
 def test_models_that_did_not_converge_show_nothing(status: str) -> None:
     doubtful = WholeArmEstimate(
-        scara.parameters(), (Evidence("whole arm", "whole-arm fit", status),)
+        scara.STIFF.parameters(), (Evidence("whole arm", "whole-arm fit", status),)
     )
     result = steps.validation(Rig(1), doubtful)
     assert result.outcome == "not-shown"
@@ -254,7 +254,7 @@ def test_seeds_differ_in_noise_and_in_the_sequence() -> None:
 
 
 def test_distance_of_a_gain() -> None:
-    joint: TwoInertia = joint_with(scara.parameters(), 1, 20000.0, 0.01)
+    joint: TwoInertia = joint_with(scara.STIFF.parameters(), 1, 20000.0, 0.01)
     one = response_of(joint).response[:, 0, 0]
     assert distance_db(2.0 * one, one) == pytest.approx(20.0 * np.log10(2.0))
     assert len(one) == len(LINES_HZ)

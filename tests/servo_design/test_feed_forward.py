@@ -58,12 +58,12 @@ def without_friction(values: Values) -> Values:
 
 
 def rig(spring: str = "linear", disks: int = 5) -> tuple[Study, Values]:
-    return scara.study(Path("nowhere"), spring), scara.parameters(disks, spring)
+    return scara.STIFF.study(Path("nowhere"), spring), scara.STIFF.parameters(disks, spring)
 
 
 def vertical_rig(spring: str = "linear") -> tuple[Study, Values]:
     study, values = rig(spring, 1)
-    moment = values["gamma", None] / scara.LINK_LENGTH[0]
+    moment = values["gamma", None] / scara.STIFF.link_length[0]
     values |= {("gravity_torque_1", None): 31.0, ("gravity_torque_2", None): 9.81 * moment}
     return replace(study, arm=change_arm_keys(study.arm, gravity=9.81)), values
 
@@ -330,7 +330,7 @@ def test_torsion_transmits_the_torque_of_the_link(
 
 def test_a_payload_on_a_planar_arm_equals_heavier_links() -> None:
     study, values = vertical_rig()
-    m, (l1, _), x = 1.5, scara.LINK_LENGTH, 0.25
+    m, (l1, _), x = 1.5, scara.STIFF.link_length, 0.25
     loaded = values | {
         ("alpha", None): values["alpha", None] + m * l1**2,
         ("beta", None): values["beta", None] + m * x**2,

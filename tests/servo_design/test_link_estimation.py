@@ -50,8 +50,8 @@ def with_encoders(arm: IdentifiedArm, imu: Imu | None = None) -> IdentifiedArm:
 
 
 def curved_rig() -> IdentifiedArm:
-    study = scara.study(Path("nowhere"), "three-slope")
-    return identified(study, scara.parameters(3, "three-slope"))
+    study = scara.STIFF.study(Path("nowhere"), "three-slope")
+    return identified(study, scara.STIFF.parameters(3, "three-slope"))
 
 
 ARMS = {"curved": curved_rig, "vertical": vertical_rig, "linear": rig}

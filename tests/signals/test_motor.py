@@ -239,9 +239,9 @@ def test_friction_shapes_sum_to_one_at_uncertain_directions(
 
 def test_certain_directions_agree_with_the_simulated_velocity() -> None:
     """Certain directions agree with the sign of the velocity of a simulated arm."""
-    study = scara.study(Path("nowhere"), "linear")
+    study = scara.STIFF.study(Path("nowhere"), "linear")
     motion = signals.prepare_motor_signals(
-        motion_log(study, scara.parameters(5, "linear"), 0), Arm.of(study.arm)
+        motion_log(study, scara.STIFF.parameters(5, "linear"), 0), Arm.of(study.arm)
     )
     certain = motion.direction != 0.0
     assert 0.7 < certain.mean() < 0.999
@@ -254,8 +254,8 @@ def test_certain_directions_agree_with_the_simulated_velocity() -> None:
 
 
 def test_samples_at_the_servo_limit_are_excluded_with_a_warning() -> None:
-    study = scara.study(Path("nowhere"), "linear")
-    log = motion_log(study, scara.parameters(0, "linear"), 0, duration=4.0)
+    study = scara.STIFF.study(Path("nowhere"), "linear")
+    log = motion_log(study, scara.STIFF.parameters(0, "linear"), 0, duration=4.0)
     voltage = log.channels["u1"].copy()
     voltage[2000:2300] = 10.0
     limited = replace(log, channels={**log.channels, "u1": voltage})

@@ -74,8 +74,8 @@ def tuned_arm(name: str, study: Study, values: Values, draws: int, seed: int) ->
 
 def arms(count: int, draws: int) -> Iterator[Tuned]:
     """The built-in arm, then `count` drawn ones."""
-    study = replace(lab_arm(1)[0], arm=scara.study(Path(), "three-slope").arm)
-    yield tuned_arm("built-in, 5 kg", study, scara.parameters(5, "three-slope"), draws, 0)
+    study = replace(lab_arm(1)[0], arm=scara.STIFF.study(Path(), "three-slope").arm)
+    yield tuned_arm("built-in, 5 kg", study, scara.STIFF.parameters(5, "three-slope"), draws, 0)
     for k in range(count):
         seed = 3 * k + 1  # every third arm has three-slope gears
         yield tuned_arm(f"drawn, {seed}", *lab_arm(seed), draws, seed)

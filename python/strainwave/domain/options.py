@@ -103,9 +103,9 @@ class PhysicalOptions(_Checked):
 class WholeArmOptions(_Checked):
     """Options of the whole-arm fit: `tuning`."""
 
-    # `tuning` records in closed loop, motor velocities only, no information of other stages
-    # except starting values; Coulomb friction fixed, other parameters without an entry in `ranges`
-    # limited to `PUBLISHED_RANGE`
+    # link velocities (10) of `tuning` records in closed loop by plain least squares, no information
+    # of other stages except starting values; Coulomb friction fixed, other parameters without an
+    # entry in `ranges` limited to `PUBLISHED_RANGE`
     as_published: bool = False
     # (lowest, highest) value over the starting value, by parameter: "gear_stiffness", or
     # "gear_stiffness 2" for one joint

@@ -43,7 +43,7 @@ def failed_comparison(figure: int, error: StrainwaveError) -> Comparison:
 
 
 def criterion_of(key: str, value: float, otherwise: str = "", **names: Any) -> Criterion:
-    """Criterion of claims.toml; `names` fill its texts, `otherwise` has the numbers of a failure."""
+    """Criterion of claims.toml; `names` fill its texts, `otherwise` explains a failure."""
     entry = _table()["criteria"][key]
     name, reason = entry["name"].format(**names), entry["reason"].format(**names)
     return Criterion(name, value, entry["bound"], entry["limit"], reason, otherwise)

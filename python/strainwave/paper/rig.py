@@ -38,8 +38,8 @@ from strainwave.paper.settings import OWN_SETTINGS, Settings
 from strainwave.paper.truth import equivalent, joint_with
 from strainwave.signals import motor as signals
 from strainwave.signals.link_motion import prepare_link_signals
-from strainwave.virtual.scara import SOFT, BuiltInArm
 from strainwave.virtual.plans import STEP_HOLD, smooth_reference
+from strainwave.virtual.scara import SOFT, BuiltInArm
 
 Progress = Callable[[str], None]
 

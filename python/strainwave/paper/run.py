@@ -31,8 +31,8 @@ def write_comparisons(
 ) -> tuple[Tally, ...]:
     """Test the source's claims on the built-in arm; write comparisons.html, .json and .md.
 
-    `identification` is that of the arm `built_in`; its tuned parameters are compared if it has them. `seed` is
-    the first of `seeds` seeds. `as_published` adds the published settings.
+    `identification` is that of the arm `built_in`; its tuned parameters are compared if it has
+    them. `seed` is the first of `seeds` seeds. `as_published` adds the published settings.
     """
     numbers = range(seed, seed + seeds)
     settings = (OWN_SETTINGS, PUBLISHED_SETTINGS) if as_published else (OWN_SETTINGS,)

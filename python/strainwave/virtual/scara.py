@@ -47,7 +47,8 @@ class BuiltInArm:
     def parameters(self, disks: int = MAX_DISKS, spring: Spring = _SPRING) -> Values:
         """Parameter values [SI] by name and joint, base parameters (3) from the masses.
 
-            alpha = I1 + m1 lc1^2 + m2 l1^2,   beta = I2 about axis 2,   gamma = l1 (m2 lc2 + m_tip l2)
+            alpha = I1 + m1 lc1^2 + m2 l1^2,   beta = I2 about axis 2
+            gamma = l1 (m2 lc2 + m_tip l2)
 
         `disks` is the payload, 0 to 5 brass disks of 1 kg at the tip. Gear laws other than that of
         the rig get its middle slope as their stiffness. Raises InvalidInput if there are too many

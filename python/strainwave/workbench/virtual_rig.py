@@ -13,8 +13,8 @@ from strainwave.domain.keys import Values, label_of
 from strainwave.errors import InvalidInput
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
-from strainwave.virtual.scara import SOFT, MAX_DISKS
 from strainwave.virtual.experiments import derived
+from strainwave.virtual.scara import MAX_DISKS, SOFT
 
 Spring = Literal["linear", "three-slope"]
 KNEES = ("gear_knee_t1", "gear_knee_t2")

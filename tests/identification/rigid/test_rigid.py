@@ -170,7 +170,7 @@ def test_elastic_arms_that_stick_come_back(gravity: float | None, tolerance: flo
     """
     inside = []
     for seed in range(4):
-        base = scara.study(Path("nowhere"), "three-slope" if seed % 2 else "linear")
+        base = scara.STIFF.study(Path("nowhere"), "three-slope" if seed % 2 else "linear")
         study = replace(base, arm=change_arm_keys(base.arm, gravity=gravity))
         values = values_of(study, seed)
         truth = rigid_truth(study, values)
@@ -192,8 +192,8 @@ def test_elastic_arms_that_stick_come_back(gravity: float | None, tolerance: flo
 
 def test_the_compliance_is_corrected() -> None:
     """With rigid gears, gamma has an error of several per cent; with elastic gears, it has not."""
-    study = scara.study(Path("nowhere"), "linear")
-    values = scara.parameters(5, "linear")
+    study = scara.STIFF.study(Path("nowhere"), "linear")
+    values = scara.STIFF.parameters(5, "linear")
     motor_signals = signals.prepare_motor_signals(motion_log(study, values, 0), Arm.of(study.arm))
     stiff = replace(
         study,
@@ -215,8 +215,8 @@ def test_where_a_record_is_cut_does_not_matter(cut: slice) -> None:
 
     Rows one period of the cut-off from the ends would change by half a standard deviation.
     """
-    study = scara.study(Path("nowhere"), "linear")
-    log = motion_log(study, scara.parameters(5, "linear"), 0)
+    study = scara.STIFF.study(Path("nowhere"), "linear")
+    log = motion_log(study, scara.STIFF.parameters(5, "linear"), 0)
     channels = {name: values[cut] for name, values in log.channels.items()}
     options = rigid.RigidOptions(bandwidth_hz=3.0)
     complete, shorter = (
@@ -423,7 +423,7 @@ _DRIVES = {
 @pytest.mark.parametrize("seed", [141, 241])
 def test_rounds_that_go_to_and_fro_settle(seed: int, tmp_path: Path) -> None:
     """An arm under gravity for which full steps of the iteration would oscillate."""
-    study = scara.study(tmp_path, "linear")
+    study = scara.STIFF.study(tmp_path, "linear")
     motion = tuple(e for e in study.experiments if e.use == "motion")
     study = replace(study, arm=change_arm_keys(study.arm, gravity=9.81), experiments=motion)
     values: Values = {(name, None): value for name, value in _BODY.items()}

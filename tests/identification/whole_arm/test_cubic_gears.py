@@ -38,8 +38,8 @@ def run(cubic: bool, spring: str = "cubic") -> tuple[Values, ArmModel]:
 
 def shaken(cubic: bool, spring: str) -> tuple[Study, Values, tuple[Log, ...]]:
     """Open-loop records of 0.5 s, one for each joint."""
-    study = scara.study(Path("nowhere"), spring)
-    values = scara.parameters(5, spring)
+    study = scara.STIFF.study(Path("nowhere"), spring)
+    values = scara.STIFF.parameters(5, spring)
     values |= {(CUBIC, joint): k if cubic else 0.0 for joint, k in STIFFENING.items()}
     written, logs = simulated_logs(shaken_study(study, 10.0), values, noise=SensorNoise())
     return written, derived(values, study.arm), logs
@@ -102,7 +102,7 @@ def test_a_law_from_elsewhere_is_fitted_and_drawn() -> None:
     gear_laws.register(Hardening())
     try:
         true_values, model = run(True, "hardening")
-        study = scara.study(Path("nowhere"), "hardening")
+        study = scara.STIFF.study(Path("nowhere"), "hardening")
         result = replace(elastic_identification(), study=study, whole_arm=model)
         curves = gears.stiffness_curves(result)
         estimates = {p.label: p for p in result.parameters}

@@ -21,8 +21,8 @@ HELD = ("gear_damping 1", "gear_damping 2")
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("start")
-    study = scara.study(folder, "linear")
-    values = scara.parameters(spring="linear")
+    study = scara.STIFF.study(folder, "linear")
+    values = scara.STIFF.parameters(spring="linear")
     simulate_study(study, values, folder, noise=SensorNoise(), as_recorded=False)
     return folder / "study.toml"
 
@@ -40,7 +40,7 @@ def test_held_parameters_stay_at_the_given_values(path: Path) -> None:
 
 def test_the_minimum_does_not_depend_on_the_start(path: Path) -> None:
     usual = sw.identify(path)
-    far = {key: 1.15 * value for key, value in scara.parameters(spring="linear").items()}
+    far = {key: 1.15 * value for key, value in scara.STIFF.parameters(spring="linear").items()}
     moved = sw.identify(path, start=far)
     for p in usual:
         if p.value and p.std:

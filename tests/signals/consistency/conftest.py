@@ -18,12 +18,12 @@ from strainwave.virtual.experiments import simulate_study
 
 def _simulated(folder: Path, *, vertical: bool) -> Input:
     """Simulate motion of the built-in arm with linear springs, and PRBS if horizontal."""
-    study = scara.study(folder, "linear")
-    values = scara.parameters(3, "linear")
+    study = scara.STIFF.study(folder, "linear")
+    values = scara.STIFF.parameters(3, "linear")
     if vertical:
         study = replace(study, arm=change_arm_keys(study.arm, gravity=9.81))
         values["gravity_torque_1", None] = 45.0
-        values["gravity_torque_2", None] = 9.81 * values["gamma", None] / scara.LINK_LENGTH[0]
+        values["gravity_torque_2", None] = 9.81 * values["gamma", None] / scara.STIFF.link_length[0]
     names = {"motion", "motion-check"} if vertical else {"motion", "prbs-j1", "prbs-j2"}
     experiments = tuple(e for e in study.experiments if e.name in names)
     simulate_study(

@@ -24,7 +24,7 @@ from strainwave.virtual import scara
 
 def test_channels_of_any_two_joints_may_be_exchanged() -> None:
     arm = ArmDescription("serial", (Joint("linear", 0.01),) * 3)
-    study = replace(scara.study(Path("nowhere")), arm=arm, channels={})
+    study = replace(scara.STIFF.study(Path("nowhere")), arm=arm, channels={})
     channels = {f"{kind}{i}": np.zeros(1) for kind in ("u", "theta_m") for i in (1, 2, 3)}
     record = SlowRecord(
         experiment=Experiment("motion", "", "motion", ("open",) * 3),

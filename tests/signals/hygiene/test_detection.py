@@ -30,7 +30,7 @@ CERTAIN: dict[hygiene.Kind, float] = {
 }
 """Sizes, in the units of `SIZES`, at which a defect is detected at any position."""
 
-ARM = Arm.of(scara.study(Path(), "linear").arm)
+ARM = Arm.of(scara.STIFF.study(Path(), "linear").arm)
 TIME: FloatArray = np.arange(12_000, dtype=np.float64) * 2.5e-4
 COUNT = 2.0 * np.pi / 8192  # [rad] of the simulated encoder
 rng = np.random.default_rng

@@ -116,12 +116,12 @@ def test_it_is_a_finding_from_three_deviations_on() -> None:
 @cache
 def records() -> tuple[Study, tuple[Log, ...]]:
     """Slow motion, and a PRBS on each joint, of the built-in arm with noise."""
-    study = scara.study(Path(), "linear")
+    study = scara.STIFF.study(Path(), "linear")
     motion = next(e for e in study.experiments if e.use == "motion")
     fast = [e for e in study.experiments if e.use == "frequency"]
     fast = [replace(e, prbs=Prbs(10, 1e-3, 1, 10.0)) for e in fast]
     short_study = replace(study, experiments=(motion, *fast))
-    return simulated_logs(short_study, scara.parameters(5, "linear"), noise=SensorNoise())
+    return simulated_logs(short_study, scara.STIFF.parameters(5, "linear"), noise=SensorNoise())
 
 
 Change = Callable[[str, FloatArray], FloatArray]

@@ -37,7 +37,7 @@ FLOOR = 0.002
 
 def mixed_study() -> Study:
     """Arm under gravity with a three-slope gear and a linear gear."""
-    study = scara.study(Path("nowhere"), "three-slope")
+    study = scara.STIFF.study(Path("nowhere"), "three-slope")
     joints = (study.arm.joints[0], replace(study.arm.joints[1], spring="linear"))
     return replace(study, arm=change_arm_keys(study.arm.with_joints(joints), gravity=9.81))
 
