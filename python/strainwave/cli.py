@@ -1,7 +1,7 @@
 """The command line: arguments, progress, exit codes.
 
-Exit codes: 0 done; 1 a bug; 2 the input is at fault; 3 the data do not determine the model; 4 the
-compared results differ, or an arm changes; 130 stopped by Ctrl-C.
+Exit codes: 0 done; 1 a bug; 2 the input is at fault; 3 the verdict is not "determined"
+(docs/result.md); 4 the compared results differ, or an arm changes; 130 stopped by Ctrl-C.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ app = typer.Typer(
     help="Identify the physical model of a robot arm with elastic joints from its logs.",
     context_settings={"help_option_names": ["-h", "--help"]},
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -32,21 +31,40 @@ app = typer.Typer(
 Out = Annotated[Path, typer.Option("--out", help="Directory for the results.", metavar="DIR")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 StudyFile = Annotated[Path, typer.Argument(help="The study file.", metavar="STUDY.toml")]
+ResultFile = Annotated[
+    Path, typer.Argument(help="A result.json, or a directory with one.", metavar="RESULT")
+]
+ChangedStudy = Annotated[
+    Path | None,
+    typer.Option(
+        "--study",
+        help="Study file with other gear ratios, lengths, servo or limits.",
+        metavar="STUDY.toml",
+    ),
+]
 Figures = Annotated[
     bool, typer.Option("--figures", help="Also write every figure as SVG and PNG to DIR/figures.")
 ]
 Stages = Annotated[
-    str | None, typer.Option("--stages", help="Run only the first stages, for example: rigid.")
+    str | None,
+    typer.Option(
+        "--stages",
+        help="Run only the first of the stages rigid,decoupled,tuned.",
+        metavar="STAGE,...",
+    ),
 ]
 Overrides = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        help="An option of a stage, which overrides the study: links.order=1.",
+        help="An option of a stage, which overrides the study: links.order=1; repeat for more.",
         metavar="STAGE.KEY=VALUE",
     ),
 ]
-Seed = Annotated[int, typer.Option("--seed", help="Seed of the sensor noise and of the motions.")]
+Seed = Annotated[
+    int,
+    typer.Option("--seed", help="Seed of all random numbers.", metavar="INTEGER"),
+]
 
 DONE, INPUT_AT_FAULT, NOT_DETERMINED, CHANGED = 0, 2, 3, 4
 
@@ -73,14 +91,16 @@ def _root(
 )
 def init(
     logs: Annotated[
-        list[Path], typer.Argument(help="Logs of one rig: files or bags.", metavar="LOG...")
+        list[Path], typer.Argument(help="Logs of one rig: files or bags.", metavar="LOG")
     ],
     out: Annotated[
         Path, typer.Option("--out", help="The study file to write.", metavar="STUDY.toml")
     ] = Path("study.toml"),
     urdf: Annotated[
         Path | None,
-        typer.Option("--urdf", help="URDF of a serial arm, which places its joints.", metavar="F"),
+        typer.Option(
+            "--urdf", help="URDF of a serial arm, which places its joints.", metavar="FILE"
+        ),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
@@ -122,7 +142,10 @@ def identify(
     figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
-    """Identify the arm of a study; write DIR/result.json and DIR/report.html."""
+    """Identify the arm of a study; write DIR/result.json and DIR/report.html.
+
+    The exit code is 0 if the verdict is "determined", else 3.
+    """
     from strainwave import pipeline
     from strainwave.presentation.matplotlib_backend import require_matplotlib
 
@@ -156,7 +179,10 @@ def check(
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Check axes, signs, units, ratios, gravity, delays and clipping, without identification."""
+    """Check axes, signs, units, ratios, gravity, delays and clipping, without identification.
+
+    The exit code is 0 if nothing is suspected, else 3.
+    """
     from strainwave import pipeline
 
     with _progress(quiet or as_json) as report:
@@ -209,9 +235,7 @@ def simulate(
     epilog="Example: strainwave export results/result.json --out arm.xml",
 )
 def export(
-    result: Annotated[
-        Path, typer.Argument(help="A result.json, or a directory with one.", metavar="RESULT")
-    ],
+    result: ResultFile,
     out: Annotated[Path, typer.Option("--out", help="The file to write.", metavar="FILE")],
     form: Annotated[
         str | None,
@@ -221,12 +245,7 @@ def export(
             metavar="FORMAT",
         ),
     ] = None,
-    study: Annotated[
-        Path | None,
-        typer.Option(
-            "--study", help="Study file with other gear ratios and lengths.", metavar="STUDY.toml"
-        ),
-    ] = None,
+    study: ChangedStudy = None,
     quiet: Quiet = False,
 ) -> None:
     """Export an identified arm to MuJoCo, URDF, MATLAB, C or JSON."""
@@ -247,10 +266,8 @@ def export(
     "--out tuned",
 )
 def tune(
-    result: Annotated[
-        Path, typer.Argument(help="A result.json, or a directory with one.", metavar="RESULT")
-    ],
-    out: Annotated[Path, typer.Option("--out", help="Directory for the results.", metavar="DIR")],
+    result: ResultFile,
+    out: Out,
     posture: Annotated[
         list[str] | None,
         typer.Option(
@@ -270,18 +287,24 @@ def tune(
         ),
     ] = None,
     draws: Annotated[
-        int, typer.Option("--draws", help="Number of draws of the uncertain parameters.")
+        int,
+        typer.Option(
+            "--draws", help="Number of draws of the uncertain parameters.", metavar="INTEGER"
+        ),
     ] = 1000,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of draws and postures.")] = 0,
+    seed: Seed = 0,
     period: Annotated[
         float | None,
-        typer.Option("--period", help="Period of the servo [s]; default: that of the study."),
+        typer.Option(
+            "--period", help="Period of the servo; default: that of the study.", metavar="SECONDS"
+        ),
     ] = None,
     delay: Annotated[
         float | None,
         typer.Option(
             "--delay",
-            help="Time from an encoder reading to its voltage [s]; default: half of the period.",
+            help="Time from an encoder reading to its voltage; default: half of the period.",
+            metavar="SECONDS",
         ),
     ] = None,
     bandwidth: Annotated[
@@ -296,14 +319,11 @@ def tune(
     ] = 30.0,
     modulus_margin: Annotated[
         float,
-        typer.Option("--modulus-margin", help="Smallest distance of the open loop from -1."),
-    ] = 0.5,
-    study: Annotated[
-        Path | None,
         typer.Option(
-            "--study", help="Study file with another servo or limits.", metavar="STUDY.toml"
+            "--modulus-margin", help="Smallest distance of the open loop from -1.", metavar="FLOAT"
         ),
-    ] = None,
+    ] = 0.5,
+    study: ChangedStudy = None,
     quiet: Quiet = False,
 ) -> None:
     """Design servos and input shapers for the uncertain arm; write DIR/tune.html and servo.*."""
@@ -338,13 +358,16 @@ def excite(
     out: Out,
     limit_angle: Annotated[
         str | None,
-        typer.Option("--limit-angle", help="Largest link angle on either side of zero [rad]."),
+        typer.Option(
+            "--limit-angle",
+            help="Largest link angle on either side of zero; one for all joints, or, as for"
+            " velocity, voltage and torque, one per joint: 1.2,0.8.",
+            metavar="RAD",
+        ),
     ] = None,
     limit_velocity: Annotated[
         str | None,
-        typer.Option(
-            "--limit-velocity", help="Largest motor velocity [rad/s]; or one per joint: 180,150."
-        ),
+        typer.Option("--limit-velocity", help="Largest motor velocity.", metavar="RAD/S"),
     ] = None,
     parameters: Annotated[
         Path | None,
@@ -355,25 +378,29 @@ def excite(
     limit_voltage: Annotated[
         str | None,
         typer.Option(
-            "--limit-voltage", help="Largest voltage [V]; default: the limit of the servo."
+            "--limit-voltage", help="Largest voltage; default: the limit of the servo.", metavar="V"
         ),
     ] = None,
     limit_torque: Annotated[
         str | None,
         typer.Option(
-            "--limit-torque", help="Largest gear torque at the link [N m]; default: no limit."
+            "--limit-torque",
+            help="Largest gear torque at the link; default: no limit.",
+            metavar="NM",
         ),
     ] = None,
     limit_distance: Annotated[
         str | None,
         typer.Option(
-            "--limit-distance", help="Smallest distance of the links' centre lines [m]; default: 0."
+            "--limit-distance",
+            help="Smallest distance of the links' centre lines; default: 0.",
+            metavar="M",
         ),
     ] = None,
     kind: Annotated[
-        str, typer.Option("--kind", help="Kind of excitation: prbs or multisine.")
+        str, typer.Option("--kind", help="Kind of excitation.", metavar="prbs|multisine")
     ] = "prbs",
-    seed: Annotated[int, typer.Option("--seed", help="Seed of the search and of the phases.")] = 0,
+    seed: Seed = 0,
     quiet: Quiet = False,
 ) -> None:
     """Design the experiments to record: signals, durations, and the expected motion."""
@@ -408,7 +435,7 @@ def compare(
         list[Path],
         typer.Argument(
             help="Two or more result.json of one arm, or directories that contain one.",
-            metavar="RESULT...",
+            metavar="RESULT",
         ),
     ],
     out: Annotated[
@@ -420,7 +447,9 @@ def compare(
     level: Annotated[
         float,
         typer.Option(
-            "--level", help="Probability of a false alarm between results of an unchanged arm."
+            "--level",
+            help="Probability of a false alarm between results of an unchanged arm.",
+            metavar="FLOAT",
         ),
     ] = 0.05,
     quiet: Quiet = False,
@@ -466,7 +495,8 @@ def trend(
         ),
     ] = None,
     level: Annotated[
-        float, typer.Option("--level", help="Probability of a false alarm per arm.")
+        float,
+        typer.Option("--level", help="Probability of a false alarm per arm.", metavar="FLOAT"),
     ] = 0.01,
     quiet: Quiet = False,
 ) -> None:
@@ -498,7 +528,10 @@ def demo(
         bool, typer.Option("--quick", help="Skip the comparison with the published figures.")
     ] = False,
     seeds: Annotated[
-        int, typer.Option("--seeds", min=1, help="Number of seeds for the published figures.")
+        int,
+        typer.Option(
+            "--seeds", min=1, help="Number of seeds for the published figures.", metavar="INTEGER"
+        ),
     ] = 1,
     as_published: Annotated[
         bool,
@@ -546,7 +579,7 @@ def campaign(
         list[str],
         typer.Argument(
             help="Study files, folders, globs, tables of paths, URLs, or one campaign.toml.",
-            metavar="STUDIES...",
+            metavar="STUDIES",
         ),
     ],
     out: Annotated[
@@ -556,7 +589,12 @@ def campaign(
     options: Overrides = None,
     workers: Annotated[
         int | None,
-        typer.Option("--workers", min=1, help="Number of worker processes; default: one per core."),
+        typer.Option(
+            "--workers",
+            min=1,
+            help="Number of worker processes; default: one per core.",
+            metavar="INTEGER",
+        ),
     ] = None,
     scheduler: Annotated[
         str | None,
@@ -571,10 +609,12 @@ def campaign(
         typer.Option("--cluster", help="TOML file of a Dask cluster to start.", metavar="FILE"),
     ] = None,
     time_limit: Annotated[
-        float, typer.Option("--time-limit", min=1.0, help="Time limit of one study [s].")
+        float,
+        typer.Option("--time-limit", min=1.0, help="Time limit of one study.", metavar="SECONDS"),
     ] = 600.0,
     memory_limit: Annotated[
-        int | None, typer.Option("--memory-limit", min=1, help="Memory limit of one worker [MiB].")
+        int | None,
+        typer.Option("--memory-limit", min=1, help="Memory limit of one worker.", metavar="MIB"),
     ] = None,
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Repeat runs that are recorded as failed.")
@@ -623,17 +663,29 @@ def serve(
         Path, typer.Argument(help="Folder of the studies.", metavar="FOLDER")
     ] = Path(),
     port: Annotated[
-        int, typer.Option("--port", min=0, max=65535, help="The port; 0 chooses a free one.")
+        int,
+        typer.Option(
+            "--port",
+            min=0,
+            max=65535,
+            help="The port; 0 chooses a free one.",
+            metavar="INTEGER",
+        ),
     ] = 8765,
     host: Annotated[
         str,
-        typer.Option("--host", help="Address to listen on; others than 127.0.0.1 need --token."),
+        typer.Option(
+            "--host",
+            help="Address to listen on; others than 127.0.0.1 need --token.",
+            metavar="ADDRESS",
+        ),
     ] = "127.0.0.1",
     token: Annotated[
         str, typer.Option("--token", help="Secret that a browser needs.", metavar="TEXT")
     ] = "",
     max_upload: Annotated[
-        int, typer.Option("--max-upload", min=1, help="Limit of one uploaded file [MiB].")
+        int,
+        typer.Option("--max-upload", min=1, help="Limit of one uploaded file.", metavar="MIB"),
     ] = 2048,
 ) -> None:
     """Serve the workbench for the studies of a folder, until Ctrl-C."""
