@@ -189,10 +189,10 @@ TEMPLATES: Mapping[str, str] = {
     # final table
     "rejected": "{reason}|; rejected values: {values}",
     "elastic-not-validated/no-fit": "the run has no whole-arm fit, which predicts the motion",
-    "elastic-not-validated/no-check": "no check record can be simulated|; " + _RECORD_CHECK,
-    "elastic-not-validated/not-predicted": "the whole-arm fit does not predict {records}",
-    "elastic-not-validated/no-effect": "the predictions of {records} do not depend on the gear"
-    " stiffness|; " + _RECORD_CHECK,
+    "elastic-not-validated/no-check": "the study has no check record|; " + _RECORD_CHECK,
+    "elastic-not-validated/defect": "{defects!s}",
+    "elastic-not-validated/no-effect": "{unused!s}|; supply what is missing, or record larger or"
+    ' faster steps of the joint, or a PRBS, with use = "check"',
     "not-predicted/rigid": _PREDICTED
     + ", so check the payload, the voltage and the friction of that record",
     "not-predicted/servo": _PREDICTED + ", but the recorded voltages explain the motion, so correct"
@@ -361,6 +361,12 @@ CLAUSES: Mapping[str, str] = {
     " it out of its interval and by more than {limit!p:.0f} %",
     "reason/gamma": "gamma^2 = {square:.3g} is not below alpha beta = {product:.3g}",
     "reason/impossible": "{value:.3g} {unit} is physically impossible",
+    "check/not-simulated": "no simulation of {records!a}: {reason}",
+    "check/insensitive": "20 % more gear stiffness of joint {joint} changes no channel of a check"
+    " record by {limit!p:.2g} % of its standard deviation: most {channel} of {record}, by"
+    " {effect!p:.2g} %",
+    "check/rest": "no channel moves in the check records, so none depends on the gear of joint"
+    " {joint}",
     "no-rigid-stage": "the rigid stage was not reached",
     "no-decoupled-model": "the decoupled stage gave no model of joint {joints}",
     "no-whole-arm-fit": "the whole-arm fit was not reached",

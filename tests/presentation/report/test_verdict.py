@@ -161,14 +161,14 @@ def test_only_check_records_that_load_the_gears_validate_the_elastic_model() -> 
     one = elastic_identification()
     steps = replace(prediction("steps", 99.0, 99.0), channels=("omega_m1", "a1"))
     steps = replace(steps, fit_percent={"omega_m1": 99.0, "a1": 98.0})
-    slow = replace(steps, stiffness_effect={1: 0.03, 2: 0.04})
-    half = replace(steps, stiffness_effect={1: 0.2, 2: 0.04})
+    slow = replace(steps, stiffness_effect={1: {"a1": 0.03}, 2: {"a1": 0.04}})
+    half = replace(steps, stiffness_effect={1: {"a1": 0.2}, 2: {"a1": 0.04}})
     for checks in ((), (prediction("a", 99.0),), (slow,), (half,)):
         text = words_of(verdict(replace(one, checks=checks)))
         assert "elastic model, motion" not in text
         assert not checks or "Elastic model not validated" in text
         assert not replace(one, checks=checks).verdict.validated.elastic
-    full = replace(one, checks=(replace(steps, stiffness_effect={1: 0.2, 2: 0.3}),))
+    full = replace(one, checks=(replace(steps, stiffness_effect={1: {"a1": 0.2}, 2: {"a1": 0.3}}),))
     assert full.verdict.validated.elastic
     assert not full.verdict.validated.rigid
     text = words_of(verdict(full))
