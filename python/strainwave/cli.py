@@ -28,7 +28,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-Out = Annotated[Path, typer.Option("--out", help="Directory for the results.", metavar="DIR")]
+Out = Annotated[Path, typer.Option(help="Directory for the results.", metavar="DIR")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 StudyFile = Annotated[Path, typer.Argument(help="The study file.", metavar="STUDY.toml")]
 ResultFile = Annotated[
@@ -37,9 +37,7 @@ ResultFile = Annotated[
 ChangedStudy = Annotated[
     Path | None,
     typer.Option(
-        "--study",
-        help="Study file with other gear ratios, lengths, servo or limits.",
-        metavar="STUDY.toml",
+        help="Study file with other gear ratios, lengths, servo or limits.", metavar="STUDY.toml"
     ),
 ]
 Figures = Annotated[
@@ -48,9 +46,7 @@ Figures = Annotated[
 Stages = Annotated[
     str | None,
     typer.Option(
-        "--stages",
-        help="Run only the first of the stages rigid,decoupled,tuned.",
-        metavar="STAGE,...",
+        help="Run only the first of the stages rigid,decoupled,tuned.", metavar="STAGE,..."
     ),
 ]
 Overrides = Annotated[
@@ -61,10 +57,7 @@ Overrides = Annotated[
         metavar="STAGE.KEY=VALUE",
     ),
 ]
-Seed = Annotated[
-    int,
-    typer.Option("--seed", help="Seed of all random numbers.", metavar="INTEGER"),
-]
+Seed = Annotated[int, typer.Option(help="Seed of all random numbers.", metavar="INTEGER")]
 
 DONE, INPUT_AT_FAULT, NOT_DETERMINED, CHANGED = 0, 2, 3, 4
 
@@ -94,13 +87,11 @@ def init(
         list[Path], typer.Argument(help="Logs of one rig: files or bags.", metavar="LOG")
     ],
     out: Annotated[
-        Path, typer.Option("--out", help="The study file to write.", metavar="STUDY.toml")
+        Path, typer.Option(help="The study file to write.", metavar="STUDY.toml")
     ] = Path("study.toml"),
     urdf: Annotated[
         Path | None,
-        typer.Option(
-            "--urdf", help="URDF of a serial arm, which places its joints.", metavar="FILE"
-        ),
+        typer.Option(help="URDF of a serial arm, which places its joints.", metavar="FILE"),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
@@ -134,7 +125,6 @@ def identify(
     start: Annotated[
         Path | None,
         typer.Option(
-            "--start",
             help="Parameters at which the whole-arm fit starts: a result.json or a parameter file.",
             metavar="P.json",
         ),
@@ -169,8 +159,7 @@ def identify(
 
 
 @app.command(
-    short_help="Check whether logs and study agree.",
-    epilog="Example: strainwave check study.toml",
+    short_help="Check whether logs and study agree.", epilog="Example: strainwave check study.toml"
 )
 def check(
     study: StudyFile,
@@ -207,10 +196,7 @@ def check(
 def simulate(
     study: StudyFile,
     parameters: Annotated[
-        Path,
-        typer.Option(
-            "--parameters", help="A result.json, or another file of parameters.", metavar="P.json"
-        ),
+        Path, typer.Option(help="A result.json, or another file of parameters.", metavar="P.json")
     ],
     out: Out,
     seed: Seed = 0,
@@ -236,7 +222,7 @@ def simulate(
 )
 def export(
     result: ResultFile,
-    out: Annotated[Path, typer.Option("--out", help="The file to write.", metavar="FILE")],
+    out: Annotated[Path, typer.Option(help="The file to write.", metavar="FILE")],
     form: Annotated[
         str | None,
         typer.Option(
@@ -271,7 +257,6 @@ def tune(
     posture: Annotated[
         list[str] | None,
         typer.Option(
-            "--posture",
             help="Link angles [rad] for which the servos must hold: 0,1.2; repeat for more. "
             "Default: zero and four drawn postures.",
             metavar="ANGLES",
@@ -280,48 +265,35 @@ def tune(
     payload: Annotated[
         list[str] | None,
         typer.Option(
-            "--payload",
             help="Mass [kg] and centre of mass [m] in the last link's frame: 2,0.1,0,0; repeat "
             "for more. The arm without a payload is always included.",
             metavar="MASS,X,Y,Z",
         ),
     ] = None,
     draws: Annotated[
-        int,
-        typer.Option(
-            "--draws", help="Number of draws of the uncertain parameters.", metavar="INTEGER"
-        ),
+        int, typer.Option(help="Number of draws of the uncertain parameters.", metavar="INTEGER")
     ] = 1000,
     seed: Seed = 0,
     period: Annotated[
         float | None,
-        typer.Option(
-            "--period", help="Period of the servo; default: that of the study.", metavar="SECONDS"
-        ),
+        typer.Option(help="Period of the servo; default: that of the study.", metavar="SECONDS"),
     ] = None,
     delay: Annotated[
         float | None,
         typer.Option(
-            "--delay",
             help="Time from an encoder reading to its voltage; default: half of the period.",
             metavar="SECONDS",
         ),
     ] = None,
     bandwidth: Annotated[
-        float | None,
-        typer.Option("--bandwidth", help="Smallest bandwidth of each velocity loop.", metavar="HZ"),
+        float | None, typer.Option(help="Smallest bandwidth of each velocity loop.", metavar="HZ")
     ] = None,
-    gain_margin: Annotated[
-        float, typer.Option("--gain-margin", help="Smallest gain margin.", metavar="DB")
-    ] = 6.0,
+    gain_margin: Annotated[float, typer.Option(help="Smallest gain margin.", metavar="DB")] = 6.0,
     phase_margin: Annotated[
-        float, typer.Option("--phase-margin", help="Smallest phase margin.", metavar="DEG")
+        float, typer.Option(help="Smallest phase margin.", metavar="DEG")
     ] = 30.0,
     modulus_margin: Annotated[
-        float,
-        typer.Option(
-            "--modulus-margin", help="Smallest distance of the open loop from -1.", metavar="FLOAT"
-        ),
+        float, typer.Option(help="Smallest distance of the open loop from -1.", metavar="FLOAT")
     ] = 0.5,
     study: ChangedStudy = None,
     quiet: Quiet = False,
@@ -359,46 +331,32 @@ def excite(
     limit_angle: Annotated[
         str | None,
         typer.Option(
-            "--limit-angle",
             help="Largest link angle on either side of zero; one for all joints, or, as for"
             " velocity, voltage and torque, one per joint: 1.2,0.8.",
             metavar="RAD",
         ),
     ] = None,
     limit_velocity: Annotated[
-        str | None,
-        typer.Option("--limit-velocity", help="Largest motor velocity.", metavar="RAD/S"),
+        str | None, typer.Option(help="Largest motor velocity.", metavar="RAD/S")
     ] = None,
     parameters: Annotated[
         Path | None,
-        typer.Option(
-            "--parameters", help="Assumed parameters, or an earlier result.json.", metavar="P.json"
-        ),
+        typer.Option(help="Assumed parameters, or an earlier result.json.", metavar="P.json"),
     ] = None,
     limit_voltage: Annotated[
         str | None,
-        typer.Option(
-            "--limit-voltage", help="Largest voltage; default: the limit of the servo.", metavar="V"
-        ),
+        typer.Option(help="Largest voltage; default: the limit of the servo.", metavar="V"),
     ] = None,
     limit_torque: Annotated[
         str | None,
-        typer.Option(
-            "--limit-torque",
-            help="Largest gear torque at the link; default: no limit.",
-            metavar="NM",
-        ),
+        typer.Option(help="Largest gear torque at the link; default: no limit.", metavar="NM"),
     ] = None,
     limit_distance: Annotated[
         str | None,
-        typer.Option(
-            "--limit-distance",
-            help="Smallest distance of the links' centre lines; default: 0.",
-            metavar="M",
-        ),
+        typer.Option(help="Smallest distance of the links' centre lines; default: 0.", metavar="M"),
     ] = None,
     kind: Annotated[
-        str, typer.Option("--kind", help="Kind of excitation.", metavar="prbs|multisine")
+        str, typer.Option(help="Kind of excitation.", metavar="prbs|multisine")
     ] = "prbs",
     seed: Seed = 0,
     quiet: Quiet = False,
@@ -440,14 +398,11 @@ def compare(
     ],
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out", help="Directory for comparison.json and comparison.html.", metavar="DIR"
-        ),
+        typer.Option(help="Directory for comparison.json and comparison.html.", metavar="DIR"),
     ] = None,
     level: Annotated[
         float,
         typer.Option(
-            "--level",
             help="Probability of a false alarm between results of an unchanged arm.",
             metavar="FLOAT",
         ),
@@ -474,13 +429,11 @@ def compare(
 def trend(
     store: Annotated[str, typer.Argument(help="A store of strainwave campaign.", metavar="STORE")],
     out: Annotated[
-        Path | None,
-        typer.Option("--out", help="Directory for trend.json and trend.html.", metavar="DIR"),
+        Path | None, typer.Option(help="Directory for trend.json and trend.html.", metavar="DIR")
     ] = None,
     arm: Annotated[
         str | None,
         typer.Option(
-            "--arm",
             help="Name of the arm: a column of the runs, or a regular expression with a group, "
             "searched for in the path of the study. Default: the folder of the study.",
             metavar="COLUMN|REGEX",
@@ -489,14 +442,11 @@ def trend(
     covariates: Annotated[
         Path | None,
         typer.Option(
-            "--covariates",
-            help="CSV table with the columns study, time, and covariates.",
-            metavar="FILE.csv",
+            help="CSV table with the columns study, time, and covariates.", metavar="FILE.csv"
         ),
     ] = None,
     level: Annotated[
-        float,
-        typer.Option("--level", help="Probability of a false alarm per arm.", metavar="FLOAT"),
+        float, typer.Option(help="Probability of a false alarm per arm.", metavar="FLOAT")
     ] = 0.01,
     quiet: Quiet = False,
 ) -> None:
@@ -529,9 +479,7 @@ def demo(
     ] = False,
     seeds: Annotated[
         int,
-        typer.Option(
-            "--seeds", min=1, help="Number of seeds for the published figures.", metavar="INTEGER"
-        ),
+        typer.Option(min=1, help="Number of seeds for the published figures.", metavar="INTEGER"),
     ] = 1,
     as_published: Annotated[
         bool,
@@ -582,39 +530,29 @@ def campaign(
             metavar="STUDIES",
         ),
     ],
-    out: Annotated[
-        str, typer.Option("--out", help="The store: a folder, or a URL.", metavar="STORE")
-    ],
+    out: Annotated[str, typer.Option(help="The store: a folder, or a URL.", metavar="STORE")],
     stages: Stages = None,
     options: Overrides = None,
     workers: Annotated[
         int | None,
         typer.Option(
-            "--workers",
-            min=1,
-            help="Number of worker processes; default: one per core.",
-            metavar="INTEGER",
+            min=1, help="Number of worker processes; default: one per core.", metavar="INTEGER"
         ),
     ] = None,
     scheduler: Annotated[
         str | None,
         typer.Option(
-            "--scheduler",
-            help="Address of a running Dask scheduler: tcp://host:8786.",
-            metavar="ADDRESS",
+            help="Address of a running Dask scheduler: tcp://host:8786.", metavar="ADDRESS"
         ),
     ] = None,
     cluster: Annotated[
-        Path | None,
-        typer.Option("--cluster", help="TOML file of a Dask cluster to start.", metavar="FILE"),
+        Path | None, typer.Option(help="TOML file of a Dask cluster to start.", metavar="FILE")
     ] = None,
     time_limit: Annotated[
-        float,
-        typer.Option("--time-limit", min=1.0, help="Time limit of one study.", metavar="SECONDS"),
+        float, typer.Option(min=1.0, help="Time limit of one study.", metavar="SECONDS")
     ] = 600.0,
     memory_limit: Annotated[
-        int | None,
-        typer.Option("--memory-limit", min=1, help="Memory limit of one worker.", metavar="MIB"),
+        int | None, typer.Option(min=1, help="Memory limit of one worker.", metavar="MIB")
     ] = None,
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Repeat runs that are recorded as failed.")
@@ -664,28 +602,17 @@ def serve(
     ] = Path(),
     port: Annotated[
         int,
-        typer.Option(
-            "--port",
-            min=0,
-            max=65535,
-            help="The port; 0 chooses a free one.",
-            metavar="INTEGER",
-        ),
+        typer.Option(min=0, max=65535, help="The port; 0 chooses a free one.", metavar="INTEGER"),
     ] = 8765,
     host: Annotated[
         str,
         typer.Option(
-            "--host",
-            help="Address to listen on; others than 127.0.0.1 need --token.",
-            metavar="ADDRESS",
+            help="Address to listen on; others than 127.0.0.1 need --token.", metavar="ADDRESS"
         ),
     ] = "127.0.0.1",
-    token: Annotated[
-        str, typer.Option("--token", help="Secret that a browser needs.", metavar="TEXT")
-    ] = "",
+    token: Annotated[str, typer.Option(help="Secret that a browser needs.", metavar="TEXT")] = "",
     max_upload: Annotated[
-        int,
-        typer.Option("--max-upload", min=1, help="Limit of one uploaded file.", metavar="MIB"),
+        int, typer.Option(min=1, help="Limit of one uploaded file.", metavar="MIB")
     ] = 2048,
 ) -> None:
     """Serve the workbench for the studies of a folder, until Ctrl-C."""
