@@ -508,6 +508,16 @@ def test_a_warning_says_why_no_check_record_validates_the_elastic_model(
     assert warning.message.startswith(message)
 
 
+def test_a_channel_is_reported_at_rest_if_no_check_record_moves_it() -> None:
+    steps = replace(check_of(("u1", "u2")), fit_percent={"u1": 98.0, "u2": float("nan")})
+    others = replace(steps, experiment="other", fit_percent={"u1": float("nan"), "u2": 97.0})
+    result = replace(run(), checks=(steps,))
+    (warning,) = [w for w in result.warnings if w.code == "nothing-to-predict"]
+    assert (warning.where, "for u2" in warning.message) == ("step-check", True)
+    both = replace(result, checks=(steps, others))
+    assert "nothing-to-predict" not in {w.code for w in both.warnings}
+
+
 @pytest.mark.parametrize("elastic", [True, False])
 def test_torques_of_the_rigid_model_decide_only_if_all_joints_are_rigid(*, elastic: bool) -> None:
     """The rigid model omits the vibration of elastic gears."""

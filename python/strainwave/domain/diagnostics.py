@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 
 from strainwave.domain.clauses import Clause, Place, merge_clauses
-from strainwave.domain.estimates import Diagnostic, Parameter
+from strainwave.domain.estimates import Diagnostic, Parameter, Prediction
 from strainwave.domain.final_table import Decision
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.ranges import implausible_joints
@@ -32,11 +33,24 @@ def published_warnings(
     warnings = [*_current_warnings(results, decisions), *rejection_warnings(decisions)]
     defects = tuple(model_defects(results))
     warnings += defects
+    warnings += _channels_at_rest(results.checks)
     for size in implausible_joints(results.study.arm, [d.parameter for d in decisions]):
         warnings.append(size.warning)
     if results.whole_arm is not None and not verdict.validated.elastic and not defects:
         warnings.append(missing_validation(results))
     return merge_by_cause(dict.fromkeys(warnings))
+
+
+def _channels_at_rest(checks: Sequence[Prediction]) -> Iterator[Diagnostic]:
+    """Yield channels that have no fit in any check record."""
+    records: dict[str, list[Prediction]] = {}
+    for check in checks:
+        for channel in check.channels:
+            records.setdefault(channel, []).append(check)
+    for channel, predictions in records.items():
+        if not any(math.isfinite(check.fit_percent[channel]) for check in predictions):
+            places = tuple(Place.in_records(check.experiment) for check in predictions)
+            yield Diagnostic("nothing-to-predict", places, "rest", channel=channel)
 
 
 def rejection_warnings(decisions: Iterable[Decision]) -> Iterator[Diagnostic]:

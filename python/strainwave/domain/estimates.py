@@ -152,7 +152,6 @@ class Prediction(Displayed):
 
     The standard deviation covers noise, friction, parameter covariance and residuals of the fit."""
     is_servo_at_fault: bool = False  # recorded voltages explain the motion, the servo does not
-    warnings: tuple[Diagnostic, ...] = ()
 
     @property
     def of_drive(self) -> bool:

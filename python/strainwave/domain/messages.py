@@ -25,7 +25,6 @@ _RECORD_CHECK = (
 )
 _CLOCK = "time stamps are not uniform (steps of {shortest:.2f} to {longest:.2f} periods): "
 _SLOW_CLOCK = "|; motion faster than the widest step is lost. Log with a fixed clock if possible"
-_NO_FIT = "no fit is reported for {channel}: "
 _STOPPED = (
     "the search stopped {decrease:.2g} of log-likelihood short of an optimum, mostly because that"
     " lies where the predictor is unstable|. Take off means and drifts, lower the order, or "
@@ -117,8 +116,8 @@ TEMPLATES: Mapping[str, str] = {
     "not-rigid": "the anti-resonance at {anti_resonance_hz:.1f} Hz is too close to the motion band"
     " of {bandwidth_hz:.1f} Hz for a rigid model|; move more slowly",
     "no-rigid-model": "{reason}",
-    "nothing-to-predict/noise": _NO_FIT + "the signal is less than {ratio:g} times its noise",
-    "nothing-to-predict/rest": _NO_FIT + "the motor rests or its torque is constant",
+    "nothing-to-predict/rest": "no fit is reported for {channel}: its motor rests, or the signal"
+    " does not exceed its noise",
     "nothing-to-predict/reason": "{record} {reason}",
     # links and decoupling
     "no-link-sensor": "link {joint} has no sensor: only the response of motor {joint} determines"

@@ -10,10 +10,8 @@ import numpy as np
 
 from strainwave.domain import (
     ArmModel,
-    Diagnostic,
     FloatArray,
     Log,
-    Place,
     Prediction,
     RigidModel,
     Signals,
@@ -154,16 +152,6 @@ def _predict_torques(
         measured=band.measured / per_channel,
         predicted=band.predicted / per_channel,
         fit_percent=dict(zip(names, band.fit_percent.tolist(), strict=True)),
-        warnings=tuple(
-            Diagnostic(
-                "nothing-to-predict",
-                Place.in_records(signals.experiment.name),
-                "rest",
-                channel=name,
-            )
-            for name, fit in zip(names, band.fit_percent, strict=True)
-            if not np.isfinite(fit)
-        ),
     )
 
 
@@ -186,7 +174,7 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     """Predict the motion of a record with the whole arm by a simulation with its servo.
 
     The channels are motor velocities and, with accelerometers, accelerations. The fit of a channel
-    that does not clearly exceed its noise is NaN, with a warning. `stiffness_effect` reports how
+    that does not clearly exceed its noise is NaN. `stiffness_effect` reports how
     far the record excites each elastic gear; `unexplained` lists the channels that the model
     does not predict. Raises `InvalidInput` if the log or the study lacks data that the simulation
     needs.

@@ -88,8 +88,7 @@ def fit_elastic_arm(
         kept = [w for w in warnings if w.code != "sensor-delay" or w.place not in places]
         checks, not_simulated = predict_checks(inputs, outcome, reporter)
         motor_responses = _compare_motors(inputs, outcome, start.joints, reporter)
-        predicted = (warning for each in checks for warning in each.warnings)
-        warnings = (*kept, *outcome.warnings, *predicted)
+        warnings = (*kept, *outcome.warnings)
     torsions: tuple[TorsionFit, ...] = ()
     if not isinstance(outcome, ArmModel) and rigid_model is not None:
         torsions, of_torsions = _fit_torsions(inputs, rigid_model, stage, reporter)

@@ -97,9 +97,7 @@ def _predict(
 
     outcomes = run_parallel([partial(predict, record) for record in records])
     predictions = tuple(each for each in outcomes if isinstance(each, Prediction))
-    warnings = [each for each in outcomes if isinstance(each, Diagnostic)]
-    warnings += [warning for each in predictions for warning in each.warnings]
-    return predictions, tuple(warnings)
+    return predictions, tuple(each for each in outcomes if isinstance(each, Diagnostic))
 
 
 def _is_optional(inputs: Inputs) -> bool:
