@@ -103,10 +103,11 @@ def _unused_checks(results: StageResults) -> Iterator[Clause]:
     for reason, records in records_by_reason.items():
         yield Clause("check/not-simulated", records=tuple(records), reason=reason)
     for joint, (effect, channel, record) in stiffness_effects(results).items():
-        if simulated and effect < MIN_STIFFNESS_EFFECT:
-            name = "check/insensitive" if channel else "check/rest"
+        if simulated and not channel:
+            yield Clause("check/rest", joint=joint)
+        elif simulated and effect < MIN_STIFFNESS_EFFECT:
             yield Clause(
-                name,
+                "check/insensitive",
                 joint=joint,
                 channel=channel,
                 record=record,
