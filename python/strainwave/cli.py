@@ -78,10 +78,7 @@ def _root(
         raise typer.Exit
 
 
-@app.command(
-    short_help="Write a draft of a study file from logs.",
-    epilog="Example: strainwave init --urdf robot.urdf run1.csv run2.csv --out study.toml",
-)
+@app.command(epilog="Example: strainwave init --urdf robot.urdf run1.csv run2.csv --out study.toml")
 def init(
     logs: Annotated[
         list[Path], typer.Argument(help="Logs of one rig: files or bags.", metavar="LOG")
@@ -95,7 +92,7 @@ def init(
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Write a draft of a study file from logs: guesses with reasons; unknown values are TODO."""
+    """Write a draft of a study file from logs. Guesses have reasons; unknown values are TODO."""
     from strainwave.study_draft import start_study
 
     with _progress(quiet) as report:
@@ -113,10 +110,7 @@ def init(
             typer.echo(f"warning: {warning}")
 
 
-@app.command(
-    short_help="Identify an arm from its logs.",
-    epilog="Example: strainwave identify study.toml --out results",
-)
+@app.command(epilog="Example: strainwave identify study.toml --out results")
 def identify(
     study: StudyFile,
     out: Out,
@@ -132,7 +126,7 @@ def identify(
     figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
-    """Identify the arm of a study; write DIR/result.json and DIR/report.html.
+    """Identify an arm from its logs. Writes DIR/result.json and DIR/report.html.
 
     The exit code is 0 if the verdict is "determined", else 3.
     """
@@ -168,10 +162,7 @@ def check(
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Check axes, signs, units, ratios, gravity, delays and clipping, without identification.
-
-    The exit code is 0 if nothing is suspected, else 3.
-    """
+    """Check whether logs and study agree. The exit code is 3 if a fault is suspected, else 0."""
     from strainwave import pipeline
 
     with _progress(quiet or as_json) as report:
@@ -189,10 +180,7 @@ def check(
     raise typer.Exit(result.exit_code)
 
 
-@app.command(
-    short_help="Simulate a study on a virtual arm.",
-    epilog="Example: strainwave simulate study.toml --parameters arm.json --out virtual",
-)
+@app.command(epilog="Example: strainwave simulate study.toml --parameters arm.json --out virtual")
 def simulate(
     study: StudyFile,
     parameters: Annotated[
@@ -205,7 +193,7 @@ def simulate(
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate the experiments of a study on a virtual arm; write logs and a study.toml."""
+    """Simulate a study on a virtual arm. Writes its logs and a study.toml."""
     from strainwave.virtual.experiments import simulate_study_file
 
     with _progress(quiet) as report:
@@ -216,10 +204,7 @@ def simulate(
         typer.echo(f"{written} logs and study.toml are in {out}")
 
 
-@app.command(
-    short_help="Export an arm to MuJoCo, URDF, MATLAB, C, ...",
-    epilog="Example: strainwave export results/result.json --out arm.xml",
-)
+@app.command(epilog="Example: strainwave export results/result.json --out arm.xml")
 def export(
     result: ResultFile,
     out: Annotated[Path, typer.Option(help="The file to write.", metavar="FILE")],
@@ -234,7 +219,7 @@ def export(
     study: ChangedStudy = None,
     quiet: Quiet = False,
 ) -> None:
-    """Export an identified arm to MuJoCo, URDF, MATLAB, C or JSON."""
+    """Export an arm to MuJoCo, URDF, MATLAB, C or JSON."""
     from strainwave.export import export_file
 
     written = export_file(result, out, form=form, study=study)
@@ -247,9 +232,8 @@ def export(
 
 
 @app.command(
-    short_help="Design the servos of an arm.",
     epilog="Example: strainwave tune results/result.json --posture 0,1.2 --payload 2,0.1,0,0 "
-    "--out tuned",
+    "--out tuned"
 )
 def tune(
     result: ResultFile,
@@ -298,7 +282,7 @@ def tune(
     study: ChangedStudy = None,
     quiet: Quiet = False,
 ) -> None:
-    """Design servos and input shapers for the uncertain arm; write DIR/tune.html and servo.*."""
+    """Design the servos of an arm. Writes DIR/tune.html and servo.*, with input shapers."""
     from strainwave.servo_design.design import ServoOptions
     from strainwave.servo_design.margins import Requirements
     from strainwave.servo_design.report.terminal import print_design
@@ -321,9 +305,8 @@ def tune(
 
 
 @app.command(
-    short_help="Design the experiments to record.",
     epilog="Example: strainwave excite study.toml --parameters arm.json --out designed "
-    "--limit-angle 1.2 --limit-velocity 180",
+    "--limit-angle 1.2 --limit-velocity 180"
 )
 def excite(
     study: StudyFile,
@@ -361,7 +344,7 @@ def excite(
     seed: Seed = 0,
     quiet: Quiet = False,
 ) -> None:
-    """Design the experiments to record: signals, durations, and the expected motion."""
+    """Design the experiments to record. Writes signals, durations and the expected motion."""
     from strainwave import experiment_design as design
 
     with _progress(quiet) as report:
@@ -385,8 +368,7 @@ def excite(
 
 
 @app.command(
-    short_help="Compare results of one arm.",
-    epilog="Example: strainwave compare january/result.json june/result.json --out compared",
+    epilog="Example: strainwave compare january/result.json june/result.json --out compared"
 )
 def compare(
     results: Annotated[
@@ -422,10 +404,7 @@ def compare(
     raise typer.Exit(CHANGED if comparison.differs else DONE)
 
 
-@app.command(
-    short_help="Detect changes of arms over their visits.",
-    epilog="Example: strainwave trend store --arm 'fleet/([^/]+)/' --out trend",
-)
+@app.command(epilog="Example: strainwave trend store --arm 'fleet/([^/]+)/' --out trend")
 def trend(
     store: Annotated[str, typer.Argument(help="A store of strainwave campaign.", metavar="STORE")],
     out: Annotated[
@@ -467,10 +446,7 @@ def trend(
     raise typer.Exit(CHANGED if result.concern else DONE)
 
 
-@app.command(
-    short_help="Identify the built-in virtual arm.",
-    epilog="Example: strainwave demo --as-published --seeds 10 --out demo",
-)
+@app.command(epilog="Example: strainwave demo --as-published --seeds 10 --out demo")
 def demo(
     out: Out,
     seed: Seed = 0,
@@ -491,7 +467,7 @@ def demo(
     figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate the built-in SCARA arm, identify it, and compare with the true parameters."""
+    """Identify the built-in virtual arm. Compares the estimates with the true parameters."""
     from strainwave.paper.run import write_comparisons
     from strainwave.presentation.matplotlib_backend import require_matplotlib
     from strainwave.presentation.terminal import print_comparisons, print_summary
@@ -518,10 +494,7 @@ def demo(
     raise typer.Exit(identification.verdict.exit_code)
 
 
-@app.command(
-    short_help="Identify many studies, on one machine or a cluster.",
-    epilog="Example: strainwave campaign rigs/ --out store --workers 4",
-)
+@app.command(epilog="Example: strainwave campaign rigs/ --out store --workers 4")
 def campaign(
     studies: Annotated[
         list[str],
@@ -561,7 +534,7 @@ def campaign(
         bool, typer.Option("--quiet", "-q", help="Print one line at the end, and errors.")
     ] = False,
 ) -> None:
-    """Identify many studies and record each run in STORE; recorded runs are not repeated."""
+    """Identify many studies, on one machine or a cluster. Recorded runs are not repeated."""
     from strainwave import campaign as campaigns
     from strainwave import pipeline
 
@@ -592,10 +565,7 @@ def campaign(
     raise typer.Exit(summary.exit_code)
 
 
-@app.command(
-    short_help="Serve the workbench, the whole method in a browser.",
-    epilog="Example: strainwave serve rigs",
-)
+@app.command(epilog="Example: strainwave serve rigs")
 def serve(
     folder: Annotated[
         Path, typer.Argument(help="Folder of the studies.", metavar="FOLDER")
@@ -615,7 +585,7 @@ def serve(
         int, typer.Option(min=1, help="Limit of one uploaded file.", metavar="MIB")
     ] = 2048,
 ) -> None:
-    """Serve the workbench for the studies of a folder, until Ctrl-C."""
+    """Serve the workbench, the whole method in a browser. Ctrl-C ends it."""
     from strainwave.workbench.server import ServerOptions, serve
 
     serve(ServerOptions(folder, host, port, token, max_upload))
@@ -649,12 +619,9 @@ def main() -> None:
     configure_process()
     try:
         app()
-    except InvalidInput as error:
+    except (InvalidInput, NotIdentifiable, NumericalFailure) as error:
         print(f"strainwave: {error}", file=sys.stderr)
-        sys.exit(INPUT_AT_FAULT)
-    except (NotIdentifiable, NumericalFailure) as error:
-        print(f"strainwave: {error}", file=sys.stderr)
-        sys.exit(NOT_DETERMINED)
+        sys.exit(INPUT_AT_FAULT if isinstance(error, InvalidInput) else NOT_DETERMINED)
     except BrokenPipeError:  # stdout was closed, as in `strainwave ... | head`
         sys.stderr.close()
         sys.exit(DONE)
