@@ -98,9 +98,9 @@ def init(
     with _progress(quiet) as report:
         report("inspecting the logs")
         draft = start_study(logs, out, urdf)
+    if not quiet and draft.limit:
+        typer.echo(f"limit: {draft.limit}")
     if not quiet:
-        if draft.limit:
-            typer.echo(f"limit: {draft.limit}")
         typer.echo(
             f"{draft.path}: {draft.joints} joint(s), {draft.experiments} record(s), "
             f"{len(draft.channels)} channel(s) guessed ({', '.join(draft.channels)}); "
@@ -152,9 +152,7 @@ def identify(
     raise typer.Exit(identification.verdict.exit_code)
 
 
-@app.command(
-    short_help="Check whether logs and study agree.", epilog="Example: strainwave check study.toml"
-)
+@app.command(epilog="Example: strainwave check study.toml")
 def check(
     study: StudyFile,
     as_json: Annotated[

@@ -43,14 +43,12 @@ def published_warnings(
 
 def _channels_at_rest(checks: Sequence[Prediction]) -> Iterator[Diagnostic]:
     """Yield channels that have no fit in any check record."""
-    records: dict[str, list[Prediction]] = {}
-    for check in checks:
-        for channel in check.channels:
-            records.setdefault(channel, []).append(check)
-    for channel, predictions in records.items():
-        if not any(math.isfinite(check.fit_percent[channel]) for check in predictions):
-            places = tuple(Place.in_records(check.experiment) for check in predictions)
-            yield Diagnostic("nothing-to-predict", places, "rest", channel=channel)
+    for channel in dict.fromkeys(name for check in checks for name in check.channels):
+        fits = {c.experiment: c.fit_percent[channel] for c in checks if channel in c.channels}
+        if not any(map(math.isfinite, fits.values())):
+            yield Diagnostic(
+                "nothing-to-predict", tuple(map(Place.in_records, fits)), "rest", channel=channel
+            )
 
 
 def rejection_warnings(decisions: Iterable[Decision]) -> Iterator[Diagnostic]:
@@ -77,10 +75,7 @@ def rejection_warnings(decisions: Iterable[Decision]) -> Iterator[Diagnostic]:
 def missing_validation(results: StageResults) -> Diagnostic:
     """Warn why the elastic model is not validated, and what to record."""
     checks = {e.name for e in results.study.experiments if e.use == "check"}
-    defects = tuple(
-        Clause("defect", places=d.places, defect=d.clause) for d in model_defects(results)
-    )
-    unused = tuple(_unused_checks(results))
+    defects = [Clause("defect", places=d.places, defect=d.clause) for d in model_defects(results)]
     reasons = {
         "no-fit": results.whole_arm is None,
         "defect": bool(defects),
@@ -89,7 +84,8 @@ def missing_validation(results: StageResults) -> Diagnostic:
     }
     reason = next(name for name, holds in reasons.items() if holds)
     place = Place(file=str(results.study.path))
-    return Diagnostic("elastic-not-validated", place, reason, defects=defects, unused=unused)
+    clauses = {"defects": tuple(defects), "unused": tuple(_unused_checks(results))}
+    return Diagnostic("elastic-not-validated", place, reason, **clauses)
 
 
 def _unused_checks(results: StageResults) -> Iterator[Clause]:

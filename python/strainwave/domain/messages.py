@@ -19,10 +19,6 @@ from strainwave.domain.fault_messages import FAULTS
 _RECORD_ALL_JOINTS = (
     "record all joints moving together, in both directions, at varied speeds and postures"
 )
-_RECORD_CHECK = (
-    'record steps under the servo, or a PRBS, as use = "check", with the angle and the voltage of'
-    " every motor and the servo's references"
-)
 _CLOCK = "time stamps are not uniform (steps of {shortest:.2f} to {longest:.2f} periods): "
 _SLOW_CLOCK = "|; motion faster than the widest step is lost. Log with a fixed clock if possible"
 _STOPPED = (
@@ -188,7 +184,8 @@ TEMPLATES: Mapping[str, str] = {
     # final table
     "rejected": "{reason}|; rejected values: {values}",
     "elastic-not-validated/no-fit": "the run has no whole-arm fit, which predicts the motion",
-    "elastic-not-validated/no-check": "the study has no check record|; " + _RECORD_CHECK,
+    "elastic-not-validated/no-check": "the study has no check record|; record steps under the"
+    ' servo, or a PRBS, as use = "check", with angle and voltage of every motor and the references',
     "elastic-not-validated/defect": "{defects!s}",
     "elastic-not-validated/no-effect": "{unused!s}|; supply what is missing, or record larger or"
     ' faster steps of the joint, or a PRBS, with use = "check"',

@@ -196,19 +196,13 @@ The residual must also be far above the sensor noise.
 def _validate_models(results: StageResults) -> Validation:
     """Check whether validation records excite each model and the model predicts them."""
     effects = [effect for effect, _, _ in stiffness_effects(results).values()]
-    drive_checks = [check for check in results.checks if check.of_drive]
-    motion_checks = [check for check in results.checks if not check.of_drive]
-    decisive_checks = _decisive_checks(results)
-    has_motion = any(
-        math.isfinite(fit) for check in drive_checks for fit in check.fit_percent.values()
-    )
+    drives = [check for check in results.checks if check.of_drive]
+    has_motion = any(math.isfinite(fit) for check in drives for fit in check.fit_percent.values())
+    is_missed = any(check.of_drive and check.unexplained for check in _decisive_checks(results))
     return Validation(
-        rigid=has_motion
-        and not any(check.unexplained for check in decisive_checks if check.of_drive),
-        elastic=bool(effects)
-        and min(effects) >= MIN_STIFFNESS_EFFECT
-        and not any(check.unexplained for check in motion_checks)
-        and _worst_residual(results) is None,
+        rigid=has_motion and not is_missed,
+        elastic=min(effects, default=0.0) >= MIN_STIFFNESS_EFFECT
+        and not any(model_defects(results)),
     )
 
 

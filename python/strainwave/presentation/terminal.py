@@ -24,13 +24,7 @@ from strainwave.domain import (
 from strainwave.domain.consistency import RELATION_TEXTS
 from strainwave.domain.formatting import percent, plus_minus
 from strainwave.domain.keys import Key
-from strainwave.presentation.report import (
-    advice,
-    by_severity,
-    drive_note,
-    gain_sentences,
-    sentence,
-)
+from strainwave.presentation.report import advice, by_severity, drive_note, gain_sentences, sentence
 from strainwave.presentation.report.amplitudes import trend_title
 from strainwave.presentation.report.blocks import Cell, number
 
