@@ -74,12 +74,11 @@ def rejection_warnings(decisions: Iterable[Decision]) -> Iterator[Diagnostic]:
 
 def missing_validation(results: StageResults) -> Diagnostic:
     """Warn why the elastic model is not validated, and what to record."""
-    checks = {e.name for e in results.study.experiments if e.use == "check"}
     defects = [Clause("defect", places=d.places, defect=d.clause) for d in model_defects(results)]
     reasons = {
         "no-fit": results.whole_arm is None,
         "defect": bool(defects),
-        "no-check": not checks,
+        "no-check": all(e.use != "check" for e in results.study.experiments),
         "no-effect": True,
     }
     reason = next(name for name, holds in reasons.items() if holds)

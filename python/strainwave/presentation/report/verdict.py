@@ -162,9 +162,8 @@ def _validation_blocks(identification: Identification) -> Iterator[Block]:
     """Fits of the check records by each model, and models that are not validated."""
     names = [e.name for e in identification.study.experiments if e.use == "check"]
     if not identification.checks:
-        reason = (
-            "the input is inconsistent" if identification.suspected else "no model was estimated"
-        )
+        is_suspected = bool(identification.suspected)
+        reason = "the input is inconsistent" if is_suspected else "no model was estimated"
         yield paragraph(Span("Not validated: ", strong=True), _describe_unpredicted(names, reason))
         return
     fits, validated = check_fits(identification), identification.verdict.validated.elastic
