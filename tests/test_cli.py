@@ -11,11 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 import compared_results
 import studies
 import visited_arms
 from command_line import run_here
+from strainwave import cli
 from strainwave.io.study import write_study
 from strainwave.virtual import experiments as virtual
 from strainwave.virtual import scara
@@ -278,6 +280,32 @@ def test_version_help_and_wrong_usage() -> None:
         assert wrong.returncode == 2
         assert hint in wrong.stderr
         assert "Traceback" not in wrong.stderr
+
+
+def test_help_shows_the_unit_or_the_form_of_each_value() -> None:
+    root = typer.main.get_command(cli.app)
+    commands = getattr(root, "commands")  # noqa: B009 - typer's group has no public type
+    assert len(commands) > 10
+    plain = [
+        f"{name} {option.opts[0]}"
+        for name, command in commands.items()
+        for option in command.params
+        if option.param_type_name == "option" and not option.is_flag and option.metavar is None
+    ]
+    assert plain == []
+    assert "--bandwidth HZ" in run_here("tune", "--help").stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"), [("strainwave ide", "identify"), ("strainwave identify --se", "--set")]
+)
+def test_the_shell_completes_commands_and_options(
+    words: str, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("_STRAINWAVE_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", words)
+    monkeypatch.setenv("COMP_CWORD", str(len(words.split()) - 1))
+    assert run_here().stdout.split() == [expected]
 
 
 def test_the_exit_code_of_compare_is_four_if_results_differ(tmp_path: Path) -> None:

@@ -9,12 +9,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from results import arm_model
 from strainwave import pipeline
-from strainwave.domain import Identification, JointModel, Prbs
+from strainwave.domain import STAGES, Identification, JointModel, Parameter, Prbs
 from strainwave.domain.progress import ProgressEvent
 from strainwave.dynamics.arm import Arm
+from strainwave.errors import NumericalFailure
+from strainwave.io.logs import read_logs
+from strainwave.pipeline.elastic_arm import predict_checks
 from strainwave.pipeline.elastic_joints import fit_elastic_joints, typical_joints
 from strainwave.pipeline.inputs import Inputs
 from strainwave.pipeline.reporter import Reporter
@@ -139,6 +144,36 @@ def test_a_tuned_linear_arm_predicts_steps(
     }
     for joint in (1, 2):
         assert fits[f"step-check-j{joint}", f"omega_m{joint}"] > 97.0
+
+
+def test_check_records_that_cannot_be_simulated_have_a_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The log of one record lacks a reference; a simulation of the other may diverge."""
+    study = scara.study(tmp_path, "linear")
+    names = ("step-check-j1", "step-check-j2")
+    study = replace(study, experiments=tuple(e for e in study.experiments if e.name in names))
+    values = scara.parameters(spring="linear")
+    virtual.simulate_study(study, values, tmp_path)
+    first, second = read_logs(study)
+    channels = {name: x for name, x in second.channels.items() if name != "ref2"}
+    parameters = tuple(
+        Parameter.estimated(key, value, 0.01 * abs(value), "", "tuned")
+        for key, value in values.items()
+    )
+    model = arm_model(parameters, np.diag([p.std or 0.0 for p in parameters]) ** 2)
+    logs = (first, replace(second, channels=channels))
+    inputs = Inputs(study, Arm.of(study.arm), logs, STAGES)
+    checks, reasons = predict_checks(inputs, model, Reporter(STAGES, lambda _: None))
+    assert [check.experiment for check in checks] == ["step-check-j1"]
+    assert reasons == {"step-check-j2": "the log has no servo reference ref2"}
+
+    def diverge(*_: object) -> None:
+        raise NumericalFailure("the motion diverges")
+
+    monkeypatch.setattr("strainwave.identification.validation.predict_elastic", diverge)
+    checks, reasons = predict_checks(inputs, model, Reporter(STAGES, lambda _: None))
+    assert (checks, reasons["step-check-j1"]) == ((), "the motion diverges")
 
 
 def test_coupled_joints_start_from_typical_values_without_records_of_their_gears() -> None:

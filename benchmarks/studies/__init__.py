@@ -10,10 +10,10 @@ Run one with `python -m benchmarks.studies.NAME`; the page next to it has the nu
 | sensors | errors and coverage with few or mixed sensors | README, docs/benchmarks.md |
 | causes | likely effects named and included by "auto" on drawn arms | docs/benchmarks.md |
 | mutated | refusals of randomly changed studies | docs/benchmarks.md |
-| agreement | differences between rigid and whole-arm values on altered logs | docs/result.md |
-| faults | input faults named on drawn arms | docs/stages/consistency.md |
-| short_motions | false suspicions on arms without a fault | docs/stages/consistency.md |
-| hygiene | sensor defects named in logs | docs/stages/hygiene.md |
+| agreement | differences between rigid and whole-arm values on altered logs | docs/benchmarks.md |
+| faults | input faults named on drawn arms | docs/benchmarks.md |
+| short_motions | false suspicions on arms without a fault | docs/benchmarks.md |
+| hygiene | sensor defects named in logs | docs/benchmarks.md |
 | visits | differences between two visits reported by `compare` | docs/compare.md |
 | serial_rigid | torque fits and base parameters on measured serial arms | docs/benchmarks.md |
 | small_arm | writes tests/data/small-arm | tests/data/small-arm/README.md |

@@ -1,7 +1,7 @@
 """The command line: arguments, progress, exit codes.
 
-Exit codes: 0 done; 1 a bug; 2 the input is at fault; 3 the data do not determine the model; 4 the
-compared results differ, or an arm changes; 130 stopped by Ctrl-C.
+Exit codes: 0 done; 1 a bug; 2 the input is at fault; 3 the verdict is not "determined"
+(docs/result.md); 4 the compared results differ, or an arm changes; 130 stopped by Ctrl-C.
 """
 
 from __future__ import annotations
@@ -24,29 +24,40 @@ app = typer.Typer(
     help="Identify the physical model of a robot arm with elastic joints from its logs.",
     context_settings={"help_option_names": ["-h", "--help"]},
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
 
-Out = Annotated[Path, typer.Option("--out", help="Directory for the results.", metavar="DIR")]
+Out = Annotated[Path, typer.Option(help="Directory for the results.", metavar="DIR")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 StudyFile = Annotated[Path, typer.Argument(help="The study file.", metavar="STUDY.toml")]
+ResultFile = Annotated[
+    Path, typer.Argument(help="A result.json, or a directory with one.", metavar="RESULT")
+]
+ChangedStudy = Annotated[
+    Path | None,
+    typer.Option(
+        help="Study file with other gear ratios, lengths, servo or limits.", metavar="STUDY.toml"
+    ),
+]
 Figures = Annotated[
     bool, typer.Option("--figures", help="Also write every figure as SVG and PNG to DIR/figures.")
 ]
 Stages = Annotated[
-    str | None, typer.Option("--stages", help="Run only the first stages, for example: rigid.")
+    str | None,
+    typer.Option(
+        help="Run only the first of the stages rigid,decoupled,tuned.", metavar="STAGE,..."
+    ),
 ]
 Overrides = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        help="An option of a stage, which overrides the study: links.order=1.",
+        help="An option of a stage, which overrides the study: links.order=1; repeat for more.",
         metavar="STAGE.KEY=VALUE",
     ),
 ]
-Seed = Annotated[int, typer.Option("--seed", help="Seed of the sensor noise and of the motions.")]
+Seed = Annotated[int, typer.Option(help="Seed of all random numbers.", metavar="INTEGER")]
 
 DONE, INPUT_AT_FAULT, NOT_DETERMINED, CHANGED = 0, 2, 3, 4
 
@@ -67,32 +78,29 @@ def _root(
         raise typer.Exit
 
 
-@app.command(
-    short_help="Write a draft of a study file from logs.",
-    epilog="Example: strainwave init --urdf robot.urdf run1.csv run2.csv --out study.toml",
-)
+@app.command(epilog="Example: strainwave init --urdf robot.urdf run1.csv run2.csv --out study.toml")
 def init(
     logs: Annotated[
-        list[Path], typer.Argument(help="Logs of one rig: files or bags.", metavar="LOG...")
+        list[Path], typer.Argument(help="Logs of one rig: files or bags.", metavar="LOG")
     ],
     out: Annotated[
-        Path, typer.Option("--out", help="The study file to write.", metavar="STUDY.toml")
+        Path, typer.Option(help="The study file to write.", metavar="STUDY.toml")
     ] = Path("study.toml"),
     urdf: Annotated[
         Path | None,
-        typer.Option("--urdf", help="URDF of a serial arm, which places its joints.", metavar="F"),
+        typer.Option(help="URDF of a serial arm, which places its joints.", metavar="FILE"),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Write a draft of a study file from logs: guesses with reasons; unknown values are TODO."""
+    """Write a draft of a study file from logs. Guesses have reasons; unknown values are TODO."""
     from strainwave.study_draft import start_study
 
     with _progress(quiet) as report:
         report("inspecting the logs")
         draft = start_study(logs, out, urdf)
+    if not quiet and draft.limit:
+        typer.echo(f"limit: {draft.limit}")
     if not quiet:
-        if draft.limit:
-            typer.echo(f"limit: {draft.limit}")
         typer.echo(
             f"{draft.path}: {draft.joints} joint(s), {draft.experiments} record(s), "
             f"{len(draft.channels)} channel(s) guessed ({', '.join(draft.channels)}); "
@@ -102,10 +110,7 @@ def init(
             typer.echo(f"warning: {warning}")
 
 
-@app.command(
-    short_help="Identify an arm from its logs.",
-    epilog="Example: strainwave identify study.toml --out results",
-)
+@app.command(epilog="Example: strainwave identify study.toml --out results")
 def identify(
     study: StudyFile,
     out: Out,
@@ -122,7 +127,6 @@ def identify(
     start: Annotated[
         Path | None,
         typer.Option(
-            "--start",
             help="Parameters at which the whole-arm fit starts: a result.json or a parameter file.",
             metavar="P.json",
         ),
@@ -130,7 +134,10 @@ def identify(
     figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
-    """Identify the arm of a study; write DIR/result.json and DIR/report.html."""
+    """Identify an arm from its logs. Writes DIR/result.json and DIR/report.html.
+
+    The exit code is 0 if the verdict is "determined", else 3.
+    """
     from strainwave import pipeline
     from strainwave.io.study import AS_PUBLISHED
     from strainwave.presentation.matplotlib_backend import require_matplotlib
@@ -154,10 +161,7 @@ def identify(
     raise typer.Exit(identification.verdict.exit_code)
 
 
-@app.command(
-    short_help="Check whether logs and study agree.",
-    epilog="Example: strainwave check study.toml",
-)
+@app.command(epilog="Example: strainwave check study.toml")
 def check(
     study: StudyFile,
     as_json: Annotated[
@@ -165,7 +169,7 @@ def check(
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Check axes, signs, units, ratios, gravity, delays and clipping, without identification."""
+    """Check whether logs and study agree. The exit code is 3 if a fault is suspected, else 0."""
     from strainwave import pipeline
 
     with _progress(quiet or as_json) as report:
@@ -183,17 +187,11 @@ def check(
     raise typer.Exit(result.exit_code)
 
 
-@app.command(
-    short_help="Simulate a study on a virtual arm.",
-    epilog="Example: strainwave simulate study.toml --parameters arm.json --out virtual",
-)
+@app.command(epilog="Example: strainwave simulate study.toml --parameters arm.json --out virtual")
 def simulate(
     study: StudyFile,
     parameters: Annotated[
-        Path,
-        typer.Option(
-            "--parameters", help="A result.json, or another file of parameters.", metavar="P.json"
-        ),
+        Path, typer.Option(help="A result.json, or another file of parameters.", metavar="P.json")
     ],
     out: Out,
     seed: Seed = 0,
@@ -202,7 +200,7 @@ def simulate(
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate the experiments of a study on a virtual arm; write logs and a study.toml."""
+    """Simulate a study on a virtual arm. Writes its logs and a study.toml."""
     from strainwave.virtual.experiments import simulate_study_file
 
     with _progress(quiet) as report:
@@ -213,15 +211,10 @@ def simulate(
         typer.echo(f"{written} logs and study.toml are in {out}")
 
 
-@app.command(
-    short_help="Export an arm to MuJoCo, URDF, MATLAB, C, ...",
-    epilog="Example: strainwave export results/result.json --out arm.xml",
-)
+@app.command(epilog="Example: strainwave export results/result.json --out arm.xml")
 def export(
-    result: Annotated[
-        Path, typer.Argument(help="A result.json, or a directory with one.", metavar="RESULT")
-    ],
-    out: Annotated[Path, typer.Option("--out", help="The file to write.", metavar="FILE")],
+    result: ResultFile,
+    out: Annotated[Path, typer.Option(help="The file to write.", metavar="FILE")],
     form: Annotated[
         str | None,
         typer.Option(
@@ -230,15 +223,10 @@ def export(
             metavar="FORMAT",
         ),
     ] = None,
-    study: Annotated[
-        Path | None,
-        typer.Option(
-            "--study", help="Study file with other gear ratios and lengths.", metavar="STUDY.toml"
-        ),
-    ] = None,
+    study: ChangedStudy = None,
     quiet: Quiet = False,
 ) -> None:
-    """Export an identified arm to MuJoCo, URDF, MATLAB, C or JSON."""
+    """Export an arm to MuJoCo, URDF, MATLAB, C or JSON."""
     from strainwave.export import export_file
 
     written = export_file(result, out, form=form, study=study)
@@ -251,19 +239,15 @@ def export(
 
 
 @app.command(
-    short_help="Design the servos of an arm.",
     epilog="Example: strainwave tune results/result.json --posture 0,1.2 --payload 2,0.1,0,0 "
-    "--out tuned",
+    "--out tuned"
 )
 def tune(
-    result: Annotated[
-        Path, typer.Argument(help="A result.json, or a directory with one.", metavar="RESULT")
-    ],
-    out: Annotated[Path, typer.Option("--out", help="Directory for the results.", metavar="DIR")],
+    result: ResultFile,
+    out: Out,
     posture: Annotated[
         list[str] | None,
         typer.Option(
-            "--posture",
             help="Link angles [rad] for which the servos must hold: 0,1.2; repeat for more. "
             "Default: zero and four drawn postures.",
             metavar="ANGLES",
@@ -272,50 +256,40 @@ def tune(
     payload: Annotated[
         list[str] | None,
         typer.Option(
-            "--payload",
             help="Mass [kg] and centre of mass [m] in the last link's frame: 2,0.1,0,0; repeat "
             "for more. The arm without a payload is always included.",
             metavar="MASS,X,Y,Z",
         ),
     ] = None,
     draws: Annotated[
-        int, typer.Option("--draws", help="Number of draws of the uncertain parameters.")
+        int, typer.Option(help="Number of draws of the uncertain parameters.", metavar="INTEGER")
     ] = 1000,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of draws and postures.")] = 0,
+    seed: Seed = 0,
     period: Annotated[
         float | None,
-        typer.Option("--period", help="Period of the servo [s]; default: that of the study."),
+        typer.Option(help="Period of the servo; default: that of the study.", metavar="SECONDS"),
     ] = None,
     delay: Annotated[
         float | None,
         typer.Option(
-            "--delay",
-            help="Time from an encoder reading to its voltage [s]; default: half of the period.",
+            help="Time from an encoder reading to its voltage; default: half of the period.",
+            metavar="SECONDS",
         ),
     ] = None,
     bandwidth: Annotated[
-        float | None,
-        typer.Option("--bandwidth", help="Smallest bandwidth of each velocity loop.", metavar="HZ"),
+        float | None, typer.Option(help="Smallest bandwidth of each velocity loop.", metavar="HZ")
     ] = None,
-    gain_margin: Annotated[
-        float, typer.Option("--gain-margin", help="Smallest gain margin.", metavar="DB")
-    ] = 6.0,
+    gain_margin: Annotated[float, typer.Option(help="Smallest gain margin.", metavar="DB")] = 6.0,
     phase_margin: Annotated[
-        float, typer.Option("--phase-margin", help="Smallest phase margin.", metavar="DEG")
+        float, typer.Option(help="Smallest phase margin.", metavar="DEG")
     ] = 30.0,
     modulus_margin: Annotated[
-        float,
-        typer.Option("--modulus-margin", help="Smallest distance of the open loop from -1."),
+        float, typer.Option(help="Smallest distance of the open loop from -1.", metavar="FLOAT")
     ] = 0.5,
-    study: Annotated[
-        Path | None,
-        typer.Option(
-            "--study", help="Study file with another servo or limits.", metavar="STUDY.toml"
-        ),
-    ] = None,
+    study: ChangedStudy = None,
     quiet: Quiet = False,
 ) -> None:
-    """Design servos and input shapers for the uncertain arm; write DIR/tune.html and servo.*."""
+    """Design the servos of an arm. Writes DIR/tune.html and servo.*, with input shapers."""
     from strainwave.servo_design.design import ServoOptions
     from strainwave.servo_design.margins import Requirements
     from strainwave.servo_design.report.terminal import print_design
@@ -338,54 +312,46 @@ def tune(
 
 
 @app.command(
-    short_help="Design the experiments to record.",
     epilog="Example: strainwave excite study.toml --parameters arm.json --out designed "
-    "--limit-angle 1.2 --limit-velocity 180",
+    "--limit-angle 1.2 --limit-velocity 180"
 )
 def excite(
     study: StudyFile,
     out: Out,
     limit_angle: Annotated[
         str | None,
-        typer.Option("--limit-angle", help="Largest link angle on either side of zero [rad]."),
+        typer.Option(
+            help="Largest link angle on either side of zero; one for all joints, or, as for"
+            " velocity, voltage and torque, one per joint: 1.2,0.8.",
+            metavar="RAD",
+        ),
     ] = None,
     limit_velocity: Annotated[
-        str | None,
-        typer.Option(
-            "--limit-velocity", help="Largest motor velocity [rad/s]; or one per joint: 180,150."
-        ),
+        str | None, typer.Option(help="Largest motor velocity.", metavar="RAD/S")
     ] = None,
     parameters: Annotated[
         Path | None,
-        typer.Option(
-            "--parameters", help="Assumed parameters, or an earlier result.json.", metavar="P.json"
-        ),
+        typer.Option(help="Assumed parameters, or an earlier result.json.", metavar="P.json"),
     ] = None,
     limit_voltage: Annotated[
         str | None,
-        typer.Option(
-            "--limit-voltage", help="Largest voltage [V]; default: the limit of the servo."
-        ),
+        typer.Option(help="Largest voltage; default: the limit of the servo.", metavar="V"),
     ] = None,
     limit_torque: Annotated[
         str | None,
-        typer.Option(
-            "--limit-torque", help="Largest gear torque at the link [N m]; default: no limit."
-        ),
+        typer.Option(help="Largest gear torque at the link; default: no limit.", metavar="NM"),
     ] = None,
     limit_distance: Annotated[
         str | None,
-        typer.Option(
-            "--limit-distance", help="Smallest distance of the links' centre lines [m]; default: 0."
-        ),
+        typer.Option(help="Smallest distance of the links' centre lines; default: 0.", metavar="M"),
     ] = None,
     kind: Annotated[
-        str, typer.Option("--kind", help="Kind of excitation: prbs or multisine.")
+        str, typer.Option(help="Kind of excitation.", metavar="prbs|multisine")
     ] = "prbs",
-    seed: Annotated[int, typer.Option("--seed", help="Seed of the search and of the phases.")] = 0,
+    seed: Seed = 0,
     quiet: Quiet = False,
 ) -> None:
-    """Design the experiments to record: signals, durations, and the expected motion."""
+    """Design the experiments to record. Writes signals, durations and the expected motion."""
     from strainwave import experiment_design as design
 
     with _progress(quiet) as report:
@@ -409,27 +375,25 @@ def excite(
 
 
 @app.command(
-    short_help="Compare results of one arm.",
-    epilog="Example: strainwave compare january/result.json june/result.json --out compared",
+    epilog="Example: strainwave compare january/result.json june/result.json --out compared"
 )
 def compare(
     results: Annotated[
         list[Path],
         typer.Argument(
             help="Two or more result.json of one arm, or directories that contain one.",
-            metavar="RESULT...",
+            metavar="RESULT",
         ),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out", help="Directory for comparison.json and comparison.html.", metavar="DIR"
-        ),
+        typer.Option(help="Directory for comparison.json and comparison.html.", metavar="DIR"),
     ] = None,
     level: Annotated[
         float,
         typer.Option(
-            "--level", help="Probability of a false alarm between results of an unchanged arm."
+            help="Probability of a false alarm between results of an unchanged arm.",
+            metavar="FLOAT",
         ),
     ] = 0.05,
     quiet: Quiet = False,
@@ -447,20 +411,15 @@ def compare(
     raise typer.Exit(CHANGED if comparison.differs else DONE)
 
 
-@app.command(
-    short_help="Detect changes of arms over their visits.",
-    epilog="Example: strainwave trend store --arm 'fleet/([^/]+)/' --out trend",
-)
+@app.command(epilog="Example: strainwave trend store --arm 'fleet/([^/]+)/' --out trend")
 def trend(
     store: Annotated[str, typer.Argument(help="A store of strainwave campaign.", metavar="STORE")],
     out: Annotated[
-        Path | None,
-        typer.Option("--out", help="Directory for trend.json and trend.html.", metavar="DIR"),
+        Path | None, typer.Option(help="Directory for trend.json and trend.html.", metavar="DIR")
     ] = None,
     arm: Annotated[
         str | None,
         typer.Option(
-            "--arm",
             help="Name of the arm: a column of the runs, or a regular expression with a group, "
             "searched for in the path of the study. Default: the folder of the study.",
             metavar="COLUMN|REGEX",
@@ -469,13 +428,11 @@ def trend(
     covariates: Annotated[
         Path | None,
         typer.Option(
-            "--covariates",
-            help="CSV table with the columns study, time, and covariates.",
-            metavar="FILE.csv",
+            help="CSV table with the columns study, time, and covariates.", metavar="FILE.csv"
         ),
     ] = None,
     level: Annotated[
-        float, typer.Option("--level", help="Probability of a false alarm per arm.")
+        float, typer.Option(help="Probability of a false alarm per arm.", metavar="FLOAT")
     ] = 0.01,
     quiet: Quiet = False,
 ) -> None:
@@ -496,10 +453,7 @@ def trend(
     raise typer.Exit(CHANGED if result.concern else DONE)
 
 
-@app.command(
-    short_help="Identify the built-in virtual arm.",
-    epilog="Example: strainwave demo --as-published --seeds 10 --out demo",
-)
+@app.command(epilog="Example: strainwave demo --as-published --seeds 10 --out demo")
 def demo(
     out: Out,
     seed: Seed = 0,
@@ -507,7 +461,8 @@ def demo(
         bool, typer.Option("--quick", help="Skip the comparison with the published figures.")
     ] = False,
     seeds: Annotated[
-        int, typer.Option("--seeds", min=1, help="Number of seeds for the published figures.")
+        int,
+        typer.Option(min=1, help="Number of seeds for the published figures.", metavar="INTEGER"),
     ] = 1,
     as_published: Annotated[
         bool,
@@ -525,7 +480,7 @@ def demo(
     figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate the built-in SCARA arm, identify it, and compare with the true parameters."""
+    """Identify the built-in virtual arm. Compares the estimates with the true parameters."""
     from strainwave.paper.run import write_comparisons
     from strainwave.presentation.matplotlib_backend import require_matplotlib
     from strainwave.presentation.terminal import print_comparisons, print_summary
@@ -556,44 +511,38 @@ def demo(
     raise typer.Exit(identification.verdict.exit_code)
 
 
-@app.command(
-    short_help="Identify many studies, on one machine or a cluster.",
-    epilog="Example: strainwave campaign rigs/ --out store --workers 4",
-)
+@app.command(epilog="Example: strainwave campaign rigs/ --out store --workers 4")
 def campaign(
     studies: Annotated[
         list[str],
         typer.Argument(
             help="Study files, folders, globs, tables of paths, URLs, or one campaign.toml.",
-            metavar="STUDIES...",
+            metavar="STUDIES",
         ),
     ],
-    out: Annotated[
-        str, typer.Option("--out", help="The store: a folder, or a URL.", metavar="STORE")
-    ],
+    out: Annotated[str, typer.Option(help="The store: a folder, or a URL.", metavar="STORE")],
     stages: Stages = None,
     options: Overrides = None,
     workers: Annotated[
         int | None,
-        typer.Option("--workers", min=1, help="Number of worker processes; default: one per core."),
+        typer.Option(
+            min=1, help="Number of worker processes; default: one per core.", metavar="INTEGER"
+        ),
     ] = None,
     scheduler: Annotated[
         str | None,
         typer.Option(
-            "--scheduler",
-            help="Address of a running Dask scheduler: tcp://host:8786.",
-            metavar="ADDRESS",
+            help="Address of a running Dask scheduler: tcp://host:8786.", metavar="ADDRESS"
         ),
     ] = None,
     cluster: Annotated[
-        Path | None,
-        typer.Option("--cluster", help="TOML file of a Dask cluster to start.", metavar="FILE"),
+        Path | None, typer.Option(help="TOML file of a Dask cluster to start.", metavar="FILE")
     ] = None,
     time_limit: Annotated[
-        float, typer.Option("--time-limit", min=1.0, help="Time limit of one study [s].")
+        float, typer.Option(min=1.0, help="Time limit of one study.", metavar="SECONDS")
     ] = 600.0,
     memory_limit: Annotated[
-        int | None, typer.Option("--memory-limit", min=1, help="Memory limit of one worker [MiB].")
+        int | None, typer.Option(min=1, help="Memory limit of one worker.", metavar="MIB")
     ] = None,
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Repeat runs that are recorded as failed.")
@@ -602,7 +551,7 @@ def campaign(
         bool, typer.Option("--quiet", "-q", help="Print one line at the end, and errors.")
     ] = False,
 ) -> None:
-    """Identify many studies and record each run in STORE; recorded runs are not repeated."""
+    """Identify many studies, on one machine or a cluster. Recorded runs are not repeated."""
     from strainwave import campaign as campaigns
     from strainwave import pipeline
 
@@ -633,29 +582,27 @@ def campaign(
     raise typer.Exit(summary.exit_code)
 
 
-@app.command(
-    short_help="Serve the workbench, the whole method in a browser.",
-    epilog="Example: strainwave serve rigs",
-)
+@app.command(epilog="Example: strainwave serve rigs")
 def serve(
     folder: Annotated[
         Path, typer.Argument(help="Folder of the studies.", metavar="FOLDER")
     ] = Path(),
     port: Annotated[
-        int, typer.Option("--port", min=0, max=65535, help="The port; 0 chooses a free one.")
+        int,
+        typer.Option(min=0, max=65535, help="The port; 0 chooses a free one.", metavar="INTEGER"),
     ] = 8765,
     host: Annotated[
         str,
-        typer.Option("--host", help="Address to listen on; others than 127.0.0.1 need --token."),
+        typer.Option(
+            help="Address to listen on; others than 127.0.0.1 need --token.", metavar="ADDRESS"
+        ),
     ] = "127.0.0.1",
-    token: Annotated[
-        str, typer.Option("--token", help="Secret that a browser needs.", metavar="TEXT")
-    ] = "",
+    token: Annotated[str, typer.Option(help="Secret that a browser needs.", metavar="TEXT")] = "",
     max_upload: Annotated[
-        int, typer.Option("--max-upload", min=1, help="Limit of one uploaded file [MiB].")
+        int, typer.Option(min=1, help="Limit of one uploaded file.", metavar="MIB")
     ] = 2048,
 ) -> None:
-    """Serve the workbench for the studies of a folder, until Ctrl-C."""
+    """Serve the workbench, the whole method in a browser. Ctrl-C ends it."""
     from strainwave.workbench.server import ServerOptions, serve
 
     serve(ServerOptions(folder, host, port, token, max_upload))
@@ -689,12 +636,9 @@ def main() -> None:
     configure_process()
     try:
         app()
-    except InvalidInput as error:
+    except (InvalidInput, NotIdentifiable, NumericalFailure) as error:
         print(f"strainwave: {error}", file=sys.stderr)
-        sys.exit(INPUT_AT_FAULT)
-    except (NotIdentifiable, NumericalFailure) as error:
-        print(f"strainwave: {error}", file=sys.stderr)
-        sys.exit(NOT_DETERMINED)
+        sys.exit(INPUT_AT_FAULT if isinstance(error, InvalidInput) else NOT_DETERMINED)
     except BrokenPipeError:  # stdout was closed, as in `strainwave ... | head`
         sys.stderr.close()
         sys.exit(DONE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -429,7 +430,7 @@ def check_of(
         motion,
         motion,
         dict.fromkeys(channels, 22.6),
-        stiffness_effect={1: 0.5, 2: 0.5},
+        stiffness_effect={1: dict.fromkeys(channels, 0.5), 2: dict.fromkeys(channels, 0.5)},
         unexplained=unexplained or {},
         is_servo_at_fault=servo,
     )
@@ -453,6 +454,68 @@ def test_a_check_record_that_is_not_predicted_excludes_determined(*, servo: bool
     assert ("correct kp" in reason) == servo
     (warning,) = [w for w in unpredicted.warnings if w.code == "not-predicted"]
     assert warning.where == "step-check"
+
+
+STEPS = ("step-check-j1", "step-check-j2")
+UNVALIDATED: dict[str, tuple[tuple[str, ...], dict[str, str], Any, str]] = {
+    "no check record": ((), {}, None, "the study has no check record; record"),
+    "not simulated": (
+        STEPS,
+        dict.fromkeys(STEPS, "the study has no [servo] table"),
+        None,
+        "no simulation of step-check-j1 and step-check-j2: the study has no [servo] table; supply",
+    ),
+    "for two reasons": (
+        STEPS,
+        {STEPS[0]: "it diverges"},
+        None,
+        "no simulation of step-check-j1: it diverges;"
+        " no simulation of step-check-j2: a defect of the data; supply",
+    ),
+    "one gear not loaded": (
+        STEPS[:1],
+        {},
+        {1: {"omega_m1": 0.01, "a1": 0.031}, 2: {"a1": 0.2}},
+        "20 % more gear stiffness of joint 1 changes no channel of a check record by 5 % of its"
+        " standard deviation: most a1 of step-check-j1, by 3.1 %; supply",
+    ),
+    "no motion": (
+        STEPS[:1],
+        {},
+        {1: {}, 2: {"a1": 0.2}},
+        "no channel moves in the check records, so none depends on the gear of joint 1; supply",
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("names", "reasons", "effects", "message"), UNVALIDATED.values(), ids=UNVALIDATED
+)
+def test_a_warning_says_why_no_check_record_validates_the_elastic_model(
+    names: tuple[str, ...], reasons: dict[str, str], effects: Any, message: str
+) -> None:
+    result = run()
+    kept = [e for e in result.study.experiments if e.use != "check" or e.name in names]
+    check = replace(check_of(("omega_m1", "a1")), experiment=STEPS[0], stiffness_effect=effects)
+    result = replace(
+        result,
+        study=replace(result.study, experiments=tuple(kept)),
+        checks=(check,) if effects else (),
+        not_simulated=reasons,
+    )
+    assert not result.verdict.validated.elastic
+    (warning,) = [w for w in result.warnings if w.code == "elastic-not-validated"]
+    assert warning.message.startswith(message)
+
+
+def test_a_channel_is_reported_at_rest_if_no_check_record_moves_it() -> None:
+    steps = replace(check_of(("u1", "u2")), fit_percent={"u1": 98.0, "u2": float("nan")})
+    others = replace(steps, experiment="other", fit_percent={"u1": float("nan"), "u2": 97.0})
+    result = replace(run(), checks=(steps,))
+    (warning,) = [w for w in result.warnings if w.code == "nothing-to-predict"]
+    assert (warning.where, "for u2" in warning.message) == ("step-check", True)
+    both = replace(result, checks=(steps, others))
+    assert "nothing-to-predict" not in {w.code for w in both.warnings}
 
 
 @pytest.mark.parametrize("elastic", [True, False])
@@ -491,6 +554,7 @@ def test_residuals_far_above_the_noise_exclude_determined(
         assert "three-slope" not in reason
         checked = replace(poor_fit, checks=(check_of(("omega_m1",)),))
         assert not checked.verdict.validated.elastic  # a model that does not fit is not validated
+        assert "elastic-not-validated" not in {w.code for w in checked.warnings}
         hardening = replace(poor_fit, sweeps=(Sweep(2, (), 1.0, 0.1, "hardening"),))
         assert (
             'sweep of joint 2 shows hardening: give it spring = "three-slope"'

@@ -159,7 +159,7 @@ def test_as_published_refuses_other_arms(tmp_path: Path) -> None:
 
 FLAG_FAULTS = {
     "no value": ("links.order", r"--set links.order: the option does not have the form"),
-    "no stage": ("order=1", r"--set order=1: the option does not have the form"),
+    "no stage": ("order=1", r"--set order=1: .* form STAGE.KEY=VALUE"),
     "not TOML": ("links.order=[1", r"--set links.order=\[1: '\[1' is not a TOML value"),
     "unknown stage": ("link.order=1", r"--set link.order=1: .*mean 'links'"),
     "unknown key": ("links.ordre=1", r"--set links.ordre=1: .*mean 'order'"),

@@ -107,14 +107,13 @@ def test_an_open_loop_record_is_predicted() -> None:
 
 
 def test_a_motor_at_standstill_has_no_fit_percentage() -> None:
-    """The fit percentage of a motor at standstill is NaN, with a warning."""
+    """The fit percentage of a motor at standstill is NaN."""
     study, _ = rig_logs()
     log = log_named("step-j1")
     channels = {**log.channels, "theta_m2": np.zeros(len(log))}
     prediction = predict_closed_loop(truth()[1], replace(log, channels=channels), Arm.of(study.arm))
     assert np.isnan(prediction.fit_percent["omega_m2"])
     assert np.isfinite(prediction.fit_percent["omega_m1"])
-    assert [c.code for c in prediction.warnings] == ["nothing-to-predict"]
 
 
 def test_the_cutoff_follows_from_the_record_or_the_option() -> None:

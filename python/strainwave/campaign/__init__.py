@@ -84,8 +84,11 @@ def run(studies: Sequence[str], settings: Settings) -> Summary:
 
 def _plan(selection: Selection, settings: Settings) -> Plan:
     stages = pipeline.check_stages(settings.stages or selection.stages or pipeline.STAGES)
-    options = merged([selection.options, *map(parse_flag, settings.options)])
-    Flag(Path("campaign"), "options").options(options, Options())  # faults of all studies
+    tables = {"options": selection.options}
+    tables |= {f"--set {text}": parse_flag(text) for text in settings.options}
+    for place, table in tables.items():  # faults of all studies
+        Flag(Path("campaign"), place).options(table, Options())
+    options = merged([*tables.values()])
     name = f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{secrets.token_hex(3)}"
     where = settings.store
     store = Store.at(where if is_url(where) else Path(where).absolute())

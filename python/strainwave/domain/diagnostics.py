@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 
 from strainwave.domain.clauses import Clause, Place, merge_clauses
-from strainwave.domain.estimates import Diagnostic, Parameter
+from strainwave.domain.estimates import Diagnostic, Parameter, Prediction
 from strainwave.domain.final_table import Decision
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.ranges import implausible_joints
 from strainwave.domain.stage_results import StageResults
-from strainwave.domain.verdict import Verdict, model_defects
+from strainwave.domain.verdict import (
+    MIN_STIFFNESS_EFFECT,
+    Verdict,
+    model_defects,
+    stiffness_effects,
+)
 
 _STAGE_CODES = frozenset({"not-identifiable", "implausible", "equivalent-stiffness"})
 """Codes of warnings about one parameter in one stage."""
@@ -25,13 +31,24 @@ def published_warnings(
     the warnings of its stage. Each reason for rejection has one warning.
     """
     warnings = [*_current_warnings(results, decisions), *rejection_warnings(decisions)]
-    warnings += model_defects(results)
+    defects = tuple(model_defects(results))
+    warnings += defects
+    warnings += _channels_at_rest(results.checks)
     for size in implausible_joints(results.study.arm, [d.parameter for d in decisions]):
         warnings.append(size.warning)
-    has_unpredicted = any(check.unexplained for check in results.checks if not check.of_drive)
-    if results.whole_arm is not None and not verdict.validated.elastic and not has_unpredicted:
+    if results.whole_arm is not None and not verdict.validated.elastic and not defects:
         warnings.append(missing_validation(results))
     return merge_by_cause(dict.fromkeys(warnings))
+
+
+def _channels_at_rest(checks: Sequence[Prediction]) -> Iterator[Diagnostic]:
+    """Yield channels that have no fit in any check record."""
+    for channel in dict.fromkeys(name for check in checks for name in check.channels):
+        fits = {c.experiment: c.fit_percent[channel] for c in checks if channel in c.channels}
+        if not any(map(math.isfinite, fits.values())):
+            yield Diagnostic(
+                "nothing-to-predict", tuple(map(Place.in_records, fits)), "rest", channel=channel
+            )
 
 
 def rejection_warnings(decisions: Iterable[Decision]) -> Iterator[Diagnostic]:
@@ -57,14 +74,41 @@ def rejection_warnings(decisions: Iterable[Decision]) -> Iterator[Diagnostic]:
 
 def missing_validation(results: StageResults) -> Diagnostic:
     """Warn why the elastic model is not validated, and what to record."""
-    motion_checks = [check for check in results.checks if not check.of_drive]
-    unpredicted = [check.experiment for check in motion_checks if check.unexplained]
-    records = dict.fromkeys(unpredicted or [check.experiment for check in motion_checks])
-    reason = "not-predicted" if unpredicted else "no-effect"
-    if results.whole_arm is None or not motion_checks:
-        reason = "no-fit" if results.whole_arm is None else "no-check"
+    defects = [Clause("defect", places=d.places, defect=d.clause) for d in model_defects(results)]
+    reasons = {
+        "no-fit": results.whole_arm is None,
+        "defect": bool(defects),
+        "no-check": all(e.use != "check" for e in results.study.experiments),
+        "no-effect": True,
+    }
+    reason = next(name for name, holds in reasons.items() if holds)
     place = Place(file=str(results.study.path))
-    return Diagnostic("elastic-not-validated", place, reason, records=tuple(records))
+    clauses = {"defects": tuple(defects), "unused": tuple(_unused_checks(results))}
+    return Diagnostic("elastic-not-validated", place, reason, **clauses)
+
+
+def _unused_checks(results: StageResults) -> Iterator[Clause]:
+    """Yield check records that are not simulated, and gears that no other check record loads."""
+    simulated = {check.experiment for check in results.checks if not check.of_drive}
+    records_by_reason: dict[str, list[str]] = {}
+    for experiment in results.study.experiments:
+        if experiment.use == "check" and experiment.name not in simulated:
+            reason = results.not_simulated.get(experiment.name, "a defect of the data")
+            records_by_reason.setdefault(reason, []).append(experiment.name)
+    for reason, records in records_by_reason.items():
+        yield Clause("check/not-simulated", records=tuple(records), reason=reason)
+    for joint, (effect, channel, record) in stiffness_effects(results).items():
+        if simulated and not channel:
+            yield Clause("check/rest", joint=joint)
+        elif simulated and effect < MIN_STIFFNESS_EFFECT:
+            yield Clause(
+                "check/insensitive",
+                joint=joint,
+                channel=channel,
+                record=record,
+                effect=effect,
+                limit=MIN_STIFFNESS_EFFECT,
+            )
 
 
 def merge_by_cause(warnings: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:

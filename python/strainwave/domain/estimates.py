@@ -143,8 +143,8 @@ class Prediction(Displayed):
     measured: FloatArray  # (n_samples, n_channels)
     predicted: FloatArray  # (n_samples, n_channels)
     fit_percent: Mapping[str, float]  # channel -> 100 (1 - |y - yhat| / |y - mean y|)
-    stiffness_effect: Mapping[int, float] = field(default_factory=dict)
-    """Joint -> largest change of a channel if the gear stiffness rises by 20 %.
+    stiffness_effect: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
+    """Joint -> channel with a fit -> change if the gear stiffness rises by 20 %.
 
     Relative to the standard deviation of the channel."""
     unexplained: Mapping[str, float] = field(default_factory=dict)
@@ -152,7 +152,6 @@ class Prediction(Displayed):
 
     The standard deviation covers noise, friction, parameter covariance and residuals of the fit."""
     is_servo_at_fault: bool = False  # recorded voltages explain the motion, the servo does not
-    warnings: tuple[Diagnostic, ...] = ()
 
     @property
     def of_drive(self) -> bool:

@@ -19,13 +19,8 @@ from strainwave.domain.fault_messages import FAULTS
 _RECORD_ALL_JOINTS = (
     "record all joints moving together, in both directions, at varied speeds and postures"
 )
-_RECORD_CHECK = (
-    'record steps under the servo, or a PRBS, as use = "check", with the angle and the voltage of'
-    " every motor and the servo's references"
-)
 _CLOCK = "time stamps are not uniform (steps of {shortest:.2f} to {longest:.2f} periods): "
 _SLOW_CLOCK = "|; motion faster than the widest step is lost. Log with a fixed clock if possible"
-_NO_FIT = "no fit is reported for {channel}: "
 _STOPPED = (
     "the search stopped {decrease:.2g} of log-likelihood short of an optimum, mostly because that"
     " lies where the predictor is unstable|. Take off means and drifts, lower the order, or "
@@ -117,8 +112,8 @@ TEMPLATES: Mapping[str, str] = {
     "not-rigid": "the anti-resonance at {anti_resonance_hz:.1f} Hz is too close to the motion band"
     " of {bandwidth_hz:.1f} Hz for a rigid model|; move more slowly",
     "no-rigid-model": "{reason}",
-    "nothing-to-predict/noise": _NO_FIT + "the signal is less than {ratio:g} times its noise",
-    "nothing-to-predict/rest": _NO_FIT + "the motor rests or its torque is constant",
+    "nothing-to-predict/rest": "no fit is reported for {channel}: its motor rests, or the signal"
+    " does not exceed its noise",
     "nothing-to-predict/reason": "{record} {reason}",
     # links and decoupling
     "no-link-sensor": "link {joint} has no sensor: only the response of motor {joint} determines"
@@ -191,10 +186,11 @@ TEMPLATES: Mapping[str, str] = {
     # final table
     "rejected": "{reason}|; rejected values: {values}",
     "elastic-not-validated/no-fit": "the run has no whole-arm fit, which predicts the motion",
-    "elastic-not-validated/no-check": "no check record can be simulated|; " + _RECORD_CHECK,
-    "elastic-not-validated/not-predicted": "the whole-arm fit does not predict {records}",
-    "elastic-not-validated/no-effect": "the predictions of {records} do not depend on the gear"
-    " stiffness|; " + _RECORD_CHECK,
+    "elastic-not-validated/no-check": "the study has no check record|; record steps under the"
+    ' servo, or a PRBS, as use = "check", with angle and voltage of every motor and the references',
+    "elastic-not-validated/defect": "{defects!s}",
+    "elastic-not-validated/no-effect": "{unused!s}|; supply what is missing, or record larger or"
+    ' faster steps of the joint, or a PRBS, with use = "check"',
     "not-predicted/rigid": _PREDICTED
     + ", so check the payload, the voltage and the friction of that record",
     "not-predicted/servo": _PREDICTED + ", but the recorded voltages explain the motion, so correct"
@@ -363,6 +359,12 @@ CLAUSES: Mapping[str, str] = {
     " it out of its interval and by more than {limit!p:.0f} %",
     "reason/gamma": "gamma^2 = {square:.3g} is not below alpha beta = {product:.3g}",
     "reason/impossible": "{value:.3g} {unit} is physically impossible",
+    "check/not-simulated": "no simulation of {records!a}: {reason}",
+    "check/insensitive": "20 % more gear stiffness of joint {joint} changes no channel of a check"
+    " record by {limit!p:.2g} % of its standard deviation: most {channel} of {record}, by"
+    " {effect!p:.2g} %",
+    "check/rest": "no channel moves in the check records, so none depends on the gear of joint"
+    " {joint}",
     "no-rigid-stage": "the rigid stage was not reached",
     "no-decoupled-model": "the decoupled stage gave no model of joint {joints}",
     "no-whole-arm-fit": "the whole-arm fit was not reached",

@@ -26,6 +26,7 @@ class StageResults:
     drive_gains: tuple[Parameter, ...] = ()  # estimated torques per volt, which `study` has
     fitted: tuple[Prediction, ...] = ()  # the model on the fitted records
     checks: tuple[Prediction, ...] = ()  # the model on validation records
+    not_simulated: Mapping[str, str] = field(default_factory=dict)  # check record -> reason
     links: tuple[LinkSummary, ...] = ()  # for every joint and record that excites a gear
     records: tuple[RecordModel, ...] = ()  # for every excited joint, record by record
     joints: tuple[JointModel, ...] = ()  # fitted to all records of a joint

@@ -195,27 +195,30 @@ The residual must also be far above the sensor noise.
 
 def _validate_models(results: StageResults) -> Validation:
     """Check whether validation records excite each model and the model predicts them."""
-    elastic = {n for n, joint in enumerate(results.study.arm.joints, start=1) if joint.elastic}
-    drive_checks = [check for check in results.checks if check.of_drive]
-    motion_checks = [check for check in results.checks if not check.of_drive]
-    decisive_checks = _decisive_checks(results)
-    excited = {
-        number
-        for check in motion_checks
-        for number, effect in check.stiffness_effect.items()
-        if effect >= MIN_STIFFNESS_EFFECT
-    }
-    has_motion = any(
-        math.isfinite(fit) for check in drive_checks for fit in check.fit_percent.values()
-    )
+    effects = [effect for effect, _, _ in stiffness_effects(results).values()]
+    drives = [check for check in results.checks if check.of_drive]
+    has_motion = any(math.isfinite(fit) for check in drives for fit in check.fit_percent.values())
+    is_missed = any(check.of_drive and check.unexplained for check in _decisive_checks(results))
     return Validation(
-        rigid=has_motion
-        and not any(check.unexplained for check in decisive_checks if check.of_drive),
-        elastic=bool(elastic)
-        and excited >= elastic
-        and not any(check.unexplained for check in motion_checks)
-        and _worst_residual(results) is None,
+        rigid=has_motion and not is_missed,
+        elastic=min(effects, default=0.0) >= MIN_STIFFNESS_EFFECT
+        and not any(model_defects(results)),
     )
+
+
+def stiffness_effects(results: StageResults) -> dict[int, tuple[float, str, str]]:
+    """Elastic joint -> its largest stiffness effect in a check record, channel and record."""
+    effects = [
+        (joint, (effect, channel, check.experiment))
+        for check in results.checks
+        for joint, by_channel in check.stiffness_effect.items()
+        for channel, effect in by_channel.items()
+    ]
+    return {
+        n: max((effect for joint, effect in effects if joint == n), default=(0.0, "", ""))
+        for n, joint in enumerate(results.study.arm.joints, start=1)
+        if joint.elastic
+    }
 
 
 def _decisive_checks(results: StageResults) -> list[Prediction]:

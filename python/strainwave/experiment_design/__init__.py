@@ -74,7 +74,7 @@ def excite_study_file(
             "the design needs approximate parameters of the arm",
             where="--parameters",
             remedy="pass an earlier result.json, or a file with a guess of every parameter from "
-            "data sheets or drawings; docs/parameters.md describes the format",
+            "data sheets or drawings; docs/notation.md describes the format",
         )
     if kind not in ("prbs", "multisine"):
         raise InvalidInput(

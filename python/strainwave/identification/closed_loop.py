@@ -6,12 +6,12 @@ velocities, differentiated from the encoders, and accelerometers, all with one z
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, Log, Place, Prediction
+from strainwave.domain import FloatArray, Log, Prediction
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import determined_law
 from strainwave.domain.keys import Key, Values
@@ -162,7 +162,7 @@ def predict_closed_loop(
     sides; the default is derived from the record.
 
     The channels are `omega_m{i}` [rad/s] and, with accelerometers, `a{i}` [m/s^2]. The fit of a
-    channel that does not clearly exceed its noise is NaN, with a warning.
+    channel that does not clearly exceed its noise is NaN.
 
     Raises `InvalidInput` if the log lacks a channel, or a parameter is missing or impossible;
     `NumericalFailure` if the simulated motion is not finite.
@@ -181,18 +181,7 @@ def build_prediction(observation: Observation, predicted: FloatArray) -> Predict
         measured=observation.measured,
         predicted=predicted,
         fit_percent=dict(zip(observation.channels, fits.tolist(), strict=True)),
-        warnings=tuple(_warnings_at_rest(observation)),
     )
-
-
-def _warnings_at_rest(observation: Observation) -> Iterator[Diagnostic]:
-    """Warn about channels without a fit."""
-    for name, moves in zip(observation.channels, observation.moves, strict=True):
-        if not moves:
-            place = Place.in_records(observation.log.name)
-            yield Diagnostic(
-                "nothing-to-predict", place, "noise", channel=name, ratio=MIN_SIGNAL_TO_NOISE
-            )
 
 
 def _inside(log: Log, cutoff_hz: float) -> slice:

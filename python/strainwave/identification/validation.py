@@ -10,10 +10,8 @@ import numpy as np
 
 from strainwave.domain import (
     ArmModel,
-    Diagnostic,
     FloatArray,
     Log,
-    Place,
     Prediction,
     RigidModel,
     Signals,
@@ -154,16 +152,6 @@ def _predict_torques(
         measured=band.measured / per_channel,
         predicted=band.predicted / per_channel,
         fit_percent=dict(zip(names, band.fit_percent.tolist(), strict=True)),
-        warnings=tuple(
-            Diagnostic(
-                "nothing-to-predict",
-                Place.in_records(signals.experiment.name),
-                "rest",
-                channel=name,
-            )
-            for name, fit in zip(names, band.fit_percent, strict=True)
-            if not np.isfinite(fit)
-        ),
     )
 
 
@@ -186,8 +174,8 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     """Predict the motion of a record with the whole arm by a simulation with its servo.
 
     The channels are motor velocities and, with accelerometers, accelerations. The fit of a channel
-    that does not clearly exceed its noise is NaN, with a warning. `stiffness_effect` reports
-    whether the record excites each elastic gear; `unexplained` lists the channels that the model
+    that does not clearly exceed its noise is NaN. `stiffness_effect` reports how
+    far the record excites each elastic gear; `unexplained` lists the channels that the model
     does not predict. Raises `InvalidInput` if the log or the study lacks data that the simulation
     needs.
     """
@@ -195,7 +183,7 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     motion = observed.simulate(arm, values)
     prediction = build_prediction(observed, motion)
     elastic = [n for n, joint in enumerate(arm.joints, start=1) if joint.elastic]
-    effects = {n: _stiffness_effect(prediction, observed, n, values, arm) for n in elastic}
+    effects = {n: _stiffness_effects(prediction, observed, n, values, arm) for n in elastic}
     typical, noise = _typical_motion(model), observed.noise
 
     def varied() -> Iterator[FloatArray]:
@@ -243,10 +231,10 @@ def _typical_motion(model: ArmModel) -> Mapping[str, _TypicalMotion]:
     return typical
 
 
-def _stiffness_effect(
+def _stiffness_effects(
     prediction: Prediction, observed: Observation, joint: int, values: Values, arm: Arm
-) -> float:
-    """Largest relative change of a channel for 20 % more stiffness of one gear.
+) -> Mapping[str, float]:
+    """Relative change of each channel with a fit for 20 % more stiffness of one gear.
 
     The change is relative to the standard deviation of the channel. If the motion is too slow to
     load the gear, any stiffness predicts it equally well, and the record does not validate the
@@ -258,7 +246,7 @@ def _stiffness_effect(
         for (name, number), value in values.items()
     }
     stiffer_motion = observed.simulate(arm, stiffer)
-    has_fit = np.isfinite([prediction.fit_percent[name] for name in prediction.channels])
     change = np.sqrt(np.mean((stiffer_motion - prediction.predicted) ** 2, axis=0))
-    motion_std = np.std(prediction.measured, axis=0)
-    return float(np.max(change[has_fit] / motion_std[has_fit], initial=0.0))
+    relative = change / np.maximum(np.std(prediction.measured, axis=0), np.finfo(float).tiny)
+    effects = zip(prediction.channels, relative.tolist(), strict=True)
+    return {name: effect for name, effect in effects if np.isfinite(prediction.fit_percent[name])}

@@ -38,7 +38,7 @@ def read_parameters(path: Path) -> Values:
     raise InvalidInput(
         'contains neither a list "parameters" nor a list "joints"',
         where=str(path),
-        remedy="use a result.json, or see docs/parameters.md for the layout",
+        remedy="use a result.json, or see the layout in docs/notation.md",
     )
 
 

@@ -138,6 +138,7 @@ def _identify(
         drive_gains=drives.gains.parameters if drives.gains else (),
         fitted=rigid.fitted,
         checks=(*rigid.checks, *elastic.checks),
+        not_simulated=elastic.not_simulated,
         stage_warnings=tuple(dict.fromkeys(warnings)),
         timing_s=reporter.timing_s,
         records=elastic.records,

@@ -13,6 +13,7 @@ from strainwave.domain import (
     FrequencyResponse,
     JointModel,
     LinkSummary,
+    Log,
     MotorResponse,
     Prediction,
     RecordModel,
@@ -20,7 +21,7 @@ from strainwave.domain import (
     TorsionFit,
 )
 from strainwave.domain.link_sensors import with_estimates
-from strainwave.errors import NotIdentifiable
+from strainwave.errors import NotIdentifiable, NumericalFailure
 from strainwave.identification import validation, whole_arm
 from strainwave.identification.motor_responses import motor_response
 from strainwave.identification.torsion import fit_torsions
@@ -46,6 +47,7 @@ class ElasticStages:
     links: tuple[LinkSummary, ...] = ()
     whole_arm: ArmModel | None = None
     checks: tuple[Prediction, ...] = ()
+    not_simulated: Mapping[str, str] = field(default_factory=dict)  # check record -> reason
     motor_responses: tuple[MotorResponse, ...] = ()
     warnings: tuple[Diagnostic, ...] = ()
     failures: tuple[Clause, ...] = ()
@@ -76,6 +78,7 @@ def fit_elastic_arm(
 
     outcome, records = both(fit, record_models)
     checks: tuple[Prediction, ...] = ()
+    not_simulated: Mapping[str, str] = {}
     motor_responses: tuple[MotorResponse, ...] = ()
     if isinstance(outcome, Diagnostic):
         warnings += (outcome,)
@@ -83,10 +86,9 @@ def fit_elastic_arm(
         # the whole-arm fit replaces the earlier estimates of the same delays
         places = {w.place for w in outcome.warnings if w.code == "sensor-delay"}
         kept = [w for w in warnings if w.code != "sensor-delay" or w.place not in places]
-        checks = _predict_checks(inputs, outcome, reporter)
+        checks, not_simulated = predict_checks(inputs, outcome, reporter)
         motor_responses = _compare_motors(inputs, outcome, start.joints, reporter)
-        predicted = (warning for each in checks for warning in each.warnings)
-        warnings = (*kept, *outcome.warnings, *predicted)
+        warnings = (*kept, *outcome.warnings)
     torsions: tuple[TorsionFit, ...] = ()
     if not isinstance(outcome, ArmModel) and rigid_model is not None:
         torsions, of_torsions = _fit_torsions(inputs, rigid_model, stage, reporter)
@@ -99,6 +101,7 @@ def fit_elastic_arm(
         stage.links,
         outcome if isinstance(outcome, ArmModel) else None,
         checks,
+        not_simulated,
         motor_responses,
         warnings,
         stage.failures,
@@ -145,19 +148,29 @@ def _fit_whole_arm(
             return Diagnostic("not-tuned", inputs.place, reason=str(failure))
 
 
-def _predict_checks(
+def predict_checks(
     inputs: Inputs, arm_model: ArmModel, reporter: Reporter
-) -> tuple[Prediction, ...]:
-    """Simulations of the check records' motion."""
+) -> tuple[tuple[Prediction, ...], Mapping[str, str]]:
+    """Simulations of the check records' motion, and why others cannot be simulated."""
+
+    def predict(log: Log) -> Prediction | str:
+        try:
+            return missing_recorded_input(arm, log) or validation.predict_elastic(
+                arm_model, log, arm
+            )
+        except NumericalFailure as error:
+            return str(error)
+
     with reporter.time_part("checks", "simulating the check records"):
         joints = enumerate(inputs.arm.joints, start=1)
         arm = inputs.arm.with_joints(with_estimates(j, i, arm_model.values) for i, j in joints)
-        jobs = [
-            partial(validation.predict_elastic, arm_model, log, arm)
-            for log in inputs.logs_of("check")
-            if missing_recorded_input(inputs.arm, log) is None
-        ]
-        return tuple(run_parallel(jobs))
+        logs = inputs.logs_of("check")
+        outcomes = run_parallel([partial(predict, log) for log in logs])
+    reasons = {log.name: each for log, each in zip(logs, outcomes, strict=True)}
+    return (
+        tuple(each for each in outcomes if isinstance(each, Prediction)),
+        {name: reason for name, reason in reasons.items() if isinstance(reason, str)},
+    )
 
 
 def _compare_motors(

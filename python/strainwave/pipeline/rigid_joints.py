@@ -58,7 +58,9 @@ def fit_rigid_joints(
         try:
             model = rigid.fit_rigid(motion, arm, inputs.study.options.rigid, gains)
         except NotIdentifiable as failure:
-            if _is_optional(inputs):
+            is_excited = bool(inputs.logs_of("frequency"))
+            if is_uncoupled(inputs.arm) and is_excited and "decoupled" in inputs.stages:
+                # the joints can be identified without a rigid model
                 warning = Diagnostic("no-rigid-model", inputs.place, reason=str(failure))
                 return RigidStage(warnings=(*warnings, warning))
             return RigidStage(warnings=warnings, failures=(Clause("text", text=str(failure)),))
@@ -97,12 +99,4 @@ def _predict(
 
     outcomes = run_parallel([partial(predict, record) for record in records])
     predictions = tuple(each for each in outcomes if isinstance(each, Prediction))
-    warnings = [each for each in outcomes if isinstance(each, Diagnostic)]
-    warnings += [warning for each in predictions for warning in each.warnings]
-    return predictions, tuple(warnings)
-
-
-def _is_optional(inputs: Inputs) -> bool:
-    """Whether the joints can be identified without a rigid model."""
-    is_excited = bool(inputs.logs_of("frequency"))
-    return is_uncoupled(inputs.arm) and is_excited and "decoupled" in inputs.stages
+    return predictions, tuple(each for each in outcomes if isinstance(each, Diagnostic))

@@ -173,7 +173,7 @@ def test_every_effect_is_documented(effect: Effect) -> None:
     (section,) = (s for s in trouble.split("\n### ") if s.startswith(f"`{effect.warning_code}`"))
     assert f'effects = ["{effect.name}"]' in " ".join(section.split())
     assert f'`"{effect.name}"`' in (DOCS / "study.md").read_text(encoding="utf-8")
-    parameters = (DOCS / "parameters.md").read_text(encoding="utf-8")
+    parameters = (DOCS / "notation.md").read_text(encoding="utf-8")
     assert all(f"`{name}`" in parameters for name in effect.names)
 
 

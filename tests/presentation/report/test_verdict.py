@@ -131,6 +131,13 @@ def test_fits_of_check_records_are_a_table() -> None:
     assert "almost do not move in the check records" in of(checks=(prediction("a", float("nan")),))
 
 
+def test_the_limit_of_the_rigid_model_is_stated_for_elastic_arms() -> None:
+    note = "The rigid model predicts torque1, torque2 without the torsion of the gears"
+    checks = (prediction("a", 91.0, 99.0),)
+    assert note in words_of(verdict(replace(elastic_identification(), checks=checks)))
+    assert "torsion of the gears" not in words_of(verdict(drive(checks=checks)))
+
+
 def test_check_records_without_a_model_are_not_called_missing() -> None:
     """A study with check records that were not predicted does have check records."""
     names = "motion-check, step-check-j1, step-check-j2"
@@ -161,14 +168,14 @@ def test_only_check_records_that_load_the_gears_validate_the_elastic_model() -> 
     one = elastic_identification()
     steps = replace(prediction("steps", 99.0, 99.0), channels=("omega_m1", "a1"))
     steps = replace(steps, fit_percent={"omega_m1": 99.0, "a1": 98.0})
-    slow = replace(steps, stiffness_effect={1: 0.03, 2: 0.04})
-    half = replace(steps, stiffness_effect={1: 0.2, 2: 0.04})
+    slow = replace(steps, stiffness_effect={1: {"a1": 0.03}, 2: {"a1": 0.04}})
+    half = replace(steps, stiffness_effect={1: {"a1": 0.2}, 2: {"a1": 0.04}})
     for checks in ((), (prediction("a", 99.0),), (slow,), (half,)):
         text = words_of(verdict(replace(one, checks=checks)))
         assert "elastic model, motion" not in text
         assert not checks or "Elastic model not validated" in text
         assert not replace(one, checks=checks).verdict.validated.elastic
-    full = replace(one, checks=(replace(steps, stiffness_effect={1: 0.2, 2: 0.3}),))
+    full = replace(one, checks=(replace(steps, stiffness_effect={1: {"a1": 0.2}, 2: {"a1": 0.3}}),))
     assert full.verdict.validated.elastic
     assert not full.verdict.validated.rigid
     text = words_of(verdict(full))
@@ -195,9 +202,10 @@ def test_faults_of_the_input_are_listed_with_their_corrections() -> None:
 def test_the_most_serious_warning_is_named() -> None:
     mild = Diagnostic("constant-channel", Place(file="data/a.csv"), channel="a1")
     grave = Diagnostic("not-tuned", Place(file="data/b.toml"), reason="no voltages")
-    text = of(stage_warnings=(mild, grave))
+    text = of(stage_warnings=(mild, grave), checks=())
     assert "2 warnings|; most serious: b.toml: No voltages." in text
-    assert "1 warning|: a.csv: The channel 'a1' never changes." in of(stage_warnings=(mild,))
+    text = of(stage_warnings=(mild,), checks=())
+    assert "1 warning|: a.csv: The channel 'a1' never changes." in text
 
 
 def test_warnings_are_sorted_by_severity_with_meaning_and_remedy() -> None:

@@ -164,6 +164,13 @@ def test_counter_overflows_are_removed(bits: int, seed: int) -> None:
 # --- no false detections ----------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("samples", [2, 40, 128, 129])
+def test_a_record_of_any_length_is_examined(samples: int) -> None:
+    ramp = np.linspace(0.0, 1.0, samples)
+    repeated = {"theta_m1": ramp, "u1": np.full(samples, 2.0), "a1": np.full(samples, 0.3)}
+    assert found(record(repeated)) == []
+
+
 def test_a_repeated_reading_of_a_motor_is_not_a_step() -> None:
     """A log that is written faster than the encoder is read repeats a reading now and then."""
     read_at = np.arange(len(TIME)) - np.cumsum(np.arange(len(TIME)) % 1900 == 1000)

@@ -1,4 +1,4 @@
-"""Options that are not in a file: `--set stage.key=value`, or arguments of a function."""
+"""Options that are not in a file: `--set STAGE.KEY=VALUE`, or arguments of a function."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ class Flag(Reader):
 
 
 def parse_flag(text: str) -> dict[str, dict[str, Any]]:
-    """Table by stage and key of a flag "stage.key=value" with a TOML value or a bare word.
+    """Table by stage and key of a flag "STAGE.KEY=VALUE" with a TOML value or a bare word.
 
     Raises InvalidInput if the text has another form or the value is not valid TOML.
     """
     match = _FLAG.fullmatch(text)
     if match is None:
         raise InvalidInput(
-            "the option does not have the form stage.key=value",
+            "the option does not have the form STAGE.KEY=VALUE",
             where=f"--set {text}",
             remedy="write, for example, --set links.time_constant=0.1",
         )

@@ -114,7 +114,7 @@ def _(arm: ArmModel) -> str:
 def _(prediction: Prediction) -> str:
     rows = [(name, percent(fit)) for name, fit in prediction.fit_percent.items()]
     head = f"prediction of record {prediction.experiment}"
-    return _html(head, ("channel", "fit"), rows, prediction.warnings)
+    return _html(head, ("channel", "fit"), rows, ())
 
 
 @table_of.register

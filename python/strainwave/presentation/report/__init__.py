@@ -5,6 +5,7 @@ from strainwave.presentation.report.comparisons import render_comparisons
 from strainwave.presentation.report.page import figures_of, find_figure, render
 from strainwave.presentation.report.remedies import advice, by_severity, sentence
 from strainwave.presentation.report.sensor_gains import gain_sentences
+from strainwave.presentation.report.verdict import drive_note
 
 __all__ = [
     "FIGURE_KINDS",
@@ -12,6 +13,7 @@ __all__ = [
     "FigureName",
     "advice",
     "by_severity",
+    "drive_note",
     "figures_of",
     "find_figure",
     "gain_sentences",

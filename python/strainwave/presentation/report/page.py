@@ -64,7 +64,7 @@ from strainwave.presentation.report.remedies import warnings_table
 from strainwave.presentation.report.residuals import residual_correlations, residual_tests
 from strainwave.presentation.report.rig import rig_constants
 from strainwave.presentation.report.sensor_gains import gain_sentences
-from strainwave.presentation.report.verdict import verdict
+from strainwave.presentation.report.verdict import drive_note, verdict
 
 _MAX_PREDICTION_POINTS = 150_000  # of all lines over time: more make a page of many megabytes
 _MAX_RECORDING_POINTS = 60_000
@@ -298,7 +298,7 @@ def _prediction_plot(
         FigureName(kind, experiment=prediction.experiment),
         f"{prediction.experiment}, {use}: {model}",
         prediction_figure(prediction, result.study.arm.joints, limit),
-        f"Fit: {', '.join(fits)}.",
+        f"Fit: {', '.join(fits)}. {drive_note(result) if prediction.of_drive else ''}".rstrip(),
     )
 
 

@@ -61,8 +61,8 @@ _RESULT = {
     ),
     "elastic-not-validated": Advice(
         "No check record tests stiffness and damping.",
-        'Record steps under the servo, or a PRBS, with use = "check": motor angles, voltages and'
-        " references, and a [servo] table in the study.",
+        "Supply what is missing of a check record. Otherwise record larger or faster steps of the"
+        ' joint under the servo, or a PRBS, with use = "check".',
     ),
     "not-tuned": Advice(
         "The result comes from the earlier stages only; its intervals are wider.",

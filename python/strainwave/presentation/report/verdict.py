@@ -162,9 +162,8 @@ def _validation_blocks(identification: Identification) -> Iterator[Block]:
     """Fits of the check records by each model, and models that are not validated."""
     names = [e.name for e in identification.study.experiments if e.use == "check"]
     if not identification.checks:
-        reason = (
-            "the input is inconsistent" if identification.suspected else "no model was estimated"
-        )
+        is_suspected = bool(identification.suspected)
+        reason = "the input is inconsistent" if is_suspected else "no model was estimated"
         yield paragraph(Span("Not validated: ", strong=True), _describe_unpredicted(names, reason))
         return
     fits, validated = check_fits(identification), identification.verdict.validated.elastic
@@ -175,12 +174,27 @@ def _validation_blocks(identification: Identification) -> Iterator[Block]:
     numbers = map(number, ("channels", "median fit", "lowest fit"))
     heads: Row = ("check records predicted by", *numbers, "lowest in")
     yield from table("Fits of check records", heads, rows, heading=False)
+    if note := drive_note(identification):
+        yield paragraph(note)
     if any(joint.elastic for joint in identification.study.arm.joints) and not validated:
         lead = Span("Elastic model not validated: ", strong=True)
         yield paragraph(lead, f"{missing_validation(identification).message}.")
     elif not rows:
         lead = Span("Not validated: ", strong=True)
         yield paragraph(lead, "the motors almost do not move in the check records.")
+
+
+def drive_note(identification: Identification) -> str:
+    """What limits the fits of the rigid model on an elastic arm, if check records have any."""
+    drives = dict.fromkeys(
+        channel for check in identification.checks if check.of_drive for channel in check.channels
+    )
+    if not drives or not any(joint.elastic for joint in identification.study.arm.joints):
+        return ""
+    return (
+        f"The rigid model predicts {', '.join(drives)} without the torsion of the gears: its fits"
+        " fall with the speed of the record and do not count against the result."
+    )
 
 
 def _describe_unpredicted(names: Sequence[str], reason: str) -> str:

@@ -172,7 +172,8 @@ def _find_repeated_runs(x: FloatArray, *, drives: bool) -> Iterator[tuple[int, i
     for start, stop in repeated_runs[is_outlier].tolist():
         random_repeats[start:stop] = False
     n_blocks = len(is_repeated) // _BLOCK_SAMPLES
-    blocks = random_repeats[: n_blocks * _BLOCK_SAMPLES].reshape(n_blocks, -1).mean(axis=1)
+    whole_blocks = random_repeats[: n_blocks * _BLOCK_SAMPLES]
+    blocks = whole_blocks.reshape(n_blocks, _BLOCK_SAMPLES).mean(axis=1)
     share = max(float(np.quantile(blocks, _TYPICAL_QUANTILE)) if n_blocks else 1.0, 1e-3)
     if share > _MAX_REPEATED_SHARE:
         return
