@@ -38,8 +38,13 @@ demo: setup
 
 # Renews docs/comparisons.md from ten seeds; see there for how long it takes.
 comparisons: setup
-	$(BIN)/strainwave demo --as-published --seeds 10 --quiet --out build/comparisons
-	cp build/comparisons/comparisons.md build/comparisons/comparisons.json docs/
+	for arm in soft stiff; do \
+	  $(BIN)/strainwave demo --arm $$arm --as-published --seeds 10 --figures --quiet \
+	    --out build/comparisons/$$arm && \
+	  cp build/comparisons/$$arm/images/comparisons/*.png docs/images/comparisons/ || exit 1; \
+	done
+	cp build/comparisons/soft/comparisons.md build/comparisons/soft/comparisons.json docs/
+	cp build/comparisons/stiff/comparisons.md docs/comparisons-stiff.md
 
 # Every run draws fresh cases and prints the seed that draws them again: make test SEED=...
 # PROPTEST_CASES=20000 draws more of them.

@@ -63,5 +63,7 @@ if __name__ == "__main__":
         main(Path(sys.argv[1]))
     else:
         with tempfile.TemporaryDirectory() as folder:
-            virtual.simulate_study(scara.STIFF.study(Path(folder)), scara.STIFF.parameters(), Path(folder))
+            virtual.simulate_study(
+                scara.STIFF.study(Path(folder)), scara.STIFF.parameters(), Path(folder)
+            )
             main(Path(folder) / "study.toml")

@@ -334,7 +334,9 @@ def lab_arm(seed: int) -> tuple[Study, Values]:
     free: tuple[Control, Control] = ("open", "open")
     held: dict[int, tuple[Control, Control]] = {1: ("open", "servo"), 2: ("servo", "open")}
     both: tuple[Control, Control] = ("servo", "servo")
-    experiments = [e for e in scara.STIFF.study(Path()).experiments if e.use in ("motion", "tuning")]
+    experiments = [
+        e for e in scara.STIFF.study(Path()).experiments if e.use in ("motion", "tuning")
+    ]
 
     def record(name: str, use: Use, j: int, volt: float, control: tuple[Control, Control]) -> None:
         prbs = Prbs(10, 1e-3, 4, volt)
@@ -353,7 +355,9 @@ def lab_arm(seed: int) -> tuple[Study, Values]:
         study = replace(study, arm=change_arm_keys(study.arm, gravity=_GRAVITY))
         first_moment = float(np.random.default_rng([1986, seed]).uniform(*_FIRST_MOMENT))
         values["gravity_torque_1", None] = _GRAVITY * first_moment
-        values["gravity_torque_2", None] = _GRAVITY * values["gamma", None] / scara.STIFF.link_length[0]
+        values["gravity_torque_2", None] = (
+            _GRAVITY * values["gamma", None] / scara.STIFF.link_length[0]
+        )
     return replace(study, experiments=tuple(experiments)), values
 
 

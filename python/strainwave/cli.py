@@ -503,7 +503,8 @@ def demo(
                 seed=seed,
                 seeds=seeds,
                 as_published=as_published,
-                built_in=ARMS[arm],
+                arm=arm,
+                figures=figures,
                 progress=report,
             )
         if not quiet:

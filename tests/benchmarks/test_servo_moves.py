@@ -37,7 +37,10 @@ def drive(limit: float) -> Drive:
 def test_laws_in_mujoco_are_those_of_the_core(limit: float) -> None:
     from benchmarks.studies.engine import in_mujoco
 
-    arm, values = Arm.of(scara.STIFF.study(Path(), "linear").arm), scara.STIFF.parameters(5, "linear")
+    arm, values = (
+        Arm.of(scara.STIFF.study(Path(), "linear").arm),
+        scara.STIFF.parameters(5, "linear"),
+    )
     options = {"sample_time": PERIOD, "samples": 300, "record": ["link_angle", "voltage"]}
     core = simulate(arm, values, drive(limit), **options)  # type: ignore[arg-type]
     mujoco = in_mujoco(arm, values, drive(limit), **options)  # type: ignore[arg-type]
@@ -49,7 +52,10 @@ def test_laws_in_mujoco_are_those_of_the_core(limit: float) -> None:
 def test_a_delay_moves_the_voltages_by_its_time() -> None:
     from benchmarks.studies.engine import STEP, in_mujoco
 
-    arm, values = Arm.of(scara.STIFF.study(Path(), "linear").arm), scara.STIFF.parameters(5, "linear")
+    arm, values = (
+        Arm.of(scara.STIFF.study(Path(), "linear").arm),
+        scara.STIFF.parameters(5, "linear"),
+    )
     runs = [
         in_mujoco(
             arm,

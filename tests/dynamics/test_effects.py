@@ -44,7 +44,9 @@ ALL: tuple[EffectName, ...] = ("stribeck", "hysteresis", "kinematic-error")
 def one_joint(effects: tuple[EffectName, ...] = ALL) -> Study:
     joint = Joint("linear", RATIO, torque_per_volt=0.1, effects=effects)
     arm = single_joint(joint)
-    return Study(arm=arm, experiments=scara.STIFF.study(Path()).experiments, path=Path("study.toml"))
+    return Study(
+        arm=arm, experiments=scara.STIFF.study(Path()).experiments, path=Path("study.toml")
+    )
 
 
 def drive(volts: FloatArray) -> Drive:

@@ -268,7 +268,9 @@ def test_clocks_without_a_common_step_are_rejected() -> None:
 
 
 def test_a_servo_must_be_described() -> None:
-    study = replace(scara.STIFF.study(Path()), arm=replace(scara.STIFF.study(Path()).arm, servo=None))
+    study = replace(
+        scara.STIFF.study(Path()), arm=replace(scara.STIFF.study(Path()).arm, servo=None)
+    )
     held = replace(drive(20), servo=(True, True))
     with pytest.raises(InvalidInput, match="no servo"):
         simulate(
@@ -327,9 +329,13 @@ def test_every_use_has_a_default_excitation(tmp_path: Path) -> None:
 
 
 def test_the_seed_determines_motion_and_noise(tmp_path: Path) -> None:
-    study = replace(scara.STIFF.study(tmp_path), experiments=scara.STIFF.study(tmp_path).experiments[:1])
+    study = replace(
+        scara.STIFF.study(tmp_path), experiments=scara.STIFF.study(tmp_path).experiments[:1]
+    )
     for name, seed, noise in [("a", 1, None), ("b", 1, SensorNoise()), ("c", 2, None)]:
-        virtual.simulate_study(study, scara.STIFF.parameters(), tmp_path / name, seed=seed, noise=noise)
+        virtual.simulate_study(
+            study, scara.STIFF.parameters(), tmp_path / name, seed=seed, noise=noise
+        )
     a, b, c = (logs.read_logs(read_study(tmp_path / name / "study.toml"))[0] for name in "abc")
     np.testing.assert_array_equal(a.channels["theta_m1"], b.channels["theta_m1"])
     assert not np.array_equal(a.channels["a1"], b.channels["a1"])
@@ -355,7 +361,9 @@ def test_open_loop_motion_without_a_log_is_rejected(tmp_path: Path) -> None:
     study = scara.STIFF.study(tmp_path)
     free = Experiment("free", "free.csv", "motion", ("open", "open"))
     with pytest.raises(InvalidInput, match="moves joint 1 in open loop and has no log"):
-        virtual.simulate_study(replace(study, experiments=(free,)), scara.STIFF.parameters(), tmp_path)
+        virtual.simulate_study(
+            replace(study, experiments=(free,)), scara.STIFF.parameters(), tmp_path
+        )
     assert not list(tmp_path.iterdir())
 
 
@@ -445,7 +453,9 @@ def test_a_prbs_adds_to_the_servo_voltage(tmp_path: Path) -> None:
     study = scara.STIFF.study(tmp_path)
     prbs = Prbs(order=8, clock=1e-3, periods=2, amplitude=8.0)
     ridden = Experiment("p", "p.parquet", "frequency", ("servo", "servo"), joint=1, prbs=prbs)
-    virtual.simulate_study(replace(study, experiments=(ridden,)), scara.STIFF.parameters(), tmp_path)
+    virtual.simulate_study(
+        replace(study, experiments=(ridden,)), scara.STIFF.parameters(), tmp_path
+    )
     log = logs.read_logs(read_study(tmp_path / "study.toml"))[0]
     u = log.channels["u1"]
     assert np.abs(u).max() > 8.0  # PRBS and servo

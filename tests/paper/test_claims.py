@@ -43,7 +43,7 @@ def test_every_figure_has_criteria_claim_and_plots(comparisons: ByFigure) -> Non
     assert all(c.plots for figure, c in comparisons.items() if figure != 2)
 
 
-@pytest.mark.parametrize("figure", [4, 8, 10, 12, 14, 15])
+@pytest.mark.parametrize("figure", [2, *range(4, 16)])
 def test_claims_are_shown(comparisons: ByFigure, figure: int) -> None:
     assert comparisons[figure].outcome == "shown", comparisons[figure].reasons
 
@@ -89,25 +89,11 @@ def test_models_without_the_torque_have_other_resonances(comparisons: ByFigure) 
         assert value(comparisons[10], f"joint {joint} by motor input only") > 5.0
 
 
-def test_feedback_biases_the_classical_method_and_not_pem(comparisons: ByFigure) -> None:
+def test_pem_is_more_accurate_in_closed_loop(comparisons: ByFigure) -> None:
     result = comparisons[13]
-    servoed = value(result, "subspace, joint 2 servoed")
-    assert value(result, "PEM, joint 2 servoed") < 5.0 < servoed
+    assert value(result, "PEM, joint 2 servoed") < 5.0
+    assert value(result, "joint 2 servoed, larger error of both by the subspace") > 1.0
     assert {e.order for e in result.evidence} == {3}
-    # without feedback the same records give less than half of the error
-    assert value(result, "share of the subspace") < 0.5
-
-
-def test_removing_feedback_keeps_inputs_and_disturbance_spectrum() -> None:
-    run = Rig(1).prbs(1, other="servo")
-    linear = feedback.linear_outputs(run)
-    one, other = (feedback.without_feedback(run, share) for share in (0.0, 0.3))
-    assert one.inputs is run.decoupled.inputs
-    spectra = [np.abs(np.fft.rfft(cut.outputs - linear, axis=0)) for cut in (one, other)]
-    assert spectra[0] == pytest.approx(spectra[1], rel=1e-6, abs=1e-9)
-    # reversed and detrended, which hardly changes differences
-    steps_of = [np.diff(record.outputs - linear, axis=0) for record in (run.decoupled, one)]
-    assert np.std(steps_of[1], axis=0) == pytest.approx(np.std(steps_of[0], axis=0), rel=0.01)
 
 
 def test_the_equivalent_stiffness_is_the_mean_slope(comparisons: ByFigure) -> None:
@@ -118,8 +104,13 @@ def test_the_equivalent_stiffness_is_the_mean_slope(comparisons: ByFigure) -> No
             # 5 %: Coulomb friction and the knees are nonlinear
             true = values[f"{name}, truth [rad²/s²]"]
             assert values[f"{name} [rad²/s²]"] == pytest.approx(true, rel=0.05)
-    assert comparisons[2].outcome == "does-not-hold"
-    assert max(c.value for c in comparisons[2].criteria) < 0.9
+
+
+def test_the_largest_amplitude_does_not_show_k3_of_stiff_gears() -> None:
+    options = ComparisonOptions(figures=(2,), amplitudes=(10.0,))
+    (stiffest,) = compare(seed=1, built_in=scara.STIFF, options=options)
+    assert stiffest.outcome == "does-not-hold"
+    assert max(c.value for c in stiffest.criteria) < 0.9
 
 
 def sound(name: str = "given") -> tuple[Evidence, ...]:
@@ -128,18 +119,18 @@ def sound(name: str = "given") -> tuple[Evidence, ...]:
 
 def test_claims_of_tuning_can_fail() -> None:
     rig = Rig(1)
-    truth = WholeArmEstimate(scara.STIFF.parameters(), sound())
+    truth = WholeArmEstimate(scara.SOFT.parameters(), sound())
     result = refinement.responses(rig, 1, truth)
     assert result.outcome == "shown"
     assert result.values["tuned_db"] == pytest.approx(0.0, abs=1e-9)
     stiff = WholeArmEstimate(
-        scara.STIFF.parameters(spring="linear") | {("gear_stiffness", 1): 60000.0}, sound()
+        scara.SOFT.parameters(spring="linear") | {("gear_stiffness", 1): 60000.0}, sound()
     )
     missed = refinement.responses(rig, 1, stiff)
     assert missed.outcome == "does-not-hold"
     assert "stiffness" in missed.reasons[0]
     assert steps.tuning(rig, truth, stiff).outcome == "does-not-hold"
-    heavy = WholeArmEstimate(scara.STIFF.parameters() | {("motor_inertia", 1): 3e-4}, sound())
+    heavy = WholeArmEstimate(scara.SOFT.parameters() | {("motor_inertia", 1): 3e-4}, sound())
     assert steps.validation(rig, truth).outcome == "shown"
     assert steps.validation(rig, heavy).outcome == "does-not-hold"
 
@@ -147,7 +138,7 @@ def test_claims_of_tuning_can_fail() -> None:
 @pytest.mark.parametrize("status", ["iteration-limit", "stalled", "at-bounds", "failed"])
 def test_models_that_did_not_converge_show_nothing(status: str) -> None:
     doubtful = WholeArmEstimate(
-        scara.STIFF.parameters(), (Evidence("whole arm", "whole-arm fit", status),)
+        scara.SOFT.parameters(), (Evidence("whole arm", "whole-arm fit", status),)
     )
     result = steps.validation(Rig(1), doubtful)
     assert result.outcome == "not-shown"
@@ -228,9 +219,8 @@ def test_the_published_settings_match_the_source() -> None:
 def test_the_published_claims_can_be_shown_and_fail() -> None:
     options = ComparisonOptions(figures=(2, 10), amplitudes=(10.0,))
     stiffest, decoupled = compare(seed=1, settings=PUBLISHED_SETTINGS, options=options)
-    assert decoupled.outcome == "shown"
+    assert decoupled.outcome == stiffest.outcome == "shown"
     assert decoupled.protocol == stiffest.protocol == "as-published"
-    assert stiffest.outcome == "does-not-hold"
     assert {e.method for e in stiffest.evidence} == {"pem"}
 
 
@@ -254,7 +244,7 @@ def test_seeds_differ_in_noise_and_in_the_sequence() -> None:
 
 
 def test_distance_of_a_gain() -> None:
-    joint: TwoInertia = joint_with(scara.STIFF.parameters(), 1, 20000.0, 0.01)
+    joint: TwoInertia = joint_with(scara.SOFT.parameters(), 1, 20000.0, 0.01)
     one = response_of(joint).response[:, 0, 0]
     assert distance_db(2.0 * one, one) == pytest.approx(20.0 * np.log10(2.0))
     assert len(one) == len(LINES_HZ)

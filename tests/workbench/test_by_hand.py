@@ -24,7 +24,9 @@ SETTING = {"experiment": "step-j1", "start": "arm/truth.json", "from": None}
 
 @pytest.fixture
 def begun(client: TestClient, folder: Path) -> Any:
-    (folder / "arm" / "truth.json").write_text(json.dumps(parameter_document(scara.SOFT.parameters())))
+    (folder / "arm" / "truth.json").write_text(
+        json.dumps(parameter_document(scara.SOFT.parameters()))
+    )
     return client.post(f"/api/by-hand-begin/{STUDY}", json=SETTING).json()
 
 

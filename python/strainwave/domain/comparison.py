@@ -116,6 +116,10 @@ class Tally:
         """Number of runs with an outcome."""
         return sum(run.outcome == outcome for run in self.runs)
 
+    def is_mostly(self, outcome: Outcome) -> bool:
+        """Whether more than half of the runs have an outcome."""
+        return 2 * self.count(outcome) > len(self.runs)
+
     @property
     def verdict(self) -> str:
         """Text of the outcomes."""

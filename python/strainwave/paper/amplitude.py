@@ -24,7 +24,7 @@ from strainwave.paper.joint_estimates import (
     response_of,
 )
 from strainwave.paper.rig import Rig, Run
-from strainwave.paper.truth import slopes
+from strainwave.paper.truth import gear_torque, slopes
 from strainwave.presentation.figures import Figure
 from strainwave.presentation.figures.curves import Series, bode, scatter
 
@@ -49,6 +49,7 @@ class Level:
     true: float  # `square` with the equivalent stiffness
     bounds: tuple[float, float]  # `square` with K1 and with K3
     sliding: float  # share of the time in which the motor certainly slides
+    load: float  # rms torque of the gear over that of its last knee
 
 
 LevelsByJoint = dict[int, tuple[Level, ...]]
@@ -140,10 +141,21 @@ def stiffest(levels_by_joint: LevelsByJoint) -> Comparison:
         2,
         criteria=[criterion_of("k3-share", share, joint=joint) for joint, share in shares.items()],
         evidence=[e for levels in levels_by_joint.values() for e in levels[-1].evidence],
+        values={
+            f"joint {joint}, rms torque of the gear over that of its last knee": levels[-1].load
+            for joint, levels in levels_by_joint.items()
+        },
         message="; ".join(
-            f"joint {joint}: {100.0 * share:.0f} % of K3's" for joint, share in shares.items()
+            f"joint {joint}: {100.0 * share:.0f} % of that with K3, rms torque "
+            f"{levels_by_joint[joint][-1].load:.2g} times that of the last knee"
+            for joint, share in shares.items()
         ),
     )
+
+
+def _load(run: Run, joint: int) -> float:
+    _, torque = gear_torque(run.arm, run.values, run.trajectory, joint)
+    return float(np.sqrt(np.mean(torque**2)) / run.values["gear_knee_t2", joint])
 
 
 def _rises(name: str, values: Sequence[float]) -> Criterion:
@@ -195,6 +207,7 @@ def _level(rig: Rig, amplitude: float, runs: Sequence[Run]) -> Level:
         state_space_square=_squared(other),
         true=float(np.mean([_square(run.truth) for run in runs])),
         bounds=(low, high),
+        load=float(np.mean([_load(run, number) for run in runs])),
         sliding=float(np.mean([run.signals.sliding[:, number - 1] != 0.0 for run in runs])),
     )
 

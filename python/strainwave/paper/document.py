@@ -11,18 +11,23 @@ from typing import Any
 from strainwave import __version__
 from strainwave.domain import Criterion, Tally
 
-SCHEMA = "strainwave/comparisons/2"
+SCHEMA = "strainwave/comparisons/3"
 
 
-def document_of(tallies: Sequence[Tally], seeds: Sequence[int]) -> dict[str, Any]:
-    """Claims, outcomes and numbers of every seed as JSON values, without figures.
+def document_of(
+    tallies: Sequence[Tally], seeds: Sequence[int], arm: str = "soft", images: Sequence[int] = ()
+) -> dict[str, Any]:
+    """Claims, outcomes and numbers of every seed as JSON values, without plots.
 
-    `seeds` has the order of each tally's runs. Numbers without a value are None.
+    `seeds` has the order of each tally's runs, `arm` is the name of the built-in arm, `images` are
+    the figures of which the page shows a plot. Numbers without a value are None.
     """
     return {
         "schema": SCHEMA,
         "version": __version__,
+        "arm": arm,
         "seeds": list(seeds),
+        "images": list(images),
         "claims": [_claim(tally) for tally in tallies],
     }
 

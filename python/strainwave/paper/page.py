@@ -10,11 +10,10 @@ from typing import Any
 
 from strainwave.domain import OUTCOME_TEXTS, outcomes_text
 from strainwave.io.templates import fill_text
+from strainwave.presentation.report.comparisons import PROTOCOL_TEXTS
 
 Claim = Mapping[str, Any]
 ByProtocol = dict[str, Any]
-
-_PROTOCOLS = {"own": "default settings", "as-published": "published settings"}
 
 
 def to_markdown(document: Mapping[str, Any]) -> str:
@@ -33,10 +32,13 @@ def to_markdown(document: Mapping[str, Any]) -> str:
     return fill_text(
         Path(__file__).with_name("page.md.j2"),
         version=document["version"],
+        arm=document["arm"],
+        images=document["images"],
+        loads=_loads(figures.get(2, {})),
         seeds=seeds[0] if len(seeds) == 1 else f"{seeds[0]} to {seeds[-1]}",
         settings={
             name: text
-            for name, text in _PROTOCOLS.items()
+            for name, text in PROTOCOL_TEXTS.items()
             if any(claim["protocol"] == name for claim in claims)
         },
         figures=figures,
@@ -47,6 +49,12 @@ def to_markdown(document: Mapping[str, Any]) -> str:
         reasons_of=_reasons_of,
         spread_of=_spread_of,
     )
+
+
+def _loads(stiffest: Mapping[str, Claim]) -> str:
+    """Loads of both gears at the largest amplitude, over their last knees, from Fig. 2."""
+    values = next(iter(stiffest.values()), {"values": {}})["values"]
+    return " and ".join(f"{loads[0]:.2g}" for name, loads in values.items() if "rms torque" in name)
 
 
 def _limit(criterion: Mapping[str, Any]) -> str:
@@ -88,5 +96,5 @@ def _reasons_of(by_protocol: Mapping[str, Claim]) -> list[str]:
         if examples:
             (outcome, _), by_seed = max(examples.items(), key=lambda item: len(item[1]))
             example = next(iter(by_seed.values()))
-            reasons.append(f"{_PROTOCOLS[protocol]}, {outcome} in {len(by_seed)}: {example}")
+            reasons.append(f"{PROTOCOL_TEXTS[protocol]}, {outcome} in {len(by_seed)}: {example}")
     return reasons

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from strainwave.domain import Identification, Tally
@@ -16,7 +16,9 @@ from strainwave.paper import (
     to_markdown,
 )
 from strainwave.presentation.report import render_comparisons
-from strainwave.virtual.scara import BuiltInArm
+from strainwave.virtual.scara import ARMS
+
+_RESOLUTION = 72  # [1/in] of the images, which the page shows side by side
 
 
 def write_comparisons(
@@ -27,14 +29,16 @@ def write_comparisons(
     progress: Callable[[str], None],
     seeds: int,
     as_published: bool,
-    built_in: BuiltInArm,
+    arm: str,
+    figures: bool,
 ) -> tuple[Tally, ...]:
     """Test the source's claims on the built-in arm; write comparisons.html, .json and .md.
 
-    `identification` is that of the arm `built_in`; its tuned parameters are compared if it has
-    them. `seed` is the first of `seeds` seeds. `as_published` adds the published settings.
+    `identification` is that of the built-in arm named `arm`; its tuned parameters are compared if
+    it has them. `seed` is the first of `seeds` seeds. `as_published` adds the published settings,
+    `figures` an image of each figure.
     """
-    numbers = range(seed, seed + seeds)
+    numbers, built_in = range(seed, seed + seeds), ARMS[arm]
     settings = (OWN_SETTINGS, PUBLISHED_SETTINGS) if as_published else (OWN_SETTINGS,)
     tallies = compare_seeds(
         numbers,
@@ -45,11 +49,27 @@ def write_comparisons(
     )
     progress("writing the comparisons")
     page = render_comparisons(tallies, arm=built_in.description)
-    document = document_of(tallies, numbers)
+    images = _images(tallies, arm) if figures else {}
+    shown = sorted({t.first.figure for t in tallies if t.first.plots}) if figures else []
+    document = document_of(tallies, numbers, arm, shown)
     files = {
         "comparisons.html": page.encode(),
         "comparisons.json": to_json(document),
         "comparisons.md": to_markdown(document).encode(),
+        **images,
     }
     write_whole(folder, files)
     return tallies
+
+
+def _images(tallies: Sequence[Tally], arm: str) -> dict[str, bytes]:
+    """PNG files of the first plot of each figure, by path."""
+    from strainwave.presentation.matplotlib_backend import images
+
+    return {
+        f"images/comparisons/{arm}-{t.first.figure}-{t.first.protocol}.png": images(
+            t.first.plots[0], resolution=_RESOLUTION
+        )["png"]
+        for t in tallies
+        if t.first.plots
+    }

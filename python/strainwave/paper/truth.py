@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.domain import ArmDescription
+from strainwave.domain import ArmDescription, FloatArray
 from strainwave.domain.gear_laws import gear_law
 from strainwave.domain.keys import Values
 from strainwave.dynamics.simulation import Trajectory
@@ -26,6 +26,16 @@ def joint_with(values: Values, joint: int, stiffness: float, ratio: float) -> Tw
     return joint_of(np.array([drive[name] for name in NAMES]), ratio)
 
 
+def gear_torque(
+    arm: ArmDescription, values: Values, trajectory: Trajectory, joint: int
+) -> tuple[FloatArray, FloatArray]:
+    """Torsion [rad] and torque [N m] (n_samples,) of a gear with three slopes."""
+    column, law = joint - 1, gear_law("three-slope")
+    ratio = arm.joints[column].gear_ratio
+    torsion = ratio * trajectory["motor_angle"][:, column] - trajectory["link_angle"][:, column]
+    return torsion, law.torque(law.of_joint(values, joint), torsion)
+
+
 def equivalent(
     arm: ArmDescription, values: Values, trajectory: Trajectory, joint: int
 ) -> TwoInertia:
@@ -39,8 +49,5 @@ def equivalent(
     ratio = arm.joints[joint - 1].gear_ratio
     if ("gear_stiffness", joint) in values:
         return joint_with(values, joint, values["gear_stiffness", joint], ratio)
-    column = joint - 1
-    torsion = ratio * trajectory["motor_angle"][:, column] - trajectory["link_angle"][:, column]
-    law = gear_law("three-slope")
-    torque = law.torque(law.of_joint(values, joint), torsion)
+    torsion, torque = gear_torque(arm, values, trajectory, joint)
     return joint_with(values, joint, float(torque @ torsion / (torsion @ torsion)), ratio)

@@ -70,8 +70,8 @@ def draw(figure: Record) -> Figure:
     return canvas
 
 
-def images(figure: Record) -> dict[str, bytes]:
-    """The contents of a figure's files by ending, "svg" and "png"."""
+def images(figure: Record, *, resolution: int = _PNG_RESOLUTION) -> dict[str, bytes]:
+    """The contents of a figure's files by ending, "svg" and "png"; `resolution` [1/in]."""
     canvas = draw(figure)
     import matplotlib as mpl
 
@@ -80,7 +80,7 @@ def images(figure: Record) -> dict[str, bytes]:
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "strainwave"}):
         for ending, metadata in (("svg", {"Date": None}), ("png", {"Software": None})):
             file = BytesIO()
-            canvas.savefig(file, format=ending, dpi=_PNG_RESOLUTION, metadata=metadata)
+            canvas.savefig(file, format=ending, dpi=resolution, metadata=metadata)
             files[ending] = file.getvalue()
             canvas.set_layout_engine("none")  # the layout is final after the first file
     return files

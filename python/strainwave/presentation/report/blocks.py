@@ -156,7 +156,15 @@ class Callout:
     blocks: tuple[Block, ...]
 
 
-Block = Paragraph | Table | Facts | Plot | Fold | Callout
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Blocks side by side, or one below the other on a narrow screen."""
+
+    kind: ClassVar[str] = "columns"
+    blocks: tuple[Block, ...]
+
+
+Block = Paragraph | Table | Facts | Plot | Fold | Callout | Columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +210,7 @@ def plots_of(blocks: Iterable[Block]) -> Iterator[Plot]:
     for block in blocks:
         if isinstance(block, Plot):
             yield block
-        elif isinstance(block, Fold | Callout):
+        elif isinstance(block, Fold | Callout | Columns):
             yield from plots_of(block.blocks)
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
+from itertools import zip_longest
 
-from strainwave.domain import Comparison, Criterion, Evidence, Outcome, Tally
+from strainwave.domain import Comparison, Evidence, Outcome, Protocol, Tally
+from strainwave.presentation.figures import Figure
 from strainwave.presentation.report.blocks import (
     Block,
     Callout,
     Cell,
+    Columns,
     Mark,
     Plot,
     Row,
@@ -27,65 +31,105 @@ SOURCE = (
 )
 
 _MARKS: dict[Outcome, Mark] = {"shown": "good", "not-shown": "doubt", "does-not-hold": "bad"}
-_PROTOCOLS = {"own": "", "as-published": ", as published"}
+PROTOCOL_TEXTS: dict[Protocol, str] = {
+    "own": "default settings",
+    "as-published": "published settings",
+}
 
 
 def render_comparisons(tallies: Sequence[Tally], *, arm: str) -> str:
     """All claims with the numbers behind them, as one HTML page that needs no network.
 
-    Figures and numbers are those of the first run of each claim.
+    Results with several settings stand side by side. Figures and numbers are those of the first
+    run of each claim.
     """
-    n_shown = sum(t.first.outcome == "shown" for t in tallies)
-    lead = Span(f"{n_shown} of {len(tallies)} claims are confirmed on this arm.", strong=True)
-    summary = Callout("" if n_shown == len(tallies) else "doubt", (paragraph(lead),))
-    heads = (number("figure"), "claim", "result on this arm", "verdict")
-    rows = [_row(tally) for tally in tallies]
+    figures: dict[int, list[Tally]] = {}
+    for tally in tallies:
+        figures.setdefault(tally.first.figure, []).append(tally)
+    settings = list(dict.fromkeys(PROTOCOL_TEXTS[t.first.protocol] for t in tallies))
+    counts = (
+        f"{text}: {sum(t.is_mostly('shown') for t in tallies if _text(t) == text)} of "
+        f"{sum(_text(t) == text for t in tallies)} claims are shown"
+        for text in settings
+    )
+    is_complete = all(t.is_mostly("shown") for t in tallies)
+    summary = Callout(
+        "" if is_complete else "doubt", (paragraph(Span("; ".join(counts) + ".", strong=True)),)
+    )
+    heads = (number("figure"), "claim", *settings)
+    rows = [_row(group) for group in figures.values()]
     sections = [
         Section("claims", "Claims", tuple(table("Claims", heads, rows, heading=False))),
-        *(_section(tally) for tally in tallies),
+        *(_section(group) for group in figures.values()),
     ]
     subtitle = f"Figures of {SOURCE}, reproduced on {arm}"
     return document("Comparisons", subtitle, sections, before=(summary,))
 
 
-def _row(tally: Tally) -> tuple[Cell, ...]:
-    c = tally.first
+def _text(tally: Tally) -> str:
+    return PROTOCOL_TEXTS[tally.first.protocol]
+
+
+def _row(group: Sequence[Tally]) -> tuple[Cell, ...]:
+    c = group[0].first
     return (
-        Cell(str(c.figure), "number", href=f"#{_key(c)}"),
-        prose(c.claim + _PROTOCOLS[c.protocol]),
-        prose(c.message),
-        Cell(tally.verdict, mark=_MARKS[c.outcome]),
+        Cell(str(c.figure), "number", href=f"#fig-{c.figure}"),
+        prose(c.claim),
+        *(Cell(tally.verdict, mark=_MARKS[tally.first.outcome]) for tally in group),
     )
 
 
-def _section(tally: Tally) -> Section:
-    c = tally.first
-    title = f"Fig. {c.figure}: {c.title}{_PROTOCOLS[c.protocol]}"
-    return Section(_key(c), title, tuple(_blocks(tally)))
+def _section(group: Sequence[Tally]) -> Section:
+    c = group[0].first
+    return Section(f"fig-{c.figure}", f"Fig. {c.figure}: {c.title}", tuple(_blocks(group)))
 
 
-def _blocks(tally: Tally) -> Iterator[Block]:
-    c = tally.first
-    yield paragraph(c.claim)
-    verdict = Span(f"{tally.verdict}:", strong=True, mark=_MARKS[c.outcome])
-    yield paragraph(verdict, f" {c.message}")
-    for reason in c.reasons:
-        yield paragraph(reason)
-    heads: Row = ("criterion", number("value"), "limit", "met")
-    yield from table("Criteria", heads, map(_criterion, c.criteria))
-    for k, figure in enumerate(c.plots):
-        yield Plot(f"plot {_key(c)} {k}", figure.caption or c.title, figure)
+def _blocks(group: Sequence[Tally]) -> Iterator[Block]:
+    yield paragraph(group[0].first.claim)
+    for tally in group:
+        c = tally.first
+        verdict = Span(f"{_text(tally)}, {tally.verdict}:", strong=True, mark=_MARKS[c.outcome])
+        yield paragraph(verdict, f" {c.message}")
+        for reason in c.reasons:
+            yield paragraph(reason)
+    yield from _criteria(group)
+    for k, plots in enumerate(zip_longest(*(tally.first.plots for tally in group))):
+        yield Columns(
+            tuple(
+                Plot(f"plot fig-{t.first.figure} {t.first.protocol} {k}", _label(t, plot), plot)
+                for t, plot in zip(group, plots, strict=True)
+                if plot is not None
+            )
+        )
     heads = ("model", "method", number("order"), "status", "warnings")
-    yield from table("Models", heads, map(_model, c.evidence))
+    for tally in group:
+        yield from table(f"Models, {_text(tally)}", heads, map(_model, tally.first.evidence))
 
 
-def _key(c: Comparison) -> str:
-    return f"fig-{c.figure}" + ("" if c.protocol == "own" else f"-{c.protocol}")
+def _label(tally: Tally, plot: Figure) -> str:
+    return f"{plot.caption or tally.first.title}, {_text(tally)}"
 
 
-def _criterion(c: Criterion) -> Row:
-    limit = prose(f"{c.bound} {c.limit:g}: {c.reason}")
-    return prose(c.name), number(f"{c.value:.5g}"), limit, "yes" if c.passed else "no"
+def _criteria(group: Sequence[Tally]) -> Iterator[Block]:
+    """Criteria of one figure with the values of all settings; NaN is shown as "none"."""
+    heads: Row = ("criterion", "limit", *(number(_text(tally)) for tally in group))
+    named = {c.name: c for tally in group for c in tally.first.criteria}
+    rows = [
+        (
+            prose(name),
+            prose(f"{c.bound} {c.limit:g}: {c.reason}"),
+            *(_value(tally.first, name) for tally in group),
+        )
+        for name, c in named.items()
+    ]
+    yield from table("Criteria", heads, rows)
+
+
+def _value(comparison: Comparison, name: str) -> Cell:
+    criterion = next((c for c in comparison.criteria if c.name == name), None)
+    if criterion is None or not math.isfinite(criterion.value):
+        return number("none")
+    return number(f"{criterion.value:.4g}" + ("" if criterion.passed else " (not met)"))
 
 
 def _model(e: Evidence) -> Row:
