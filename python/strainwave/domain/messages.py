@@ -173,6 +173,9 @@ TEMPLATES: Mapping[str, str] = {
     " the alias of a faster one|. Lower the order, or sample faster",
     # parameters of a joint
     "equivalent-stiffness": "equivalent stiffness at the torsion in {records}: {note}",
+    "equivalent-stiffness/undecided": "the records load the gear up to {torque:.3g} {unit}, and its"
+    " stiffness may change by {change!p:.2g} % over this load|; the value is the equivalent"
+    " stiffness at this load. Record a larger amplitude, and a link sensor if there is none",
     "not-reciprocal": "G12 and G21 agree only to {agreement:.0f} %, but a joint is reciprocal:"
     " check gear_ratio, torque_per_volt and the link sensor",
     "lag-not-slow": "the slow lag of the joint is close to its anti-resonance, so (18) is"
@@ -292,8 +295,8 @@ TEMPLATES: Mapping[str, str] = {
     "linearised": "{note}",
     # likely effects, whatever their code
     "effect-likely": "{effect} would explain {share!p:.2g} % of the residuals"
-    ' ({sizes}){changes}{rivals}{rest}|; to fit it, give the joint effects = ["{effect}"] or'
-    ' "auto"; to confirm it, {experiment}',
+    " ({sizes}){changes}{rivals}{rest}|; to fit it, give the joint {setting}; to confirm it,"
+    " {experiment}",
 }
 """Messages of warnings, by code or "code/variant"."""
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from strainwave.domain import Clause, Diagnostic, Place, Study
 from strainwave.domain.keys import Values
-from strainwave.domain.parameters import complete_values, with_known_drives
+from strainwave.domain.parameters import complete_values, with_known_constants
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design.excitation_band import ExcitationBand, band_of
@@ -89,7 +89,7 @@ def excite_study_file(
     study = read_study(study_path, logs_exist=False, experiments_exist=False)
     values = read_parameters(parameters_path)
     limits = limits_of(
-        with_known_drives(study.arm, values),
+        with_known_constants(study.arm, values),
         limit_angle,
         limit_velocity,
         limit_voltage,
@@ -130,7 +130,7 @@ def design(
     InvalidInput if a parameter is missing or if no experiment satisfies the limits. A single
     experiment that violates the limits gives a warning.
     """
-    study = replace(study, arm=with_known_drives(study.arm, values))
+    study = replace(study, arm=with_known_constants(study.arm, values))
     arm = Arm.of(study.arm)
     arm.parameter_vector(values)  # raises InvalidInput if a parameter is missing
     bands = {j: band_of(arm, values, j, limits.centre) for j in range(1, arm.n_joints + 1)}

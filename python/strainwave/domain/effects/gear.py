@@ -1,10 +1,12 @@
-"""Effects of the gear: hysteresis, kinematic error, backlash."""
+"""Effects of the gear: hysteresis, kinematic error, backlash, stiffness curve."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 from strainwave.domain.effects.interface import Effect
+from strainwave.domain.gear_laws.cubic import CUBIC, Cubic
+from strainwave.domain.gear_laws.three_slope import ThreeSlope
 
 
 class Hysteresis(Effect):
@@ -63,3 +65,22 @@ class Backlash(Effect):
     consequence = "the estimated stiffness at small torques is too low"
     experiment = "hold the link and turn the motor back and forth through zero torque"
     record = "a record of small motion through zero torque"
+
+
+class StiffnessCurve(Effect):
+    """Stiffness that changes with the torsion, where the model has one stiffness.
+
+    It is a gear law: `spring` states it, and `effects` cannot. The score test is that of the cubic
+    term. The fit has three slopes, which follow any curve.
+    """
+
+    name = "stiffness-curve"
+    sizes = (CUBIC,)
+    tested_law = Cubic.name
+    fitted_law = ThreeSlope.name
+    needs_elastic_gear = True
+    description = "a stiffness that changes with the torque, as that of strain-wave gears"
+    consequence = "the stiffness is an equivalent one at the amplitude of the records"
+    experiment = "compare the anti-resonances of one excitation at three or more amplitudes"
+    record = "a sweep of amplitudes"
+    setting = f'spring = "auto" or "{ThreeSlope.name}"'

@@ -44,6 +44,7 @@ from strainwave.identification.whole_arm.selection.causes import (
     warn_likely_cause,
     warn_unfitted_effects,
 )
+from strainwave.identification.whole_arm.selection.gear_laws import equivalent_stiffnesses
 from strainwave.identification.whole_arm.selection.sensor_constants import sensor_warnings
 from strainwave.identification.whole_arm.start import Start
 from strainwave.numerics.parallel import run_parallel
@@ -64,7 +65,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
     keys_at_bounds = tuple(parameters_at_bounds(fit, arm))
     agreement = agreement_tests(fit)
     score_tests = score_tests_of(fit, arm)
-    refits = fit_missing_effects(fit, score_tests, arm, selection.options)
+    refits = fit_missing_effects(fit, score_tests, selection)
     criticism = Criticism(
         residual_tests(fit.objective, fit.z),
         tuple(one.test for one in score_tests),
@@ -98,6 +99,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
             *residual_warnings(criticism.residuals, explained=bool(criticism.causes)),
             *warn_likely_cause(criticism.causes),
             *warn_unfitted_effects(refits),
+            *equivalent_stiffnesses(criticism.score_tests, fit, selection, largest_torque),
         ),
         criticism=criticism,
         gear_loads=histograms_of(gear_loads),
@@ -105,6 +107,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         agreement=agreement,
         suspects=suspects,
         sensor_gains=tuple(sensor_gains(fit, arm, parameters)) if fit.end.is_minimum else (),
+        gear_laws=tuple(selection.law_choices.values()),
     )
 
 

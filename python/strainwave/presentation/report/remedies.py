@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from strainwave.domain import Diagnostic
-from strainwave.domain.effects import all_effects
+from strainwave.domain.effects import possible_causes
 from strainwave.domain.messages import short_place
 from strainwave.presentation.report.blocks import Block, Cell, Span, paragraph, prose, table
 
@@ -325,7 +325,7 @@ def advice() -> Mapping[str, Advice]:
             f"Without this effect, {effect.consequence}.",
             effect.remedy,
         )
-        for effect in all_effects()
+        for effect in possible_causes()
     }
     return _RESULT | effects | _DATA | _SCOPE
 
