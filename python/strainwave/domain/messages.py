@@ -200,7 +200,6 @@ TEMPLATES: Mapping[str, str] = {
     + ", so check the payload, the voltage and the friction of that record",
     "not-predicted/servo": _PREDICTED + ", but the recorded voltages explain the motion, so correct"
     " kp, ki, period and limit of [servo], or the references of that record",
-    "not-predicted/hardening": _PREDICTED + "{advice}",
     "not-predicted/elastic": _PREDICTED
     + ", so check [servo], the references and the payload of that record",
     "not-described": "the residuals of {channel} are {noise_ratio:.2g} times the sensor's noise and"
@@ -330,8 +329,6 @@ CLAUSES: Mapping[str, str] = {
     " {experiment}",
     "suspects": ", likely causes in this order: {causes!o}",
     "suspects/none": ", so check the constants in the study",
-    "hardening": ", and the sweep of joint {joints!a} shows hardening: give it spring ="
-    ' "three-slope"',
     "follows-input": ", and follow joint {joint}'s input by {delay!m:.3g} ms: the model lacks"
     " something of the motion, or the study has a wrong constant",
     "follows-no-input": ", without linear dependence on an input: friction or a gear that the model"

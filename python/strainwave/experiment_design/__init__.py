@@ -130,6 +130,7 @@ def design(
     InvalidInput if a parameter is missing or if no experiment satisfies the limits. A single
     experiment that violates the limits gives a warning.
     """
+    stated = study.arm.joints
     study = replace(study, arm=with_known_constants(study.arm, values))
     arm = Arm.of(study.arm)
     arm.parameter_vector(values)  # raises InvalidInput if a parameter is missing
@@ -193,7 +194,11 @@ def design(
     experiments = tuple(record.experiment for record in records)
     progress("predicting the intervals")
     precision = predicted_precision(study, values, records, seed=seed)
-    planned = replace(study, experiments=experiments)
+    joints = (
+        replace(joint, spring=each.spring)  # the assumed law of a gear is not a finding
+        for joint, each in zip(arm.joints, stated, strict=True)
+    )
+    planned = replace(study, arm=study.arm.with_joints(joints), experiments=experiments)
     return Design(planned, limits, records, warnings, precision, errors)
 
 

@@ -41,7 +41,7 @@ _RESULT = {
     ),
     "not-described": Advice(
         "The model does not describe the records it was fitted to.",
-        'Give gears that harden spring = "three-slope"; else fit a likely effect.',
+        "Set what the warnings of likely causes state, such as spring or effects.",
     ),
     "urdf-mass": Advice(
         "The inertial values of the URDF are a guess. The base parameters do not depend on them.",
@@ -295,7 +295,8 @@ _SCOPE = {
         "Use a larger amplitude, or hold the link and load it.",
     ),
     "equivalent-stiffness": Advice(
-        "The value depends on the amplitude.", "Use the curve of the whole-arm fit."
+        "The value depends on the amplitude.",
+        "Use the curve of the whole-arm fit; record a larger amplitude if it has none.",
     ),
     "effect-taken-up": Advice(
         "The values belong to the model with this effect.",
