@@ -110,7 +110,7 @@ class LawMargin:
 
     law: str
     difference: float  # of log predictive densities
-    std_error: float
+    weight: float  # of the selected law against the other one, from 0 to 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +125,7 @@ class LawChoice:
     margins: tuple[LawMargin, ...] = ()  # over the other laws
     gain: float = 0.0  # decrease of the objective by the linear step of a curve
     limit: float = math.inf  # chi-square limit of that gain
+    largest_torque: float = 0.0  # [N m] of the gear in the records; the law holds up to it
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -107,7 +108,10 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         agreement=agreement,
         suspects=suspects,
         sensor_gains=tuple(sensor_gains(fit, arm, parameters)) if fit.end.is_minimum else (),
-        gear_laws=tuple(selection.law_choices.values()),
+        gear_laws=tuple(
+            replace(choice, largest_torque=largest_torque[joint - 1])
+            for joint, choice in selection.law_choices.items()
+        ),
     )
 
 

@@ -17,7 +17,6 @@ from strainwave.domain import (
     TorsionFit,
 )
 from strainwave.domain.distributions import CI95_STDS
-from strainwave.domain.formatting import plus_minus
 from strainwave.domain.gear_laws import GearLaw, gear_law
 from strainwave.presentation.figures import (
     SHORT_DASH,
@@ -183,10 +182,11 @@ def _describe_choice(choice: LawChoice) -> str:
     if not choice.margins:
         return f"The law is {choice.law}: no curve explains a considerable part of the residuals."
     margins = (
-        f"{' ± '.join(plus_minus(margin.difference, margin.std_error))} over {margin.law}"
+        f"{margin.difference:.3g} that of {margin.law} (weight {margin.weight:.2f})"
         for margin in choice.margins
     )
-    return f"The data support the law {choice.law}: held-out log score {', '.join(margins)}."
+    margin = ", ".join(margins)
+    return f"The data support the law {choice.law}: its held-out log score exceeds by {margin}."
 
 
 def _stiffness_curve(

@@ -20,6 +20,7 @@ from strainwave.numerics.linalg import triangular_factor
 MIN_CORRELATION_TIMES = 10.0
 """Minimum length of a fold in correlation times of the residuals."""
 
+_DRAWS = 1000  # of the Bayesian bootstrap
 _MIN_FOLDS = 2  # of a record; the other folds estimate the variance of a channel
 
 
@@ -43,6 +44,17 @@ def held_out_scores(fits: Sequence[Fit]) -> FloatArray:
     return np.array(
         [_scores(fit, own, folds, correlation) for fit, own in zip(fits, rows, strict=True)]
     )
+
+
+def weight_over(scores: FloatArray, others: FloatArray, rng: np.random.Generator) -> float:
+    """Weight of a model against another one by pseudo-BMA+ (Yao et al., 2018).
+
+    `scores` and `others` are their held-out scores (n_folds,). A Bayesian bootstrap over the folds
+    keeps a single fold from deciding.
+    """
+    n = len(scores)
+    totals = n * rng.dirichlet(np.ones(n), _DRAWS) @ (scores - others)
+    return float(np.mean(0.5 * (1.0 + np.tanh(0.5 * totals))))
 
 
 def _folds(n_rows: int, rows_per_error: float) -> IntArray:

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, LawChoice, LawMargin, Place, ScoreTest
+from strainwave.domain import Diagnostic, LawChoice, LawMargin, Place, ScoreTest
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.effects import STIFFNESS_CURVE
 from strainwave.domain.gear_laws import AUTO, STIFFNESS, curved_laws, gear_law, stated_law
@@ -19,7 +19,7 @@ from strainwave.domain.gear_laws.cubic import CUBIC
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
-from strainwave.identification.whole_arm.inference.held_out import held_out_scores
+from strainwave.identification.whole_arm.inference.held_out import held_out_scores, weight_over
 from strainwave.identification.whole_arm.inference.score_tests import curve_tests_of
 from strainwave.identification.whole_arm.problem.arm_unknowns import replace_stiffness
 from strainwave.identification.whole_arm.problem.effect_unknowns import with_effects
@@ -30,9 +30,8 @@ from strainwave.identification.whole_arm.search.solver import resumed_coarse_sea
 from strainwave.identification.whole_arm.selection.candidate import Selection
 from strainwave.identification.whole_arm.selection.stiffness_curves import restart_coarse_fit
 
-MIN_MARGIN_STD_ERRORS = 2.0
-"""Difference of held-out scores, in standard errors, from which the law with more parameters is
-selected."""
+MIN_WEIGHT = 0.95
+"""Weight by held-out scores from which the law with more parameters is selected."""
 
 MAX_HIDDEN_CHANGE = 0.1
 """Relative change of the stiffness up to the largest torque, by its 95 % bound, from which one
@@ -150,26 +149,21 @@ class _Trials:
 
 
 def _select(joint: int, rivals: Mapping[str, Fit]) -> LawChoice:
-    """The law with the fewest parameters that no other law predicts significantly better."""
+    """The law with the fewest parameters unless one with more predicts better."""
     names = sorted(rivals, key=lambda name: len(gear_law(name).parameters))
     scores = held_out_scores([rivals[name] for name in names])
+
+    def margin(k: int, other: int) -> LawMargin:
+        difference = float(np.sum(scores[k] - scores[other]))
+        weight = weight_over(scores[k], scores[other], np.random.default_rng(0))
+        return LawMargin(names[other], difference, weight)
+
     chosen = 0
     for k in range(1, len(names)):
-        difference, std_error = _difference(scores[k], scores[chosen])
-        if difference > MIN_MARGIN_STD_ERRORS * std_error:
+        if margin(k, chosen).weight > MIN_WEIGHT:
             chosen = k
-    margins = (
-        LawMargin(name, *_difference(scores[chosen], scores[k]))
-        for k, name in enumerate(names)
-        if k != chosen
-    )
-    return LawChoice(joint, names[chosen], tuple(margins))
-
-
-def _difference(scores: FloatArray, others: FloatArray) -> tuple[float, float]:
-    """Difference of two held-out scores (n_folds,), and its standard error."""
-    by_fold = scores - others
-    return float(by_fold.sum()), float(np.sqrt(len(by_fold)) * by_fold.std(ddof=1))
+    others = (k for k in range(len(names)) if k != chosen)
+    return LawChoice(joint, names[chosen], tuple(margin(chosen, k) for k in others))
 
 
 def equivalent_stiffnesses(
@@ -181,7 +175,7 @@ def equivalent_stiffnesses(
     """
     for test in tests:
         choice, joint = selection.law_choices.get(test.joint), selection.arm.joints[test.joint - 1]
-        if choice is None or test.effect != STIFFNESS_CURVE.name:
+        if choice is None or choice.law != LINEAR or test.effect != STIFFNESS_CURVE.name:
             continue
         torque, stiffness = largest_torque[test.joint - 1], fit.values[STIFFNESS, test.joint]
         cubic = abs(test.sizes[CUBIC]) + CI95_STDS * test.stds[CUBIC]
