@@ -40,9 +40,12 @@ STIFFENING = {1: 6e8, 2: 2e8}  # k_3 [N m/rad^3], as in test_cubic_gears.py
 @cache
 def run(truth: str, stated: str, amplitude: float = 10.0) -> tuple[Values, ArmModel]:
     """True values, and the fit of open-loop records of 0.5 s of each joint with a stated law."""
-    spring = cast(Spring, truth)
+    spring = cast(Spring, "linear" if truth == "mixed" else truth)
     study = scara.study(Path("nowhere"), spring)
     values = scara.parameters(5, spring)
+    if truth == "mixed":
+        study = replace(study, arm=study.arm.with_joint(2, spring="three-slope"))
+        values |= scara.parameters(5, "three-slope")
     if truth == "cubic":
         values |= {(CUBIC, joint): cubic for joint, cubic in STIFFENING.items()}
     written, logs = simulated_logs(shaken_study(study, amplitude), values, noise=SensorNoise())
@@ -91,6 +94,11 @@ def test_the_values_are_those_of_the_stated_law(law: str) -> None:
         assert abs(p.value - other.value) <= (0.0 if law == "linear" else 0.5 * p.std), key
         if key in true:
             assert abs(p.value - true[key]) < 5.0 * p.std, key
+
+
+def test_each_gear_has_its_own_law() -> None:
+    _, model = run("mixed", AUTO)
+    assert [choice.law for choice in model.gear_laws] == ["linear", "three-slope"]
 
 
 def test_a_stated_line_on_a_curved_gear_names_the_curve() -> None:

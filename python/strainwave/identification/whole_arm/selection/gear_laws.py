@@ -27,7 +27,11 @@ from strainwave.identification.whole_arm.problem.restrictions import limit_unkno
 from strainwave.identification.whole_arm.records.loads import gear_torques
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import resumed_coarse_search
-from strainwave.identification.whole_arm.selection.candidate import Selection
+from strainwave.identification.whole_arm.selection.candidate import (
+    MAX_CANDIDATE_EVALUATIONS,
+    Selection,
+    run_trial,
+)
 from strainwave.identification.whole_arm.selection.stiffness_curves import restart_coarse_fit
 
 MIN_WEIGHT = 0.95
@@ -90,14 +94,16 @@ class _Trials:
         current = together[best]
         self.selection.arm = self._arm(joints, best)
         for joint in joints:
-            rivals = together | {LINEAR: fit} if len(joints) == 1 else {best: current}
+            law = self.selection.arm.joints[joint - 1].law.name
+            rivals = together | {LINEAR: fit} if len(joints) == 1 else {law: current}
             others = [name for name in (LINEAR, *together) if name not in rivals]
-            rivals |= self._fits(current, [joint], others)
+            rivals |= self._fits(current, [joint], others, MAX_CANDIDATE_EVALUATIONS)
             choice = _select(joint, rivals)
             law, earlier = choice.law, self.selection.law_choices[joint]
             self.selection.law_choices[joint] = replace(earlier, law=law, margins=choice.margins)
             self.selection.arm, current = self._arm([joint], law), rivals[law]
-            best = law
+        if not any(self.selection.arm.joints[joint - 1].law.is_curved for joint in joints):
+            current = fit
         return replace(current, iterations=self.iterations)
 
     def _arm(self, joints: Sequence[int], law: str) -> Arm:
@@ -107,17 +113,26 @@ class _Trials:
             arm = arm.with_joint(joint, spring=law)
         return arm
 
-    def _fits(self, start: Fit, joints: Sequence[int], laws: Sequence[str]) -> dict[str, Fit]:
-        """Fits with other laws of some joints, without those that cannot be simulated."""
+    def _fits(
+        self,
+        start: Fit,
+        joints: Sequence[int],
+        laws: Sequence[str],
+        max_evaluations: int | None = None,
+    ) -> dict[str, Fit]:
+        """Fits with other laws of some joints, without those that cannot be simulated.
+
+        `max_evaluations` limits the evaluations of each; None allows a whole coarse search.
+        """
         fits = {}
         for law in laws:
             try:
-                fits[law] = self._fit(start, joints, law)
+                fits[law] = self._fit(start, joints, law, max_evaluations)
             except (InvalidInput, NotIdentifiable, NumericalFailure):
                 continue
         return fits
 
-    def _fit(self, start: Fit, joints: Sequence[int], law: str) -> Fit:
+    def _fit(self, start: Fit, joints: Sequence[int], law: str, max_evaluations: int | None) -> Fit:
         arm, options = self._arm(joints, law), self.selection.options
         values = self.linear.values | start.values | self._secants(start, joints)
         space, z = replace_stiffness(self.linear.space, arm, values, self.largest_torque.tolist())
@@ -131,7 +146,11 @@ class _Trials:
             arm, replace(options, max_iterations=self.iterations + self.selection.budget)
         )
         restart = start.restart(with_effects(start.objective, space, arm), z)
-        found = resumed_coarse_search(replace(restart, iterations=self.iterations), own.options)
+        restart = replace(restart, iterations=self.iterations)
+        if max_evaluations is None:
+            found = resumed_coarse_search(restart, own.options)
+        else:
+            found = run_trial(restart, own, max_evaluations)
         found = restart_coarse_fit(found, own)
         self.iterations = found.iterations
         self.selection.allow(self.iterations + self.selection.budget)
