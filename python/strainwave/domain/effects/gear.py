@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from strainwave.domain.effects.interface import Effect
-from strainwave.domain.gear_laws.cubic import CUBIC, Cubic
-from strainwave.domain.gear_laws.three_slope import ThreeSlope
 
 
 class Hysteresis(Effect):
@@ -75,12 +73,12 @@ class StiffnessCurve(Effect):
     """
 
     name = "stiffness-curve"
-    sizes = (CUBIC,)
-    tested_law = Cubic.name
-    fitted_law = ThreeSlope.name
+    sizes = ("gear_stiffness_cubic",)
+    tested_law = "cubic"
+    fitted_law = "three-slope"
     needs_elastic_gear = True
     description = "a stiffness that changes with the torque, as that of strain-wave gears"
     consequence = "the stiffness is an equivalent one at the amplitude of the records"
     experiment = "compare the anti-resonances of one excitation at three or more amplitudes"
     record = "a sweep of amplitudes"
-    setting = f'spring = "auto" or "{ThreeSlope.name}"'
+    setting = 'spring = "auto" or "three-slope"'

@@ -93,7 +93,9 @@ def score_tests_of(fit: Fit, arm: Arm) -> list[TestedEffect]:
 def curve_tests_of(fit: Fit, arm: Arm, joints: Collection[int]) -> list[TestedEffect]:
     """Test a coarse fit for stiffness curves of joints, the most significant first."""
     curves = [one for one in _missing_effects(fit, arm) if one[1] == STIFFNESS_CURVE.name]
-    hypotheses = {Hypothesis(joint, name, 0): {} for joint, name in curves if joint in joints}
+    hypotheses: dict[Hypothesis, Shapes] = {
+        Hypothesis(joint, name, 0): {} for joint, name in curves if joint in joints
+    }
     return _tested(fit, fit, arm, hypotheses) if hypotheses else []
 
 

@@ -100,13 +100,13 @@ def remove_insignificant_stiffness_terms(fit: Fit, selection: Selection) -> Fit:
             if estimate @ np.linalg.solve(covariance, estimate) < MIN_SIGNIFICANCE_STDS**2:
                 insignificant |= {keys[k]: 0.0 for k in places}
     fit = refit_without(insignificant, fit, selection)
-    straight = {joint for _, joint in insignificant if joint in selection.law_choices}
+    straight = selection.law_choices.keys() & {number for _, number in insignificant}
     if not straight:
         return fit
-    for joint in straight:
+    for number in straight:
         linear = stated_law(AUTO).name
-        selection.arm = selection.arm.with_joint(joint, spring=linear)
-        selection.law_choices[joint] = LawChoice(joint, linear)
+        selection.arm = selection.arm.with_joint(number, spring=linear)
+        selection.law_choices[number] = LawChoice(number, linear)
     removed = {key for key in insignificant if key[1] in straight}
     fixed = {key: value for key, value in fit.space.fixed.items() if key not in removed}
     space = replace(fit.space, fixed=fixed)
