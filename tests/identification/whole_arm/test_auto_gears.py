@@ -30,7 +30,6 @@ from strainwave.identification.whole_arm.selection.candidate import Selection
 from strainwave.identification.whole_arm.selection.gear_laws import equivalent_stiffnesses
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import derived
-from strainwave.virtual.scara import Spring
 from tuning_runs import joint_models, rigid_model, shaken_study, simulated_logs
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
@@ -40,7 +39,7 @@ STIFFENING = {1: 6e8, 2: 2e8}  # k_3 [N m/rad^3], as in test_cubic_gears.py
 @cache
 def run(truth: str, stated: str, amplitude: float = 10.0) -> tuple[Values, ArmModel]:
     """True values, and the fit of open-loop records of 0.5 s of each joint with a stated law."""
-    spring = cast(Spring, "linear" if truth == "mixed" else truth)
+    spring = "linear" if truth == "mixed" else truth
     study = scara.study(Path("nowhere"), spring)
     values = scara.parameters(5, spring)
     if truth == "mixed":

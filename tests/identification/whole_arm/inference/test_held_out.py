@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from strainwave.domain import FloatArray
+from strainwave.domain import FloatArray, IntArray
 from strainwave.identification.whole_arm.inference.held_out import held_out_scores, weight_over
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation, Rows
 from strainwave.identification.whole_arm.search.fit import Fit
@@ -45,7 +45,7 @@ def test_one_step_without_a_fold_is_a_refit_without_it() -> None:
     assert kappa[0] == pytest.approx(1.0, rel=0.2)  # white noise
 
 
-def _kappa(scores: FloatArray, errors: FloatArray, fold: FloatArray) -> FloatArray:
+def _kappa(scores: FloatArray, errors: FloatArray, fold: IntArray) -> FloatArray:
     """Rows per independent error for which refits have these scores."""
     kappas = []
     for k, score in enumerate(scores):
