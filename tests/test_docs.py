@@ -17,7 +17,7 @@ import pytest
 
 from command_line import run_here
 from strainwave import cli
-from strainwave.domain.effects import all_effects
+from strainwave.domain.effects import possible_causes
 from strainwave.domain.messages import TEMPLATES
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
@@ -183,7 +183,7 @@ def test_every_equation_number_is_unique() -> None:
 
 def codes_of_warnings() -> set[str]:
     """Return all warning codes: those of templates and of likely effects."""
-    likely = {effect.warning_code for effect in all_effects()}
+    likely = {effect.warning_code for effect in possible_causes()}
     return {template.split("/")[0] for template in TEMPLATES} - {"effect-likely"} | likely
 
 

@@ -251,7 +251,7 @@ def test_sensors_of_torque_and_temperature_are_mapped(tmp_path: Path) -> None:
             assert f'\n{channel}{number} = "{column}{number}"' in text
         assert f'\ntemperature{number} = "motor temp {number} [degC]"' in text
         assert f'\naz{number} = "imu{number}_acc_z"' in text
-    assert text.count('spring = "linear"') == 3
+    assert text.count('spring = "auto"') == 3
 
 
 @given(
@@ -312,7 +312,7 @@ def test_drafts_of_simulated_arms_agree_with_their_studies(
     reference = read_study(path)
     answers = {"gear_ratio": "0.01", "torque_per_volt": "0.1", "current_loop_hz": "1000.0"}
     study = drafted(tmp_path, reference, answers | {"kp": "0.1", "ki": "1.0", "limit": "10.0"})
-    assert [j.spring for j in study.arm.joints] == [j.spring for j in reference.arm.joints]
+    assert [j.spring for j in study.arm.joints] == ["auto"] * reference.arm.n_joints
     assert [j.encoder_counts for j in study.arm.joints] == [8192.0] * study.arm.n_joints
     for given_, draft in zip(reference.experiments, study.experiments, strict=True):
         assert (draft.name, draft.use, draft.joint) == (given_.name, given_.use, given_.joint)

@@ -709,5 +709,5 @@ def test_imu_axes_are_mapped_by_their_channel_names(tmp_path: Path) -> None:
     text = (tmp_path / "study.toml").read_text()
     assert "# imu = {" in text
     study = read_study(filled_in(tmp_path / "study.toml"))
-    assert [joint.spring for joint in study.arm.joints] == ["linear", "linear"]
+    assert [joint.spring for joint in study.arm.joints] == ["auto", "auto"]
     assert {"ax2", "gz2"} <= set(read_logs(study)[0].channels)

@@ -26,6 +26,8 @@ from strainwave.domain.arm_model import ArmModel as ArmModel
 from strainwave.domain.arm_model import Cause as Cause
 from strainwave.domain.arm_model import Condition as Condition
 from strainwave.domain.arm_model import Criticism as Criticism
+from strainwave.domain.arm_model import LawChoice as LawChoice
+from strainwave.domain.arm_model import LawMargin as LawMargin
 from strainwave.domain.arm_model import MotorResponse as MotorResponse
 from strainwave.domain.arm_model import ParameterShift as ParameterShift
 from strainwave.domain.arm_model import ResidualCorrelation as ResidualCorrelation

@@ -7,21 +7,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Ge, Gt
 
 from strainwave.domain.effects import all_effects
-from strainwave.domain.gear_laws import RIGID, GearLaw, gear_law
+from strainwave.domain.gear_laws import AUTO, RIGID, GearLaw, determined_law, stated_law
+from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import LinkSensor, sensors_of
 
 Positive = Annotated[float, Gt(0.0)]
 NonNegative = Annotated[float, Ge(0.0)]
 
 Motion = Literal["revolute", "prismatic"]
-Spring = str  # name of a gear law
+Spring = str  # name of a gear law, or "auto"
 EffectName = str  # of one of `domain.effects`
 Vector = tuple[float, float, float]
 Matrix = tuple[tuple[float, ...], ...]  # rows
@@ -115,8 +116,8 @@ class Joint:
 
     @property
     def law(self) -> GearLaw:
-        """Elastic law of the gear."""
-        return gear_law(self.spring)
+        """Elastic law of the gear; the linear law while the data have not selected one."""
+        return stated_law(self.spring)
 
     @property
     def sensors(self) -> tuple[LinkSensor, ...]:
@@ -127,6 +128,11 @@ class Joint:
     def elastic(self) -> bool:
         """Whether the gear is elastic."""
         return self.law.elastic
+
+    @property
+    def selects_law(self) -> bool:
+        """Whether the fit selects the elastic law of this joint."""
+        return self.spring == AUTO
 
     @property
     def selects_effects(self) -> bool:
@@ -245,6 +251,17 @@ class ArmDescription:
         joints = list(self.joints)
         joints[number - 1] = replace(joints[number - 1], **changes)
         return self.with_joints(joints)
+
+    def with_selected_laws(self, known: Collection[Key]) -> Self:
+        """Copy with the laws of gears with `spring = "auto"` that known (name, joint) determine."""
+        return self.with_joints(
+            replace(
+                joint, spring=determined_law(AUTO, [key[0] for key in known if key[1] == i]).name
+            )
+            if joint.selects_law
+            else joint
+            for i, joint in enumerate(self.joints, start=1)
+        )
 
     def behind_rigid_gears(self) -> Self:
         """Copy of the arm with rigid gears and without effects."""

@@ -105,6 +105,30 @@ class Criticism:
 
 
 @dataclass(frozen=True, slots=True)
+class LawMargin:
+    """Held-out score of the selected gear law minus that of another one."""
+
+    law: str
+    difference: float  # of log predictive densities
+    weight: float  # of the selected law against the other one, from 0 to 1
+
+
+@dataclass(frozen=True, slots=True)
+class LawChoice:
+    """Gear law that the data support, of a joint with `spring = "auto"`.
+
+    Without margins, the score test of a curve decided: no curve was fitted.
+    """
+
+    joint: int  # from 1
+    law: str
+    margins: tuple[LawMargin, ...] = ()  # over the other laws
+    gain: float = 0.0  # decrease of the objective by the linear step of a curve
+    limit: float = math.inf  # chi-square limit of that gain
+    largest_torque: float = 0.0  # [N m] of the gear in the records; the law holds up to it
+
+
+@dataclass(frozen=True, slots=True)
 class TorqueHistogram:
     """Histogram of the absolute gear torque in the records, by the model."""
 
@@ -273,6 +297,7 @@ class ArmModel(Displayed):
     agreement: tuple[AgreementTest, ...] = ()  # with the rigid model, all values and groups
     suspects: tuple[SuspectConstant, ...] = ()  # if the stages disagree, most likely first
     sensor_gains: tuple[SensorGain, ...] = ()  # of link sensors that the rig does not have
+    gear_laws: tuple[LawChoice, ...] = ()  # of joints whose law the fit selected
 
     @property
     def status(self) -> SearchEnd:

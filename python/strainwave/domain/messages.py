@@ -170,6 +170,9 @@ TEMPLATES: Mapping[str, str] = {
     " the alias of a faster one|. Lower the order, or sample faster",
     # parameters of a joint
     "equivalent-stiffness": "equivalent stiffness at the torsion in {records}: {note}",
+    "equivalent-stiffness/undecided": "the records load the gear up to {torque:.3g} {unit}, and its"
+    " stiffness may change by {change!p:.2g} % over this load|; the value is the equivalent"
+    " stiffness at this load. Record a larger amplitude, and a link sensor if there is none",
     "not-reciprocal": "G12 and G21 agree only to {agreement:.0f} %, but a joint is reciprocal:"
     " check gear_ratio, torque_per_volt and the link sensor",
     "lag-not-slow": "the slow lag of the joint is close to its anti-resonance, so (18) is"
@@ -195,7 +198,6 @@ TEMPLATES: Mapping[str, str] = {
     + ", so check the payload, the voltage and the friction of that record",
     "not-predicted/servo": _PREDICTED + ", but the recorded voltages explain the motion, so correct"
     " kp, ki, period and limit of [servo], or the references of that record",
-    "not-predicted/hardening": _PREDICTED + "{advice}",
     "not-predicted/elastic": _PREDICTED
     + ", so check [servo], the references and the payload of that record",
     "not-described": "the residuals of {channel} are {noise_ratio:.2g} times the sensor's noise and"
@@ -290,8 +292,8 @@ TEMPLATES: Mapping[str, str] = {
     "linearised": "{note}",
     # likely effects, whatever their code
     "effect-likely": "{effect} would explain {share!p:.2g} % of the residuals"
-    ' ({sizes}){changes}{rivals}{rest}|; to fit it, give the joint effects = ["{effect}"] or'
-    ' "auto"; to confirm it, {experiment}',
+    " ({sizes}){changes}{rivals}{rest}|; to fit it, give the joint {setting}; to confirm it,"
+    " {experiment}",
 }
 """Messages of warnings, by code or "code/variant"."""
 
@@ -325,8 +327,6 @@ CLAUSES: Mapping[str, str] = {
     " {experiment}",
     "suspects": ", likely causes in this order: {causes!o}",
     "suspects/none": ", so check the constants in the study",
-    "hardening": ", and the sweep of joint {joints!a} shows hardening: give it spring ="
-    ' "three-slope"',
     "follows-input": ", and follow joint {joint}'s input by {delay!m:.3g} ms: the model lacks"
     " something of the motion, or the study has a wrong constant",
     "follows-no-input": ", without linear dependence on an input: friction or a gear that the model"

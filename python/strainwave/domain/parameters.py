@@ -30,11 +30,13 @@ def whole_arm_parameter_names(arm: ArmDescription) -> tuple[str, ...]:
     return tuple(names)
 
 
-def with_known_drives(arm: ArmDescription, values: Values) -> ArmDescription:
-    """The arm with the torques per volt of `values` for its unknown drives.
+def with_known_constants(arm: ArmDescription, values: Values) -> ArmDescription:
+    """The arm with what `values` determine and the study leaves open.
 
-    Raises InvalidInput if one is missing.
+    These are the torques per volt of unknown drives, and the laws of gears with `spring = "auto"`.
+    Raises InvalidInput if a torque per volt is missing.
     """
+    arm = arm.with_selected_laws(values.keys())
     for number in arm.unknown_drives:
         gain = values.get(("torque_per_volt", number))
         if gain is None:

@@ -248,17 +248,14 @@ def model_defects(results: StageResults) -> Iterator[Diagnostic]:
             channel=test.channel,
             noise_ratio=test.deviation / test.noise,
             share=ratio,
-            advice=_hardening_advice(results) or _likely_causes(results.whole_arm),
+            advice=_likely_causes(results.whole_arm),
         )
 
 
 def _prediction_error(results: StageResults, check: Prediction) -> Diagnostic:
     """Warn of the worst channel of a validation record."""
     channel = min(check.unexplained, key=lambda name: check.fit_percent[name])
-    advice = _hardening_advice(results)
-    cause = "elastic" if advice is None else "hardening"
-    if check.of_drive or check.is_servo_at_fault:
-        cause = "rigid" if check.of_drive else "servo"
+    cause = "rigid" if check.of_drive else "servo" if check.is_servo_at_fault else "elastic"
     return Diagnostic(
         "not-predicted",
         Place.in_records(check.experiment),
@@ -266,7 +263,6 @@ def _prediction_error(results: StageResults, check: Prediction) -> Diagnostic:
         channel=channel,
         fit=float(check.fit_percent[channel]),
         ratio=float(check.unexplained[channel]),
-        advice=advice,
     )
 
 
@@ -281,14 +277,3 @@ def _worst_residual(results: StageResults) -> tuple[float, ResidualTest] | None:
         if relative_residual > MAX_RELATIVE_RESIDUAL and test.is_far_above_noise:
             candidates.append((relative_residual, test))
     return max(candidates, key=lambda candidate: candidate[0], default=None)
-
-
-def _hardening_advice(results: StageResults) -> Clause | None:
-    """Advice if a sweep shows hardening of a gear that the study declares linear."""
-    hardening = tuple(
-        sweep.joint
-        for sweep in results.sweeps
-        if sweep.verdict == "hardening"
-        and not results.study.arm.joints[sweep.joint - 1].law.is_curved
-    )
-    return Clause("hardening", joints=hardening) if hardening else None

@@ -18,7 +18,7 @@ import numpy as np
 
 from strainwave.domain import Clause, Diagnostic, Place, Study
 from strainwave.domain.keys import Values
-from strainwave.domain.parameters import complete_values, with_known_drives
+from strainwave.domain.parameters import complete_values, with_known_constants
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design.excitation_band import ExcitationBand, band_of
@@ -89,7 +89,7 @@ def excite_study_file(
     study = read_study(study_path, logs_exist=False, experiments_exist=False)
     values = read_parameters(parameters_path)
     limits = limits_of(
-        with_known_drives(study.arm, values),
+        with_known_constants(study.arm, values),
         limit_angle,
         limit_velocity,
         limit_voltage,
@@ -130,7 +130,8 @@ def design(
     InvalidInput if a parameter is missing or if no experiment satisfies the limits. A single
     experiment that violates the limits gives a warning.
     """
-    study = replace(study, arm=with_known_drives(study.arm, values))
+    stated = study.arm.joints
+    study = replace(study, arm=with_known_constants(study.arm, values))
     arm = Arm.of(study.arm)
     arm.parameter_vector(values)  # raises InvalidInput if a parameter is missing
     bands = {j: band_of(arm, values, j, limits.centre) for j in range(1, arm.n_joints + 1)}
@@ -193,7 +194,11 @@ def design(
     experiments = tuple(record.experiment for record in records)
     progress("predicting the intervals")
     precision = predicted_precision(study, values, records, seed=seed)
-    planned = replace(study, experiments=experiments)
+    joints = (
+        replace(joint, spring=each.spring)  # the assumed law of a gear is not a finding
+        for joint, each in zip(arm.joints, stated, strict=True)
+    )
+    planned = replace(study, arm=study.arm.with_joints(joints), experiments=experiments)
     return Design(planned, limits, records, warnings, precision, errors)
 
 

@@ -186,6 +186,7 @@ def arm_of(
     if study is None:
         study, warnings = _study_from_file(document, path, study_path)
     _check_joints(parameters, study, path)
+    study = replace(study, arm=study.arm.with_selected_laws([p.key for p in parameters]))
     accepted, rejected = _drop_rejected(parameters, document, path)
     standard = standard_parameters_of(document, study.arm, str(path))
     return IdentifiedArm(study, accepted, str(path), warnings, rejected, standard)

@@ -55,8 +55,9 @@ def restrict_to_values(arm: Arm, values: Mapping[Key, float]) -> Arm:
     `values` maps (name, joint) to a value.
     """
     joints = tuple(
-        replace(joint, spring=determined_law(joint.law, joint.law.of_joint(values, number)).name)
+        replace(joint, spring=determined_law(joint.spring, names).name)
         for number, joint in enumerate(arm.joints, start=1)
+        for names in [[name for name, of in values if of == number]]
     )
     return keep_known_effects(arm.with_joints(joints), values.keys())
 

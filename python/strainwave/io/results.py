@@ -597,6 +597,7 @@ def _whole_arm(model: ArmModel) -> dict[str, Any]:
         "initial_fit_percent": {
             name: dict(fits) for name, fits in model.initial_fit_percent.items()
         },
+        "gear_laws": [asdict(choice) for choice in model.gear_laws],
         "sensor_gains": [asdict(gain) for gain in model.sensor_gains],
         "criticism": model.criticism and _criticism(model.criticism),
         "warnings": [warning_entry(w) for w in model.warnings],

@@ -128,6 +128,8 @@ def _identify(
             elastic, check = _explain_suspicion(check, rigid.model, suspicion, reporter)
         elif not check.consistency.suspected:
             elastic = fit_elastic_arm(inputs, rigid.model, reporter)
+    known = elastic.whole_arm.values if elastic.whole_arm is not None else {}
+    study = replace(study, arm=study.arm.with_selected_laws(known))
     warnings = (*check.warnings, *drives.warnings, *rigid.warnings, *elastic.warnings)
     return Identification(
         study=study,

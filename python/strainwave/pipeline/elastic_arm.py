@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 from strainwave.domain import (
@@ -85,6 +85,7 @@ def fit_elastic_arm(
     elif outcome is not None:
         # the whole-arm fit replaces the earlier estimates of the same delays
         places = {w.place for w in outcome.warnings if w.code == "sensor-delay"}
+        inputs = replace(inputs, arm=inputs.arm.with_selected_laws(outcome.values))
         kept = [w for w in warnings if w.code != "sensor-delay" or w.place not in places]
         checks, not_simulated = predict_checks(inputs, outcome, reporter)
         motor_responses = _compare_motors(inputs, outcome, start.joints, reporter)

@@ -42,10 +42,10 @@ def read_start(start: Path | Mapping[Key, float] | None, study: Study) -> Values
     """
     if start is None:
         return {}
-    given = complete_values(
-        read_parameters(start) if isinstance(start, Path) else dict(start), study.arm
-    )
-    known = set(Arm.of(study.arm).parameter_names)
+    values = read_parameters(start) if isinstance(start, Path) else dict(start)
+    arm = study.arm.with_selected_laws(values.keys())
+    given = complete_values(values, arm)
+    known = set(Arm.of(arm).parameter_names)
     values = {key: value for key, value in given.items() if key in known}
     if not values:
         names = ", ".join(label_of(*key) for key in list(known)[:4])

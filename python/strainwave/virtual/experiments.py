@@ -16,7 +16,7 @@ from strainwave import pipeline
 from strainwave.domain import ArmDescription, Experiment, Identification, Study
 from strainwave.domain.combinations import reported, value_of
 from strainwave.domain.keys import Values
-from strainwave.domain.parameters import with_known_drives
+from strainwave.domain.parameters import with_known_constants
 from strainwave.domain.progress import ProgressEvent
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise, simulate
@@ -82,7 +82,7 @@ def simulate_study(
     vibration of the gears. Returns the number of logs. Raises InvalidInput if a parameter is
     missing or impossible, if an experiment cannot be simulated, or if the folder cannot be written.
     """
-    arm = Arm.of(with_known_drives(study.arm, values))
+    arm = Arm.of(with_known_constants(study.arm, values))
     experiments = []
     logs_columns = []
     for number, experiment in enumerate(study.experiments):

@@ -74,7 +74,8 @@ class Comparison:
 
 def sliders(study: Study, values: Values) -> list[Slider]:
     """The parameters of the arm that a simulation needs, with the ranges of their sliders."""
-    arm, known = Arm.of(study.arm), complete_values(values, study.arm)
+    arm = Arm.of(study.arm.with_selected_laws(values))
+    known = complete_values(values, arm)
     largest: dict[str, float] = {}
     for key in arm.parameter_names:
         unit = unit_in(study.arm, key)
@@ -104,15 +105,17 @@ def _slider(study: Study, key: Key, value: float, largest: Mapping[str, float]) 
 
 def check_values(study: Study, entries: object) -> Values:
     """Values of a request; raises InvalidInput for an unknown parameter or no number."""
-    names = set(Arm.of(study.arm).parameter_names)
     values: Values = {}
     for entry in entries if isinstance(entries, list) else [None]:
         if not isinstance(entry, dict) or not isinstance(entry.get("value"), int | float):
             raise InvalidInput("the request has no values", where="values")
         key = str(entry.get("name")), entry.get("joint")
-        if not isinstance(key[1], int | None) or key not in names:
+        if not isinstance(key[1], int | None):
             raise InvalidInput(f"there is no parameter {label_of(*key)}", where="values")
         values[key] = float(entry["value"])
+    known = Arm.of(study.arm.with_selected_laws(values)).parameter_names
+    for key in values.keys() - set(known):
+        raise InvalidInput(f"there is no parameter {label_of(*key)}", where="values")
     return values
 
 
@@ -125,6 +128,7 @@ def simulate(
     the record cannot be compared.
     """
     record = _prepared(path, fingerprint(path), experiment, window)
+    record = replace(record, arm=record.arm.with_selected_laws(values))
     try:
         simulated, _ = record.linearise(values, record.start(), ())
     except (NumericalFailure, InvalidInput) as error:
@@ -213,6 +217,7 @@ def linear_joint(study: Study, values: Values, joint: int) -> TwoInertia:
         Parameter(*key, value, None, unit_in(study.arm, key), "tuned")
         for key, value in values.items()
     )
+    study = replace(study, arm=study.arm.with_selected_laws(values))
     return joint_model(IdentifiedArm(study, parameters, "the sliders"), joint)
 
 

@@ -130,7 +130,11 @@ def field_groups(document: Mapping[str, Any]) -> list[FieldGroup]:
 
 def _joint_texts(*, is_placed: bool) -> Iterator[FieldText]:
     yield FieldText(
-        "spring", "Gear", "Elastic law of the gear.", "choice", choices=tuple(gear_laws.names())
+        "spring",
+        "Gear",
+        'Elastic law of the gear; "auto": the law that the data support.',
+        "choice",
+        choices=(gear_laws.AUTO, *gear_laws.names()),
     )
     motions = ("revolute", "prismatic")
     yield FieldText("motion", "Motion", "Of the link.", "choice", choices=motions)

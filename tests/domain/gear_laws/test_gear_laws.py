@@ -212,8 +212,8 @@ def test_straight_gives_a_linear_law(law: GearLaw) -> None:
     np.testing.assert_allclose(law.torque(values, at), 2e4 * at, rtol=1e-12)
     assert tuple(values) == law.names
     assert law.is_curved == (law.simpler is not None)
-    assert gear_laws.determined_law(law, {STIFFNESS: 2e4}).name == (law.simpler or law.name)
-    assert gear_laws.determined_law(law, values) is law
+    assert gear_laws.determined_law(law.name, {STIFFNESS: 2e4}).name == (law.simpler or law.name)
+    assert gear_laws.determined_law(law.name, values) is law
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
@@ -275,7 +275,7 @@ def test_an_unregistered_law_is_rejected(registered: GearLaw, tmp_path: Path) ->
     path = tmp_path / "study.toml"
     path.write_text(STUDY.format(spring="toy"), encoding="utf-8")
     with pytest.raises(
-        InvalidInput, match="'spring' is 'toy', but it should be 'linear', "
+        InvalidInput, match="'spring' is 'toy', but it should be 'auto', 'linear', "
     ) as error:
         read_study(path, logs_exist=False)
     assert f" or {gear_laws.names()[-1]!r}" in error.value.problem
@@ -304,3 +304,14 @@ def test_conflicting_laws_are_not_registered(registered: GearLaw) -> None:
         with pytest.raises(InvalidInput, match=problem):
             gear_laws.register(law)
         assert law.name not in gear_laws.names()
+
+
+@pytest.mark.parametrize("law", ["linear", "cubic", "three-slope"])
+def test_parameters_determine_the_law_of_an_automatic_gear(law: str) -> None:
+    """A law has its own parameters; gear_stiffness alone, which cubic gears share, is a line."""
+    names = gear_law(law).names
+    assert gear_laws.determined_law("auto", names).name == law
+    assert gear_laws.determined_law("auto", names[:1]).name == (
+        "three-slope" if law == "three-slope" else "linear"
+    )
+    assert gear_laws.determined_law("auto", ()).name == "linear"

@@ -15,7 +15,12 @@ from strainwave.domain.effects.drive import (
     DriveLimit,
     DriveSaturation,
 )
-from strainwave.domain.effects.gear import Backlash, Hysteresis, KinematicError
+from strainwave.domain.effects.gear import (
+    Backlash,
+    Hysteresis,
+    KinematicError,
+    StiffnessCurve,
+)
 from strainwave.domain.effects.interface import Effect as Effect
 from strainwave.domain.effects.interface import Input as Input
 from strainwave.domain.effects.interface import KnownJoint as KnownJoint
@@ -54,8 +59,19 @@ _EFFECTS = Registry[Effect](
 )
 
 
-effect_named = _EFFECTS.__getitem__
-"""The effect with a name. Raises InvalidInput if there is none."""
+STIFFNESS_CURVE = StiffnessCurve()
+"""The rival of all effects of an elastic gear with one stiffness. A study cannot name it."""
+
+
+def effect_named(name: str) -> Effect:
+    """The effect with a name. Raises InvalidInput if there is none."""
+    return STIFFNESS_CURVE if name == STIFFNESS_CURVE.name else _EFFECTS[name]
+
+
+def possible_causes() -> tuple[Effect, ...]:
+    """Everything that a model of a joint may lack: all effects, and a curve of its stiffness."""
+    return (STIFFNESS_CURVE, *_EFFECTS.all())
+
 
 names = _EFFECTS.names
 """Names of all effects in the order of registration."""

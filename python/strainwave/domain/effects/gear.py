@@ -1,4 +1,4 @@
-"""Effects of the gear: hysteresis, kinematic error, backlash."""
+"""Effects of the gear: hysteresis, kinematic error, backlash, stiffness curve."""
 
 from __future__ import annotations
 
@@ -63,3 +63,22 @@ class Backlash(Effect):
     consequence = "the estimated stiffness at small torques is too low"
     experiment = "hold the link and turn the motor back and forth through zero torque"
     record = "a record of small motion through zero torque"
+
+
+class StiffnessCurve(Effect):
+    """Stiffness that changes with the torsion, where the model has one stiffness.
+
+    It is a gear law: `spring` states it, and `effects` cannot. The score test is that of the cubic
+    term. The fit has three slopes, which follow any curve.
+    """
+
+    name = "stiffness-curve"
+    sizes = ("gear_stiffness_cubic",)
+    tested_law = "cubic"
+    fitted_law = "three-slope"
+    needs_elastic_gear = True
+    description = "a stiffness that changes with the torque, as that of strain-wave gears"
+    consequence = "the stiffness is an equivalent one at the amplitude of the records"
+    experiment = "compare the anti-resonances of one excitation at three or more amplitudes"
+    record = "a sweep of amplitudes"
+    setting = 'spring = "auto" or "three-slope"'

@@ -98,6 +98,13 @@ class Effect:
     defaults: Mapping[str, float] = {}
     """Values of parameters that may be omitted."""
 
+    tested_law: str | None = None
+    """Gear law in place of the linear one whose parameters are the sizes; None: an effect adds to
+    any law."""
+
+    fitted_law: str | None = None
+    """Gear law in place of the linear one in a fit with the effect; None: the law stays."""
+
     needs_elastic_gear: bool = False
     """Whether only elastic gears can have the effect."""
 
@@ -161,9 +168,14 @@ class Effect:
         return f"{self.name}-likely"
 
     @property
+    def setting(self) -> str:
+        """Setting of the joint in a study with which a fit has the effect."""
+        return f'effects = ["{self.name}"] or "auto"'
+
+    @property
     def remedy(self) -> str:
         """Remedy of that warning."""
-        return f'Set effects = ["{self.name}"] for the joint and add {self.record}.'
+        return f"Set {self.setting} for the joint and add {self.record}."
 
     @property
     def absent(self) -> Values:

@@ -6,7 +6,7 @@ A new law needs a file in this package, an entry in `_LAWS`, and its equations i
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import cache
 from types import MappingProxyType
 
@@ -23,6 +23,9 @@ from strainwave.errors import InvalidInput
 
 RIGID = Rigid.name
 """Name of the law without elasticity, which the rigid step uses for every joint."""
+
+AUTO = "auto"
+"""Value of `spring` for the law that the data support; linear until they have decided."""
 
 _LAWS = Registry[GearLaw]("gear law", "a", "spring", (Linear(), ThreeSlope(), Cubic(), Rigid()))
 
@@ -92,13 +95,30 @@ def lists() -> Mapping[str, Mapping[int, tuple[str, ...]]]:
     return keys
 
 
-def determined_law(law: GearLaw, known: Mapping[str, float]) -> GearLaw:
-    """The law that the known values (by name) determine.
+def curved_laws() -> tuple[GearLaw, ...]:
+    """Laws with more than one stiffness, those with the fewest parameters first."""
+    curved = (law for law in _LAWS.all() if law.is_curved)
+    return tuple(sorted(curved, key=lambda law: len(law.parameters)))
 
-    This is the simpler law if no parameter of the law itself is known.
+
+def stated_law(spring: str) -> GearLaw:
+    """The law that `spring` names. Raises InvalidInput if there is none."""
+    return gear_law(Linear.name if spring == AUTO else spring)
+
+
+def determined_law(spring: str, known: Collection[str]) -> GearLaw:
+    """The law of a gear whose parameters in `known` have values.
+
+    With `spring = "auto"` this is the law of which `known` has a parameter of its own. Otherwise it
+    is the stated law, or the simpler law if no parameter of the stated law itself is known.
     """
-    if law.simpler is None:
+    law = stated_law(spring)
+
+    def has_own(law: GearLaw, simpler: GearLaw) -> bool:
+        return not set(law.names).difference(simpler.names).isdisjoint(known)
+
+    if spring == AUTO:
+        return next((curved for curved in curved_laws() if has_own(curved, law)), law)
+    if law.simpler is None or has_own(law, gear_law(law.simpler)):
         return law
-    simpler = gear_law(law.simpler)
-    specific_names = set(law.names) - set(simpler.names)
-    return determined_law(simpler, known) if specific_names.isdisjoint(known) else law
+    return determined_law(law.simpler, known)

@@ -119,7 +119,7 @@ class JointEstimate:
                     estimate=estimate,
                     split=split,
                 )
-        if joint.law.is_curved:
+        if joint.law.is_curved or joint.selects_law:
             place, note = Place(joint=self.number, parameter=STIFFNESS), joint.law.equivalent_note
             yield Diagnostic("equivalent-stiffness", place, records=records, note=note)
 

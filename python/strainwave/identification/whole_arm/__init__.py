@@ -110,6 +110,7 @@ def _fit(start: Start, selection: Selection) -> Fit:
     if selection.options.as_published:
         budget = selection.options.max_iterations
         return published_search(start.coarse, start.records, selection.arm, budget)
+    stated_arm = selection.arm  # the search sets the gear laws that it selects
     fit = _search(start, selection)
     undescribed = find_undescribed(fit)
     if not fit.end.is_minimum or not are_exceptions(undescribed, fit):
@@ -120,15 +121,20 @@ def _fit(start: Start, selection: Selection) -> Fit:
         records=tuple(start.records[k] for k in others),
         coarse=replace(start.coarse, objective=start.coarse.objective.select_records(*others)),
     )
-    options = replace(selection.options, max_iterations=selection.budget)
+    other_selection = Selection(
+        stated_arm, replace(selection.options, max_iterations=selection.budget)
+    )
     try:
-        without = _search(of_others, Selection(selection.arm, options))
+        without = _search(of_others, other_selection)
     except NotIdentifiable:
         return fit
-    objective = with_effects(fit.objective, without.space, selection.arm)
+    objective = with_effects(fit.objective, without.space, other_selection.arm)
     rejoined = without.restart(objective.update_weights(without.z), without.z)
     again = polish(refine(rejoined, selection.options), selection.options)
-    return fit if find_undescribed(again) else again
+    if find_undescribed(again):
+        return fit
+    selection.arm, selection.law_choices = other_selection.arm, other_selection.law_choices
+    return again
 
 
 def _search(start: Start, selection: Selection) -> Fit:

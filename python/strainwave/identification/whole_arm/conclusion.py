@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -44,6 +45,7 @@ from strainwave.identification.whole_arm.selection.causes import (
     warn_likely_cause,
     warn_unfitted_effects,
 )
+from strainwave.identification.whole_arm.selection.gear_laws import equivalent_stiffnesses
 from strainwave.identification.whole_arm.selection.sensor_constants import sensor_warnings
 from strainwave.identification.whole_arm.start import Start
 from strainwave.numerics.parallel import run_parallel
@@ -64,7 +66,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
     keys_at_bounds = tuple(parameters_at_bounds(fit, arm))
     agreement = agreement_tests(fit)
     score_tests = score_tests_of(fit, arm)
-    refits = fit_missing_effects(fit, score_tests, arm, selection.options)
+    refits = fit_missing_effects(fit, score_tests, selection)
     criticism = Criticism(
         residual_tests(fit.objective, fit.z),
         tuple(one.test for one in score_tests),
@@ -98,6 +100,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
             *residual_warnings(criticism.residuals, explained=bool(criticism.causes)),
             *warn_likely_cause(criticism.causes),
             *warn_unfitted_effects(refits),
+            *equivalent_stiffnesses(criticism.score_tests, fit, selection, largest_torque),
         ),
         criticism=criticism,
         gear_loads=histograms_of(gear_loads),
@@ -105,6 +108,10 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         agreement=agreement,
         suspects=suspects,
         sensor_gains=tuple(sensor_gains(fit, arm, parameters)) if fit.end.is_minimum else (),
+        gear_laws=tuple(
+            replace(choice, largest_torque=largest_torque[joint - 1])
+            for joint, choice in selection.law_choices.items()
+        ),
     )
 
 

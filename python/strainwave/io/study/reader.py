@@ -259,7 +259,8 @@ class Reader:
         """
         spring, names = table.get("spring"), table.get("effects")
         if spring is not None:
-            self._check_registered([spring], gear_laws.names(), spring, "joint", index, "spring")
+            known = (gear_laws.AUTO, *gear_laws.names())
+            self._check_registered([spring], known, spring, "joint", index, "spring")
         if isinstance(names, str) and names != "auto":
             raise InvalidInput(
                 f"'effects' is {_abbreviated(names)}, but it should be a list of effects or "

@@ -8,7 +8,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Identification, Parameter, TorqueHistogram, TorsionFit
+from strainwave.domain import (
+    FloatArray,
+    Identification,
+    LawChoice,
+    Parameter,
+    TorqueHistogram,
+    TorsionFit,
+)
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.gear_laws import GearLaw, gear_law
 from strainwave.presentation.figures import (
@@ -43,6 +50,7 @@ class StiffnessCurve:
     loads: TorqueHistogram | None  # None if unknown
     is_equivalent: bool = False  # one stiffness approximates a curve
     is_prismatic: bool = False  # N and m instead of N m and rad
+    choice: LawChoice | None = None  # None if the study states the law
 
     @property
     def torque_unit(self) -> str:
@@ -69,6 +77,7 @@ def stiffness_curves(identification: Identification) -> list[StiffnessCurve]:
     """The curve of every elastic gear: of the whole-arm fit, else of the joint model."""
     whole_arm = identification.whole_arm
     loads = {h.joint: h for h in whole_arm.gear_loads} if whole_arm else {}
+    choices = {choice.joint: choice for choice in whole_arm.gear_laws} if whole_arm else {}
     fits = [(whole_arm.parameters, whole_arm.covariance)] if whole_arm else []
     for model in identification.joints:
         size = len(model.parameters)
@@ -82,7 +91,8 @@ def stiffness_curves(identification: Identification) -> list[StiffnessCurve]:
         if curve is not None:
             is_equivalent = joint.law.is_curved and not curve.is_nonlinear
             is_prismatic = joint.motion == "prismatic"
-            curves.append(replace(curve, is_equivalent=is_equivalent, is_prismatic=is_prismatic))
+            curve = replace(curve, is_equivalent=is_equivalent, is_prismatic=is_prismatic)
+            curves.append(replace(curve, choice=choices.get(number)))
     return curves
 
 
@@ -159,10 +169,24 @@ def describe(curve: StiffnessCurve) -> str:
     text = f"{curve.law.sentence(curve.values, std, is_straight=curve.is_prismatic)}."
     if curve.is_equivalent:
         text += " One equivalent stiffness approximates the whole curve."
+    if curve.choice is not None:
+        text += f" {_describe_choice(curve.choice)}"
     if curve.loads is not None:
         limit = f"{curve.largest_torque:.3g} {curve.torque_unit}"
         text += f" The largest gear torque in the records is {limit}; the curve is unknown above."
     return text
+
+
+def _describe_choice(choice: LawChoice) -> str:
+    """How the data support the selected law."""
+    if not choice.margins:
+        return f"The law is {choice.law}: no curve explains a considerable part of the residuals."
+    margins = (
+        f"{margin.difference:.3g} that of {margin.law} (weight {margin.weight:.2f})"
+        for margin in choice.margins
+    )
+    margin = ", ".join(margins)
+    return f"The data support the law {choice.law}: its held-out log score exceeds by {margin}."
 
 
 def _stiffness_curve(

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from strainwave.domain import Diagnostic
-from strainwave.domain.effects import all_effects
+from strainwave.domain.effects import possible_causes
 from strainwave.domain.messages import short_place
 from strainwave.presentation.report.blocks import Block, Cell, Span, paragraph, prose, table
 
@@ -41,7 +41,7 @@ _RESULT = {
     ),
     "not-described": Advice(
         "The model does not describe the records it was fitted to.",
-        'Give gears that harden spring = "three-slope"; else fit a likely effect.',
+        "Set what the warnings of likely causes state, such as spring or effects.",
     ),
     "urdf-mass": Advice(
         "The inertial values of the URDF are a guess. The base parameters do not depend on them.",
@@ -299,7 +299,8 @@ _SCOPE = {
         "Use a larger amplitude, or hold the link and load it.",
     ),
     "equivalent-stiffness": Advice(
-        "The value depends on the amplitude.", "Use the curve of the whole-arm fit."
+        "The value depends on the amplitude.",
+        "Use the curve of the whole-arm fit; record a larger amplitude if it has none.",
     ),
     "effect-taken-up": Advice(
         "The values belong to the model with this effect.",
@@ -329,7 +330,7 @@ def advice() -> Mapping[str, Advice]:
             f"Without this effect, {effect.consequence}.",
             effect.remedy,
         )
-        for effect in all_effects()
+        for effect in possible_causes()
     }
     return _RESULT | effects | _DATA | _SCOPE
 

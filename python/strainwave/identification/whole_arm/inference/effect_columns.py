@@ -61,7 +61,11 @@ class _Pass:
             for name, value in {**effect_named(one.effect).absent, **shapes}.items()
         }
         values = absent | values
-        joints = tuple(replace(joint, effects=names()) for joint in arm.joints)
+        laws = {one.joint: effect_named(one.effect).tested_law for one in tested}
+        joints = tuple(
+            replace(joint, spring=laws.get(number) or joint.spring, effects=names())
+            for number, joint in enumerate(arm.joints, start=1)
+        )
         records = set_record_effects(fit.objective.records, arm.with_joints(joints), values)
         return cls(
             records, values, {one: sizes_of(one.named_effect, fit.records) for one in tested}
@@ -92,15 +96,17 @@ class EffectColumns:
         """The columns of effects in addition to those of a fit.
 
         All effects at the first of their shapes share one simulation, and so do those of each
-        further number; effects that move several joints have one of their own. Raises
+        further number; effects that move several joints and other gear laws have their own. Raises
         `InvalidInput` or `NumericalFailure` if the arm with effects cannot be simulated with finite
         derivatives.
         """
         objective, n = fit.objective, len(fit.space.unknowns)
-        passes: dict[tuple[int, bool], dict[Hypothesis, Shapes]] = {}
+        passes: dict[tuple[int, bool, bool], dict[Hypothesis, Shapes]] = {}
         for one, shapes in tested.items():
-            moves_joints = one.joint in arm.coupled_joints and effect_named(one.effect).moves_output
-            passes.setdefault((one.number, moves_joints), {})[one] = shapes
+            effect = effect_named(one.effect)
+            moves_joints = one.joint in arm.coupled_joints and effect.moves_output
+            key = one.number, moves_joints, effect.tested_law is not None
+            passes.setdefault(key, {})[one] = shapes
         each = [_Pass.of(fit, arm, passes[key]) for key in sorted(passes)]
         sizes = {one: keys for run in each for one, keys in run.sizes.items()}
         n_sizes = sum(map(len, sizes.values()))

@@ -7,14 +7,21 @@ with the effect needs to be fitted.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, ParameterShift, ScoreTest
 from strainwave.domain.distributions import CI95_STDS, chi_square_limit
-from strainwave.domain.effects import Effect, all_effects, effect_named
+from strainwave.domain.effects import (
+    STIFFNESS_CURVE,
+    Effect,
+    all_effects,
+    effect_named,
+    possible_causes,
+)
+from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.link_sensors import constant_of
 from strainwave.domain.link_sensors.link_encoder import LinkEncoder
@@ -79,12 +86,27 @@ def score_tests_of(fit: Fit, arm: Arm) -> list[TestedEffect]:
     if not candidates:
         return []
     hypotheses = _hypotheses(fit, arm, candidates)
-    for steps in (lengthen_steps(fit), fit):  # some effects are too stiff for long steps
-        try:
-            return list(_select_forward(EffectColumns.of(steps, arm, hypotheses), fit))
-        except (InvalidInput, NumericalFailure):
-            continue
-    return []
+    starts = (lengthen_steps(fit), fit)  # some effects are too stiff for long steps
+    return next(filter(None, (_tested(one, fit, arm, hypotheses) for one in starts)), [])
+
+
+def curve_tests_of(fit: Fit, arm: Arm, joints: Collection[int]) -> list[TestedEffect]:
+    """Test a coarse fit for stiffness curves of joints, the most significant first."""
+    curves = [one for one in _missing_effects(fit, arm) if one[1] == STIFFNESS_CURVE.name]
+    hypotheses: dict[Hypothesis, Shapes] = {
+        Hypothesis(joint, name, 0): {} for joint, name in curves if joint in joints
+    }
+    return _tested(fit, fit, arm, hypotheses) if hypotheses else []
+
+
+def _tested(
+    steps: Fit, fit: Fit, arm: Arm, hypotheses: Mapping[Hypothesis, Shapes]
+) -> list[TestedEffect]:
+    """Score tests of a fit by the derivatives of `steps`; none if these do not exist."""
+    try:
+        return list(_select_forward(EffectColumns.of(steps, arm, hypotheses), fit))
+    except (InvalidInput, NumericalFailure):
+        return []
 
 
 def lengthen_steps(fit: Fit) -> Fit:
@@ -99,11 +121,14 @@ def _missing_effects(fit: Fit, arm: Arm) -> list[NamedEffect]:
     present = effects_in(fit.space, arm)
     channels = [channel for record in fit.objective.records for channel in record.channels]
     encoders = {c.joint for c in channels if isinstance(c.sensor, LinkEncoder)}
+    curved = {number for number, joint in enumerate(arm.joints, start=1) if joint.law.is_curved}
+    stiffnesses = {key for key in fit.space.keys if key[1] not in curved}
     return [
         (number, effect.name)
         for number, joint in enumerate(arm.joints, start=1)
-        for effect in all_effects()
+        for effect in possible_causes()
         if joint.elastic
+        and (effect.tested_law is None or (STIFFNESS, number) in stiffnesses)
         and (number, effect.name) not in present
         and (number == 1 or not effect.first_joint_only)
         and not (number in encoders and effect.moves_link_encoder)

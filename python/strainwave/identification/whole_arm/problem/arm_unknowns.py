@@ -9,6 +9,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Joint, JointModel, RigidModel
 from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.keys import Values
 from strainwave.domain.parameter_table import COULOMB, SETTLING, parameter_table
 from strainwave.domain.units import unit_in, unit_of
 from strainwave.dynamics.arm import Arm
@@ -91,6 +92,26 @@ def add_stiffness_curves(
         columns += [np.zeros_like(column)] * len(curve)
     prior = replace(space.prior, rows=np.column_stack(columns))
     return ParameterSpace(tuple(unknowns), space.fixed, prior)
+
+
+def replace_stiffness(
+    space: ParameterSpace, arm: Arm, values: Values, largest_torque: Sequence[float]
+) -> tuple[ParameterSpace, FloatArray]:
+    """Replace the linear stiffness of gears by the parameters of the laws of `arm`.
+
+    The laws start near the stiffness in `values`. Returns the space and the start (n_unknowns,).
+    """
+    at_values = replace(
+        space,
+        unknowns=tuple(
+            replace(unknown, start=values[unknown.key], scale=values[unknown.key])
+            if unknown.name == STIFFNESS and arm.joints[(unknown.joint or 1) - 1].law.is_curved
+            else unknown
+            for unknown in space.unknowns
+        ),
+    )
+    curved = add_stiffness_curves(at_values, arm, largest_torque)
+    return curved, curved.coordinates(curved.start_values | values)
 
 
 def _curve(stiffness: Unknown, joint: Joint, largest_torque: float) -> list[Unknown]:

@@ -204,12 +204,17 @@ def warn_removed_effects(space: ParameterSpace, arm: Arm) -> Iterator[Diagnostic
 def set_record_effects(
     records: Sequence[Dataset], arm: Arm, keys: Collection[Key]
 ) -> tuple[Dataset, ...]:
-    """Set the effects of the records' arm to those of `arm` with parameters among `keys`."""
-    effects = [joint.named_effects for joint in keep_known_effects(arm, keys).joints]
+    """Set gear laws and effects of the records' arm to those of `arm`.
+
+    Only effects with parameters among `keys` are set.
+    """
+    known = keep_known_effects(arm, keys).joints
 
     def with_effects(record: Dataset) -> Dataset:
-        pairs = zip(record.arm.joints, effects, strict=True)
-        joints = (replace(joint, effects=joint_effects) for joint, joint_effects in pairs)
+        joints = (
+            replace(joint, spring=each.spring, effects=each.named_effects)
+            for joint, each in zip(record.arm.joints, known, strict=True)
+        )
         return replace(record, arm=record.arm.with_joints(joints))
 
     return tuple(with_effects(record) for record in records)

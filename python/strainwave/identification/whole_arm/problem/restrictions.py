@@ -72,7 +72,7 @@ def restrict_space(
             remedy="remove at least one parameter from the list",
         )
     limited = tuple(
-        _limit(unknown, _factors_of(options, unknown.key), at)
+        limit_unknown(unknown, options, at)
         for unknown, at in zip(space.unknowns, z.tolist(), strict=True)
     )
     return replace(space, unknowns=limited).fix_values(held)
@@ -104,8 +104,9 @@ def _factors_of(options: WholeArmOptions, key: Key) -> tuple[float, float] | Non
     return given or (PUBLISHED_RANGE if is_limited else None)
 
 
-def _limit(unknown: Unknown, factors: tuple[float, float] | None, at: float) -> Unknown:
-    """Limit an unknown to factors of its value at coordinate `at`; a zero value is not limited."""
+def limit_unknown(unknown: Unknown, options: WholeArmOptions, at: float) -> Unknown:
+    """Limit an unknown to the options' factors of its value at coordinate `at`, unless it is 0."""
+    factors = _factors_of(options, unknown.key)
     if factors is None:
         return unknown
     if not unknown.signed:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
-from strainwave.domain import WholeArmOptions
+from strainwave.domain import LawChoice, WholeArmOptions
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.search.fit import Fit
@@ -27,11 +27,13 @@ MAX_CANDIDATE_EVALUATIONS = 10
 
 @dataclass
 class Selection:
-    """Arm, options and evaluation budget of a model selection."""
+    """Arm, options and evaluation budget of a model selection, and its choices of gear laws."""
 
     arm: Arm
     options: WholeArmOptions  # `max_iterations` grows when a candidate is granted evaluations
     budget: int = field(init=False)  # evaluations that the user allows for one fit
+    # of the joints whose gear law the fit selects; `arm` has the laws
+    law_choices: dict[int, LawChoice] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.budget = self.options.max_iterations

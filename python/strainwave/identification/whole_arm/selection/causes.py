@@ -11,6 +11,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
 from strainwave.domain import (
     WHOLE_ARM_FIT,
     Cause,
@@ -22,7 +24,8 @@ from strainwave.domain import (
     WholeArmOptions,
 )
 from strainwave.domain.distributions import chi_square_limit
-from strainwave.domain.effects import effect_named
+from strainwave.domain.effects import STIFFNESS_CURVE, effect_named
+from strainwave.domain.gear_laws import STIFFNESS, gear_law
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import base_name
 from strainwave.dynamics.arm import Arm
@@ -35,6 +38,7 @@ from strainwave.identification.whole_arm.inference.score_tests import (
     score_tests_of,
     shifts,
 )
+from strainwave.identification.whole_arm.problem.arm_unknowns import replace_stiffness
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     NamedEffect,
     add_effects,
@@ -110,16 +114,16 @@ class _Budget:
         return min(MAX_REFIT_EVALUATIONS, self.remaining)
 
 
-def fit_missing_effects(
-    fit: Fit, tested: Sequence[TestedEffect], arm: Arm, options: WholeArmOptions
-) -> Refits:
+def fit_missing_effects(fit: Fit, tested: Sequence[TestedEffect], selection: Selection) -> Refits:
     """Fit each of the most significant effects, within a budget of evaluations.
 
     No effect is fitted unless one is promising. `fit` is at its minimum, and `tested` is in order
     of significance.
     """
-    named = named_effects(arm)
-    unnamed = [one for one in tested if one.named_effect not in named]
+    arm, options = selection.arm, selection.options
+    decided = [(joint, STIFFNESS_CURVE.name) for joint in selection.law_choices]
+    excluded = {*named_effects(arm), *decided}
+    unnamed = [one for one in tested if one.named_effect not in excluded]
     promising = [one for one in unnamed if one.is_promising]
     if not promising:
         return Refits((), (), 0)
@@ -204,7 +208,12 @@ def _refit(
             best, gain = other, fit.cost - tested.rigid - other.cost
     if best is None:
         return None
-    parameter_shifts = tuple(shifts(fit, best.values))
+    values = best.values
+    joint, law = tested.named_effect[0], effect_named(tested.named_effect[1]).fitted_law
+    if law:  # its stiffness at zero torsion replaces the linear one
+        curve = gear_law(law).of_joint(values, joint)
+        values[STIFFNESS, joint] = float(gear_law(law).stiffness(curve, np.zeros(1))[0])
+    parameter_shifts = tuple(shifts(fit, values))
     n_added = len(best.space.unknowns) - n
     share = gain / max(fit.cost, 1e-300)
     evidence = schwarz_decrease(share, n_added, fit.cost)
@@ -215,20 +224,25 @@ def _search_with_effect(
     fit: Fit, one: NamedEffect, start: Values, loads: Loads, arm: Arm, options: WholeArmOptions
 ) -> Fit | None:
     """Search briefly with one additional effect, correct the step error, and search again."""
-    space, z = add_effects(fit.space, [one], arm, start, loads, fit.records)
+    extended = _with_possible_effect(arm, one)
+    if effect_named(one[1]).fitted_law:
+        space, z = replace_stiffness(fit.space, extended, fit.values | start, loads.torque)
+    else:
+        space, z = add_effects(fit.space, [one], arm, start, loads, fit.records)
     search = partial(search_minimum, options=options, tolerance=REFIT_GAIN_TOLERANCE)
     try:
-        first = search(
-            Fit.at(with_effects(fit.objective, space, _with_possible_effect(arm, one)), z)
-        )
+        first = search(Fit.at(with_effects(fit.objective, space, extended), z))
         return search(replace(first, objective=first.objective.correct_step_error(first.z)))
     except (InvalidInput, NotIdentifiable, NumericalFailure):
         return None
 
 
 def _with_possible_effect(arm: Arm, one: NamedEffect) -> Arm:
-    """The arm with one additional possible effect."""
+    """The arm with one additional possible effect, or with the gear law that it is."""
     number, effect = one
+    law = effect_named(effect).fitted_law
+    if law:
+        return arm.with_joint(number, spring=law)
     return arm.with_joints(
         replace(joint, effects=tuple(dict.fromkeys((*joint.possible_effects, effect))))
         if k == number
@@ -247,7 +261,8 @@ def _is_significant(refit: Refit, chance: float) -> bool:
 def _effect_parameters(refit: Refit) -> set[Key]:
     """The parameters of the refit's effect."""
     joint, effect = refit.named_effect
-    names = effect_named(effect).names
+    law = effect_named(effect).fitted_law
+    names = gear_law(law).names if law else effect_named(effect).names
     keys = refit.fit.space.keys
     return {key for key in keys if key[1] == joint and base_name(key[0]) in names}
 
@@ -286,9 +301,9 @@ def add_significant_effects(fit: Fit, selection: Selection) -> Fit:
             for one in score_tests_of(fit, arm)
             if arm.joints[one.test.joint - 1].selects_effects
         ]
-        refits = fit_missing_effects(fit, tested, arm, selection.options)
-        if not refits.fits:
-            break
+        refits = fit_missing_effects(fit, tested, selection)
+        if not refits.fits or refits.fits[0].named_effect[1] == STIFFNESS_CURVE.name:
+            break  # the study states the gear law: the conclusion names the cause
         selection.renew(fit)
         best = refits.fits[0]
         extended = _with_possible_effect(arm, best.named_effect)
@@ -319,6 +334,7 @@ def warn_likely_cause(causes: Sequence[Cause]) -> Iterator[Diagnostic]:
         clause = Clause(
             "effect-likely",
             effect=cause.effect,
+            setting=effect.setting,
             share=cause.share,
             sizes=tuple(_sizes(cause.parameters)),
             changes=_changes(cause.shifts) if cause.shifts else None,

@@ -12,6 +12,7 @@ from functools import partial
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection
 from strainwave.identification.whole_arm.selection.causes import add_significant_effects
+from strainwave.identification.whole_arm.selection.gear_laws import select_gear_laws
 from strainwave.identification.whole_arm.selection.initial_motion import (
     add_significant_initial_motion,
 )
@@ -42,6 +43,7 @@ from strainwave.identification.whole_arm.selection.stiffness_curves import (
 COARSE: tuple[Candidate, ...] = (
     add_significant_initial_motion,
     improve_mountings,
+    select_gear_laws,
     restart_coarse_fit,
     partial(add_significant_sensor_constants, coarse=True),
     partial(add_sensor_bandwidths, coarse=True),

@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import SearchEnd
-from strainwave.domain.gear_laws import GearLaw
+from strainwave.domain import LawChoice, SearchEnd
+from strainwave.domain.gear_laws import AUTO, GearLaw, stated_law
 from strainwave.domain.keys import Key, Values
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
+from strainwave.identification.whole_arm.problem.effect_unknowns import with_effects
 from strainwave.identification.whole_arm.records.loads import gear_torques
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search
@@ -87,7 +88,7 @@ def remove_insignificant_stiffness_terms(fit: Fit, selection: Selection) -> Fit:
     """Repeat the fit without the optional terms of gear laws that are zero within their errors.
 
     A chi-square distance tests all optional parameters of a gear together. Returns the fit itself
-    if all terms are significant.
+    if all terms are significant. A gear whose law the fit selects becomes linear.
     """
     keys, insignificant = fit.space.keys, dict[Key, float]()
     for number, joint in enumerate(selection.arm.joints, start=1):
@@ -98,4 +99,15 @@ def remove_insignificant_stiffness_terms(fit: Fit, selection: Selection) -> Fit:
             covariance = confidence_of(fit).cautious[np.ix_(places, places)]
             if estimate @ np.linalg.solve(covariance, estimate) < MIN_SIGNIFICANCE_STDS**2:
                 insignificant |= {keys[k]: 0.0 for k in places}
-    return refit_without(insignificant, fit, selection)
+    fit = refit_without(insignificant, fit, selection)
+    straight = selection.law_choices.keys() & {number for _, number in insignificant}
+    if not straight:
+        return fit
+    for number in straight:
+        linear = stated_law(AUTO).name
+        selection.arm = selection.arm.with_joint(number, spring=linear)
+        selection.law_choices[number] = LawChoice(number, linear)
+    removed = {key for key in insignificant if key[1] in straight}
+    fixed = {key: value for key, value in fit.space.fixed.items() if key not in removed}
+    space = replace(fit.space, fixed=fixed)
+    return replace(fit, objective=with_effects(fit.objective, space, selection.arm))
