@@ -15,14 +15,14 @@ from tuning_runs import shaken_study, simulated_logs
 
 
 def study_with(spring: str) -> Study:
-    study = shaken_study(scara.study(Path("nowhere"), "three-slope"), 10.0, order=6, joints=(1,))
+    study = shaken_study(scara.STIFF.study(Path("nowhere"), "three-slope"), 10.0, order=6, joints=(1,))
     joints = (replace(joint, spring=spring) for joint in study.arm.joints)
     return replace(study, arm=study.arm.with_joints(joints))
 
 
 @pytest.mark.parametrize("law", ["linear", "three-slope"])
 def test_the_parameters_state_the_law(law: str) -> None:
-    values = scara.parameters(5, law)
+    values = scara.STIFF.parameters(5, law)
     written, (log,) = simulated_logs(study_with("auto"), values)
     _, (expected,) = simulated_logs(study_with(law), values)
     for name, channel in expected.channels.items():
@@ -31,7 +31,7 @@ def test_the_parameters_state_the_law(law: str) -> None:
 
 
 def test_parameters_without_a_stiffness_are_refused() -> None:
-    values = scara.parameters(5, "linear")
+    values = scara.STIFF.parameters(5, "linear")
     del values["gear_stiffness", 2]
     with pytest.raises(InvalidInput, match="gear_stiffness of joint 2"):
         simulated_logs(study_with("auto"), values)

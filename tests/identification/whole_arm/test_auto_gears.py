@@ -40,11 +40,11 @@ STIFFENING = {1: 6e8, 2: 2e8}  # k_3 [N m/rad^3], as in test_cubic_gears.py
 def run(truth: str, stated: str, amplitude: float = 10.0) -> tuple[Values, ArmModel]:
     """True values, and the fit of open-loop records of 0.5 s of each joint with a stated law."""
     spring = "linear" if truth == "mixed" else truth
-    study = scara.study(Path("nowhere"), spring)
-    values = scara.parameters(5, spring)
+    study = scara.STIFF.study(Path("nowhere"), spring)
+    values = scara.STIFF.parameters(5, spring)
     if truth == "mixed":
         study = replace(study, arm=study.arm.with_joint(2, spring="three-slope"))
-        values |= scara.parameters(5, "three-slope")
+        values |= scara.STIFF.parameters(5, "three-slope")
     if truth == "cubic":
         values |= {(CUBIC, joint): cubic for joint, cubic in STIFFENING.items()}
     written, logs = simulated_logs(shaken_study(study, amplitude), values, noise=SensorNoise())
@@ -135,7 +135,7 @@ def test_below_the_first_knee_the_gear_is_linear() -> None:
 @pytest.mark.parametrize(("std", "warned"), [(1e7, False), (1e9, True)])
 def test_a_line_that_hides_a_curve_is_an_equivalent_stiffness(std: float, *, warned: bool) -> None:
     """Here 3 k_3 (T / k)^2 / k is 0.6 % or 60 % at the 95 % bound."""
-    study = with_spring(scara.study(Path("nowhere"), "linear"), "linear")
+    study = with_spring(scara.STIFF.study(Path("nowhere"), "linear"), "linear")
     selection = Selection(Arm.of(study.arm), WholeArmOptions())
     selection.law_choices = {1: LawChoice(1, "linear")}
     test = ScoreTest(1, "stiffness-curve", {CUBIC: 0.0}, {CUBIC: std}, 0.0, 0.0, False)
