@@ -169,6 +169,13 @@ def minimise(
         x, current = trial, candidate
 
 
+def full_step(at: Linearised, x: FloatArray, space: Space) -> FloatArray:
+    """Point (n,) after the Gauss-Newton step from x, limited to the range of the space."""
+    is_free = ~space.at_bounds(x, at.factor[:, :-1].T @ at.factor[:, -1])
+    _, step = _trusted_step(at.factor, 0.0, is_free, _StepLimit(space, x, 1.0))
+    return space.move(x, step)
+
+
 def _decreases(cost: float | None, current: float) -> bool:
     """Whether a cost is defined and less than the current one."""
     return cost is not None and cost < current
