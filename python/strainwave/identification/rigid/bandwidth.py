@@ -89,21 +89,18 @@ def select_bandwidth(trials: Sequence[Trial]) -> Trial:
     model error, because noise of the acceleration or a delay biases inertias at high frequencies.
     """
     is_rigid = not n_compliances(trials[0].arm)
-    spread = np.array([_total_spread(t, trials) if is_rigid else t.spread for t in trials])
+    spread = np.array([trial.spread for trial in trials])
+    for k, trial in enumerate(trials if is_rigid else ()):
+        below = [t for t in neighbours(trials, trial) if t.bandwidth_hz < trial.bandwidth_hz]
+        others = [(t.solution, np.diag(t.covariance)) for t in below]
+        excess = excess_variance(trial.solution, others)
+        spread[k] = 0.5 * np.log(np.exp(2.0 * spread[k]) + excess)
     least_spread = spread.min(axis=0)
     identified = np.isfinite(least_spread)
     regret = np.max(spread[:, identified] - least_spread[identified], axis=1, initial=0.0)
     if is_rigid:
         return trials[int(np.argmin(regret))]
     return trials[int(np.argmax(regret <= regret.min() + _MIN_LOG_GAIN))]
-
-
-def _total_spread(trial: Trial, trials: Sequence[Trial]) -> FloatArray:
-    """Log of the standard deviations (n_parameters,) with model error."""
-    below = [t for t in neighbours(trials, trial) if t.bandwidth_hz < trial.bandwidth_hz]
-    others = [(t.solution, np.diag(t.covariance)) for t in below]
-    excess = excess_variance(trial.solution, others)
-    return 0.5 * np.log(np.exp(2.0 * trial.spread) + excess)
 
 
 def neighbours(trials: Sequence[Trial], best: Trial) -> list[Trial]:

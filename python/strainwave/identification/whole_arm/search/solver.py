@@ -121,7 +121,7 @@ def _refine_corrected_ahead(fit: Fit, options: WholeArmOptions, tolerance: float
         z = full_step(at, fit.z, fit.space)
         try:
             ahead = fit.objective.correct_step_error(z)
-        except (InvalidInput, NumericalFailure):
+        except (InvalidInput, NumericalFailure):  # the step leads out of what can be simulated
             break
         cost = ahead.cost(z)
         fit = replace(fit, iterations=fit.iterations + 1)
