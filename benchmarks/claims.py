@@ -127,6 +127,8 @@ def check(
                             continue
                         measured = next(iter(figures_of(cell_at(tables, path))), None)
                         if measured is None:
+                            if is_part:  # no arm of this row
+                                continue
                             raise AnchorError(f"no number at {path}")
                         holds = agrees(kind, claimed, measured, is_part=is_part)
                         verdict = "agrees" if holds else "differs"
@@ -180,13 +182,18 @@ def _groups(text: str, pattern: str) -> str:
 
 
 def cell_at(tables: Sequence[Content], path: Sequence[str]) -> str:
-    """Cell at [number or title of the table, labels of the row, ..., head of the column]."""
+    """Cell at [number or title of the table, labels of the row, ..., head of the column].
+
+    Empty if the table has no such row.
+    """
     which, *labels, head = path
     chosen = [t for k, t in enumerate(tables) if which in (str(k), t["title"])]
-    rows = [row for t in chosen for row in t["rows"] if _in_order(labels, row)]
-    if len(rows) != 1 or head not in chosen[0]["heads"]:
-        raise AnchorError(f"{len(rows)} cells at {path} of the command's tables")
-    return str(rows[0][chosen[0]["heads"].index(head)])
+    if len(chosen) != 1 or head not in chosen[0]["heads"]:
+        raise AnchorError(f"{len(chosen)} tables of the command have a column at {path}")
+    rows = [row for row in chosen[0]["rows"] if _in_order(labels, row)]
+    if len(rows) > 1:
+        raise AnchorError(f"{len(rows)} rows of the command's table at {path}")
+    return str(rows[0][chosen[0]["heads"].index(head)]) if rows else ""
 
 
 def _in_order(labels: Sequence[str], row: Sequence[str]) -> bool:
@@ -219,7 +226,8 @@ def compare(run: Mapping[str, Any], root: Path, *, short: bool) -> Iterator[Comp
     except subprocess.CalledProcessError as failure:
         yield Comparison(run["name"], "", "", f"exit code {failure.returncode}: {command}")
         return
-    yield from check(run, tables, root, is_part=command != run["command"])
+    comparisons = list(check(run, tables, root, is_part=command != run["command"]))
+    yield from comparisons or [Comparison(run["name"], "", "", "nothing is compared")]
 
 
 def runs_of(table: Path) -> list[dict[str, Any]]:

@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from benchmarks.claims import ROOT, TABLE, agrees, cell_at, figures_of, main, runs_of
+from benchmarks.claims import ROOT, TABLE, AnchorError, agrees, cell_at, figures_of, main, runs_of
 
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted(ROOT.glob("docs/**/*.md"))]
 CLAIMS = """\
@@ -103,8 +103,10 @@ def test_tolerances(
 def test_labels_of_a_row_are_in_the_order_of_its_cells() -> None:
     table = {"title": "t", "heads": ["n", "kind", "m"], "rows": [["2", "a", "3"], ["3", "a", "2"]]}
     assert cell_at([table], ["t", "2", "a", "m"]) == "3"
-    with pytest.raises(LookupError):
-        cell_at([table], ["0", "a", "m"])
+    assert cell_at([table], ["t", "4", "a", "m"]) == ""
+    for ambiguous in (["0", "a", "m"], ["0", "2", "a", "no column"], ["1", "2", "a", "m"]):
+        with pytest.raises(AnchorError):
+            cell_at([table], ambiguous)
 
 
 def test_every_quoted_command_is_checked_or_has_a_reason() -> None:
