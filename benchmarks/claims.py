@@ -109,44 +109,59 @@ def agrees(kind: str, claimed: Figure, measured: Figure, *, is_part: bool) -> bo
     return is_large and sizes[1] <= high * _MAX_RATIOS[kind]
 
 
-def check(
-    run: Mapping[str, Any], tables: Sequence[Content], root: Path, *, is_part: bool
-) -> Iterator[Comparison]:
-    """Compare all claims of a run with the tables of its command."""
-    for claim in run["claims"]:
-        text = (root / claim["document"]).read_text(encoding="utf-8")
-        for row, labels in claim.get("rows", {claim.get("text"): ""}).items():
-            name = f"{claim['document']}: {row}"
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """A number of a document and the place of its measurement."""
+
+    name: str
+    kind: str
+    figure: Figure
+    path: Sequence[str]
+
+
+def claims_of(run: Mapping[str, Any], root: Path) -> Iterator[Claim | Comparison]:
+    """The claims of a run; a failed comparison for each that is not in its document."""
+    for each in run["claims"]:
+        text = (root / each["document"]).read_text(encoding="utf-8")
+        for row, labels in each.get("rows", {each.get("text"): ""}).items():
+            name = f"{each['document']}: {row}"
             try:
-                cells = _row(text, claim, row) if "rows" in claim else {"": _groups(text, row)}
-                for head, sources in claim["figures"].items():
+                cells = _row(text, each, row) if "rows" in each else {"": _groups(text, row)}
+                for head, sources in each["figures"].items():
                     if head not in cells:
                         raise AnchorError(f"no column '{head}'")
-                    for kind, claimed, path in _pairs(cells[head], sources, labels):
-                        if is_part and kind not in _KINDS_OF_PARTS:
-                            continue
-                        measured = next(iter(figures_of(cell_at(tables, path))), None)
-                        if measured is None:
-                            if is_part:  # no arm of this row
-                                continue
-                            raise AnchorError(f"no number at {path}")
-                        holds = agrees(kind, claimed, measured, is_part=is_part)
-                        verdict = "agrees" if holds else "differs"
-                        yield Comparison(f"{name}: {head}", claimed.text, measured.text, verdict)
+                    figures = figures_of(cells[head])
+                    kinds = [sources] if isinstance(sources, str) else sources
+                    if figures and len(figures) != len(kinds):
+                        raise AnchorError(f"{len(kinds)} figures for '{cells[head]}' of '{head}'")
+                    for figure, source in zip(figures, kinds, strict=False):
+                        kind, *path = source.split(" | ")
+                        path = [*filter(None, labels.split(" | ")), *path]
+                        yield Claim(f"{name}: {head}", kind, figure, path)
             except AnchorError as error:
                 yield Comparison(name, "", "", str(error))
 
 
-def _pairs(
-    cell: str, sources: str | Sequence[str], labels: str
-) -> Iterator[tuple[str, Figure, list[str]]]:
-    """Kind, figure and path of each number of a document's cell; none if it has no number."""
-    claimed, each = figures_of(cell), [sources] if isinstance(sources, str) else sources
-    if claimed and len(claimed) != len(each):
-        raise AnchorError(f"{len(each)} figures are compared with '{cell}'")
-    for figure, source in zip(claimed, each, strict=False):
-        kind, *path = source.split(" | ")
-        yield kind, figure, [*filter(None, labels.split(" | ")), *path]
+def check(
+    run: Mapping[str, Any], tables: Sequence[Content], root: Path, *, is_part: bool
+) -> Iterator[Comparison]:
+    """Compare all claims of a run with the tables of its command."""
+    for claim in claims_of(run, root):
+        if isinstance(claim, Comparison):
+            yield claim
+        elif not is_part or claim.kind in _KINDS_OF_PARTS:
+            try:
+                cell = cell_at(tables, claim.path)
+            except AnchorError as error:
+                yield Comparison(claim.name, claim.figure.text, "", str(error))
+                continue
+            measured = next(iter(figures_of(cell)), None)
+            if measured is not None:
+                holds = agrees(claim.kind, claim.figure, measured, is_part=is_part)
+                verdict = "agrees" if holds else "differs"
+                yield Comparison(claim.name, claim.figure.text, measured.text, verdict)
+            elif not is_part:  # a part may have no arm of this row
+                yield Comparison(claim.name, claim.figure.text, "", f"no number at {claim.path}")
 
 
 def _row(text: str, claim: Mapping[str, Any], row: str) -> dict[str, str]:
@@ -206,6 +221,7 @@ def measure(command: str) -> list[Content]:
     """Tables that a command prints. Raises `subprocess.CalledProcessError` if it fails."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "tables.jsonl"
+        path.touch()
         fresh = command.replace(FRESH, str(Path(folder) / "results.jsonl"))
         words = [sys.executable if word == "python" else word for word in shlex.split(fresh)]
         environment = {**os.environ, TABLES_VARIABLE: str(path), "OPENBLAS_NUM_THREADS": "1"}

@@ -7,7 +7,18 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from benchmarks.claims import ROOT, TABLE, AnchorError, agrees, cell_at, figures_of, main, runs_of
+from benchmarks.claims import (
+    ROOT,
+    TABLE,
+    AnchorError,
+    Comparison,
+    agrees,
+    cell_at,
+    claims_of,
+    figures_of,
+    main,
+    runs_of,
+)
 
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted(ROOT.glob("docs/**/*.md"))]
 CLAIMS = """\
@@ -107,6 +118,13 @@ def test_labels_of_a_row_are_in_the_order_of_its_cells() -> None:
     for ambiguous in (["0", "a", "m"], ["0", "2", "a", "no column"], ["1", "2", "a", "m"]):
         with pytest.raises(AnchorError):
             cell_at([table], ambiguous)
+
+
+def test_every_claim_is_in_its_document() -> None:
+    for run in runs_of(TABLE):
+        claims = list(claims_of(run, ROOT))
+        assert claims, run["name"]
+        assert [claim for claim in claims if isinstance(claim, Comparison)] == [], run["name"]
 
 
 def test_every_quoted_command_is_checked_or_has_a_reason() -> None:
