@@ -90,12 +90,12 @@ def main() -> None:
     result = design(options.draws)
     settling, margins = result.steps.settling, result.margins
     table = Table("of all plants", "least", "largest", box=None)
-    table.add_row("settling within 2 % [s]", f"{settling.min():.3f}", f"{settling.max():.3f}")
-    table.add_row("overshoot [%]", "", f"{100.0 * result.steps.overshoot.max():.2g}")
-    table.add_row("gain margin [dB]", f"{margins.gain_db.min():.3g}", "")
-    table.add_row("phase margin [degrees]", f"{margins.phase_deg.min():.3g}", "")
+    table.add_row("settling within 2 %, s", f"{settling.min():.3f}", f"{settling.max():.3f}")
+    table.add_row("overshoot, %", "", f"{100.0 * result.steps.overshoot.max():.2g}")
+    table.add_row("gain margin, dB", f"{margins.gain_db.min():.3g}", "")
+    table.add_row("phase margin, degrees", f"{margins.phase_deg.min():.3g}", "")
     table.add_row("modulus margin", f"{margins.modulus.min():.2g}", "")
-    table.add_row("bandwidth [Hz]", f"{margins.bandwidth_hz.min():.3g}", "")
+    table.add_row("bandwidth, Hz", f"{margins.bandwidth_hz.min():.3g}", "")
     Console().print(f"{len(settling)} plants; required are {REQUIRED_SECONDS:g} s", table)
 
 
