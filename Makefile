@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 DEMO   := build/demo
 RUST   := $(shell find rust -name '*.rs' -o -name Cargo.toml 2>/dev/null) Cargo.toml Cargo.lock
 
-.PHONY: setup develop demo comparisons test check bench docs wheel lock clean
+.PHONY: setup develop demo comparisons test check bench claims docs wheel lock clean
 
 setup: $(VENV)/.built
 
@@ -72,6 +72,10 @@ check: develop
 
 bench: develop
 	$(BIN)/python -m benchmarks
+
+# Measures the documented numbers again and lists those that differ; CLAIMS=short takes three minutes, all take hours.
+claims: develop
+	$(BIN)/python -m benchmarks.claims $(if $(filter short,$(CLAIMS)),--short)
 
 # Runs the notebooks; a warning is an error. Open build/docs/index.html.
 docs: develop

@@ -9,10 +9,10 @@ import importlib
 import pkgutil
 import sys
 
-from rich.console import Console
 from rich.table import Table
 
 import benchmarks
+from benchmarks.console import Console
 from benchmarks.timing import Row
 
 

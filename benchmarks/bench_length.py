@@ -17,7 +17,9 @@ import time
 from pathlib import Path
 
 import numpy as np
+from rich.table import Table
 
+from benchmarks.console import Console
 from benchmarks.timing import Row
 from strainwave.domain import FloatArray
 from strainwave.dynamics.arm import Arm
@@ -157,6 +159,8 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["--fit"]:
         _fit(Path(sys.argv[2]))
     else:
-        for size in map(int, sys.argv[1:] or SIZES):
-            figures = measure(size)
-            print(f"{size:,} rows: " + ", ".join(f"{k} {v:.4g}" for k, v in figures.items()))
+        lengths = [(size, measure(size)) for size in map(int, sys.argv[1:] or SIZES)]
+        table = Table("rows", *lengths[0][1], box=None)
+        for size, figures in lengths:
+            table.add_row(f"{size:,}", *(f"{x:.4g}" for x in figures.values()))
+        Console().print(table)

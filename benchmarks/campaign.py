@@ -22,9 +22,9 @@ from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.console import Console
 from strainwave import pipeline
 from strainwave.campaign import Settings, run
 from strainwave.campaign.schema import PARAMETERS_SCHEMA, RUNS_SCHEMA

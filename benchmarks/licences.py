@@ -18,8 +18,9 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
+
+from benchmarks.console import Console
 
 ROOT = Path(__file__).parents[1]
 FREE = {

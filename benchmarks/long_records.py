@@ -14,9 +14,9 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.console import Console
 from strainwave.domain import Experiment, Prbs, Study
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.virtual import scara

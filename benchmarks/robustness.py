@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from scipy.stats import binomtest
 
+from benchmarks.console import Console
 from strainwave.campaign.store import read_parameters, read_runs
 
 Row = dict[str, Any]

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.console import Console
 from strainwave.domain import FloatArray
 from strainwave.monitoring.shapes import Series, fit_change
 from strainwave.monitoring.trend import trend

@@ -150,10 +150,10 @@ def test_check_records_that_cannot_be_simulated_have_a_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The log of one record lacks a reference; a simulation of the other may diverge."""
-    study = scara.study(tmp_path, "linear")
+    study = scara.STIFF.study(tmp_path, "linear")
     names = ("step-check-j1", "step-check-j2")
     study = replace(study, experiments=tuple(e for e in study.experiments if e.name in names))
-    values = scara.parameters(spring="linear")
+    values = scara.STIFF.parameters(spring="linear")
     virtual.simulate_study(study, values, tmp_path)
     first, second = read_logs(study)
     channels = {name: x for name, x in second.channels.items() if name != "ref2"}

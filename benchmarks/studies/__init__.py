@@ -5,6 +5,7 @@ Run one with `python -m benchmarks.studies.NAME`; the page next to it has the nu
 | study | measures | page |
 |---|---|---|
 | lab | errors of every stage on logs of known arms | docs/benchmarks.md |
+| measured | parameters and predictions of measured machines | docs/benchmarks.md |
 | engine | errors on drawn arms simulated in MuJoCo | README, docs/benchmarks.md |
 | coverage | coverage of 95 % intervals, also over a gear catalogue | docs/benchmarks.md |
 | sensors | errors and coverage with few or mixed sensors | README, docs/benchmarks.md |

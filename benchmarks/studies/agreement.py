@@ -15,9 +15,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.console import Console
 from strainwave.domain import FloatArray, Identification, Prbs, Study
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.io.logs import read_logs, write_log

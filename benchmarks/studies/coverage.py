@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.console import Console, share_of
 from benchmarks.studies import arms
 from benchmarks.studies.arms import run_all, run_on_logs
 from strainwave.domain import Parameter
@@ -104,10 +104,9 @@ def coverage_by_class(results: Sequence[dict[str, Any]], key: str) -> Table:
             rows = [row for row in result[key] if parameter_kind(row[0]) == kind]
             coverage["parameter", kind] += [row[4] for row in rows if row[4] is not None]
             n_arms["parameter", kind] += 1
-    table = Table("class", "", "arms", "intervals", "inside %", box=None, title=key)
+    table = Table("class", "", "arms", "inside", box=None, title=key)
     for (kind, name), inside in sorted(coverage.items()):
-        share = f"{100.0 * np.mean(inside):.1f}" if inside else ""
-        table.add_row(kind, name, str(n_arms[kind, name]), str(len(inside)), share)
+        table.add_row(kind, name, str(n_arms[kind, name]), share_of(inside))
     return table
 
 

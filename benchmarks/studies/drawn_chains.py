@@ -22,9 +22,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.console import Console, share_of
 from benchmarks.studies.arms import run_all
 from benchmarks.studies.engine import in_mujoco
 from strainwave.domain import (
@@ -398,7 +398,52 @@ def tabulate(rows: Sequence[dict[str, Any]]) -> list[Table]:
         cpu = [row["cpu"] for row in rows if row["joints"] == n and "cpu" in row]
         if cpu:
             times.add_row(str(n), str(len(cpu)), f"{np.median(cpu):.0f} s", f"{max(cpu):.0f} s")
-    return [chains, classes, times]
+    return [chains, classes, times, *_summaries(rows)]
+
+
+_GROUPS: dict[str, Sequence[int]] = {
+    "2 to 4": (2, 3, 4),
+    "5 to 7": (5, 6, 7),
+    "all": _JOINT_NUMBERS,
+}
+"""Numbers of joints whose chains are counted together."""
+_ERRORS = {
+    "inertias": ("motor inertia", "base, inertia"),
+    "stiffness": ("stiffness",),
+    "gear damping": ("gear damping",),
+    "Coulomb friction": ("Coulomb friction",),
+}
+"""Classes whose largest error is counted together."""
+
+
+def _summaries(rows: Sequence[dict[str, Any]]) -> list[Table]:
+    """Verdicts, coverage and times by joints and sensors; largest errors by groups of chains."""
+    verdicts = ("determined", "partly-determined", "not-determined")
+    heads = ("joints", "sensors", "chains", *verdicts, "inside", "median CPU", "largest CPU")
+    by_sensors = Table(*heads, box=None, title="verdicts")
+    for n, sensors in sorted({(row["joints"], row["sensors"]) for row in rows}):
+        group = [row for row in rows if (row["joints"], row["sensors"]) == (n, sensors)]
+        inside = [p["inside"] for p in _identified(group)]
+        cpu = [row["cpu"] for row in group if "cpu" in row]
+        counts = [str(sum(row.get("status") == verdict for row in group)) for verdict in verdicts]
+        times = (f"{x:.0f} s" for x in (np.median(cpu), max(cpu))) if cpu else ("", "")
+        hits = f"{sum(inside)} of {len(inside)}"
+        by_sensors.add_row(str(n), sensors, str(len(group)), *counts, hits, *times)
+    errors = Table("joints", "chains", *_ERRORS, "inside", box=None, title="largest errors")
+    for name, numbers in _GROUPS.items():
+        group = [row for row in rows if row["joints"] in numbers]
+        parameters, cells = _identified(group), []
+        for classes in _ERRORS.values():
+            of_class = [p for p in parameters if any(_CLASSES[c](p["name"]) for c in classes)]
+            largest = max((abs(p["error"]) for p in of_class), default=np.nan)
+            cells.append(f"{100.0 * largest:.2g} %")
+        inside = [p["inside"] for p in parameters]
+        errors.add_row(name, str(len(group)), *cells, share_of(inside))
+    return [by_sensors, errors]
+
+
+def _identified(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [p for row in rows for p in row.get("parameters", []) if p["identified"]]
 
 
 def main() -> None:

@@ -18,10 +18,10 @@ from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from scipy.signal import butter, cont2discrete, lfilter, lfilter_zi
 
+from benchmarks.console import Console, share_of
 from benchmarks.studies.arms import draw_arm, run_all, run_on_logs
 from strainwave.domain import Control, Experiment, FloatArray, Joint, Parameter, Prbs, Study, Use
 from strainwave.domain.keys import Values
@@ -409,6 +409,7 @@ def main() -> None:
     options = parser.parse_args()
     console = Console()
     table = Table("arm", "kind", *LIMITS, "inside", "status", box=None)
+    by_kind = {kind: list[tuple[dict[str, float], list[bool]]]() for kind in KINDS}
     work = partial(run_on_logs, work=evaluate, arm=lab_rig, simulator=in_mujoco)
     for result in run_all(range(options.arms), work, options.out):
         kind = result["seed"] % len(KINDS)
@@ -424,7 +425,17 @@ def main() -> None:
         inside = [parameter[4] for parameter in result["parameters"]]
         share = f"{sum(inside)}/{len(inside)}"
         table.add_row(str(result["seed"]), KINDS[kind], *cells, share, result["status"])
+        by_kind[KINDS[kind]].append((largest, inside))
     console.print(table)
+    summary = Table("kind", "arms", *LIMITS, "inside", box=None, title="largest errors [%]")
+    for name, arms in by_kind.items():
+        largest = {
+            key: max(errors[key] for errors, _ in arms) for key in (arms[0][0] if arms else ())
+        }
+        cells = [f"{largest[key]:.2g}" if key in largest else "" for key in LIMITS]
+        share = share_of([one for _, inside in arms for one in inside])
+        summary.add_row(name, str(len(arms)), *cells, share)
+    console.print(summary)
 
 
 def _cell(error: float | None, limit: float) -> str:

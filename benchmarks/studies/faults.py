@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.console import Console
 from benchmarks.studies import arms
 from strainwave.domain.keys import Values
 from strainwave.errors import InvalidInput

@@ -17,9 +17,9 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.console import Console
 from benchmarks.studies import arms
 from strainwave.domain import Identification, Log, Study
 from strainwave.domain.keys import Values

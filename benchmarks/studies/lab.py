@@ -14,9 +14,9 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.console import Console
 from strainwave.domain import Identification, Parameter
 from strainwave.domain.keys import Values
 from strainwave.io import logs
@@ -104,7 +104,8 @@ def main() -> None:
         true_values = derived(
             read_parameters(folder / "truth.json"), read_study(folder / "study.toml").arm
         )
-        table = Table("stage", *(f"{kind} %" for kind in KINDS), "inside", box=None)
+        title = f"{folder.name}{', no link sensors' if options.without_link_sensors else ''}"
+        table = Table("stage", *(f"{kind} %" for kind in KINDS), "inside", box=None, title=title)
         for stage, parameters in parameters_by_stage(result).items():
             table.add_row(stage, *error_cells(parameters, true_values))
         console.print(f"{folder.name}: {result.verdict.status}")

@@ -17,9 +17,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.console import Console
 from benchmarks.studies import arms
 from strainwave import campaign
 from strainwave.campaign.store import read_runs

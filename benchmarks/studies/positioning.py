@@ -16,8 +16,9 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from rich.console import Console
+from rich.table import Table
 
+from benchmarks.console import Console
 from strainwave.domain import ArmDescription, Joint, Servo, Study
 from strainwave.domain.keys import Values
 from strainwave.export.source import IdentifiedArm
@@ -88,13 +89,14 @@ def main() -> None:
     options = parser.parse_args()
     result = design(options.draws)
     settling, margins = result.steps.settling, result.margins
-    Console().print(
-        f"{len(settling)} plants: the load settles within 2 % in {settling.min():.3f} to "
-        f"{settling.max():.3f} s (required {REQUIRED_SECONDS:g} s), overshoot "
-        f"{100.0 * result.steps.overshoot.max():.2g} %, margins {margins.gain_db.min():.3g} dB, "
-        f"{margins.phase_deg.min():.3g} degrees, modulus {margins.modulus.min():.2g}, bandwidth "
-        f"{margins.bandwidth_hz.min():.3g} Hz"
-    )
+    table = Table("of all plants", "least", "largest", box=None)
+    table.add_row("settling within 2 %, s", f"{settling.min():.3f}", f"{settling.max():.3f}")
+    table.add_row("overshoot, %", "", f"{100.0 * result.steps.overshoot.max():.2g}")
+    table.add_row("gain margin, dB", f"{margins.gain_db.min():.3g}", "")
+    table.add_row("phase margin, degrees", f"{margins.phase_deg.min():.3g}", "")
+    table.add_row("modulus margin", f"{margins.modulus.min():.2g}", "")
+    table.add_row("bandwidth, Hz", f"{margins.bandwidth_hz.min():.3g}", "")
+    Console().print(f"{len(settling)} plants; required are {REQUIRED_SECONDS:g} s", table)
 
 
 if __name__ == "__main__":

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.console import Console, share_of
 from benchmarks.studies.arms import run_all, run_on_logs
 from benchmarks.studies.coverage import (
     ENGINE_PARAMETER,
@@ -234,35 +234,33 @@ def _largest_errors(results: Iterable[Mapping[str, Any]]) -> dict[str, float]:
     return dict(largest)
 
 
-def summary(results: Sequence[Mapping[str, Any]]) -> Table:
-    """All arms: verdicts, optima, coverage, errors."""
-    table = Table("", "", box=None)
+def summary(results: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """All arms: verdicts and optima; coverage and errors by kind of parameter."""
+    verdicts = Table("verdict", "arms", "at the optimum from the true values", box=None)
     fitted = [result for result in results if "parameters" in result]
     for verdict in ("determined", "partly-determined", "not-determined", "inconsistent-input"):
         group = [result for result in results if result.get("verdict") == verdict]
         same = sum(result.get("distance", np.inf) < SAME_OPTIMUM for result in group)
-        text = f"{len(group)}, {same} at the optimum reached from the true values"
-        table.add_row(verdict, text)
-    table.add_row("failures", str(sum("failure" in result for result in results)))
+        verdicts.add_row(verdict, str(len(group)), str(same))
+    verdicts.add_row("failure", str(sum("failure" in result for result in results)))
     wrong = sum(result["verdict"] == "determined" and bool(result["wrong"]) for result in fitted)
-    table.add_row("silently wrong", str(wrong))
+    verdicts.add_row("silently wrong", str(wrong))
+    seconds = [result["seconds"] for result in results if "seconds" in result]
+    if seconds:
+        verdicts.add_row("processor time [s]", f"{np.median(seconds):.1f}, {max(seconds):.1f}")
     coverage: dict[str, list[bool]] = defaultdict(list)
     errors: dict[str, list[float]] = defaultdict(list)
     for result in fitted:
         for name, _, error, std, inside in result["parameters"]:
             if inside is not None:
-                coverage[parameter_kind(name)].append(inside)
-                errors[parameter_kind(name)].append(100.0 * abs(error) * std)
-    total = [inside for of_kind in coverage.values() for inside in of_kind]
-    table.add_row("inside", f"{100.0 * np.mean(total):.1f} % of {len(total)}" if total else "")
+                for kind in ("all", parameter_kind(name)):
+                    coverage[kind].append(inside)
+                    errors[kind].append(100.0 * abs(error) * std)
+    kinds = Table("parameters", "inside", "median error", "largest error", box=None)
     for kind, of_kind in sorted(coverage.items()):
-        error = np.array(errors[kind])
-        text = f"inside {100.0 * np.mean(of_kind):.1f} %, errors {np.median(error):.2g} %"
-        table.add_row(kind, f"{text}, at most {error.max():.2g} %")
-    seconds = [result["seconds"] for result in results if "seconds" in result]
-    text = f"{np.median(seconds):.1f}, at most {max(seconds):.1f}" if seconds else ""
-    table.add_row("processor time [s]", text)
-    return table
+        sizes = (f"{size:.2g} %" for size in (np.median(errors[kind]), max(errors[kind])))
+        kinds.add_row(kind, share_of(of_kind), *sizes)
+    return [verdicts, kinds]
 
 
 def main() -> None:
@@ -290,7 +288,8 @@ def main() -> None:
     for result in run_all(range(options.arms), work, options.out):
         results.append(result)
         print(line(result), flush=True)
-    Console().print(summary(results))
+    for table in summary(results):
+        Console().print(table)
 
 
 def _draw(seed: int, *, sensors: Sequence[str], series: int, catalogue: bool) -> Rig:

@@ -21,9 +21,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.console import Console
 from benchmarks.peers.rigid_chain import fit_plain
 from strainwave.domain import FloatArray, FrictionTerm, RigidModel, RigidOptions, Signals
 from strainwave.dynamics.arm import Arm
@@ -183,7 +183,7 @@ def main() -> None:
             arm, model, motion, checks = fit_study(path)
             same = rigid.fit_rigid(motion, arm, RigidOptions(bandwidth_hz=cutoff_hz))
             for method, solution, terms in (
-                (f"strainwave, {model.bandwidth_hz:.0f} Hz", model.solution, model.friction_terms),
+                ("strainwave, own band", model.solution, model.friction_terms),
                 ("strainwave, same filter", same.solution, same.friction_terms),
                 ("Pinocchio", fit_plain(arm, motion, cutoff_hz), ()),
                 (
@@ -194,6 +194,7 @@ def main() -> None:
             ):
                 fits = held_out_fits(arm, solution, checks, cutoff_hz, terms)
                 table.add_row(label, f"{cutoff_hz:g} Hz", method, *(f"{fit:.1f}" for fit in fits))
+            Console().print(f"{label}: own band of {model.bandwidth_hz:.0f} Hz")
         Console().print(table)
         arm, model, motion, _ = fit_study(write_tx40(arguments.tx40, copy, {"motion": _WHOLE}))
     values = Table("parameter", "strainwave", "std", "published", "std", "difference", box=None)

@@ -10,8 +10,9 @@ import argparse
 from dataclasses import replace
 
 import numpy as np
-from rich.console import Console
+from rich.table import Table
 
+from benchmarks.console import Console
 from strainwave.domain import Suspicion
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
@@ -52,7 +53,9 @@ def main() -> None:
         n_suspected += bool(suspicions)
         for suspicion in suspicions:
             console.print(f"{number}: {suspicion.code}: {suspicion.message}")
-    console.print(f"{n_suspected} of {options.arms} arms without a fault are suspected")
+    table = Table("arms without a fault", "suspected", box=None)
+    table.add_row(str(options.arms), str(n_suspected))
+    console.print(table)
 
 
 if __name__ == "__main__":

@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
+from rich.table import Table
 
+from benchmarks.console import Console, share_of
 from benchmarks.studies.arms import run_all
 from benchmarks.studies.drawn_chains import Chain, draw_chain, identify_chain, silently_wrong
 from strainwave.domain import Control, Experiment, Use
@@ -65,11 +66,11 @@ def main() -> None:
         wrong = "; ".join(silently_wrong(row))
         console.print(f"{row['seed']}: {row['joints']} joints, {row['engine']}: {outcome} {wrong}")
     sizes = 100.0 * np.abs([p["error"] for p in found])
-    inside = 100.0 * np.mean([p["inside"] for p in found])
-    console.print(
-        f"{len(found)} of {n_joints} joints with a stiffness; {inside:.0f} % of the intervals hold;"
-        f" median error {np.median(sizes):.2f} %, largest {sizes.max():.1f} %"
-    )
+    inside = share_of([p["inside"] for p in found])
+    table = Table("joints", "with a stiffness", "inside", "median error", "largest", box=None)
+    cells = (f"{np.median(sizes):.2f} %", f"{sizes.max():.1f} %")
+    table.add_row(str(n_joints), str(len(found)), inside, *cells)
+    console.print(table)
 
 
 if __name__ == "__main__":

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.console import Console
 from benchmarks.studies.arms import run_all
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm

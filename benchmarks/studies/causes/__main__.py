@@ -7,8 +7,7 @@ import json
 from functools import partial
 from pathlib import Path
 
-from rich.console import Console
-
+from benchmarks.console import Console
 from benchmarks.studies.arms import run_all
 from benchmarks.studies.causes.evaluation import Engine, evaluate_in_turn
 from benchmarks.studies.causes.runs import causes

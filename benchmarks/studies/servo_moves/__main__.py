@@ -6,9 +6,8 @@ import argparse
 from collections.abc import Iterable
 from pathlib import Path
 
-from rich.console import Console
-
 import benchmarks.studies.servo_moves as study
+from benchmarks.console import Console
 from benchmarks.studies.servo_moves.moves import moves, tracking
 from benchmarks.studies.servo_moves.page import (
     LOOP_HEADS,

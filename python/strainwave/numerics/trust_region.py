@@ -149,7 +149,8 @@ def minimise(
         evaluations += 1
         gain_ratio = -np.inf
         candidate = None
-        if not (was_rejected and cost) or _decreases(cost(trial), current.cost):
+        plain_cost = cost(trial) if was_rejected and cost else -np.inf
+        if plain_cost is not None and plain_cost < current.cost:
             candidate = linearise(trial)
         if candidate is not None:
             gain_ratio = (current.cost - candidate.cost) / max(predicted, 1e-300)
@@ -169,9 +170,11 @@ def minimise(
         x, current = trial, candidate
 
 
-def _decreases(cost: float | None, current: float) -> bool:
-    """Whether a cost is defined and less than the current one."""
-    return cost is not None and cost < current
+def full_step(at: Linearised, x: FloatArray, space: Space) -> FloatArray:
+    """Point (n,) after the Gauss-Newton step from x, limited to the range of the space."""
+    is_free = ~space.at_bounds(x, at.factor[:, :-1].T @ at.factor[:, -1])
+    _, step = _trusted_step(at.factor, 0.0, is_free, _StepLimit(space, x, 1.0))
+    return space.move(x, step)
 
 
 @dataclass(frozen=True, slots=True)

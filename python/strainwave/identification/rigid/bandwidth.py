@@ -85,13 +85,20 @@ def select_bandwidth(trials: Sequence[Trial]) -> Trial:
 
     The regret of a bandwidth is the largest ratio of a standard deviation to its minimum over the
     bandwidths. For elastic gears, the lowest bandwidth with a small regret is selected, because
-    model error is largest at high frequencies.
+    model error is largest at high frequencies. For rigid gears, the standard deviations include the
+    model error, because noise of the acceleration or a delay biases inertias at high frequencies.
     """
+    is_rigid = not n_compliances(trials[0].arm)
     spread = np.array([trial.spread for trial in trials])
+    for k, trial in enumerate(trials if is_rigid else ()):
+        below = [t for t in neighbours(trials, trial) if t.bandwidth_hz < trial.bandwidth_hz]
+        others = [(t.solution, np.diag(t.covariance)) for t in below]
+        excess = excess_variance(trial.solution, others)
+        spread[k] = 0.5 * np.log(np.exp(2.0 * spread[k]) + excess)
     least_spread = spread.min(axis=0)
     identified = np.isfinite(least_spread)
     regret = np.max(spread[:, identified] - least_spread[identified], axis=1, initial=0.0)
-    if not n_compliances(trials[0].arm):
+    if is_rigid:
         return trials[int(np.argmin(regret))]
     return trials[int(np.argmax(regret <= regret.min() + _MIN_LOG_GAIN))]
 

@@ -35,45 +35,6 @@ _MAX_LOG_CHANGE = 0.7  # of a shape in one iteration
 _ROWS_PER_INDEPENDENT_ROW = 2.0
 
 
-def select_terms(best: Trial, load_friction: bool | None) -> tuple[Candidate, ...]:
-    """Terms that the data support, with their shapes at the selected bandwidth.
-
-    Empty for arms with elastic gears: their load is not known accurately enough, and the whole-arm
-    fit estimates the friction. `load_friction` is the option: True includes the load friction of
-    all joints, False of none. Planar arms and single joints have no other candidates, as published.
-    """
-    arm = best.arm
-    if n_compliances(arm):
-        return ()
-    if arm.base.has_groups:
-        return _forward_selection(best, load_friction)
-    return tuple(Candidate(LOAD, joint) for joint in _loaded_joints(best, load_friction))
-
-
-def _loaded_joints(best: Trial, wanted: bool | None) -> list[int]:
-    """Joints, from 0, whose friction increases with the load.
-
-    All joints if `wanted` is True. Otherwise those with a significant share whose other parameters
-    are physically possible: a share together with negative friction indicates another cause.
-    """
-    arm = best.arm
-    joints = list(range(arm.n_joints))
-    if wanted is False or not best.determined.all():
-        return []
-    if wanted:
-        return joints
-    candidates = [Candidate(LOAD, joint) for joint in joints]
-    terms = Terms.of(candidates, best.stretches)
-    first_solution = ls.factorise(
-        assemble(arm, best.stretches, best.estimate, terms), best.factor.root
-    )
-    # one solve excludes most arms; iteration takes many times as long
-    if np.all(first_solution.common <= _MIN_LOAD_FRICTION):
-        return []
-    trial = best.refit_with_terms(candidates)
-    return [c.joint for k, c in enumerate(candidates) if _is_supported(trial, k, c)]
-
-
 def _is_supported(trial: Trial, k: int, candidate: Candidate) -> bool:
     """Whether a term is significant and no parameter of its joint is impossible."""
     smallest = _MIN_LOAD_FRICTION if candidate.effect == LOAD else 0.0
@@ -82,18 +43,26 @@ def _is_supported(trial: Trial, k: int, candidate: Candidate) -> bool:
     return bool(size > max(smallest, _MIN_STDS * std)) and candidate.joint + 1 not in implausible
 
 
-def _forward_selection(best: Trial, load_friction: bool | None) -> tuple[Candidate, ...]:
-    """Add the term of each joint that decreases the BIC most, while terms are significant.
+def select_terms(best: Trial, load_friction: bool | None) -> tuple[Candidate, ...]:
+    """Terms that the data support, with their shapes at the selected bandwidth.
+
+    Adds the term of each joint that decreases the BIC most, while terms are significant.
 
         BIC = n ln(cost) + ln(n) (number of terms and shapes)
 
-    with n independent rows of the joint.
+    with n independent rows of the joint. Empty for arms with elastic gears: their load is not known
+    accurately enough, and the whole-arm fit estimates the friction. `load_friction` is the option:
+    True includes the load friction of all joints, False of none. Planar arms and single joints have
+    no other candidates, as published.
     """
     arm = best.arm
+    if n_compliances(arm):
+        return ()
     columns = best.determined[arm.n_body : arm.n_body + FRICTION_COLUMNS * arm.n_joints]
     is_determined = columns.reshape(arm.n_joints, FRICTION_COLUMNS).all(axis=1)
     chosen = [Candidate(LOAD, joint) for joint in range(arm.n_joints)] if load_friction else []
-    effects = [STRIBECK, POWER] if load_friction is False else [LOAD, STRIBECK, POWER]
+    effects = [STRIBECK, POWER] if arm.base.has_groups else []
+    effects += [LOAD] if load_friction is None else []
     rest = {(e, i) for e in effects for i in np.flatnonzero(is_determined).tolist()}
     for _ in range(_MAX_ROUNDS):
         trial = best.refit_with_terms(chosen) if chosen else best
@@ -126,6 +95,8 @@ def _best_candidates(
     least: dict[int, tuple[float, Candidate]] = {}
     for effect, shapes in _alternatives(trial):
         added = [Candidate(effect, i, shapes[i]) for i in range(n_joints) if (effect, i) in rest]
+        if not added:
+            continue
         costs, sizes = _costs(trial, [*chosen, *added])
         for candidate, size in zip(added, sizes[len(chosen) :].tolist(), strict=True):
             i = candidate.joint

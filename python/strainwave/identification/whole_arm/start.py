@@ -207,8 +207,9 @@ def _scan_stiffness(start: Fit, joint: int) -> Fit:
     ratio = 1.0
     for grid in (_stiffness_ratios(part, start.z, joint), _REFINEMENT):
         ratios = [ratio * one for one in grid]
-        costs = [_cost_at_stiffness(part, start.z, joint, one) for one in ratios]
-        ratio = ratios[int(np.argmin(costs))]
+        scaled = (part.replace_unknowns(_scale_stiffness(part.space, joint, r)) for r in ratios)
+        costs = [each.cost(start.z) for each in scaled]
+        ratio = ratios[int(np.argmin([np.inf if cost is None else cost for cost in costs]))]
     return start.restart(
         start.objective.replace_unknowns(_scale_stiffness(start.space, joint, ratio)), start.z
     )
@@ -223,15 +224,6 @@ def _stiffness_ratios(objective: Objective, z: FloatArray, joint: int) -> list[f
     stiffest = max(highest / stiffness, 1.0 / _SOFTEST)
     n = int(np.log(stiffest / _SOFTEST) / np.log(_STIFFNESS_STEP)) + 2
     return [float(ratio) for ratio in np.geomspace(_SOFTEST, stiffest, n)]
-
-
-def _cost_at_stiffness(
-    objective: Objective, z: FloatArray, joint: int | None, ratio: float
-) -> float:
-    """Cost with a multiple of the stiffness of a joint; infinite if it cannot be simulated."""
-    scaled = objective.replace_unknowns(_scale_stiffness(objective.space, joint, ratio))
-    cost = scaled.cost(z)
-    return np.inf if cost is None else cost
 
 
 def _scale_stiffness(space: ParameterSpace, joint: int | None, ratio: float) -> ParameterSpace:

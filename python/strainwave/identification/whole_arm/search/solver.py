@@ -11,10 +11,10 @@ from itertools import count
 import numpy as np
 
 from strainwave.domain import FloatArray, SearchEnd, WholeArmOptions
-from strainwave.errors import NotIdentifiable
+from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.numerics.trust_region import Linearised, minimise
+from strainwave.numerics.trust_region import Linearised, full_step, minimise
 
 # predicted cost reduction at which a coarse search ends, absolute and relative to the cost
 COARSE_TOLERANCE, COARSE_RELATIVE_TOLERANCE = 1.0, 2e-3
@@ -29,6 +29,7 @@ _MAX_DECREASED_RATIO = 0.7
 # Maximum evaluations with the same weights near the minimum. If the model lacks an effect, the cost
 # is rough, and slow progress would use up the evaluations before the effect is found.
 _MAX_EVALUATIONS_PER_WEIGHTS = 20
+_MAX_CORRECTIONS_AHEAD = 4  # Gauss-Newton steps of a stalled search; one is usual
 _NEAR_DAMPING = 1e-8  # initial damping near the minimum
 
 
@@ -102,6 +103,31 @@ def fine_search(start: Fit, options: WholeArmOptions) -> Fit:
             return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
         corrected = fit.objective.correct_step_error(fit.z).update_weights(fit.z)
         fit = refine(replace(fit, objective=corrected), options, tolerance)
+        if fit.end is SearchEnd.STALLED:
+            fit = _refine_corrected_ahead(fit, options, tolerance)
+    return fit
+
+
+def _refine_corrected_ahead(fit: Fit, options: WholeArmOptions, tolerance: float) -> Fit:
+    """Refine a stalled fit from its Gauss-Newton step, with the step error corrected there.
+
+    The correction is exact only where it was computed. Where motors stick, the cost jumps around
+    that point, and a search stalls there although the exact cost decreases.
+    """
+    for _ in range(_MAX_CORRECTIONS_AHEAD):
+        at = fit.objective.linearise(fit.z)
+        if fit.end is not SearchEnd.STALLED or at is None:
+            break
+        z = full_step(at, fit.z, fit.space)
+        try:
+            ahead = fit.objective.correct_step_error(z)
+        except (InvalidInput, NumericalFailure):  # the step leads out of what can be simulated
+            break
+        cost = ahead.cost(z)
+        fit = replace(fit, iterations=fit.iterations + 1)
+        if cost is None or at.cost - cost < tolerance or fit.iterations >= options.max_iterations:
+            break
+        fit = refine(replace(fit, objective=ahead.update_weights(z), z=z), options, tolerance)
     return fit
 
 
