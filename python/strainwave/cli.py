@@ -474,7 +474,9 @@ def demo(
     arm: Annotated[
         Literal["soft", "stiff"],
         typer.Option(
-            "--arm", help="Built-in arm: soft gears, or stiff ones, which are loaded less."
+            "--arm",
+            help="Built-in arm: soft gears, or stiff ones, which are loaded less.",
+            metavar="soft|stiff",
         ),
     ] = "soft",
     figures: Figures = False,

@@ -34,8 +34,8 @@ STUDY = "arm/study.toml"
 def arm_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Logs and study of the virtual arm; copy the folder before you change it."""
     folder = tmp_path_factory.mktemp("virtual") / "arm"
-    study = scara.SOFT.study(folder)
-    simulate_study(study, scara.SOFT.parameters(), folder, noise=SensorNoise(), as_recorded=False)
+    study = scara.STIFF.study(folder)
+    simulate_study(study, scara.STIFF.parameters(), folder, noise=SensorNoise(), as_recorded=False)
     return folder
 
 

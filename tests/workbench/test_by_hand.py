@@ -25,7 +25,7 @@ SETTING = {"experiment": "step-j1", "start": "arm/truth.json", "from": None}
 @pytest.fixture
 def begun(client: TestClient, folder: Path) -> Any:
     (folder / "arm" / "truth.json").write_text(
-        json.dumps(parameter_document(scara.SOFT.parameters()))
+        json.dumps(parameter_document(scara.STIFF.parameters()))
     )
     return client.post(f"/api/by-hand-begin/{STUDY}", json=SETTING).json()
 
@@ -68,7 +68,7 @@ def test_the_bode_plot_follows_the_sliders(client: TestClient, begun: Any) -> No
 def test_sliders_start_at_the_values_and_have_units(begun: Any) -> None:
     one = next(s for s in begun["sliders"] if s["label"] == "gear_damping 1")
     assert one["unit"] == "N m s/rad"
-    assert one["low"] < one["value"] == scara.SOFT.parameters()["gear_damping", 1] < one["high"]
+    assert one["low"] < one["value"] == scara.STIFF.parameters()["gear_damping", 1] < one["high"]
 
 
 def test_impossible_values_give_a_sentence(client: TestClient, begun: Any) -> None:
@@ -87,7 +87,7 @@ def test_unknown_parameters_are_refused(client: TestClient, begun: Any, entry: o
 def test_values_are_saved_as_a_parameter_file(client: TestClient, begun: Any, folder: Path) -> None:
     body = {"name": "mine", "values": values_of(begun)}
     assert client.post(f"/api/by-hand-save/{STUDY}", json=body).json() == {"file": "mine.json"}
-    assert read_parameters(folder / "arm" / "mine.json") == scara.SOFT.parameters()
+    assert read_parameters(folder / "arm" / "mine.json") == scara.STIFF.parameters()
     assert client.post(f"/api/by-hand-save/{STUDY}", json=body).status_code == 400
 
 

@@ -42,7 +42,7 @@ def test_a_value_cannot_become_another_option() -> None:
 
 
 def test_a_plan_is_made_shown_and_downloaded(client: TestClient, folder: Path) -> None:
-    truth = json.dumps(parameter_document(scara.SOFT.parameters()))
+    truth = json.dumps(parameter_document(scara.STIFF.parameters()))
     (folder / "arm" / "truth.json").write_text(truth)
     options = {"limit-angle": "0.8", "limit-velocity": "120"}
     body = {"kind": "excite", "parameters": "arm/truth.json", "options": options}
@@ -63,7 +63,7 @@ def test_a_plan_is_made_shown_and_downloaded(client: TestClient, folder: Path) -
 
 
 def test_errors_of_the_command_line_are_shown(client: TestClient, folder: Path) -> None:
-    truth = json.dumps(parameter_document(scara.SOFT.parameters()))
+    truth = json.dumps(parameter_document(scara.STIFF.parameters()))
     (folder / "arm" / "truth.json").write_text(truth)
     options = {"limit-angle": "x", "limit-velocity": "120"}
     body = {"kind": "excite", "parameters": "arm/truth.json", "options": options}

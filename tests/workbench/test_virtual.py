@@ -32,7 +32,7 @@ def test_settings_change_the_truth_and_the_study(tmp_path: Path) -> None:
     assert rig.values["motor_coulomb_friction", 2] == 0.5 * usual["motor_coulomb_friction", 2]
     assert rig.values["alpha", None] == usual["alpha", None]
     assert {e.prbs.amplitude for e in rig.study.experiments if e.prbs} == {6.0}
-    assert rig.study.arm.joints[0].accelerometer_distance == 0.33
+    assert rig.study.arm.joints[0].accelerometer_distance == scara.SOFT.accelerometer_distance[0]
     assert rig.study.arm.joints[0].gyro_hz is None
 
 

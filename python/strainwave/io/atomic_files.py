@@ -20,7 +20,7 @@ def write_whole(folder: Path, contents: Mapping[str, bytes]) -> None:
     """Write files into a folder: temporary files first, then one rename each.
 
     A reader sees the old file or the new one, never a part. The folder is created if necessary. A
-    name may contain one subfolder: `figures/bode.svg`. Raises `InvalidInput` if the folder cannot
+    name may contain subfolders: `figures/bode.svg`. Raises `InvalidInput` if the folder cannot
     be created or written to.
     """
     with writing:
@@ -34,7 +34,7 @@ def _write_whole(folder: Path, contents: Mapping[str, bytes]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         for name, data in contents.items():
             final = folder / name
-            final.parent.mkdir(exist_ok=True)
+            final.parent.mkdir(parents=True, exist_ok=True)
             handle, temporary = tempfile.mkstemp(prefix=f".{final.name}.", dir=final.parent)
             pending.append((Path(temporary), final))
             with os.fdopen(handle, "wb") as file:

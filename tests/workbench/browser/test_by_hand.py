@@ -11,7 +11,7 @@ from strainwave.workbench.hand_simulation import parameter_document
 
 def test_a_slider_moves_the_curves(visit: Any) -> None:
     start = visit.folder / "arm" / "start.json"
-    start.write_text(json.dumps(parameter_document(scara.SOFT.parameters())))
+    start.write_text(json.dumps(parameter_document(scara.STIFF.parameters())))
     page = visit.open("/by-hand/arm/study.toml")
     page.select_option("#record", "step-j1")
     page.wait_for_selector("#note[data-record='step-j1']", state="attached")
