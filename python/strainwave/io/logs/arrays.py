@@ -48,7 +48,8 @@ def array_table(
 
     The common length is the most frequent length of the longest axes, the largest of equally
     frequent ones. A matrix without name, or the only array of a file if it contains its own time,
-    is `data`. `stamps` are the names of sources in seconds. Raises InvalidInput if no array contains numbers.
+    is `data`. `stamps` are the names of sources in seconds. Raises InvalidInput
+    if no array contains numbers.
     """
     omitted = dict(omitted)
     usable = {}

@@ -23,13 +23,15 @@ from strainwave.io.logs.clock_text import clock_of, stamp_seconds
 from strainwave.io.logs.table import Clock, Table
 
 DELIMITERS = ("\t", ";", ",", "|", " ")
-"""Delimiters of columns; the one that gives the most numbers applies, the first of equal ones."""
+"""Delimiters of columns; the one that gives the most numbers applies, the first of similar ones."""
 _PROBE_BYTES = 1 << 16  # [bytes] in which the first rows are expected; longer preambles take more
 _SAMPLE_LINES = 60  # lines from which the delimiter and the types of the columns are found
+_MIN_GAIN = 1.25  # ratio of numbers for which a later delimiter applies; a preamble has few
 _LOOKAHEAD_LINES = 3  # lines of which one must be a row for the body to start above
 _NUMBER = re.compile(
     r"[+-]?(?:(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:[eE][+-]?\d+)?|inf(?:inity)?)", re.I
 )
+_SEVERAL = re.compile(r"[-+.\d]+[;,|\s]+[-+.\d]")
 _MISSING = ("", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None")
 _MISSING += ("-nan(ind)", "-1.#IND", "1.#QNAN", "---", "--", "-")
 _FLAGS = frozenset({"true", "false", "on", "off", "yes", "no"})
@@ -40,9 +42,9 @@ _UNIT_WORD = (
     r"(?:[numµμkM]?(?:s|m|g|A|V|W|N|Nm|rad|Hz|Pa|J)|cm|us|min|h|deg(?:rees?)?|°|°C|K|rev|rpm|RPM|rps"
     r"|turns?|counts?|cnts?|inc|ticks?|pulses?|LSB|bits?|%|‰|bar|bool|int|kgf|lb|in|samples?"
     r"|(?:milli|micro|nano)?[sS]ec(?:ond)?s?|[sS]equence|[vV]olts?|[aA]mp(?:ere)?s?"
-    r"|[nN]ewtons?|[rR]adians?|[cC]elsius|[mM]eters?|Sekunden|Grad|[12])"
+    r"|[nN]ewtons?|[rR]adians?|[cC]elsius|[mM]eters?|Sekunden|Grad)"
 )
-_UNIT = re.compile(rf"{_UNIT_WORD}(?:\s?[*·./^ -]?\s?(?:{_UNIT_WORD}|\^?-?[23²³]))*|-")
+_UNIT = rf"(?:1/)?{_UNIT_WORD}(?:\s?[*·./^ -]?\s?(?:{_UNIT_WORD}|\^?-?[23²³]))*|[-1]"  # compiled on use
 _BRACKETED = re.compile(r"[\[(<](.*)[\])>]")
 _Kind = str  # "number", "text", "flag", "empty" or the type of a clock
 
@@ -53,7 +55,7 @@ def open_text(data: bytes, path: Path) -> Table:
     Raises InvalidInput if the text has no rows of numbers, or if two columns have the same name.
     """
     data, assumptions = _to_utf8(data, path)
-    if not data.strip():
+    if not data or data.isspace():
         raise InvalidInput("is empty", where=str(path), remedy="record the experiment again")
     layout = _find_layout(data, path)
     header = _read_header(layout, path)
@@ -84,9 +86,9 @@ def _to_utf8(data: bytes, path: Path) -> tuple[bytes, list[str]]:
     if data.startswith(codecs.BOM_UTF8):
         data = data[3:]
     encoding = "utf-16" if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else ""
-    if not encoding and len(data) > 3 and 0 in data[:2] and data[0] != data[1]:
-        if data[:4].count(0) == 2:  # without byte order mark: every other byte is zero
-            encoding = "utf-16-be" if data[0] == 0 else "utf-16-le"
+    if not encoding and len(data) % 2 == 0 and data[:4:2].count(0) + data[1:4:2].count(0) == 2:
+        # without byte order mark: every other byte is zero
+        encoding = {b"\0\0": "utf-16-be"}.get(data[:4:2], "utf-16-le")
     if encoding:
         try:
             return data.decode(encoding).encode(), []
@@ -160,16 +162,19 @@ def _text(lines: Sequence[bytes]) -> list[str]:
 
 def _layout_of(probe: Sequence[bytes], end: Sequence[str]) -> _Layout | None:
     lines = _text(probe)
-    sample = [line for line in lines if line.strip()][-_SAMPLE_LINES:] + [*filter(str.strip, end)]
+    sample = [*filter(str.strip, lines)][-_SAMPLE_LINES:]
+    sample += filter(str.strip, end)
     best: list[list[str]] = []
     delimiter, max_numbers = ",", 0
     for candidate in DELIMITERS:
+        if not any(candidate in line for line in sample) and candidate != ",":
+            continue
         rows = [_split(line, candidate) for line in sample]
         numbers: Counter[int] = Counter()
         for row in rows:
-            numbers[len(row)] += sum(_NUMBER.fullmatch(cell) is not None for cell in row)
+            numbers[len(row)] += sum(map(_weight, row))
         width, count = max(numbers.items(), key=lambda item: item[1], default=(0, 0))
-        if count > max_numbers:
+        if count > _MIN_GAIN * max_numbers:
             best = [row for row in rows if len(row) == width]
             delimiter, max_numbers = candidate, count
     if not best:
@@ -185,6 +190,13 @@ def _layout_of(probe: Sequence[bytes], end: Sequence[str]) -> _Layout | None:
     return replace(layout, head=lines[:first], start=sum(map(len, probe[:first])), kinds=kinds)
 
 
+def _weight(cell: str) -> int:
+    """1 for a number, -1 for several numbers, which need another delimiter."""
+    if _NUMBER.fullmatch(cell):
+        return 1
+    return -1 if _SEVERAL.match(cell) and clock_of(cell) is None else 0
+
+
 def _first_row(lines: Sequence[str], layout: _Layout) -> int | None:
     """Return the index of the first line that is a row and is followed by another one."""
     filled = [index for index, line in enumerate(lines) if line.strip()]
@@ -193,8 +205,15 @@ def _first_row(lines: Sequence[str], layout: _Layout) -> int | None:
             following = filled[place + 1 : place + 1 + _LOOKAHEAD_LINES]
             rows = (_split(lines[other], layout.delimiter) for other in following)
             if not following or any(layout.is_row(row) for row in rows):
-                return index
+                is_header = _is_numbering(_split(lines[index], layout.delimiter))
+                return following[0] if is_header and following else index
     return None
+
+
+def _is_numbering(cells: Sequence[str]) -> bool:
+    """Whether cells are a header of column numbers: 0, 1, 2, ..."""
+    numbers = [cell for cell in cells if cell]
+    return len(numbers) > 2 and numbers == [str(k) for k in range(len(numbers))]
 
 
 def _column_kinds(rows: Sequence[Sequence[str]]) -> tuple[_Kind, ...]:
@@ -286,10 +305,11 @@ def _header_rows(layout: _Layout, path: Path) -> list[_Line]:
         if cells is not None:
             rows.append(_Line(number, cells))
         elif line.strip() and not _COMMENT.match(line):
-            n_cells = len(_trimmed(_split(line, layout.delimiter)))
-            if not rows and n_cells > 1 and 2 * n_cells >= layout.width:
+            names = _trimmed(_split(line, layout.delimiter))
+            is_header = number == len(layout.head) and all(_kind(name) == "text" for name in names)
+            if is_header and len(names) > 1 and 2 * len(names) >= layout.width:
                 raise InvalidInput(
-                    f"{n_cells} columns are named, but the rows below have {layout.width} values",
+                    f"{len(names)} columns are named, but the rows below have {layout.width} values",
                     where=f"{path}, line {number}",
                     remedy="correct this line: one name for each column",
                 )
@@ -298,9 +318,8 @@ def _header_rows(layout: _Layout, path: Path) -> list[_Line]:
         if len(rows) > 1 and _is_unit_row(rows[0], layout):
             break
         number, cells = rows.pop(0)
-        numbers = [cell for cell in cells if cell]
-        if numbers == [str(k) for k in range(len(numbers))]:
-            return []  # a header of column numbers
+        if _is_numbering(cells) or number < len(layout.head):
+            return []
         for index, kind in enumerate(layout.kinds):
             if kind == "number":
                 _check_number(
@@ -346,7 +365,7 @@ def _is_name_row(row: _Line, layout: _Layout) -> bool:
 
 def _is_unit_row(row: _Line, layout: _Layout) -> bool:
     cells = [cell for cell in _used(row, layout) if cell]
-    units = [c for c in cells if _UNIT.fullmatch(c) or _BRACKETED.fullmatch(c)]
+    units = [c for c in cells if re.fullmatch(_UNIT, c) or _BRACKETED.fullmatch(c)]
     return bool(cells) and 2 * len(units) >= len(cells) and max(map(len, cells)) <= _MAX_UNIT
 
 
@@ -533,9 +552,8 @@ def _count_footer(data: bytes, layout: _Layout) -> int:
 
 def _footer_start(data: bytes, n_lines: int) -> int:
     """Return the position of the last lines [bytes]."""
-    end = len(data.rstrip())
-    for line in reversed(
-        data[-_PROBE_BYTES:].rstrip().splitlines(keepends=True)[-n_lines:] if n_lines else []
-    ):
-        end -= len(line)
-    return end if n_lines else len(data)
+    if not n_lines:
+        return len(data)
+    end = data[-_PROBE_BYTES:]
+    size = len(end) - len(end.rstrip())
+    return len(data) - size - sum(map(len, end.rstrip().splitlines(keepends=True)[-n_lines:]))
