@@ -110,9 +110,9 @@ def test_invalid_tables_are_refused() -> None:
     first = next(iter(data))
     with pytest.raises(sw.InvalidInput, match="is not a table, but int"):
         sw.identify(STUDY, data={first: 3})
-    with pytest.raises(sw.InvalidInput, match=rf"data\['{first}'\].*not a vector of numbers"):
+    with pytest.raises(sw.InvalidInput, match=rf"data\['{first}'\].*is not usable: text"):
         sw.identify(STUDY, data={first: data[first] | {"u1_counts": ["a", "b"]}}, stages=("rigid",))
-    with pytest.raises(sw.InvalidInput, match="differ in length"):
+    with pytest.raises(sw.InvalidInput, match="is not usable: a length other than"):
         sw.identify(STUDY, data={first: data[first] | {"u1_counts": np.ones(3)}}, stages=("rigid",))
     with pytest.raises(sw.InvalidInput, match="the study has no experiment 'another'"):
         sw.identify(STUDY, data={"another": data[first]})

@@ -13,7 +13,7 @@ import scipy.io
 import studies
 from strainwave.domain import FloatArray, Log, Study
 from strainwave.errors import InvalidInput
-from strainwave.io.logs import read_log, read_logs, tables, write_log
+from strainwave.io.logs import read_log, read_logs, write_log
 from strainwave.io.study import read_study
 
 
@@ -198,14 +198,14 @@ def edited(line: int, text: str) -> str:
 
 FAULTS: dict[str, tuple[str | bytes, str]] = {
     "empty": ("", "is empty"),
-    "header only": ("t,u1,u2,theta_m1,theta_m2\n", r"has 0 row|cannot be read|is empty"),
+    "header only": ("t,u1,u2,theta_m1,theta_m2\n", "line 1: there is no row of numbers"),
     "two rows": (
         "\n".join(studies.csv_text(studies.columns()).splitlines()[:3]),
         r"has 2 row\(s\)",
     ),
     "no header": (
         "\n".join(studies.csv_text(studies.columns()).splitlines()[1:]),
-        "contains numbers, not",
+        r"no column 't', which .*the file has: data\[0\], data\[1\]",
     ),
     "same name twice": (edited(1, "t,u1,u1,theta_m1,theta_m2,a1"), "two columns named 'u1'"),
     "missing column": (
@@ -225,17 +225,14 @@ FAULTS: dict[str, tuple[str | bytes, str]] = {
         edited(9, "0.007,0,0,high,-0.03,1"),
         r"line 9, column 'theta_m1': 'high' is not a number",
     ),
-    "nothing": (edited(9, "0.007,0,,0.07,-0.03,1"), r"line 9, column 'u2': there is no value"),
+    "nothing": (edited(9, "0.007,0,,0.07,-0.03,1"), r"line 9, column 'u2': the value is nan"),
     "too few values": (edited(9, "0.007,0,0"), r"line 9: 3 values where the header names 6"),
     "cut off": (edited(41, "0.039,0.1,0.9,0.3"), r"line 41: the log is truncated: 4 values"),
     "time stands": (
         edited(9, "0.006,0,0,0.07,-0.03,1"),
         r"line 9: time does not increase: 0.006 s after",
     ),
-    "not UTF-8": (
-        edited(9, "x").encode().replace(b"x", b"\xe9"),
-        "line 9: is not UTF-8: byte 0xe9",
-    ),
+    "UTF-16 without an end": (b"\xff\xfet\0,", "is not valid UTF-16"),
     "null bytes": (
         edited(9, "0.007,0,0,\0,-0.03,1"),
         r"line 9, column 'theta_m1': .*is not a number",
@@ -268,7 +265,7 @@ def test_the_error_locates_every_fault(fault: str, tmp_path: Path) -> None:
         (
             "log.parquet",
             parquet(studies.columns() | {"u1": np.array(["x"] * 40)}),
-            "contains .*string",
+            "'u1'.* is not usable: text",
         ),
         ("log.parquet", b"", "is not a Parquet file"),
         ("log.csv.gz", b"t,u1\n", "cannot be unpacked"),
@@ -295,7 +292,7 @@ def test_the_error_states_the_row_of_a_null_in_a_parquet_file(tmp_path: Path) ->
     with_null = pa.array([None if k == 6 else float(k) for k in range(40)])
     sink = io.BytesIO()
     pq.write_table(table.set_column(index, "u1", with_null), sink)
-    with pytest.raises(InvalidInput, match=r"column 'u1', row 7: there is no value"):
+    with pytest.raises(InvalidInput, match=r"row 7, column 'u1': the value is nan"):
         renamed(tmp_path, "log.parquet", sink.getvalue())
 
 
@@ -382,13 +379,3 @@ def test_reads_every_log_of_the_measured_data(shared_data: Path) -> None:
         codes[path.parent.name] = {warning.code for log in logs for warning in log.warnings}
     assert codes.pop("dfki-double-pendulum") == {"resampled"}
     assert not any(codes.values())
-
-
-def test_arrow_keeps_no_reference_to_python_objects() -> None:
-    """Arrow's reader copies its input.
-
-    Its threads need the interpreter to release a Python object, possibly after its shutdown.
-    """
-    data = b"t,u1\n" * 1000
-    assert tables._reader(data).read_buffer().address != pa.py_buffer(data).address
-    assert tables._reader(data).read() == data

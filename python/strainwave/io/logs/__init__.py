@@ -126,8 +126,11 @@ def _sources(study: Study, experiment: Experiment, table: Table | Bag) -> dict[s
     for name in channel_names(study.arm.n_joints):
         channel = study.channels.get(name)
         if channel is not None and channel.column not in table.names:
-            # a recorded topic without the field indicates a wrong field, not a missing sensor
-            misnamed = isinstance(table, Bag) and table.has_topic_of(channel.column)
+            # a recorded topic without the field, or a column of text, is no missing sensor
+            if isinstance(table, Bag):
+                misnamed = table.has_topic_of(channel.column)
+            else:
+                misnamed = channel.column in table.omitted
             if name == "t" or name.startswith("theta_m") or misnamed:
                 raise _missing_mapped_column(name, channel, table)
             continue  # absent in this log

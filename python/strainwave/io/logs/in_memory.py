@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from strainwave.domain import FloatArray
+import numpy as np
+
 from strainwave.errors import InvalidInput
-from strainwave.io.logs.tables import Table, vectors
+from strainwave.io.logs.arrays import array_table, sources_of
+from strainwave.io.logs.table import Table
 
 Data = Mapping[str, Any]
 """Name of an experiment -> its log: a table in memory, or the path of a file."""
 
 
 def open_memory_table(data: Any, where: str) -> Table:
-    """Open a table in memory: pandas, polars, Arrow, or a mapping of str to (n_samples,).
+    """Open a table in memory: pandas, polars, Arrow, or a mapping of str to arrays.
 
     `where` is the name for messages. Float64 columns are not copied. Raises InvalidInput if `data`
-    is not a table; a column that is not a numeric vector raises when it is read.
+    is not a table or contains no numbers.
     """
     names = _names(data)
     if names is None:
@@ -34,10 +37,21 @@ def open_memory_table(data: Any, where: str) -> Table:
                 f"the column name {name!r} {problem}", where=where, remedy="rename the column"
             )
 
-    def read(column_names: Sequence[str]) -> dict[str, FloatArray]:
-        return vectors({name: data[name] for name in column_names}, where, "column")
+    arrays = {name: _array(data[name]) for name in names}
+    return replace(
+        array_table(Path(where), sources_of(arrays), {}), row_name=lambda row: f"row {row + 1}"
+    )
 
-    return Table(Path(where), names, read)
+
+def _array(column: Any) -> np.ndarray[Any, Any]:
+    """Convert a column, which may contain one list or array per row."""
+    try:
+        array = np.asarray(column)
+        if array.dtype == object and len(array) and not isinstance(array[0], str):
+            return np.array([np.asarray(each, dtype=float) for each in array])
+    except (TypeError, ValueError):
+        return np.empty(0, dtype=object)
+    return array
 
 
 def _names(data: Any) -> list[Any] | None:

@@ -1,128 +1,180 @@
-"""Inspect MAT files up to version 7 before SciPy reads them.
+"""Read real arrays, also within structs, from MAT files up to version 7.
 
-SciPy's reader crashes the process on some damaged level 5 files, because it looks up an unknown
-element type beyond the end of a table. This module therefore checks the types first and passes
-only real numeric arrays to SciPy. The layout follows MathWorks, "MAT-File Format". Level 4 files
-contain only arrays and go directly to SciPy.
+The layout follows MathWorks, "MAT-File Format". SciPy's reader crashes the process on some damaged
+level 5 files, because it looks up an unknown element type beyond the end of a table. Every position
+and type is checked here instead. Level 4 files contain only arrays; SciPy reads them.
 """
 
 from __future__ import annotations
 
 import io
+import math
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from struct import unpack_from
+from typing import Any, NamedTuple
 
 import numpy as np
-
-from strainwave.domain import FloatArray
 
 _HEADER_BYTES = 128  # bytes of text, version and byte order
 _MATRIX, _COMPRESSED = 14, 15  # types of elements
 _FLAGS, _DIMENSIONS, _NAME = 6, 5, 1  # types of a matrix's first three parts
-_NUMBERS = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13})  # data types of numbers
-_NUMERIC = range(6, 16)  # classes from double to uint64
-_COMPLEX = 0x800  # flag of a complex array
-_HEAD_BYTES = 4096  # bytes of a compressed matrix that hold its flags, dimensions and name
+_NUMBERS = {
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    9: "f8",
+    12: "i8",
+    13: "u8",
+}
+_STRUCT, _NUMERIC = 2, range(6, 16)  # classes; numeric ones from double to uint64
+_OTHERS = {1: "cells", 4: "text", 5: "sparse matrices"}  # classes without channels
+_COMPLEX, _LOGICAL = 0x800, 0x200  # flags of an array
+_MAX_DEPTH = 16  # of structs in structs
+_MAX_STRUCTS = 256  # elements of an array of structs whose members are columns
 
 
-def variables(data: bytes) -> dict[str, bool]:
-    """Return the variables of a file, and whether each is a real numeric array.
+class Content(NamedTuple):
+    """Variables of a file, with members of structs by `.`."""
 
-    `data` is the content of the file. Raises ValueError if the file is damaged.
+    arrays: dict[str, np.ndarray[Any, Any]]  # in their stored types
+    omitted: dict[str, str]  # name of another variable -> what it holds
+
+
+class _Part(NamedTuple):
+    kind: int
+    data: memoryview
+
+
+def read(data: bytes, check_size: Callable[[float], None]) -> Content:
+    """Read a file from its bytes; `check_size` refuses a total of unpacked bytes.
+
+    Raises ValueError, zlib.error or struct.error if the file is damaged.
     """
+    content = Content({}, {})
     if 0 in data[:4]:
-        return _variables_of_level_4(data)
+        return _read_level_4(data)
     if len(data) < _HEADER_BYTES:
         raise ValueError("it ends within its header")
     order = "<" if data[126:128] == b"IM" else ">"
-    is_real = {}
-    for head in _matrices(data, order):
-        name, real = _describe_matrix(head, order)
-        if name and not name.startswith("__"):
-            is_real[name] = real
-    return is_real
+    unpacked = 0.0
+    for part in _parts(memoryview(data)[_HEADER_BYTES:], order, is_top=True):
+        matrix = part
+        if part.kind == _COMPRESSED:
+            stream, chunks = zlib.decompressobj(), []
+            rest: Any = part.data
+            while chunk := stream.decompress(rest, 1 << 24):
+                unpacked += len(chunk)
+                check_size(unpacked)
+                chunks.append(chunk)
+                rest = stream.unconsumed_tail
+            matrix = next(_parts(memoryview(b"".join(chunks)), order), part)
+        if matrix.kind != _MATRIX:
+            raise ValueError(f"an element of type {matrix.kind}, not a matrix")
+        _collect(matrix.data, order, "", content, 0)
+    return content
 
 
-def read(data: bytes, names: Sequence[str]) -> dict[str, FloatArray]:
-    """Read real arrays by name in their stored types, without singleton dimensions.
-
-    `data` is the content of the file; `names` are real numeric arrays according to `variables`.
-    SciPy's reader raises arbitrary exceptions on a damaged file.
-    """
-    import scipy.io
-
-    arrays = scipy.io.loadmat(io.BytesIO(data), squeeze_me=True, variable_names=list(names))
-    return {name: np.asarray(arrays[name]) for name in names}
-
-
-def _variables_of_level_4(data: bytes) -> dict[str, bool]:
+def _read_level_4(data: bytes) -> Content:
     import scipy.io
 
     try:
-        return {name: kind != "char" for name, _, kind in scipy.io.whosmat(io.BytesIO(data))}
+        variables = scipy.io.loadmat(io.BytesIO(data))
     except Exception as error:  # SciPy's reader raises arbitrary exceptions
         raise ValueError(str(error)) from error
+    is_array = {
+        name: isinstance(v, np.ndarray) and v.dtype.kind in "fiu" for name, v in variables.items()
+    }
+    return Content(
+        {name: value for name, value in variables.items() if is_array[name]},
+        {name: "text" for name in variables if not (is_array[name] or name.startswith("__"))},
+    )
 
 
-def _matrices(data: bytes, order: str) -> Iterator[bytes]:
-    """Yield the decompressed beginning of each matrix."""
-    at = _HEADER_BYTES
+def _parts(data: memoryview, order: str, *, is_top: bool = False) -> Iterator[_Part]:
+    """Yield the elements of a block of data."""
+    at = 0
     while at < len(data):
         if at + 8 > len(data):
             raise ValueError("it ends within an element")
         kind, size = unpack_from(order + "II", data, at)
-        at += 8
-        if at + size > len(data):
+        start = at + 8
+        if kind >> 16:  # up to four bytes are stored within the tag
+            kind, size, start = kind & 0xFFFF, kind >> 16, at + 4
+            at += 8
+        else:  # the elements of a file are not padded, those of a matrix are
+            at = start + (size if is_top else -(-size // 8) * 8)
+        if start + size > len(data):
             raise ValueError("it ends within an element")
-        if kind == _COMPRESSED:
-            head = zlib.decompressobj().decompress(data[at : at + size], _HEAD_BYTES)
-            kind = unpack_from(order + "I", head)[0] if len(head) > 8 else kind
-            head = head[8:]
-        else:
-            head = data[at : at + min(size, _HEAD_BYTES)]
-        if kind != _MATRIX:
-            raise ValueError(f"an element of type {kind}, not a matrix")
-        yield head
-        at += size
+        yield _Part(kind, data[start : start + size])
 
 
-def _describe_matrix(head: bytes, order: str) -> tuple[str, bool]:
-    """Return a matrix's name, and whether it contains real numbers that SciPy reads safely."""
-    kind, start, size, at = _part(head, 0, order)
-    if kind != _FLAGS or size != 8:
+def _collect(data: memoryview, order: str, name: str, content: Content, depth: int) -> None:
+    """Add the arrays of a matrix; `name` is that of a member of a struct, else empty."""
+    parts = _parts(data, order)
+    flags_part = next(parts, _Part(0, data))
+    if flags_part.kind != _FLAGS or len(flags_part.data) != 8:
+        if not data:
+            content.omitted[name] = "no values"
+            return
         raise ValueError("a matrix without its flags")
-    flags = unpack_from(order + "I", head, start)[0]
-    if flags & 0xFF not in _NUMERIC:
+    flags = unpack_from(order + "I", flags_part.data)[0]
+    kind = flags & 0xFF
+    if kind != _STRUCT and kind not in _NUMERIC and kind not in _OTHERS:
         # the order of parts of opaque classes is undocumented; they contain no channels
-        return _name_of_other(head, at, order), False
-    kind, _, _, at = _part(head, at, order)
-    if kind != _DIMENSIONS:
+        label = next(parts, None)
+        name = name or (_text(label.data) if label and label.kind == _NAME else "")
+        content.omitted[name or "an object"] = "objects; export their arrays"
+        return
+    dimensions, label = next(parts, None), next(parts, None)
+    if dimensions is None or dimensions.kind != _DIMENSIONS:
         raise ValueError("an array without its dimensions")
-    kind, start, size, at = _part(head, at, order)
-    if kind != _NAME:
+    if label is None or label.kind != _NAME:
         raise ValueError("an array without its name")
-    name = head[start : start + size].decode("latin-1")
-    kind = _part(head, at, order)[0]
-    if kind not in _NUMBERS:
-        raise ValueError(f"an array with elements of type {kind}")
-    return name, not flags & _COMPLEX
+    name = name or _text(label.data)
+    shape = unpack_from(f"{order}{len(dimensions.data) // 4}i", dimensions.data)
+    if min(shape, default=0) < 0:
+        raise ValueError("an array of negative size")
+    if name.startswith("__"):
+        return
+    if kind == _STRUCT:
+        _collect_members(parts, order, name, math.prod(shape), content, depth)
+    elif kind in _OTHERS or flags & (_COMPLEX | _LOGICAL):
+        numbers = "complex numbers" if flags & _COMPLEX else "flags"
+        content.omitted[name] = _OTHERS.get(kind, numbers)
+    else:
+        values = next(parts, _Part(0, data[:0]))
+        if values.kind not in _NUMBERS:
+            raise ValueError(f"an array with elements of type {values.kind}")
+        array = np.frombuffer(values.data, np.dtype(_NUMBERS[values.kind]).newbyteorder(order))
+        content.arrays[name] = array.reshape(shape, order="F")
 
 
-def _name_of_other(head: bytes, at: int, order: str) -> str:
-    try:
-        _, _, _, at = _part(head, at, order)
-        kind, start, size, _ = _part(head, at, order)
-    except ValueError:
-        return ""
-    return head[start : start + size].decode("latin-1") if kind == _NAME else ""
+def _collect_members(
+    parts: Iterator[_Part], order: str, name: str, n_structs: int, content: Content, depth: int
+) -> None:
+    length, labels = next(parts, None), next(parts, None)
+    if length is None or labels is None or len(length.data) < 4 or depth > _MAX_DEPTH:
+        raise ValueError("a struct without its members")
+    size = unpack_from(order + "i", length.data)[0]
+    if size < 1:
+        raise ValueError("a struct without its members")
+    if n_structs > _MAX_STRUCTS:
+        content.omitted[name] = f"arrays of more than {_MAX_STRUCTS} structs"
+        return
+    members = [_text(labels.data[k : k + size]) for k in range(0, len(labels.data), size)]
+    for index in range(n_structs):
+        prefix = name if n_structs == 1 else f"{name}[{index}]"
+        for member in members:
+            part = next(parts, None)
+            if part is None or part.kind != _MATRIX:
+                raise ValueError("a struct that ends within its members")
+            _collect(part.data, order, f"{prefix}.{member}", content, depth + 1)
 
 
-def _part(head: bytes, at: int, order: str) -> tuple[int, int, int, int]:
-    """Return a part's type, data position and data size, and the position of the next part."""
-    if at + 8 > len(head):
-        raise ValueError("a matrix that ends within its description")
-    kind, size = unpack_from(order + "II", head, at)
-    if kind >> 16:  # up to four bytes are stored within the tag
-        return kind & 0xFFFF, at + 4, kind >> 16, at + 8
-    return kind, at + 8, size, at + 8 + -(-size // 8) * 8
+def _text(data: memoryview) -> str:
+    return bytes(data).split(b"\0")[0].decode("latin-1")
