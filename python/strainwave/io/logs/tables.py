@@ -13,10 +13,10 @@ import struct
 import sys
 import zlib
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -29,6 +29,7 @@ DELIMITERS = (",", ";", "\t")
 """Delimiters of CSV files; the most frequent one in the header applies."""
 MAX_MAGNITUDE = 1e60
 """Largest valid magnitude in any unit; sums of squares of smaller numbers do not overflow."""
+Clock = Literal["datetime", "date", "time"]
 _PROBE_BYTES = 1 << 16  # [bytes] that must contain the header and the first row
 
 
@@ -44,6 +45,10 @@ class Table:
     names: Sequence[str]
     read: Callable[[Sequence[str]], dict[str, FloatArray]]
     row_name: Callable[[int], str] = lambda row: f"row {row + 1}"
+    units: Mapping[str, str] = field(default_factory=dict)  # column -> its unit
+    # columns of text that `read` returns in seconds: since 1970, or since midnight ("time")
+    clocks: Mapping[str, Clock] = field(default_factory=dict)
+    notes: Sequence[str] = ()  # how the file was read
 
     def missing_column_error(
         self, column: str, what: str, used: Collection[str] = ()
