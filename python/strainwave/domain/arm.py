@@ -257,9 +257,9 @@ class ArmDescription:
         if self.is_coupled or any(joint.motion != "prismatic" for joint in before):
             return False
         joint = self.joints[number - 1]
-        if joint.motion == "prismatic" or (number == 1 and not self.gravity_size):
-            return True
-        return number == 1 and _is_parallel(_turned(joint.origin.rpy, joint.axis), self.gravity)
+        if joint.motion == "prismatic" or number > 1 or not self.gravity:
+            return joint.motion == "prismatic" or number == 1
+        return _is_parallel(_turned(joint.origin.rpy, joint.axis), self.gravity)
 
     @property
     def has_planar_program(self) -> bool:

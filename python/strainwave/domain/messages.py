@@ -57,9 +57,9 @@ TEMPLATES: Mapping[str, str] = {
     "held-samples": "{columns} update only every {rows:.3g} rows of the log ({rate_hz:.4g} Hz), and"
     " the values are held in between|: the record is reduced to the updates. Motion faster than"
     " their rate is lost. Log the rate of the bus",
-    "held-samples/some": "{columns} update only every {rows:.3g} rows of the log ({rate_hz:.4g} Hz),"
-    " slower than other columns|: only the updates are used, interpolated; they may be late by up"
-    " to one row. Read all signals at one rate",
+    "held-samples/some": "{columns} update only every {rows:.3g} rows of the log ({rate_hz:.4g}"
+    " Hz), slower than other columns|: only the updates are used, interpolated; they may be late by"
+    " up to one row. Read all signals at one rate",
     "missing-values": "{columns} have {count} missing value(s)|: short gaps are interpolated, and"
     " stretches without values are left out. Check the logger",
     "integrated-velocity": "theta_m{joint} is not logged|: it is the integral of omega_m{joint}"

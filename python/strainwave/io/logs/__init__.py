@@ -309,12 +309,12 @@ def _angle_needed(joint: int, study: Study, table: Table | Bag) -> InvalidInput:
 def _integrate_velocities(
     channels: dict[str, FloatArray], study: Study, time: FloatArray, path: Path
 ) -> list[Diagnostic]:
-    """Replace the velocity of each motor without an angle by its integral from zero."""
+    """Add the integral from zero of the velocity of each motor without an angle."""
     warnings = []
     for joint in range(1, study.arm.n_joints + 1):
         if f"theta_m{joint}" in channels:
             continue
-        velocity = channels.pop(f"omega_m{joint}")
+        velocity = channels[f"omega_m{joint}"]
         steps = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)
         channels[f"theta_m{joint}"] = np.concatenate([[0.0], np.cumsum(steps)])
         place = Place(file=path.name)

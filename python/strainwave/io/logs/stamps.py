@@ -6,7 +6,7 @@ split into two columns. Stamps may repeat or step back.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -36,31 +36,29 @@ def time_of(
     """
     values = columns[channel.column]
     kinds = {clocks.get(name) for name in channel.columns}
-    moduli = _MODULI
-    if kinds & {"time", "date"}:
-        moduli = (_DAY,)
+    has_clock = bool(kinds & {"time", "date"})
     if channel.second_column is not None:
         second, unit = columns[channel.second_column], 1.0
-        if not kinds & {"time", "date"}:
+        if not has_clock:
             largest = float(np.max(second, initial=0.0))
             unit = next((each for each in _FRACTIONS if largest * each < 1.0), _FRACTIONS[-1])
         values = (values - values[0]) + unit * (second - second[0])
     elif kinds != {None}:
         values = values - values[0]
-    return channel.scale * _without_overflows(values, moduli) + channel.offset
+    return channel.scale * _without_overflows(values, has_clock) + channel.offset
 
 
-def _without_overflows(values: FloatArray, moduli: Sequence[float]) -> FloatArray:
-    """Remove the steps back of a counter at its overflow, by the smallest modulus that fits."""
+def _without_overflows(values: FloatArray, is_clock: bool) -> FloatArray:
+    """Remove the steps back of a counter at its overflow, or of a clock at midnight."""
     steps = np.diff(values)
     back = steps < 0.0
     if not back.any() or back.all():
         return values
     period = float(np.median(steps[~back]))
-    for modulus in moduli:
+    for modulus in (_DAY,) if is_clock else _MODULI:
         wraps = back & (steps + modulus > 0.0) & (steps + modulus <= MAX_GAP_PERIODS * period)
         if wraps.any() and np.ptp(values) < modulus:
-            return values + modulus * np.concatenate([[0.0], np.cumsum(wraps)])
+            return np.asarray(values + modulus * np.concatenate([[0.0], np.cumsum(wraps)]))
     return values
 
 
@@ -97,4 +95,5 @@ def continue_time(time: FloatArray) -> FloatArray:
         return time
     forward = steps[~back]
     pause = _RESTART_PAUSE_PERIODS * float(np.median(forward)) if len(forward) else 1.0
-    return time + np.concatenate([[0.0], np.cumsum(np.where(back, pause - steps, 0.0))])
+    shifts = np.cumsum(np.where(back, pause - steps, 0.0))
+    return np.asarray(time + np.concatenate([[0.0], shifts]))

@@ -53,22 +53,22 @@ class _Source:
 def separate_slow_columns(
     track: Track, roles: Roles, file: str
 ) -> tuple[list[Track], list[Diagnostic]]:
-    """Reduce a track to its updates, or move columns that update more slowly to tracks of their own.
+    """Reduce a track to its updates; if only some columns are slow, move them to separate tracks.
 
     Commands are held by nature and excluded.
     """
     measured = [name for name in track.columns if name not in roles.commands]
     sources: list[_Source] = []
-    fast = []
+    fast: list[str] = []
     for name in measured:
         values = track.columns[name]
         valid = ~np.isnan(values)
         is_held = bool(valid.all())
-        updates = valid
-        if is_held:
-            updates = None if name in roles.covariates else find_updates(values)
-        if not is_held and valid.mean() > _MIN_VALUE_SHARE:
-            updates = None
+        updates: BoolArray | None = None
+        if not is_held and valid.mean() <= _MIN_VALUE_SHARE:
+            updates = valid
+        elif is_held and name not in roles.covariates:
+            updates = find_updates(values)
         if updates is not None:
             sources.append(_Source([name], updates, is_held))
         elif name not in roles.covariates and np.ptp(values[valid]) > 0.0:
@@ -195,4 +195,4 @@ def fill_missing(
         else:
             columns[name] = np.interp(track.time, track.time[rows], values[rows])
             filled[name] = empty
-    return (replace(track, columns=columns) if len(filled) or columns else track), filled
+    return replace(track, columns=columns), filled
