@@ -20,9 +20,9 @@ from strainwave.io.logs.updates import Roles
 from strainwave.study_draft.names import Quantity, parse
 from strainwave.study_draft.time_column import TimeColumn, find_time
 
-_MAX_INVALID_SHARE = (
-    0.05  # maximum share of invalid samples; with more, a column cannot be classified
-)
+# maximum share of invalid samples, also of a slow column between its updates; with more, a column
+# cannot be classified
+_MAX_INVALID_SHARE = 0.95
 # quantities of a bag's topics; temperatures have slow topics of their own
 _SAMPLED = frozenset(get_args(Quantity)) - {"time", "temperature"}
 
@@ -151,8 +151,8 @@ def _read_bag(path: Path) -> Record:
 def _valid_columns(columns: Mapping[str, FloatArray]) -> tuple[dict[str, FloatArray], list[str]]:
     """Return the numeric columns, and messages on invalid samples.
 
-    A few invalid samples are interpolated so that the column can be classified; columns with more
-    are omitted.
+    Invalid samples are interpolated so that the column can be classified; columns with too many are
+    omitted.
     """
     valid_columns, messages = {}, []
     for name, values in columns.items():
@@ -172,8 +172,8 @@ def _valid_columns(columns: Mapping[str, FloatArray]) -> tuple[dict[str, FloatAr
         rows = np.arange(len(values))
         valid_columns[name] = np.interp(rows, rows[is_valid], values[is_valid])
         messages.append(
-            f"{fault} ({values[row]}): identify rejects the log if a channel uses it. Correct the "
-            "values, exclude them with start and stop, or rename the column"
+            f"{fault} ({values[row]}): identify interpolates missing values, leaves out stretches"
+            " of them, and rejects infinite ones"
         )
     return valid_columns, messages
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -27,12 +27,13 @@ class TimeColumn:
 
     channel: Channel | None  # None: there is none, the rows are counted
     unit: str
-    scale: float | None  # [s] per unit; None: a counter of samples, whose rate is unknown
+    scale: float | None  # [s] per unit; None: unknown, as that of a counter of samples
+    step: float = field(default=1.0, compare=False)  # median step, in the unit
 
     @property
     def seconds_per_unit(self) -> float:
         """The scale, or that of the assumed sampling period."""
-        return PLACEHOLDER_PERIOD if self.scale is None else self.scale
+        return PLACEHOLDER_PERIOD / self.step if self.scale is None else self.scale
 
 
 def find_time(table: Table, columns: Mapping[str, FloatArray]) -> TimeColumn:
@@ -44,22 +45,23 @@ def find_time(table: Table, columns: Mapping[str, FloatArray]) -> TimeColumn:
     counter = None
     for name in sorted(columns, key=lambda name: parse(name).quantity != "time"):
         is_named = parse(name).quantity == "time"
-        if name in table.clocks or not _is_clock(columns[name], is_strict=False):
-            continue
         time = _time(table, columns, Channel(name))
+        if name in table.clocks or not _is_clock(time, is_strict=False):
+            continue
         unit = table.units.get(name, "").lower()
         known = unit if unit in UNITS["time"] else parse(name).unit
         if known in UNITS["time"]:
             return TimeColumn(Channel(name), str(known), UNITS["time"][str(known)])
-        if not is_named and np.all(np.diff(time) == 1.0):
-            counter = counter or TimeColumn(Channel(name), "samples", None)
+        if not is_named and not _is_clock(time, is_strict=True):
             continue
-        if not is_named and not _is_clock(columns[name], is_strict=True):
-            continue
-        unit_from_size = _unit_by_size(time)
+        counts_samples = not is_named and bool(np.all(np.diff(time) == 1.0))
+        unit_from_size = None if counts_samples else _unit_by_size(time)
         if unit_from_size:
             return TimeColumn(Channel(name), *unit_from_size)
-    return counter or TimeColumn(None, "samples", None)
+        if counts_samples or is_named:
+            step = float(np.median(np.diff(time)))
+            counter = counter or TimeColumn(Channel(name), "units", None, step)
+    return counter or TimeColumn(None, "rows", None)
 
 
 def _time(table: Table, columns: Mapping[str, FloatArray], channel: Channel) -> FloatArray:

@@ -30,7 +30,7 @@ from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clocks import Track, resample_tracks
 from strainwave.io.logs.in_memory import Data, open_memory_table
-from strainwave.io.logs.segments import segment_table, segment_tracks
+from strainwave.io.logs.segments import drop_long_gaps, segment_table, segment_tracks
 from strainwave.io.logs.stamps import time_of
 from strainwave.io.logs.tables import Table, open_table, release_reader_memory, write_table
 from strainwave.io.logs.updates import Roles, fill_missing
@@ -40,6 +40,7 @@ __all__ = ["read_log", "read_logs", "write_log"]
 
 write_log = write_table
 
+_MIN_FILLED_SHARE = 1e-3  # of an interpolated row in a sample; rounding of stamps is below
 _MAX_REST_RANGE = 0.01  # [rad] range of the angle of a motor that stands still, with its noise
 
 _COMMAND_PREFIXES = ("u", "ref")  # prefixes of commands, constant between the ticks of a clock
@@ -111,7 +112,8 @@ def _read_segments(study: Study, experiment: Experiment, data: Any) -> tuple[Log
             unusable = unusable or error
             continue
         masked = {
-            name: np.interp(time, track.time, filled[channel.column].astype(np.float64)) > 0.0
+            name: np.interp(time, track.time, filled[channel.column].astype(np.float64))
+            > _MIN_FILLED_SHARE
             for name, channel in sources.items()
             for track in dense
             if channel.column in filled and channel.column in track.columns
@@ -155,8 +157,9 @@ def _segments(
     roles = Roles(clock.column, commands, by_kind["torque"], by_kind["temperature"])
     if isinstance(table, Bag):
         tracks, warnings = table.tracks(required)
+        tracks, missing = drop_long_gaps(tracks, roles, table.path)
         segments, split = segment_tracks(tracks, roles, experiment, table.path)
-        return segments, [*warnings, *split]
+        return segments, [*warnings, *missing, *split]
     columns = table.read(required)
     if sample_rate is None:
         time = time_of(columns, table.clocks, sources["t"])

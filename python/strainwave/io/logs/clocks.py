@@ -95,6 +95,12 @@ def _check_values(track: Track, inside: slice, path: Path) -> None:
         row = find_invalid_value(values[inside])
         if row is not None:
             row += inside.start
+            if np.isnan(values[inside]).all():
+                raise InvalidInput(
+                    f"the column {name!r} has no values",
+                    where=str(path),
+                    remedy="remove its channel from [channels], or rename the column",
+                )
             raise InvalidInput(
                 f"the value is {values[row]}",
                 where=f"{path}, {track.row_name(row)}, column {name!r}",

@@ -35,14 +35,26 @@ def segment_table(
     if last - first < MIN_SAMPLES:
         return [[track]], warnings  # rejected with the window's message
     track = cut(track, slice(int(first), int(last)))
-    track, missing = drop_missing(track, roles.commands)
-    if missing:
-        names, count = ", ".join(missing), sum(missing.values())
-        place = Place(file=path.name)
-        warnings.append(Diagnostic("missing-values", place, columns=names, count=count))
+    (track,), missing = drop_long_gaps([track], roles, path)
     tracks, slow = separate_slow_columns(track, roles, path.name)
     segments, split = segment_tracks(tracks, roles, experiment, path, n_back)
-    return segments, [*warnings, *slow, *split]
+    return segments, [*warnings, *missing, *slow, *split]
+
+
+def drop_long_gaps(
+    tracks: Sequence[Track], roles: Roles, path: Path
+) -> tuple[list[Track], list[Diagnostic]]:
+    """Drop the rows in which a column has no value for long, and warn of missing values."""
+    complete, missing = [], dict[str, int]()
+    for track in tracks:
+        rest, counts = drop_missing(track, roles.commands)
+        complete.append(rest)
+        missing |= counts
+    if not missing:
+        return complete, []
+    names, count = ", ".join(missing), sum(missing.values())
+    place = Place(file=path.name)
+    return complete, [Diagnostic("missing-values", place, columns=names, count=count)]
 
 
 def segment_tracks(

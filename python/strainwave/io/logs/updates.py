@@ -63,6 +63,8 @@ def separate_slow_columns(
     for name in measured:
         values = track.columns[name]
         valid = ~np.isnan(values)
+        if not valid.any():
+            continue
         is_held = bool(valid.all())
         updates: BoolArray | None = None
         if not is_held and valid.mean() <= _MIN_VALUE_SHARE:
