@@ -176,6 +176,28 @@ class Urdf:
     priors: tuple[LinkPrior, ...]  # of the links from the base
 
 
+_MAX_SINE = 1e-3  # of the angle between an axis and gravity that count as parallel
+
+
+def _turned(rpy: Vector, axis: Vector) -> Vector:
+    """An axis of a frame that is turned by roll, pitch and yaw, as in URDF."""
+    x, y, z = axis
+    for angle, plane in zip(rpy, ("yz", "zx", "xy"), strict=True):
+        c, s = math.cos(angle), math.sin(angle)
+        if plane == "yz":
+            y, z = c * y - s * z, s * y + c * z
+        elif plane == "zx":
+            z, x = c * z - s * x, s * z + c * x
+        else:
+            x, y = c * x - s * y, s * x + c * y
+    return x, y, z
+
+
+def _is_parallel(a: Vector, b: Vector) -> bool:
+    cross = (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+    return math.hypot(*cross) < _MAX_SINE * math.hypot(*a) * math.hypot(*b)
+
+
 @dataclass(frozen=True, slots=True)
 class Transmission:
     """Coupling between motors and joints: `[transmission]`."""
@@ -224,6 +246,20 @@ class ArmDescription:
             if value != 0.0 and i != j
         )
         return frozenset(one for pair in pairs for one in pair)
+
+    def has_posture_free(self, number: int) -> bool:
+        """Whether neither gravity nor the inertia of the arm depends on the angle of a motor.
+
+        So it is for sliding joints behind sliding joints, and for the first joint if it slides or
+        turns about an axis along gravity.
+        """
+        before = self.joints[: number - 1]
+        if self.is_coupled or any(joint.motion != "prismatic" for joint in before):
+            return False
+        joint = self.joints[number - 1]
+        if joint.motion == "prismatic" or number > 1 or not self.gravity:
+            return joint.motion == "prismatic" or number == 1
+        return _is_parallel(_turned(joint.origin.rpy, joint.axis), self.gravity)
 
     @property
     def has_planar_program(self) -> bool:

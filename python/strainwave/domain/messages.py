@@ -49,6 +49,21 @@ TEMPLATES: Mapping[str, str] = {
     "resampled/topics": "{topics}: resampled to the time stamps of {clock}, measured values by"
     " monotone cubics, commands held|; motion faster than the rate of a topic is lost. Publish all"
     " topics from one clock if possible",
+    "split": "the time stamps have {n_gaps} pause(s) of up to {longest:.3g} s and step back"
+    " {n_back} time(s): the record is split into {n_segments} segment(s), each used as a record of"
+    " its own, and {n_rows} row(s) are left out|. Check the logger if the pauses are not intended",
+    "repeated-stamps": "{count} row(s) repeat the time stamp of the row before|: they are not used."
+    " Check the clock of the logger",
+    "held-samples": "{columns} update only every {rows:.3g} rows of the log ({rate_hz:.4g} Hz), and"
+    " the values are held in between|: the record is reduced to the updates. Motion faster than"
+    " their rate is lost. Log the rate of the bus",
+    "held-samples/some": "{columns} update only every {rows:.3g} rows of the log ({rate_hz:.4g}"
+    " Hz), slower than other columns|: only the updates are used, interpolated; they may be late by"
+    " up to one row. Read all signals at one rate",
+    "missing-values": "{columns} have {count} missing value(s)|: short gaps are interpolated, and"
+    " stretches without values are left out. Check the logger",
+    "integrated-velocity": "theta_m{joint} is not logged|: it is the integral of omega_m{joint}"
+    " from zero. Log the angle if possible",
     "reordered": "{n_late} message(s) of {topic} are out of order, and {n_equal} repeat a time"
     " stamp: the messages were sorted, and only the last message of each time stamp is used",
     "recorder-stamps": "the messages of {topics} have no header stamp: the time stamps of the"

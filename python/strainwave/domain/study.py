@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -27,6 +27,12 @@ class Channel:
     column: str
     scale: float = 1.0
     offset: float = 0.0
+    second_column: str | None = None  # of t: fractions of a second, or the time of day of a date
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """All columns of the channel."""
+        return tuple(filter(None, (self.column, self.second_column)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +94,10 @@ class Experiment:
     add: Mapping[str, str] = field(default_factory=dict)  # channel -> column added to it
     payload: Payload | None = None  # of serial arms
 
+    def segment(self, number: int) -> Experiment:
+        """One of several segments of the record, from 1."""
+        return replace(self, name=f"{self.name}/{number}")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
@@ -96,9 +106,14 @@ class Study:
     arm: ArmDescription
     experiments: tuple[Experiment, ...]
     channels: Mapping[str, Channel] = field(default_factory=dict)
+    sample_rate: float | None = None  # [Hz] of logs without time stamps
     options: Options = field(default_factory=Options)  # `[options]`
     path: Path = Path("study")  # of the file; log paths are relative to its folder
     sha256: str = ""  # of the file
+
+    def with_segments(self, experiments: Iterable[Experiment]) -> Study:
+        """The study with the experiments of its logs: one per segment of a record with pauses."""
+        return replace(self, experiments=tuple(experiments))
 
     def log_path(self, experiment: Experiment) -> Path:
         """Path of an experiment's log."""

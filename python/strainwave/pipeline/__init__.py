@@ -96,6 +96,7 @@ def identify(
                 the_study = with_options(the_study, options)
             starts = read_start(start, the_study)
             raw_logs = logs.read_logs(the_study, data=data)
+        the_study = the_study.with_segments(log.experiment for log in raw_logs)
         return _identify(the_study, raw_logs, chosen, reporter, starts)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from strainwave.domain import Consistency, Diagnostic, InputCheck, Log, Stage, Study
 from strainwave.domain.diagnostics import merge_by_cause
 from strainwave.dynamics.arm import Arm
+from strainwave.errors import InvalidInput
 from strainwave.io import logs
 from strainwave.io.logs.in_memory import Data
 from strainwave.io.study import read_study
@@ -33,10 +34,22 @@ def check_inputs(
     """Mask defects of sensors and loggers, and check the consistency of the channels."""
     arm = Arm.of(study.arm)
     usable, warnings = hygiene.repair_records(raw_logs, arm)
+    if raw_logs and not usable:
+        raise _nothing_usable(study, warnings)
     warnings = (*(warning for log in raw_logs for warning in log.warnings), *warnings)
     inputs = Inputs(study, arm, usable, stages)
     agreement = consistency.check_consistency(usable, study)
     return CheckedInputs(inputs, agreement, (*warnings, *agreement.warnings))
+
+
+def _nothing_usable(study: Study, warnings: Sequence[Diagnostic]) -> InvalidInput:
+    """The error for a study whose records are all excluded."""
+    causes = "; ".join(dict.fromkeys(f"{each.where}: {each.observation}" for each in warnings))
+    return InvalidInput(
+        f"no record is usable ({causes})",
+        where=str(study.path),
+        remedy="correct the sensor or its cable, and record again",
+    )
 
 
 def check_input(study: Study | Path, *, data: Data | None = None) -> InputCheck:
@@ -49,7 +62,9 @@ def check_input(study: Study | Path, *, data: Data | None = None) -> InputCheck:
     begin = time.perf_counter()
     with one_blas_thread():
         given = study if isinstance(study, Study) else read_study(study)
-        checked = check_inputs(given, logs.read_logs(given, data=data))
+        raw_logs = logs.read_logs(given, data=data)
+        given = given.with_segments(log.experiment for log in raw_logs)
+        checked = check_inputs(given, raw_logs)
     return InputCheck(
         study=given,
         relations=checked.consistency.relations,

@@ -31,7 +31,7 @@ def recorded_drive(arm: Arm, log: Log) -> Drive:
         else:
             reference[:, i] = log.channels.get(f"ref{i + 1}", reference[:, i])
             if experiment.prbs and experiment.joint == i + 1:
-                voltage[:, i] = _sample_prbs(experiment.prbs, log.sample_time, len(log))
+                voltage[:, i] = _sample_prbs(experiment.prbs, log)
     servo_voltage = record.voltage[0] - voltage[0]
     return Drive(
         tick=log.sample_time,
@@ -118,9 +118,10 @@ def check_servo_clock(arm: Arm, log: Log) -> None:
         ) from error
 
 
-def _sample_prbs(prbs: Prbs, sample_time: float, samples: int) -> FloatArray:
-    """PRBS voltage at each sample, held over its clock."""
+def _sample_prbs(prbs: Prbs, log: Log) -> FloatArray:
+    """PRBS voltage at each sample, held over its clock; it runs on during pauses of the log."""
     sequence = excitation.prbs(prbs)
-    clock_index = np.floor(np.arange(samples) * sample_time / prbs.clock + 1e-9).astype(int)
+    time = log.delay + np.arange(len(log)) * log.sample_time
+    clock_index = np.floor(time / prbs.clock + 1e-9).astype(int)
     held: FloatArray = sequence[clock_index % len(sequence)]
     return held

@@ -9,7 +9,7 @@ with a reason for each guess.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,7 @@ from strainwave.study_draft.study_text import count_todos, is_elastic, study_tex
 
 __all__ = ["StudyDraft", "start_study"]
 
+_RATE_CHANNELS = ("omega_m", "gyro", "gx", "gy", "gz", "ref")  # scaled by derivatives of angles
 _MIN_MOTION = 0.01  # [rad, m] of an angle; the noise of one that stands still is below
 
 
@@ -65,6 +66,11 @@ def start_study(logs: Sequence[Path], out: Path, urdf: Path | None = None) -> St
     _check_alike(records, fullest, mapping)
     for record in records:
         add_channels(mapping, record, fullest, robot)
+    if any(record.source is not None and record.source.scale is None for record in records):
+        for name, guess in mapping.guesses.items():
+            if name.startswith(_RATE_CHANNELS):
+                todo = "the factor depends on the sampling rate"
+                mapping.guesses[name] = replace(guess, scale=None, todo=todo)
     experiments = propose_uses(records, mapping)
     text = study_text(
         [fullest, *(r for r in records if r is not fullest)], mapping, experiments, out
@@ -116,8 +122,9 @@ def _check_alike(records: Sequence[Record], fullest: Record, mapping: Mapping) -
     ]
     for record in records:
         missing_columns = [column for column in required_columns if column not in record.columns]
-        if record.time_column != fullest.time_column:
-            missing_columns.append(str(fullest.time_column))
+        if record.source != fullest.source:
+            channel = fullest.source and fullest.source.channel
+            missing_columns.append(channel.column if channel else "counter of rows")
         if missing_columns:
             raise InvalidInput(
                 f"has no {', '.join(missing_columns)}, but {fullest.path.name} has",

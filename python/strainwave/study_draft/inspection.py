@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import get_args
 
 import numpy as np
 
@@ -13,13 +13,16 @@ from strainwave.domain import Experiment, FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clocks import MIN_SAMPLES, Track, resample_tracks
+from strainwave.io.logs.segments import segment_table, segment_tracks
+from strainwave.io.logs.stamps import time_of
 from strainwave.io.logs.tables import MAX_MAGNITUDE, find_invalid_value, open_table
-from strainwave.study_draft.names import UNITS, Quantity, max_joints, parse
-from strainwave.study_draft.signal_features import is_clock, time_unit
+from strainwave.io.logs.updates import Roles
+from strainwave.study_draft.names import Quantity, parse
+from strainwave.study_draft.time_column import TimeColumn, find_time
 
-_MAX_INVALID_SHARE = (
-    0.05  # maximum share of invalid samples; with more, a column cannot be classified
-)
+# maximum share of invalid samples, also of a slow column between its updates; with more, a column
+# cannot be classified
+_MAX_INVALID_SHARE = 0.95
 # quantities of a bag's topics; temperatures have slow topics of their own
 _SAMPLED = frozenset(get_args(Quantity)) - {"time", "temperature"}
 
@@ -30,9 +33,7 @@ class Record:
 
     path: Path
     time: FloatArray  # (n_samples,) [s]
-    time_column: str | None  # None: time stamps of a bag
-    time_scale: float  # [s] per unit of the column
-    time_unit: str
+    source: TimeColumn | None  # of the time stamps; None: those of a bag
     columns: dict[str, FloatArray]  # name -> (n_samples,)
     notes: tuple[str, ...]
     faults: tuple[str, ...] = ()  # values that `identify` rejects; omitted columns
@@ -45,7 +46,7 @@ class Record:
     @property
     def is_bag(self) -> bool:
         """Whether the record is a bag, whose columns are fields of topics."""
-        return self.time_column is None
+        return self.source is None
 
     @property
     def name(self) -> str:
@@ -83,46 +84,35 @@ def _read_table(path: Path) -> Record:
             where=str(path),
             remedy="use the log of an experiment, with a header line",
         )
-    name, unit, scale = _time_column(columns, path)
-    time = scale * columns.pop(name)
-    return Record(path, time, name, scale, unit, columns, (), (*faults, *value_faults))
-
-
-class _TimeColumn(NamedTuple):
-    name: str
-    unit: str
-    scale: float  # the unit in seconds
-
-
-def _time_column(columns: dict[str, FloatArray], path: Path) -> _TimeColumn:
-    clocks = [name for name, values in columns.items() if is_clock(values)]
-    clocks.sort(key=lambda name: parse(name).quantity != "time")
-    for name in clocks:
-        period = float(np.median(np.diff(columns[name])))
-        unit = parse(name).unit
-        if unit in UNITS["time"]:
-            return _TimeColumn(name, unit, UNITS["time"][unit])
-        unit_from_period = time_unit(period)
-        if unit_from_period:
-            return _TimeColumn(name, *unit_from_period)
-    increasing = f" ({', '.join(clocks)} increase, but not at a rate of 20 Hz to 50 kHz)"
-    raise InvalidInput(
-        f"there is no time column among {', '.join(columns)}{increasing if clocks else ''}",
-        where=str(path),
-        remedy="add a column t [s], for example the row number divided by the sampling rate"
-        + _joint_limit_remark(columns),
+    source = find_time(table, columns)
+    time = np.arange(n_samples, dtype=np.float64)
+    if source.channel is not None:
+        time = time_of(columns, table.clocks, source.channel)
+        columns = {n: v for n, v in columns.items() if n not in source.channel.columns}
+    columns = {n: v for n, v in columns.items() if n not in table.clocks}
+    track = Track("", source.seconds_per_unit * time, columns, table.row_name)
+    whole_record = Experiment(path.name, path.name, "motion", ())
+    quantities = {name: parse(name).quantity for name in columns}
+    roles = Roles(
+        clock=next((n for n, q in quantities.items() if q in ("angle", "velocity")), ""),
+        commands={n for n, q in quantities.items() if q not in ("angle", "velocity", "torque")},
+    )
+    segments, warnings = segment_table(track, roles, whole_record, path)
+    longest, *others = max(segments, key=lambda tracks: len(tracks[0].time))
+    if others:  # columns of several rates: all rows show their relations
+        longest = track
+    notes = (*table.notes, *(warning.message for warning in warnings))
+    if source.scale is None:
+        faults.append(_RATE_FAULT)
+    return Record(
+        path, longest.time, source, dict(longest.columns), notes, (*faults, *value_faults)
     )
 
 
-def _joint_limit_remark(columns: Collection[str]) -> str:
-    """Return a remark if the columns have more joints than a supported arm, else an empty text."""
-    numbers = {number for name in columns if (number := parse(name).number) is not None}
-    if len(numbers) <= max_joints():
-        return ""
-    return (
-        f". The columns are of {len(numbers)} joints, but an arm has at most {max_joints()}; leave"
-        " out those of joints at standstill"
-    )
+_RATE_FAULT = (
+    "there is no time column, and the sampling rate is unknown: enter it in [channels]. Scales of"
+    " velocities and frequencies depend on it"
+)
 
 
 def _read_bag(path: Path) -> Record:
@@ -150,16 +140,19 @@ def _read_bag(path: Path) -> Record:
             "the topics are too short", where=str(path), remedy="record a longer motion"
         )
     whole_record = Experiment(path.name, path.name, "motion", ())
-    time, columns, clock_warnings = resample_tracks(usable, commanded, whole_record, path)
-    notes += [warning.message for warning in clock_warnings]
-    return Record(path, time, None, 1.0, "s", columns, tuple(notes), tuple(faults))
+    clock = next(iter(usable[0].columns))
+    segments, split_warnings = segment_tracks(usable, Roles(clock, commanded), whole_record, path)
+    longest = max(segments, key=lambda tracks: len(tracks[0].time))
+    time, columns, clock_warnings = resample_tracks(longest, commanded, whole_record, path)
+    notes += [warning.message for warning in (*split_warnings, *clock_warnings)]
+    return Record(path, time, None, columns, tuple(notes), tuple(faults))
 
 
 def _valid_columns(columns: Mapping[str, FloatArray]) -> tuple[dict[str, FloatArray], list[str]]:
     """Return the numeric columns, and messages on invalid samples.
 
-    A few invalid samples are interpolated so that the column can be classified; columns with more
-    are omitted.
+    Invalid samples are interpolated so that the column can be classified; columns with too many are
+    omitted.
     """
     valid_columns, messages = {}, []
     for name, values in columns.items():
@@ -179,8 +172,8 @@ def _valid_columns(columns: Mapping[str, FloatArray]) -> tuple[dict[str, FloatAr
         rows = np.arange(len(values))
         valid_columns[name] = np.interp(rows, rows[is_valid], values[is_valid])
         messages.append(
-            f"{fault} ({values[row]}): identify rejects the log if a channel uses it. Correct the "
-            "values, exclude them with start and stop, or rename the column"
+            f"{fault} ({values[row]}): identify interpolates missing values, leaves out stretches"
+            " of them, and rejects infinite ones"
         )
     return valid_columns, messages
 

@@ -11,9 +11,6 @@ import numpy as np
 from strainwave.domain import BoolArray, FloatArray, Prbs
 from strainwave.study_draft.names import UNITS
 
-_MAX_CLOCK_STEP_RATIO = (
-    10.0  # maximum ratio of longest to median step of a clock; an angle exceeds it
-)
 _MAX_LEVELS = 5  # maximum number of levels
 _LEVEL_TOLERANCE = 1e-6  # share of the range; closer levels count as one
 _MIN_JUMP_SHARE = 0.3  # minimum share of the range that a jump covers within one sample
@@ -25,25 +22,6 @@ _COUNTS_TOLERANCE = 2e-3  # relative tolerance to common counts, for rounding in
 _ENCODER_LINES = (100, 125, 200, 250, 256, 300, 360, 400, 500, 512, 600, 625, 720, 800, 900)
 MAX_UNIT_RATIO_ERROR = 0.03  # relative tolerance between a measured and a known ratio
 _MAX_SAMPLES = 200_000  # maximum number of samples that levels and quantum use
-
-
-def is_clock(values: FloatArray) -> bool:
-    """Whether the values always increase, in steps of similar size."""
-    steps = np.diff(values)
-    if len(steps) < 2 or steps.min() <= 0.0:
-        return False
-    return bool(steps.max() <= _MAX_CLOCK_STEP_RATIO * np.median(steps))
-
-
-def time_unit(period: float) -> tuple[str, float] | None:
-    """Return the unit in which a period is between 20 us and 50 ms, and the unit in seconds.
-
-    `period` is in the unknown unit. Returns None if no unit fits.
-    """
-    for unit, seconds in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
-        if 1.9e-5 <= period * seconds <= 0.051:
-            return unit, seconds
-    return None
 
 
 def relation(rate: FloatArray, value: FloatArray, time: FloatArray) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 
 from strainwave.domain import (
     ArmDescription,
+    BoolArray,
     Channel,
     Diagnostic,
     Experiment,
@@ -28,13 +30,17 @@ from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clocks import Track, resample_tracks
 from strainwave.io.logs.in_memory import Data, open_memory_table
+from strainwave.io.logs.segments import drop_long_gaps, segment_table, segment_tracks
+from strainwave.io.logs.stamps import time_of
 from strainwave.io.logs.tables import Table, open_table, release_reader_memory, write_table
+from strainwave.io.logs.updates import Roles, fill_missing
 from strainwave.numerics.parallel import run_parallel
 
 __all__ = ["read_log", "read_logs", "write_log"]
 
 write_log = write_table
 
+_MIN_FILLED_SHARE = 1e-3  # of an interpolated row in a sample; rounding of stamps is below
 _MAX_REST_RANGE = 0.01  # [rad] range of the angle of a motor that stands still, with its noise
 
 _COMMAND_PREFIXES = ("u", "ref")  # prefixes of commands, constant between the ticks of a clock
@@ -59,8 +65,8 @@ def read_logs(
                 where="data",
                 remedy=f"use the name of an experiment: {', '.join(names)}",
             )
-    jobs = [partial(read_log, study, each, replacements.get(each.name)) for each in selected]
-    logs = tuple(run_parallel(jobs))
+    jobs = [partial(_read_segments, study, each, replacements.get(each.name)) for each in selected]
+    logs = tuple(log for segments in run_parallel(jobs) for log in segments)
     _check_mapped(study, logs, replacements)
     return logs
 
@@ -71,24 +77,60 @@ def read_log(study: Study, experiment: Experiment, data: Any = None) -> Log:
     value = scale * (column + added) + offset, where `added` is the column that `add` names, if any.
     If the log lacks the column of an optional channel, the channel is absent. `data`, a table or a
     path, replaces the study's file. The log carries a warning for each correction and each
-    doubtful value. Raises InvalidInput if the file, a column or a value is invalid.
+    doubtful value. Of a record with pauses, the longest segment is returned, under the name of the
+    experiment. Raises InvalidInput if the file, a column or a value is invalid.
     """
+    segments = _read_segments(study, experiment, data)
+    return replace(max(segments, key=len), experiment=experiment, warnings=segments[0].warnings)
+
+
+def _read_segments(study: Study, experiment: Experiment, data: Any) -> tuple[Log, ...]:
+    """Read the segments of one experiment; one without pauses keeps its name."""
     table = _open(study, experiment, data)
     sources = _sources(study, experiment, table)
-    tracks, warnings = _tracks(table, sources, experiment)
-    time, columns, clock_warnings = resample_tracks(
-        tracks, _command_columns(sources, experiment), experiment, table.path
-    )
-    channels = {
-        name: channel.scale * _with_added(name, channel, experiment, columns) + channel.offset
-        for name, channel in sources.items()
-        if name != "t"
-    }
-    warnings += clock_warnings + _check_constants(channels, study, experiment, table.path)
-    del columns, tracks
+    commands = _command_columns(sources, experiment)
+    segments, warnings = _segments(table, sources, experiment, study.sample_rate)
+    logs: list[Log] = []
+    unusable: InvalidInput | None = None
+    for tracks in segments:
+        filled: dict[str, BoolArray] = {}
+        dense = []
+        for track in tracks:
+            complete, mask = fill_missing(track, commands)
+            filled |= mask
+            dense.append(complete)
+        time, columns, clock_warnings = resample_tracks(dense, commands, experiment, table.path)
+        channels = {
+            name: channel.scale * _with_added(name, channel, experiment, columns) + channel.offset
+            for name, channel in sources.items()
+            if name != "t"
+        }
+        clock_warnings += _integrate_velocities(channels, study, time, table.path)
+        try:
+            clock_warnings += _check_constants(channels, study, experiment, table.path)
+        except InvalidInput as error:  # one segment at rest is no fault
+            unusable = unusable or error
+            continue
+        masked = {
+            name: np.interp(time, track.time, filled[channel.column].astype(np.float64))
+            > _MIN_FILLED_SHARE
+            for name, channel in sources.items()
+            for track in dense
+            if channel.column in filled and channel.column in track.columns
+        }
+        sample_time = float((time[-1] - time[0]) / (len(time) - 1))
+        logs.append(Log(experiment, time, sample_time, channels, tuple(clock_warnings), masked))
+    if unusable is not None and not logs:
+        raise unusable
+    del segments
     release_reader_memory()
-    sample_time = float((time[-1] - time[0]) / (len(time) - 1))
-    return Log(experiment, time, sample_time, channels, tuple(warnings))
+    logs[0] = replace(logs[0], warnings=(*warnings, *logs[0].warnings))
+    if len(logs) == 1:
+        return tuple(logs)
+    return tuple(
+        replace(log, experiment=experiment.segment(k), delay=float(log.time[0] - logs[0].time[0]))
+        for k, log in enumerate(logs, start=1)
+    )
 
 
 def _open(study: Study, experiment: Experiment, data: Any) -> Table | Bag:
@@ -98,19 +140,41 @@ def _open(study: Study, experiment: Experiment, data: Any) -> Table | Bag:
     return Bag(path) if is_bag(path) else open_table(path)
 
 
-def _tracks(
-    table: Table | Bag, sources: dict[str, Channel], experiment: Experiment
-) -> tuple[list[Track], list[Diagnostic]]:
-    """Return the required columns with their time stamps; the track of the motor angle is first."""
-    angle = sources["theta_m1"].column
-    required = sorted({channel.column for channel in sources.values()} | {*experiment.add.values()})
+def _segments(
+    table: Table | Bag,
+    sources: dict[str, Channel],
+    experiment: Experiment,
+    sample_rate: float | None,
+) -> tuple[list[list[Track]], list[Diagnostic]]:
+    """Return the tracks of each segment; that of the first motor's angle or velocity is first."""
+    columns_of = (column for channel in sources.values() for column in channel.columns)
+    required = sorted({*columns_of, *experiment.add.values()})
+    clock = sources.get("theta_m1") or sources["omega_m1"]
+    by_kind: dict[str, set[str]] = {"torque": set(), "temperature": set()}
+    for name, channel in sources.items():
+        by_kind.setdefault(channel_parts(name)[0], set()).add(channel.column)
+    commands = _command_columns(sources, experiment)
+    roles = Roles(clock.column, commands, by_kind["torque"], by_kind["temperature"])
     if isinstance(table, Bag):
         tracks, warnings = table.tracks(required)
-        return sorted(tracks, key=lambda track: angle not in track.columns), warnings
+        tracks, missing = drop_long_gaps(tracks, roles, table.path)
+        segments, split = segment_tracks(tracks, roles, experiment, table.path)
+        return segments, [*warnings, *missing, *split]
     columns = table.read(required)
-    channel = sources["t"]
-    time = channel.scale * _with_added("t", channel, experiment, columns) + channel.offset
-    return [Track("", time, columns, table.row_name)], []
+    if sample_rate is None:
+        time = time_of(columns, table.clocks, sources["t"])
+        if "t" in experiment.add:
+            time = time + sources["t"].scale * columns[experiment.add["t"]]
+        others = {channel.column for name, channel in sources.items() if name != "t"}
+        columns = {
+            name: values
+            for name, values in columns.items()
+            if name in others or name in experiment.add.values()
+        }
+    else:
+        time = np.arange(len(next(iter(columns.values())))) / sample_rate
+    track = Track("", time, columns, table.row_name)
+    return segment_table(track, roles, experiment, table.path)
 
 
 def _command_columns(sources: dict[str, Channel], experiment: Experiment) -> set[str]:
@@ -125,14 +189,17 @@ def _sources(study: Study, experiment: Experiment, table: Table | Bag) -> dict[s
     sources = {}
     for name in channel_names(study.arm.n_joints):
         channel = study.channels.get(name)
-        if channel is not None and channel.column not in table.names:
+        if name == "t" and study.sample_rate is not None:
+            continue
+        missing = [] if channel is None else [c for c in channel.columns if c not in table.names]
+        if missing:
             # a recorded topic without the field, or a column of text, is no missing sensor
             if isinstance(table, Bag):
-                misnamed = table.has_topic_of(channel.column)
+                misnamed = table.has_topic_of(missing[0])
             else:
-                misnamed = channel.column in table.omitted
+                misnamed = missing[0] in table.omitted
             if name == "t" or name.startswith("theta_m") or misnamed:
-                raise _missing_mapped_column(name, channel, table)
+                raise _missing_mapped_column(name, missing[0], table)
             continue  # absent in this log
         if channel is not None or name in table.names:
             sources[name] = channel or Channel(name)
@@ -155,7 +222,7 @@ def _check_mapped(study: Study, read: Sequence[Log], data: Data) -> None:
         first = read[0].experiment
         table = _open(study, first, data.get(first.name))
         if len(read) == 1 or isinstance(table, Bag):  # a bag's error lists its topics
-            raise _missing_mapped_column(name, channel, table)
+            raise _missing_mapped_column(name, channel.column, table)
         raise InvalidInput(
             f"no log has the column '{channel.column}', which [channels] names for '{name}'",
             where=str(study.path),
@@ -164,22 +231,28 @@ def _check_mapped(study: Study, read: Sequence[Log], data: Data) -> None:
         )
 
 
-def _missing_mapped_column(name: str, channel: Channel, table: Table | Bag) -> InvalidInput:
-    return table.missing_column_error(channel.column, f"which [channels] names for '{name}'")
+def _missing_mapped_column(name: str, column: str, table: Table | Bag) -> InvalidInput:
+    return table.missing_column_error(column, f"which [channels] names for '{name}'")
 
 
 def _check_required(sources: dict[str, Channel], study: Study, table: Table | Bag) -> None:
     required = [f"theta_m{i}" for i in range(1, study.arm.n_joints + 1)]
-    if not isinstance(table, Bag):
-        required = ["t", *required]
-    elif "t" in sources:
+    if isinstance(table, Bag) and ("t" in sources or study.sample_rate is not None):
+        name = "t" if "t" in sources else "sample_rate"
         raise InvalidInput(
-            "the channel t is mapped, but the messages of a bag contain their time stamps",
+            f"{name} is given, but the messages of a bag contain their time stamps",
             where=str(study.path),
-            remedy="remove t from [channels]",
+            remedy=f"remove {name} from [channels]",
         )
+    if not isinstance(table, Bag) and study.sample_rate is None:
+        required = ["t", *required]
     for name in required:
         if name not in sources:
+            number = channel_parts(name)[1]
+            if f"omega_m{number}" in sources:
+                if study.arm.has_posture_free(number):
+                    continue
+                raise _angle_needed(number, study, table)
             used = {channel.column for channel in sources.values()}
             error = table.missing_column_error(name, "which every log must contain", used)
             raise error if name == "t" else _or_without_joint(error, study.arm, name)
@@ -187,7 +260,7 @@ def _check_required(sources: dict[str, Channel], study: Study, table: Table | Ba
         if f"u{i}" not in sources and f"torque{i}" not in sources:
             for name in (f"u{i}", f"torque{i}"):
                 if name in study.channels:
-                    raise _missing_mapped_column(name, study.channels[name], table)
+                    raise _missing_mapped_column(name, study.channels[name].column, table)
             what = f"and no column 'torque{i}': the log has no motor input"
             raise table.missing_column_error(f"u{i}", what)
         if f"torque{i}" not in sources and joint.torque_per_volt is None:
@@ -226,6 +299,33 @@ def _with_added(
     if name in experiment.add:
         values = values + columns[experiment.add[name]]
     return values
+
+
+def _angle_needed(joint: int, study: Study, table: Table | Bag) -> InvalidInput:
+    """The error for a motor that logs its velocity alone on an arm whose posture matters."""
+    return InvalidInput(
+        f"motor {joint} logs its velocity (omega_m{joint}) but no angle, and gravity or the inertia"
+        " of the arm depends on the angle",
+        where=str(table.path),
+        remedy=f"log the angle of motor {joint} and map it to theta_m{joint} in [channels] of "
+        f"{study.path}",
+    )
+
+
+def _integrate_velocities(
+    channels: dict[str, FloatArray], study: Study, time: FloatArray, path: Path
+) -> list[Diagnostic]:
+    """Add the integral from zero of the velocity of each motor without an angle."""
+    warnings = []
+    for joint in range(1, study.arm.n_joints + 1):
+        if f"theta_m{joint}" in channels:
+            continue
+        velocity = channels[f"omega_m{joint}"]
+        steps = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)
+        channels[f"theta_m{joint}"] = np.concatenate([[0.0], np.cumsum(steps)])
+        place = Place(file=path.name)
+        warnings.append(Diagnostic("integrated-velocity", place, joint=joint))
+    return warnings
 
 
 def _check_constants(

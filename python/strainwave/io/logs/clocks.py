@@ -9,11 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from strainwave.domain import Clause, Diagnostic, Experiment, FloatArray, Place
+from strainwave.domain import (
+    BoolArray,
+    Clause,
+    Diagnostic,
+    Experiment,
+    FloatArray,
+    IntArray,
+    Place,
+)
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.tables import find_invalid_value
 from strainwave.numerics.filters import noise_std
@@ -61,12 +70,7 @@ def resample_tracks(
     (n_samples,) [s], columns (n_samples,) and warnings. Raises InvalidInput if time stamps or
     values are invalid.
     """
-    for track in tracks:
-        _check_time(track, path)
     windowed = [_window(track, command_columns, experiment, path) for track in tracks]
-    for track in windowed:
-        if not track.has_only(command_columns):
-            _check_gaps(track, path)
     windowed = _overlap(windowed, command_columns, path)
     grid, ticks, warnings = _grid(windowed[0].time, Place(file=path.name))
     columns: dict[str, FloatArray] = {}
@@ -74,7 +78,7 @@ def resample_tracks(
     for track in windowed:
         rows = _rows_on(grid, track.time)
         if rows is not None:
-            columns |= _cut(track, rows).columns
+            columns |= cut(track, rows).columns
         elif track is windowed[0]:
             columns |= _resample(grid, track, command_columns, ticks)
         else:
@@ -91,6 +95,12 @@ def _check_values(track: Track, inside: slice, path: Path) -> None:
         row = find_invalid_value(values[inside])
         if row is not None:
             row += inside.start
+            if np.isnan(values[inside]).all():
+                raise InvalidInput(
+                    f"the column {name!r} has no values",
+                    where=str(path),
+                    remedy="remove its channel from [channels], or rename the column",
+                )
             raise InvalidInput(
                 f"the value is {values[row]}",
                 where=f"{path}, {track.row_name(row)}, column {name!r}",
@@ -98,7 +108,8 @@ def _check_values(track: Track, inside: slice, path: Path) -> None:
             )
 
 
-def _check_time(track: Track, path: Path) -> None:
+def check_time(track: Track, path: Path) -> None:
+    """Raise InvalidInput unless all time stamps are finite numbers."""
     time = track.time
     row = find_invalid_value(time)
     if row is not None:
@@ -106,14 +117,6 @@ def _check_time(track: Track, path: Path) -> None:
             f"the time is {time[row]}",
             where=f"{path}, {track.row_name(row)}",
             remedy="truncate the log there",
-        )
-    backward = np.flatnonzero(np.diff(time) <= 0.0)
-    if backward.size:
-        row = int(backward[0]) + 1
-        raise InvalidInput(
-            f"time does not increase: {time[row]:.9g} s after {time[row - 1]:.9g} s",
-            where=f"{path}, {track.row_name(row)}",
-            remedy="sort the log by time and remove duplicate rows",
         )
 
 
@@ -148,27 +151,26 @@ def _window(
     if len(time[inside]) < MIN_SAMPLES and not commanded:
         raise _too_few(len(time[inside]), path, f"the window{of}")
     _check_values(track, inside, path)
-    return _cut(track, inside)
+    return cut(track, inside)
 
 
-def _cut(track: Track, inside: slice) -> Track:
-    columns = {name: values[inside] for name, values in track.columns.items()}
-    return replace(track, time=track.time[inside], columns=columns)
+def cut(track: Track, rows: slice | BoolArray) -> Track:
+    """Some rows of a track."""
+    columns = {name: values[rows] for name, values in track.columns.items()}
+    row_name = partial(_row_name, track.row_name, len(track.time), rows)
+    return replace(track, time=track.time[rows], columns=columns, row_name=row_name)
 
 
-def _check_gaps(track: Track, path: Path) -> None:
-    time = track.time
+def _row_name(
+    row_name: Callable[[int], str], n_rows: int, rows: slice | BoolArray, row: int
+) -> str:
+    return row_name(int(np.arange(n_rows)[rows][row]))
+
+
+def find_gaps(time: FloatArray) -> IntArray:
+    """Indices of the samples before a pause, across which values are not interpolated."""
     steps = np.diff(time)
-    period = float(np.median(steps))
-    widest = int(np.argmax(steps))
-    if steps[widest] > MAX_GAP_PERIODS * period:
-        of = f" in {track.name}" if track.name else ""
-        raise InvalidInput(
-            f"there is a gap{of} from {time[widest]:.6g} to {time[widest + 1]:.6g} s, "
-            f"{steps[widest] / period:.0f} samples long",
-            where=str(path),
-            remedy="set start and stop to a part of the log before or after the gap",
-        )
+    return np.flatnonzero(steps > MAX_GAP_PERIODS * float(np.median(steps)))
 
 
 def _overlap(tracks: list[Track], command_columns: Collection[str], path: Path) -> list[Track]:
@@ -188,7 +190,7 @@ def _overlap(tracks: list[Track], command_columns: Collection[str], path: Path) 
             where=str(path),
             remedy="record the topics together, or synchronise the clocks of their publishers",
         )
-    return [_cut(clock, inside), *others]
+    return [cut(clock, inside), *others]
 
 
 def _rows_on(grid: FloatArray, time: FloatArray) -> slice | None:

@@ -13,7 +13,7 @@ from collections.abc import Collection, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from strainwave.domain import Options, Study
+from strainwave.domain import Channel, Options, Study
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.options import PUBLISHED_OPTIONS
 from strainwave.errors import InvalidInput
@@ -194,13 +194,20 @@ def document_of(study: Study) -> dict[str, Any]:
         document["transmission"] = {"coupling": [list(row) for row in study.arm.coupling]}
     if study.arm.servo is not None:
         document["servo"] = _table(study.arm.servo)
-    if study.channels:
-        document["channels"] = {name: _table(channel) for name, channel in study.channels.items()}
+    if study.channels or study.sample_rate is not None:
+        document["channels"] = {name: _channel(each) for name, each in study.channels.items()}
+    if study.sample_rate is not None:
+        document["channels"]["sample_rate"] = study.sample_rate
     document["experiment"] = [_table(experiment) for experiment in study.experiments]
     options = _table(study.options)
     if options:
         document["options"] = options
     return document
+
+
+def _channel(channel: Channel) -> dict[str, Any]:
+    table = _table(channel, without=("second_column",))
+    return table | ({"column": list(channel.columns)} if channel.second_column else {})
 
 
 def _table(record: Any, without: Container[str] = ()) -> dict[str, Any]:

@@ -193,6 +193,12 @@ def _check_count(values: tuple[Any, ...], count: int, place: str, key: str) -> N
 
 
 def _check_channels(study: Study, reader: Reader) -> None:
+    if study.sample_rate is not None and "t" in study.channels:
+        raise InvalidInput(
+            "both t and sample_rate are given",
+            where=reader.place("channels", None, "sample_rate"),
+            remedy="remove sample_rate if the logs have time stamps, else t",
+        )
     known = channel_names(study.arm.n_joints)
     named_channels: list[tuple[str, int | None, str]] = [
         ("channels", None, name) for name in study.channels

@@ -27,7 +27,7 @@ from strainwave.domain import (
     effects,
     gear_laws,
 )
-from strainwave.domain.arm import Matrix
+from strainwave.domain.arm import Matrix, Positive
 from strainwave.domain.kinds import Kind, all_kinds, kind_named
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.urdf import UrdfJoint, read_urdf
@@ -78,11 +78,14 @@ class Reader:
                 remedy=f"add {name}; see docs/study.md",
             )
         count = len(joints)
+        channels = dict(self._one(document, "channels") or {})
+        rate = channels.pop("sample_rate", None)
         return Study(
             path=self.path,
             sha256=sha256,
             arm=self._arm(arm, joints, document),
-            channels=self._channels(self._one(document, "channels") or {}),
+            channels=self._channels(channels),
+            sample_rate=None if rate is None else self._sample_rate(rate),
             experiments=tuple(
                 self.record(Experiment, {"control": ["open"] * count} | table, "experiment", i)
                 for i, table in enumerate(experiments)
@@ -318,11 +321,21 @@ class Reader:
                     where=self.place("channels", None, name),
                     remedy='write a name, or { column = "...", scale = ..., offset = ... }',
                 )
-            if "topic" in as_table:
+            columns = as_table.get("column")
+            if name == "t" and isinstance(columns, list) and len(columns) == 2:
+                first = as_table | {"column": columns[0]}
+                second = self._value(columns[1], str, "channels", None, name)
+                channels[name] = self.record(Channel, first, "channels", second_column=second)
+            elif "topic" in as_table:
                 channels[name] = self.record(TopicChannel, as_table, "channels").channel
             else:
-                channels[name] = self.record(Channel, as_table, "channels")
+                channels[name] = self.record(Channel, as_table, "channels", second_column=None)
         return channels
+
+    def _sample_rate(self, value: Any) -> float:
+        """The sampling rate that replaces time stamps."""
+        rate: float = self._value(value, Positive, "channels", None, "sample_rate")
+        return rate
 
     def _one(self, document: Mapping[str, Any], name: str) -> dict[str, Any] | None:
         table = document.get(name)

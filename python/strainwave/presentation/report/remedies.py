@@ -314,6 +314,23 @@ _SCOPE = {
     "nothing-to-predict": Advice(
         "The channel has no fit.", "To validate this channel, move the joint in a check record."
     ),
+    "split": Advice(
+        "Each segment is used as a record of its own; no value is interpolated across a pause.",
+        "Check the logger if the pauses are not intended.",
+    ),
+    "repeated-stamps": Advice("These rows are not used.", "Check the clock of the logger."),
+    "held-samples": Advice(
+        "Only the updates are used. Motion faster than their rate is lost.",
+        "Log at the rate of the bus, and read all signals at one rate.",
+    ),
+    "missing-values": Advice(
+        "Short gaps are interpolated and not weighted; longer ones are left out.",
+        "Check the logger.",
+    ),
+    "integrated-velocity": Advice(
+        "The angle is the integral of the velocity, and drifts with its offset.",
+        "Log the angle if possible.",
+    ),
     "reordered": Advice("The messages are sorted by stamp.", "No action is required."),
     "resampled": Advice(
         "The log is interpolated to a uniform clock, which smooths fast content.",

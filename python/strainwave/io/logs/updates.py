@@ -1,0 +1,200 @@
+"""Columns that update more slowly than the rows of their table.
+
+A logger that runs faster than a bus repeats each value until the next one arrives; a table merged
+from several sources has empty cells in between. Both are reduced to their updates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from strainwave.domain import BoolArray, Diagnostic, FloatArray, Place
+from strainwave.io.logs.clocks import MAX_GAP_PERIODS, Track, cut
+
+_MIN_UPDATES = 20  # of a column that can be recognised as held
+# maximum share of values that a held column keeps for one row; motion above one count per row
+# gives far more
+_MAX_SHORT_SHARE = 0.1
+# minimum share of changes above 1.5 times the smallest one. A slow or quantised signal and a
+# command of two levels change by one quantum at a time (at most 5 % of the changes in the measured
+# records are larger), a held one by the motion during the hold (at least 40 %)
+_MIN_LARGE_SHARE = 0.25
+_QUANTUM_MARGIN = 1.5  # changes of at least two quanta exceed it
+_MIN_SUBSET_SHARE = 0.95  # minimum share of updates that columns of one source have in common
+_LONG_RUN = 2.0  # times the 90 % quantile of the holds: updates without a change lie within
+# minimum share of values in a column whose missing cells are interpolated; below, it is slow
+_MIN_VALUE_SHARE = 0.8
+# [s] a torque that alone is held for less is the command of a servo clock, not late telemetry
+_MAX_SERVO_PERIOD = 0.005
+
+
+@dataclass(frozen=True, slots=True)
+class Roles:
+    """Columns with a special role."""
+
+    clock: str  # the column whose samples set the clock: the first motor's angle
+    commands: Collection[str] = ()  # held between their ticks
+    torques: Collection[str] = ()  # may be commands
+    covariates: Collection[str] = ()  # slow by nature
+
+
+@dataclass(frozen=True, slots=True)
+class _Source:
+    """Columns with common updates."""
+
+    names: list[str]
+    updates: BoolArray  # (n_samples,)
+    is_held: bool  # otherwise the cells between the updates are empty
+
+
+def separate_slow_columns(
+    track: Track, roles: Roles, file: str
+) -> tuple[list[Track], list[Diagnostic]]:
+    """Reduce a track to its updates; if only some columns are slow, move them to separate tracks.
+
+    Commands are held by nature and excluded.
+    """
+    measured = [name for name in track.columns if name not in roles.commands]
+    sources: list[_Source] = []
+    fast: list[str] = []
+    for name in measured:
+        values = track.columns[name]
+        valid = ~np.isnan(values)
+        if not valid.any():
+            continue
+        is_held = bool(valid.all())
+        updates: BoolArray | None = None
+        if not is_held and valid.mean() <= _MIN_VALUE_SHARE:
+            updates = valid
+        elif is_held and name not in roles.covariates:
+            updates = find_updates(values)
+        if updates is not None:
+            sources.append(_Source([name], updates, is_held))
+        elif name not in roles.covariates and np.ptp(values[valid]) > 0.0:
+            fast.append(name)
+    sources = _merge(sources)
+    period = float(np.median(np.diff(track.time)))
+    if fast:
+        sources = [
+            each
+            for each in sources
+            if not each.is_held
+            or not set(each.names) <= set(roles.torques)
+            or period * len(each.updates) > _MAX_SERVO_PERIOD * np.count_nonzero(each.updates)
+        ]
+    if not sources:
+        return [track], []
+    is_whole = not fast and len(sources) == 1
+    warnings = []
+    for each in sources:
+        rows = len(each.updates) / np.count_nonzero(each.updates)
+        warnings.append(
+            Diagnostic(
+                "held-samples",
+                Place(file=file),
+                "" if is_whole else "some",
+                columns=", ".join(each.names),
+                rows=float(rows),
+                rate_hz=1.0 / (rows * period),
+            )
+        )
+    if is_whole:
+        return [cut(track, sources[0].updates)], warnings
+    slow = {name for each in sources for name in each.names}
+    rest = {name: values for name, values in track.columns.items() if name not in slow}
+    tracks = [replace(track, columns=rest)] if rest else []
+    for each in sources:
+        columns = {name: track.columns[name] for name in each.names}
+        part = replace(track, name=", ".join(each.names), columns=columns)
+        tracks.append(cut(part, each.updates))
+    return tracks, warnings
+
+
+def find_updates(values: FloatArray) -> BoolArray | None:
+    """Rows (n_samples,) in which a held column updates; None if it is not held.
+
+    A held column keeps each value for two rows or more and then changes by the motion in that time.
+    """
+    steps = np.abs(np.diff(values))
+    changes = np.flatnonzero(steps) + 1
+    if len(changes) < _MIN_UPDATES:
+        return None
+    runs = np.diff(changes)
+    if np.mean(runs < 2) > _MAX_SHORT_SHARE:
+        return None
+    sizes = steps[changes - 1]
+    if np.mean(sizes > _QUANTUM_MARGIN * sizes.min()) < _MIN_LARGE_SHARE:
+        return None
+    updates = np.zeros(len(values), dtype=bool)
+    updates[changes] = updates[0] = True
+    return updates
+
+
+def _with_rest(updates: BoolArray) -> BoolArray:
+    """Add updates, at their usual distance, where nothing changes for long."""
+    rows = np.append(np.flatnonzero(updates), len(updates))
+    runs = np.diff(rows)
+    usual, longest = int(np.median(runs)), _LONG_RUN * float(np.quantile(runs, 0.9))
+    updates = updates.copy()
+    for k in np.flatnonzero(runs > longest):
+        updates[rows[k] : rows[k + 1] : usual] = True
+    return updates
+
+
+def _merge(sources: list[_Source]) -> list[_Source]:
+    """Merge columns with common updates; one with fewer changes keeps its value at the others'."""
+    merged: list[_Source] = []
+    for each in sorted(sources, key=lambda s: -np.count_nonzero(s.updates)):
+        count = np.count_nonzero(each.updates)
+        for other in merged:
+            common = np.count_nonzero(each.updates & other.updates)
+            if each.is_held == other.is_held and common >= _MIN_SUBSET_SHARE * count:
+                other.names.extend(each.names)
+                break
+        else:
+            merged.append(each)
+    return [replace(s, updates=_with_rest(s.updates)) if s.is_held else s for s in merged]
+
+
+def drop_missing(track: Track, command_columns: Collection[str]) -> tuple[Track, dict[str, int]]:
+    """Drop the rows in which a column has no value for long; returns the missing values by column.
+
+    A column that begins late or ends early narrows the record. A command keeps its last value.
+    """
+    missing: dict[str, int] = {}
+    keep = np.ones(len(track.time), dtype=bool)
+    for name, values in track.columns.items():
+        rows = np.flatnonzero(~np.isnan(values))
+        if len(rows) in (0, len(values)):
+            continue
+        keep[: rows[0]] = False
+        if name in command_columns:
+            continue
+        missing[name] = len(values) - len(rows)
+        keep[rows[-1] + 1 :] = False
+        runs = np.diff(rows)
+        for k in np.flatnonzero(runs > MAX_GAP_PERIODS * float(np.median(runs))):
+            keep[rows[k] + 1 : rows[k + 1]] = False
+    return (track if keep.all() else cut(track, keep)), missing
+
+
+def fill_missing(
+    track: Track, command_columns: Collection[str]
+) -> tuple[Track, dict[str, BoolArray]]:
+    """Interpolate single missing values, and hold those of commands; returns what was filled."""
+    columns, filled = dict(track.columns), {}
+    for name, values in track.columns.items():
+        empty = np.isnan(values)
+        rows = np.flatnonzero(~empty)
+        if len(rows) in (0, len(values)):
+            continue
+        if name in command_columns:
+            last = np.maximum(np.searchsorted(rows, np.arange(len(values)), side="right") - 1, 0)
+            columns[name] = values[rows[last]]
+        else:
+            columns[name] = np.interp(track.time, track.time[rows], values[rows])
+            filled[name] = empty
+    return replace(track, columns=columns), filled
