@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from strainwave.study_draft.experiment_type import (
     unchecked_joints,
 )
 from strainwave.study_draft.inspection import Record, find_fullest_record, read_record
+from strainwave.study_draft.joints import find_logged_joints
 from strainwave.study_draft.robot import Robot
 from strainwave.study_draft.study_text import count_todos, is_elastic, study_text
 
@@ -58,9 +60,9 @@ def start_study(logs: Sequence[Path], out: Path, urdf: Path | None = None) -> St
             where=str(out),
             remedy="choose another file with --out, or move the existing file",
         )
-    robot = None if urdf is None else Robot.read(urdf)
     records = [read_record(path) for path in logs]
     fullest = find_fullest_record(records)
+    robot = urdf and Robot.read(urdf, partial(find_logged_joints, records, fullest))
     mapping = map_channels(fullest, fullest, robot, records)
     _check_alike(records, fullest, mapping)
     for record in records:

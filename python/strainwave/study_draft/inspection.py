@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, get_args
 
@@ -36,6 +36,7 @@ class Record:
     columns: dict[str, FloatArray]  # name -> (n_samples,)
     notes: tuple[str, ...]
     faults: tuple[str, ...] = ()  # values that `identify` rejects; omitted columns
+    units: Mapping[str, str] = field(default_factory=dict)  # column -> unit of a units row
 
     @property
     def period(self) -> float:
@@ -85,7 +86,7 @@ def _read_table(path: Path) -> Record:
         )
     name, unit, scale = _time_column(columns, path)
     time = scale * columns.pop(name)
-    return Record(path, time, name, scale, unit, columns, (), (*faults, *value_faults))
+    return Record(path, time, name, scale, unit, columns, (), (*faults, *value_faults), table.units)
 
 
 class _TimeColumn(NamedTuple):

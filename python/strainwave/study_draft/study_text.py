@@ -59,6 +59,7 @@ def study_text(
         listed=_listed,
         optional=lambda code, comment: f"# {code}".ljust(26) + f"  # {comment}",
         quoted=_quoted,
+        quoted_list=lambda names: ", ".join(map(_quoted, names)),
         wrapped=_wrapped,
     )
     count = count_todos(body)

@@ -13,7 +13,7 @@ import struct
 import sys
 import zlib
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -44,6 +44,7 @@ class Table:
     names: Sequence[str]
     read: Callable[[Sequence[str]], dict[str, FloatArray]]
     row_name: Callable[[int], str] = lambda row: f"row {row + 1}"
+    units: Mapping[str, str] = field(default_factory=dict)  # column -> unit of a units row
 
     def missing_column_error(
         self, column: str, what: str, used: Collection[str] = ()
