@@ -15,7 +15,9 @@ from tuning_runs import shaken_study, simulated_logs
 
 
 def study_with(spring: str) -> Study:
-    study = shaken_study(scara.STIFF.study(Path("nowhere"), "three-slope"), 10.0, order=6, joints=(1,))
+    study = shaken_study(
+        scara.STIFF.study(Path("nowhere"), "three-slope"), 10.0, order=6, joints=(1,)
+    )
     joints = (replace(joint, spring=spring) for joint in study.arm.joints)
     return replace(study, arm=study.arm.with_joints(joints))
 

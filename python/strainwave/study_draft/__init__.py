@@ -17,7 +17,7 @@ import numpy as np
 
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import write_whole
-from strainwave.study_draft.candidates import Mapping
+from strainwave.study_draft.candidates import Guess, Mapping
 from strainwave.study_draft.channels import add_channels, map_channels
 from strainwave.study_draft.experiment_type import (
     ExperimentProposal,
@@ -27,7 +27,12 @@ from strainwave.study_draft.experiment_type import (
 from strainwave.study_draft.inspection import Record, find_fullest_record, read_record
 from strainwave.study_draft.joints import find_logged_joints
 from strainwave.study_draft.robot import Robot
-from strainwave.study_draft.study_text import count_todos, is_elastic, study_text
+from strainwave.study_draft.study_text import (
+    count_todos,
+    is_elastic,
+    list_todos,
+    study_text,
+)
 
 __all__ = ["StudyDraft", "start_study"]
 
@@ -45,6 +50,8 @@ class StudyDraft:
     n_todos: int  # number of values that the user must fill in
     limit: str  # why the arm exceeds the supported models; empty if it does not
     warnings: tuple[str, ...]
+    guesses: tuple[Guess, ...]  # of the channels
+    todos: tuple[str, ...]  # what the user must fill in, in the order of the file
 
 
 def start_study(logs: Sequence[Path], out: Path, urdf: Path | None = None) -> StudyDraft:
@@ -80,6 +87,8 @@ def start_study(logs: Sequence[Path], out: Path, urdf: Path | None = None) -> St
         n_todos=count_todos(text),
         limit=mapping.limit,
         warnings=tuple(_warnings(records, mapping, experiments)),
+        guesses=tuple(mapping.guesses.values()),
+        todos=list_todos(text),
     )
 
 

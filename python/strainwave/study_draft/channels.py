@@ -107,9 +107,8 @@ def _are_degrees(joints: Sequence[JointColumns], robot: Robot, motions: Sequence
     degrees = [Motion(n, DEGREE * angle, period) for n, angle, period in motions]
     if not robot.are_within_limits(degrees):
         return False
-    bounds = robot.gravity_bounds()
-    sizes = [joint.largest_torque() / bound for joint, bound in zip(joints, bounds) if bound > 0.0]
-    return max(sizes, default=0.0) > _MIN_TORQUE_SHARE
+    torque = sum(joint.largest_torque() for joint in joints)
+    return torque > _MIN_TORQUE_SHARE * sum(robot.gravity_bounds())
 
 
 def _map_imus(record: Record, mapping: Mapping) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
@@ -172,7 +173,7 @@ class _JointWords(NamedTuple):
     @property
     def is_letter(self) -> bool:
         """Whether the joint is a letter, which elsewhere in a name may be a unit."""
-        return len(self.words) == 1 and len(self.words[0]) == 1
+        return len(self.words) == 1 and re.fullmatch("[a-z]", self.words[0]) is not None
 
     def is_of(self, each: ParsedName, name: str) -> bool:
         if self.is_letter and position(words_of(name), self.words) is not None:

@@ -87,6 +87,20 @@ def count_todos(text: str) -> int:
     return sum(line.count(TODO) for line in lines)
 
 
+def list_todos(text: str) -> tuple[str, ...]:
+    """The lines of a study file with TODO values, each with its comment, in order."""
+    todos, above = list[str](), ""
+    for number, line in enumerate(text.splitlines(), start=1):
+        code, _, comment = line.partition("#")
+        if TODO in code:
+            hint = textwrap.shorten(
+                (comment or above).removeprefix(" TODO: "), _WIDTH - 30, placeholder=" ..."
+            )
+            todos.append(f"line {number:<3} {code.partition('=')[0].strip():16}  {hint}")
+        above = f"{above} {comment.strip()}" if not code.strip() and comment else ""
+    return tuple(todos)
+
+
 def is_elastic(mapping: Mapping, experiments: Sequence[ExperimentProposal]) -> bool:
     """Whether the logs identify gear stiffness: a link sensor or a pseudo-random input exists."""
     if all(facts.joint_side for facts in mapping.joints):
