@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
+from textwrap import shorten
 from typing import Annotated, Literal
 
 import typer
@@ -103,11 +104,34 @@ def init(
     if not quiet:
         typer.echo(
             f"{draft.path}: {draft.joints} joint(s), {draft.experiments} record(s), "
-            f"{len(draft.channels)} channel(s) guessed ({', '.join(draft.channels)}); "
-            f"{draft.n_todos} value(s) are TODO"
+            f"{len(draft.channels)} channel(s) guessed; {draft.n_todos} value(s) are TODO"
         )
+        for guess in draft.guesses:
+            certainty = "TODO" if guess.todo else guess.sure
+            scale = "" if guess.scale in (1.0, None) else f" times {guess.scale:.6g}"
+            text = shorten(
+                f"{guess.column!r}{scale}: {guess.todo or guess.reason}", 100, placeholder=" ..."
+            )
+            typer.echo(f"  {guess.channel:12} {certainty:7} {text}")
+        for todo in draft.todos:
+            typer.echo(f"fill in: {todo}")
+        if not draft.n_todos:
+            typer.echo(_verdict_of_check(out))
         for warning in draft.warnings:
             typer.echo(f"warning: {warning}")
+
+
+def _verdict_of_check(study: Path) -> str:
+    """The verdict of the consistency check in one line; a draft with a fault remains a draft."""
+    from strainwave import pipeline
+    from strainwave.errors import InvalidInput
+
+    try:
+        result = pipeline.check_input(study)
+    except InvalidInput as error:
+        return f"check: {error}"
+    faults = ", ".join(f"{fault.code} at {fault.where}" for fault in result.suspected)
+    return f"check: {result.status}" + (f": {faults}" if faults else "")
 
 
 @app.command(epilog="Example: strainwave identify study.toml --out results")

@@ -19,7 +19,7 @@ from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.io.logs import read_log, write_log
-from strainwave.io.study import read_study
+from strainwave.io.study import read_study, write_study
 from strainwave.io.urdf import read_urdf
 from strainwave.study_draft import start_study
 from strainwave.study_draft.robot import Robot
@@ -349,10 +349,10 @@ def refused(folder: Path, columns: Mapping[str, FloatArray], path: Path) -> str:
 def test_a_joint_without_columns_is_named(tmp_path: Path) -> None:
     path = urdf(tmp_path)
     columns = joint_motion(path, duration=4.0)
-    five = {name: values for name, values in columns.items() if not name.endswith("6")}
+    five = {name: values for name, values in columns.items() if not name.endswith("4")}
     message = refused(tmp_path, five, path)
-    assert "run.csv: no column is the angle of the joint 'wrist_3_joint'; the " in message
-    assert "columns are q1, q2, q3, q4, q5" in message
+    assert "run.csv: no column is the angle of the joint 'wrist_1_joint'; the " in message
+    assert "columns are q1, q2, q3, q5, q6" in message
     assert 'set its type to "fixed" in the URDF' in message
     names = "waist", "arm", "forearm", "roll", "pitch", "yaw"
     other = {
@@ -364,21 +364,47 @@ def test_a_joint_without_columns_is_named(tmp_path: Path) -> None:
     assert "the columns are q_waist, q_arm" in message
 
 
-def test_a_urdf_of_more_than_seven_joints_is_refused(tmp_path: Path) -> None:
+def test_an_arm_of_more_than_seven_joints_is_refused(tmp_path: Path) -> None:
     path = urdf(tmp_path, [f"joint_{k}" for k in range(1, 9)])
     with pytest.raises(InvalidInput, match=r"8 joints move .* at most 7") as error:
         Robot.read(path)
     assert "fixed" in str(error.value.remedy)
 
 
-def test_angles_of_joint_states_beyond_the_limits_are_reported(tmp_path: Path) -> None:
+@pytest.mark.parametrize("moving", [6, 7])
+def test_joints_at_the_end_that_no_log_has_are_held_at_zero(tmp_path: Path, moving: int) -> None:
+    """A finger, a finger that mimics it, and a second arm are held; the study reads again."""
+    names = [f"joint_{k}" for k in range(1, moving + 1)]
+    path = urdf(tmp_path, names)
+    columns = joint_motion(path, duration=4.0)
+    last = f"link_{names[-1]}"
+    ends = "".join(_BODY.format(f"link_{n}", 0.1) for n in ("left", "right", "other"))
+    ends += _JOINT.format("left_finger1", "prismatic", last, "link_left", 0.0)
+    mimic = '<mimic joint="left_finger1"/></joint>'
+    ends += _JOINT.format("right_finger1", "prismatic", last, "link_right", 0.0)[:-8] + mimic
+    ends += _JOINT.format("other_shoulder", "revolute", "base", "link_other", 0.0)
+    path.write_text(path.read_text().replace("</robot>", ends + "</robot>"))
+    write_log(tmp_path / "run.csv", columns | {"left_finger1_position": 0.02 + 0.0 * columns["t"]})
+    start_study([tmp_path / "run.csv"], tmp_path / "study.toml", path)
+    study = read_study(tmp_path / "study.toml")
+    assert study.arm.n_joints == moving
+    assert study.arm.urdf is not None
+    assert set(study.arm.urdf.held) == {"left_finger1", "right_finger1", "other_shoulder"}
+    assert '"left_finger1_position"' in (tmp_path / "study.toml").read_text()
+    write_study(study, tmp_path / "again.toml")
+    assert read_study(tmp_path / "again.toml").arm == study.arm
+
+
+def test_angles_of_joint_states_beyond_the_limits_are_degrees(tmp_path: Path) -> None:
     pytest.importorskip("rosbags", reason="the extra `bags` is not installed")
     path = urdf(tmp_path)
     columns = joint_motion(path, duration=4.0)
     degrees = {name: np.rad2deg(v) if "q" in name else v for name, v in columns.items()}
     write_bag(tmp_path / "run", degrees, JOINTS)
-    draft = start_study([tmp_path / "run"], tmp_path / "study.toml", path)
-    assert any("exceed the limits of robot.urdf" in warning for warning in draft.warnings)
+    start_study([tmp_path / "run"], tmp_path / "study.toml", path)
+    channels = read_study(tmp_path / "study.toml").channels
+    assert {channels[f"theta_m{k}"].scale for k in range(1, 7)} == {np.pi / 180.0}
+    assert {channels[f"omega_m{k}"].scale for k in range(1, 7)} == {np.pi / 180.0}
 
 
 # --- names ------------------------------------------------------------------------------------

@@ -23,13 +23,12 @@ from strainwave.io.logs.in_memory import open_memory_table
 from strainwave.io.study import read_study
 from strainwave.signals.drive_law import DriveLaw
 from strainwave.study_draft import start_study
-from strainwave.study_draft.names import ParsedName, parse
 from strainwave.study_draft.signal_features import (
     quantum,
     relation,
     sequence_of,
     usual_counts,
-    wraps,
+    wrap_modulus,
 )
 from strainwave.study_draft.time_column import find_time
 
@@ -428,7 +427,6 @@ def test_uncommon_encoder_counts_are_not_proposed() -> None:
     assert usual_counts(8199.0) == 8192
     assert usual_counts(8300.0) is None
     assert [usual_counts(n) for n in (20000.3, 1048576.0, 4096.4)] == [20000, 1048576, 4096]
-    assert parse("gyr1 [deg/s]") == ParsedName("gyro", 1, unit="degs", word="gyr", sure=True)
 
 
 # --- a whole rig ------------------------------------------------------------------------------
@@ -639,8 +637,10 @@ def test_units_of_time_wraps_and_steps() -> None:
         assert find_time(open_memory_table(stamps, "data"), stamps).unit == unit
     time = 0.001 * np.arange(5000, dtype=float)
     angle = 3.0 * time
-    assert wraps(np.mod(angle, 2 * np.pi), 2 * np.pi)
-    assert not wraps(angle, 2 * np.pi)
+    for turn in (2 * np.pi, 360.0, 1.0, 4096.0):
+        wrapped = np.mod(angle * turn / (2 * np.pi), turn)
+        assert wrap_modulus(wrapped) == pytest.approx(turn, rel=1e-6)
+    assert wrap_modulus(angle) is None
     counted = 2 * np.pi / 4096 * np.round(angle * 4096 / (2 * np.pi))
     assert quantum(counted) == pytest.approx(2 * np.pi / 4096)
     assert quantum(np.sin(angle)) is None

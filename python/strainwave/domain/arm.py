@@ -174,6 +174,7 @@ class Urdf:
 
     file: str  # relative to the study file
     priors: tuple[LinkPrior, ...]  # of the links from the base
+    held: tuple[str, ...] = ()  # joints that stay at zero
 
 
 _MAX_SINE = 1e-3  # of the angle between an axis and gravity that count as parallel

@@ -5,9 +5,10 @@ Fixed joints are merged into the link before them; meshes, transmissions and plu
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -24,7 +25,8 @@ _MOTIONS: Mapping[str, Motion] = {
     "prismatic": "prismatic",
 }
 
-_XACRO_MARKS = ("xacro:", "${", "$(")  # macros, expressions, arguments
+_XACRO_MARKS = ("xacro", "${", "$(")  # macros, expressions, arguments
+_READ_ELEMENTS = ("link", "joint")  # others, such as plugins, may hold any text
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,27 +50,47 @@ class _Element:
     kind: str
     parent: str
     child: str
+    held: bool  # at zero, as if it were fixed
 
     @property
     def moves(self) -> bool:
-        return self.kind != "fixed"
+        return self.kind != "fixed" and not self.held
 
 
-def read_urdf(path: Path) -> tuple[UrdfJoint, ...]:
-    """The moving joints of a URDF file, from the base.
+def read_urdf(path: Path, held: Collection[str] = ()) -> tuple[UrdfJoint, ...]:
+    """The moving joints of a URDF file, from the base; joints named in `held` stay at zero.
 
-    Raises InvalidInput if the file is not a URDF, or if its joints are not one serial chain.
+    Raises InvalidInput if the file is not a URDF, if its joints are not one serial chain, or if it
+    has no joint of a name in `held`.
     """
+    return _Reader(path, _root(path), held).chain()
+
+
+class Chains(NamedTuple):
+    """Names of the moving joints of a robot, which may be a tree."""
+
+    to_ends: tuple[tuple[str, ...], ...]  # from the base to each end, without mimic joints
+    mimics: tuple[str, ...]
+
+
+def read_chains(path: Path) -> Chains:
+    """Names of the joints of a URDF file. Raises InvalidInput if it is not a URDF."""
+    return _Reader(path, _root(path), ()).chains()
+
+
+def _root(path: Path) -> ElementTree.Element:
+    """The outermost element of a URDF without xacro macros."""
     text = decode(read_bytes(path, "the URDF"), path)
-    if any(mark in text for mark in _XACRO_MARKS):
-        raise InvalidInput(
-            "this file contains xacro macros",
-            where=str(path),
-            remedy=f"expand them: xacro {path.name} > robot.urdf",
-        )
+    expand = InvalidInput(
+        "this file contains xacro macros",
+        where=str(path),
+        remedy=f"expand them: xacro {path.name} > robot.urdf",
+    )
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
+        if "<xacro:" in text:  # a prefix without a namespace
+            raise expand from error
         raise InvalidInput(
             f"this is not XML: {error}", where=str(path), remedy="export the URDF again"
         ) from error
@@ -78,20 +100,30 @@ def read_urdf(path: Path) -> tuple[UrdfJoint, ...]:
             where=str(path),
             remedy="give the URDF of the robot",
         )
-    return _Reader(path, root).chain()
+    read = [each for element in root if element.tag in _READ_ELEMENTS for each in element.iter()]
+    texts = [text for each in read for text in (each.tag, *each.attrib.values())]
+    if any("xacro" in child.tag for child in root) or any(
+        mark in text for text in texts for mark in _XACRO_MARKS
+    ):
+        raise expand
+    return root
 
 
 class _Reader:
     """Walks the links of one file from the base."""
 
-    def __init__(self, path: Path, root: ElementTree.Element) -> None:
-        self._path = path
+    def __init__(self, path: Path, root: ElementTree.Element, held: Collection[str]) -> None:
+        self._path, self._held = path, held
         self._links = {link.get("name", ""): link for link in root.findall("link")}
         self._joints = [self._element(joint) for joint in root.findall("joint")]
+        unknown = [name for name in held if name not in [joint.name for joint in self._joints]]
+        if unknown:
+            raise self._fault(f"there is no joint {unknown[0]!r} to hold", "correct its name")
 
     def chain(self) -> tuple[UrdfJoint, ...]:
         """The moving joints from the base."""
         link = self._base()
+        self._check_mimics()
         frame, joints = np.eye(4), list[UrdfJoint]()
         self._merged(link, np.eye(4))  # the base has no parameters, but its joints are checked
         while (found := self._next(link)) is not None:
@@ -103,24 +135,41 @@ class _Reader:
             raise self._fault("no joint moves", "set the types of the moving joints")
         return tuple(joints)
 
+    def chains(self) -> Chains:
+        """Names of the moving joints from the base to each end, and of mimic joints."""
+        mimics = [j.name for j in self._joints if j.moves and j.xml.find("mimic") is not None]
+        links, chains = [(self._base(), tuple[str, ...]())], list[tuple[str, ...]]()
+        while links:
+            link, chain = links.pop(0)
+            moving = [joint for _, joint in self._below(link, np.eye(4)) if joint.moves]
+            moving = [joint for joint in moving if joint.name not in mimics]
+            links += [(joint.child, (*chain, joint.name)) for joint in moving]
+            if not moving:
+                chains.append(chain)
+        return Chains(tuple(chains), tuple(mimics))
+
+    def _check_mimics(self) -> None:
+        for joint in self._joints:
+            if joint.moves and joint.xml.find("mimic") is not None:
+                raise self._fault(
+                    f"joint {joint.name!r} mimics another joint",
+                    'set its type to "fixed", or hold it at zero: arm.held in the study',
+                )
+
     def _element(self, xml: ElementTree.Element) -> _Element:
         name, kind = xml.get("name", ""), xml.get("type", "")
         parent, child = xml.find("parent"), xml.find("child")
         if parent is None or child is None:
             raise self._fault(f"joint {name!r} has no parent or child", "name both links")
-        element = _Element(xml, name, kind, parent.get("link", ""), child.get("link", ""))
+        links = parent.get("link", ""), child.get("link", "")
+        element = _Element(xml, name, kind, *links, held=name in self._held)
         for link in (element.parent, element.child):
             if link not in self._links:
                 raise self._fault(
                     f"joint {name!r} names the link {link!r}, which does not exist",
                     "correct the name",
                 )
-        if element.moves and xml.find("mimic") is not None:
-            raise self._fault(
-                f"joint {name!r} mimics another joint",
-                'set its type to "fixed", or remove the gripper from the URDF',
-            )
-        if kind not in (*_MOTIONS, "fixed"):
+        if kind not in (*_MOTIONS, "fixed") and not element.held:
             raise self._fault(
                 f"joint {name!r} is of type {kind!r}",
                 "use revolute, continuous, prismatic or fixed joints",
@@ -164,7 +213,8 @@ class _Reader:
             raise self._fault(
                 f"the joints {first!r} and {second!r} both move on link {link!r}: the robot is a "
                 "tree",
-                'set the type of all joints outside one chain to "fixed", or remove them',
+                'set the type of all joints outside one chain to "fixed", or hold them at zero: '
+                "arm.held in the study",
             )
         return moving[0] if moving else None
 

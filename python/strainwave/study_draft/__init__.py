@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import write_whole
-from strainwave.study_draft.candidates import Mapping
+from strainwave.study_draft.candidates import Guess, Mapping
 from strainwave.study_draft.channels import add_channels, map_channels
 from strainwave.study_draft.experiment_type import (
     ExperimentProposal,
@@ -24,8 +25,14 @@ from strainwave.study_draft.experiment_type import (
     unchecked_joints,
 )
 from strainwave.study_draft.inspection import Record, find_fullest_record, read_record
+from strainwave.study_draft.joints import find_logged_joints
 from strainwave.study_draft.robot import Robot
-from strainwave.study_draft.study_text import count_todos, is_elastic, study_text
+from strainwave.study_draft.study_text import (
+    count_todos,
+    is_elastic,
+    list_todos,
+    study_text,
+)
 
 __all__ = ["StudyDraft", "start_study"]
 
@@ -44,6 +51,8 @@ class StudyDraft:
     n_todos: int  # number of values that the user must fill in
     limit: str  # why the arm exceeds the supported models; empty if it does not
     warnings: tuple[str, ...]
+    guesses: tuple[Guess, ...]  # of the channels
+    todos: tuple[str, ...]  # what the user must fill in, in the order of the file
 
 
 def start_study(logs: Sequence[Path], out: Path, urdf: Path | None = None) -> StudyDraft:
@@ -59,9 +68,9 @@ def start_study(logs: Sequence[Path], out: Path, urdf: Path | None = None) -> St
             where=str(out),
             remedy="choose another file with --out, or move the existing file",
         )
-    robot = None if urdf is None else Robot.read(urdf)
     records = [read_record(path) for path in logs]
     fullest = find_fullest_record(records)
+    robot = urdf and Robot.read(urdf, partial(find_logged_joints, records, fullest))
     mapping = map_channels(fullest, fullest, robot, records)
     _check_alike(records, fullest, mapping)
     for record in records:
@@ -84,6 +93,8 @@ def start_study(logs: Sequence[Path], out: Path, urdf: Path | None = None) -> St
         n_todos=count_todos(text),
         limit=mapping.limit,
         warnings=tuple(_warnings(records, mapping, experiments)),
+        guesses=tuple(mapping.guesses.values()),
+        todos=list_todos(text),
     )
 
 

@@ -23,7 +23,7 @@ class Guess:
     reason: str
     sure: Sure
     scale: float | None = 1.0  # factor to SI units; None: the user must fill it in
-    todo: str = ""  # description of the value that the user must fill in
+    todo: str = ""  # description of the value that the user must fill in, here or in [[joint]]
 
 
 @dataclass(slots=True)
@@ -36,6 +36,7 @@ class JointFacts:
     gear_ratio: tuple[float, str] | None = None  # with its reason
     encoder_counts: tuple[int | None, str] | None = None  # None: the step matches no common encoder
     voltage: bool = False  # whether the drive's input is a voltage
+    command: str = ""  # unit of the input if it is a command of the drive: V or A
     link_sensors: set[str] = field(default_factory=set)
 
     @property
@@ -51,6 +52,7 @@ class Mapping:
     guesses: dict[str, Guess] = field(default_factory=dict)
     joints: list[JointFacts] = field(default_factory=list)
     urdf: Path | None = None  # file that places the joints
+    held: tuple[str, ...] = ()  # joints of the file that stay at zero
     unused: dict[str, str] = field(default_factory=dict)  # column -> reason
     missing: dict[str, str] = field(default_factory=dict)  # channel -> description
     limit: str = ""  # why the arm exceeds the supported models

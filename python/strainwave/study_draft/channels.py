@@ -11,12 +11,15 @@ from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.study_draft.candidates import MIN_RELATED_CORRELATION, Guess, Mapping
 from strainwave.study_draft.inspection import Record
-from strainwave.study_draft.joint_columns import JointColumns
+from strainwave.study_draft.joint_columns import DEGREE, JointColumns
 from strainwave.study_draft.joints import assign_columns
 from strainwave.study_draft.names import parse
 from strainwave.study_draft.robot import Motion, Robot
 from strainwave.study_draft.signal_features import proportion, relation
 
+_MIN_TORQUE_SHARE = (
+    0.05  # of the gravity torque of a stretched arm; 1:57 and slower gears have less
+)
 _IMU_AXIS = re.compile(r"[ag][xyz][1-9]")  # channel name of an IMU axis
 
 
@@ -33,7 +36,7 @@ def map_channels(
     n_joints = max((each.number or 1 for each in parsed_names.values()), default=1)
     mapping = Mapping(limit=assigned.limit, notes=assigned.notes, unused=dict(assigned.unused))
     if robot is not None:
-        n_joints, mapping.urdf = len(robot.joints), robot.path
+        n_joints, mapping.urdf, mapping.held = len(robot.joints), robot.path, robot.held
     joints = [
         JointColumns(
             record,
@@ -78,6 +81,10 @@ def _describe_joints(joints: Sequence[JointColumns], robot: Robot, record: Recor
         )
     motions = [Motion(j.number, j.scaled_angle(), j.record.period) for j in joints]
     within = robot.are_within_limits(motions)
+    if within is False and _are_degrees(joints, robot, motions):
+        within = True
+        for joint in joints:
+            joint.degrees = f"in degrees, all angles stay within the limits of {robot.path.name}"
     for joint, urdf in zip(joints, robot.joints, strict=True):
         joint.facts.name, joint.facts.prismatic = urdf.name, urdf.motion == "prismatic"
         if within and not joint.facts.joint_side:
@@ -90,6 +97,18 @@ def _describe_joints(joints: Sequence[JointColumns], robot: Robot, record: Recor
             "belong to the same robot, and the unit"
         )
     joints[0].mapping.warnings = tuple(warnings)
+
+
+def _are_degrees(joints: Sequence[JointColumns], robot: Robot, motions: Sequence[Motion]) -> bool:
+    """Whether angles beyond the limits are degrees of the joints, not radians of the motors.
+
+    Behind a gear, the torques are those of the joint divided by the ratio as well.
+    """
+    degrees = [Motion(n, DEGREE * angle, period) for n, angle, period in motions]
+    if not robot.are_within_limits(degrees):
+        return False
+    torque = sum(joint.largest_torque() for joint in joints)
+    return torque > _MIN_TORQUE_SHARE * sum(robot.gravity_bounds())
 
 
 def _map_imus(record: Record, mapping: Mapping) -> None:

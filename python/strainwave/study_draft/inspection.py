@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import get_args
 
@@ -37,6 +37,7 @@ class Record:
     columns: dict[str, FloatArray]  # name -> (n_samples,)
     notes: tuple[str, ...]
     faults: tuple[str, ...] = ()  # values that `identify` rejects; omitted columns
+    units: Mapping[str, str] = field(default_factory=dict)  # column -> unit of a units row
 
     @property
     def period(self) -> float:
@@ -105,7 +106,13 @@ def _read_table(path: Path) -> Record:
     if source.scale is None:
         faults.append(_RATE_FAULT)
     return Record(
-        path, longest.time, source, dict(longest.columns), notes, (*faults, *value_faults)
+        path,
+        longest.time,
+        source,
+        dict(longest.columns),
+        notes,
+        (*faults, *value_faults),
+        table.units,
     )
 
 

@@ -19,18 +19,21 @@ from strainwave.study_draft.candidates import (
     Sure,
 )
 from strainwave.study_draft.inspection import Record
-from strainwave.study_draft.names import COUNTS, LINEAR, UNITS, ParsedName
+from strainwave.study_draft.names import LINEAR, UNITS, ParsedName, find_unit
 from strainwave.study_draft.signal_features import (
     MAX_UNIT_RATIO_ERROR,
     UnitPair,
     flat_top,
+    is_register,
     levels,
     nearest_unit,
     proportion,
     quantum,
+    sign_bit,
+    slope_error,
     unit_pair,
     usual_counts,
-    wraps,
+    wrap_modulus,
 )
 from strainwave.study_draft.signal_features import relation as relation_of
 
@@ -39,7 +42,14 @@ _SENSORS = {"acceleration": "a", "gyro": "gyro", "deflection": "deflection"}  # 
 _SENSOR_UNITS = {"acceleration": "m/s^2", "gyro": "rad/s", "deflection": "rad"}
 _JOINT_STATE = re.compile(r"(?P<topic>/[^.]*)\.position(?P<joint>\[.*[^\d\]].*\])")
 _AXIS = re.compile(r"(?<![A-Za-z])[xyz](?![A-Za-z])", re.IGNORECASE)  # of an IMU, in a name
+DEGREE = pi / 180.0
+_MIN_DETERMINED_CORRELATION = 0.98  # of two angles of one joint, if one determines the other
+_MAX_ASSUMED_ANGLE = 500.0  # [rad] largest angle that is assumed to be in rad
+# [kg m^2] standard deviations of torque over acceleration of arms; others have another unit
+_INERTIAS = (1e-7, 1e4)
 _COUNTS_SCALE = "2 pi / counts per motor turn [rad]"
+_MIN_RATIO_ERROR = 1e-4  # relative; a log of few digits states a ratio no better
+_MAX_DERIVATIVE_ERROR = 0.05  # relative, of the ratio of an acceleration to its velocity in SI
 
 
 class _AngleUnit(NamedTuple):
@@ -66,6 +76,7 @@ class JointColumns:
         self.mapping = mapping
         self.has_spatial_links = has_spatial_links
         self.exceeded = ""  # URDF with limits that the angles of the arm exceed
+        self.degrees = ""  # why angles without a unit are in degrees
         self.facts = JointFacts()
         mapping.joints.append(self.facts)
         self.angle, self.link_angle = self._choose_angles()
@@ -74,13 +85,16 @@ class JointColumns:
     def map(self) -> None:
         """Map the angles, then classify the other columns by their relation to the motor angle."""
         motor = self.angle
-        if motor is None:
+        if motor is None and self._columns_of("velocity"):
+            self._velocity_alone(self._columns_of("velocity"))
+        elif motor is None:
             self.mapping.missing[f"theta_m{self.number}"] = "the motor angle [rad at the motor]"
         else:
             self._angle(motor)
             self._velocity(motor)
             self._encoder(motor)
             self._reference(motor)
+            self._second_derivatives(motor)
         if motor is not None and self.link_angle is not None:
             if self.facts.joint_side:
                 self.mapping.unused[self.link_angle] = f"another angle of joint {self.number}"
@@ -107,6 +121,13 @@ class JointColumns:
             return np.zeros(len(self.record.time))
         return scale * self._values(self.angle)
 
+    def largest_torque(self) -> float:
+        """Largest known torque [N m]; zero if there is none."""
+        columns = [n for n in self._columns_of("torque") if self._role(n) != "desired"]
+        scales = [self.parsed_names[n].scale_or(1.0) or 0.0 for n in columns]
+        values = [s * np.abs(self._values(n)).max() for s, n in zip(scales, columns, strict=True)]
+        return float(max(values, default=0.0))
+
     def _joint_states(self) -> str:
         """Why angle and torque are of the joint: both are of one message of joint states."""
         match = _JOINT_STATE.fullmatch(self.angle or "")
@@ -129,21 +150,42 @@ class JointColumns:
     def _choose_angles(self) -> tuple[str | None, str | None]:
         """Return the columns of motor angle and link angle.
 
-        Names decide; without a side in the name, the angle with the larger range is the motor's.
-        Joint states precede other topics.
+        Names decide; without a side in the name, the angle with the larger range is the motor's. A
+        second angle without a side is the link's if the first one's name is of the motor and it
+        determines the second. Joint states precede other topics, measured angles others.
         """
         names = sorted(self._columns_of("angle"), key=lambda n: -float(np.ptp(self._values(n))))
-        names.sort(key=lambda name: _JOINT_STATE.fullmatch(name) is None)
+        names.sort(key=lambda n: (_JOINT_STATE.fullmatch(n) is None, self._role(n) != "actual"))
         link = [n for n in names if self.parsed_names[n].side == "link"]
         motor = [n for n in names if self.parsed_names[n].side == "motor"]
         no_side = [n for n in names if n not in link + motor]
         motor_candidates = motor + no_side
         motor_angle = motor_candidates[0] if motor_candidates else link.pop(0) if link else None
-        link_angle = next(iter(link + motor_candidates[1:]), None)
+        link_angle = next(iter(link), None)
         for name in names:
-            if name not in (motor_angle, link_angle):
-                self.mapping.unused[name] = f"another angle of joint {self.number}"
+            if motor_angle is None or name in (motor_angle, link_angle):
+                continue
+            r, ratio = self._proportion(motor_angle, name)
+            determined = abs(r) > _MIN_DETERMINED_CORRELATION
+            if determined and link_angle is None and motor and name in no_side:
+                link_angle = name
+                continue
+            reason = f"another angle of joint {self.number}"
+            if name in no_side and motor_angle in no_side:
+                reason += (
+                    f" (r = {r:.2f}, {ratio:.4g} times {motor_angle!r}); if one is the motor's"
+                )
+                reason += " and the other the link's, or they are two joints, name them so"
+                self.mapping.warnings += (f"{name!r} is not used: it is {reason}",)
+            self.mapping.unused[name] = reason
         return motor_angle, link_angle
+
+    def _role(self, column: str) -> str | None:
+        return self.parsed_names[column].role
+
+    def _proportion(self, x: str, y: str) -> tuple[float, float]:
+        """Correlation of two columns, and change of `y` per change of `x`."""
+        return proportion(*(self._values(n) - self._values(n).mean() for n in (x, y)))
 
     def _angle(self, column: str) -> None:
         each = self.parsed_names[column]
@@ -151,7 +193,7 @@ class JointColumns:
         name_reason = _evidence(each)
         scale, unit_reason, todo = self._angle_unit(column)
         if not self.facts.name:
-            linear = [e for e in (each, *self._inputs()) if e.unit in LINEAR]
+            linear = [e for e in (each, *self._inputs()) if e.unit and e.unit.text in LINEAR]
             self.facts.prismatic = bool(linear)
         if self.facts.joint_side:
             unit_reason += "; of the joint"
@@ -165,8 +207,9 @@ class JointColumns:
                 "; assumed to be the motor angle: if it is the link angle, divide the scale by"
             )
             unit_reason += " gear_ratio"
-        if wraps(self._values(column), 2.0 * pi if scale == 1.0 else 360.0):
-            unit_reason += "; IT JUMPS BY ONE TURN: unwrap it in the log first"
+        modulus = wrap_modulus(self._values(column))
+        if modulus is not None:
+            unit_reason += f"; it jumps by one turn of {modulus:.4g}"
         self._add("theta_m", column, f"{name_reason}; {unit_reason}", sure, scale=scale, todo=todo)
 
     def _inputs(self) -> list[ParsedName]:
@@ -175,23 +218,40 @@ class JointColumns:
         ]
 
     def _angle_unit(self, column: str) -> _AngleUnit:
-        unit = self.parsed_names[column].unit
-        if unit in COUNTS:
-            return _AngleUnit(None, "in counts according to its name", _COUNTS_SCALE)
+        """Unit of an angle: by its name, else by its velocity, its turn, its limits, its size."""
+        unit, values = self.parsed_names[column].unit, self._values(column)
+        bit = sign_bit(values)
+        if bit is not None:
+            todo = f"bit {bit} of the register is the sign: decode the column; then {_COUNTS_SCALE}"
+            return _AngleUnit(None, "a register read as unsigned", todo)
         if unit is not None:
-            return _AngleUnit(UNITS["angle"][unit], f"unit {unit} according to its name")
+            return _AngleUnit(unit.scale, f"unit {unit.text} according to its name", unit.todo)
+        if is_register(values):
+            return _AngleUnit(None, "whole numbers: counts?", _COUNTS_SCALE)
+        modulus = wrap_modulus(values)
+        turns = {2.0 * pi: 1.0, 360.0: DEGREE, 1.0: 2.0 * pi}
+        for turn, scale in turns.items():
+            if modulus is not None and abs(modulus / turn - 1.0) < MAX_UNIT_RATIO_ERROR:
+                return _AngleUnit(scale, f"it wraps at one turn of {turn:.4g}")
+        if modulus is not None:
+            return _AngleUnit(None, "the turn is of no usual unit", f"2 pi / {modulus:.6g}?")
         for velocity in self._columns_of("velocity"):
-            units = self._unit_pair(column, velocity)
-            if units and self.parsed_names[velocity].unit is None:
+            rate = self.parsed_names[velocity].scale_or(None)
+            units = self._unit_pair(column, velocity) if rate is None else None
+            if units and units.ratio != 1.0:
                 return _AngleUnit(units.angle_scale, f"with {velocity!r}: {units.text}")
-            rate = UNITS["velocity"].get(self.parsed_names[velocity].unit or "")
             r, ratio = self._relation(velocity, column)
             if rate and r > MIN_RELATED_CORRELATION and ratio > 0.0:
                 scale = nearest_unit(rate / ratio)
                 return _AngleUnit(scale, f"unit from {velocity!r}, of which it is the integral")
-        values = self._values(column)
-        if np.all(values == np.round(values)) and np.ptp(values) > 100.0:
-            return _AngleUnit(None, "whole numbers: counts?", _COUNTS_SCALE)
+        if self.degrees:
+            return _AngleUnit(DEGREE, self.degrees)
+        if np.abs(values).max() > _MAX_ASSUMED_ANGLE and column != f"theta_m{self.number}":
+            return _AngleUnit(
+                None,
+                f"no unit in its name, and values up to {np.abs(values).max():.4g}",
+                "1 for rad, pi/180 for degrees, " + _COUNTS_SCALE,
+            )
         assumed = "m" if self.facts.prismatic else "rad"
         return _AngleUnit(1.0, f"assumed unit {assumed}: the log does not state a unit")
 
@@ -214,9 +274,13 @@ class JointColumns:
                 self.mapping.unused[column] = f"another velocity of joint {self.number}"
                 continue
             agrees = r > MIN_RELATED_CORRELATION and ratio > 0.0
-            if not agrees or angle_scale is None:
+            each = self.parsed_names[column]
+            if not agrees:
                 reason = f"a velocity according to its name, but not of {angle!r} (r = {r:.2f})"
-                self.mapping.unused[column] = reason if not agrees else "a velocity of the link"
+                self.mapping.unused[column] = reason
+                continue
+            if angle_scale is None:
+                self._velocity_of_open_angle(column, angle)
                 continue
             scale = ratio * angle_scale
             nearest = nearest_unit(scale)
@@ -228,7 +292,59 @@ class JointColumns:
                     self.facts.gear_ratio = (1.0 / round(scale), f"{angle!r} over {column!r}")
                 continue
             reason = f"its integral is {angle!r} (r = {r:.3f})"
-            self._add("omega_m", column, reason, "sure", scale=nearest)
+            stated = each.scale_or(nearest) or nearest
+            if abs(stated / nearest - 1.0) > 2.0 * MAX_UNIT_RATIO_ERROR:
+                todo = f"{stated:.6g} according to its name, {nearest:.6g} according to {angle!r}"
+                self._add("omega_m", column, reason, "unsure", scale=None, todo=todo)
+                continue
+            sure: Sure = "sure" if each.unit else "likely"
+            self._add("omega_m", column, reason, sure, scale=nearest)
+
+    def _velocity_of_open_angle(self, column: str, angle: str) -> None:
+        """Map the velocity of an angle whose scale is open: by its name, else open too."""
+        each = self.parsed_names[column]
+        side = self.parsed_names[angle].side
+        if side == "link":
+            self.mapping.unused[column] = "a velocity of the link"
+            return
+        scale = each.scale_or(None)
+        todo = each.unit.todo if each.unit and scale is None else ""
+        reason = f"its integral is {angle!r}, whose unit is open"
+        if scale is None and not todo:
+            factor = self._relation(column, angle)[1]
+            todo = f"{factor:.6g} times the scale of theta_m{self.number}"
+        sure: Sure = "likely" if scale is not None else "unsure"
+        self._add("omega_m", column, reason, sure, scale=scale, todo=todo)
+
+    def _velocity_alone(self, columns: Sequence[str]) -> None:
+        """Map the velocity of a motor without a logged angle."""
+        column = min(columns, key=lambda name: self._role(name) != "actual")
+        each = self.parsed_names[column]
+        scale, todo = each.scale_or(1.0), each.unit.todo if each.unit else ""
+        reason = f"{_evidence(each)}; there is no angle"
+        if each.unit is None and is_register(self._values(column)):
+            scale, todo = None, "2 pi / counts per turn [rad/s per unit]"
+        elif each.unit is None:
+            reason += "; assumed unit rad/s"
+        self._add("omega_m", column, reason, "likely", scale=scale, todo=todo)
+
+    def _second_derivatives(self, angle: str) -> None:
+        """Set accelerations of the joint aside: they are neither angles nor sensors of a link."""
+        for column in self._columns_of("second_derivative"):
+            velocities = [*self._columns_of("velocity"), angle]
+            source = next((n for n in velocities if self._is_derivative(column, n)), None)
+            self.mapping.unused[column] = (
+                f"it is the derivative of {source!r}"
+                if source
+                else "an acceleration of the joint according to its name; accelerometers are named so"
+            )
+
+    def _is_derivative(self, column: str, source: str) -> bool:
+        """Whether a column is the derivative of a velocity, or the second one of an angle."""
+        values, time = self._values(source), self.record.time
+        is_angle = self.parsed_names[source].quantity == "angle"
+        rate = np.gradient(values, time) if is_angle else values
+        return relation_of(self._values(column), rate, time)[0] > MIN_RELATED_CORRELATION
 
     def _encoder(self, angle: str) -> None:
         if self.facts.joint_side:
@@ -246,23 +362,36 @@ class JointColumns:
             self.facts.encoder_counts = (common_counts, reason) if common_counts else (None, reason)
 
     def _reference(self, angle: str) -> None:
+        """Map the reference of the velocity; without any input, that of a position servo."""
+        has_input = any(self._columns_of(q) for q in ("torque", "voltage", "current"))
+        angle_scale = self.mapping.guesses[f"theta_m{self.number}"].scale
         for column in self._by_relation("reference", angle):
             if f"ref{self.number}" in self.mapping.guesses:
                 self.mapping.unused[column] = f"another reference of joint {self.number}"
                 continue
-            values, each = self._values(column), self.parsed_names[column]
-            velocity_r, _ = self._relation(column, angle)
-            centred_angle = self._values(angle) - self._values(angle).mean()
-            angle_r, _ = proportion(centred_angle, values - values.mean())
-            scale = UNITS["reference"].get(each.unit or "", 1.0)
+            each = self.parsed_names[column]
+            velocity_r, ratio = self._relation(column, angle)
+            angle_r, angle_ratio = self._proportion(column, angle)
+            is_velocity = velocity_r > MIN_RELATED_CORRELATION
             if angle_r > max(velocity_r, MIN_RELATED_CORRELATION):
-                self.mapping.unused[column] = (
-                    f"a reference of {angle!r}; only velocity references are used"
-                )
+                ratio, is_velocity = angle_ratio, False
+                if has_input:
+                    self.mapping.unused[column] = (
+                        f"a reference of {angle!r}; only velocity references are used"
+                    )
+                    continue
+                reason = f"{_evidence(each)}; the angle that a position servo tracks"
             else:
-                sure: Sure = "sure" if velocity_r > MIN_RELATED_CORRELATION else "unsure"
                 reason = f"{_evidence(each)}; {angle!r} is its integral (r = {velocity_r:.2f})"
-                self._add("ref", column, reason, sure, scale=scale)
+            scale, todo = each.scale_or(1.0), each.unit.todo if each.unit else ""
+            if each.unit is None and max(velocity_r, angle_r) > MIN_RELATED_CORRELATION:
+                # a servo follows within some per cent, so that the unit is that of the angle
+                scale = None if angle_scale is None else nearest_unit(abs(ratio) * angle_scale)
+                todo = "" if scale else f"the scale of theta_m{self.number}"
+            elif each.unit is None and is_register(self._values(column)):
+                scale, todo = None, f"whole numbers: {_COUNTS_SCALE}"
+            sure: Sure = "sure" if is_velocity else "likely" if angle_r > 0.9 else "unsure"
+            self._add("ref", column, reason, sure, scale=scale, todo=todo)
 
     def _link(self, motor: str, link: str) -> None:
         """Map the link angle and derive the gear ratio: link turns per motor turn."""
@@ -281,10 +410,14 @@ class JointColumns:
             and scale
             and 0.0 < ratio * scale / motor_scale <= 1.05
         ):
-            gear_ratio = 1.0 / max(1.0, round(motor_scale / (ratio * scale)))
+            measured = ratio * scale / motor_scale
+            turns = max(1.0, round(1.0 / measured))
+            tolerance = max(_MIN_RATIO_ERROR, 3.0 * slope_error(of_motor, of_link))
+            is_whole = abs(turns * measured - 1.0) < tolerance
             self.facts.gear_ratio = (
-                gear_ratio,
-                f"{link!r} over {motor!r}: {ratio * scale / motor_scale:.5g}",
+                1.0 / turns if is_whole else measured,
+                f"{link!r} over {motor!r}: {measured:.5g}"
+                + ("" if is_whole else f", which is not 1/{turns:.0f} within {tolerance:.1g}"),
             )
 
     def _input(self) -> None:
@@ -295,18 +428,16 @@ class JointColumns:
         if sensors and (len(sensors) < len(torques) or voltages or currents):
             self._torque_sensor(sensors.pop(0))
             torques = [n for n in torques if self.parsed_names[n].side != "link"] + sensors
-        for quantity, channel, columns in (
-            ("torque", "torque", torques),
-            ("voltage", "u", voltages),
-            ("current", "torque", currents),
-        ):
-            for column in columns:
-                other = self._mapped_input()
-                if other is not None:
-                    reason = f"a {quantity} according to its name; {other!r} is used. If both act: "
-                    self.mapping.unused[column] = reason + "see `add` in docs/study.md"
-                    continue
-                self._add_input(column, quantity, channel)
+        for column in sorted(torques + currents + voltages, key=self._input_rank):
+            quantity = self.parsed_names[column].quantity or "voltage"
+            other = self._mapped_input()
+            if other is not None:
+                reason = f"a {quantity} according to its name; {other!r} is used. If both act: "
+                self.mapping.unused[column] = reason + "see `add` in docs/study.md"
+                continue
+            is_command = quantity == "current" and self._role(column) == "desired"
+            channel = "u" if quantity == "voltage" or is_command else "torque"
+            self._add_input(column, quantity, channel)
         if self._mapped_input() is None:
             channel, description = (
                 ("torque", "the torque [N m at the joint]; for a voltage, map u instead")
@@ -315,18 +446,28 @@ class JointColumns:
             )
             self.mapping.missing[f"{channel}{self.number}"] = description
 
+    def _input_rank(self, column: str) -> int:
+        """Order of inputs: channel names, then measured torques and currents, then commands."""
+        each = self.parsed_names[column]
+        if column in (f"torque{self.number}", f"u{self.number}"):
+            return 0
+        ranks = (("torque", False), ("current", False), ("torque", True), ("voltage", False))
+        key = (each.quantity, each.role == "desired" and each.quantity != "voltage")
+        return 1 + (ranks.index(key) if key in ranks else len(ranks))  # type: ignore[arg-type]
+
     def _distance_from_drive(self, torque: str) -> tuple[bool, bool, bool]:
         """Order of torques: of the angle's topic, of the motor, then without unknown words."""
         each = self.parsed_names[torque]
         topic = torque.partition(".")[0] if torque.startswith("/") else ""
         is_elsewhere = not (topic and (self.angle or "").startswith(f"{topic}."))
-        return is_elsewhere, each.side != "motor", bool(each.unrecognised_word)
+        return is_elsewhere, each.side != "motor", bool(each.rest)
 
     def _torque_sensor(self, column: str) -> None:
         each = self.parsed_names[column]
         reason = f"{_evidence(each)}, of the link" + ("" if each.unit else "; assumed unit N m")
-        scale = UNITS["torque"].get(each.unit or "", 1.0)
-        self._add("tau_l", column, reason, "likely" if each.sure else "unsure", scale=scale)
+        scale, todo = each.scale_or(1.0), each.unit.todo if each.unit else ""
+        sure: Sure = "likely" if each.sure else "unsure"
+        self._add("tau_l", column, reason, sure, scale=scale, todo=todo)
         self.facts.link_sensors.add("tau_l")
 
     def _temperature(self) -> None:
@@ -342,31 +483,66 @@ class JointColumns:
         return next((guess.column for guess in guesses), None)
 
     def _add_input(self, column: str, quantity: str, channel: str) -> None:
-        each = self.parsed_names[column]
-        scale: float | None = UNITS[each.quantity or "voltage"].get(each.unit or "", 1.0)
-        todo, reason = "", _evidence(each)
+        each, values = self.parsed_names[column], self._values(column)
+        reason = _evidence(each)
         side = "joint" if self.facts.joint_side else "motor"
-        if quantity == "current":
-            scale, todo = None, f"torque constant [N m/A], at the {side}; times 1e-3 for mA"
-        input_levels = levels(self._values(column))
+        scale, todo = each.scale_or(1.0), each.unit.todo if each.unit else ""
+        bit = sign_bit(values)
+        if each.unit is None and quantity == "current":
+            scale, todo = None, "torque constant [N m/A] at the motor; times 1e-3 for mA"
+        elif each.unit is None and each.word in ("pwm", "duty", "duty_cycle"):
+            scale, todo = None, "volts at full duty"
+        elif each.unit is None and column != f"{channel}{self.number}":
+            doubt = self._doubt_of_input(column)
+            if doubt:
+                scale, todo = None, f"{doubt}; {'volts' if channel == 'u' else 'N m'} per unit"
+        if bit is not None:
+            scale, todo = None, f"bit {bit} of the register is the sign: decode it; then {todo}"
+        if quantity == "current" and channel == "u":
+            unit = find_unit(each.unit.text, "current") if each.unit else None
+            scale = UNITS["current"].get(unit.text, None) if unit else 1.0
+            todo = "torque_per_volt is the torque constant [N m/A]" if scale else todo
+        input_levels = levels(values)
         if input_levels is not None and len(input_levels) > 1:
             reason += f"; it has {len(input_levels)} levels"
-        limit = flat_top(self._values(column))
+        limit = flat_top(values)
         if input_levels is None and limit is not None:
             reason += f"; it repeatedly stays at {limit:.4g}: the limit of the drive?"
-        if each.word in ("pwm", "duty"):
-            scale, todo = None, "volts at full duty"
-        if each.unit is None and quantity != "current":
+        if each.unit is None and scale is not None and quantity != "current":
             reason += f"; assumed unit {'V' if quantity == 'voltage' else f'N m at the {side}'}"
+        if each.role == "desired":
+            reason += "; commanded, not measured"
+            self.facts.command = "A" if quantity == "current" else "V"
+        elif channel == "torque" and quantity == "torque" and each.side is None:
+            reason += '; if a sensor behind the gear measures it, add meaning = "sensor"'
         self.facts.voltage = channel == "u"
         self._add(
             channel, column, reason, "likely" if each.sure else "unsure", scale=scale, todo=todo
         )
 
+    def _doubt_of_input(self, column: str) -> str:
+        """Why a torque or a voltage without a unit cannot be in SI units; empty if it can."""
+        values = self._values(column)
+        if is_register(values):
+            return "whole numbers, as of a register"
+        if self.parsed_names[column].quantity != "torque" or self.angle is None:
+            return ""
+        if not self.scaled_angle().any():
+            return "the unit of the angle is open, so that its size proves nothing"
+        velocity = np.gradient(self.scaled_angle(), self.record.time)
+        width = max(1, round(0.02 / self.record.period))
+        acceleration = (velocity[width:] - velocity[:-width]) / (width * self.record.period)
+        spread = float(np.std(acceleration))
+        inertia = float(np.std(values)) / spread if spread > 0.0 else 0.0
+        if inertia and not _INERTIAS[0] < inertia < _INERTIAS[1]:
+            return f"an inertia of {inertia:.1g} kg m^2 would follow"
+        return ""
+
     def _sensors(self, motor: str | None) -> None:
         """Map of each kind of sensor the axis that correlates best with the motor's motion."""
         for quantity, channel in _SENSORS.items():
             columns = [n for n in self._columns_of(quantity) if np.ptp(self._values(n)) > 0.0]
+            columns = [n for n in columns if not self._is_joint_acceleration(n, motor)]
             if self.has_spatial_links and self._imu(quantity, columns):
                 continue
             correlations = {n: self._motion_correlation(n, quantity, motor) for n in columns}
@@ -374,19 +550,20 @@ class JointColumns:
             if column is None:
                 continue
             each, r = self.parsed_names[column], correlations[column]
-            scale, reason = UNITS[each.quantity or "gyro"].get(each.unit or "", 1.0), ""
+            scale, reason = each.scale_or(1.0), ""
+            todo = each.unit.todo if each.unit else ""
             n_columns = len(self._columns_of(quantity))
             if n_columns > 1:
                 reason += f"; of {n_columns} columns the one that correlates with the motor"
                 reason += f" (r = {r:.2f})"
-            if r < _MAX_REVERSED_CORRELATION:
+            if r < _MAX_REVERSED_CORRELATION and scale is not None:
                 scale, reason = -scale, f"{reason}; it points the other way, so the sign is turned"
             if each.unit is None:
                 reason += f"; assumed unit {_SENSOR_UNITS[quantity]}"
             if not each.placed:
                 reason += "; no joint in its name: the last joint is assumed"
             sure: Sure = "likely" if each.sure and each.placed else "unsure"
-            self._add(channel, column, _evidence(each) + reason, sure, scale=scale)
+            self._add(channel, column, _evidence(each) + reason, sure, scale=scale, todo=todo)
             self.facts.link_sensors.add(channel)
             for other in columns:
                 if other != column:
@@ -406,9 +583,26 @@ class JointColumns:
             if not each.placed:
                 reason += "; no joint in its name: the last joint is assumed"
             sure: Sure = "likely" if each.sure and each.placed else "unsure"
-            scale = UNITS[each.quantity or "gyro"].get(each.unit or "", 1.0)
-            self._add(f"{quantity[0]}{axis}", name, reason, sure, scale=scale)
+            scale, todo = each.scale_or(1.0), each.unit.todo if each.unit else ""
+            self._add(f"{quantity[0]}{axis}", name, reason, sure, scale=scale, todo=todo)
         self.facts.link_sensors.add("imu")
+        return True
+
+    def _is_joint_acceleration(self, column: str, motor: str | None) -> bool:
+        """Whether a column that no word gives to a sensor is the acceleration of the joint in SI."""
+        each = self.parsed_names[column]
+        guess = self.mapping.guesses.get(f"theta_m{self.number}")
+        is_sensor = each.side == "link" or _AXIS.search(column) is not None or len(each.word) > 12
+        if each.quantity != "acceleration" or is_sensor or motor is None or guess is None:
+            return False
+        if guess.scale is None or not self._is_derivative(column, motor):
+            return False
+        velocity = np.gradient(guess.scale * self._values(motor), self.record.time)
+        scale = each.scale_or(1.0) or 1.0
+        ratio = relation_of(scale * self._values(column), velocity, self.record.time)[1]
+        if self.facts.prismatic or abs(ratio - 1.0) > _MAX_DERIVATIVE_ERROR:
+            return False
+        self.mapping.unused[column] = f"it is the derivative of the velocity of {motor!r}"
         return True
 
     def _motion_correlation(self, column: str, quantity: str, motor: str | None) -> float:

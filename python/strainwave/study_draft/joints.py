@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import NamedTuple
 
+import numpy as np
+
 from strainwave.domain import FloatArray
 from strainwave.study_draft.inspection import Record
-from strainwave.study_draft.names import ParsedName, max_joints, number_in, parse
+from strainwave.study_draft.names import (
+    ParsedName,
+    find_unit,
+    joint_rank,
+    max_joints,
+    number_in,
+    parse,
+    position,
+    system_units,
+    words_of,
+)
 from strainwave.study_draft.robot import Robot
 from strainwave.study_draft.signal_features import levels, relation
 
@@ -36,17 +49,20 @@ def assign_columns(record: Record, fullest: Record, robot: Robot | None = None) 
     Joints count from 1. They are those of `robot`; without it, `fullest` is the record of the same
     arm that determines the moving joints, and columns of joints beyond `max_joints` are omitted.
     """
-    parsed_names = {name: parse(name) for name in record.columns}
+    parsed_names = {name: _parse(name, record) for name in record.columns}
+    quantities = {each.quantity for each in parsed_names.values()}
     notes: list[str] = []
-    if not any(each.quantity == "angle" for each in parsed_names.values()):
+    if quantities.isdisjoint(("angle", "velocity")):
         parsed_names |= _classify_by_data(record, parsed_names)
+        quantities |= {each.quantity for each in parsed_names.values()}
         notes.append("no column name indicates an angle: columns were assigned by their data alone")
     if robot is not None:
-        numbers, unused = _number_by_robot(parsed_names, robot)
+        numbers, unused = _number_by_robot(parsed_names, robot, record)
         return ColumnAssignment(numbers, "", tuple(notes), unused)
-    numbered = _number_joints(parsed_names)
-    joints = sorted({each.number or 1 for each in numbered.values() if each.quantity == "angle"})
-    moving = [j for j in joints if _is_moving(fullest, numbered, j)] or joints
+    motion = "angle" if "angle" in quantities else "velocity"
+    numbered = _number_joints(parsed_names, motion, record)
+    joints = sorted({each.number or 1 for each in numbered.values() if each.quantity == motion})
+    moving = [j for j in joints if _is_moving(fullest, numbered, motion, j)] or joints
     chosen = sorted(moving[: max_joints()])
     limit = ""
     if len(joints) > len(chosen):
@@ -71,19 +87,48 @@ def assign_columns(record: Record, fullest: Record, robot: Robot | None = None) 
     return ColumnAssignment(kept, limit, tuple(notes))
 
 
+def find_logged_joints(records: Sequence[Record], fullest: Record, robot: Robot) -> set[int]:
+    """Joints of a robot, from 1, that logs have: with an angle that moves, or with an input."""
+    parsed_names = {name: _parse(name, fullest) for name in fullest.columns}
+    numbered, _ = _number_by_robot(parsed_names, robot, fullest)
+    inputs = {e.number for e in numbered.values() if e.quantity in ("torque", "current", "voltage")}
+    return {
+        each.number
+        for name, each in numbered.items()
+        if each.number is not None
+        and each.quantity in ("angle", "velocity")
+        and (each.number in inputs or any(np.ptp(r.columns.get(name, 0.0)) > 0.0 for r in records))
+    }
+
+
+def _parse(name: str, record: Record, joint_words: Sequence[str] = ()) -> ParsedName:
+    """Parse a column name, with the unit of its units row or of the robot system of the log."""
+    each = parse(name, joint_words, record.units.get(name, ""))
+    if each.unit is None and each.quantity is not None:
+        unit = system_units(tuple(record.columns)).get(each.quantity, "")
+        each = replace(each, unit=find_unit(unit, each.quantity))
+    has_motor = any("motor" in words_of(other) for other in record.columns)
+    if "arm" in each.rest and has_motor and each.side is None:
+        each = replace(each, side="link", rest=tuple(w for w in each.rest if w != "arm"))
+    return each
+
+
 def _number_by_robot(
-    parsed_names: Mapping[str, ParsedName], robot: Robot
+    parsed_names: Mapping[str, ParsedName], robot: Robot, record: Record
 ) -> tuple[dict[str, ParsedName], dict[str, str]]:
     """Number the joints by their names in a URDF, else by numbers; and list the other columns."""
     matches = robot.named_joints([each.label or name for name, each in parsed_names.items()])
+    names_joints = any(parsed_names[n].quantity == "angle" for n in matches if n in parsed_names)
     by_name, by_number = dict[str, ParsedName](), dict[str, ParsedName]()
     for name, each in parsed_names.items():
         match = matches.get(each.label or name)
         if match is not None:
-            parsed = each if each.label else parse(name, match.words)
+            parsed = each if each.label else _parse(name, record, match.words)
             by_name[name] = replace(parsed, number=match.number, label="")
         else:
             number = number_in(each.label) if each.label else each.number
+            if names_joints and each.rest and each.quantity not in _ON_LINK:
+                number = None  # finger1 is not joint 1 of a robot whose joints have names
             by_number[name] = replace(each, number=number, label="")
     kept, unused, count = by_name, dict[str, str](), len(robot.joints)
     for name, each in _count_from_one(by_number).items():
@@ -97,16 +142,63 @@ def _number_by_robot(
     return kept, unused
 
 
-def _number_joints(parsed_names: Mapping[str, ParsedName]) -> dict[str, ParsedName]:
+def _number_joints(
+    parsed_names: Mapping[str, ParsedName], motion: str, record: Record
+) -> dict[str, ParsedName]:
     """Number the joints from 1, also if the names count from 0 or use labels."""
-    parsed_names = {
-        name: replace(each, label=_label(each, parsed_names)) for name, each in parsed_names.items()
-    }
-    labels = list(dict.fromkeys(each.label for each in parsed_names.values() if each.label))
+    keys = _joint_words(parsed_names, motion)
+    numbered = dict[str, ParsedName]()
+    for name, each in parsed_names.items():
+        matches = [key for key in keys if each.number == key.number and key.is_of(each, name)]
+        if each.label or not matches:
+            numbered[name] = each
+            continue
+        key = max(matches, key=lambda match: len(match.words))
+        parsed = _parse(name, record, key.words) if key.is_letter else each
+        numbered[name] = replace(parsed, number=keys.index(key) + 1)
+    labels = list(dict.fromkeys(each.label for each in numbered.values() if each.label))
+    counted = {n: e for n, e in numbered.items() if not keys or e is parsed_names[n]}
     return {
         name: replace(each, number=labels.index(each.label) + 1) if each.label else each
-        for name, each in _count_from_one(parsed_names).items()
+        for name, each in (numbered | _count_from_one(counted)).items()
     }
+
+
+class _JointWords(NamedTuple):
+    """Words, and the number with them, that distinguish a joint in a table."""
+
+    words: tuple[str, ...]
+    number: int | None
+
+    @property
+    def is_letter(self) -> bool:
+        """Whether the joint is a letter, which elsewhere in a name may be a unit."""
+        return len(self.words) == 1 and re.fullmatch("[a-z]", self.words[0]) is not None
+
+    def is_of(self, each: ParsedName, name: str) -> bool:
+        if self.is_letter and position(words_of(name), self.words) is not None:
+            return True
+        return bool(self.words) and set(self.words) <= set(each.rest)
+
+
+def _joint_words(parsed_names: Mapping[str, ParsedName], motion: str) -> list[_JointWords]:
+    """The joints that words distinguish, in kinematic or alphabetic order; none if one has none."""
+    moving = [each for each in parsed_names.values() if each.quantity == motion and not each.label]
+    common = set[str]().union(*(e.rest for e in moving)).intersection(*(e.rest for e in moving))
+    keys = list(
+        dict.fromkeys(
+            _JointWords(tuple(w for w in each.rest if w not in common), each.number)
+            for each in moving
+        )
+    )
+    named = [key for key in keys if key.words]
+    if len({key.words for key in named}) < 2 or (
+        len(named) < len(keys) and any(key.number is not None for key in keys)
+    ):
+        return []
+    if all(key.is_letter for key in named):
+        return sorted(named)
+    return sorted(named, key=lambda key: (joint_rank(key.words), key.number or 0))
 
 
 def _count_from_one(parsed_names: Mapping[str, ParsedName]) -> dict[str, ParsedName]:
@@ -122,23 +214,16 @@ def _count_from_one(parsed_names: Mapping[str, ParsedName]) -> dict[str, ParsedN
     }
 
 
-def _label(each: ParsedName, parsed_names: Mapping[str, ParsedName]) -> str:
-    """Return the joint's label; in a table, the word that distinguishes two or more angles."""
-    angles = [e for e in parsed_names.values() if e.quantity == "angle" and e.number is None]
-    words = {e.unrecognised_word for e in angles if e.unrecognised_word}
-    return each.label or (
-        each.unrecognised_word if len(words) > 1 and each.unrecognised_word in words else ""
-    )
-
-
 def _numbering_group(name: str, each: ParsedName) -> tuple[str, str | None]:
     """Return the group of columns that share a numbering: a topic, or a quantity in a table."""
     return (name.partition(".")[0] if name.startswith("/") else "", each.quantity)
 
 
-def _is_moving(record: Record, parsed_names: Mapping[str, ParsedName], joint: int) -> bool:
+def _is_moving(
+    record: Record, parsed_names: Mapping[str, ParsedName], motion: str, joint: int
+) -> bool:
     return any(
-        each.quantity == "angle"
+        each.quantity == motion
         and (each.number or 1) == joint
         and name in record.columns
         and float(_span(record, name)) > 0.0

@@ -1,111 +1,56 @@
-"""Parse column names: quantity, joint, unit, side of the gear."""
+"""Parse column names: quantity, joint, unit, side of the gear, desired or actual.
+
+The words, phrases and units of languages and robot systems are data: words.toml.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
-from math import pi
-from typing import Literal
+import tomllib
+import unicodedata
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
 
 from strainwave.domain import channel_kinds
 from strainwave.domain.kinds import all_kinds
 
 Quantity = Literal[
-    "time",
-    "angle",
+    "temperature",
+    "deflection",
+    "gyro",
+    "acceleration",  # of an accelerometer
+    "second_derivative",  # of a joint angle
+    "current",
+    "torque",
     "velocity",
     "voltage",
-    "torque",
-    "current",
-    "acceleration",
-    "gyro",
-    "deflection",
+    "angle",
     "reference",
-    "temperature",
+    "time",
 ]
+"""Quantities; of several in a name, the first applies."""
 Side = Literal["motor", "link"]
+Role = Literal["desired", "actual"]
 
-_WORDS: tuple[tuple[Quantity, str], ...] = (  # the first match applies
-    ("temperature", "temperature temp"),
-    ("deflection", "defl deflection twist torsion"),
-    ("gyro", "gyro gyr gyros gyroscope angularvelocity angvel angrate"),
-    ("acceleration", "a acc accel acceleration accelerometer accelero linearacceleration qdd ddq"),
-    ("reference", "ref reference des desired target setpoint sp goal"),
-    ("current", "i iq cur curr current amps amp"),
-    ("torque", "tau torque trq effort force moment"),
-    ("velocity", "vel velocity dq qd qdot omega w speed dtheta thetadot dphi rate"),
-    ("voltage", "u volt voltage vin uin v pwm duty"),
-    ("angle", "pos position q qm theta th angle ang enc encoder phi counts count motorangle"),
-    ("voltage", "cmd command ctrl control input drive"),
-    ("time", "t time timestamp stamp ts zeit elapsed clock seconds sec"),
+_TABLE: Mapping[str, Any] = tomllib.loads(
+    Path(__file__).with_name("words.toml").read_text(encoding="utf-8")
 )
-# word -> side of the gear
-_SIDES: dict[str, Side] = {
-    **dict.fromkeys(["m", "mot", "motor", "rotor", "qm", "hs"], "motor"),
-    **dict.fromkeys(["l", "link", "arm", "load", "output", "out", "secondary", "ls"], "link"),
-}
-# words of a commanded angle or velocity, which is a reference
-_COMMAND_WORDS = {"cmd", "command", "commanded"}
-# words that have other meanings too
-_AMBIGUOUS_WORDS = (
-    "v",
-    "i",
-    "a",
-    "w",
-    "th",
-    "cmd",
-    "command",
-    "ctrl",
-    "control",
-    "input",
-    "drive",
-    "sp",
-)
-# words of columns that have no quantity
-_IGNORED_WORDS = ("orientation", "quaternion", "status", "id", "seq")
-# words of a torque that a sensor measures behind the gear
-_TORQUE_SENSOR_WORDS = {"sensor", "jts"}
+_CJK = "\u3040-\u30ff\u3400-\u9fff"
+_TOKEN = re.compile(rf"[{_CJK}]+|[A-Z]?[^\W\d_A-Z{_CJK}]+|[A-Z]+(?![^\W\d_A-Z{_CJK}])|\d+|[°%‰]")
+_BRACKETS = re.compile(r"[\[({<]([^\])}>]*)[\])}>]")
+_FACTOR = re.compile(r"(\d+(?:\.\d+)?)(?:/(\d+))?(?=[^\d.])")  # of a unit: 0.1%, 1/1000 s
+_OBJECT = re.compile(r"\b(?:0x)?(6[01][0-9a-f]{2})(?:h|:\w+)?\b", re.IGNORECASE)
+_MIN_COMPOUND_PART = 3  # letters of a Latin word inside another
 
-# words that do not distinguish joints
-_GENERIC_WORDS = (
-    *("joint", "axis", "j", "robot", "imu", "sensor"),
-    *("meas", "measured", "act", "actual", "state", "data", "value"),
-)
 
-COUNTS = ("counts", "count", "cnt", "ticks", "tick", "inc", "incs")
-"""Unit names of encoder counts, whose factor to SI the name does not give."""
-# unit -> factor to SI
-_ROTATION = {"rad": 1.0, "mrad": 1e-3, "deg": pi / 180, "degrees": pi / 180, "rev": 2 * pi}
-_TRAVEL = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
-_RATE = {
-    "rads": 1.0,
-    "radps": 1.0,
-    "radpers": 1.0,
-    "degs": pi / 180,
-    "degps": pi / 180,
-    "dps": pi / 180,
-    "rpm": pi / 30,
-    "rps": 2 * pi,
-}
-# quantity -> unit -> factor to SI
-UNITS: dict[Quantity, dict[str, float]] = {
-    "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "ns": 1e-9},
-    "angle": _ROTATION | {"turns": 2 * pi} | _TRAVEL,
-    "deflection": _ROTATION | _TRAVEL,
-    "velocity": _RATE | {"ms": 1.0, "mps": 1.0, "mms": 1e-3},
-    "reference": _ROTATION | _RATE | _TRAVEL | {"ms": 1.0, "mps": 1.0},
-    "gyro": _RATE | {"mdps": pi / 180e3},
-    "voltage": {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3},
-    "torque": {"nm": 1.0, "mnm": 1e-3, "n": 1.0, "kn": 1e3},
-    "current": {"a": 1.0, "amp": 1.0, "ma": 1e-3},
-    "temperature": {"degc": 1.0, "celsius": 1.0},
-    "acceleration": {"ms2": 1.0, "mps2": 1.0, "mss": 1.0, "g": 9.80665, "mg": 9.80665e-3},
-}
-LINEAR = (*_TRAVEL, "n", "kn", "mps", "mms")
-"""Units of a prismatic joint."""
-# words after which m and l mean motor and link, not units
-_ROTATIONAL = ("theta", "th", "angle", "ang", "phi", "motorangle", "dtheta", "thetadot", "omega")
+class Unit(NamedTuple):
+    """A unit in a name or a units row."""
+
+    text: str
+    scale: float | None  # factor to SI; None: see `todo`
+    todo: str = ""  # formula of the factor, which a data sheet gives
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,12 +60,17 @@ class ParsedName:
     quantity: Quantity | None
     number: int | None = None  # joint number as written, from 0 or 1
     label: str = ""  # name of the joint in a bag
-    unrecognised_word: str = ""  # unrecognised word; in a table it may be the name of the joint
-    unit: str | None = None
+    rest: tuple[str, ...] = ()  # unrecognised words; in a table they may name the joint
+    unit: Unit | None = None
     side: Side | None = None
+    role: Role | None = None
     word: str = ""  # word that determined the quantity
     sure: bool = False  # whether the word is unambiguous
     placed: bool = True  # False: the joint is a guess
+
+    def scale_or(self, default: float | None) -> float | None:
+        """Factor to SI units, or a default if the name has no unit."""
+        return default if self.unit is None else self.unit.scale
 
 
 def max_joints() -> int:
@@ -128,8 +78,103 @@ def max_joints() -> int:
     return max(kind.max_joints for kind in all_kinds())
 
 
-def parse(name: str, joint_words: Sequence[str] = ()) -> ParsedName:
-    """Parse a column name; `joint_words` are those of its words that name the joint."""
+# --- the table --------------------------------------------------------------------------------
+
+
+def _words_in(text: str) -> list[tuple[str, ...]]:
+    return [tuple(phrase.split("_")) for phrase in text.split()]
+
+
+def _vocabulary() -> dict[tuple[str, ...], set[tuple[str, str]]]:
+    """Phrase -> its meanings: pairs of section and entry of the table."""
+    entries = [
+        (("quantity", quantity), " ".join(languages.values()))
+        for quantity, languages in _TABLE["quantity"].items()
+    ]
+    for section in ("weak", "role", "side", "other"):
+        entries += [((section, key), text) for key, text in _TABLE[section].items()]
+    vocabulary: dict[tuple[str, ...], set[tuple[str, str]]] = {}
+    for meaning, text in entries:
+        for phrase in _words_in(text):
+            vocabulary.setdefault(phrase, set()).add(meaning)
+    return vocabulary
+
+
+def _spellings(group: str) -> Iterator[tuple[str, float]]:
+    """The units of a group of the table, or of its rates: `rotation/s`, `length/s2`."""
+    name, _, per = group.partition("/")
+    endings = {
+        "": ("",),
+        "s": ("/s", "s", "ps", "pers", "s1", "/sec", "sec", "persec", "/秒"),
+        "s2": ("/s2", "s2", "ps2", "pers2", "/s/s", "ss", "pss", "/sec2"),
+    }[per]
+    for texts, factor in _TABLE["units"][name].items():
+        for text in texts.split():
+            yield from ((text + ending, factor) for ending in endings)
+
+
+_VOCABULARY = _vocabulary()
+_LONGEST_PHRASE = max(map(len, _VOCABULARY))
+_SYMBOLS = set(_TABLE["derivative"]["symbols"].split())
+_JOINT_ORDER = _TABLE["joint"]["order"].split()
+_SIDED = set(_words_in(" ".join(_TABLE["side"].values())))
+_PATHS = {"pos", "position", "x"}  # symbols of a travel as well, in m
+_COMMANDS = set(_TABLE["role"]["command"].split())
+
+UNITS: dict[Quantity, dict[str, float]] = {
+    quantity: {text: factor for group in groups.split() for text, factor in _spellings(group)}
+    for quantity, groups in _TABLE["quantity_units"].items()
+}
+"""Quantity -> unit -> factor to SI."""
+UNITS["reference"] = UNITS["angle"] | UNITS["velocity"]
+_OPEN = dict(_spellings("open")) | {f"{t}/s": f for t, f in _spellings("open")}
+LINEAR = frozenset(
+    text for group in ("length", "length/s", "force") for text, _ in _spellings(group)
+)
+"""Units of a prismatic joint."""
+_COUNTS = frozenset(text for text, factor in _OPEN.items() if factor == 1.0)
+
+
+def is_count(unit: Unit | None) -> bool:
+    """Whether a unit counts the steps of an encoder or a converter."""
+    return unit is not None and unit.text in _COUNTS
+
+
+def find_unit(text: str, quantity: Quantity | None) -> Unit | None:
+    """The unit of a quantity in a text such as `deg/s`, `kgf.cm` or `0.1%`; None if it is none."""
+    key = re.sub(r"[\s.·⋅・*^_-]", "", re.sub(r"(?<=\d)\.(?=\d)", "\0", _normalised(text).lower()))
+    key = key.replace("\0", ".")
+    if quantity is None or not key:
+        return None
+    known = UNITS[quantity]
+    open_factors = _OPEN | UNITS["current"] if quantity == "current" else _OPEN
+    if key in known and quantity != "current":
+        return Unit(key, known[key])
+    if key in open_factors:
+        return _open_unit(key, quantity, open_factors[key])
+    match = _FACTOR.match(key)
+    inner = find_unit(key[match.end() :], quantity) if match else None
+    if match is None or inner is None:
+        return None
+    factor = float(match[1]) / float(match[2] or 1.0)
+    if inner.scale is not None:
+        return Unit(key, factor * inner.scale)
+    return _open_unit(key, quantity, factor * _OPEN.get(inner.text, 1.0))
+
+
+def _open_unit(key: str, quantity: Quantity, factor: float) -> Unit:
+    formula = _TABLE["formulas"].get(quantity, f"SI value of one {key}")
+    return Unit(key, None, formula + (f", times {factor:g}" if factor != 1.0 else ""))
+
+
+# --- names ------------------------------------------------------------------------------------
+
+
+def parse(name: str, joint_words: Sequence[str] = (), unit: str = "") -> ParsedName:
+    """Parse a column name; `joint_words` are those of its words that name the joint.
+
+    `unit` is the text of the column's unit in a units row.
+    """
     text, label, number = name, "", None
     if name.startswith("/"):  # bag column: /topic.field[joint or index]
         bracket = re.search(r"\[([^\]]*)\]$", name)
@@ -139,37 +184,232 @@ def parse(name: str, joint_words: Sequence[str] = ()) -> ParsedName:
             text = text[text.rindex("/") :]
         number = int(bracket[1]) if bracket and bracket[1].isdecimal() else None
         text = re.sub(r"\.data$", "", text)
-    tokens = _tokens(text)
-    start = position([token.lower() for token in tokens], joint_words)
+    text = _OBJECT.sub(lambda m: f" {_TABLE['objects'].get(m[1].lower(), '')} ", text)
+    inside = [found[1] for found in _BRACKETS.finditer(text)]
+    tokens = [token for token in _tokens(_BRACKETS.sub(" ", text))]
+    bracketed = list[str]()
+    for content in inside:
+        if content.strip().isdecimal():
+            number = int(content)
+        else:
+            bracketed.append(content)
+    words = _compounds([token.lower() for token in tokens])
+    start = position(words, joint_words)
     if start is not None:
-        del tokens[start : start + len(joint_words)]
-    if any(token.lower() in _IGNORED_WORDS for token in tokens):
+        del words[start : start + len(joint_words)]
+    order, words = _derivative(words)
+    each = _classify(words, order)
+    if each is None:
         return ParsedName(None)
-    quantity, word = _quantity(tokens)
-    unit, words = _unit(tokens, quantity, word)
-    if quantity is None and unit is not None:
-        quantity = _quantity_of_unit(unit)
-    number = _last_number(words) if number is None else number
-    lowercase = [token.lower() for token in words]
-    sides = [_SIDES[token] for token in lowercase if token in _SIDES]
-    if quantity in ("angle", "velocity") and not _COMMAND_WORDS.isdisjoint(lowercase):
-        quantity = "reference"
-    if quantity == "torque" and not _TORQUE_SENSOR_WORDS.isdisjoint(lowercase):
-        sides.append("link")
-    side = sides[-1] if sides else None
-    known_words = {
-        word,
-        *_GENERIC_WORDS,
-        *_SIDES,
-        *_COMMAND_WORDS,
-        *(w for _, of in _WORDS for w in of.split()),
-    }
-    unknown_word = next(
-        (token for token in lowercase if token not in known_words and not token.isdecimal()), ""
-    )
+    texts = [unit, *reversed(bracketed)] if unit.strip(" -") else list(reversed(bracketed))
+    each, stated = _stated_unit(each, texts)
+    if stated is None:
+        each, words = _trailing_unit(each, words)
+    labels = [w for t in bracketed if t != stated for w in _compounds(words_of(t))]
+    words += [word for word in labels if word not in words]
+    return _described(name, each, words, number, label)
+
+
+def _stated_unit(each: ParsedName, texts: Sequence[str]) -> tuple[ParsedName, str | None]:
+    """Read the unit of a units row or of brackets; it precedes the word of the quantity."""
+    for text in texts:
+        found = find_unit(text, each.quantity)
+        if found is not None:
+            return replace(each, unit=found), text
+        for quantity in _quantities_of_unit(text, each.quantity):
+            return replace(each, quantity=quantity, unit=find_unit(text, quantity)), text
+        if each.quantity and re.search(r"[/%^·²]", text):
+            todo = f"SI value of the unit {text.strip()!r}"
+            return replace(each, unit=Unit(text, None, todo)), text
+    return each, None
+
+
+def _quantities_of_unit(text: str, named: Quantity | None) -> Iterator[Quantity]:
+    """The quantity whose unit a text is, if it is one of these that a word may mean instead."""
+    rivals: tuple[Quantity, ...] = {
+        "torque": ("current", "voltage"),
+        "current": ("torque",),
+        "voltage": ("current",),
+        "second_derivative": ("acceleration",),
+        "acceleration": ("second_derivative",),
+        "angle": ("velocity",),
+        "velocity": ("angle",),
+        "reference": ("torque", "current", "voltage"),
+        None: ("angle", "velocity", "torque", "current", "voltage", "second_derivative"),
+    }.get(named, ())
+    having = [q for q in rivals if (unit := find_unit(text, q)) and unit.text not in _OPEN]
+    yield from having if len(having) == 1 or named else ()
+
+
+def _trailing_unit(each: ParsedName, words: list[str]) -> tuple[ParsedName, list[str]]:
+    """Read the unit at the end of a name; return the preceding words too."""
+    if each.word in _COUNTS:
+        return replace(each, unit=find_unit(each.word, each.quantity)), words
+    for length in (4, 3, 2, 1):
+        tail = "".join(words[-length:])
+        if length >= len(words) or words[-length].isdecimal() or tail == each.word:
+            continue
+        is_symbol = each.word in _SYMBOLS - _PATHS and (each.word,) not in _SIDED
+        if tail in ("m", "l") and is_symbol:
+            continue  # motor and link
+        found = find_unit(tail, each.quantity)
+        if found is None and each.quantity is None:
+            quantities = list(_quantities_of_unit(tail, None))
+            each = replace(each, quantity=quantities[0]) if len(tail) > 1 and quantities else each
+            found = find_unit(tail, each.quantity)
+        if found is not None and position(words[:-length], each.word.split("_")) is not None:
+            return replace(each, unit=found), words[:-length]
+        if found is not None and not each.word:
+            return replace(each, unit=found), words[:-length]
+    return each, words
+
+
+def _described(
+    name: str, each: ParsedName, words: list[str], number: int | None, label: str
+) -> ParsedName:
+    """Add joint, side and role, which settle what the quantity is."""
+    meanings = [(word, _VOCABULARY.get((word,), set())) for word in words]
+    phrase = each.word.split("_") if "_" in each.word else ()
+    sides = [v for w, of in meanings if w not in phrase for kind, v in of if kind == "side"]
+    quantity, side = each.quantity, next((s for s in reversed(sides) if s in get_args(Side)), None)
+    if quantity == "torque" and "sensor" in sides:
+        side = "link"
     is_channel = re.fullmatch(rf"({'|'.join(channel_kinds())})\d", name) is not None
-    sure = is_channel or (bool(word) and word not in _AMBIGUOUS_WORDS)
-    return ParsedName(quantity, number, label, unknown_word, unit, side, word, sure)
+    if quantity == "second_derivative":
+        is_linear = each.unit is not None and find_unit(each.unit.text, "acceleration") is not None
+        if (
+            is_linear
+            or side == "link"
+            or re.search(r"(?<![A-Za-z])[xyz](?![A-Za-z])", name.lower())
+        ):
+            quantity = "acceleration"
+    if each.role == "desired" and quantity in ("angle", "velocity", "second_derivative"):
+        quantity = "reference"
+    rest = tuple(
+        word
+        for word, of in meanings
+        if not word.isdecimal() and (not of or {kind for kind, _ in of} == {"weak"})
+    )
+    rest = tuple(w for w in rest if w not in each.word.split("_") and w not in ("d", "dot", "ddot"))
+    if "joint" in sides:
+        rest = (*rest, "arm")  # the arm of a motor is a link, that of a robot is not
+    number = _last_number(words) if number is None else number
+    return replace(
+        each,
+        quantity=quantity,
+        number=number,
+        label=label,
+        rest=rest,
+        side=side,
+        sure=is_channel or each.sure,
+    )
+
+
+def _classify(words: list[str], order: int) -> ParsedName | None:
+    """Quantity and role of words; None if they are of no channel."""
+    found = list(_phrases(words))
+    if any(("other", "ignored") in meanings for _, _, meanings in found):
+        return None
+    roles = {value for _, _, of in found for kind, value in of if kind == "role"}
+    strong = [
+        (get_args(Quantity).index(value), start, phrase)
+        for start, phrase, of in found
+        for kind, value in of
+        if kind == "quantity"
+    ]
+    quantities: tuple[Quantity, ...] = get_args(Quantity)
+    motions = [s for k, s, _ in strong if quantities[k] not in ("current", "time", "temperature")]
+    for each in list(strong):  # "current position" is the actual one
+        if each[2] == ("current",) and any(start > each[1] for start in motions):
+            strong.remove(each)
+            roles.add("actual")
+    role: Role | None = "desired" if "desired" in roles else "actual" if "actual" in roles else None
+    if role != "actual" and words[-1:] == ["d"] and len(words) > 1:
+        role = "desired"  # q_d, tau_J_d
+    if strong:
+        index, _, phrase = min(strong)
+        quantity, word = quantities[index], "_".join(phrase)
+        if order:
+            raised: dict[Quantity, tuple[Quantity | None, ...]] = {
+                "angle": ("velocity", "second_derivative"),
+                "velocity": ("second_derivative",),
+            }
+            further = raised.get(quantity, ())
+            if order > len(further) or (chosen := further[order - 1]) is None:
+                return None
+            quantity = chosen
+        return ParsedName(quantity, role=role, word=word, sure=True)
+    commands = [word for word in words if word in _COMMANDS]
+    if role == "desired" and not commands:
+        word = next(
+            w for w in words if ("role", "desired") in _VOCABULARY.get((w,), ()) or w == "d"
+        )
+        return ParsedName("reference" if word != "d" else None, role=role, word=word, sure=True)
+    for _, phrase, of in found:
+        for kind, value in of:
+            is_unit = phrase[0] == words[-1] and len(words) > 1 and phrase[0] in "avi"
+            is_long = phrase == ("t",) and len(words) > 2
+            if kind == "weak" and not is_unit and not is_long:
+                of_weak: Quantity = next(q for q in quantities if q == value)
+                return ParsedName(of_weak, role=role, word=phrase[0])
+    if commands:
+        return ParsedName("voltage", role=role, word=commands[0])
+    return ParsedName(None, role=role)
+
+
+def _phrases(
+    words: Sequence[str],
+) -> Iterator[tuple[int, tuple[str, ...], set[tuple[str, str]]]]:
+    """Known phrases in words, without numbers between them, each with its start; longest first."""
+    start = 0
+    while start < len(words):
+        for length in range(min(_LONGEST_PHRASE, len(words) - start), 0, -1):
+            phrase = tuple(words[start : start + length])
+            meanings = _VOCABULARY.get(phrase)
+            if meanings:
+                yield start, phrase, meanings
+                start += length - 1
+                break
+        start += 1
+
+
+def _derivative(words: list[str]) -> tuple[int, list[str]]:
+    """Return the order of the derivative that words such as d2q, qddot or q_dot name."""
+    order, result, words = 0, list[str](), list(words)
+    for k, word in enumerate(words):
+        before = re.fullmatch(r"(d{1,2})(\w+?)(dt\d?)?", word)
+        after = re.fullmatch(r"(\w+?)(d|dd|dot|ddot|dotdot|p|pp)", word)
+        following = words[k + 1] if k + 1 < len(words) else ""
+        if word in ("dot", "ddot", "dotdot"):
+            order += 1 + (word != "dot")
+        elif word == "d" and following in _SYMBOLS:
+            order += 1
+        elif word == "d" and following == "2" and k + 2 < len(words) and words[k + 2] in _SYMBOLS:
+            order, words[k + 1] = order + 2, ""
+        elif before and before[2] in _SYMBOLS:
+            order, result = order + len(before[1]), [*result, before[2]]
+        elif after and after[1] in _SYMBOLS and (word,) not in _VOCABULARY:
+            order += 2 if after[2] in ("dd", "ddot", "dotdot", "pp") else 1
+            result.append(after[1])
+        elif word:
+            result.append(word)
+    return order, result
+
+
+def joint_rank(words: Sequence[str]) -> int:
+    """Kinematic order of a joint whose name has these words; joints of unknown order are equal."""
+    ranks = [_JOINT_ORDER.index(word) for word in words if word in _JOINT_ORDER]
+    return min(ranks, default=0)
+
+
+def system_units(names: Sequence[str]) -> Mapping[Quantity, str]:
+    """Units of the robot system that the names show."""
+    texts = [" ".join(_compounds(words_of(name))) for name in names]
+    for system in _TABLE["system"]:
+        if any(mark in text for mark in system["marks"] for text in texts):
+            units: Mapping[Quantity, str] = system["units"]
+            return units
+    return {}
 
 
 def words_of(name: str) -> tuple[str, ...]:
@@ -187,43 +427,51 @@ def _last_number(words: Sequence[str]) -> int | None:
 
 
 def position(words: Sequence[str], part: Sequence[str]) -> int | None:
-    """Position at which `part` is in `words`, or None."""
-    starts = range(len(words) - len(part) + 1)
+    """Position at which `part` is in `words`, or None if it is empty or absent."""
+    starts = range(len(words) - len(part) + 1) if part else ()
     return next((k for k in starts if tuple(words[k : k + len(part)]) == tuple(part)), None)
 
 
+def _normalised(text: str) -> str:
+    """Text without accents, in compatible characters; dots above a symbol become words."""
+    text = unicodedata.normalize("NFKD", re.sub("[º˚]", "°", text).replace("℃", "°c"))
+    text = re.sub("(?<=[qQθφ])\u0307", "dot", re.sub("(?<=[qQθφ])\u0308", "ddot", text))
+    return unicodedata.normalize("NFC", re.sub("[\u0300-\u036f]", "", text)).replace("ß", "ss")
+
+
 def _tokens(text: str) -> list[str]:
-    text = re.sub(r"linear_acceleration", "linearacceleration", text)
-    text = re.sub(r"angular_velocity", "angularvelocity", text)
-    return re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", text)
+    return _TOKEN.findall(_normalised(text))
 
 
-def _quantity(tokens: list[str]) -> tuple[Quantity | None, str]:
-    lowercase = [token.lower() for token in tokens]
-    for quantity, words in _WORDS:
-        for token in lowercase:
-            if token in words.split() and not (token == "t" and len(lowercase) > 2):
-                is_unit = (
-                    token == lowercase[-1] and len(lowercase) > 1 and token in ("a", "v", "i", "u")
-                )
-                if not is_unit:  # a trailing letter is a unit
-                    return quantity, token
-    return None, ""
+def _compounds(words: Sequence[str]) -> list[str]:
+    """Split words that consist of known words: istposition, 関節角速度; and singular forms."""
+    result: list[str] = []
+    for word in words:
+        singular = next((s for s in (word[:-3] + "y", word[:-1]) if (s,) in _VOCABULARY), word)
+        if (word,) in _VOCABULARY or word.isdecimal():
+            result.append(word)
+        elif word.endswith("s") and (singular,) in _VOCABULARY and len(singular) > 2:
+            result.append(singular)
+        else:
+            result += _split(word) or [word]
+    return result
 
 
-def _unit(tokens: list[str], quantity: Quantity | None, word: str) -> tuple[str | None, list[str]]:
-    """Return the unit at the end of a name and the preceding tokens."""
-    for length in (4, 3, 2, 1):
-        tail = "".join(token.lower() for token in tokens[-length:])
-        if length >= len(tokens) or tail == word:
-            continue
-        motor_side = tail in ("m", "l") and word in _ROTATIONAL
-        known = UNITS[quantity] if quantity else {u for of in UNITS.values() for u in of}
-        if (tail in known and not motor_side) or (quantity == "angle" and tail in COUNTS):
-            return tail, tokens[:-length]
-    return (word if word in COUNTS else None), tokens
-
-
-def _quantity_of_unit(unit: str) -> Quantity | None:
-    having = [quantity for quantity, units in UNITS.items() if unit in units]
-    return having[0] if len(having) == 1 else None
+def _split(word: str) -> list[str] | None:
+    """Split a word into known words, the longest first; None if that is impossible."""
+    is_cjk = re.match(f"[{_CJK}]", word) is not None
+    minimum = 1 if is_cjk else _MIN_COMPOUND_PART
+    if not word:
+        return []
+    for length in range(len(word), minimum - 1, -1):
+        if (word[:length],) in _VOCABULARY:
+            remainder = word[length:]
+            tail = _split(remainder)
+            if tail is None and remainder.startswith("s"):
+                tail = _split(remainder[1:])  # Geschwindigkeitssollwert
+            if tail is not None:
+                return [word[:length], *tail]
+    if is_cjk:  # an unknown character names the joint
+        tail = _split(word[1:])
+        return [word[0], *tail] if tail is not None else None
+    return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, JointLimits
 from strainwave.errors import InvalidInput
-from strainwave.io.urdf import UrdfJoint, read_urdf
+from strainwave.io.urdf import UrdfJoint, read_chains, read_urdf
 from strainwave.study_draft.names import max_joints, position, words_of
 
 Words = tuple[str, ...]
@@ -45,19 +45,41 @@ class Robot:
 
     path: Path
     joints: tuple[UrdfJoint, ...]
+    held: tuple[str, ...] = ()  # joints that stay at zero
 
     @staticmethod
-    def read(path: Path) -> Robot:
-        """Read a URDF file. Raises InvalidInput if it is not one chain of up to seven joints."""
-        joints = read_urdf(path)
-        if len(joints) > max_joints():
-            names = ", ".join(joint.name for joint in joints)
+    def read(path: Path, logged: Callable[[Robot], Collection[int]] | None = None) -> Robot:
+        """Read a URDF file; `logged` returns the joints, from 1, that logs have.
+
+        The arm is the chain of most logged joints, up to the last of them; the other joints are
+        held at zero. Raises InvalidInput if it has more than seven joints, or if two chains of a
+        tree have as many.
+        """
+        chains, mimics = read_chains(path)
+        names = dict.fromkeys([*(name for chain in chains for name in chain), *mimics])
+        counted = dict[tuple[str, ...], int]()
+        for chain in chains:
+            robot = Robot.holding(path, [name for name in names if name not in chain])
+            found = logged(robot) if logged else range(1, len(chain) + 1)
+            kept = chain[: max(found)] if found else chain
+            counted[kept] = max(counted.get(kept, 0), len(found))
+        best = [chain for chain, count in counted.items() if count == max(counted.values())]
+        if len(best) > 1:
+            read_urdf(path, mimics)  # raises the error of a tree
+        robot = Robot.holding(path, [name for name in names if name not in best[0]])
+        if len(robot.joints) > max_joints():
             raise InvalidInput(
-                f"{len(joints)} joints move ({names}), but an arm has at most {max_joints()}",
+                f"{len(robot.joints)} joints move ({', '.join(best[0])}), but an arm has at most "
+                f"{max_joints()}",
                 where=str(path),
                 remedy='set the types of joints that stand still in all logs to "fixed"',
             )
-        return Robot(path, joints)
+        return robot
+
+    @staticmethod
+    def holding(path: Path, held: Sequence[str]) -> Robot:
+        """The joints of a URDF file that are not held at zero."""
+        return Robot(path, read_urdf(path, held), tuple(held))
 
     def named_joints(self, names: Iterable[str]) -> dict[str, NamedJoint]:
         """Joints that the names contain: by their whole names, else by their distinct words.
@@ -111,6 +133,17 @@ class Robot:
                 if fastest > (1.0 + _LIMIT_TOLERANCE) * limits.velocity * width * period:
                     return False
         return tested
+
+    def gravity_bounds(self) -> list[float]:
+        """Largest gravity torque [N m] at each joint: of the arm stretched horizontally."""
+        bounds, moment, mass = list[float](), 0.0, 0.0
+        for joint in reversed(self.joints):
+            link_mass, *first_moment = joint.prior[:4]
+            moment += float(np.linalg.norm(first_moment))
+            mass += link_mass
+            bounds.append(9.81 * moment)
+            moment += mass * float(np.linalg.norm(joint.origin.xyz))
+        return bounds[::-1]
 
     @cached_property
     def _names(self) -> tuple[Words, ...]:

@@ -13,6 +13,7 @@ from strainwave.study_draft.names import UNITS
 
 _MAX_LEVELS = 5  # maximum number of levels
 _LEVEL_TOLERANCE = 1e-6  # share of the range; closer levels count as one
+_MIN_WRAP_SHARE = 0.6  # minimum share of the range that the jump of a wrapped angle covers
 _MIN_JUMP_SHARE = 0.3  # minimum share of the range that a jump covers within one sample
 _MIN_REPEATED_SHARE = 0.98  # minimum share of samples that repeat after one period of a sequence
 _MULTIPLE_TOLERANCE = 0.02  # a fifth of the largest distance of multiples of a step from integers
@@ -45,6 +46,14 @@ def proportion(x: FloatArray, y: FloatArray) -> tuple[float, float]:
         return 0.0, 0.0
     product = float(x @ y)
     return product / norms, product / float(x @ x)
+
+
+def slope_error(x: FloatArray, y: FloatArray) -> float:
+    """Relative standard deviation of the slope y/x, from its differences between stretches."""
+    stretches = zip(np.array_split(x, 8), np.array_split(y, 8), strict=True)
+    slopes = [proportion(a - a.mean(), b - b.mean())[1] for a, b in stretches if np.ptp(a) > 0.0]
+    mean = float(np.mean(slopes)) if slopes else 0.0
+    return float(np.std(slopes)) / abs(mean) / np.sqrt(len(slopes)) if mean else 0.0
 
 
 def levels(values: FloatArray) -> FloatArray | None:
@@ -199,9 +208,48 @@ def flat_top(values: FloatArray) -> float | None:
     return top if top > 0.0 and stays_at_top.mean() > _MIN_SATURATED_SHARE else None
 
 
-def wraps(values: FloatArray, turn: float) -> bool:
-    """Whether an angle jumps by one turn, as a single-turn encoder does."""
-    return bool(np.any(np.abs(np.abs(np.diff(values)) - turn) < 0.1 * turn))
+def wrap_modulus(values: FloatArray) -> float | None:
+    """Return the turn by which an angle jumps, as a single-turn encoder does; None if it does not.
+
+    A jump covers most of the range within one sample; the modulus is the jump without the motion
+    of the neighbouring samples.
+    """
+    steps = np.diff(values)
+    span = float(np.ptp(values))
+    jumps = np.flatnonzero(np.abs(steps) > _MIN_WRAP_SHARE * span)
+    if not 0 < len(jumps) < 0.2 * len(steps) or levels(values) is not None:
+        return None
+    ordinary = np.delete(steps, jumps)
+    if np.abs(ordinary).max(initial=0.0) > 0.25 * span:
+        return None
+    neighbour = steps[np.clip(jumps - 1, 0, None)]
+    neighbour = np.where(np.abs(neighbour) > _MIN_WRAP_SHARE * span, 0.0, neighbour)
+    return float(np.median(np.abs(steps[jumps] - neighbour)))
+
+
+def sign_bit(values: FloatArray) -> int | None:
+    """Return the bit that holds the sign of a register read as unsigned; None if there is none.
+
+    Negative values are 2**bit plus the magnitude, or plus 2**bit less the magnitude in two's
+    complement; both leave a gap between small and large values.
+    """
+    if np.any(values != np.round(values)) or values.min() < 0.0:
+        return None
+    for bit in (15, 10, 11, 31):
+        high = values >= 2.0**bit
+        small, large = values[~high], values[high] - 2.0**bit
+        if 0 < len(large) < len(values) and values.max() < 2.0 ** (bit + 1):
+            gap = min(2.0**bit - small.max(), 2.0**bit)
+            if gap > 0.5 * 2.0**bit and (
+                large.max() < 0.5 * 2.0**bit or large.min() > 0.5 * 2.0**bit
+            ):
+                return bit
+    return None
+
+
+def is_register(values: FloatArray) -> bool:
+    """Whether a column has whole numbers of more than a few levels, as of counts or registers."""
+    return bool(np.all(values == np.round(values))) and levels(values) is None
 
 
 def smooth_share(values: FloatArray, period: float, top_hz: float) -> float:

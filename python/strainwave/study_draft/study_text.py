@@ -59,6 +59,7 @@ def study_text(
         listed=_listed,
         optional=lambda code, comment: f"# {code}".ljust(26) + f"  # {comment}",
         quoted=_quoted,
+        quoted_list=lambda names: ", ".join(map(_quoted, names)),
         wrapped=_wrapped,
     )
     count = count_todos(body)
@@ -84,6 +85,20 @@ def count_todos(text: str) -> int:
     """Count the TODO values of a study file, without comments."""
     lines = [line.split("#")[0] for line in text.splitlines()]
     return sum(line.count(TODO) for line in lines)
+
+
+def list_todos(text: str) -> tuple[str, ...]:
+    """The lines of a study file with TODO values, each with its comment, in order."""
+    todos, above = list[str](), ""
+    for number, line in enumerate(text.splitlines(), start=1):
+        code, _, comment = line.partition("#")
+        if TODO in code:
+            hint = textwrap.shorten(
+                (comment or above).removeprefix(" TODO: "), _WIDTH - 30, placeholder=" ..."
+            )
+            todos.append(f"line {number:<3} {code.partition('=')[0].strip():16}  {hint}")
+        above = f"{above} {comment.strip()}" if not code.strip() and comment else ""
+    return tuple(todos)
 
 
 def is_elastic(mapping: Mapping, experiments: Sequence[ExperimentProposal]) -> bool:

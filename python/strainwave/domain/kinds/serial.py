@@ -27,6 +27,7 @@ class SerialTable:
 
     gravity: Vector | None = None  # [m/s^2] in the frame of the base
     urdf: str | None = None  # file that places the joints
+    held: tuple[str, ...] = ()  # joints of the file that stay at zero in all logs
 
 
 class SerialChain(Kind[SerialTable]):
@@ -56,7 +57,9 @@ class SerialChain(Kind[SerialTable]):
 
     def table_of(self, arm: ArmDescription) -> SerialTable:
         """Gravity, and the file that places the joints."""
-        return SerialTable(arm.gravity, arm.urdf.file if arm.urdf else None)
+        if arm.urdf is None:
+            return SerialTable(arm.gravity)
+        return SerialTable(arm.gravity, arm.urdf.file, arm.urdf.held)
 
     def starting_inertias(
         self, arm: ArmDescription, estimates: StageInertias

@@ -158,7 +158,8 @@ class Reader:
         kind = self._kind(arm)
         table = self.record(kind.table, {k: v for k, v in arm.items() if k != "kind"}, "arm")
         file: str = getattr(table, "urdf", None) or ""
-        urdf = self._urdf(file, len(joints)) if file else ()
+        held: tuple[str, ...] = getattr(table, "held", ())
+        urdf = self._urdf(file, held, len(joints)) if file else ()
         described = []
         for index, joint in enumerate(joints):
             placed = self._placed(kind, joint, index, urdf)
@@ -179,7 +180,7 @@ class Reader:
         return dataclasses.replace(
             description,
             coupling=coupling or description.coupling,
-            urdf=Urdf(file, tuple(joint.prior for joint in urdf)) if file else None,
+            urdf=Urdf(file, tuple(joint.prior for joint in urdf), held) if file else None,
         )
 
     def _check_names(self, joints: Sequence[Joint]) -> None:
@@ -233,9 +234,9 @@ class Reader:
             )
         return self.record(Transmission, table, "transmission").coupling
 
-    def _urdf(self, file: str, count: int) -> tuple[UrdfJoint, ...]:
+    def _urdf(self, file: str, held: Sequence[str], count: int) -> tuple[UrdfJoint, ...]:
         """The joints of the URDF file, which must be as many as there are `[[joint]]` tables."""
-        joints = read_urdf(self.path.parent / file)
+        joints = read_urdf(self.path.parent / file, held)
         if len(joints) != count:
             names = ", ".join(joint.name for joint in joints)
             raise InvalidInput(
@@ -243,7 +244,8 @@ class Reader:
                 "tables",
                 where=self.place("arm", None, "urdf"),
                 remedy="write one table for each of them, from the base, or set the types of "
-                'joints that stand still in all logs to "fixed" in the URDF',
+                'joints that stand still in all logs to "fixed" in the URDF; held lists those at '
+                "zero",
             )
         return joints
 
