@@ -44,7 +44,9 @@ _UNIT_WORD = (
     r"|(?:milli|micro|nano)?[sS]ec(?:ond)?s?|[sS]equence|[vV]olts?|[aA]mp(?:ere)?s?"
     r"|[nN]ewtons?|[rR]adians?|[cC]elsius|[mM]eters?|Sekunden|Grad)"
 )
-_UNIT = rf"(?:1/)?{_UNIT_WORD}(?:\s?[*·./^ -]?\s?(?:{_UNIT_WORD}|\^?-?[23²³]))*|[-1]"  # compiled on use
+_UNIT = (
+    rf"(?:1/)?{_UNIT_WORD}(?:\s?[*·./^ -]?\s?(?:{_UNIT_WORD}|\^?-?[23²³]))*|[-1]"  # compiled on use
+)
 _BRACKETED = re.compile(r"[\[(<](.*)[\])>]")
 _Kind = str  # "number", "text", "flag", "empty" or the type of a clock
 
