@@ -36,7 +36,7 @@ def sources_of(arrays: Mapping[str, np.ndarray[Any, Any]]) -> dict[str, Source]:
             prefix = f"{name}." if name else ""
             sources |= sources_of({prefix + field: array[field] for field in array.dtype.names})
         else:
-            sources[name] = Source(array.shape, array.dtype, lambda array=array: array)
+            sources[name] = Source(array.shape, array.dtype, array.view)
     return sources
 
 
@@ -49,9 +49,9 @@ def array_table(
     """Make a table of arrays whose samples are along the axis of their common length.
 
     The common length is the most frequent length of the longest axes; of equally frequent ones, the
-    most frequent of all axes, then the largest. A matrix without name, or the only array of a file if it contains its own time,
-    is `data`. `stamps` are the names of sources in seconds. Raises InvalidInput
-    if no array contains numbers.
+    most frequent of all axes, then the largest. A matrix without name, or the only array of a file
+    if it contains its own time, is `data`. `stamps` are the names of sources in seconds. Raises
+    InvalidInput if no array contains numbers.
     """
     omitted = dict(omitted)
     usable = {}
