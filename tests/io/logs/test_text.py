@@ -203,6 +203,11 @@ PROGRAMS: dict[str, tuple[str, list[str], dict[str, str]]] = {
         ["%time", "field.position0", "field.effort0"],
         {},
     ),
+    "units in names": (
+        "# t [s] angle (rad)  torque [Nm]\n" + rows(" "),
+        ["t [s]", "angle (rad)", "torque [Nm]"],
+        {},
+    ),
     "aligned": (
         "  time   position   torque\n"
         + "\n".join(f"  {a:12.9f}  {b:12.9f}   {c:12.9f} " for a, b, c in ROWS),

@@ -292,8 +292,11 @@ def _fit(line: str, layout: Layout, *, shorter: bool) -> list[str] | None:
     """Split a line of the head into the columns of the body, or return None if it has others."""
     comment = _COMMENT.match(line)
     text = line[comment.end() :] if comment else line
+    joined = re.sub(r"\s+(?=[\[(])", "\0", text)  # blanks within `angle [rad]` separate no names
     for delimiter in (layout.delimiter, *DELIMITERS):
         cells = _trimmed(split_line(text, delimiter))
+        if delimiter == " " and len(cells) > layout.width:
+            cells = [cell.replace("\0", " ") for cell in _trimmed(split_line(joined, delimiter))]
         if cells[-1:] == ["Comment"] and len(cells) == layout.width + 1:  # of LabVIEW
             cells.pop()
         if delimiter == layout.delimiter:
