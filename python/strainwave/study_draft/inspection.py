@@ -67,7 +67,8 @@ def read_record(path: Path) -> Record:
 
 def _read_table(path: Path) -> Record:
     table = open_table(path)
-    columns, faults = {}, []
+    columns = {}
+    faults = [f"column {name!r} is not used: {what}" for name, what in table.omitted.items()]
     try:
         columns = table.read(list(table.names))
     except InvalidInput:  # a column is not numeric; read each column separately

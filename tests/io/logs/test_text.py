@@ -77,8 +77,8 @@ DIALECTS = st.builds(
     footer=st.sampled_from(["", "End of the record", "\nMean of all: see sheet 2"]),
     newline=st.sampled_from(["\n", "\r\n", "\r"]),
 ).filter(lambda d: not (d.delimiter == "," and d.decimal == ",") or d.quotes)
-# a line of text directly above numbers is a header
-DIALECTS = DIALECTS.filter(lambda d: d.header != "none" or d.preamble != ("rig 3",))
+# a line of text above numbers may be a header
+DIALECTS = DIALECTS.filter(lambda d: d.header != "none" or not d.preamble)
 NUMBERS = st.floats(-1e30, 1e30) | st.integers(-(2**40), 2**40).map(float)
 
 
@@ -203,6 +203,11 @@ PROGRAMS: dict[str, tuple[str, list[str], dict[str, str]]] = {
         ["%time", "field.position0", "field.effort0"],
         {},
     ),
+    "units in names": (
+        "# t [s] angle (rad)  torque [Nm]\n" + rows(" "),
+        ["t [s]", "angle (rad)", "torque [Nm]"],
+        {},
+    ),
     "aligned": (
         "  time   position   torque\n"
         + "\n".join(f"  {a:12.9f}  {b:12.9f}   {c:12.9f} " for a, b, c in ROWS),
@@ -306,8 +311,8 @@ def test_a_date_and_a_clock_in_two_columns_are_read(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("t,a,b\nx,y,z\nof text\n", "line 3: there is no row of numbers"),
-        ("t,a,b,c\n" + rows(), "line 1: 4 columns are named, but the rows below have 3 values"),
-        ("t,a\n" + rows(), "line 1: 2 columns are named, but the rows below have 3 values"),
+        ("t,a,b,c\n" + rows(), "line 1: 4 columns are named, but the rows have 3 values"),
+        ("t,a\n" + rows(), "line 1: 2 columns are named, but the rows have 3 values"),
         ("t,a,b\n0.0,bad,1.0\n" + rows(), "line 2, column 2: 'bad' is not a number"),
         ("t,a,b\n" + rows() + "0.2,0.1", "line 42: the log is truncated: 2 values"),
         ("t,a,b\n" + rows() + "0.2,0.1,x1\n" + rows(), "line 42, column 'b': 'x1' is not a number"),

@@ -15,6 +15,8 @@ from strainwave.errors import InvalidInput
 from strainwave.io.logs.arrow import MAX_LIST_COLUMNS
 from strainwave.io.logs.table import Clock, Table, check_unpacked_size
 
+_MAX_STEP_CHANGE = 0.5  # of a clock, relative to its median step
+_MIN_EVEN_SHARE = 0.9  # share of the steps of a clock within that range
 _OTHER_KINDS = {"b": "flags", "c": "complex numbers", "m": "durations"}  # of NumPy's types
 
 
@@ -34,7 +36,7 @@ def sources_of(arrays: Mapping[str, np.ndarray[Any, Any]]) -> dict[str, Source]:
             prefix = f"{name}." if name else ""
             sources |= sources_of({prefix + field: array[field] for field in array.dtype.names})
         else:
-            sources[name] = Source(array.shape, array.dtype, lambda array=array: array)
+            sources[name] = Source(array.shape, array.dtype, array.view)
     return sources
 
 
@@ -46,10 +48,10 @@ def array_table(
 ) -> Table:
     """Make a table of arrays whose samples are along the axis of their common length.
 
-    The common length is the most frequent length of the longest axes, the largest of equally
-    frequent ones. A matrix without name, or the only array of a file if it contains its own time,
-    is `data`. `stamps` are the names of sources in seconds. Raises InvalidInput
-    if no array contains numbers.
+    The common length is the most frequent length of the longest axes; of equally frequent ones, the
+    most frequent of all axes, then the largest. A matrix without name, or the only array of a file
+    if it contains its own time, is `data`. `stamps` are the names of sources in seconds. Raises
+    InvalidInput if no array contains numbers.
     """
     omitted = dict(omitted)
     usable = {}
@@ -68,7 +70,8 @@ def array_table(
             remedy="store one array of numbers per channel, or a matrix",
         )
     votes = Counter(max(source.shape) for source in usable.values())
-    length = max(votes, key=lambda size: (votes[size], size))
+    shared = Counter(size for source in usable.values() for size in set(source.shape))
+    length = max(votes, key=lambda size: (votes[size], shared[size], size))
     columns: dict[str, tuple[str, int]] = {}
     fitting = []
     for name, source in usable.items():
@@ -128,5 +131,8 @@ def _numbers(values: Any) -> FloatArray:
 
 
 def _has_time(source: Source, length: int) -> bool:
-    """Whether a column increases throughout: the matrix contains different quantities."""
-    return bool((np.diff(_rows(source, length), axis=0) > 0.0).all(axis=0).any())
+    """Whether a column is a clock: the matrix contains different quantities."""
+    steps = np.diff(_rows(source, length).astype(float), axis=0)
+    median = np.median(steps, axis=0)
+    is_even = np.abs(steps - median) <= _MAX_STEP_CHANGE * median
+    return bool(((steps > 0.0).all(axis=0) & (is_even.mean(axis=0) >= _MIN_EVEN_SHARE)).any())

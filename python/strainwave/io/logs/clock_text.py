@@ -20,7 +20,7 @@ _STAMP = re.compile(
         (?:\s*(?P<zone>Z|UTC|GMT|[+-]\d{2}:?\d{2}))?)?""",
     re.VERBOSE,
 )
-_SECONDS = re.compile(r"\d{2}(?:[.,]\d{1,9})?")
+_SECONDS = re.compile(r"\d{2}(?:[.,]\d{1,9})?Z?")
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 
 
@@ -55,7 +55,7 @@ def stamp_seconds(texts: Sequence[str]) -> FloatArray:
         if head[-3:-2] == ":" and head.count(":") == 1 and _SECONDS.fullmatch(tail):
             if head not in minutes:
                 minutes[head] = _seconds(head + ":00", day_first, index)
-            seconds[index] = minutes[head] + float(tail.replace(",", "."))
+            seconds[index] = minutes[head] + float(tail.rstrip("Z").replace(",", "."))
         elif text:
             seconds[index] = _seconds(text, day_first, index)
     return seconds

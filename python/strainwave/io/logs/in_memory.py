@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from strainwave.errors import InvalidInput
-from strainwave.io.logs.arrays import array_table, sources_of
 from strainwave.io.logs.table import Table
 
 Data = Mapping[str, Any]
@@ -23,6 +22,8 @@ def open_memory_table(data: Any, where: str) -> Table:
     `where` is the name for messages. Float64 columns are not copied. Raises InvalidInput if `data`
     is not a table or contains no numbers.
     """
+    from strainwave.io.logs.arrays import array_table, sources_of
+
     names = _names(data)
     if names is None:
         raise InvalidInput(

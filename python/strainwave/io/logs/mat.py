@@ -150,7 +150,7 @@ def _collect(data: memoryview, order: str, name: str, content: Content, depth: i
         values = next(parts, _Part(0, data[:0]))
         if values.kind not in _NUMBERS:
             raise ValueError(f"an array with elements of type {values.kind}")
-        array = np.frombuffer(values.data, np.dtype(_NUMBERS[values.kind]).newbyteorder(order))
+        array = np.frombuffer(values.data, np.dtype(order + _NUMBERS[values.kind]))
         content.arrays[name] = array.reshape(shape, order="F")
 
 

@@ -8,6 +8,7 @@ import stat
 import sys
 import zlib
 from collections.abc import Callable, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +17,6 @@ import numpy as np
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import read_bytes, write_whole
-from strainwave.io.logs.array_files import (
-    open_hdf5,
-    open_json,
-    open_json_lines,
-    open_mat,
-    open_npy,
-    open_npz,
-)
-from strainwave.io.logs.arrow import open_ipc, open_parquet
 from strainwave.io.logs.table import (
     MAX_MAGNITUDE,
     Clock,
@@ -32,7 +24,6 @@ from strainwave.io.logs.table import (
     check_unpacked_size,
     find_invalid_value,
 )
-from strainwave.io.logs.text import open_text
 
 __all__ = [
     "MAX_MAGNITUDE",
@@ -63,7 +54,11 @@ def open_table(path: Path) -> Table:
     data = read_bytes(path, "the log")
     if packing:
         data = _unpack(_UNPACKERS[packing], data, path, packing[1:])
-    return _OPENERS[suffix](data, path)
+    module, function = _OPENERS[suffix]
+    opener: Callable[[bytes, Path], Table] = getattr(
+        import_module(f"strainwave.io.logs.{module}"), function
+    )
+    return opener(data, path)
 
 
 def _unknown_type(path: Path, suffix: str) -> InvalidInput:
@@ -144,24 +139,19 @@ def release_reader_memory() -> None:
         arrow.default_memory_pool().release_unused()
 
 
-_OPENERS: dict[str, Callable[[bytes, Path], Table]] = {  # suffix -> function
-    ".csv": open_text,
-    ".tsv": open_text,
-    ".txt": open_text,
-    ".dat": open_text,
-    ".log": open_text,
-    ".lvm": open_text,
-    ".parquet": open_parquet,
-    ".feather": open_ipc,
-    ".arrow": open_ipc,
-    ".mat": open_mat,
-    ".h5": open_hdf5,
-    ".hdf5": open_hdf5,
-    ".npz": open_npz,
-    ".npy": open_npy,
-    ".json": open_json,
-    ".jsonl": open_json_lines,
-    ".ndjson": open_json_lines,
+_OPENERS = {  # suffix -> module and function, imported on use
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".log", ".lvm"), ("text", "open_text")),
+    ".parquet": ("arrow", "open_parquet"),
+    ".feather": ("arrow", "open_ipc"),
+    ".arrow": ("arrow", "open_ipc"),
+    ".mat": ("array_files", "open_mat"),
+    ".h5": ("array_files", "open_hdf5"),
+    ".hdf5": ("array_files", "open_hdf5"),
+    ".npz": ("array_files", "open_npz"),
+    ".npy": ("array_files", "open_npy"),
+    ".json": ("array_files", "open_json"),
+    ".jsonl": ("array_files", "open_json_lines"),
+    ".ndjson": ("array_files", "open_json_lines"),
 }
 _UNPACKERS: dict[str, Callable[[bytes], Any]] = {".gz": _open_gzip, ".zst": _open_zstd}
 _SPREADSHEETS = (".xlsx", ".xls", ".xlsm", ".ods")

@@ -6,49 +6,31 @@ Only a text that the fast reader rejects is read again line by line; this also l
 from __future__ import annotations
 
 import codecs
-import csv
-import re
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any
 
 import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.arrow import arrow_reader, column_values
-from strainwave.io.logs.clock_text import clock_of, stamp_seconds
+from strainwave.io.logs.clock_text import stamp_seconds
 from strainwave.io.logs.table import Clock, Table
+from strainwave.io.logs.text_layout import (
+    MISSING,
+    PROBE_BYTES,
+    Layout,
+    cell_kind,
+    check_number,
+    find_layout,
+    read_header,
+    split_line,
+    text_lines,
+)
 
-DELIMITERS = ("\t", ";", ",", "|", " ")
-"""Delimiters of columns; the one that gives the most numbers applies, the first of similar ones."""
-_PROBE_BYTES = 1 << 16  # [bytes] in which the first rows are expected; longer preambles take more
-_SAMPLE_LINES = 60  # lines from which the delimiter and the types of the columns are found
-_MIN_GAIN = 1.25  # ratio of numbers for which a later delimiter applies; a preamble has few
-_LOOKAHEAD_LINES = 3  # lines of which one must be a row for the body to start above
-_NUMBER = re.compile(
-    r"[+-]?(?:(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:[eE][+-]?\d+)?|inf(?:inity)?)", re.I
-)
-_SEVERAL = re.compile(r"[-+.\d]+[;,|\s]+[-+.\d]")
-_MISSING = ("", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None")
-_MISSING += ("-nan(ind)", "-1.#IND", "1.#QNAN", "---", "--", "-")
-_FLAGS = frozenset({"true", "false", "on", "off", "yes", "no"})
-_MAX_UNIT = 24  # characters of a unit
-_COMMENT = re.compile(r"\s*(?:#+\s*|//\s*|%\s+)")
-_UNIT_KEYS = re.compile(r"(?:[xy]_)?(?:vertical )?(?:units?|einheit(?:en)?)(?:_label)?:?", re.I)
-_UNIT_WORD = (
-    r"(?:[numµμkM]?(?:s|m|g|A|V|W|N|Nm|rad|Hz|Pa|J)|cm|us|min|h|deg(?:rees?)?|°|°C|K|rev|rpm|RPM|rps"
-    r"|turns?|counts?|cnts?|inc|ticks?|pulses?|LSB|bits?|%|‰|bar|bool|int|kgf|lb|in|samples?"
-    r"|(?:milli|micro|nano)?[sS]ec(?:ond)?s?|[sS]equence|[vV]olts?|[aA]mp(?:ere)?s?"
-    r"|[nN]ewtons?|[rR]adians?|[cC]elsius|[mM]eters?|Sekunden|Grad)"
-)
-_UNIT = (
-    rf"(?:1/)?{_UNIT_WORD}(?:\s?[*·./^ -]?\s?(?:{_UNIT_WORD}|\^?-?[23²³]))*|[-1]"  # compiled on use
-)
-_BRACKETED = re.compile(r"[\[(<](.*)[\])>]")
-_Kind = str  # "number", "text", "flag", "empty" or the type of a clock
+_OMITTED = {"empty": "no values", "flag": "flags", "text": "text"}  # kind of cells -> content
 
 
 def open_text(data: bytes, path: Path) -> Table:
@@ -59,23 +41,19 @@ def open_text(data: bytes, path: Path) -> Table:
     data, assumptions = _to_utf8(data, path)
     if not data or data.isspace():
         raise InvalidInput("is empty", where=str(path), remedy="record the experiment again")
-    layout = _find_layout(data, path)
-    header = _read_header(layout, path)
+    layout = find_layout(data, path)
+    header = read_header(layout, path)
     body = _Body(data, path, layout, header.names, _count_footer(data, layout))
-    names, omitted = {}, {}
-    for index, kind in enumerate(layout.kinds):
-        if kind == "number" or kind in get_args(Clock):
-            names[header.names[index]] = index
-        elif header.names[index] and kind == "empty":
-            omitted[header.names[index]] = "no values"
-        elif header.names[index]:
-            omitted[header.names[index]] = "flags" if kind == "flag" else "text"
-    clocks: dict[str, Clock] = {
-        name: clock
-        for name, index in names.items()
-        for clock in get_args(Clock)
-        if layout.kinds[index] == clock
-    }
+    names: dict[str, int] = {}
+    clocks: dict[str, Clock] = {}
+    omitted: dict[str, str] = {}
+    for index, (name, kind) in enumerate(zip(header.names, layout.kinds, strict=True)):
+        if kind in ("number", "datetime", "date", "time"):
+            names[name] = index
+            if kind != "number":
+                clocks[name] = kind
+        elif name:
+            omitted[name] = _OMITTED[kind]
     notes = [*assumptions, *header.notes]
     if body.footer:
         notes.append(f"the last {body.footer} line(s) contain no numbers and are not read")
@@ -107,312 +85,6 @@ def _to_utf8(data: bytes, path: Path) -> tuple[bytes, list[str]]:
     return data, []
 
 
-# --- Layout ---------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    """Division of a text into a head and rows of columns."""
-
-    head: Sequence[str]  # lines before the first row
-    start: int  # position of the first row [bytes]
-    delimiter: str
-    decimal: str
-    kinds: Sequence[_Kind]  # of each column
-
-    @property
-    def width(self) -> int:
-        """Number of columns that hold anything."""
-        return max(k for k, kind in enumerate(self.kinds) if kind != "empty") + 1
-
-    def is_row(self, cells: Sequence[str]) -> bool:
-        """Whether cells are a row of the body: numbers or nothing in each column of numbers."""
-        n = len(self.kinds)
-        if len(cells) < n or any(cells[n:]):
-            return False
-        kinds = [_kind(c) for c, kind in zip(cells, self.kinds, strict=False) if kind == "number"]
-        return "number" in kinds and all(kind in ("number", "empty") for kind in kinds)
-
-
-def _find_layout(data: bytes, path: Path) -> _Layout:
-    """Find the columns and the first row; a long preamble needs more of the text."""
-    size = _PROBE_BYTES
-    while True:
-        probe = data[:size].splitlines(keepends=True)
-        end: list[bytes] = []
-        if size < len(data):  # without the first and last line, which may be cut
-            probe.pop()
-            end = data[-_PROBE_BYTES // 4 :].splitlines()[1:]
-        layout = _layout_of(probe, _text(end[-_SAMPLE_LINES // 2 :]))
-        if layout is not None:
-            return layout
-        if size >= len(data):
-            break
-        size *= 8
-    filled = [number for number, line in enumerate(probe, start=1) if line.strip()]
-    raise InvalidInput(
-        "there is no row of numbers; rows of numbers that are separated by commas, semicolons, "
-        "tabs or blanks are expected here or below",
-        where=f"{path}, line {filled[-1] if filled else 1}",
-        remedy="export the log as CSV with one row per sample",
-    )
-
-
-def _text(lines: Sequence[bytes]) -> list[str]:
-    return [line.decode("utf-8", errors="replace").rstrip("\r\n") for line in lines]
-
-
-def _layout_of(probe: Sequence[bytes], end: Sequence[str]) -> _Layout | None:
-    lines = _text(probe)
-    sample = [*filter(str.strip, lines)][-_SAMPLE_LINES:]
-    sample += filter(str.strip, end)
-    best: list[list[str]] = []
-    delimiter, max_numbers = ",", 0
-    for candidate in DELIMITERS:
-        if not any(candidate in line for line in sample) and candidate != ",":
-            continue
-        rows = [_split(line, candidate) for line in sample]
-        numbers: Counter[int] = Counter()
-        for row in rows:
-            numbers[len(row)] += sum(map(_weight, row))
-        width, count = max(numbers.items(), key=lambda item: item[1], default=(0, 0))
-        if count > _MIN_GAIN * max_numbers:
-            best = [row for row in rows if len(row) == width]
-            delimiter, max_numbers = candidate, count
-    if not best:
-        return None
-    cells = [cell for row in best for cell in row if _NUMBER.fullmatch(cell)]
-    has_comma = any("," in cell for cell in cells) and not any("." in cell for cell in cells)
-    layout = _Layout((), 0, delimiter, "," if has_comma else ".", _column_kinds(best))
-    first = _first_row(lines, layout)
-    if first is None:
-        return None
-    body = [_split(line, delimiter) for line in [*lines[first : first + _SAMPLE_LINES], *end]]
-    kinds = _column_kinds([row for row in body if layout.is_row(row)])
-    return replace(layout, head=lines[:first], start=sum(map(len, probe[:first])), kinds=kinds)
-
-
-def _weight(cell: str) -> int:
-    """1 for a number, -1 for several numbers, which need another delimiter."""
-    if _NUMBER.fullmatch(cell):
-        return 1
-    return -1 if _SEVERAL.match(cell) and clock_of(cell) is None else 0
-
-
-def _first_row(lines: Sequence[str], layout: _Layout) -> int | None:
-    """Return the index of the first line that is a row and is followed by another one."""
-    filled = [index for index, line in enumerate(lines) if line.strip()]
-    for place, index in enumerate(filled):
-        if layout.is_row(_split(lines[index], layout.delimiter)):
-            following = filled[place + 1 : place + 1 + _LOOKAHEAD_LINES]
-            rows = (_split(lines[other], layout.delimiter) for other in following)
-            if not following or any(layout.is_row(row) for row in rows):
-                is_header = _is_numbering(_split(lines[index], layout.delimiter))
-                return following[0] if is_header and following else index
-    return None
-
-
-def _is_numbering(cells: Sequence[str]) -> bool:
-    """Whether cells are a header of column numbers: 0, 1, 2, ..."""
-    numbers = [cell for cell in cells if cell]
-    return len(numbers) > 2 and numbers == [str(k) for k in range(len(numbers))]
-
-
-def _column_kinds(rows: Sequence[Sequence[str]]) -> tuple[_Kind, ...]:
-    """Return the most frequent kind in each column, apart from missing values."""
-    kinds = []
-    for column in zip(*rows, strict=False):
-        counts = Counter(_kind(cell) for cell in column)
-        counts["empty"] = 0
-        counts["number"] += 0  # the first of equal counts
-        kinds.append(
-            max(("number", *counts), key=counts.__getitem__) if any(counts.values()) else "empty"
-        )
-    return tuple(kinds)
-
-
-def _kind(cell: str) -> _Kind:
-    if _NUMBER.fullmatch(cell):
-        return "number"
-    if cell in _MISSING:
-        return "empty"
-    return clock_of(cell) or ("flag" if cell.casefold() in _FLAGS else "text")
-
-
-def _split(line: str, delimiter: str) -> list[str]:
-    if delimiter == " ":
-        line = " ".join(line.split())
-    if '"' not in line:
-        return [field.strip() for field in line.split(delimiter)]
-    try:
-        fields = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
-    except csv.Error:
-        fields = line.split(delimiter)
-    return [field.strip() for field in fields]
-
-
-# --- Header ---------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class _Header:
-    names: Sequence[str]  # of each column; empty for a column without name and values
-    units: Mapping[int, str]  # of columns
-    notes: Sequence[str]
-
-
-class _Line(NamedTuple):
-    number: int
-    cells: list[str]  # one for each column
-
-
-def _read_header(layout: _Layout, path: Path) -> _Header:
-    """Find the names and units of the columns in the lines above the first row."""
-    rows, units, notes = _header_rows(layout, path), dict[int, str](), list[str]()
-    for line in layout.head:
-        cells = _fit(line, layout, shorter=True)
-        if cells and _UNIT_KEYS.fullmatch(cells[0]) and len(layout.kinds) > 1:
-            units = {k: cell for k, cell in enumerate(cells) if k and cell}
-    names, pairs_units = _names_of_pairs(rows, layout)
-    if names:
-        return _Header(_complete(names, layout), pairs_units, notes)
-    if len(rows) > 1 and _is_unit_row(rows[0], layout) and _is_name_row(rows[1], layout):
-        units = {k: unit for k, cell in enumerate(rows[0].cells) if (unit := _unbracketed(cell))}
-        notes.append(f"line {rows[0].number} is read as the units")
-        rows = rows[1:]
-    if not rows:
-        notes.append("there is no header; the columns are data[0], data[1], ...")
-        return _Header(_complete([""] * len(layout.kinds), layout), units, notes)
-    names = list(rows[0].cells)
-    counts = Counter(names)
-    if len(rows) > 1 and any(counts[name] > 1 for name in names if name):
-        group = ""
-        for index, upper in enumerate(rows[1].cells):
-            group = upper or group  # a merged cell
-            if counts[names[index]] > 1 and names[index]:
-                names[index] = f"{group} {names[index]}".strip()
-    _check_unique(names, f"{path}, line {rows[0].number}")
-    return _Header(_complete(names, layout), units, notes)
-
-
-def _header_rows(layout: _Layout, path: Path) -> list[_Line]:
-    """Return the lines above the first row that have its columns, from below; none without header.
-
-    Raises InvalidInput if the lowest is a row with a fault, or has another number of columns.
-    """
-    rows: list[_Line] = []
-    for number in range(len(layout.head), 0, -1):
-        line = layout.head[number - 1]
-        cells = _fit(line, layout, shorter=bool(rows))
-        if cells is not None:
-            rows.append(_Line(number, cells))
-        elif line.strip() and not _COMMENT.match(line):
-            names = _trimmed(_split(line, layout.delimiter))
-            is_header = number == len(layout.head) and all(_kind(name) == "text" for name in names)
-            if is_header and len(names) > 1 and 2 * len(names) >= layout.width:
-                raise InvalidInput(
-                    f"{len(names)} columns are named, but the rows below have {layout.width} values",
-                    where=f"{path}, line {number}",
-                    remedy="correct this line: one name for each column",
-                )
-            break
-    while rows and not _is_name_row(rows[0], layout) and not _is_pair_row(rows[0], layout):
-        if len(rows) > 1 and _is_unit_row(rows[0], layout):
-            break
-        number, cells = rows.pop(0)
-        if _is_numbering(cells) or number < len(layout.head):
-            return []
-        for index, kind in enumerate(layout.kinds):
-            if kind == "number":
-                _check_number(
-                    cells[index], layout.decimal, f"{path}, line {number}, column {index + 1}"
-                )
-    return rows
-
-
-def _fit(line: str, layout: _Layout, *, shorter: bool) -> list[str] | None:
-    """Split a line of the head into the columns of the body, or return None if it has others."""
-    comment = _COMMENT.match(line)
-    text = line[comment.end() :] if comment else line
-    for delimiter in (layout.delimiter, *DELIMITERS):
-        cells = _trimmed(_split(text, delimiter))
-        if cells[-1:] == ["Comment"] and len(cells) == layout.width + 1:  # of LabVIEW
-            cells.pop()
-        if delimiter == layout.delimiter:
-            fits = bool(cells) and len(cells) <= len(layout.kinds)
-            fits = fits and (shorter or len(cells) >= layout.width)
-        else:
-            fits = len(cells) == layout.width > 1 and bool(comment)
-        if fits:
-            return cells + [""] * (len(layout.kinds) - len(cells))
-    return None
-
-
-def _trimmed(cells: list[str]) -> list[str]:
-    while cells and not cells[-1]:
-        cells = cells[:-1]
-    return cells
-
-
-def _used(row: _Line, layout: _Layout) -> list[str]:
-    """Return the cells above columns of values."""
-    return [cell for cell, kind in zip(row.cells, layout.kinds, strict=True) if kind != "empty"]
-
-
-def _is_name_row(row: _Line, layout: _Layout) -> bool:
-    cells = _used(row, layout)
-    texts = [cell for cell in cells if _kind(cell) not in ("number", "empty")]
-    return 2 * len(texts) >= len(cells) and not any(_kind(cell) == "number" for cell in cells)
-
-
-def _is_unit_row(row: _Line, layout: _Layout) -> bool:
-    cells = [cell for cell in _used(row, layout) if cell]
-    units = [c for c in cells if re.fullmatch(_UNIT, c) or _BRACKETED.fullmatch(c)]
-    return bool(cells) and 2 * len(units) >= len(cells) and max(map(len, cells)) <= _MAX_UNIT
-
-
-def _unbracketed(cell: str) -> str:
-    match = _BRACKETED.fullmatch(cell)
-    return (match[1] if match else cell).strip()
-
-
-def _is_pair_row(row: _Line, layout: _Layout) -> bool:
-    """Whether every other cell is the same key, as in the head of a TwinCAT scope."""
-    return layout.width > 3 and len(set(row.cells[0 : layout.width : 2])) == 1
-
-
-def _names_of_pairs(rows: Sequence[_Line], layout: _Layout) -> tuple[list[str], dict[int, str]]:
-    """Names and units of columns in pairs of time and value, each below a key; else nothing."""
-    if not rows or not _is_pair_row(rows[0], layout):
-        return [], {}
-    values = {row.cells[0].casefold(): row.cells for row in rows if _is_pair_row(row, layout)}
-    names = values.get("name")
-    if names is None:
-        return [], {}
-    names = [
-        name if k % 2 else f"{names[k + 1]}.time" if k else "time"
-        for k, name in enumerate(names[: layout.width])
-    ]
-    units = {k: unit for k, unit in enumerate(values.get("unit", ())) if k % 2 and unit}
-    return names + [""] * (len(layout.kinds) - len(names)), units
-
-
-def _complete(names: Sequence[str], layout: _Layout) -> list[str]:
-    """Name the columns of values that have no name by their number."""
-    return [
-        name or ("" if kind == "empty" else f"data[{k}]")
-        for k, (name, kind) in enumerate(zip(names, layout.kinds, strict=True))
-    ]
-
-
-def _check_unique(names: Sequence[str], where: str) -> None:
-    for index, name in enumerate(names):
-        if name and name in names[:index]:
-            raise InvalidInput(
-                f"there are two columns named {name!r}", where=where, remedy="rename one of them"
-            )
-
-
 # --- Body -----------------------------------------------------------------------------------
 
 
@@ -422,7 +94,7 @@ class _Body:
 
     data: bytes
     path: Path
-    layout: _Layout
+    layout: Layout
     names: Sequence[str]
     footer: int  # lines at the end without numbers
 
@@ -444,7 +116,7 @@ class _Body:
                 convert_options=pa.csv.ConvertOptions(
                     column_types=types,
                     include_columns=list(types),
-                    null_values=list(_MISSING),
+                    null_values=list(MISSING),
                     decimal_point=self.layout.decimal,
                 ),
             )
@@ -470,7 +142,7 @@ class _Body:
 
     def _lines(self) -> list[tuple[int, str]]:
         """Return the lines with rows, and their numbers from 1."""
-        lines = _text(self.data.rstrip().splitlines())
+        lines = text_lines(self.data.rstrip().splitlines())
         first = len(self.layout.head)
         last = len(lines) - self.footer if self.footer else len(lines)
         return [(k + 1, lines[k]) for k in range(first, last) if lines[k].strip()]
@@ -483,7 +155,7 @@ class _Body:
         n_columns, lines = len(self.names), self._lines()
         for number, line in lines:
             where = f"{self.path}, line {number}"
-            fields = _split(line, self.layout.delimiter)
+            fields = split_line(line, self.layout.delimiter)
             if len(fields) < self.layout.width or any(fields[n_columns:]):
                 is_cut_off = number == lines[-1][0]
                 raise InvalidInput(
@@ -497,7 +169,7 @@ class _Body:
                 cell: Any = fields[index]
                 if index in numbers:
                     place = f"{where}, column {self.names[index]!r}"
-                    cell = _check_number(cell, self.layout.decimal, place)
+                    cell = check_number(cell, self.layout.decimal, place)
                 cells[index].append(cell)
         return (
             {k: np.asarray(column, dtype=float) for k, column in cells.items() if k in numbers},
@@ -505,7 +177,7 @@ class _Body:
         )
 
     def _seconds(self, texts: Sequence[str | None], index: int) -> FloatArray:
-        stamps = ["" if text is None or text in _MISSING else text.strip() for text in texts]
+        stamps = ["" if text is None or text in MISSING else text.strip() for text in texts]
         try:
             return stamp_seconds(stamps)
         except ValueError as error:
@@ -522,29 +194,18 @@ class _Body:
         return f"line {lines[row][0] if row < len(lines) else row + len(self.layout.head) + 1}"
 
 
-def _check_number(text: str, decimal: str, where: str) -> float:
-    """Convert a cell to a number; a missing value is NaN."""
-    if text in _MISSING:
-        return float("nan")
-    if not _NUMBER.fullmatch(text) or ("," in text and decimal != ","):
-        raise InvalidInput(
-            f"{text[:40]!r} is not a number", where=where, remedy="correct the value"
-        )
-    return float(text.replace(",", "."))
-
-
-def _count_footer(data: bytes, layout: _Layout) -> int:
+def _count_footer(data: bytes, layout: Layout) -> int:
     """Return the number of lines at the end that are a note, blank lines above it included."""
     first = layout.kinds.index("number")
-    lines = _text(data[max(layout.start, len(data) - _PROBE_BYTES) :].rstrip().splitlines())
+    lines = text_lines(data[max(layout.start, len(data) - PROBE_BYTES) :].rstrip().splitlines())
     count = 0
     for index, line in enumerate(reversed(lines[1:])):
-        cells = _split(line, layout.delimiter)
+        cells = split_line(line, layout.delimiter)
         if not line.strip():
             continue
         if layout.is_row(cells):
             break
-        kinds = [_kind(cell) for cell in cells]
+        kinds = [cell_kind(cell) for cell in cells]
         starts_as_row = len(cells) > first and kinds[first] in ("number", "empty")
         if starts_as_row and (len(cells) >= layout.width or "text" not in kinds):
             break
@@ -556,6 +217,6 @@ def _footer_start(data: bytes, n_lines: int) -> int:
     """Return the position of the last lines [bytes]."""
     if not n_lines:
         return len(data)
-    end = data[-_PROBE_BYTES:]
+    end = data[-PROBE_BYTES:]
     size = len(end) - len(end.rstrip())
     return len(data) - size - sum(map(len, end.rstrip().splitlines(keepends=True)[-n_lines:]))
