@@ -23,7 +23,7 @@ class Log(Displayed):
     warnings: tuple[Diagnostic, ...] = ()
     # by channel name, (n_samples,): True where a value is interpolated, not measured
     masked: Mapping[str, BoolArray] = field(default_factory=dict)
-    delay: float = 0.0  # [s] of the first sample after that of the record, for a later segment
+    is_continuation: bool = False  # a later segment: the motion and its servo run already
     # by arm: what stages share; see `strainwave.signals.prepared_record`
     prepared: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 

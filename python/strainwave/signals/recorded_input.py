@@ -30,7 +30,7 @@ def recorded_drive(arm: Arm, log: Log) -> Drive:
             voltage[:, i] = record.voltage[:, i]
         else:
             reference[:, i] = log.channels.get(f"ref{i + 1}", reference[:, i])
-            if experiment.prbs and experiment.joint == i + 1:
+            if experiment.prbs and experiment.joint == i + 1 and not log.is_continuation:
                 voltage[:, i] = _sample_prbs(experiment.prbs, log)
     servo_voltage = record.voltage[0] - voltage[0]
     return Drive(
@@ -66,6 +66,8 @@ def missing_recorded_input(arm: Arm, log: Log) -> str | None:
     experiment = log.experiment
     if arm.servo is None and "servo" in experiment.control:
         return "the study has no [servo] table"
+    if log.is_continuation and "servo" in experiment.control:
+        return "the segment begins after a pause, with an unknown state of the servo"
     missing_signal = missing_motor_signal(arm, log)
     if missing_signal:
         return missing_signal

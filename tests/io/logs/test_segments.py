@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from strainwave.domain import (
     Channel,
     Experiment,
     FloatArray,
+    IntArray,
     Joint,
     Log,
     Origin,
@@ -52,7 +54,7 @@ def read(data: Columns, study: Study = STUDY) -> tuple[Log, ...]:
     return read_logs(study, data={"run": data})
 
 
-def rows(data: Columns, selection: object) -> Columns:
+def rows(data: Columns, selection: IntArray) -> Columns:
     return {name: values[selection] for name, values in data.items()}
 
 
@@ -200,7 +202,7 @@ def test_a_held_channel_among_faster_ones_is_interpolated(name: str) -> None:
         np.testing.assert_allclose(log.channels[each], expected, atol=9.0 * 0.09**2 / 8)
 
 
-TIME: FloatArray = 0.001 * np.arange(4000)
+TIME: FloatArray = 0.001 * np.arange(4000, dtype=np.float64)
 NOT_HELD: dict[str, Callable[[np.random.Generator], FloatArray]] = {
     "slow encoder": lambda rng: np.round(20.0 * np.sin(2.0 * TIME)),
     "slow encoder with noise": lambda rng: np.round(
@@ -248,7 +250,11 @@ def test_late_columns_narrow_the_record_and_long_holes_split_it() -> None:
 # --- velocity only ----------------------------------------------------------------------------
 
 
-def chain(*motions: str, gravity: tuple[float, float, float] | None, rpy: float = 0.0) -> Study:
+def chain(
+    *motions: Literal["revolute", "prismatic"],
+    gravity: tuple[float, float, float] | None,
+    rpy: float = 0.0,
+) -> Study:
     joints = tuple(
         replace(JOINT, motion=motion, origin=Origin(rpy=(rpy, 0.0, 0.0))) for motion in motions
     )

@@ -18,6 +18,7 @@ from strainwave.domain.combinations import FRICTION_COLUMNS
 from strainwave.domain.kinds.starts import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.friction_terms import friction_per_size
+from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.stretch import Stretch, motion_of, n_compliances
 from strainwave.numerics.banded import Banded
 from strainwave.numerics.filters import differentiate, low_pass
@@ -203,6 +204,8 @@ def _parts(
 ) -> Iterator[_Part]:
     """Equations record by record and joint by joint."""
     total = sum(s.sliding_time for s in stretches)
+    if total == 0.0:
+        raise NotIdentifiable("no motor slides in any record; record a faster motion")
     first_block = 0
     is_two_way = slides_both_ways(stretches)
     for record, stretch in enumerate(stretches):

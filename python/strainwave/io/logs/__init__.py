@@ -92,7 +92,7 @@ def _read_segments(study: Study, experiment: Experiment, data: Any) -> tuple[Log
     segments, warnings = _segments(table, sources, experiment, study.sample_rate)
     logs: list[Log] = []
     unusable: InvalidInput | None = None
-    for tracks in segments:
+    for number, tracks in enumerate(segments):
         filled: dict[str, BoolArray] = {}
         dense = []
         for track in tracks:
@@ -119,7 +119,8 @@ def _read_segments(study: Study, experiment: Experiment, data: Any) -> tuple[Log
             if channel.column in filled and channel.column in track.columns
         }
         sample_time = float((time[-1] - time[0]) / (len(time) - 1))
-        logs.append(Log(experiment, time, sample_time, channels, tuple(clock_warnings), masked))
+        notes = tuple(clock_warnings)
+        logs.append(Log(experiment, time, sample_time, channels, notes, masked, number > 0))
     if unusable is not None and not logs:
         raise unusable
     del segments
@@ -128,8 +129,7 @@ def _read_segments(study: Study, experiment: Experiment, data: Any) -> tuple[Log
     if len(logs) == 1:
         return tuple(logs)
     return tuple(
-        replace(log, experiment=experiment.segment(k), delay=float(log.time[0] - logs[0].time[0]))
-        for k, log in enumerate(logs, start=1)
+        replace(log, experiment=experiment.segment(k)) for k, log in enumerate(logs, start=1)
     )
 
 

@@ -89,7 +89,7 @@ def segment_tracks(
     for part in parts:
         measured = [track.time for track in part if not track.has_only(roles.commands)]
         inside = [np.count_nonzero((time >= low) & (time <= high)) for time in measured]
-        sizes.append(int(min(inside)))
+        sizes.append(int(inside[0]) if min(inside) >= MIN_SAMPLES else 0)
     segments = [
         part for part, size in zip(parts, sizes, strict=True) if size >= MIN_SEGMENT_SAMPLES
     ] or [parts[int(np.argmax(sizes))]]

@@ -17,8 +17,12 @@ from strainwave.io.logs.clocks import MAX_GAP_PERIODS, Track, cut
 from strainwave.io.logs.tables import Clock
 
 _DAY = 86400.0  # [s]
-# values at which counters begin again: 8 to 32 bits; 32 bits of us or ms, written in s
-_MODULI = (2.0**8, 2.0**16, 2.0**24, 2.0**32 * 1e-6, 2.0**32 * 1e-3, 2.0**32)
+# values at which counters begin again: 8 to 32 bits, also of us or ms written in s; midnight in s,
+# ms
+_MODULI = (
+    *(2.0**8, 2.0**16, _DAY, 2.0**24, 1e3 * _DAY, 2.0**32),
+    *(2.0**32 * 1e-6, 2.0**32 * 1e-3),
+)
 _FRACTIONS = (1.0, 1e-3, 1e-6, 1e-9)  # [s] units of the fractions of a second
 _RESTART_PAUSE_PERIODS = 1000.0  # [periods] pause in place of a step back, also of a slow bus
 # maximum share of rows that repeat a stamp; more: the stamps are coarser than the sampling period
@@ -36,26 +40,25 @@ def time_of(
     """
     values = columns[channel.column]
     kinds = {clocks.get(name) for name in channel.columns}
-    has_clock = bool(kinds & {"time", "date"})
     if channel.second_column is not None:
         second, unit = columns[channel.second_column], 1.0
-        if not has_clock:
+        if not kinds & {"time", "date"}:
             largest = float(np.max(second, initial=0.0))
             unit = next((each for each in _FRACTIONS if largest * each < 1.0), _FRACTIONS[-1])
         values = (values - values[0]) + unit * (second - second[0])
     elif kinds != {None}:
         values = values - values[0]
-    return channel.scale * _without_overflows(values, has_clock) + channel.offset
+    return channel.scale * _without_overflows(values) + channel.offset
 
 
-def _without_overflows(values: FloatArray, is_clock: bool) -> FloatArray:
+def _without_overflows(values: FloatArray) -> FloatArray:
     """Remove the steps back of a counter at its overflow, or of a clock at midnight."""
     steps = np.diff(values)
     back = steps < 0.0
     if not back.any() or back.all():
         return values
     period = float(np.median(steps[~back]))
-    for modulus in (_DAY,) if is_clock else _MODULI:
+    for modulus in _MODULI:
         wraps = back & (steps + modulus > 0.0) & (steps + modulus <= MAX_GAP_PERIODS * period)
         if wraps.any() and np.ptp(values) < modulus:
             return np.asarray(values + modulus * np.concatenate([[0.0], np.cumsum(wraps)]))

@@ -38,7 +38,7 @@ def published_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
     `logs` have the motor signals that a simulation needs. Raises `NotIdentifiable` if none has
     use = "tuning", or if one lacks data for a closed-loop simulation.
     """
-    selected = [log for log in logs if log.experiment.use == "tuning"]
+    selected = [log for log in logs if log.experiment.use == "tuning" and not log.is_continuation]
     if not selected:
         raise NotIdentifiable(
             'tuning as published needs records with use = "tuning": steps under servo'
