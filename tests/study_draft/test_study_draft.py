@@ -260,12 +260,12 @@ def test_columns_of_only_a_shorter_log_are_mapped(tmp_path: Path, still: bool) -
         tmp_path / "a.csv", columns | {"omega_m1": truth["omega_m1"], "gyro1": truth["gyro1"]}
     )
     standing = columns | {"theta_m1": 0.0 * truth["theta_m1"], "u1": 0.0 * truth["u1"]}
-    extra = {"acc_2": truth["a2"], "temperature": 20.0 + 0.0 * truth["t"]}
+    extra = {"accelerometer_2": truth["a2"], "temperature": 20.0 + 0.0 * truth["t"]}
     write_log(tmp_path / "b.csv", (standing if still else columns) | extra)
     draft = start_study([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "study.toml")
     assert {"omega_m1", "gyro1", "a2"} <= set(draft.channels)
     text = (tmp_path / "study.toml").read_text().replace("\n# ", " ")
-    assert '\na2 = "acc_2" ' in text
+    assert '\na2 = "accelerometer_2" ' in text
     assert "not in a.csv: absent there" in text
     assert "accelerometer_distance" in text  # the sensor requires this key of its joint
     assert '"temperature": it never changes' in text

@@ -84,7 +84,7 @@ def _read_table(path: Path) -> Record:
             where=str(path),
             remedy="use the log of an experiment, with a header line",
         )
-    name, unit, scale = _time_column(columns, path)
+    name, unit, scale = _time_column(columns, table.units, path)
     time = scale * columns.pop(name)
     return Record(path, time, name, scale, unit, columns, (), (*faults, *value_faults), table.units)
 
@@ -95,12 +95,14 @@ class _TimeColumn(NamedTuple):
     scale: float  # the unit in seconds
 
 
-def _time_column(columns: dict[str, FloatArray], path: Path) -> _TimeColumn:
+def _time_column(
+    columns: dict[str, FloatArray], units: Mapping[str, str], path: Path
+) -> _TimeColumn:
     clocks = [name for name, values in columns.items() if is_clock(values)]
     clocks.sort(key=lambda name: parse(name).quantity != "time")
     for name in clocks:
         period = float(np.median(np.diff(columns[name])))
-        unit = parse(name).unit
+        unit = parse(name, (), units.get(name, "")).unit
         if unit in UNITS["time"]:
             return _TimeColumn(name, unit, UNITS["time"][unit])
         unit_from_period = time_unit(period)

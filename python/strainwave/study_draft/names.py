@@ -38,9 +38,7 @@ _TABLE: Mapping[str, Any] = tomllib.loads(
     Path(__file__).with_name("words.toml").read_text(encoding="utf-8")
 )
 _CJK = "\u3040-\u30ff\u3400-\u9fff"
-_TOKEN = re.compile(
-    rf"[{_CJK}]+|[A-Z]?[^\W\d_A-Z{_CJK}]+|[A-Z]+(?![^\W\d_A-Z{_CJK}])|\d+|[°%‰]"  # noqa: RUF001
-)
+_TOKEN = re.compile(rf"[{_CJK}]+|[A-Z]?[^\W\d_A-Z{_CJK}]+|[A-Z]+(?![^\W\d_A-Z{_CJK}])|\d+|[°%‰]")
 _BRACKETS = re.compile(r"[\[({<]([^\])}>]*)[\])}>]")
 _FACTOR = re.compile(r"(\d+(?:\.\d+)?)(?:/(\d+))?(?=[^\d.])")  # of a unit: 0.1%, 1/1000 s
 _OBJECT = re.compile(r"\b(?:0x)?(6[01][0-9a-f]{2})(?:h|:\w+)?\b", re.IGNORECASE)
@@ -63,16 +61,26 @@ class ParsedName:
     number: int | None = None  # joint number as written, from 0 or 1
     label: str = ""  # name of the joint in a bag
     rest: tuple[str, ...] = ()  # unrecognised words; in a table they may name the joint
-    unit: Unit | None = None
+    measure: Unit | None = None  # unit
     side: Side | None = None
     role: Role | None = None
     word: str = ""  # word that determined the quantity
     sure: bool = False  # whether the word is unambiguous
     placed: bool = True  # False: the joint is a guess
 
+    @property
+    def unit(self) -> str | None:
+        """Text of the unit."""
+        return None if self.measure is None else self.measure.text
+
+    @property
+    def todo(self) -> str:
+        """Formula of the factor to SI units, which the user must fill in; empty if none."""
+        return "" if self.measure is None else self.measure.todo
+
     def scale_or(self, default: float | None) -> float | None:
         """Factor to SI units, or a default if the name has no unit."""
-        return default if self.unit is None else self.unit.scale
+        return default if self.measure is None else self.measure.scale
 
 
 def max_joints() -> int:
@@ -121,6 +129,10 @@ _SYMBOLS = set(_TABLE["derivative"]["symbols"].split())
 _JOINT_ORDER = _TABLE["joint"]["order"].split()
 _SIDED = set(_words_in(" ".join(_TABLE["side"].values())))
 _PATHS = {"pos", "position", "x"}  # symbols of a travel as well, in m
+_QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
+_MOTIONS = ("angle", "velocity", "second_derivative", "torque")
+# each quantity, then its derivatives
+_LADDERS: tuple[tuple[Quantity, ...], ...] = (("angle", "velocity", "second_derivative"),)
 _COMMANDS = set(_TABLE["role"]["command"].split())
 
 UNITS: dict[Quantity, dict[str, float]] = {
@@ -135,11 +147,6 @@ LINEAR = frozenset(
 )
 """Units of a prismatic joint."""
 _COUNTS = frozenset(text for text, factor in _OPEN.items() if factor == 1.0)
-
-
-def is_count(unit: Unit | None) -> bool:
-    """Whether a unit counts the steps of an encoder or a converter."""
-    return unit is not None and unit.text in _COUNTS
 
 
 def find_unit(text: str, quantity: Quantity | None) -> Unit | None:
@@ -188,7 +195,7 @@ def parse(name: str, joint_words: Sequence[str] = (), unit: str = "") -> ParsedN
         text = re.sub(r"\.data$", "", text)
     text = _OBJECT.sub(lambda m: f" {_TABLE['objects'].get(m[1].lower(), '')} ", text)
     inside = [found[1] for found in _BRACKETS.finditer(text)]
-    tokens = [token for token in _tokens(_BRACKETS.sub(" ", text))]
+    tokens = _tokens(_BRACKETS.sub(" ", text))
     bracketed = list[str]()
     for content in inside:
         if content.strip().isdecimal():
@@ -217,12 +224,12 @@ def _stated_unit(each: ParsedName, texts: Sequence[str]) -> tuple[ParsedName, st
     for text in texts:
         found = find_unit(text, each.quantity)
         if found is not None:
-            return replace(each, unit=found), text
+            return replace(each, measure=found), text
         for quantity in _quantities_of_unit(text, each.quantity):
-            return replace(each, quantity=quantity, unit=find_unit(text, quantity)), text
+            return replace(each, quantity=quantity, measure=find_unit(text, quantity)), text
         if each.quantity and re.search(r"[/%^·²]", text):
             todo = f"SI value of the unit {text.strip()!r}"
-            return replace(each, unit=Unit(text, None, todo)), text
+            return replace(each, measure=Unit(text, None, todo)), text
     return each, None
 
 
@@ -246,7 +253,7 @@ def _quantities_of_unit(text: str, named: Quantity | None) -> Iterator[Quantity]
 def _trailing_unit(each: ParsedName, words: list[str]) -> tuple[ParsedName, list[str]]:
     """Read the unit at the end of a name; return the preceding words too."""
     if each.word in _COUNTS:
-        return replace(each, unit=find_unit(each.word, each.quantity)), words
+        return replace(each, measure=find_unit(each.word, each.quantity)), words
     for length in (4, 3, 2, 1):
         tail = "".join(words[-length:])
         if length >= len(words) or words[-length].isdecimal() or tail == each.word:
@@ -260,9 +267,9 @@ def _trailing_unit(each: ParsedName, words: list[str]) -> tuple[ParsedName, list
             each = replace(each, quantity=quantities[0]) if len(tail) > 1 and quantities else each
             found = find_unit(tail, each.quantity)
         if found is not None and position(words[:-length], each.word.split("_")) is not None:
-            return replace(each, unit=found), words[:-length]
+            return replace(each, measure=found), words[:-length]
         if found is not None and not each.word:
-            return replace(each, unit=found), words[:-length]
+            return replace(each, measure=found), words[:-length]
     return each, words
 
 
@@ -272,13 +279,15 @@ def _described(
     """Add joint, side and role, which settle what the quantity is."""
     meanings = [(word, _VOCABULARY.get((word,), set())) for word in words]
     phrase = each.word.split("_") if "_" in each.word else ()
-    sides = [v for w, of in meanings if w not in phrase for kind, v in of if kind == "side"]
-    quantity, side = each.quantity, next((s for s in reversed(sides) if s in get_args(Side)), None)
+    sides: list[str] = [
+        v for w, of in meanings if w not in phrase for kind, v in of if kind == "side"
+    ]
+    quantity, side = each.quantity, next((s for s in reversed(get_args(Side)) if s in sides), None)
     if quantity == "torque" and "sensor" in sides:
         side = "link"
     is_channel = re.fullmatch(rf"({'|'.join(channel_kinds())})\d", name) is not None
     if quantity == "second_derivative":
-        is_linear = each.unit is not None and find_unit(each.unit.text, "acceleration") is not None
+        is_linear = each.unit is not None and find_unit(each.unit, "acceleration") is not None
         if (
             is_linear
             or side == "link"
@@ -309,67 +318,45 @@ def _described(
 
 def _classify(words: list[str], order: int) -> ParsedName | None:
     """Quantity and role of words; None if they are of no channel."""
-    found = list(_phrases(words))
-    if any(("other", "ignored") in meanings for _, _, meanings in found):
+    phrases = list(_phrases(words))
+    meanings = [(*meaning, phrase) for phrase, of in phrases for meaning in of]
+    if any((kind, value) == ("other", "ignored") for kind, value, _ in meanings):
         return None
-    roles = {value for _, _, of in found for kind, value in of if kind == "role"}
-    strong = [
-        (get_args(Quantity).index(value), start, phrase)
-        for start, phrase, of in found
-        for kind, value in of
-        if kind == "quantity"
-    ]
-    quantities: tuple[Quantity, ...] = get_args(Quantity)
-    motions = [s for k, s, _ in strong if quantities[k] not in ("current", "time", "temperature")]
-    for each in list(strong):  # "current position" is the actual one
-        if each[2] == ("current",) and any(start > each[1] for start in motions):
-            strong.remove(each)
-            roles.add("actual")
-    role: Role | None = "desired" if "desired" in roles else "actual" if "actual" in roles else None
-    if role != "actual" and words[-1:] == ["d"] and len(words) > 1:
-        role = "desired"  # q_d, tau_J_d
+    strong = [(value, phrase) for kind, value, phrase in meanings if kind == "quantity"]
+    roles = {value for kind, value, _ in meanings if kind == "role"}
+    current = next((k for k, each in enumerate(strong) if each[1] == ("current",)), len(strong))
+    if any(value in _MOTIONS for value, _ in strong[current:]):  # current position: the actual one
+        del strong[current]
+        roles.add("actual")
+    if "actual" not in roles and len(words) > 1 and words[-1] == "d":  # q_d, tau_J_d
+        roles.add("desired")
+    role: Role | None = next((each for each in get_args(Role) if each in roles), None)
     if strong:
-        index, _, phrase = min(strong)
-        quantity, word = quantities[index], "_".join(phrase)
-        if order:
-            raised: dict[Quantity, tuple[Quantity | None, ...]] = {
-                "angle": ("velocity", "second_derivative"),
-                "velocity": ("second_derivative",),
-            }
-            further = raised.get(quantity, ())
-            if order > len(further) or (chosen := further[order - 1]) is None:
-                return None
-            quantity = chosen
-        return ParsedName(quantity, role=role, word=word, sure=True)
+        value, phrase = min(strong, key=lambda each: _QUANTITIES.index(each[0]))
+        ladder = next((each[each.index(value) :] for each in _LADDERS if value in each), (value,))
+        if order >= len(ladder):
+            return None
+        return ParsedName(ladder[order], role=role, word="_".join(phrase), sure=True)
     commands = [word for word in words if word in _COMMANDS]
-    if role == "desired" and not commands:
-        word = next(
-            w for w in words if ("role", "desired") in _VOCABULARY.get((w,), ()) or w == "d"
-        )
-        return ParsedName("reference" if word != "d" else None, role=role, word=word, sure=True)
-    for _, phrase, of in found:
-        for kind, value in of:
-            is_unit = phrase[0] == words[-1] and len(words) > 1 and phrase[0] in "avi"
-            is_long = phrase == ("t",) and len(words) > 2
-            if kind == "weak" and not is_unit and not is_long:
-                of_weak: Quantity = next(q for q in quantities if q == value)
-                return ParsedName(of_weak, role=role, word=phrase[0])
-    if commands:
-        return ParsedName("voltage", role=role, word=commands[0])
-    return ParsedName(None, role=role)
+    desired = next((p[0] for k, v, p in meanings if (k, v) == ("role", "desired")), "")
+    if desired and not commands:
+        return ParsedName("reference", role=role, word=desired, sure=True)
+    for kind, value, (word, *_) in meanings:
+        is_unit = word == words[-1] and len(words) > 1 and word in "avi"
+        is_long = word == "t" and len(words) > 2
+        if kind == "weak" and not is_unit and not is_long:
+            return ParsedName(_QUANTITIES[_QUANTITIES.index(value)], role=role, word=word)
+    return ParsedName("voltage" if commands else None, role=role, word="".join(commands[:1]))
 
 
-def _phrases(
-    words: Sequence[str],
-) -> Iterator[tuple[int, tuple[str, ...], set[tuple[str, str]]]]:
-    """Known phrases in words, without numbers between them, each with its start; longest first."""
+def _phrases(words: Sequence[str]) -> Iterator[tuple[tuple[str, ...], set[tuple[str, str]]]]:
+    """Known phrases in words, each with its meanings; of several at one place the longest."""
     start = 0
     while start < len(words):
         for length in range(min(_LONGEST_PHRASE, len(words) - start), 0, -1):
             phrase = tuple(words[start : start + length])
-            meanings = _VOCABULARY.get(phrase)
-            if meanings:
-                yield start, phrase, meanings
+            if phrase in _VOCABULARY:
+                yield phrase, _VOCABULARY[phrase]
                 start += length - 1
                 break
         start += 1

@@ -84,6 +84,11 @@ def read_log(study: Study, experiment: Experiment, data: Any = None) -> Log:
         for name, channel in sources.items()
         if name != "t"
     }
+    warnings += [
+        Diagnostic("torque-sensor", Place(file=table.path.name), channel=name)
+        for name, channel in sources.items()
+        if channel.meaning == "sensor"
+    ]
     warnings += clock_warnings + _check_constants(channels, study, experiment, table.path)
     del columns, tracks
     release_reader_memory()

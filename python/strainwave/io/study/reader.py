@@ -321,9 +321,17 @@ class Reader:
                     remedy='write a name, or { column = "...", scale = ..., offset = ... }',
                 )
             if "topic" in as_table:
-                channels[name] = self.record(TopicChannel, as_table, "channels").channel
+                channel = self.record(TopicChannel, as_table, "channels").channel
             else:
-                channels[name] = self.record(Channel, as_table, "channels")
+                channel = self.record(Channel, as_table, "channels")
+            is_sensor = channel.meaning == "sensor"
+            if is_sensor and not name.startswith(("torque", "tau_l")):
+                raise InvalidInput(
+                    f"'{name}' has a meaning, but only torque channels have one",
+                    where=self.place("channels", None, name),
+                    remedy="remove meaning",
+                )
+            channels[name.replace("torque", "tau_l") if is_sensor else name] = channel
         return channels
 
     def _one(self, document: Mapping[str, Any], name: str) -> dict[str, Any] | None:
