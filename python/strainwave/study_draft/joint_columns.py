@@ -235,7 +235,8 @@ class JointColumns:
             return by_data
         if self.degrees:
             return _AngleUnit(DEGREE, self.degrees)
-        if largest > _MAX_ASSUMED_ANGLE and column != f"theta_m{self.number}":
+        is_doubtful = largest > _MAX_ASSUMED_ANGLE and column != f"theta_m{self.number}"
+        if is_doubtful or not self.parsed_names[column].word:
             todo = f"1 for rad, pi/180 for degrees, {_COUNTS_SCALE}"
             return _AngleUnit(None, f"no unit in its name, and values up to {largest:.4g}", todo)
         assumed = "m" if self.facts.prismatic else "rad"
@@ -535,6 +536,8 @@ class JointColumns:
         values = self._values(column)
         if is_register(values):
             return "whole numbers, as of a register"
+        if not self.parsed_names[column].word:
+            return "an input by its data alone"
         if np.abs(values).max() > _MAX_LIMIT_RATIO * self.effort_limit:
             return (
                 f"up to {np.abs(values).max():.4g}, and the URDF allows {self.effort_limit:.4g} N m"

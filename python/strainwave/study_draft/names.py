@@ -42,6 +42,7 @@ _TOKEN = re.compile(rf"[{_CJK}]+|[A-Z]?[^\W\d_A-Z{_CJK}]+|[A-Z]+(?![^\W\d_A-Z{_C
 _BRACKETS = re.compile(r"[\[({<]([^\])}>]*)[\])}>]")
 _FACTOR = re.compile(r"(\d+(?:\.\d+)?)(?:/(\d+))?(?=[^\d.])")  # of a unit: 0.1%, 1/1000 s
 _OBJECT = re.compile(r"\b(?:0x)?(6[01][0-9a-f]{2})(?:h|:\w+)?\b", re.IGNORECASE)
+_SYMBOL_ROLE = re.compile("(q|dq|qd|ddq|qdd|tau|th|theta|u|i)([a-z]{3,})")
 _MIN_COMPOUND_PART = 3  # letters of a Latin word inside another
 
 
@@ -131,8 +132,7 @@ _SIDED = set(_words_in(" ".join(_TABLE["side"].values())))
 _PATHS = {"pos", "position", "x"}  # symbols of a travel as well, in m
 _QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 _MOTIONS = ("angle", "velocity", "second_derivative", "torque")
-# each quantity, then its derivatives
-_LADDERS: tuple[tuple[Quantity, ...], ...] = (("angle", "velocity", "second_derivative"),)
+_DERIVATIVES: tuple[Quantity, ...] = ("angle", "velocity", "second_derivative")
 _COMMANDS = set(_TABLE["role"]["command"].split())
 
 UNITS: dict[Quantity, dict[str, float]] = {
@@ -172,7 +172,8 @@ def find_unit(text: str, quantity: Quantity | None) -> Unit | None:
 
 
 def _open_unit(key: str, quantity: Quantity, factor: float) -> Unit:
-    formula = _TABLE["formulas"].get(quantity, f"SI value of one {key}")
+    formulas = _TABLE["formulas"]
+    formula = formulas.get(key) or formulas.get(quantity, f"SI value of one {key}")
     return Unit(key, None, formula + (f", times {factor:g}" if factor != 1.0 else ""))
 
 
@@ -225,7 +226,7 @@ def _stated_unit(each: ParsedName, texts: Sequence[str]) -> tuple[ParsedName, st
         found = find_unit(text, each.quantity)
         if found is not None:
             return replace(each, measure=found), text
-        for quantity in _quantities_of_unit(text, each.quantity):
+        for quantity in _quantities_of_unit(text, each.quantity, sure=each.sure):
             return replace(each, quantity=quantity, measure=find_unit(text, quantity)), text
         if each.quantity and re.search(r"[/%^·²]", text):
             todo = f"SI value of the unit {text.strip()!r}"
@@ -233,7 +234,9 @@ def _stated_unit(each: ParsedName, texts: Sequence[str]) -> tuple[ParsedName, st
     return each, None
 
 
-def _quantities_of_unit(text: str, named: Quantity | None) -> Iterator[Quantity]:
+def _quantities_of_unit(
+    text: str, named: Quantity | None, *, sure: bool = True
+) -> Iterator[Quantity]:
     """The quantity whose unit a text is, if it is one of these that a word may mean instead."""
     rivals: tuple[Quantity, ...] = {
         "torque": ("current", "voltage"),
@@ -245,15 +248,15 @@ def _quantities_of_unit(text: str, named: Quantity | None) -> Iterator[Quantity]
         "velocity": ("angle",),
         "reference": ("torque", "current", "voltage"),
         None: ("angle", "velocity", "torque", "current", "voltage", "second_derivative"),
-    }.get(named, ())
+    }.get(named if sure else None, ())
     having = [q for q in rivals if (unit := find_unit(text, q)) and unit.text not in _OPEN]
-    yield from having if len(having) == 1 or named else ()
+    yield from having if len(having) == 1 or (named and sure) else ()
 
 
 def _trailing_unit(each: ParsedName, words: list[str]) -> tuple[ParsedName, list[str]]:
     """Read the unit at the end of a name; return the preceding words too."""
-    if each.word in _COUNTS:
-        return replace(each, measure=find_unit(each.word, each.quantity)), words
+    if len(each.word) > 1 and (measure := find_unit(each.word, each.quantity)):
+        return replace(each, measure=measure), words  # counts, rpm
     for length in (4, 3, 2, 1):
         tail = "".join(words[-length:])
         if length >= len(words) or words[-length].isdecimal() or tail == each.word:
@@ -283,6 +286,9 @@ def _described(
         v for w, of in meanings if w not in phrase for kind, v in of if kind == "side"
     ]
     quantity, side = each.quantity, next((s for s in reversed(get_args(Side)) if s in sides), None)
+    if "imu" in words:
+        of_imu: dict[str, Quantity] = {"velocity": "gyro", "second_derivative": "acceleration"}
+        quantity = of_imu.get(quantity or "", quantity)
     if quantity == "torque" and "sensor" in sides:
         side = "link"
     is_channel = re.fullmatch(rf"({'|'.join(channel_kinds())})\d", name) is not None
@@ -304,6 +310,8 @@ def _described(
     rest = tuple(w for w in rest if w not in each.word.split("_") and w not in ("d", "dot", "ddot"))
     if "joint" in sides:
         rest = (*rest, "arm")  # the arm of a motor is a link, that of a robot is not
+    if words[:1] == ["l"] and side == "link":
+        side, rest = None, ("l", *rest)  # the left arm
     number = _last_number(words) if number is None else number
     return replace(
         each,
@@ -333,20 +341,26 @@ def _classify(words: list[str], order: int) -> ParsedName | None:
     role: Role | None = next((each for each in get_args(Role) if each in roles), None)
     if strong:
         value, phrase = min(strong, key=lambda each: _QUANTITIES.index(each[0]))
-        ladder = next((each[each.index(value) :] for each in _LADDERS if value in each), (value,))
-        if order >= len(ladder):
-            return None
-        return ParsedName(ladder[order], role=role, word="_".join(phrase), sure=True)
+        quantity = _raised(value, order)
+        return quantity and ParsedName(quantity, role=role, word="_".join(phrase), sure=True)
+    for kind, value, (word, *_) in meanings:
+        is_unit = word == words[-1] and len(words) > 1 and word in "avimnf"
+        is_long = word == "t" and len(words) > 2
+        if kind == "weak" and not is_unit and not is_long:
+            return ParsedName(_raised(value, order), role=role, word=word)
     commands = [word for word in words if word in _COMMANDS]
     desired = next((p[0] for k, v, p in meanings if (k, v) == ("role", "desired")), "")
     if desired and not commands:
         return ParsedName("reference", role=role, word=desired, sure=True)
-    for kind, value, (word, *_) in meanings:
-        is_unit = word == words[-1] and len(words) > 1 and word in "avi"
-        is_long = word == "t" and len(words) > 2
-        if kind == "weak" and not is_unit and not is_long:
-            return ParsedName(_QUANTITIES[_QUANTITIES.index(value)], role=role, word=word)
     return ParsedName("voltage" if commands else None, role=role, word="".join(commands[:1]))
+
+
+def _raised(quantity: str, order: int) -> Quantity | None:
+    """The derivative of a quantity; None if it is no quantity of a joint."""
+    ladder = _DERIVATIVES[_DERIVATIVES.index(quantity) :] if quantity in _DERIVATIVES else ()
+    if order == 0:
+        return next(each for each in _QUANTITIES if each == quantity)
+    return ladder[order] if order < len(ladder) else None
 
 
 def _phrases(words: Sequence[str]) -> Iterator[tuple[tuple[str, ...], set[tuple[str, str]]]]:
@@ -439,6 +453,10 @@ def _compounds(words: Sequence[str]) -> list[str]:
         singular = next((s for s in (word[:-3] + "y", word[:-1]) if (s,) in _VOCABULARY), word)
         if (word,) in _VOCABULARY or word.isdecimal():
             result.append(word)
+        elif (parts := _SYMBOL_ROLE.fullmatch(word)) and ("role", "desired") in _VOCABULARY.get(
+            (parts[2],), ()
+        ):
+            result += parts.groups()  # qdes, tauref
         elif word.endswith("s") and (singular,) in _VOCABULARY and len(singular) > 2:
             result.append(singular)
         else:
