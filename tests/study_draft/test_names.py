@@ -104,19 +104,19 @@ NAMES: Mapping[str, tuple[str | None, int | None, float | str | None, str | None
 @pytest.mark.parametrize("name", NAMES)
 def test_names_state_quantity_joint_unit_and_side(name: str) -> None:
     each = parse(name)
-    scale = "" if each.unit is None else each.unit.scale
+    scale = "" if each.measure is None else each.measure.scale
     quantity, number, wanted, side = NAMES[name]
     assert (each.quantity, each.number, each.side) == (quantity, number, side)
     assert scale == (wanted if wanted in ("", None) else pytest.approx(wanted))
     if wanted is None:
-        assert each.unit is not None
-        assert each.unit.todo  # the formula of the scale
+        assert each.measure is not None
+        assert each.measure.todo  # the formula of the scale
 
 
 def test_a_units_row_precedes_the_word() -> None:
     assert parse("position", (), "°").scale_or(None) == pytest.approx(DEG)
     assert parse("effort", (), "A").quantity == "current"
-    unknown = parse("torque", (), "foo/bar").unit
+    unknown = parse("torque", (), "foo/bar").measure
     assert unknown is not None
     assert unknown.scale is None
     assert "foo/bar" in unknown.todo
@@ -437,11 +437,8 @@ def test_init_prints_each_channel_and_what_is_left_to_fill_in(tmp_path: Path) ->
 
 # --- any unit ---------------------------------------------------------------------------------
 
-STATED: tuple[tuple[Quantity, str, str], ...] = tuple(
-    (quantity, word, unit)
-    for quantity, word in (("angle", "position"), ("velocity", "velocity"), ("torque", "torque"))
-    for unit in UNITS[quantity]  # type: ignore[index]
-)
+WORDS: Mapping[Quantity, str] = {"angle": "position", "velocity": "velocity", "torque": "torque"}
+STATED = [(quantity, word, unit) for quantity, word in WORDS.items() for unit in UNITS[quantity]]
 
 
 @given(case=st.sampled_from(STATED), brackets=st.sampled_from(["{} [{}]", "{} ({})", "row"]))

@@ -45,6 +45,7 @@ ANSWERS = {
     "ki": "1.5",
     "limit": "10.0",
 }
+UNNAMED = {r"(?:theta_m|omega_m|u)\d": "1.0"}  # units of a log without names
 
 
 def motion(seconds: float = 6.0, seed: int = 1) -> dict[str, FloatArray]:
@@ -153,7 +154,8 @@ VOCABULARIES: dict[str, tuple[Renamed, tuple[str, ...]]] = {
 def test_columns_of_any_name_and_unit_are_mapped_to_si(vocabulary: str, tmp_path: Path) -> None:
     rename, channels = VOCABULARIES[vocabulary]
     truth = motion()
-    log = started(tmp_path, rename(truth))
+    answers = ANSWERS | (UNNAMED if vocabulary == "no names at all" else {})
+    log = started(tmp_path, rename(truth), answers)
     np.testing.assert_allclose(log.time - log.time[0], truth["t"], atol=1e-6)
     for name in channels:
         # the CSV has 17 digits, and unit factors are exact
@@ -261,12 +263,12 @@ def test_columns_of_only_a_shorter_log_are_mapped(tmp_path: Path, still: bool) -
         tmp_path / "a.csv", columns | {"omega_m1": truth["omega_m1"], "gyro1": truth["gyro1"]}
     )
     standing = columns | {"theta_m1": 0.0 * truth["theta_m1"], "u1": 0.0 * truth["u1"]}
-    extra = {"acc_2": truth["a2"], "temperature": 20.0 + 0.0 * truth["t"]}
+    extra = {"accelerometer_2": truth["a2"], "temperature": 20.0 + 0.0 * truth["t"]}
     write_log(tmp_path / "b.csv", (standing if still else columns) | extra)
     draft = start_study([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "study.toml")
     assert {"omega_m1", "gyro1", "a2"} <= set(draft.channels)
     text = (tmp_path / "study.toml").read_text().replace("\n# ", " ")
-    assert '\na2 = "acc_2" ' in text
+    assert '\na2 = "accelerometer_2" ' in text
     assert "not in a.csv: absent there" in text
     assert "accelerometer_distance" in text  # the sensor requires this key of its joint
     assert '"temperature": it never changes' in text

@@ -71,6 +71,8 @@ TEMPLATES: Mapping[str, str] = {
     " a header if possible",
     "silent-command": "{topic} sends nothing from {start:.6g} to {stop:.6g} s: the last value is"
     " held|. Check that the drive held this value",
+    "torque-sensor": "the torque of a sensor behind the gear is read as '{channel}'|. If the motor"
+    ' measures it, set meaning = "motor" in [channels]',
     "constant-channel": "the channel '{channel}' never changes|. Check the sensor and the map",
     "saturated": "{channel} is at its limit for {share!p:.1f} % of the record|; these samples are"
     " not used. Record a slower motion",

@@ -18,6 +18,8 @@ from strainwave.domain.options import Options
 
 Use = Literal["motion", "frequency", "sweep", "tuning", "check"]
 Control = Literal["open", "servo"]
+Meaning = Literal["motor", "sensor"]
+"""What a torque channel measures: the motor, or a sensor behind the gear."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +29,7 @@ class Channel:
     column: str
     scale: float = 1.0
     offset: float = 0.0
+    meaning: Meaning = "motor"
     second_column: str | None = None  # of t: fractions of a second, or the time of day of a date
 
     @property
@@ -44,12 +47,13 @@ class TopicChannel:
     name: str | None = None  # of the joint, if the field has one number per joint
     scale: float = 1.0
     offset: float = 0.0
+    meaning: Meaning = "motor"
 
     @property
     def channel(self) -> Channel:
         """The channel with the column name that the bag's reader assigns."""
         joint = "" if self.name is None else f"[{self.name}]"
-        return Channel(f"{self.topic}.{self.field}{joint}", self.scale, self.offset)
+        return Channel(f"{self.topic}.{self.field}{joint}", self.scale, self.offset, self.meaning)
 
 
 @dataclass(frozen=True, slots=True)

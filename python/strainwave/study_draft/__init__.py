@@ -70,7 +70,8 @@ def start_study(logs: Sequence[Path], out: Path, urdf: Path | None = None) -> St
         )
     records = [read_record(path) for path in logs]
     fullest = find_fullest_record(records)
-    robot = urdf and Robot.read(urdf, partial(find_logged_joints, records, fullest))
+    logged = partial(find_logged_joints, records, fullest)
+    robot = None if urdf is None else Robot.read(urdf, logged)
     mapping = map_channels(fullest, fullest, robot, records)
     _check_alike(records, fullest, mapping)
     for record in records:

@@ -89,6 +89,8 @@ def _describe_joints(joints: Sequence[JointColumns], robot: Robot, record: Recor
         joint.facts.name, joint.facts.prismatic = urdf.name, urdf.motion == "prismatic"
         if within and not joint.facts.joint_side:
             joint.facts.joint_side = f"all angles stay within the limits of {robot.path.name}"
+        limits = urdf.limits
+        joint.effort_limit = limits.effort if limits and limits.effort else np.inf
         joint.exceeded = "" if within is not False else robot.path.name
     warnings = [f"{name!r} is not used: {joints[0].mapping.unused[name]}" for name in unassigned]
     if within is False and any(joint.facts.joint_side for joint in joints):

@@ -19,7 +19,7 @@ from strainwave.study_draft.candidates import (
     Sure,
 )
 from strainwave.study_draft.inspection import Record
-from strainwave.study_draft.names import LINEAR, UNITS, ParsedName, find_unit
+from strainwave.study_draft.names import LINEAR, UNITS, ParsedName
 from strainwave.study_draft.signal_features import (
     MAX_UNIT_RATIO_ERROR,
     UnitPair,
@@ -44,6 +44,7 @@ _JOINT_STATE = re.compile(r"(?P<topic>/[^.]*)\.position(?P<joint>\[.*[^\d\]].*\]
 _AXIS = re.compile(r"(?<![A-Za-z])[xyz](?![A-Za-z])", re.IGNORECASE)  # of an IMU, in a name
 DEGREE = pi / 180.0
 _MIN_DETERMINED_CORRELATION = 0.98  # of two angles of one joint, if one determines the other
+_MAX_LIMIT_RATIO = 5.0  # of a torque to the effort limit of a URDF, which is a continuous torque
 _MAX_ASSUMED_ANGLE = 500.0  # [rad] largest angle that is assumed to be in rad
 # [kg m^2] standard deviations of torque over acceleration of arms; others have another unit
 _INERTIAS = (1e-7, 1e4)
@@ -76,6 +77,7 @@ class JointColumns:
         self.mapping = mapping
         self.has_spatial_links = has_spatial_links
         self.exceeded = ""  # URDF with limits that the angles of the arm exceed
+        self.effort_limit = np.inf  # [N m] of the URDF
         self.degrees = ""  # why angles without a unit are in degrees
         self.facts = JointFacts()
         mapping.joints.append(self.facts)
@@ -193,7 +195,7 @@ class JointColumns:
         name_reason = _evidence(each)
         scale, unit_reason, todo = self._angle_unit(column)
         if not self.facts.name:
-            linear = [e for e in (each, *self._inputs()) if e.unit and e.unit.text in LINEAR]
+            linear = [e for e in (each, *self._inputs()) if e.unit and e.unit in LINEAR]
             self.facts.prismatic = bool(linear)
         if self.facts.joint_side:
             unit_reason += "; of the joint"
@@ -218,23 +220,42 @@ class JointColumns:
         ]
 
     def _angle_unit(self, column: str) -> _AngleUnit:
-        """Unit of an angle: by its name, else by its velocity, its turn, its limits, its size."""
-        unit, values = self.parsed_names[column].unit, self._values(column)
-        bit = sign_bit(values)
+        """Unit of an angle: by its name, its turn, its velocity, its limits, else by its size."""
+        measure, values = self.parsed_names[column].measure, self._values(column)
+        by_data = self._unit_by_turn(values) or self._unit_by_velocity(column)
+        largest = np.abs(values).max()
+        bit = sign_bit(values, wraps=True)
         if bit is not None:
             todo = f"bit {bit} of the register is the sign: decode the column; then {_COUNTS_SCALE}"
             return _AngleUnit(None, "a register read as unsigned", todo)
-        if unit is not None:
-            return _AngleUnit(unit.scale, f"unit {unit.text} according to its name", unit.todo)
+        if measure is not None:
+            reason = f"unit {measure.text} according to its name"
+            return _AngleUnit(measure.scale, reason, measure.todo)
+        if by_data is not None:
+            return by_data
+        if self.degrees:
+            return _AngleUnit(DEGREE, self.degrees)
+        is_doubtful = largest > _MAX_ASSUMED_ANGLE and column != f"theta_m{self.number}"
+        if is_doubtful or not self.parsed_names[column].word:
+            todo = f"1 for rad, pi/180 for degrees, {_COUNTS_SCALE}"
+            return _AngleUnit(None, f"no unit in its name, and values up to {largest:.4g}", todo)
+        assumed = "m" if self.facts.prismatic else "rad"
+        return _AngleUnit(1.0, f"assumed unit {assumed}: the log does not state a unit")
+
+    def _unit_by_turn(self, values: FloatArray) -> _AngleUnit | None:
+        """Unit of an angle in whole numbers, or of one that wraps at a turn."""
+        modulus = wrap_modulus(values)
         if is_register(values):
             return _AngleUnit(None, "whole numbers: counts?", _COUNTS_SCALE)
-        modulus = wrap_modulus(values)
-        turns = {2.0 * pi: 1.0, 360.0: DEGREE, 1.0: 2.0 * pi}
-        for turn, scale in turns.items():
-            if modulus is not None and abs(modulus / turn - 1.0) < MAX_UNIT_RATIO_ERROR:
+        if modulus is None:
+            return None
+        for turn, scale in {2.0 * pi: 1.0, 360.0: DEGREE, 1.0: 2.0 * pi}.items():
+            if abs(modulus / turn - 1.0) < MAX_UNIT_RATIO_ERROR:
                 return _AngleUnit(scale, f"it wraps at one turn of {turn:.4g}")
-        if modulus is not None:
-            return _AngleUnit(None, "the turn is of no usual unit", f"2 pi / {modulus:.6g}?")
+        return _AngleUnit(None, "its turn is of no usual unit", f"2 pi / {modulus:.6g}?")
+
+    def _unit_by_velocity(self, column: str) -> _AngleUnit | None:
+        """Unit of an angle that is the integral of a velocity in a known or another unit."""
         for velocity in self._columns_of("velocity"):
             rate = self.parsed_names[velocity].scale_or(None)
             units = self._unit_pair(column, velocity) if rate is None else None
@@ -244,16 +265,7 @@ class JointColumns:
             if rate and r > MIN_RELATED_CORRELATION and ratio > 0.0:
                 scale = nearest_unit(rate / ratio)
                 return _AngleUnit(scale, f"unit from {velocity!r}, of which it is the integral")
-        if self.degrees:
-            return _AngleUnit(DEGREE, self.degrees)
-        if np.abs(values).max() > _MAX_ASSUMED_ANGLE and column != f"theta_m{self.number}":
-            return _AngleUnit(
-                None,
-                f"no unit in its name, and values up to {np.abs(values).max():.4g}",
-                "1 for rad, pi/180 for degrees, " + _COUNTS_SCALE,
-            )
-        assumed = "m" if self.facts.prismatic else "rad"
-        return _AngleUnit(1.0, f"assumed unit {assumed}: the log does not state a unit")
+        return None
 
     def _relation(self, rate: str, value: str) -> tuple[float, float]:
         return relation_of(self._values(rate), self._values(value), self.record.time)
@@ -308,7 +320,7 @@ class JointColumns:
             self.mapping.unused[column] = "a velocity of the link"
             return
         scale = each.scale_or(None)
-        todo = each.unit.todo if each.unit and scale is None else ""
+        todo = each.todo if scale is None else ""
         reason = f"its integral is {angle!r}, whose unit is open"
         if scale is None and not todo:
             factor = self._relation(column, angle)[1]
@@ -320,7 +332,7 @@ class JointColumns:
         """Map the velocity of a motor without a logged angle."""
         column = min(columns, key=lambda name: self._role(name) != "actual")
         each = self.parsed_names[column]
-        scale, todo = each.scale_or(1.0), each.unit.todo if each.unit else ""
+        scale, todo = each.scale_or(1.0), each.todo
         reason = f"{_evidence(each)}; there is no angle"
         if each.unit is None and is_register(self._values(column)):
             scale, todo = None, "2 pi / counts per turn [rad/s per unit]"
@@ -336,7 +348,7 @@ class JointColumns:
             self.mapping.unused[column] = (
                 f"it is the derivative of {source!r}"
                 if source
-                else "an acceleration of the joint according to its name; accelerometers are named so"
+                else f"an acceleration of the joint; map a{self.number} if it is an accelerometer"
             )
 
     def _is_derivative(self, column: str, source: str) -> bool:
@@ -383,7 +395,7 @@ class JointColumns:
                 reason = f"{_evidence(each)}; the angle that a position servo tracks"
             else:
                 reason = f"{_evidence(each)}; {angle!r} is its integral (r = {velocity_r:.2f})"
-            scale, todo = each.scale_or(1.0), each.unit.todo if each.unit else ""
+            scale, todo = each.scale_or(1.0), each.todo
             if each.unit is None and max(velocity_r, angle_r) > MIN_RELATED_CORRELATION:
                 # a servo follows within some per cent, so that the unit is that of the angle
                 scale = None if angle_scale is None else nearest_unit(abs(ratio) * angle_scale)
@@ -452,8 +464,8 @@ class JointColumns:
         if column in (f"torque{self.number}", f"u{self.number}"):
             return 0
         ranks = (("torque", False), ("current", False), ("torque", True), ("voltage", False))
-        key = (each.quantity, each.role == "desired" and each.quantity != "voltage")
-        return 1 + (ranks.index(key) if key in ranks else len(ranks))  # type: ignore[arg-type]
+        key = each.quantity or "", each.role == "desired" and each.quantity != "voltage"
+        return 1 + (ranks.index(key) if key in ranks else len(ranks))
 
     def _distance_from_drive(self, torque: str) -> tuple[bool, bool, bool]:
         """Order of torques: of the angle's topic, of the motor, then without unknown words."""
@@ -465,7 +477,7 @@ class JointColumns:
     def _torque_sensor(self, column: str) -> None:
         each = self.parsed_names[column]
         reason = f"{_evidence(each)}, of the link" + ("" if each.unit else "; assumed unit N m")
-        scale, todo = each.scale_or(1.0), each.unit.todo if each.unit else ""
+        scale, todo = each.scale_or(1.0), each.todo
         sure: Sure = "likely" if each.sure else "unsure"
         self._add("tau_l", column, reason, sure, scale=scale, todo=todo)
         self.facts.link_sensors.add("tau_l")
@@ -486,7 +498,7 @@ class JointColumns:
         each, values = self.parsed_names[column], self._values(column)
         reason = _evidence(each)
         side = "joint" if self.facts.joint_side else "motor"
-        scale, todo = each.scale_or(1.0), each.unit.todo if each.unit else ""
+        scale, todo = each.scale_or(1.0), each.todo
         bit = sign_bit(values)
         if each.unit is None and quantity == "current":
             scale, todo = None, "torque constant [N m/A] at the motor; times 1e-3 for mA"
@@ -499,8 +511,7 @@ class JointColumns:
         if bit is not None:
             scale, todo = None, f"bit {bit} of the register is the sign: decode it; then {todo}"
         if quantity == "current" and channel == "u":
-            unit = find_unit(each.unit.text, "current") if each.unit else None
-            scale = UNITS["current"].get(unit.text, None) if unit else 1.0
+            scale = UNITS["current"].get(each.unit or "a")
             todo = "torque_per_volt is the torque constant [N m/A]" if scale else todo
         input_levels = levels(values)
         if input_levels is not None and len(input_levels) > 1:
@@ -525,6 +536,12 @@ class JointColumns:
         values = self._values(column)
         if is_register(values):
             return "whole numbers, as of a register"
+        if not self.parsed_names[column].word:
+            return "an input by its data alone"
+        if np.abs(values).max() > _MAX_LIMIT_RATIO * self.effort_limit:
+            return (
+                f"up to {np.abs(values).max():.4g}, and the URDF allows {self.effort_limit:.4g} N m"
+            )
         if self.parsed_names[column].quantity != "torque" or self.angle is None:
             return ""
         if not self.scaled_angle().any():
@@ -551,7 +568,7 @@ class JointColumns:
                 continue
             each, r = self.parsed_names[column], correlations[column]
             scale, reason = each.scale_or(1.0), ""
-            todo = each.unit.todo if each.unit else ""
+            todo = each.todo
             n_columns = len(self._columns_of(quantity))
             if n_columns > 1:
                 reason += f"; of {n_columns} columns the one that correlates with the motor"
@@ -583,13 +600,13 @@ class JointColumns:
             if not each.placed:
                 reason += "; no joint in its name: the last joint is assumed"
             sure: Sure = "likely" if each.sure and each.placed else "unsure"
-            scale, todo = each.scale_or(1.0), each.unit.todo if each.unit else ""
+            scale, todo = each.scale_or(1.0), each.todo
             self._add(f"{quantity[0]}{axis}", name, reason, sure, scale=scale, todo=todo)
         self.facts.link_sensors.add("imu")
         return True
 
     def _is_joint_acceleration(self, column: str, motor: str | None) -> bool:
-        """Whether a column that no word gives to a sensor is the acceleration of the joint in SI."""
+        """Whether a column without a word of a sensor is the joint's acceleration in SI units."""
         each = self.parsed_names[column]
         guess = self.mapping.guesses.get(f"theta_m{self.number}")
         is_sensor = each.side == "link" or _AXIS.search(column) is not None or len(each.word) > 12

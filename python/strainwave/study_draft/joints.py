@@ -106,7 +106,7 @@ def _parse(name: str, record: Record, joint_words: Sequence[str] = ()) -> Parsed
     each = parse(name, joint_words, record.units.get(name, ""))
     if each.unit is None and each.quantity is not None:
         unit = system_units(tuple(record.columns)).get(each.quantity, "")
-        each = replace(each, unit=find_unit(unit, each.quantity))
+        each = replace(each, measure=find_unit(unit, each.quantity))
     has_motor = any("motor" in words_of(other) for other in record.columns)
     if "arm" in each.rest and has_motor and each.side is None:
         each = replace(each, side="link", rest=tuple(w for w in each.rest if w != "arm"))

@@ -42,6 +42,7 @@ _TOKEN = re.compile(rf"[{_CJK}]+|[A-Z]?[^\W\d_A-Z{_CJK}]+|[A-Z]+(?![^\W\d_A-Z{_C
 _BRACKETS = re.compile(r"[\[({<]([^\])}>]*)[\])}>]")
 _FACTOR = re.compile(r"(\d+(?:\.\d+)?)(?:/(\d+))?(?=[^\d.])")  # of a unit: 0.1%, 1/1000 s
 _OBJECT = re.compile(r"\b(?:0x)?(6[01][0-9a-f]{2})(?:h|:\w+)?\b", re.IGNORECASE)
+_SYMBOL_ROLE = re.compile("(q|dq|qd|ddq|qdd|tau|th|theta|u|i)([a-z]{3,})")
 _MIN_COMPOUND_PART = 3  # letters of a Latin word inside another
 
 
@@ -61,16 +62,26 @@ class ParsedName:
     number: int | None = None  # joint number as written, from 0 or 1
     label: str = ""  # name of the joint in a bag
     rest: tuple[str, ...] = ()  # unrecognised words; in a table they may name the joint
-    unit: Unit | None = None
+    measure: Unit | None = None  # unit
     side: Side | None = None
     role: Role | None = None
     word: str = ""  # word that determined the quantity
     sure: bool = False  # whether the word is unambiguous
     placed: bool = True  # False: the joint is a guess
 
+    @property
+    def unit(self) -> str | None:
+        """Text of the unit."""
+        return None if self.measure is None else self.measure.text
+
+    @property
+    def todo(self) -> str:
+        """Formula of the factor to SI units, which the user must fill in; empty if none."""
+        return "" if self.measure is None else self.measure.todo
+
     def scale_or(self, default: float | None) -> float | None:
         """Factor to SI units, or a default if the name has no unit."""
-        return default if self.unit is None else self.unit.scale
+        return default if self.measure is None else self.measure.scale
 
 
 def max_joints() -> int:
@@ -119,6 +130,9 @@ _SYMBOLS = set(_TABLE["derivative"]["symbols"].split())
 _JOINT_ORDER = _TABLE["joint"]["order"].split()
 _SIDED = set(_words_in(" ".join(_TABLE["side"].values())))
 _PATHS = {"pos", "position", "x"}  # symbols of a travel as well, in m
+_QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
+_MOTIONS = ("angle", "velocity", "second_derivative", "torque")
+_DERIVATIVES: tuple[Quantity, ...] = ("angle", "velocity", "second_derivative")
 _COMMANDS = set(_TABLE["role"]["command"].split())
 
 UNITS: dict[Quantity, dict[str, float]] = {
@@ -133,11 +147,6 @@ LINEAR = frozenset(
 )
 """Units of a prismatic joint."""
 _COUNTS = frozenset(text for text, factor in _OPEN.items() if factor == 1.0)
-
-
-def is_count(unit: Unit | None) -> bool:
-    """Whether a unit counts the steps of an encoder or a converter."""
-    return unit is not None and unit.text in _COUNTS
 
 
 def find_unit(text: str, quantity: Quantity | None) -> Unit | None:
@@ -163,7 +172,8 @@ def find_unit(text: str, quantity: Quantity | None) -> Unit | None:
 
 
 def _open_unit(key: str, quantity: Quantity, factor: float) -> Unit:
-    formula = _TABLE["formulas"].get(quantity, f"SI value of one {key}")
+    formulas = _TABLE["formulas"]
+    formula = formulas.get(key) or formulas.get(quantity, f"SI value of one {key}")
     return Unit(key, None, formula + (f", times {factor:g}" if factor != 1.0 else ""))
 
 
@@ -186,7 +196,7 @@ def parse(name: str, joint_words: Sequence[str] = (), unit: str = "") -> ParsedN
         text = re.sub(r"\.data$", "", text)
     text = _OBJECT.sub(lambda m: f" {_TABLE['objects'].get(m[1].lower(), '')} ", text)
     inside = [found[1] for found in _BRACKETS.finditer(text)]
-    tokens = [token for token in _tokens(_BRACKETS.sub(" ", text))]
+    tokens = _tokens(_BRACKETS.sub(" ", text))
     bracketed = list[str]()
     for content in inside:
         if content.strip().isdecimal():
@@ -215,16 +225,18 @@ def _stated_unit(each: ParsedName, texts: Sequence[str]) -> tuple[ParsedName, st
     for text in texts:
         found = find_unit(text, each.quantity)
         if found is not None:
-            return replace(each, unit=found), text
-        for quantity in _quantities_of_unit(text, each.quantity):
-            return replace(each, quantity=quantity, unit=find_unit(text, quantity)), text
+            return replace(each, measure=found), text
+        for quantity in _quantities_of_unit(text, each.quantity, sure=each.sure):
+            return replace(each, quantity=quantity, measure=find_unit(text, quantity)), text
         if each.quantity and re.search(r"[/%^·²]", text):
             todo = f"SI value of the unit {text.strip()!r}"
-            return replace(each, unit=Unit(text, None, todo)), text
+            return replace(each, measure=Unit(text, None, todo)), text
     return each, None
 
 
-def _quantities_of_unit(text: str, named: Quantity | None) -> Iterator[Quantity]:
+def _quantities_of_unit(
+    text: str, named: Quantity | None, *, sure: bool = True
+) -> Iterator[Quantity]:
     """The quantity whose unit a text is, if it is one of these that a word may mean instead."""
     rivals: tuple[Quantity, ...] = {
         "torque": ("current", "voltage"),
@@ -236,15 +248,15 @@ def _quantities_of_unit(text: str, named: Quantity | None) -> Iterator[Quantity]
         "velocity": ("angle",),
         "reference": ("torque", "current", "voltage"),
         None: ("angle", "velocity", "torque", "current", "voltage", "second_derivative"),
-    }.get(named, ())
+    }.get(named if sure else None, ())
     having = [q for q in rivals if (unit := find_unit(text, q)) and unit.text not in _OPEN]
-    yield from having if len(having) == 1 or named else ()
+    yield from having if len(having) == 1 or (named and sure) else ()
 
 
 def _trailing_unit(each: ParsedName, words: list[str]) -> tuple[ParsedName, list[str]]:
     """Read the unit at the end of a name; return the preceding words too."""
-    if each.word in _COUNTS:
-        return replace(each, unit=find_unit(each.word, each.quantity)), words
+    if len(each.word) > 1 and (measure := find_unit(each.word, each.quantity)):
+        return replace(each, measure=measure), words  # counts, rpm
     for length in (4, 3, 2, 1):
         tail = "".join(words[-length:])
         if length >= len(words) or words[-length].isdecimal() or tail == each.word:
@@ -258,9 +270,9 @@ def _trailing_unit(each: ParsedName, words: list[str]) -> tuple[ParsedName, list
             each = replace(each, quantity=quantities[0]) if len(tail) > 1 and quantities else each
             found = find_unit(tail, each.quantity)
         if found is not None and position(words[:-length], each.word.split("_")) is not None:
-            return replace(each, unit=found), words[:-length]
+            return replace(each, measure=found), words[:-length]
         if found is not None and not each.word:
-            return replace(each, unit=found), words[:-length]
+            return replace(each, measure=found), words[:-length]
     return each, words
 
 
@@ -270,13 +282,18 @@ def _described(
     """Add joint, side and role, which settle what the quantity is."""
     meanings = [(word, _VOCABULARY.get((word,), set())) for word in words]
     phrase = each.word.split("_") if "_" in each.word else ()
-    sides = [v for w, of in meanings if w not in phrase for kind, v in of if kind == "side"]
-    quantity, side = each.quantity, next((s for s in reversed(sides) if s in get_args(Side)), None)
+    sides: list[str] = [
+        v for w, of in meanings if w not in phrase for kind, v in of if kind == "side"
+    ]
+    quantity, side = each.quantity, next((s for s in reversed(get_args(Side)) if s in sides), None)
+    if "imu" in words:
+        of_imu: dict[str, Quantity] = {"velocity": "gyro", "second_derivative": "acceleration"}
+        quantity = of_imu.get(quantity or "", quantity)
     if quantity == "torque" and "sensor" in sides:
         side = "link"
     is_channel = re.fullmatch(rf"({'|'.join(channel_kinds())})\d", name) is not None
     if quantity == "second_derivative":
-        is_linear = each.unit is not None and find_unit(each.unit.text, "acceleration") is not None
+        is_linear = each.unit is not None and find_unit(each.unit, "acceleration") is not None
         if (
             is_linear
             or side == "link"
@@ -293,6 +310,8 @@ def _described(
     rest = tuple(w for w in rest if w not in each.word.split("_") and w not in ("d", "dot", "ddot"))
     if "joint" in sides:
         rest = (*rest, "arm")  # the arm of a motor is a link, that of a robot is not
+    if words[:1] == ["l"] and side == "link":
+        side, rest = None, ("l", *rest)  # the left arm
     number = _last_number(words) if number is None else number
     return replace(
         each,
@@ -307,67 +326,51 @@ def _described(
 
 def _classify(words: list[str], order: int) -> ParsedName | None:
     """Quantity and role of words; None if they are of no channel."""
-    found = list(_phrases(words))
-    if any(("other", "ignored") in meanings for _, _, meanings in found):
+    phrases = list(_phrases(words))
+    meanings = [(*meaning, phrase) for phrase, of in phrases for meaning in of]
+    if any((kind, value) == ("other", "ignored") for kind, value, _ in meanings):
         return None
-    roles = {value for _, _, of in found for kind, value in of if kind == "role"}
-    strong = [
-        (get_args(Quantity).index(value), start, phrase)
-        for start, phrase, of in found
-        for kind, value in of
-        if kind == "quantity"
-    ]
-    quantities: tuple[Quantity, ...] = get_args(Quantity)
-    motions = [s for k, s, _ in strong if quantities[k] not in ("current", "time", "temperature")]
-    for each in list(strong):  # "current position" is the actual one
-        if each[2] == ("current",) and any(start > each[1] for start in motions):
-            strong.remove(each)
-            roles.add("actual")
-    role: Role | None = "desired" if "desired" in roles else "actual" if "actual" in roles else None
-    if role != "actual" and words[-1:] == ["d"] and len(words) > 1:
-        role = "desired"  # q_d, tau_J_d
+    strong = [(value, phrase) for kind, value, phrase in meanings if kind == "quantity"]
+    roles = {value for kind, value, _ in meanings if kind == "role"}
+    current = next((k for k, each in enumerate(strong) if each[1] == ("current",)), len(strong))
+    if any(value in _MOTIONS for value, _ in strong[current:]):  # current position: the actual one
+        del strong[current]
+        roles.add("actual")
+    if "actual" not in roles and len(words) > 1 and words[-1] == "d":  # q_d, tau_J_d
+        roles.add("desired")
+    role: Role | None = next((each for each in get_args(Role) if each in roles), None)
     if strong:
-        index, _, phrase = min(strong)
-        quantity, word = quantities[index], "_".join(phrase)
-        if order:
-            raised: dict[Quantity, tuple[Quantity | None, ...]] = {
-                "angle": ("velocity", "second_derivative"),
-                "velocity": ("second_derivative",),
-            }
-            further = raised.get(quantity, ())
-            if order > len(further) or (chosen := further[order - 1]) is None:
-                return None
-            quantity = chosen
-        return ParsedName(quantity, role=role, word=word, sure=True)
+        value, phrase = min(strong, key=lambda each: _QUANTITIES.index(each[0]))
+        quantity = _raised(value, order)
+        return quantity and ParsedName(quantity, role=role, word="_".join(phrase), sure=True)
+    for kind, value, (word, *_) in meanings:
+        is_unit = word == words[-1] and len(words) > 1 and word in "avimnf"
+        is_long = word == "t" and len(words) > 2
+        if kind == "weak" and not is_unit and not is_long:
+            return ParsedName(_raised(value, order), role=role, word=word)
     commands = [word for word in words if word in _COMMANDS]
-    if role == "desired" and not commands:
-        word = next(
-            w for w in words if ("role", "desired") in _VOCABULARY.get((w,), ()) or w == "d"
-        )
-        return ParsedName("reference" if word != "d" else None, role=role, word=word, sure=True)
-    for _, phrase, of in found:
-        for kind, value in of:
-            is_unit = phrase[0] == words[-1] and len(words) > 1 and phrase[0] in "avi"
-            is_long = phrase == ("t",) and len(words) > 2
-            if kind == "weak" and not is_unit and not is_long:
-                of_weak: Quantity = next(q for q in quantities if q == value)
-                return ParsedName(of_weak, role=role, word=phrase[0])
-    if commands:
-        return ParsedName("voltage", role=role, word=commands[0])
-    return ParsedName(None, role=role)
+    desired = next((p[0] for k, v, p in meanings if (k, v) == ("role", "desired")), "")
+    if desired and not commands:
+        return ParsedName("reference", role=role, word=desired, sure=True)
+    return ParsedName("voltage" if commands else None, role=role, word="".join(commands[:1]))
 
 
-def _phrases(
-    words: Sequence[str],
-) -> Iterator[tuple[int, tuple[str, ...], set[tuple[str, str]]]]:
-    """Known phrases in words, without numbers between them, each with its start; longest first."""
+def _raised(quantity: str, order: int) -> Quantity | None:
+    """The derivative of a quantity; None if it is no quantity of a joint."""
+    ladder = _DERIVATIVES[_DERIVATIVES.index(quantity) :] if quantity in _DERIVATIVES else ()
+    if order == 0:
+        return next(each for each in _QUANTITIES if each == quantity)
+    return ladder[order] if order < len(ladder) else None
+
+
+def _phrases(words: Sequence[str]) -> Iterator[tuple[tuple[str, ...], set[tuple[str, str]]]]:
+    """Known phrases in words, each with its meanings; of several at one place the longest."""
     start = 0
     while start < len(words):
         for length in range(min(_LONGEST_PHRASE, len(words) - start), 0, -1):
             phrase = tuple(words[start : start + length])
-            meanings = _VOCABULARY.get(phrase)
-            if meanings:
-                yield start, phrase, meanings
+            if phrase in _VOCABULARY:
+                yield phrase, _VOCABULARY[phrase]
                 start += length - 1
                 break
         start += 1
@@ -450,6 +453,10 @@ def _compounds(words: Sequence[str]) -> list[str]:
         singular = next((s for s in (word[:-3] + "y", word[:-1]) if (s,) in _VOCABULARY), word)
         if (word,) in _VOCABULARY or word.isdecimal():
             result.append(word)
+        elif (parts := _SYMBOL_ROLE.fullmatch(word)) and ("role", "desired") in _VOCABULARY.get(
+            (parts[2],), ()
+        ):
+            result += parts.groups()  # qdes, tauref
         elif word.endswith("s") and (singular,) in _VOCABULARY and len(singular) > 2:
             result.append(singular)
         else:

@@ -227,11 +227,11 @@ def wrap_modulus(values: FloatArray) -> float | None:
     return float(np.median(np.abs(steps[jumps] - neighbour)))
 
 
-def sign_bit(values: FloatArray) -> int | None:
+def sign_bit(values: FloatArray, *, wraps: bool = False) -> int | None:
     """Return the bit that holds the sign of a register read as unsigned; None if there is none.
 
-    Negative values are 2**bit plus the magnitude, or plus 2**bit less the magnitude in two's
-    complement; both leave a gap between small and large values.
+    Negative values are 2**bit plus the magnitude, or 2**(bit + 1) less the magnitude in two's
+    complement, which is a wrap of values that may wrap; both leave a gap after the small values.
     """
     if np.any(values != np.round(values)) or values.min() < 0.0:
         return None
@@ -239,10 +239,9 @@ def sign_bit(values: FloatArray) -> int | None:
         high = values >= 2.0**bit
         small, large = values[~high], values[high] - 2.0**bit
         if 0 < len(large) < len(values) and values.max() < 2.0 ** (bit + 1):
-            gap = min(2.0**bit - small.max(), 2.0**bit)
-            if gap > 0.5 * 2.0**bit and (
-                large.max() < 0.5 * 2.0**bit or large.min() > 0.5 * 2.0**bit
-            ):
+            half = 2.0 ** (bit - 1)
+            is_sign = large.max() < half or (not wraps and large.min() > half)
+            if small.max() < half and is_sign:
                 return bit
     return None
 

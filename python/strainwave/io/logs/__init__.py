@@ -90,6 +90,11 @@ def _read_segments(study: Study, experiment: Experiment, data: Any) -> tuple[Log
     sources = _sources(study, experiment, table)
     commands = _command_columns(sources, experiment)
     segments, warnings = _segments(table, sources, experiment, study.sample_rate)
+    warnings += [
+        Diagnostic("torque-sensor", Place(file=table.path.name), channel=name)
+        for name, channel in sources.items()
+        if channel.meaning == "sensor"
+    ]
     logs: list[Log] = []
     unusable: InvalidInput | None = None
     for number, tracks in enumerate(segments):

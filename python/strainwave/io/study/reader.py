@@ -323,15 +323,22 @@ class Reader:
                     where=self.place("channels", None, name),
                     remedy='write a name, or { column = "...", scale = ..., offset = ... }',
                 )
-            columns = as_table.get("column")
+            columns, second = as_table.get("column"), None
             if name == "t" and isinstance(columns, list) and len(columns) == 2:
-                first = as_table | {"column": columns[0]}
+                as_table = as_table | {"column": columns[0]}
                 second = self._value(columns[1], str, "channels", None, name)
-                channels[name] = self.record(Channel, first, "channels", second_column=second)
-            elif "topic" in as_table:
-                channels[name] = self.record(TopicChannel, as_table, "channels").channel
+            if "topic" in as_table:
+                channel = self.record(TopicChannel, as_table, "channels").channel
             else:
-                channels[name] = self.record(Channel, as_table, "channels", second_column=None)
+                channel = self.record(Channel, as_table, "channels", second_column=second)
+            is_sensor = channel.meaning == "sensor"
+            if is_sensor and not name.startswith(("torque", "tau_l")):
+                raise InvalidInput(
+                    f"'{name}' has a meaning, but only torque channels have one",
+                    where=self.place("channels", None, name),
+                    remedy="remove meaning",
+                )
+            channels[name.replace("torque", "tau_l") if is_sensor else name] = channel
         return channels
 
     def _sample_rate(self, value: Any) -> float:

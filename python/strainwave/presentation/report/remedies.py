@@ -187,6 +187,10 @@ _DATA = {
         "The response is biased at high frequencies.",
         "Log at least at the clock of the excitation.",
     ),
+    "torque-sensor": Advice(
+        "The torque includes no motor inertia and no friction of the motor.",
+        'Set meaning = "motor" in [channels] if the motor measures it.',
+    ),
     "constant-channel": Advice(
         "The channel is not used.", "Check the sensor's cable, its scale and [channels]."
     ),

@@ -54,6 +54,8 @@ def compare_urdf_masses(evidence: Evidence) -> Iterator[Diagnostic]:
     if urdf is None or system is None:
         return
     priors = np.array(urdf.priors)
+    if not priors.any():
+        return  # the file has no inertial values
     per_link = system.columns.reshape(len(system.torque), len(priors), -1)
     torques = np.einsum("rlp,lp->rl", per_link, priors)
     sizes = np.linalg.norm(torques, axis=0)
