@@ -121,9 +121,9 @@ def check_servo_clock(arm: Arm, log: Log) -> None:
 
 
 def _sample_prbs(prbs: Prbs, log: Log) -> FloatArray:
-    """PRBS voltage at each sample, held over its clock; it runs on during pauses of the log."""
+    """PRBS voltage at each sample of a record from its start, held over its clock."""
     sequence = excitation.prbs(prbs)
-    time = log.delay + np.arange(len(log)) * log.sample_time
+    time = np.arange(len(log)) * log.sample_time
     clock_index = np.floor(time / prbs.clock + 1e-9).astype(int)
     held: FloatArray = sequence[clock_index % len(sequence)]
     return held

@@ -16,6 +16,8 @@ _LEVEL_TOLERANCE = 1e-6  # share of the range; closer levels count as one
 _MIN_WRAP_SHARE = 0.6  # minimum share of the range that the jump of a wrapped angle covers
 _MIN_JUMP_SHARE = 0.3  # minimum share of the range that a jump covers within one sample
 _MIN_REPEATED_SHARE = 0.98  # minimum share of samples that repeat after one period of a sequence
+# correlation of a sequence with itself, shifted; a period that is not a whole number of samples
+_MAX_SEQUENCE_ERROR = 0.1
 _MULTIPLE_TOLERANCE = 0.02  # a fifth of the largest distance of multiples of a step from integers
 _MIN_SATURATED_SHARE = 2e-3  # minimum share of samples at the drive's limit that is reported
 _COUNTS_TOLERANCE = 2e-3  # relative tolerance to common counts, for rounding in the log and of pi
@@ -133,14 +135,20 @@ def sequence_under_servo(values: FloatArray, period: float) -> Prbs | None:
 
 
 def _repeats(high: BoolArray, order: int, clock: float) -> bool:
-    """Whether a sequence repeats after its period; for a single period, whether it is balanced."""
+    """Whether a sequence repeats after its period, or one period is a maximum-length sequence.
+
+    A maximum-length sequence of n bits correlates with itself, shifted by any number of bits, to
+    -1/n. Friction that changes its sign now and then does not.
+    """
     length = round((2**order - 1) * clock)
     if length > len(high):
         return False
     if len(high) > 1.5 * length:
         return float(np.mean(high[length:] == high[:-length])) > _MIN_REPEATED_SHARE
-    majority = max(int(high[:length].sum()), length - int(high[:length].sum()))
-    return bool(abs(majority - 2 ** (order - 1) * clock) < 0.5 * clock)
+    spectrum = np.fft.rfft(np.where(high[:length], 1.0, -1.0))
+    correlation = np.fft.irfft(np.abs(spectrum) ** 2, length) / length
+    apart = correlation[int(np.ceil(clock)) : length // 2]
+    return bool(np.max(np.abs(apart + 1.0 / (2**order - 1)), initial=0.0) < _MAX_SEQUENCE_ERROR)
 
 
 def quantum(values: FloatArray) -> float | None:
