@@ -142,10 +142,10 @@ VOCABULARIES: dict[str, tuple[Renamed, tuple[str, ...]]] = {
             "C": c["omega_m1"],
             "D": c["theta_m2"],
             "E": c["omega_m2"],
-            "F": c["u1"],
-            "G": c["u2"],
+            "F": np.sign(c["u1"]),  # only an input has few levels
+            "G": np.sign(c["u2"]),
         },
-        ("theta_m1", "omega_m1", "theta_m2", "omega_m2", "u1", "u2"),
+        ("theta_m1", "omega_m1", "theta_m2", "omega_m2"),
     ),
 }
 
@@ -160,6 +160,18 @@ def test_columns_of_any_name_and_unit_are_mapped_to_si(vocabulary: str, tmp_path
     for name in channels:
         # the CSV has 17 digits, and unit factors are exact
         np.testing.assert_allclose(log.channels[name], truth[name], rtol=1e-9, atol=1e-9)
+
+
+def test_an_input_without_a_name_is_asked_for(tmp_path: Path) -> None:
+    """The data leave open whether it is a torque, a current or a voltage."""
+    truth = motion()
+    columns = {"A": truth["t"], "B": truth["theta_m1"], "C": truth["omega_m1"], "D": truth["u1"]}
+    write_log(tmp_path / "run.csv", columns)
+    draft = start_study([tmp_path / "run.csv"], tmp_path / "study.toml")
+    assert draft.channels == ("theta_m1", "omega_m1")
+    text = (tmp_path / "study.toml").read_text()
+    assert 'u1 = "TODO"' in text
+    assert '# not used: "D"' in text
 
 
 def test_the_third_joint_alone_is_an_arm_of_one_joint(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from strainwave.study_draft.time_column import TimeColumn, find_time
 # maximum share of invalid samples, also of a slow column between its updates; with more, a column
 # cannot be classified
 _MAX_INVALID_SHARE = 0.95
+_MIN_CLOCK_CORRELATION = 0.9999  # of two clocks; the offset between channels of a scope may vary
 # quantities of a bag's topics; temperatures have slow topics of their own
 _SAMPLED = frozenset(get_args(Quantity)) - {"time", "temperature"}
 
@@ -91,7 +92,11 @@ def _read_table(path: Path) -> Record:
     if source.channel is not None:
         time = time_of(columns, table.clocks, source.channel)
         columns = {n: v for n, v in columns.items() if n not in source.channel.columns}
-    columns = {n: v for n, v in columns.items() if n not in table.clocks}
+    columns = {
+        name: values
+        for name, values in columns.items()
+        if name not in table.clocks and not _repeats_time(name, values, time)
+    }
     track = Track("", source.seconds_per_unit * time, columns, table.row_name)
     whole_record = Experiment(path.name, path.name, "motion", ())
     quantities = {name: parse(name).quantity for name in columns}
@@ -115,6 +120,13 @@ def _read_table(path: Path) -> Record:
         (*faults, *value_faults),
         table.units,
     )
+
+
+def _repeats_time(name: str, values: FloatArray, time: FloatArray) -> bool:
+    """Whether a column is the time of another channel: `torque.time` of a scope."""
+    if parse(name.rpartition(".")[2]).quantity != "time" or np.ptp(values) == 0.0:
+        return False
+    return bool(np.corrcoef(values, time)[0, 1] > _MIN_CLOCK_CORRELATION)
 
 
 _RATE_FAULT = (

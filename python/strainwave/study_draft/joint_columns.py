@@ -149,15 +149,31 @@ class JointColumns:
     def _values(self, column: str) -> FloatArray:
         return self.record.columns[column]
 
+    def _has_velocity(self, angle: str) -> bool:
+        """Whether a column named as a velocity is that of an angle."""
+        values, time = self._values(angle), self.record.time
+        return any(
+            relation_of(self._values(name), values, time)[0] > MIN_RELATED_CORRELATION
+            for name in self._columns_of("velocity")
+        )
+
     def _choose_angles(self) -> tuple[str | None, str | None]:
         """Return the columns of motor angle and link angle.
 
         Names decide; without a side in the name, the angle with the larger range is the motor's. A
         second angle without a side is the link's if the first one's name is of the motor and it
-        determines the second. Joint states precede other topics, measured angles others.
+        determines the second. Joint states precede other topics, measured angles others, and angles
+        of which a column is the velocity those without.
         """
         names = sorted(self._columns_of("angle"), key=lambda n: -float(np.ptp(self._values(n))))
-        names.sort(key=lambda n: (_JOINT_STATE.fullmatch(n) is None, self._role(n) != "actual"))
+        if len(names) > 1:
+            names.sort(
+                key=lambda n: (
+                    _JOINT_STATE.fullmatch(n) is None,
+                    self._role(n) != "actual",
+                    not self._has_velocity(n),
+                )
+            )
         link = [n for n in names if self.parsed_names[n].side == "link"]
         motor = [n for n in names if self.parsed_names[n].side == "motor"]
         no_side = [n for n in names if n not in link + motor]

@@ -246,7 +246,8 @@ def _classify_by_data(
 ) -> dict[str, ParsedName]:
     """Classify columns by their data.
 
-    An angle is the integral of a velocity; a voltage takes few levels.
+    An angle is the integral of a velocity; a voltage takes few levels. Whether any other column is
+    a torque, a current or a voltage, the data leave open.
     """
     unclassified = [
         n for n, e in parsed_names.items() if e.quantity is None and _span(record, n) > 0.0
@@ -266,11 +267,7 @@ def _classify_by_data(
         ]
         for k, name in enumerate(same_quantity, start=1):
             classified[name] = replace(classified[name], number=k)
-    joints = sum(each.quantity == "angle" for each in classified.values())
-    remaining = [n for n in unclassified if n not in classified]
-    inputs = voltages + (remaining if len(voltages) + len(remaining) == joints else [])
-    inputs.sort(key=list(record.columns).index)
-    for k, name in enumerate(inputs, start=1):
+    for k, name in enumerate(voltages, start=1):
         classified[name] = ParsedName("voltage", k)
     return classified
 
