@@ -72,8 +72,8 @@ def study_in(folder: Path, ending: str, samples: int) -> Path:
 # --- each fault changes a study's folder and returns further arguments of the command ------------
 
 
-def _nan(folder: Path) -> list[str]:
-    _replace_value(folder / "log0.csv", b"nan")
+def _infinite(folder: Path) -> list[str]:
+    _replace_value(folder / "log0.csv", b"inf")
     return []
 
 
@@ -117,7 +117,8 @@ def _bad_option(_: Path) -> list[str]:
 def _damaged_middle(folder: Path) -> list[str]:
     path = next(folder.glob("log0.*"))
     data = bytearray(path.read_bytes())
-    data[len(data) // 2 : len(data) // 2 + 200] = b"\xff" * 200
+    # 1e301 as float64; erased bytes (0xff) would be NaN, which counts as a missing value
+    data[len(data) // 2 : len(data) // 2 + 200] = b"\x7e" * 200
     path.write_bytes(data)
     return []
 
@@ -128,19 +129,19 @@ def _damaged_end(folder: Path) -> list[str]:
     return []
 
 
-def _nan_packed(folder: Path) -> list[str]:
+def _infinite_packed(folder: Path) -> list[str]:
     path = folder / "log0.csv.gz"
     data = gzip.decompress(path.read_bytes())
-    path.write_bytes(gzip.compress(_with_value(data, b"nan")))
+    path.write_bytes(gzip.compress(_with_value(data, b"inf")))
     return []
 
 
-def _nan_parquet(folder: Path) -> list[str]:
+def _infinite_parquet(folder: Path) -> list[str]:
     import pyarrow.parquet
 
     table = pyarrow.parquet.read_table(folder / "log0.parquet")
     columns = {name: table[name].to_numpy().copy() for name in table.column_names}
-    columns["u1"][len(columns["u1"]) // 2] = np.nan
+    columns["u1"][len(columns["u1"]) // 2] = np.inf
     write_log(folder / "log0.parquet", columns)
     return []
 
@@ -158,7 +159,7 @@ def _with_value(data: bytes, text: bytes) -> bytes:
 
 
 KINDS: dict[str, tuple[str, Callable[[Path], list[str]]]] = {
-    "a NaN in a CSV log": (".csv", _nan),
+    "an infinite value in a CSV log": (".csv", _infinite),
     "text in a CSV log": (".csv", _text),
     "a missing column": (".csv", _no_column),
     "a missing log": (".csv", _no_file),
@@ -166,10 +167,10 @@ KINDS: dict[str, tuple[str, Callable[[Path], list[str]]]] = {
     "an empty log": (".csv", _empty),
     "an unknown key": (".csv", _bad_key),
     "an unknown stage": (".csv", _bad_option),
-    "a NaN in a gzip log": (".csv.gz", _nan_packed),
+    "an infinite value in a gzip log": (".csv.gz", _infinite_packed),
     "a damaged gzip log": (".csv.gz", _damaged_middle),
     "a gzip log cut off": (".csv.gz", _damaged_end),
-    "a NaN in a Parquet log": (".parquet", _nan_parquet),
+    "an infinite value in a Parquet log": (".parquet", _infinite_parquet),
     "a damaged Parquet log": (".parquet", _damaged_middle),
     "a Parquet log cut off": (".parquet", _damaged_end),
 }

@@ -12,7 +12,7 @@ from strainwave import pipeline
 from strainwave.errors import InvalidInput
 
 
-@pytest.mark.parametrize("kind", ["a NaN in a CSV log", "a damaged Parquet log"])
+@pytest.mark.parametrize("kind", ["an infinite value in a CSV log", "a damaged Parquet log"])
 def test_parallel_runs_all_exit_with_two(kind: str) -> None:
     """Threads that outlive a refusal could change the exit code or write output."""
     refusals = refused_studies.runs_of(kind, runs=4, at_once=2, samples=4000)

@@ -118,12 +118,12 @@ def find_updates(values: FloatArray) -> BoolArray | None:
 
     A held column keeps each value for two rows or more and then changes by the motion in that time.
     """
+    changed = values[1:] != values[:-1]
+    if np.count_nonzero(changed[1:] & changed[:-1]) > _MAX_SHORT_SHARE * np.count_nonzero(changed):
+        return None
     steps = np.abs(np.diff(values))
     changes = np.flatnonzero(steps) + 1
     if len(changes) < _MIN_UPDATES:
-        return None
-    runs = np.diff(changes)
-    if np.mean(runs < 2) > _MAX_SHORT_SHARE:
         return None
     sizes = steps[changes - 1]
     if np.mean(sizes > _QUANTUM_MARGIN * sizes.min()) < _MIN_LARGE_SHARE:
@@ -167,9 +167,10 @@ def drop_missing(track: Track, command_columns: Collection[str]) -> tuple[Track,
     missing: dict[str, int] = {}
     keep = np.ones(len(track.time), dtype=bool)
     for name, values in track.columns.items():
-        rows = np.flatnonzero(~np.isnan(values))
-        if len(rows) in (0, len(values)):
+        empty = np.isnan(values)
+        if not empty.any() or empty.all():
             continue
+        rows = np.flatnonzero(~empty)
         keep[: rows[0]] = False
         if name in command_columns:
             continue
@@ -188,9 +189,9 @@ def fill_missing(
     columns, filled = dict(track.columns), {}
     for name, values in track.columns.items():
         empty = np.isnan(values)
-        rows = np.flatnonzero(~empty)
-        if len(rows) in (0, len(values)):
+        if not empty.any() or empty.all():
             continue
+        rows = np.flatnonzero(~empty)
         if name in command_columns:
             last = np.maximum(np.searchsorted(rows, np.arange(len(values)), side="right") - 1, 0)
             columns[name] = values[rows[last]]
