@@ -141,10 +141,7 @@ def stiffest(levels_by_joint: LevelsByJoint) -> Comparison:
         2,
         criteria=[criterion_of("k3-share", share, joint=joint) for joint, share in shares.items()],
         evidence=[e for levels in levels_by_joint.values() for e in levels[-1].evidence],
-        values={
-            f"joint {joint}, rms torque of the gear over that of its last knee": levels[-1].load
-            for joint, levels in levels_by_joint.items()
-        },
+        values={f"gear_load_{joint}": levels[-1].load for joint, levels in levels_by_joint.items()},
         message="; ".join(
             f"joint {joint}: {100.0 * share:.0f} % of that with K3, rms torque "
             f"{levels_by_joint[joint][-1].load:.2g} times that of the last knee"

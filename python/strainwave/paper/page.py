@@ -8,7 +8,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from strainwave.domain import OUTCOME_TEXTS, outcomes_text
+from strainwave.domain import OUTCOME_TEXTS, Protocol, outcomes_text
 from strainwave.io.templates import fill_text
 from strainwave.presentation.report.comparisons import PROTOCOL_TEXTS
 
@@ -53,8 +53,9 @@ def to_markdown(document: Mapping[str, Any]) -> str:
 
 def _loads(stiffest: Mapping[str, Claim]) -> str:
     """Loads of both gears at the largest amplitude, over their last knees, from Fig. 2."""
-    values = next(iter(stiffest.values()), {"values": {}})["values"]
-    return " and ".join(f"{loads[0]:.2g}" for name, loads in values.items() if "rms torque" in name)
+    claim = next(iter(stiffest.values()), None)
+    loads = [] if claim is None else [claim["values"][f"gear_load_{joint}"][0] for joint in (1, 2)]
+    return " and ".join(f"{load:.2g}" for load in loads)
 
 
 def _limit(criterion: Mapping[str, Any]) -> str:
@@ -81,7 +82,7 @@ def _spread_of(criterion: Mapping[str, Any]) -> str:
     return f"{spread}, {sum(criterion['passed'])}/{len(criterion['passed'])}"
 
 
-def _reasons_of(by_protocol: Mapping[str, Claim]) -> list[str]:
+def _reasons_of(by_protocol: Mapping[Protocol, Claim]) -> list[str]:
     """For each protocol the most frequent reason why a claim is not shown, with one example."""
     reasons = []
     for protocol, claim in by_protocol.items():

@@ -560,6 +560,10 @@ class JointColumns:
             )
         if self.parsed_names[column].quantity != "torque" or self.angle is None:
             return ""
+        return self._doubt_of_torque(values)
+
+    def _doubt_of_torque(self, values: FloatArray) -> str:
+        """Why a torque cannot be in N m, from the acceleration of the angle; empty if it can."""
         if not self.scaled_angle().any():
             return "the unit of the angle is open, so that its size proves nothing"
         velocity = np.gradient(self.scaled_angle(), self.record.time)

@@ -56,7 +56,7 @@ def render_comparisons(tallies: Sequence[Tally], *, arm: str) -> str:
     summary = Callout(
         "" if is_complete else "doubt", (paragraph(Span("; ".join(counts) + ".", strong=True)),)
     )
-    heads = (number("figure"), "claim", *settings)
+    heads: Row = (number("figure"), "claim", *settings)
     rows = [_row(group) for group in figures.values()]
     sections = [
         Section("claims", "Claims", tuple(table("Claims", heads, rows, heading=False))),
