@@ -84,7 +84,7 @@ def _fit(
         trials = [fit_trial(arm, prepare_all(arm, motions, chosen.bandwidth_hz), None)]
     else:
         trials = search_bandwidths(motions, arm)
-    best = select_bandwidth(trials)
+    best = plain = select_bandwidth(trials)
     candidates = select_terms(best, chosen.load_friction)
     if candidates:
         nearby = [best, *neighbours(trials, best)]
@@ -97,7 +97,7 @@ def _fit(
         covariance = covariance + by_gain @ gains.relative_covariance @ by_gain.T
     terms = estimated_terms(trials, best)
     fits = {s.experiment.name: _fits(best, s, terms) for s in signals}
-    return _model(best, covariance, terms, torque_ratios(trials, best), fits)
+    return _model(best, covariance, terms, torque_ratios(trials, best, plain), fits)
 
 
 def _elastic_model_error(best: Trial) -> FloatArray:

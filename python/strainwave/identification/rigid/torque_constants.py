@@ -24,11 +24,15 @@ _PRIOR_STD = 3.0  # prior standard deviation of the relative change, practically
 _MAX_RELATIVE_STD = 0.5  # relative standard deviation above which a ratio is not identifiable
 
 
-def torque_ratios(trials: Sequence[Trial], best: Trial) -> dict[int, tuple[float, float]]:
+def torque_ratios(
+    trials: Sequence[Trial], best: Trial, plain: Trial
+) -> dict[int, tuple[float, float]]:
     """Torque of joint 1 over that of each further joint, relative to the study, by joint.
 
-    Each ratio has a standard deviation, which includes the scatter between neighbouring bandwidths.
-    Ratios that the motion does not determine are omitted.
+    Each ratio has a standard deviation, which includes the scatter between neighbouring bandwidths
+    and the difference from `plain`, the fit without further terms of friction: friction that grows
+    with the load acts as another torque constant. Ratios that the motion does not determine are
+    omitted.
     """
     if best.arm.n_joints < 2:
         return {}
@@ -36,12 +40,15 @@ def torque_ratios(trials: Sequence[Trial], best: Trial) -> dict[int, tuple[float
     if np.isnan(values).all():
         return {}
     others = [_ratios_at(trial) for trial in neighbours(trials, best)]
+    plain_values = values if plain is best else _ratios_at(plain)[0]
     ratios = {}
     for k, value in enumerate(values.tolist()):
         if np.isnan(value):
             continue
         pairs = [(other[k], error[k]) for other, error in others if np.isfinite(other[k])]
         variance = variances[k] + float(excess_variance(value, pairs))
+        if np.isfinite(plain_values[k]):
+            variance += (plain_values[k] - value) ** 2
         ratios[k + 2] = 1.0 / value, float(np.sqrt(variance)) / value**2
     return ratios
 
