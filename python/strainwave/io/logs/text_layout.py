@@ -16,7 +16,7 @@ from strainwave.io.logs.table import Clock
 
 DELIMITERS = ("\t", ";", ",", "|", " ")
 """Delimiters of columns; the one that gives the most numbers applies, the first of similar ones."""
-PROBE_BYTES = 1 << 16  # [bytes] in which the first rows are expected; longer preambles take more
+PROBE_BYTES = 1 << 14  # [bytes] in which the first rows are expected; longer preambles take more
 _SAMPLE_LINES = 60  # lines from which the delimiter and the types of the columns are found
 _MIN_GAIN = 1.25  # ratio of numbers for which a later delimiter applies; a preamble has few
 _LOOKAHEAD_LINES = 3  # lines of which one must be a row for the body to start above
