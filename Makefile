@@ -36,7 +36,7 @@ $(VENV)/.develop: requirements.lock $(VENV)/.installed
 demo: setup
 	$(BIN)/strainwave demo --out $(DEMO) $(DEMO_ARGS)
 
-# Renews docs/comparisons.md from ten seeds; see there for how long it takes.
+# Renews the pages of the comparisons and their images from ten seeds of both arms: about 25 minutes.
 comparisons: setup
 	for arm in soft stiff; do \
 	  $(BIN)/strainwave demo --arm $$arm --as-published --seeds 10 --figures --quiet \
