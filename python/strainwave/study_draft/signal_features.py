@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from math import pi
-from typing import NamedTuple
 
 import numpy as np
 
@@ -267,29 +267,23 @@ def smooth_share(values: FloatArray, period: float, top_hz: float) -> float:
     return float(spectrum[frequency <= top_hz].sum()) / total if total > 0.0 else 1.0
 
 
-class UnitPair(NamedTuple):
-    """Units of an angle and its velocity."""
-
-    ratio: float  # change of the angle per integral of the velocity
-    angle_scale: float  # SI factor
-    text: str
+_ANGLE_UNITS = {"rad": 1.0, "degrees": pi / 180.0, "turns": 2.0 * pi}
+_RATE_UNITS = {"rad/s": 1.0, "deg/s": pi / 180.0, "rpm": pi / 30.0}
 
 
-_UNIT_PAIRS = (
-    UnitPair(1.0, 1.0, "in matching units"),
-    UnitPair(180.0 / pi, pi / 180.0, "the angle in degrees, the velocity in rad/s"),
-    UnitPair(pi / 180.0, 1.0, "the angle in rad, the velocity in deg/s"),
-    UnitPair(pi / 30.0, 1.0, "the angle in rad, the velocity in rpm"),
-    UnitPair(6.0, pi / 180.0, "the angle in degrees, the velocity in rpm"),
-    UnitPair(0.5 / pi, 2.0 * pi, "the angle in turns, the velocity in rad/s"),
-    UnitPair(1.0 / 60.0, 2.0 * pi, "the angle in turns, the velocity in rpm"),
-)
+def unit_pair(ratio: float) -> tuple[float, str] | None:
+    """Infer the units of an angle and its velocity from the ratio of the angle to the integral.
 
-
-def unit_pair(ratio: float) -> UnitPair | None:
-    """Infer the units of an angle and its velocity; None if no pair of units has this ratio."""
-    matches = (p for p in _UNIT_PAIRS if abs(ratio / p.ratio - 1.0) < MAX_UNIT_RATIO_ERROR)
-    return next(matches, None)
+    Returns the SI factor of the angle and both units; None if the units match or are unknown.
+    """
+    for (angle, scale), (rate, factor) in product(_ANGLE_UNITS.items(), _RATE_UNITS.items()):
+        if abs(ratio * scale / factor - 1.0) < MAX_UNIT_RATIO_ERROR:
+            return (
+                None
+                if scale == factor
+                else (scale, f"the angle in {angle}, the velocity in {rate}")
+            )
+    return None
 
 
 def nearest_unit(scale: float) -> float:
