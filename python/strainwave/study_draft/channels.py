@@ -16,9 +16,7 @@ from strainwave.study_draft.joints import assign_columns
 from strainwave.study_draft.names import parse
 from strainwave.study_draft.robot import Motion, Robot
 
-_MIN_TORQUE_SHARE = (
-    0.05  # of the gravity torque of a stretched arm; 1:57 and slower gears have less
-)
+_MIN_TORQUE_SHARE = 0.05  # of the gravity of a stretched arm; 1:57 and slower gears have less
 _IMU_AXIS = re.compile(r"[ag][xyz][1-9]")  # channel name of an IMU axis
 
 

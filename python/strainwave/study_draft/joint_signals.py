@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 
 import numpy as np
 
 from strainwave.study_draft.joint_columns import JointColumns
-from strainwave.study_draft.names import UNITS
+from strainwave.study_draft.names import AXIS, UNITS
 from strainwave.study_draft.signal_features import (
     flat_top,
     is_register,
@@ -22,7 +21,6 @@ _SENSORS = {  # channel and SI unit of each kind
     "gyro": ("gyro", "rad/s"),
     "deflection": ("deflection", "rad"),
 }
-_AXIS = re.compile(r"(?<![A-Za-z])[xyz](?![A-Za-z])", re.IGNORECASE)  # of an IMU, in a name
 _MAX_REVERSED_CORRELATION = -0.5  # correlation below which the sensor's sign is reversed
 _MAX_DERIVATIVE_ERROR = 0.05  # relative, of the ratio of an acceleration to its velocity in SI
 _MAX_LIMIT_RATIO = 5.0  # of a torque to the effort limit of a URDF, which is a continuous torque
@@ -145,7 +143,7 @@ def map_sensors(joint: JointColumns) -> None:
         for name in joint.columns_of(quantity):
             if np.ptp(joint.values(name)) > 0.0 and not _is_joint_acceleration(joint, name):
                 correlations[name] = _motion_correlation(joint, name, quantity)
-        axes = {name: match[0].lower() for name in correlations if (match := _AXIS.search(name))}
+        axes = {name: match[0].lower() for name in correlations if (match := AXIS.search(name))}
         if (
             joint.has_spatial_links
             and quantity != "deflection"
@@ -177,7 +175,7 @@ def _is_joint_acceleration(joint: JointColumns, column: str) -> bool:
     """Whether a column without a word of a sensor is the joint's acceleration in SI units."""
     each, motor = joint.parsed_names[column], joint.angle
     guess = joint.mapping.guesses.get(f"theta_m{joint.number}")
-    is_sensor = each.side == "link" or _AXIS.search(column) is not None or len(each.word) > 12
+    is_sensor = each.side == "link" or AXIS.search(column) is not None or len(each.word) > 12
     if each.quantity != "acceleration" or is_sensor or motor is None or guess is None:
         return False
     if guess.scale is None or joint.facts.prismatic or not joint.is_derivative(column, motor):

@@ -8,7 +8,7 @@ from math import pi
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, Prbs
+from strainwave.domain import BoolArray, FloatArray, IntArray, Prbs
 from strainwave.study_draft.names import UNITS
 
 _MAX_LEVELS = 5  # maximum number of levels
@@ -73,10 +73,10 @@ def levels(values: FloatArray) -> FloatArray | None:
     return distinct if len(distinct) <= _MAX_LEVELS else None
 
 
-def switches(values: FloatArray) -> int:
-    """Count the jumps of a column that exceed _JUMP of its range."""
-    span = float(np.ptp(values))
-    return int(np.count_nonzero(np.abs(np.diff(values)) > _MIN_JUMP_SHARE * span)) if span else 0
+def switches(values: FloatArray) -> IntArray:
+    """Samples before the jumps of a column, which exceed _MIN_JUMP_SHARE of its range."""
+    changes = np.abs(np.diff(values))
+    return np.flatnonzero((changes > 0.0) & (changes > _MIN_JUMP_SHARE * float(np.ptp(values))))
 
 
 def sequence_of(values: FloatArray, period: float) -> Prbs | None:
@@ -203,8 +203,7 @@ def usual_counts(counts: float) -> int | None:
 
 def runs_alike(values: FloatArray) -> bool:
     """Whether all runs of a column have a similar length, as in a square wave."""
-    edges = np.flatnonzero(np.abs(np.diff(values)) > _MIN_JUMP_SHARE * float(np.ptp(values)))
-    runs = np.diff(edges)
+    runs = np.diff(switches(values))
     return len(runs) > 1 and bool(runs.max() < 1.5 * np.median(runs))
 
 
