@@ -363,7 +363,7 @@ class JointColumns:
             sure: Sure = "sure" if r > MIN_RELATED_CORRELATION else "unsure"
             if is_angle:
                 reason, sure = "the angle that a position servo tracks", "likely"
-            unit = None
+            unit: tuple[float | None, str] | None = None
             if self.parsed_names[column].unit is None and sure != "unsure":
                 # a servo follows within some per cent, so that the unit is that of the angle
                 unit = (None, f"the scale of theta_m{self.number}")

@@ -326,7 +326,7 @@ def _classify(words: list[str], order: int) -> ParsedName | None:
 
 def _raised(name: str, order: int) -> Quantity | None:
     """The derivative of a quantity; None if it is no quantity of a joint."""
-    quantity = _QUANTITIES[_QUANTITIES.index(name)]  # type: ignore[arg-type]
+    quantity = _QUANTITIES[_QUANTITIES.index(name)]
     ladder: Sequence[Quantity] = (quantity,)
     if quantity in _DERIVATIVES:
         ladder = _DERIVATIVES[_DERIVATIVES.index(quantity) :]
