@@ -1,9 +1,9 @@
 """Draft a study file from logs: `strainwave init`.
 
 `inspection` reads the logs, and `robot` the joints of a URDF. `names` and `signal_features`
-classify a column, `joints` assigns it to a joint, and `joint_columns` and `channels` map columns to
-channels. `experiment_type` proposes the use of each record, and `study_text` writes the study file
-with a reason for each guess.
+classify a column, `joints` assigns it to a joint, and `joint_columns` (angles), `joint_signals`
+(inputs, sensors) and `channels` map columns to channels. `experiment_type` proposes the use of each
+record, and `study_text` writes the study file with a reason for each guess.
 """
 
 from __future__ import annotations

@@ -7,19 +7,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.study_draft.candidates import MIN_RELATED_CORRELATION, Guess, Mapping
 from strainwave.study_draft.inspection import Record
 from strainwave.study_draft.joint_columns import DEGREE, JointColumns
+from strainwave.study_draft.joint_signals import map_input, map_sensors
 from strainwave.study_draft.joints import assign_columns
 from strainwave.study_draft.names import parse
 from strainwave.study_draft.robot import Motion, Robot
-from strainwave.study_draft.signal_features import proportion, relation
 
-_MIN_TORQUE_SHARE = (
-    0.05  # of the gravity torque of a stretched arm; 1:57 and slower gears have less
-)
+_MIN_TORQUE_SHARE = 0.05  # of the gravity of a stretched arm; 1:57 and slower gears have less
 _IMU_AXIS = re.compile(r"[ag][xyz][1-9]")  # channel name of an IMU axis
 
 
@@ -52,12 +49,14 @@ def map_channels(
     if robot is not None:
         _describe_joints(joints, robot, record)
     for joint in joints:
-        joint.map()
+        joint.map_motion()
+        map_input(joint)
+        map_sensors(joint)
     _map_imus(record, mapping)
     used = {guess.column for guess in mapping.guesses.values()}
-    for name, values in record.columns.items():
+    for name in record.columns:
         if name not in used and name not in mapping.unused:
-            mapping.unused[name] = _describe_unused(record, values, mapping)
+            mapping.unused[name] = _describe_unused(record, name, mapping)
     return mapping
 
 
@@ -153,20 +152,18 @@ def add_channels(
             mapping.unused[column] = f"another column of {fullest.path.name} has this channel"
 
 
-def _describe_unused(record: Record, values: FloatArray, mapping: Mapping) -> str:
+def _describe_unused(record: Record, name: str, mapping: Mapping) -> str:
     """Describe a column that has no channel."""
-    if np.ptp(values) == 0.0:
+    if np.ptp(record.columns[name]) == 0.0:
         return "it never changes"
     for guess in mapping.guesses.values():
-        other = record.columns.get(guess.column)
-        if other is None:
+        other = guess.column
+        if other not in record.columns:
             continue
-        r, ratio = proportion(other - other.mean(), values - values.mean())
+        r, ratio = record.proportion(other, name)
         if r > 0.98:
-            return f"it correlates with {guess.column!r} (r = {r:.3f}, factor {ratio:.4g})"
-        if (
-            guess.channel.startswith("theta_m")
-            and relation(values, other, record.time)[0] > MIN_RELATED_CORRELATION
-        ):
-            return f"its integral correlates with {guess.column!r}: a velocity or its reference?"
+            return f"it correlates with {other!r} (r = {r:.3f}, factor {ratio:.4g})"
+        is_angle = guess.channel.startswith("theta_m")
+        if is_angle and record.relation(name, other)[0] > MIN_RELATED_CORRELATION:
+            return f"its integral correlates with {other!r}: a velocity or its reference?"
     return "not recognised"

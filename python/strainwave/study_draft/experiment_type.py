@@ -24,9 +24,7 @@ from strainwave.study_draft.signal_features import (
 )
 
 _SLOW_HZ = 5.0  # [Hz] upper frequency of a motion of the whole arm
-_MIN_LOW_FREQUENCY_SHARE = (
-    0.9  # minimum share of an input's power below _SLOW_HZ in a motion record
-)
+_MIN_LOW_FREQUENCY_SHARE = 0.9  # of an input's power below _SLOW_HZ in a motion record
 _MIN_RANDOM_JUMPS = 40  # minimum number of jumps of a random input; step records have fewer
 # name of a validation record
 _CHECK_NAME = re.compile(r"check|val(?!ve)|test|verif", re.IGNORECASE)
@@ -107,7 +105,8 @@ def _propose_use(
     stepped = [s for s in inputs if s.kind == "steps"]
     # next to a stepped joint, the input of a joint that a servo holds has the noise of its encoder
     random_inputs = [s for s in inputs if s.kind == "random" and (s.sequence or not stepped)]
-    random_input = max(random_inputs, key=_priority, default=None)
+    # a detected maximum-length sequence has priority over other random inputs
+    random_input = max(random_inputs, key=lambda s: (s.sequence is not None, s.size), default=None)
     if random_input is not None and elastic:
         sequence = random_input.sequence
         description = "a pseudo-random sequence" if sequence else "fast and broad"
@@ -118,11 +117,10 @@ def _propose_use(
         return ExperimentProposal(
             record, "frequency", reason, random_input.joint, control, sequence, has_scale
         )
-    if len(stepped) == 1 and elastic and len(inputs) > 1 and not _moves_all(record, mapping):
-        reason = f"joint {stepped[0].joint} is stepped"
-        return ExperimentProposal(record, "tuning", reason, stepped[0].joint, control)
-    if stepped and elastic and len(inputs) == 1:
-        return ExperimentProposal(record, "tuning", "the joint is stepped", 1, control)
+    if len(stepped) == 1 and elastic and (len(inputs) == 1 or not _moves_all(record, mapping)):
+        joint = stepped[0].joint
+        reason = f"joint {joint} is stepped" if len(inputs) > 1 else "the joint is stepped"
+        return ExperimentProposal(record, "tuning", reason, joint, control)
     reason = (
         "a slow motion" if not random_input else "a fast motion; a rigid arm requires only motions"
     )
@@ -138,7 +136,7 @@ def _classify_input(record: Record, mapping: Mapping, joint: int) -> _JointInput
         return _JointInput(joint, "still", None, is_moved or is_held, 0.0)
     std = float(np.std(drive))
     input_levels = levels(drive)
-    jumps = switches(drive)
+    jumps = len(switches(drive))
     servo = input_levels is None
     if input_levels is not None and jumps >= _MIN_RANDOM_JUMPS and not runs_alike(drive):
         return _JointInput(joint, "random", sequence_of(drive, record.period), False, std)
@@ -153,11 +151,6 @@ def _classify_input(record: Record, mapping: Mapping, joint: int) -> _JointInput
     is_smooth = smooth_share(drive, record.period, _SLOW_HZ) > _MIN_LOW_FREQUENCY_SHARE
     is_broad = jumps >= _MIN_RANDOM_JUMPS and not is_smooth
     return _JointInput(joint, "random" if is_broad else "smooth", None, servo, std)
-
-
-def _priority(joint_input: _JointInput) -> float:
-    # a detected maximum-length sequence has priority over other random inputs
-    return joint_input.size * (1e6 if joint_input.sequence else 1.0)
 
 
 def _replaceable(

@@ -18,6 +18,7 @@ from strainwave.io.logs.stamps import time_of
 from strainwave.io.logs.tables import MAX_MAGNITUDE, find_invalid_value, open_table
 from strainwave.io.logs.updates import Roles
 from strainwave.study_draft.names import Quantity, parse
+from strainwave.study_draft.signal_features import proportion, relation
 from strainwave.study_draft.time_column import TimeColumn, find_time
 
 # maximum share of invalid samples, also of a slow column between its updates; with more, a column
@@ -44,6 +45,14 @@ class Record:
     def period(self) -> float:
         """Median sampling period [s]."""
         return float(np.median(np.diff(self.time)))
+
+    def relation(self, rate: str, value: str) -> tuple[float, float]:
+        """How well one column is the derivative of another: correlation and ratio."""
+        return relation(self.columns[rate], self.columns[value], self.time)
+
+    def proportion(self, x: str, y: str) -> tuple[float, float]:
+        """Correlation of two columns, and change of `y` per change of `x`."""
+        return proportion(*(self.columns[n] - self.columns[n].mean() for n in (x, y)))
 
     @property
     def is_bag(self) -> bool:

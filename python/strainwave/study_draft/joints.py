@@ -5,32 +5,28 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import permutations
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from strainwave.domain import FloatArray
 from strainwave.study_draft.inspection import Record
 from strainwave.study_draft.names import (
+    MAX_JOINTS,
     ParsedName,
     find_unit,
     joint_rank,
-    max_joints,
-    number_in,
+    last_number,
     parse,
     position,
     system_units,
     words_of,
 )
 from strainwave.study_draft.robot import Robot
-from strainwave.study_draft.signal_features import levels, relation
+from strainwave.study_draft.signal_features import levels
 
-_MIN_DERIVATIVE_CORRELATION = (
-    0.95  # minimum correlation at which an unnamed column is the derivative of another
-)
-
-
+_MIN_DERIVATIVE_CORRELATION = 0.95  # of an unnamed column that is the derivative of another
 _ON_LINK = ("acceleration", "gyro", "deflection")  # quantities of sensors on a link
 
 
@@ -47,7 +43,7 @@ def assign_columns(record: Record, fullest: Record, robot: Robot | None = None) 
     """Assign each column a quantity and a joint number.
 
     Joints count from 1. They are those of `robot`; without it, `fullest` is the record of the same
-    arm that determines the moving joints, and columns of joints beyond `max_joints` are omitted.
+    arm that determines the moving joints, and columns of joints beyond MAX_JOINTS are omitted.
     """
     parsed_names = {name: _parse(name, record) for name in record.columns}
     quantities = {each.quantity for each in parsed_names.values()}
@@ -62,14 +58,18 @@ def assign_columns(record: Record, fullest: Record, robot: Robot | None = None) 
     motion = "angle" if "angle" in quantities else "velocity"
     numbered = _number_joints(parsed_names, motion, record)
     joints = sorted({each.number or 1 for each in numbered.values() if each.quantity == motion})
-    moving = [j for j in joints if _is_moving(fullest, numbered, motion, j)] or joints
-    chosen = sorted(moving[: max_joints()])
+    moving = {
+        each.number or 1
+        for name, each in numbered.items()
+        if each.quantity == motion and np.ptp(fullest.columns.get(name, 0.0)) > 0.0
+    }
+    chosen = sorted(moving or joints)[:MAX_JOINTS]
     limit = ""
     if len(joints) > len(chosen):
         limit = (
             f"these logs have angles of {len(joints)} joints, of which"
             f" {', '.join(_joint_label(numbered, j) for j in chosen)} are used as joints 1 to"
-            f" {len(chosen)}: those that move, at most {max_joints()}. The result holds"
+            f" {len(chosen)}: those that move, at most {MAX_JOINTS}. The result holds"
             " only if the other joints are at standstill in every record"
         )
     order = {joint: k for k, joint in enumerate(chosen, start=1)}
@@ -126,7 +126,7 @@ def _number_by_robot(
             parsed = each if each.label else _parse(name, record, match.words)
             by_name[name] = replace(parsed, number=match.number, label="")
         else:
-            number = number_in(each.label) if each.label else each.number
+            number = last_number(words_of(each.label)) if each.label else each.number
             if names_joints and each.rest and each.quantity not in _ON_LINK:
                 number = None  # finger1 is not joint 1 of a robot whose joints have names
             by_number[name] = replace(each, number=number, label="")
@@ -219,23 +219,6 @@ def _numbering_group(name: str, each: ParsedName) -> tuple[str, str | None]:
     return (name.partition(".")[0] if name.startswith("/") else "", each.quantity)
 
 
-def _is_moving(
-    record: Record, parsed_names: Mapping[str, ParsedName], motion: str, joint: int
-) -> bool:
-    return any(
-        each.quantity == motion
-        and (each.number or 1) == joint
-        and name in record.columns
-        and float(_span(record, name)) > 0.0
-        for name, each in parsed_names.items()
-    )
-
-
-def _span(record: Record, name: str) -> float:
-    values = record.columns[name]
-    return float(values.max() - values.min())
-
-
 def _joint_label(parsed_names: Mapping[str, ParsedName], joint: int) -> str:
     labels = [e.label for e in parsed_names.values() if e.label and e.number == joint]
     return f"{joint} ({labels[0]})" if labels else str(joint)
@@ -250,41 +233,24 @@ def _classify_by_data(
     a torque, a current or a voltage, the data leave open.
     """
     unclassified = [
-        n for n, e in parsed_names.items() if e.quantity is None and _span(record, n) > 0.0
+        n for n, e in parsed_names.items() if e.quantity is None and np.ptp(record.columns[n]) > 0.0
     ]
     voltages = [n for n in unclassified if levels(record.columns[n]) is not None]
     unclassified = [n for n in unclassified if n not in voltages]
-    pairs = sorted(
-        _derivative_pairs({n: record.columns[n] for n in unclassified}, record.time), reverse=True
-    )
+    pairs = [
+        (record.relation(rate, value)[0], value, rate)
+        for rate, value in permutations(unclassified, 2)
+    ]
     classified: dict[str, ParsedName] = {}
-    for _, angle, velocity in pairs:
-        if angle not in classified and velocity not in classified:
+    for r, angle, velocity in sorted(pairs, reverse=True):
+        if r > _MIN_DERIVATIVE_CORRELATION and classified.keys().isdisjoint((angle, velocity)):
             classified[angle], classified[velocity] = ParsedName("angle"), ParsedName("velocity")
     for quantity in ("angle", "velocity"):
-        same_quantity = [
+        names = (
             n for n in record.columns if n in classified and classified[n].quantity == quantity
-        ]
-        for k, name in enumerate(same_quantity, start=1):
+        )
+        for k, name in enumerate(names, start=1):
             classified[name] = replace(classified[name], number=k)
     for k, name in enumerate(voltages, start=1):
         classified[name] = ParsedName("voltage", k)
     return classified
-
-
-class _DerivativePair(NamedTuple):
-    correlation: float
-    angle: str
-    velocity: str
-
-
-def _derivative_pairs(columns: Mapping[str, FloatArray], time: FloatArray) -> list[_DerivativePair]:
-    """Return each column that is the derivative of another, with the other."""
-    pairs = []
-    for rate, speeds in columns.items():
-        for value, angles in columns.items():
-            if rate != value:
-                r, ratio = relation(speeds, angles, time)
-                if r > _MIN_DERIVATIVE_CORRELATION and ratio > 0.0:
-                    pairs.append(_DerivativePair(r, value, rate))
-    return pairs

@@ -46,6 +46,12 @@ _SYMBOL_ROLE = re.compile("(q|dq|qd|ddq|qdd|tau|th|theta|u|i)([a-z]{3,})")
 _MIN_COMPOUND_PART = 3  # letters of a Latin word inside another
 
 
+MAX_JOINTS = max(kind.max_joints for kind in all_kinds())
+"""Most joints of an arm that study files can describe."""
+AXIS = re.compile(r"(?<![A-Za-z])[xyz](?![A-Za-z])", re.IGNORECASE)  # of a sensor, in a name
+_CHANNEL = re.compile(rf"({'|'.join(channel_kinds())})\d")
+
+
 class Unit(NamedTuple):
     """A unit in a name or a units row."""
 
@@ -82,11 +88,6 @@ class ParsedName:
     def scale_or(self, default: float | None) -> float | None:
         """Factor to SI units, or a default if the name has no unit."""
         return default if self.measure is None else self.measure.scale
-
-
-def max_joints() -> int:
-    """Most joints of an arm that study files can describe."""
-    return max(kind.max_joints for kind in all_kinds())
 
 
 # --- the table --------------------------------------------------------------------------------
@@ -133,6 +134,11 @@ _PATHS = {"pos", "position", "x"}  # symbols of a travel as well, in m
 _QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 _MOTIONS = ("angle", "velocity", "second_derivative", "torque")
 _DERIVATIVES: tuple[Quantity, ...] = ("angle", "velocity", "second_derivative")
+_ORDERS = {"d": 1, "dot": 1, "p": 1, "dd": 2, "ddot": 2, "dotdot": 2, "pp": 2}
+_OF_IMU: Mapping[Quantity | None, Quantity] = {
+    "velocity": "gyro",
+    "second_derivative": "acceleration",
+}
 _COMMANDS = set(_TABLE["role"]["command"].split())
 
 UNITS: dict[Quantity, dict[str, float]] = {
@@ -146,35 +152,24 @@ LINEAR = frozenset(
     text for group in ("length", "length/s", "force") for text, _ in _spellings(group)
 )
 """Units of a prismatic joint."""
-_COUNTS = frozenset(text for text, factor in _OPEN.items() if factor == 1.0)
 
 
-def find_unit(text: str, quantity: Quantity | None) -> Unit | None:
+def find_unit(text: str, quantity: Quantity | None, factor: float = 1.0) -> Unit | None:
     """The unit of a quantity in a text such as `deg/s`, `kgf.cm` or `0.1%`; None if it is none."""
-    key = re.sub(r"[\s.·⋅・*^_-]", "", re.sub(r"(?<=\d)\.(?=\d)", "\0", _normalised(text).lower()))
-    key = key.replace("\0", ".")
+    key = re.sub(r"(?<!\d)\.|\.(?!\d)|[\s·⋅・*^_-]", "", _normalised(text).lower())
     if quantity is None or not key:
         return None
-    known = UNITS[quantity]
     open_factors = _OPEN | UNITS["current"] if quantity == "current" else _OPEN
-    if key in known and quantity != "current":
-        return Unit(key, known[key])
     if key in open_factors:
-        return _open_unit(key, quantity, open_factors[key])
+        formulas, factor = _TABLE["formulas"], factor * open_factors[key]
+        formula = formulas.get(key) or formulas.get(quantity, f"SI value of one {key}")
+        return Unit(key, None, formula + (f", times {factor:g}" if factor != 1.0 else ""))
+    if key in UNITS[quantity]:
+        return Unit(key, factor * UNITS[quantity][key])
     match = _FACTOR.match(key)
-    inner = find_unit(key[match.end() :], quantity) if match else None
-    if match is None or inner is None:
-        return None
-    factor = float(match[1]) / float(match[2] or 1.0)
-    if inner.scale is not None:
-        return Unit(key, factor * inner.scale)
-    return _open_unit(key, quantity, factor * _OPEN.get(inner.text, 1.0))
-
-
-def _open_unit(key: str, quantity: Quantity, factor: float) -> Unit:
-    formulas = _TABLE["formulas"]
-    formula = formulas.get(key) or formulas.get(quantity, f"SI value of one {key}")
-    return Unit(key, None, formula + (f", times {factor:g}" if factor != 1.0 else ""))
+    factor = float(match[1]) / float(match[2] or 1.0) if match else 1.0
+    unit = find_unit(key[match.end() :], quantity, factor) if match else None
+    return unit and unit._replace(text=key)
 
 
 # --- names ------------------------------------------------------------------------------------
@@ -187,23 +182,18 @@ def parse(name: str, joint_words: Sequence[str] = (), unit: str = "") -> ParsedN
     """
     text, label, number = name, "", None
     if name.startswith("/"):  # bag column: /topic.field[joint or index]
-        bracket = re.search(r"\[([^\]]*)\]$", name)
-        text = name[: bracket.start()] if bracket else name
-        label = bracket[1] if bracket and not bracket[1].isdecimal() else ""
+        if name.endswith("]"):
+            text, _, label = name[:-1].rpartition("[")
+        if label.isdecimal():
+            label, number = "", int(label)
         if label:  # namespaces are names of robots
             text = text[text.rindex("/") :]
-        number = int(bracket[1]) if bracket and bracket[1].isdecimal() else None
-        text = re.sub(r"\.data$", "", text)
+        text = text.removesuffix(".data")
     text = _OBJECT.sub(lambda m: f" {_TABLE['objects'].get(m[1].lower(), '')} ", text)
-    inside = [found[1] for found in _BRACKETS.finditer(text)]
-    tokens = _tokens(_BRACKETS.sub(" ", text))
-    bracketed = list[str]()
-    for content in inside:
-        if content.strip().isdecimal():
-            number = int(content)
-        else:
-            bracketed.append(content)
-    words = _compounds([token.lower() for token in tokens])
+    bracketed = [content for content in _BRACKETS.findall(text) if not content.strip().isdecimal()]
+    for content in _BRACKETS.findall(text):
+        number = int(content) if content.strip().isdecimal() else number
+    words = _compounds(words_of(_BRACKETS.sub(" ", text)))
     start = position(words, joint_words)
     if start is not None:
         del words[start : start + len(joint_words)]
@@ -211,117 +201,96 @@ def parse(name: str, joint_words: Sequence[str] = (), unit: str = "") -> ParsedN
     each = _classify(words, order)
     if each is None:
         return ParsedName(None)
-    texts = [unit, *reversed(bracketed)] if unit.strip(" -") else list(reversed(bracketed))
-    each, stated = _stated_unit(each, texts)
-    if stated is None:
+    stated = None
+    for content in [unit, *reversed(bracketed)] if unit.strip(" -") else reversed(bracketed):
+        with_unit = _with_unit(each, content)
+        if with_unit is not None:
+            each, stated = with_unit, content
+            break
+    else:
         each, words = _trailing_unit(each, words)
-    labels = [w for t in bracketed if t != stated for w in _compounds(words_of(t))]
+    labels = [
+        w for content in bracketed if content != stated for w in _compounds(words_of(content))
+    ]
     words += [word for word in labels if word not in words]
-    return _described(name, each, words, number, label)
+    number = last_number(words) if number is None else number
+    return replace(_described(name, each, words), number=number, label=label)
 
 
-def _stated_unit(each: ParsedName, texts: Sequence[str]) -> tuple[ParsedName, str | None]:
-    """Read the unit of a units row or of brackets; it precedes the word of the quantity."""
-    for text in texts:
-        found = find_unit(text, each.quantity)
-        if found is not None:
-            return replace(each, measure=found), text
-        for quantity in _quantities_of_unit(text, each.quantity, sure=each.sure):
-            return replace(each, quantity=quantity, measure=find_unit(text, quantity)), text
-        if each.quantity and re.search(r"[/%^·²]", text):
-            todo = f"SI value of the unit {text.strip()!r}"
-            return replace(each, measure=Unit(text, None, todo)), text
-    return each, None
+def _with_unit(each: ParsedName, text: str) -> ParsedName | None:
+    """Add the unit of a units row or of brackets, which precedes the word of the quantity."""
+    named = find_unit(text, each.quantity) is not None
+    quantity = each.quantity if named else _quantity_of_unit(text, each.quantity, sure=each.sure)
+    if quantity is not None:
+        return replace(each, quantity=quantity, measure=find_unit(text, quantity))
+    if each.quantity and re.search(r"[/%^·²]", text):
+        return replace(each, measure=Unit(text, None, f"SI value of the unit {text.strip()!r}"))
+    return None
 
 
-def _quantities_of_unit(
-    text: str, named: Quantity | None, *, sure: bool = True
-) -> Iterator[Quantity]:
+def _quantity_of_unit(text: str, named: Quantity | None, *, sure: bool = True) -> Quantity | None:
     """The quantity whose unit a text is, if it is one of these that a word may mean instead."""
-    rivals: tuple[Quantity, ...] = {
-        "torque": ("current", "voltage"),
-        "current": ("torque",),
-        "voltage": ("current",),
-        "second_derivative": ("acceleration",),
-        "acceleration": ("second_derivative",),
-        "angle": ("velocity",),
-        "velocity": ("angle",),
-        "reference": ("torque", "current", "voltage"),
-        None: ("angle", "velocity", "torque", "current", "voltage", "second_derivative"),
-    }.get(named if sure else None, ())
+    rivals: Sequence[Quantity] = _TABLE["rivals"].get(named if sure and named else "none", ())
     having = [q for q in rivals if (unit := find_unit(text, q)) and unit.text not in _OPEN]
-    yield from having if len(having) == 1 or (named and sure) else ()
+    return having[0] if len(having) == 1 or (having and named and sure) else None
 
 
 def _trailing_unit(each: ParsedName, words: list[str]) -> tuple[ParsedName, list[str]]:
     """Read the unit at the end of a name; return the preceding words too."""
     if len(each.word) > 1 and (measure := find_unit(each.word, each.quantity)):
         return replace(each, measure=measure), words  # counts, rpm
+    is_symbol = each.word in _SYMBOLS - _PATHS and (each.word,) not in _SIDED
     for length in (4, 3, 2, 1):
-        tail = "".join(words[-length:])
-        if length >= len(words) or words[-length].isdecimal() or tail == each.word:
+        tail, before = "".join(words[-length:]), words[:-length]
+        if not before or words[-length].isdecimal() or tail == each.word:
             continue
-        is_symbol = each.word in _SYMBOLS - _PATHS and (each.word,) not in _SIDED
         if tail in ("m", "l") and is_symbol:
             continue  # motor and link
-        found = find_unit(tail, each.quantity)
-        if found is None and each.quantity is None:
-            quantities = list(_quantities_of_unit(tail, None))
-            each = replace(each, quantity=quantities[0]) if len(tail) > 1 and quantities else each
-            found = find_unit(tail, each.quantity)
-        if found is not None and position(words[:-length], each.word.split("_")) is not None:
-            return replace(each, measure=found), words[:-length]
-        if found is not None and not each.word:
-            return replace(each, measure=found), words[:-length]
+        if each.quantity is None and len(tail) > 1:
+            each = replace(each, quantity=_quantity_of_unit(tail, None))
+        measure = find_unit(tail, each.quantity)
+        if measure and (not each.word or position(before, each.word.split("_")) is not None):
+            return replace(each, measure=measure), before
     return each, words
 
 
-def _described(
-    name: str, each: ParsedName, words: list[str], number: int | None, label: str
-) -> ParsedName:
-    """Add joint, side and role, which settle what the quantity is."""
-    meanings = [(word, _VOCABULARY.get((word,), set())) for word in words]
-    phrase = each.word.split("_") if "_" in each.word else ()
-    sides: list[str] = [
-        v for w, of in meanings if w not in phrase for kind, v in of if kind == "side"
-    ]
-    quantity, side = each.quantity, next((s for s in reversed(get_args(Side)) if s in sides), None)
+def _described(name: str, each: ParsedName, words: list[str]) -> ParsedName:
+    """Add the side, which settles what the quantity is, and the words that name the joint."""
+    meanings = {word: _VOCABULARY.get((word,), set()) for word in words}
+    own_words = each.word.split("_")
+    sides = {
+        value
+        for word, of in meanings.items()
+        if len(own_words) == 1 or word not in own_words
+        for kind, value in of
+        if kind == "side"
+    }
+    quantity = each.quantity
+    is_sensor = quantity == "torque" and "sensor" in sides
+    side: Side | None = (
+        "link" if is_sensor or "link" in sides else "motor" if "motor" in sides else None
+    )
     if "imu" in words:
-        of_imu: dict[str, Quantity] = {"velocity": "gyro", "second_derivative": "acceleration"}
-        quantity = of_imu.get(quantity or "", quantity)
-    if quantity == "torque" and "sensor" in sides:
-        side = "link"
-    is_channel = re.fullmatch(rf"({'|'.join(channel_kinds())})\d", name) is not None
-    if quantity == "second_derivative":
-        is_linear = each.unit is not None and find_unit(each.unit, "acceleration") is not None
-        if (
-            is_linear
-            or side == "link"
-            or re.search(r"(?<![A-Za-z])[xyz](?![A-Za-z])", name.lower())
-        ):
-            quantity = "acceleration"
-    if each.role == "desired" and quantity in ("angle", "velocity", "second_derivative"):
+        quantity = _OF_IMU.get(quantity, quantity)
+    if quantity == "second_derivative" and (
+        side == "link" or AXIS.search(name) or find_unit(each.unit or "", "acceleration")
+    ):
+        quantity = "acceleration"
+    if each.role == "desired" and quantity in _DERIVATIVES:
         quantity = "reference"
     rest = tuple(
         word
-        for word, of in meanings
-        if not word.isdecimal() and (not of or {kind for kind, _ in of} == {"weak"})
+        for word in words
+        if {kind for kind, _ in meanings[word]} <= {"weak"}
+        and not word.isdecimal()
+        and word not in (*own_words, "d", "dot", "ddot")
     )
-    rest = tuple(w for w in rest if w not in each.word.split("_") and w not in ("d", "dot", "ddot"))
     if "joint" in sides:
         rest = (*rest, "arm")  # the arm of a motor is a link, that of a robot is not
     if words[:1] == ["l"] and side == "link":
         side, rest = None, ("l", *rest)  # the left arm
-    number = _last_number(words) if number is None else number
-    return replace(
-        each,
-        quantity=quantity,
-        number=number,
-        label=label,
-        rest=rest,
-        side=side,
-        sure=is_channel or each.sure,
-    )
+    sure = each.sure or _CHANNEL.fullmatch(name) is not None
+    return replace(each, quantity=quantity, rest=rest, side=side, sure=sure)
 
 
 def _classify(words: list[str], order: int) -> ParsedName | None:
@@ -355,11 +324,12 @@ def _classify(words: list[str], order: int) -> ParsedName | None:
     return ParsedName("voltage" if commands else None, role=role, word="".join(commands[:1]))
 
 
-def _raised(quantity: str, order: int) -> Quantity | None:
+def _raised(name: str, order: int) -> Quantity | None:
     """The derivative of a quantity; None if it is no quantity of a joint."""
-    ladder = _DERIVATIVES[_DERIVATIVES.index(quantity) :] if quantity in _DERIVATIVES else ()
-    if order == 0:
-        return next(each for each in _QUANTITIES if each == quantity)
+    quantity = _QUANTITIES[_QUANTITIES.index(name)]
+    ladder: Sequence[Quantity] = (quantity,)
+    if quantity in _DERIVATIVES:
+        ladder = _DERIVATIVES[_DERIVATIVES.index(quantity) :]
     return ladder[order] if order < len(ladder) else None
 
 
@@ -381,19 +351,16 @@ def _derivative(words: list[str]) -> tuple[int, list[str]]:
     order, result, words = 0, list[str](), list(words)
     for k, word in enumerate(words):
         before = re.fullmatch(r"(d{1,2})(\w+?)(dt\d?)?", word)
-        after = re.fullmatch(r"(\w+?)(d|dd|dot|ddot|dotdot|p|pp)", word)
+        after = re.fullmatch(rf"(\w+?)({'|'.join(_ORDERS)})", word)
         following = words[k + 1] if k + 1 < len(words) else ""
-        if word in ("dot", "ddot", "dotdot"):
-            order += 1 + (word != "dot")
-        elif word == "d" and following in _SYMBOLS:
-            order += 1
+        if word in ("dot", "ddot", "dotdot") or (word == "d" and following in _SYMBOLS):
+            order += _ORDERS[word]
         elif word == "d" and following == "2" and k + 2 < len(words) and words[k + 2] in _SYMBOLS:
             order, words[k + 1] = order + 2, ""
         elif before and before[2] in _SYMBOLS:
             order, result = order + len(before[1]), [*result, before[2]]
         elif after and after[1] in _SYMBOLS and (word,) not in _VOCABULARY:
-            order += 2 if after[2] in ("dd", "ddot", "dotdot", "pp") else 1
-            result.append(after[1])
+            order, result = order + _ORDERS[after[2]], [*result, after[1]]
         elif word:
             result.append(word)
     return order, result
@@ -417,15 +384,11 @@ def system_units(names: Sequence[str]) -> Mapping[Quantity, str]:
 
 def words_of(name: str) -> tuple[str, ...]:
     """Return the words and numbers of a name in lower case."""
-    return tuple(token.lower() for token in _tokens(name))
+    return tuple(token.lower() for token in _TOKEN.findall(_normalised(name)))
 
 
-def number_in(name: str) -> int | None:
-    """Return the last number in a name, or None."""
-    return _last_number(words_of(name))
-
-
-def _last_number(words: Sequence[str]) -> int | None:
+def last_number(words: Sequence[str]) -> int | None:
+    """The last number in words, or None."""
     return next((int(word) for word in reversed(words) if word.isdecimal()), None)
 
 
@@ -440,10 +403,6 @@ def _normalised(text: str) -> str:
     text = unicodedata.normalize("NFKD", re.sub("[º˚]", "°", text).replace("℃", "°c"))
     text = re.sub("(?<=[qQθφ])\u0307", "dot", re.sub("(?<=[qQθφ])\u0308", "ddot", text))
     return unicodedata.normalize("NFC", re.sub("[\u0300-\u036f]", "", text)).replace("ß", "ss")
-
-
-def _tokens(text: str) -> list[str]:
-    return _TOKEN.findall(_normalised(text))
 
 
 def _compounds(words: Sequence[str]) -> list[str]:

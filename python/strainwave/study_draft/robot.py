@@ -13,7 +13,7 @@ import numpy as np
 from strainwave.domain import FloatArray, JointLimits
 from strainwave.errors import InvalidInput
 from strainwave.io.urdf import UrdfJoint, read_chains, read_urdf
-from strainwave.study_draft.names import max_joints, position, words_of
+from strainwave.study_draft.names import MAX_JOINTS, position, words_of
 
 Words = tuple[str, ...]
 
@@ -67,10 +67,10 @@ class Robot:
         if len(best) > 1:
             read_urdf(path, mimics)  # raises the error of a tree
         robot = Robot.holding(path, [name for name in names if name not in best[0]])
-        if len(robot.joints) > max_joints():
+        if len(robot.joints) > MAX_JOINTS:
             raise InvalidInput(
                 f"{len(robot.joints)} joints move ({', '.join(best[0])}), but an arm has at most "
-                f"{max_joints()}",
+                f"{MAX_JOINTS}",
                 where=str(path),
                 remedy='set the types of joints that stand still in all logs to "fixed"',
             )

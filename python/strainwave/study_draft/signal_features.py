@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from math import pi
-from typing import NamedTuple
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, Prbs
+from strainwave.domain import BoolArray, FloatArray, IntArray, Prbs
 from strainwave.study_draft.names import UNITS
 
 _MAX_LEVELS = 5  # maximum number of levels
@@ -73,10 +73,10 @@ def levels(values: FloatArray) -> FloatArray | None:
     return distinct if len(distinct) <= _MAX_LEVELS else None
 
 
-def switches(values: FloatArray) -> int:
-    """Count the jumps of a column that exceed _JUMP of its range."""
-    span = float(np.ptp(values))
-    return int(np.count_nonzero(np.abs(np.diff(values)) > _MIN_JUMP_SHARE * span)) if span else 0
+def switches(values: FloatArray) -> IntArray:
+    """Samples before the jumps of a column, which exceed _MIN_JUMP_SHARE of its range."""
+    changes = np.abs(np.diff(values))
+    return np.flatnonzero((changes > 0.0) & (changes > _MIN_JUMP_SHARE * float(np.ptp(values))))
 
 
 def sequence_of(values: FloatArray, period: float) -> Prbs | None:
@@ -203,8 +203,7 @@ def usual_counts(counts: float) -> int | None:
 
 def runs_alike(values: FloatArray) -> bool:
     """Whether all runs of a column have a similar length, as in a square wave."""
-    edges = np.flatnonzero(np.abs(np.diff(values)) > _MIN_JUMP_SHARE * float(np.ptp(values)))
-    runs = np.diff(edges)
+    runs = np.diff(switches(values))
     return len(runs) > 1 and bool(runs.max() < 1.5 * np.median(runs))
 
 
@@ -267,29 +266,23 @@ def smooth_share(values: FloatArray, period: float, top_hz: float) -> float:
     return float(spectrum[frequency <= top_hz].sum()) / total if total > 0.0 else 1.0
 
 
-class UnitPair(NamedTuple):
-    """Units of an angle and its velocity."""
-
-    ratio: float  # change of the angle per integral of the velocity
-    angle_scale: float  # SI factor
-    text: str
+_ANGLE_UNITS = {"rad": 1.0, "degrees": pi / 180.0, "turns": 2.0 * pi}
+_RATE_UNITS = {"rad/s": 1.0, "deg/s": pi / 180.0, "rpm": pi / 30.0}
 
 
-_UNIT_PAIRS = (
-    UnitPair(1.0, 1.0, "in matching units"),
-    UnitPair(180.0 / pi, pi / 180.0, "the angle in degrees, the velocity in rad/s"),
-    UnitPair(pi / 180.0, 1.0, "the angle in rad, the velocity in deg/s"),
-    UnitPair(pi / 30.0, 1.0, "the angle in rad, the velocity in rpm"),
-    UnitPair(6.0, pi / 180.0, "the angle in degrees, the velocity in rpm"),
-    UnitPair(0.5 / pi, 2.0 * pi, "the angle in turns, the velocity in rad/s"),
-    UnitPair(1.0 / 60.0, 2.0 * pi, "the angle in turns, the velocity in rpm"),
-)
+def unit_pair(ratio: float) -> tuple[float, str] | None:
+    """Infer the units of an angle and its velocity from the ratio of the angle to the integral.
 
-
-def unit_pair(ratio: float) -> UnitPair | None:
-    """Infer the units of an angle and its velocity; None if no pair of units has this ratio."""
-    matches = (p for p in _UNIT_PAIRS if abs(ratio / p.ratio - 1.0) < MAX_UNIT_RATIO_ERROR)
-    return next(matches, None)
+    Returns the SI factor of the angle and both units; None if the units match or are unknown.
+    """
+    for (angle, scale), (rate, factor) in product(_ANGLE_UNITS.items(), _RATE_UNITS.items()):
+        if abs(ratio * scale / factor - 1.0) < MAX_UNIT_RATIO_ERROR:
+            return (
+                None
+                if scale == factor
+                else (scale, f"the angle in {angle}, the velocity in {rate}")
+            )
+    return None
 
 
 def nearest_unit(scale: float) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import chain, product
 
 import numpy as np
 
@@ -40,12 +41,12 @@ def find_time(table: Table, columns: Mapping[str, FloatArray]) -> TimeColumn:
     """Find the time stamps: text, two columns, a column by name, any other clock, a counter."""
     candidates = [*_text(table, columns), *_two_columns(columns)]
     for channel in candidates:
-        if _is_clock(_time(table, columns, channel), is_strict=False):
+        if _is_clock(time_of(columns, table.clocks, channel), is_strict=False):
             return TimeColumn(channel, "s", 1.0)
     counter = None
     for name in sorted(columns, key=lambda name: parse(name).quantity != "time"):
         is_named = parse(name).quantity == "time"
-        time = _time(table, columns, Channel(name))
+        time = time_of(columns, table.clocks, Channel(name))
         if name in table.clocks or not _is_clock(time, is_strict=False):
             continue
         unit = table.units.get(name, "").lower()
@@ -64,20 +65,14 @@ def find_time(table: Table, columns: Mapping[str, FloatArray]) -> TimeColumn:
     return counter or TimeColumn(None, "rows", None)
 
 
-def _time(table: Table, columns: Mapping[str, FloatArray], channel: Channel) -> FloatArray:
-    return time_of(columns, table.clocks, channel)
-
-
 def _text(table: Table, columns: Mapping[str, FloatArray]) -> Iterator[Channel]:
     """Yield columns of text: dates with clock times, alone or in two columns, and clock times."""
-    by_kind = {kind: [n for n in columns if table.clocks.get(n) == kind] for kind in _CLOCKS}
-    yield from map(Channel, by_kind["datetime"])
-    for date in by_kind["date"]:
-        yield from (Channel(date, second_column=clock) for clock in by_kind["time"])
-    yield from map(Channel, by_kind["time"])
-
-
-_CLOCKS = ("datetime", "date", "time")
+    both, dates, clocks = (
+        [n for n in columns if table.clocks.get(n) == kind] for kind in ("datetime", "date", "time")
+    )
+    yield from map(Channel, both)
+    yield from (Channel(date, second_column=clock) for date, clock in product(dates, clocks))
+    yield from map(Channel, clocks)
 
 
 def _two_columns(columns: Mapping[str, FloatArray]) -> Iterator[Channel]:
@@ -85,9 +80,8 @@ def _two_columns(columns: Mapping[str, FloatArray]) -> Iterator[Channel]:
     for name, seconds in columns.items():
         steps = np.diff(seconds)
         ticks = steps != 0.0
-        if not ticks.any() or ticks.mean() > 0.5 or np.any(seconds != np.round(seconds)):
-            continue
-        if np.any(steps < 0.0):
+        is_whole = bool(np.all(seconds == np.round(seconds)) and np.all(steps >= 0.0))
+        if not ticks.any() or ticks.mean() > 0.5 or not is_whole:
             continue
         for other, fractions in columns.items():
             changes = np.diff(fractions)
@@ -111,11 +105,7 @@ def _is_clock(values: FloatArray, *, is_strict: bool) -> bool:
 
 def _unit_by_size(time: FloatArray) -> tuple[str, float] | None:
     """The unit of stamps since 1970, else that in which the period is between 20 us and 50 ms."""
-    for unit, seconds in _UNITS:
-        if _EPOCH[0] <= float(time[0]) * seconds <= _EPOCH[1] and float(time[0]) > 1e6:
-            return unit, seconds
-    period = float(np.median(np.diff(time)))
-    for unit, seconds in _UNITS:
-        if 1.9e-5 <= period * seconds <= 0.051:
-            return unit, seconds
-    return None
+    start, period = float(time[0]), float(np.median(np.diff(time)))
+    by_epoch = (u for u in _UNITS if start > 1e6 and _EPOCH[0] <= start * u[1] <= _EPOCH[1])
+    by_period = (u for u in _UNITS if 1.9e-5 <= period * u[1] <= 0.051)
+    return next(chain(by_epoch, by_period), None)
