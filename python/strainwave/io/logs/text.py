@@ -8,6 +8,7 @@ from __future__ import annotations
 import codecs
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +125,9 @@ class _Body:
             texts = {k: table[str(k)].to_pylist() for k in indices if k not in numbers}
         except (pa.ArrowException, ValueError):
             columns, texts = self._read_lines(indices, numbers)
-        columns |= {k: self._seconds(column, k) for k, column in texts.items()}
+        for k, cells in texts.items():
+            stamps = ["" if cell is None or cell in MISSING else cell.strip() for cell in cells]
+            columns[k] = stamp_seconds(stamps, partial(self._place, k))
         return {name: columns[k] for name, k in zip(column_names, indices, strict=True)}
 
     def _rows(self) -> Any:
@@ -176,17 +179,8 @@ class _Body:
             {k: column for k, column in cells.items() if k not in numbers},
         )
 
-    def _seconds(self, texts: Sequence[str | None], index: int) -> FloatArray:
-        stamps = ["" if text is None or text in MISSING else text.strip() for text in texts]
-        try:
-            return stamp_seconds(stamps)
-        except ValueError as error:
-            row = int(error.args[0])
-            raise InvalidInput(
-                f"{stamps[row][:40]!r} is not a date or time",
-                where=f"{self.path}, {self.row_name(row)}, column {self.names[index]!r}",
-                remedy="correct the value",
-            ) from error
+    def _place(self, index: int, row: int) -> str:
+        return f"{self.path}, {self.row_name(row)}, column {self.names[index]!r}"
 
     def row_name(self, row: int) -> str:
         """Return the line of a sample."""
