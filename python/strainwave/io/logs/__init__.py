@@ -30,10 +30,10 @@ from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clocks import Track, resample_tracks
 from strainwave.io.logs.in_memory import Data, open_memory_table
-from strainwave.io.logs.segments import drop_long_gaps, segment_table, segment_tracks
+from strainwave.io.logs.segments import segment_table, segment_tracks
 from strainwave.io.logs.stamps import time_of
 from strainwave.io.logs.tables import Table, open_table, release_reader_memory, write_table
-from strainwave.io.logs.updates import Roles, fill_missing
+from strainwave.io.logs.updates import Roles, drop_missing, fill_missing
 from strainwave.numerics.parallel import run_parallel
 
 __all__ = ["read_log", "read_logs", "write_log"]
@@ -162,7 +162,7 @@ def _segments(
     roles = Roles(clock.column, commands, by_kind["torque"], by_kind["temperature"])
     if isinstance(table, Bag):
         tracks, warnings = table.tracks(required)
-        tracks, missing = drop_long_gaps(tracks, roles, table.path)
+        tracks, missing = drop_missing(tracks, roles, table.path)
         segments, split = segment_tracks(tracks, roles, experiment, table.path)
         return segments, [*warnings, *missing, *split]
     columns = table.read(required)

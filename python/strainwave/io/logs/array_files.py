@@ -16,7 +16,7 @@ import numpy as np
 from strainwave.errors import InvalidInput, import_optional
 from strainwave.io.logs import mat
 from strainwave.io.logs.arrays import Arrays, Source, array_table
-from strainwave.io.logs.table import Table, check_unpacked_size, damaged
+from strainwave.io.logs.tables import Table, check_unpacked_size, damaged
 
 
 def open_mat(data: bytes, path: Path) -> Table:

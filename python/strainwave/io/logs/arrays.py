@@ -18,7 +18,7 @@ import numpy as np
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.clock_text import clock_of, stamp_seconds
-from strainwave.io.logs.table import Clock, Table, check_unpacked_size
+from strainwave.io.logs.tables import Clock, Table, check_unpacked_size
 
 _MAX_LIST_COLUMNS = 256  # of a list or matrix; images and point clouds have more
 _MAX_STEP_CHANGE = 0.5  # of a clock, relative to its median step

@@ -13,7 +13,7 @@ from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.arrays import Arrays, Source, array_table
 from strainwave.io.logs.clock_text import clock_of, stamp_seconds
-from strainwave.io.logs.table import Clock, Table, damaged
+from strainwave.io.logs.tables import Clock, Table, check_unique, damaged
 
 _TICKS_PER_SECOND = {"s": 1e0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
@@ -74,11 +74,7 @@ def _arrow_table(first: Any, n_rows: int, read: Callable[[str], Any], path: Path
     arrays = Arrays()
     first = _flat(first)
     names = first.column_names
-    for index, name in enumerate(names):
-        if name in names[:index]:
-            raise InvalidInput(
-                f"there are two columns named {name!r}", where=str(path), remedy="rename one"
-            )
+    check_unique(names, str(path))
 
     def load(name: str) -> FloatArray:
         return _values(_flat(read(name))[name], f"{path}, column {name!r}")

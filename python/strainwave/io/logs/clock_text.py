@@ -10,7 +10,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
-from strainwave.io.logs.table import Clock
+from strainwave.io.logs.tables import Clock
 
 _STAMP = re.compile(
     r"""(?:(?P<year>\d{4})[-/.](?P<month>\d{1,2})[-/.](?P<day>\d{1,2})

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from strainwave.errors import InvalidInput
-from strainwave.io.logs.table import Table
+from strainwave.io.logs.tables import Table, check_unique
 
 Data = Mapping[str, Any]
 """Name of an experiment -> its log: a table in memory, or the path of a file."""
@@ -28,13 +28,12 @@ def open_memory_table(data: Any, where: str) -> Table:
             where=where,
             remedy="pass a pandas, polars or Arrow table, a dictionary of arrays, or a path",
         )
-    for index, name in enumerate(names):
-        if not isinstance(name, str) or name in names[:index]:
-            problem = "is not a string" if not isinstance(name, str) else "occurs twice"
+    for name in names:
+        if not isinstance(name, str):
             raise InvalidInput(
-                f"the column name {name!r} {problem}", where=where, remedy="rename the column"
+                f"the column name {name!r} is not a string", where=where, remedy="rename the column"
             )
-
+    check_unique(names, where)
     arrays = Arrays()
     for name in names:
         arrays.add(name, data[name])
