@@ -86,11 +86,15 @@ def _arrow_table(first: Any, n_rows: int, read: Callable[[str], Any], path: Path
             arrays.omitted[name] = "flags"
         elif _is(kind, *_LISTS) and _is(kind.value_type, *_NUMBERS):
             shape = (n_rows, len(head[0]) if head else 0)
-        elif clock := _clock(kind, head):
-            arrays.clocks[name] = clock
+        elif _is(kind, *_TEXTS):
+            if clock := clock_of(head[0].strip()) if head else None:
+                arrays.clocks[name] = clock
+            else:
+                arrays.omitted[name] = "text"
+        elif clocks := [clock for each, clock in _CLOCKS.items() if _is(kind, each)]:
+            arrays.clocks[name] = clocks[0]
         elif not _is(kind, *_NUMBERS):
-            content = "text" if _is(kind, *_TEXTS) else f"{str(kind).partition('<')[0]} values"
-            arrays.omitted[name] = content
+            arrays.omitted[name] = f"{str(kind).partition('<')[0]} values"
         if name not in arrays.omitted:
             arrays.sources[name] = Source(shape, np.dtype(float), partial(load, name))
     return array_table(path, arrays, n_rows, "row")
@@ -98,6 +102,7 @@ def _arrow_table(first: Any, n_rows: int, read: Callable[[str], Any], path: Path
 
 _LISTS = ("list", "large_list", "fixed_size_list")  # Arrow's names of types
 _TEXTS = ("string", "large_string")
+_CLOCKS: dict[str, Clock] = {"timestamp": "datetime", "date": "date", "time": "time"}
 _NUMBERS = ("integer", "floating", "decimal", "duration")
 
 
@@ -114,16 +119,6 @@ def _flat(content: Any) -> Any:
     while any(_is(kind, "struct") for kind in content.schema.types):
         content = content.flatten()
     return content
-
-
-def _clock(kind: Any, head: list[Any]) -> Clock | None:
-    if _is(kind, "timestamp"):
-        return "datetime"
-    if _is(kind, "date"):
-        return "date"
-    if _is(kind, "time"):
-        return "time"
-    return clock_of(head[0].strip()) if head and _is(kind, *_TEXTS) else None
 
 
 def _values(column: Any, where: str) -> FloatArray:

@@ -162,8 +162,8 @@ def cut_between(track: Track, start: float, stop: float, commands: Collection[st
 def cut(track: Track, rows: slice | BoolArray) -> Track:
     """Some rows of a track."""
     columns = {name: values[rows] for name, values in track.columns.items()}
-    index = np.arange(len(track.time))[rows]
-    return Track(track.name, track.time[rows], columns, lambda k: track.row_name(int(index[k])))
+    index, row_name = np.arange(len(track.time))[rows], track.row_name
+    return Track(track.name, track.time[rows], columns, lambda k: row_name(int(index[k])))
 
 
 def find_gaps(time: FloatArray) -> IntArray:

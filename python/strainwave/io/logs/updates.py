@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,8 +43,7 @@ class Roles:
     covariates: Collection[str] = ()  # slow by nature
 
 
-@dataclass(frozen=True, slots=True)
-class _Source:
+class _Source(NamedTuple):
     """Columns with common updates."""
 
     names: list[str]
@@ -58,13 +58,11 @@ def separate_slow_columns(
 
     Commands are held by nature and excluded.
     """
-    measured = [name for name in track.columns if name not in roles.commands]
     sources: list[_Source] = []
     fast: list[str] = []
-    for name in measured:
-        values = track.columns[name]
+    for name, values in track.columns.items():
         valid = ~np.isnan(values)
-        if not valid.any():
+        if name in roles.commands or not valid.any():
             continue
         is_held = bool(valid.all())
         updates: BoolArray | None = None
@@ -157,7 +155,7 @@ def _merge(sources: list[_Source]) -> list[_Source]:
                 break
         else:
             merged.append(each)
-    return [replace(s, updates=_with_rest(s.updates)) if s.is_held else s for s in merged]
+    return [s._replace(updates=_with_rest(s.updates)) if s.is_held else s for s in merged]
 
 
 def drop_missing(
