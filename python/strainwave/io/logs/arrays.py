@@ -5,7 +5,6 @@ The columns of a matrix are found whichever way it is stored.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,13 +22,8 @@ from strainwave.io.logs.tables import Clock, Table, check_unpacked_size
 _MAX_LIST_COLUMNS = 256  # of a list or matrix; images and point clouds have more
 _MAX_STEP_CHANGE = 0.5  # of a clock, relative to its median step
 _MIN_EVEN_SHARE = 0.9  # share of the steps of a clock within that range
-_OTHER_KINDS = {
-    "b": "flags",
-    "c": "complex numbers",
-    "m": "durations",
-    "U": "text",
-    "S": "text",
-}  # of NumPy's types
+# by kind of NumPy's types
+_OTHER_KINDS = {"b": "flags", "c": "complex numbers", "m": "durations", "U": "text", "S": "text"}
 
 
 class Source(NamedTuple):
@@ -73,7 +67,11 @@ class Arrays:
         if given and all(isinstance(each, dict) for each in given):
             for key in dict.fromkeys(key for each in given for key in each):
                 self.add(prefix + key, [each and each.get(key) for each in value])
-        elif given and isinstance(given[0], list) and any(isinstance(v, dict) for v in given[0]):
+        elif (
+            given
+            and all(isinstance(each, list) for each in given)
+            and any(isinstance(member, dict) for member in given[0])
+        ):
             for k in range(len(given[0])):
                 self.add(
                     f"{name}[{k}]", [each[k] if each and k < len(each) else None for each in value]
@@ -83,7 +81,6 @@ class Arrays:
 
     def _add_column(self, name: str, rows: list[Any], first: Any) -> None:
         clock = clock_of(first.strip()) if isinstance(first, str) else None
-        missing = math.nan if np.ndim(first) == 0 else np.full(np.shape(first), math.nan)
         try:
             if clock:
                 array = stamp_seconds([str(each or "").strip() for each in rows], str)
@@ -91,8 +88,9 @@ class Arrays:
             elif first is None or isinstance(first, bool | str):
                 array = np.asarray([] if first is None else first)
             else:
-                array = np.array([missing if each is None else each for each in rows])
-                array = array.astype(float) if array.dtype == object else array
+                missing = np.full(np.shape(first), np.nan)
+                filled = [missing if each is None else each for each in rows]
+                array = np.array(filled, dtype=float)
         except (InvalidInput, TypeError, ValueError, OverflowError):
             self.omitted[name] = "text or lists of different lengths"
         else:

@@ -219,8 +219,8 @@ def read_header(layout: Layout, path: Path) -> Header:
             units = {k: cell for k, cell in enumerate(cells) if cell and cell != cells[0]}
         elif cells[0].casefold() == "name" and len(keys) > 1 and len(set(keys)) == 1:
             # pairs of time and value, each below a key, of a TwinCAT scope
-            names = [c if k % 2 else f"{cells[k + 1]}.time" for k, c in enumerate(cells[:-1])]
-            names = ["time", *names[1:], cells[-1]]
+            names = [c if k % 2 or not c else f"{cells[k + 1]}.time" for k, c in enumerate(cells)]
+            names[0] = "time"
     if not names:
         names, unit_row = _names_of(layout, path, notes)
         units |= unit_row
