@@ -138,7 +138,7 @@ class _Body:
         first = len(self.layout.head)
         return [(k, line) for k, line in enumerate(lines[first:], first + 1) if line.strip()]
 
-    def _read_lines(self, indices: Sequence[int]) -> dict[int, list[Any]]:
+    def _read_lines(self, indices: Sequence[int]) -> dict[int, Any]:
         """Read line by line, and raise InvalidInput at the first invalid line."""
         cells: dict[int, list[Any]] = {index: [] for index in indices}
         n_columns, lines = len(self.names), self._lines()
