@@ -121,7 +121,7 @@ def test_invalid_tables_are_refused() -> None:
     }
     with pytest.raises(sw.InvalidInput, match=rf"data\['{first}'\].*row 8"):
         sw.identify(STUDY, data={first: with_nan}, stages=("rigid",))
-    with pytest.raises(sw.InvalidInput, match="occurs twice"):
+    with pytest.raises(sw.InvalidInput, match="two columns named"):
         sw.identify(STUDY, data={first: pa.table([[1.0], [2.0]], names=["t", "t"])})
 
 

@@ -68,7 +68,7 @@ DIALECTS = st.builds(
     Dialect,
     delimiter=st.sampled_from([",", ";", "\t", " ", "   ", "|", "; "]),
     decimal=st.sampled_from([".", ","]),
-    encoding=st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "latin-1"]),
+    encoding=st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "latin-1"]),
     header=st.sampled_from(["names", "#", "groups", "none"]),
     units=st.sampled_from(["none", "plain", "brackets"]),
     trailing=st.integers(0, 2),

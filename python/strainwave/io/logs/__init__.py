@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import (
-    ArmDescription,
     BoolArray,
     Channel,
     Diagnostic,
@@ -30,10 +29,10 @@ from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clocks import Track, resample_tracks
 from strainwave.io.logs.in_memory import Data, open_memory_table
-from strainwave.io.logs.segments import drop_long_gaps, segment_table, segment_tracks
+from strainwave.io.logs.segments import segment_table, segment_tracks
 from strainwave.io.logs.stamps import time_of
 from strainwave.io.logs.tables import Table, open_table, release_reader_memory, write_table
-from strainwave.io.logs.updates import Roles, fill_missing
+from strainwave.io.logs.updates import Roles, drop_missing, fill_missing
 from strainwave.numerics.parallel import run_parallel
 
 __all__ = ["read_log", "read_logs", "write_log"]
@@ -105,11 +104,11 @@ def _read_segments(study: Study, experiment: Experiment, data: Any) -> tuple[Log
             filled |= mask
             dense.append(complete)
         time, columns, clock_warnings = resample_tracks(dense, commands, experiment, table.path)
-        channels = {
-            name: channel.scale * _with_added(name, channel, experiment, columns) + channel.offset
-            for name, channel in sources.items()
-            if name != "t"
-        }
+        channels = {}
+        for name, channel in sources.items():
+            if name != "t":
+                added = columns[experiment.add[name]] if name in experiment.add else 0.0
+                channels[name] = channel.scale * (columns[channel.column] + added) + channel.offset
         clock_warnings += _integrate_velocities(channels, study, time, table.path)
         try:
             clock_warnings += _check_constants(channels, study, experiment, table.path)
@@ -155,14 +154,15 @@ def _segments(
     columns_of = (column for channel in sources.values() for column in channel.columns)
     required = sorted({*columns_of, *experiment.add.values()})
     clock = sources.get("theta_m1") or sources["omega_m1"]
-    by_kind: dict[str, set[str]] = {"torque": set(), "temperature": set()}
-    for name, channel in sources.items():
-        by_kind.setdefault(channel_parts(name)[0], set()).add(channel.column)
+    torques, temperatures = (
+        {channel.column for name, channel in sources.items() if channel_parts(name)[0] == kind}
+        for kind in ("torque", "temperature")
+    )
     commands = _command_columns(sources, experiment)
-    roles = Roles(clock.column, commands, by_kind["torque"], by_kind["temperature"])
+    roles = Roles(clock.column, commands, torques, temperatures)
     if isinstance(table, Bag):
         tracks, warnings = table.tracks(required)
-        tracks, missing = drop_long_gaps(tracks, roles, table.path)
+        tracks, missing = drop_missing(tracks, roles, table.path)
         segments, split = segment_tracks(tracks, roles, experiment, table.path)
         return segments, [*warnings, *missing, *split]
     columns = table.read(required)
@@ -216,6 +216,7 @@ def _sources(study: Study, experiment: Experiment, table: Table | Bag) -> dict[s
             what = "to which the study adds another column"
             raise table.missing_column_error(channel_name, what)
     _check_required(sources, study, table)
+    _check_inputs(sources, study, table)
     return sources
 
 
@@ -257,10 +258,28 @@ def _check_required(sources: dict[str, Channel], study: Study, table: Table | Ba
             if f"omega_m{number}" in sources:
                 if study.arm.has_posture_free(number):
                     continue
-                raise _angle_needed(number, study, table)
+                raise InvalidInput(
+                    f"motor {number} logs its velocity (omega_m{number}) but no angle, and gravity"
+                    " or the inertia of the arm depends on the angle",
+                    where=str(table.path),
+                    remedy=f"log the angle of motor {number} and map it to theta_m{number} in "
+                    f"[channels] of {study.path}",
+                )
             used = {channel.column for channel in sources.values()}
             error = table.missing_column_error(name, "which every log must contain", used)
-            raise error if name == "t" else _or_without_joint(error, study.arm, name)
+            if name != "t" and not kind_of(study.arm).places_joints:
+                # a serial arm may also be described without the joint
+                urdf = study.arm.urdf
+                fixed = f' and set its type to "fixed" in {urdf.file}' if urdf else ""
+                remedy = (
+                    f"if joint {number} stands still in all logs, remove its [[joint]] table"
+                    f"{fixed}; else {error.remedy}"
+                )
+                raise InvalidInput(error.problem, where=error.where, remedy=remedy)
+            raise error
+
+
+def _check_inputs(sources: dict[str, Channel], study: Study, table: Table | Bag) -> None:
     for i, joint in enumerate(study.arm.joints, start=1):
         if f"u{i}" not in sources and f"torque{i}" not in sources:
             for name in (f"u{i}", f"torque{i}"):
@@ -283,54 +302,16 @@ def _check_required(sources: dict[str, Channel], study: Study, table: Table | Ba
             )
 
 
-def _or_without_joint(error: InvalidInput, arm: ArmDescription, angle: str) -> InvalidInput:
-    """The error for a missing angle; a serial arm may also be described without the joint."""
-    if kind_of(arm).places_joints:
-        return error
-    number = channel_parts(angle)[1]
-    fixed = f' and set its type to "fixed" in {arm.urdf.file}' if arm.urdf else ""
-    return InvalidInput(
-        error.problem,
-        where=error.where,
-        remedy=f"if joint {number} stands still in all logs, remove its [[joint]] table{fixed}; "
-        f"else {error.remedy}",
-    )
-
-
-def _with_added(
-    name: str, channel: Channel, experiment: Experiment, columns: dict[str, FloatArray]
-) -> FloatArray:
-    values = columns[channel.column]
-    if name in experiment.add:
-        values = values + columns[experiment.add[name]]
-    return values
-
-
-def _angle_needed(joint: int, study: Study, table: Table | Bag) -> InvalidInput:
-    """The error for a motor that logs its velocity alone on an arm whose posture matters."""
-    return InvalidInput(
-        f"motor {joint} logs its velocity (omega_m{joint}) but no angle, and gravity or the inertia"
-        " of the arm depends on the angle",
-        where=str(table.path),
-        remedy=f"log the angle of motor {joint} and map it to theta_m{joint} in [channels] of "
-        f"{study.path}",
-    )
-
-
 def _integrate_velocities(
     channels: dict[str, FloatArray], study: Study, time: FloatArray, path: Path
 ) -> list[Diagnostic]:
     """Add the integral from zero of the velocity of each motor without an angle."""
-    warnings = []
-    for joint in range(1, study.arm.n_joints + 1):
-        if f"theta_m{joint}" in channels:
-            continue
+    joints = [i for i in range(1, study.arm.n_joints + 1) if f"theta_m{i}" not in channels]
+    for joint in joints:
         velocity = channels[f"omega_m{joint}"]
         steps = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)
         channels[f"theta_m{joint}"] = np.concatenate([[0.0], np.cumsum(steps)])
-        place = Place(file=path.name)
-        warnings.append(Diagnostic("integrated-velocity", place, joint=joint))
-    return warnings
+    return [Diagnostic("integrated-velocity", Place(file=path.name), joint=i) for i in joints]
 
 
 def _check_constants(

@@ -6,70 +6,52 @@ import codecs
 import io
 import json
 import struct
-import zipfile
 import zlib
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from strainwave.errors import InvalidInput, import_optional
 from strainwave.io.logs import mat
-from strainwave.io.logs.arrays import Source, array_table, sources_of
-from strainwave.io.logs.clock_text import clock_of, stamp_seconds
-from strainwave.io.logs.table import Clock, Table, check_unpacked_size, damaged
+from strainwave.io.logs.arrays import Arrays, Source, array_table
+from strainwave.io.logs.tables import Table, check_unpacked_size, damaged
 
 
 def open_mat(data: bytes, path: Path) -> Table:
     """Open a MAT file; version 7.3 is HDF5."""
     if data[:4] == b"\x89HDF" or b"MATLAB 7.3" in data[:64]:
         return open_hdf5(data, path, separator=".")
+    arrays = Arrays()
     try:
-        content = mat.read(data, partial(check_unpacked_size, path=path))
+        for name, array in mat.read(data, partial(check_unpacked_size, path=path)):
+            arrays.add(name, array)
     except (ValueError, zlib.error, struct.error) as error:
         remedy = "save it again with -v7 or -v7.3"
         raise damaged("a MAT file", error, path, remedy) from error
-    return array_table(path, sources_of(content.arrays), content.omitted)
+    return array_table(path, arrays)
 
 
-# --- NumPy ------------------------------------------------------------------------------------
-
-
-def open_npy(data: bytes, path: Path) -> Table:
-    """Open a file of one NumPy array."""
-    return array_table(path, sources_of({"": _npy(data, path)}), {})
-
-
-def open_npz(data: bytes, path: Path) -> Table:
-    """Open a file of named NumPy arrays."""
+def open_numpy(data: bytes, path: Path) -> Table:
+    """Open a NumPy file of one or of named arrays; objects are not unpickled."""
+    arrays = Arrays()
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            check_unpacked_size(sum(info.file_size for info in archive.infolist()), path)
-            members = {name: archive.read(name) for name in archive.namelist()}
-    except (OSError, ValueError, EOFError, zlib.error, zipfile.BadZipFile, RuntimeError) as error:
-        raise damaged("an NPZ file", error, path) from error
-    except NotImplementedError as error:
-        raise damaged("an NPZ file", error, path) from error
-    arrays = {name.removesuffix(".npy"): _npy(member, path) for name, member in members.items()}
-    return array_table(path, sources_of(arrays), {})
-
-
-def _npy(data: bytes, path: Path) -> np.ndarray[Any, Any]:
-    """Read an array; one of objects is empty, because its values would be unpickled."""
-    stream = io.BytesIO(data)
-    try:
-        version = np.lib.format.read_magic(stream)
-        read_header = np.lib.format.read_array_header_1_0
-        if version != (1, 0):
-            read_header = np.lib.format.read_array_header_2_0
-        shape, is_fortran, dtype = read_header(stream)
-        if dtype.hasobject:
-            return np.empty(0, dtype=object)
-        array = np.frombuffer(data, dtype, offset=stream.tell())
-        return array.reshape(shape, order="F" if is_fortran else "C")
+        content = np.load(io.BytesIO(data), allow_pickle=False)
+        if isinstance(content, np.ndarray):
+            content = {"": content}
+        else:
+            check_unpacked_size(sum(info.file_size for info in content.zip.infolist()), path)
+    except InvalidInput:
+        raise
     except Exception as error:  # the header is a Python expression with arbitrary faults
         raise damaged("a NumPy file", error, path) from error
+    for name in content:
+        try:
+            arrays.add(name, content[name])
+        except Exception as error:
+            arrays.omitted[name] = f"unreadable data ({error})"
+    return array_table(path, arrays)
 
 
 # --- HDF5 -------------------------------------------------------------------------------------
@@ -82,8 +64,7 @@ def open_hdf5(data: bytes, path: Path, separator: str = "/") -> Table:
     """
     purpose = "reading HDF5 and MAT v7.3 files"
     h5py = import_optional("h5py", purpose, "'strainwave[hdf5]'", str(path))
-    sources: dict[str, Source] = {}
-    omitted: dict[str, str] = {}
+    arrays = Arrays()
 
     def visit(name: str, node: Any) -> None:
         if name.startswith("#"):
@@ -95,16 +76,16 @@ def open_hdf5(data: bytes, path: Path, separator: str = "/") -> Table:
                 if isinstance(link, h5py.ExternalLink):
                     raise _refers_elsewhere(label, path)
                 if isinstance(link, h5py.SoftLink):
-                    omitted[label.replace("/", separator)] = "links"
+                    arrays.omitted[label.replace("/", separator)] = "links"
         elif isinstance(node, h5py.Dataset):
             if node.external or node.is_virtual:
                 raise _refers_elsewhere(name, path)
             label = name.replace("/", separator)
             matlab_class = node.attrs.get("MATLAB_class", b"")
             if matlab_class in (b"char", b"cell", b"logical") or node.shape is None:
-                omitted[label] = "text, cells or flags"
+                arrays.omitted[label] = "text, cells or flags"
             else:
-                sources[label] = Source(node.shape, node.dtype, partial(load, name))
+                arrays.sources[label] = Source(node.shape, node.dtype, partial(load, name))
 
     def load(name: str) -> Any:
         try:
@@ -121,7 +102,7 @@ def open_hdf5(data: bytes, path: Path, separator: str = "/") -> Table:
         raise
     except Exception as error:
         raise damaged("an HDF5 file", error, path) from error
-    return array_table(path, sources, omitted)
+    return array_table(path, arrays)
 
 
 def _refers_elsewhere(name: str, path: Path) -> InvalidInput:
@@ -165,66 +146,9 @@ def open_json_lines(data: bytes, path: Path) -> Table:
 
 
 def _json_table(document: Any, path: Path) -> Table:
-    content = _Json({}, {}, {})
+    arrays = Arrays()
     try:
-        content.collect("", document)
+        arrays.add("", document)
     except RecursionError as error:
         raise damaged("JSON of a log", error, path) from error
-    return array_table(path, sources_of(content.arrays), content.omitted, content.clocks)
-
-
-class _Json(NamedTuple):
-    """Arrays of a JSON document by name."""
-
-    arrays: dict[str, np.ndarray[Any, Any]]
-    omitted: dict[str, str]
-    clocks: dict[str, Clock]
-
-    def collect(self, name: str, value: Any) -> None:
-        """Add the arrays of a value: of an object of columns, or of a list of records."""
-        prefix = f"{name}." if name else ""
-        if isinstance(value, dict) and {"columns", "data"} <= value.keys():  # pandas, "split"
-            columns = zip(*value["data"], strict=False)
-            value = dict(zip(map(str, value["columns"]), map(list, columns), strict=False))
-        if isinstance(value, dict) and value.keys() == {str(k) for k in range(len(value))}:
-            value = list(value.values())  # pandas, "columns"
-        if isinstance(value, dict):
-            for key, member in value.items():
-                self.collect(prefix + key, member)
-            return
-        given = [each for each in value if each is not None] if isinstance(value, list) else []
-        if given and all(isinstance(each, dict) for each in given):
-            for key in dict.fromkeys(key for each in given for key in each):
-                self.collect(prefix + key, [each and each.get(key) for each in value])
-        elif (
-            given
-            and all(isinstance(each, list) and each for each in given)
-            and any(isinstance(inner, dict) for inner in given[0])
-        ):
-            for index in range(len(given[0])):
-                inner = [each[index] if each and index < len(each) else None for each in value]
-                self.collect(f"{name}[{index}]", inner)
-        else:
-            self._add(name, value, given)
-
-    def _add(self, name: str, value: Any, given: list[Any]) -> None:
-        first = given[0] if given else None
-        if not given:
-            self.omitted[name] = "single values" if not isinstance(value, list) else "no values"
-        elif isinstance(first, bool):
-            self.omitted[name] = "flags"
-        elif isinstance(first, str) and (clock := clock_of(first.strip())):
-            try:
-                self.arrays[name] = stamp_seconds([str(each or "").strip() for each in value])
-                self.clocks[name] = clock
-            except ValueError:
-                self.omitted[name] = "text"
-        elif isinstance(first, str):
-            self.omitted[name] = "text"
-        else:
-            n = len(first) if isinstance(first, list) else 0
-            rows = [[None] * n if each is None else each for each in value] if n else value
-            try:
-                self.arrays[name] = np.array(rows, dtype=float)
-            except (TypeError, ValueError, OverflowError):
-                self.omitted[name] = "text or lists of different lengths"
+    return array_table(path, arrays)

@@ -1,9 +1,13 @@
-"""Columns of named arrays: vectors, and the columns of matrices whichever way they are stored."""
+"""Columns of named arrays, also within structs and records.
+
+The columns of a matrix are found whichever way it is stored.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,12 +16,14 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
-from strainwave.io.logs.arrow import MAX_LIST_COLUMNS
-from strainwave.io.logs.table import Clock, Table, check_unpacked_size
+from strainwave.io.logs.clock_text import clock_of, stamp_seconds
+from strainwave.io.logs.tables import Clock, Table, check_unpacked_size
 
+_MAX_LIST_COLUMNS = 256  # of a list or matrix; images and point clouds have more
 _MAX_STEP_CHANGE = 0.5  # of a clock, relative to its median step
 _MIN_EVEN_SHARE = 0.9  # share of the steps of a clock within that range
-_OTHER_KINDS = {"b": "flags", "c": "complex numbers", "m": "durations"}  # of NumPy's types
+# by kind of NumPy's types
+_OTHER_KINDS = {"b": "flags", "c": "complex numbers", "m": "durations", "U": "text", "S": "text"}
 
 
 class Source(NamedTuple):
@@ -28,36 +34,84 @@ class Source(NamedTuple):
     load: Callable[[], Any]
 
 
-def sources_of(arrays: Mapping[str, np.ndarray[Any, Any]]) -> dict[str, Source]:
-    """Describe arrays in memory; the fields of a structured array are members by `.`."""
-    sources: dict[str, Source] = {}
-    for name, array in arrays.items():
-        if array.dtype.names:
-            prefix = f"{name}." if name else ""
-            sources |= sources_of({prefix + field: array[field] for field in array.dtype.names})
+@dataclass(frozen=True, slots=True)
+class Arrays:
+    """Named arrays of structs, records and lists."""
+
+    sources: dict[str, Source] = field(default_factory=dict)
+    omitted: dict[str, str] = field(default_factory=dict)  # name -> content
+    clocks: dict[str, Clock] = field(default_factory=dict)  # sources in seconds
+
+    def add(self, name: str, value: Any) -> None:
+        """Add the arrays of a value; members are named by `.`, elements of a row by `[k]`.
+
+        A list is one column, or a list of records: of objects, or of lists of objects.
+        """
+        prefix = f"{name}." if name else ""
+        if isinstance(value, dict) and value.keys() == {str(k) for k in range(len(value))}:
+            value = list(value.values())  # of pandas
+        if isinstance(value, Mapping):
+            for key, member in value.items():
+                self.add(prefix + key, member)
+            return
+        if not isinstance(value, list):
+            array = np.asarray(value)
+            if array.dtype.names:
+                self.add(name, {key: array[key] for key in array.dtype.names})
+                return
+            if array.dtype != object:
+                self.sources[name] = Source(array.shape, array.dtype, array.view)
+                return
+            value = list(array) if array.ndim else []
+        given = [each for each in value if each is not None]
+        if given and all(isinstance(each, dict) for each in given):
+            for key in dict.fromkeys(key for each in given for key in each):
+                self.add(prefix + key, [each and each.get(key) for each in value])
+        elif (
+            given
+            and all(isinstance(each, list) for each in given)
+            and any(isinstance(member, dict) for member in given[0])
+        ):
+            for k in range(len(given[0])):
+                self.add(
+                    f"{name}[{k}]", [each[k] if each and k < len(each) else None for each in value]
+                )
         else:
-            sources[name] = Source(array.shape, array.dtype, array.view)
-    return sources
+            self._add_column(name, value, given[0] if given else None)
+
+    def _add_column(self, name: str, rows: list[Any], first: Any) -> None:
+        clock = clock_of(first.strip()) if isinstance(first, str) else None
+        try:
+            if clock:
+                array = stamp_seconds([str(each or "").strip() for each in rows], str)
+                self.clocks[name] = clock
+            elif first is None or isinstance(first, bool | str):
+                array = np.asarray([] if first is None else first)
+            else:
+                missing = np.full(np.shape(first), np.nan)
+                filled = [missing if each is None else each for each in rows]
+                array = np.array(filled, dtype=float)
+        except (InvalidInput, TypeError, ValueError, OverflowError):
+            self.omitted[name] = "text or lists of different lengths"
+        else:
+            self.sources[name] = Source(array.shape, array.dtype, array.view)
 
 
 def array_table(
-    path: Path,
-    sources: Mapping[str, Source],
-    omitted: Mapping[str, str],
-    stamps: Mapping[str, Clock] | None = None,
+    path: Path, arrays: Arrays, length: int | None = None, row: str = "element"
 ) -> Table:
     """Make a table of arrays whose samples are along the axis of their common length.
 
-    The common length is the most frequent length of the longest axes; of equally frequent ones, the
-    most frequent of all axes, then the largest. A matrix without name, or the only array of a file
-    if it contains its own time, is `data`. `stamps` are the names of sources in seconds. Raises
-    InvalidInput if no array contains numbers.
+    Unless `length` gives it, the common length is the most frequent length of the longest axes; of
+    equally frequent ones, the most frequent of all axes, then the largest. A matrix without name,
+    or the only array of a file if it contains its own time, is `data`. `row` is the word for a
+    sample in messages. Raises InvalidInput if no array contains numbers.
     """
-    omitted = dict(omitted)
+    omitted = dict(arrays.omitted)
     usable = {}
-    for name, source in sources.items():
+    for name, source in arrays.sources.items():
         if source.dtype.kind not in "fiuM":
-            omitted[name] = _OTHER_KINDS.get(source.dtype.kind, "text or objects")
+            omitted[name] = _OTHER_KINDS.get(source.dtype.kind, "objects, cells or text")
         elif prod(source.shape) < 2:
             omitted[name] = "single values" if prod(source.shape) else "no values"
         else:
@@ -71,14 +125,14 @@ def array_table(
         )
     votes = Counter(max(source.shape) for source in usable.values())
     shared = Counter(size for source in usable.values() for size in set(source.shape))
-    length = max(votes, key=lambda size: (votes[size], shared[size], size))
+    length = length or max(votes, key=lambda size: (votes[size], shared[size], size))
     columns: dict[str, tuple[str, int]] = {}
     fitting = []
     for name, source in usable.items():
         if length not in source.shape:
             omitted[name] = f"a length other than {length}"
-        elif prod(source.shape) > length * MAX_LIST_COLUMNS:
-            omitted[name] = f"more than {MAX_LIST_COLUMNS} columns"
+        elif prod(source.shape) > length * _MAX_LIST_COLUMNS:
+            omitted[name] = f"more than {_MAX_LIST_COLUMNS} columns"
         else:
             fitting.append(name)
     for name in fitting:
@@ -103,17 +157,21 @@ def array_table(
             name, number = columns[column]
             if name not in matrices:
                 matrices[name] = _rows(usable[name], length)
-            result[column] = _numbers(matrices[name][:, number])
+            values = matrices[name][:, number]
+            if values.dtype.kind == "M":
+                seconds = values.astype("datetime64[ns]").astype(np.int64) / 1e9
+                values = np.where(np.isnat(values), np.nan, seconds)
+            result[column] = np.ascontiguousarray(values, dtype=np.float64)
         return result
 
-    clocks = {name: clock for name, clock in (stamps or {}).items() if name in columns}
+    clocks = {name: clock for name, clock in arrays.clocks.items() if name in columns}
     clocks |= {
         column: "datetime"
         for column, (name, _) in columns.items()
         if usable[name].dtype.kind == "M"
     }
     return Table(
-        path, list(columns), read, lambda row: f"element {row + 1}", clocks=clocks, omitted=omitted
+        path, list(columns), read, lambda k: f"{row} {k + 1}", clocks=clocks, omitted=omitted
     )
 
 
@@ -121,13 +179,6 @@ def _rows(source: Source, length: int) -> Any:
     """Load an array as (n_samples, n_columns)."""
     array = np.asarray(source.load())
     return np.moveaxis(array, array.shape.index(length), 0).reshape(length, -1)
-
-
-def _numbers(values: Any) -> FloatArray:
-    if values.dtype.kind != "M":
-        return np.ascontiguousarray(values, dtype=np.float64)
-    seconds = values.astype("datetime64[ns]").astype(np.int64) / 1e9
-    return np.where(np.isnat(values), np.nan, seconds)
 
 
 def _has_time(source: Source, length: int) -> bool:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
+from strainwave.io.logs.arrays import Arrays, Source, array_table
 from strainwave.io.logs.clock_text import clock_of, stamp_seconds
-from strainwave.io.logs.table import Clock, Table, check_unpacked_size, damaged
+from strainwave.io.logs.tables import Clock, Table, check_unique, damaged
 
-MAX_LIST_COLUMNS = 256
-"""Largest number of columns of a list or matrix; images and point clouds have more."""
 _TICKS_PER_SECOND = {"s": 1e0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
 
@@ -36,22 +36,19 @@ def open_parquet(data: bytes, path: Path) -> Table:
     import pyarrow as pa
     import pyarrow.parquet
 
-    try:
-        file = pa.parquet.ParquetFile(arrow_reader(data))
-        schema = file.schema_arrow
-        lists = [field.name for field in schema if _has_list(field.type)]
-        first = next(file.iter_batches(1, columns=lists), None) if lists else None
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise damaged("a Parquet file", error, path) from error
-
-    def read(names: Sequence[str]) -> Any:
-        check_unpacked_size(8.0 * file.metadata.num_rows * len(names), path)
+    def read(name: str) -> Any:
         try:
-            return file.read(columns=list(names))
+            return file.read(columns=[name])
         except (pa.ArrowException, OSError, ValueError) as error:
             raise damaged("a Parquet file", error, path) from error
 
-    return arrow_table(schema, first, read, path)
+    try:
+        file = pa.parquet.ParquetFile(arrow_reader(data))
+        batches = [batch for batch, _ in zip(file.iter_batches(1), range(1), strict=False)]
+        first = pa.Table.from_batches(batches, file.schema_arrow)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise damaged("a Parquet file", error, path) from error
+    return _arrow_table(first, file.metadata.num_rows, read, path)
 
 
 def open_ipc(data: bytes, path: Path) -> Table:
@@ -62,151 +59,76 @@ def open_ipc(data: bytes, path: Path) -> Table:
     reader = arrow_reader(data)
     try:
         opener = pa.ipc.open_file if data[:6] == b"ARROW1" else pa.ipc.open_stream
-        content = opener(reader).read_all()
+        content = _flat(opener(reader).read_all())
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         raise damaged("an Arrow or Feather file", error, path) from error
-    return arrow_table(content.schema, content, content.select, path)
+    return _arrow_table(content, len(content), lambda name: content.select([name]), path)
 
 
-def arrow_table(
-    schema: Any, first: Any, read_fields: Callable[[Sequence[str]], Any], path: Path
-) -> Table:
-    """Make a table of the fields of an Arrow schema.
+def _arrow_table(first: Any, n_rows: int, read: Callable[[str], Any], path: Path) -> Table:
+    """Make a table of the columns of an Arrow table, and of the members of its structs.
 
-    `first` holds at least the first row of the lists, whose lengths name the columns; `read_fields`
-    returns an Arrow table of fields by name.
+    `first` holds at least the first row, whose texts and lists decide; `read` returns an Arrow
+    table of one column.
     """
-    columns: dict[str, _Column] = {}
-    omitted: dict[str, str] = {}
-    for field in schema:
-        values = first[field.name] if first is not None and _has_list(field.type) else None
-        _collect(field.name, field.type, values, (field.name,), columns, omitted)
-    names = list(schema.names)
-    for index, name in enumerate(names):
-        if name in names[:index]:
-            raise InvalidInput(
-                f"there are two columns named {name!r}", where=str(path), remedy="rename one"
-            )
+    arrays = Arrays()
+    first = _flat(first)
+    names = first.column_names
+    check_unique(names, str(path))
 
-    def read(column_names: Sequence[str]) -> dict[str, FloatArray]:
-        fields = list(dict.fromkeys(columns[name].path[0] for name in column_names))
-        content = read_fields(fields)
-        arrays: dict[tuple[Any, ...], FloatArray] = {}
-        result = {}
-        for name in column_names:
-            column = columns[name]
-            if column.path not in arrays:
-                arrays[column.path] = _values_at(content, column.path, f"{path}, column {name!r}")
-            array = arrays[column.path]
-            result[name] = array if column.element is None else array[:, column.element].copy()
-        return result
+    def load(name: str) -> FloatArray:
+        return _values(_flat(read(name))[name], f"{path}, column {name!r}")
 
-    clocks = {name: column.clock for name, column in columns.items() if column.clock}
-    return Table(path, list(columns), read, clocks=clocks, omitted=omitted)
-
-
-class _Column(NamedTuple):
-    path: tuple[str, ...]  # field and members of structs
-    element: int | None  # of a list
-    clock: Clock | None
+    for name in names:
+        kind, head = first[name].type, first[name][:1].drop_null().to_pylist()
+        shape: tuple[int, ...] = (n_rows,)
+        if _is(kind, "boolean"):
+            arrays.omitted[name] = "flags"
+        elif _is(kind, *_LISTS) and _is(kind.value_type, *_NUMBERS):
+            shape = (n_rows, len(head[0]) if head else 0)
+        elif _is(kind, *_TEXTS):
+            if clock := clock_of(head[0].strip()) if head else None:
+                arrays.clocks[name] = clock
+            else:
+                arrays.omitted[name] = "text"
+        elif clocks := [clock for each, clock in _CLOCKS.items() if _is(kind, each)]:
+            arrays.clocks[name] = clocks[0]
+        elif not _is(kind, *_NUMBERS):
+            arrays.omitted[name] = f"{str(kind).partition('<')[0]} values"
+        if name not in arrays.omitted:
+            arrays.sources[name] = Source(shape, np.dtype(float), partial(load, name))
+    return array_table(path, arrays, n_rows, "row")
 
 
-def _has_list(kind: Any) -> bool:
-    """Whether the names or the type of a field's columns depend on its values."""
-    import pyarrow as pa
-
-    if pa.types.is_struct(kind):
-        return any(_has_list(field.type) for field in kind)
-    return _is_list(kind) or _is_text(kind)
+_LISTS = ("list", "large_list", "fixed_size_list")  # Arrow's names of types
+_TEXTS = ("string", "large_string")
+_CLOCKS: dict[str, Clock] = {"timestamp": "datetime", "date": "date", "time": "time"}
+_NUMBERS = ("integer", "floating", "decimal", "duration")
 
 
-def _is_list(kind: Any) -> bool:
-    import pyarrow as pa
-
-    tests = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
-    return any(test(kind) for test in tests)
-
-
-def _is_text(kind: Any) -> bool:
+def _is(kind: Any, *names: str) -> bool:
     import pyarrow as pa
 
     if pa.types.is_dictionary(kind):
-        return _is_text(kind.value_type)
-    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
+        kind = kind.value_type
+    return any(getattr(pa.types, f"is_{name}")(kind) for name in names)
 
 
-def _is_number(kind: Any) -> bool:
-    import pyarrow as pa
-
-    types = pa.types
-    tests = (types.is_integer, types.is_floating, types.is_decimal, types.is_duration)
-    return any(test(kind) for test in tests)
-
-
-def _clock(kind: Any, values: Any) -> Clock | None:
-    import pyarrow as pa
-
-    if pa.types.is_timestamp(kind):
-        return "datetime"
-    if pa.types.is_date(kind):
-        return "date"
-    if pa.types.is_time(kind):
-        return "time"
-    texts = values.drop_null().to_pylist()[:1] if _is_text(kind) and values is not None else []
-    return clock_of(texts[0].strip()) if texts else None
+def _flat(content: Any) -> Any:
+    """Replace structs by their members."""
+    while any(_is(kind, "struct") for kind in content.schema.types):
+        content = content.flatten()
+    return content
 
 
-def _collect(
-    name: str,
-    kind: Any,
-    values: Any,
-    path: tuple[str, ...],
-    columns: dict[str, _Column],
-    omitted: dict[str, str],
-) -> None:
-    """Name the columns of a field; `values` are its first rows where its type needs them."""
-    import pyarrow as pa
-
-    clock = _clock(kind, values)
-    if pa.types.is_struct(kind):
-        for index, member in enumerate(kind):
-            inner = None if values is None else values.flatten()[index]
-            inner_path = (*path, member.name)
-            _collect(f"{name}.{member.name}", member.type, inner, inner_path, columns, omitted)
-    elif _is_list(kind) and _is_number(kind.value_type):
-        rows = [] if values is None else values.drop_null().to_pylist()
-        length = len(rows[0]) if rows else 0
-        if 0 < length <= MAX_LIST_COLUMNS:
-            columns |= {f"{name}[{k}]": _Column(path, k, None) for k in range(length)}
-        else:
-            omitted[name] = (
-                f"lists of more than {MAX_LIST_COLUMNS} values" if length else "no values"
-            )
-    elif clock or _is_number(kind):
-        columns[name] = _Column(path, None, clock)
-    elif pa.types.is_boolean(kind):
-        omitted[name] = "flags"
-    else:
-        omitted[name] = "text" if _is_text(kind) else f"{str(kind).partition('<')[0]} values"
-
-
-def _values_at(content: Any, path: tuple[str, ...], where: str) -> FloatArray:
+def _values(column: Any, where: str) -> FloatArray:
     """Read a column (n_samples,) or lists (n_samples, n)."""
-    column = content[path[0]]
-    for member in path[1:]:
-        column = column.flatten()[column.type.get_field_index(member)]
-    if _is_text(column.type):
-        texts = ["" if text is None else text.strip() for text in column.to_pylist()]
-        try:
-            return stamp_seconds(texts)
-        except ValueError as error:
-            row = int(error.args[0])
-            raise InvalidInput(
-                f"{texts[row][:40]!r} is not a date or time",
-                where=f"{where}, row {row + 1}",
-                remedy="correct the value",
-            ) from error
-    if not _is_list(column.type):
+    if _is(column.type, *_TEXTS):
+        return stamp_seconds(
+            [(text or "").strip() for text in column.to_pylist()],
+            lambda row: f"{where}, row {row + 1}",
+        )
+    if not _is(column.type, *_LISTS):
         return column_values(column)
     import pyarrow.compute as pc
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.io.logs.table import Clock
+from strainwave.errors import InvalidInput
+from strainwave.io.logs.tables import Clock
 
 _STAMP = re.compile(
     r"""(?:(?P<year>\d{4})[-/.](?P<month>\d{1,2})[-/.](?P<day>\d{1,2})
@@ -37,11 +38,11 @@ def clock_of(text: str) -> Clock | None:
     return "datetime" if has_date else "time"
 
 
-def stamp_seconds(texts: Sequence[str]) -> FloatArray:
+def stamp_seconds(texts: Sequence[str], place: Callable[[int], str]) -> FloatArray:
     """Convert time stamps of one column to seconds since 1970 UTC or since midnight.
 
     An empty text is NaN. Without a zone, the time is UTC. In 01/02/2024, the month is first unless
-    a row contradicts. Raises ValueError with the index of the first other text.
+    a row contradicts. Raises InvalidInput at the `place` of the first other text.
     """
     day_first = any(
         match["first"] and (match["mark"] != "/" or int(match["first"]) > 12)
@@ -52,19 +53,26 @@ def stamp_seconds(texts: Sequence[str]) -> FloatArray:
     minutes: dict[str, float] = {}  # text up to the minute -> seconds
     for index, text in enumerate(texts):
         head, _, tail = text.rpartition(":")
-        if head[-3:-2] == ":" and head.count(":") == 1 and _SECONDS.fullmatch(tail):
-            if head not in minutes:
-                minutes[head] = _seconds(head + ":00", day_first, index)
-            seconds[index] = minutes[head] + float(tail.rstrip("Z").replace(",", "."))
-        elif text:
-            seconds[index] = _seconds(text, day_first, index)
+        try:
+            if head[-3:-2] == ":" and head.count(":") == 1 and _SECONDS.fullmatch(tail):
+                if head not in minutes:
+                    minutes[head] = _seconds(head + ":00", day_first)
+                seconds[index] = minutes[head] + float(tail.rstrip("Z").replace(",", "."))
+            elif text:
+                seconds[index] = _seconds(text, day_first)
+        except ValueError as error:
+            raise InvalidInput(
+                f"{text[:40]!r} is not a date or time",
+                where=place(index),
+                remedy="correct the value",
+            ) from error
     return seconds
 
 
-def _seconds(text: str, day_first: bool, index: int) -> float:
-    match = _STAMP.fullmatch(text) if text else None
+def _seconds(text: str, day_first: bool) -> float:
+    match = _STAMP.fullmatch(text)
     if match is None or clock_of(text) is None:
-        raise ValueError(index)
+        raise ValueError(text)
     seconds = 0.0
     if match["hour"]:
         hour = int(match["hour"])
@@ -77,22 +85,16 @@ def _seconds(text: str, day_first: bool, index: int) -> float:
             shift = 3600.0 * int(zone[1:3]) + 60.0 * int(zone[-2:])
             seconds -= shift if zone[0] == "+" else -shift
     if match["year"]:
-        date = (match["year"], match["month"], match["day"])
+        date = match["year"], match["month"], match["day"]
     elif match["last"]:
         first, second = match["first"], match["second"]
         date = (match["last"], second, first) if day_first else (match["last"], first, second)
     elif match["after"]:
-        word = match["word"].lower()
-        date = (
-            match["after"],
-            str(_MONTHS.index(word) + 1 if word in _MONTHS else 0),
-            match["number"],
-        )
+        month = _MONTHS.index(match["word"].lower()) + 1
+        date = match["after"], str(month), match["number"]
     else:
         return seconds
-    year, month, day = (int(part) for part in date)
-    try:
-        midnight = datetime(year + (2000 if year < 100 else 0), month, day, tzinfo=UTC)
-    except ValueError:
-        raise ValueError(index) from None
-    return midnight.timestamp() + seconds
+    year, month, day = map(int, date)
+    return (
+        datetime(year + (2000 if year < 100 else 0), month, day, tzinfo=UTC).timestamp() + seconds
+    )

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -90,12 +89,11 @@ def resample_tracks(
     return grid, columns, warnings
 
 
-def _check_values(track: Track, inside: slice, path: Path) -> None:
+def _check_values(track: Track, path: Path) -> None:
     for name, values in track.columns.items():
-        row = find_invalid_value(values[inside])
+        row = find_invalid_value(values)
         if row is not None:
-            row += inside.start
-            if np.isnan(values[inside]).all():
+            if np.isnan(values).all():
                 raise InvalidInput(
                     f"the column {name!r} has no values",
                     where=str(path),
@@ -120,51 +118,52 @@ def check_time(track: Track, path: Path) -> None:
         )
 
 
-def _too_few(rows: int, path: Path, source: str) -> InvalidInput:
-    return InvalidInput(
-        f"{source} has {rows} row(s); at least {MIN_SAMPLES} are required",
-        where=str(path),
-        remedy="record a longer experiment, or widen start and stop",
-    )
-
-
 def _window(
     track: Track, command_columns: Collection[str], experiment: Experiment, path: Path
 ) -> Track:
     """Return the samples between start and stop; for a command, also the last before start."""
     of = f" of {track.name}" if track.name else ""
-    commanded = track.has_only(command_columns)
     time = track.time
-    if len(time) < MIN_SAMPLES and not commanded:
-        raise _too_few(len(time), path, track.name or "the log")
-    start = -np.inf if experiment.start is None else experiment.start
-    stop = np.inf if experiment.stop is None else experiment.stop
-    first, last = np.searchsorted(time, [start, stop + 1e-12 * abs(stop)])
-    inside = slice(max(int(first) - 1, 0) if commanded else int(first), int(last))
-    if len(time[inside]) == 0:
+    start, stop = window_of(experiment)
+    inside = cut_between(track, start, stop, command_columns)
+    if len(time) and not len(inside.time):
         raise InvalidInput(
             f"no sample{of} is in the window from {start:g} to {stop:g} s: the log extends from "
             f"{time[0]:g} to {time[-1]:g} s",
             where=str(path),
             remedy=f"correct start and stop of experiment {experiment.name!r}",
         )
-    if len(time[inside]) < MIN_SAMPLES and not commanded:
-        raise _too_few(len(time[inside]), path, f"the window{of}")
-    _check_values(track, inside, path)
-    return cut(track, inside)
+    if len(inside.time) < MIN_SAMPLES and not track.has_only(command_columns):
+        source = f"the window{of}" if len(time) >= MIN_SAMPLES else track.name or "the log"
+        raise InvalidInput(
+            f"{source} has {len(inside.time)} row(s); at least {MIN_SAMPLES} are required",
+            where=str(path),
+            remedy="record a longer experiment, or widen start and stop",
+        )
+    _check_values(inside, path)
+    return inside
+
+
+def window_of(experiment: Experiment) -> tuple[float, float]:
+    """Start and stop of an experiment [s]; infinite if not given."""
+    start = -np.inf if experiment.start is None else experiment.start
+    return start, np.inf if experiment.stop is None else experiment.stop
+
+
+def cut_between(track: Track, start: float, stop: float, commands: Collection[str]) -> Track:
+    """Samples from start to stop; of a command also the last one before."""
+    first = int(np.searchsorted(track.time, start))
+    if track.has_only(commands):
+        first = max(first - 1, 0)
+    last = np.searchsorted(track.time, stop + 1e-12 * abs(stop), side="right")
+    return cut(track, slice(first, int(last)))
 
 
 def cut(track: Track, rows: slice | BoolArray) -> Track:
     """Some rows of a track."""
     columns = {name: values[rows] for name, values in track.columns.items()}
-    row_name = partial(_row_name, track.row_name, len(track.time), rows)
-    return replace(track, time=track.time[rows], columns=columns, row_name=row_name)
-
-
-def _row_name(
-    row_name: Callable[[int], str], n_rows: int, rows: slice | BoolArray, row: int
-) -> str:
-    return row_name(int(np.arange(n_rows)[rows][row]))
+    index, row_name = np.arange(len(track.time))[rows], track.row_name
+    return Track(track.name, track.time[rows], columns, lambda k: row_name(int(index[k])))
 
 
 def find_gaps(time: FloatArray) -> IntArray:

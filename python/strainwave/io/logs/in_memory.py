@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from strainwave.errors import InvalidInput
-from strainwave.io.logs.table import Table
+from strainwave.io.logs.tables import Table, check_unique
 
 Data = Mapping[str, Any]
 """Name of an experiment -> its log: a table in memory, or the path of a file."""
@@ -22,7 +19,7 @@ def open_memory_table(data: Any, where: str) -> Table:
     `where` is the name for messages. Float64 columns are not copied. Raises InvalidInput if `data`
     is not a table or contains no numbers.
     """
-    from strainwave.io.logs.arrays import array_table, sources_of
+    from strainwave.io.logs.arrays import Arrays, array_table
 
     names = _names(data)
     if names is None:
@@ -31,28 +28,16 @@ def open_memory_table(data: Any, where: str) -> Table:
             where=where,
             remedy="pass a pandas, polars or Arrow table, a dictionary of arrays, or a path",
         )
-    for index, name in enumerate(names):
-        if not isinstance(name, str) or name in names[:index]:
-            problem = "is not a string" if not isinstance(name, str) else "occurs twice"
+    for name in names:
+        if not isinstance(name, str):
             raise InvalidInput(
-                f"the column name {name!r} {problem}", where=where, remedy="rename the column"
+                f"the column name {name!r} is not a string", where=where, remedy="rename the column"
             )
-
-    arrays = {name: _array(data[name]) for name in names}
-    return replace(
-        array_table(Path(where), sources_of(arrays), {}), row_name=lambda row: f"row {row + 1}"
-    )
-
-
-def _array(column: Any) -> np.ndarray[Any, Any]:
-    """Convert a column, which may contain one list or array per row."""
-    try:
-        array = np.asarray(column)
-        if array.dtype == object and len(array) and not isinstance(array[0], str):
-            return np.array([np.asarray(each, dtype=float) for each in array])
-    except (TypeError, ValueError):
-        return np.empty(0, dtype=object)
-    return array
+    check_unique(names, where)
+    arrays = Arrays()
+    for name in names:
+        arrays.add(name, data[name])
+    return array_table(Path(where), arrays, row="row")
 
 
 def _names(data: Any) -> list[Any] | None:

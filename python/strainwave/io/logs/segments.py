@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from strainwave.domain import Diagnostic, Experiment, Place
-from strainwave.io.logs.clocks import MIN_SAMPLES, Track, check_time, cut, find_gaps
+from strainwave.io.logs.clocks import (
+    MIN_SAMPLES,
+    Track,
+    check_time,
+    cut_between,
+    find_gaps,
+    window_of,
+)
 from strainwave.io.logs.stamps import continue_time, drop_repeats
 from strainwave.io.logs.updates import Roles, drop_missing, separate_slow_columns
 
@@ -29,32 +36,13 @@ def segment_table(
     track, warnings = drop_repeats(track, path)
     n_back = int(np.count_nonzero(np.diff(track.time) < 0.0))
     track = replace(track, time=continue_time(track.time))
-    start = -np.inf if experiment.start is None else experiment.start
-    stop = np.inf if experiment.stop is None else experiment.stop
-    first, last = np.searchsorted(track.time, [start, stop + 1e-12 * abs(stop)])
-    if last - first < MIN_SAMPLES:
+    inside = cut_between(track, *window_of(experiment), ())
+    if len(inside.time) < MIN_SAMPLES:
         return [[track]], warnings  # rejected with the window's message
-    track = cut(track, slice(int(first), int(last)))
-    (track,), missing = drop_long_gaps([track], roles, path)
+    (track,), missing = drop_missing([inside], roles, path)
     tracks, slow = separate_slow_columns(track, roles, path.name)
     segments, split = segment_tracks(tracks, roles, experiment, path, n_back)
     return segments, [*warnings, *missing, *slow, *split]
-
-
-def drop_long_gaps(
-    tracks: Sequence[Track], roles: Roles, path: Path
-) -> tuple[list[Track], list[Diagnostic]]:
-    """Drop the rows in which a column has no value for long, and warn of missing values."""
-    complete, missing = [], dict[str, int]()
-    for track in tracks:
-        rest, counts = drop_missing(track, roles.commands)
-        complete.append(rest)
-        missing |= counts
-    if not missing:
-        return complete, []
-    names, count = ", ".join(missing), sum(missing.values())
-    place = Place(file=path.name)
-    return complete, [Diagnostic("missing-values", place, columns=names, count=count)]
 
 
 def segment_tracks(
@@ -82,9 +70,8 @@ def segment_tracks(
         ]
     if len(spans) == 1:
         return [tracks], []
-    low = -np.inf if experiment.start is None else experiment.start
-    high = np.inf if experiment.stop is None else experiment.stop
-    parts = [[_between(track, *span, roles.commands) for track in tracks] for span in spans]
+    low, high = window_of(experiment)
+    parts = [[cut_between(track, *span, roles.commands) for track in tracks] for span in spans]
     sizes = []
     for part in parts:
         measured = [track.time for track in part if not track.has_only(roles.commands)]
@@ -103,11 +90,3 @@ def segment_tracks(
         n_rows=len(tracks[0].time) - sum(len(part[0].time) for part in segments),
     )
     return segments, [warning]
-
-
-def _between(track: Track, start: float, stop: float, commands: Collection[str]) -> Track:
-    """Samples from start to stop; of a command also the last one before."""
-    first = int(np.searchsorted(track.time, start))
-    if track.has_only(commands):
-        first = max(first - 1, 0)
-    return cut(track, slice(first, int(np.searchsorted(track.time, stop, side="right"))))

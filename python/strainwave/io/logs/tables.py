@@ -1,4 +1,4 @@
-"""Open a log file of any supported type, and write tables of float64 columns."""
+"""The columns of a log file, read on demand; open files of any supported type, and write tables."""
 
 from __future__ import annotations
 
@@ -6,37 +6,110 @@ import gzip
 import io
 import stat
 import sys
-import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.errors import InvalidInput
+from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.atomic_files import read_bytes, write_whole
-from strainwave.io.logs.table import (
-    MAX_MAGNITUDE,
-    Clock,
-    Table,
-    check_unpacked_size,
-    find_invalid_value,
-)
 
-__all__ = [
-    "MAX_MAGNITUDE",
-    "TABLE_SUFFIXES",
-    "Clock",
-    "Table",
-    "find_invalid_value",
-    "open_table",
-    "release_reader_memory",
-    "write_table",
-]
-
+Clock = Literal["datetime", "date", "time"]
+"""Type of a column of time stamps: seconds since 1970 UTC, or since midnight for "time"."""
+MAX_MAGNITUDE = 1e60
+"""Largest valid magnitude in any unit; sums of squares of smaller numbers do not overflow."""
+MAX_UNPACKED_BYTES = 1 << 31
+"""[bytes] Largest unpacked size of a compressed log: 20 channels for 3 h at 1 kHz."""
+_MAX_NAMES = 20  # names in a message
 _CHUNK_BYTES = 1 << 24  # [bytes] that are unpacked at a time
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Columns of a file by name, read on demand.
+
+    `read` maps names to arrays (n_samples,), with NaN for a missing value; `row_name` maps the
+    index of a sample, from 0, to its location for messages.
+    """
+
+    path: Path  # or name of a table in memory, for messages
+    names: Sequence[str]
+    read: Callable[[Sequence[str]], dict[str, FloatArray]]
+    row_name: Callable[[int], str] = lambda row: f"row {row + 1}"
+    units: Mapping[str, str] = field(default_factory=dict)  # from a row of units: name -> unit
+    clocks: Mapping[str, Clock] = field(default_factory=dict)  # columns of time stamps
+    omitted: Mapping[str, str] = field(default_factory=dict)  # unusable column -> its content
+    assumptions: Sequence[str] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the reader assumed, and the columns that it leaves out."""
+        by_content: dict[str, list[str]] = {}
+        for name, content in self.omitted.items():
+            by_content.setdefault(content, []).append(name)
+        return (
+            *self.assumptions,
+            *(f"left out, because of {what}: {_list(names)}" for what, names in by_content.items()),
+        )
+
+    def missing_column_error(
+        self, column: str, what: str, used: Collection[str] = ()
+    ) -> InvalidInput:
+        """The error for a missing column; `what` states its purpose, `used` are other channels'."""
+        if column in self.omitted:
+            return InvalidInput(
+                f"the column '{column}', {what}, is not usable: {self.omitted[column]}",
+                where=str(self.path),
+                remedy="store one number per sample, or map another column in [channels]",
+            )
+        available = _list(self.names)
+        available += suggest_name(column, [name for name in self.names if name not in used])
+        return InvalidInput(
+            f"there is no column '{column}', {what}",
+            where=str(self.path),
+            remedy=f"map it in [channels] of the study; the file has: {available}",
+        )
+
+
+def _list(names: Sequence[str]) -> str:
+    return ", ".join(names[:_MAX_NAMES]) + (", ..." if len(names) > _MAX_NAMES else "")
+
+
+def damaged(
+    kind: str, error: Exception, path: Path, remedy: str = "write it again"
+) -> InvalidInput:
+    """The error for a file that its reader rejects."""
+    cause = (str(error) or type(error).__name__).partition("\n")[0][:100]
+    return InvalidInput(f"is not {kind}, or is damaged ({cause})", where=str(path), remedy=remedy)
+
+
+def check_unpacked_size(size: float, path: Path) -> None:
+    """Raise InvalidInput if a log of this unpacked size [bytes] exceeds the limit."""
+    if size > MAX_UNPACKED_BYTES:
+        raise InvalidInput(
+            f"unpacks to more than {MAX_UNPACKED_BYTES >> 20} MiB, the limit of a log",
+            where=str(path),
+            remedy="split the log, or store fewer columns",
+        )
+
+
+def find_invalid_value(values: FloatArray) -> int | None:
+    """Return the index of the first NaN, infinity or value of at least LARGEST, or None."""
+    is_valid = np.abs(values) < MAX_MAGNITUDE
+    return None if is_valid.all() else int(np.argmin(is_valid))
+
+
+def check_unique(names: Sequence[str], where: str) -> None:
+    """Raise InvalidInput if two columns have the same name."""
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise InvalidInput(
+                f"there are two columns named {name!r}", where=where, remedy="rename one of them"
+            )
 
 
 def open_table(path: Path) -> Table:
@@ -46,14 +119,23 @@ def open_table(path: Path) -> Table:
     match its suffix, or exceeds the limit of the unpacked size.
     """
     name = path.name.lower()
-    packing = next((suffix for suffix in _UNPACKERS if name.endswith(suffix)), "")
+    packing = next((suffix for suffix in _PACKINGS if name.endswith(suffix)), "")
     suffix = Path(name.removesuffix(packing)).suffix
     if suffix not in _OPENERS:
-        raise _unknown_type(path, suffix)
-    _check_regular(path)
+        remedy = f"use a file whose name ends in {', '.join(_OPENERS)}, or a bag"
+        remedy = "save the sheet as CSV" if suffix in _SPREADSHEETS else remedy
+        raise InvalidInput("has an unknown file type", where=str(path), remedy=remedy)
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):
+        mode = stat.S_IFREG  # `read_bytes` reports the fault
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # pipes and devices may never end
+        raise InvalidInput(
+            "is not a regular file", where=str(path), remedy="copy the log to a file on a disk"
+        )
     data = read_bytes(path, "the log")
     if packing:
-        data = _unpack(_UNPACKERS[packing], data, path, packing[1:])
+        data = _unpack(data, path, _PACKINGS[packing])
     module, function = _OPENERS[suffix]
     opener: Callable[[bytes, Path], Table] = getattr(
         import_module(f"strainwave.io.logs.{module}"), function
@@ -61,51 +143,24 @@ def open_table(path: Path) -> Table:
     return opener(data, path)
 
 
-def _unknown_type(path: Path, suffix: str) -> InvalidInput:
-    remedy = f"use a file whose name ends in {', '.join(_OPENERS)}, or a bag"
-    if suffix in _SPREADSHEETS:
-        remedy = "save the sheet as CSV"
-    return InvalidInput("has an unknown file type", where=str(path), remedy=remedy)
+def _unpack(data: bytes, path: Path, kind: str) -> bytes:
+    import pyarrow as pa
 
-
-def _check_regular(path: Path) -> None:
-    """Refuse pipes and devices, which may never end; `read_bytes` reports other faults."""
-    try:
-        mode = path.stat().st_mode
-    except (OSError, ValueError):
-        return
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        raise InvalidInput(
-            "is not a regular file", where=str(path), remedy="copy the log to a file on a disk"
-        )
-
-
-def _unpack(open_stream: Callable[[bytes], Any], data: bytes, path: Path, kind: str) -> bytes:
     chunks = []
     size = 0
     try:
-        with open_stream(data) as stream:
+        with pa.CompressedInputStream(pa.BufferReader(data), kind) as stream:
             while chunk := stream.read(_CHUNK_BYTES):
                 size += len(chunk)
                 check_unpacked_size(size, path)
                 chunks.append(chunk)
-    except (OSError, EOFError, zlib.error) as error:
+    except (OSError, pa.ArrowException) as error:
         raise InvalidInput(
             f"cannot be unpacked ({error})",
             where=str(path),
             remedy=f"the file is not a {kind} file or is truncated; copy it again",
         ) from error
     return b"".join(chunks)
-
-
-def _open_gzip(data: bytes) -> Any:
-    return gzip.GzipFile(fileobj=io.BytesIO(data))
-
-
-def _open_zstd(data: bytes) -> Any:
-    import pyarrow as pa
-
-    return pa.CompressedInputStream(pa.BufferReader(data), "zstd")
 
 
 def write_table(path: Path, columns: Mapping[str, FloatArray]) -> None:
@@ -147,14 +202,14 @@ _OPENERS = {  # suffix -> module and function, imported on use
     ".mat": ("array_files", "open_mat"),
     ".h5": ("array_files", "open_hdf5"),
     ".hdf5": ("array_files", "open_hdf5"),
-    ".npz": ("array_files", "open_npz"),
-    ".npy": ("array_files", "open_npy"),
+    ".npz": ("array_files", "open_numpy"),
+    ".npy": ("array_files", "open_numpy"),
     ".json": ("array_files", "open_json"),
     ".jsonl": ("array_files", "open_json_lines"),
     ".ndjson": ("array_files", "open_json_lines"),
 }
-_UNPACKERS: dict[str, Callable[[bytes], Any]] = {".gz": _open_gzip, ".zst": _open_zstd}
+_PACKINGS = {".gz": "gzip", ".zst": "zstd"}  # suffix -> name in Arrow
 _SPREADSHEETS = (".xlsx", ".xls", ".xlsm", ".ods")
 
-TABLE_SUFFIXES = tuple(suffix + packing for suffix in _OPENERS for packing in ("", *_UNPACKERS))
+TABLE_SUFFIXES = tuple(suffix + packing for suffix in _OPENERS for packing in ("", *_PACKINGS))
 """Suffixes of tables."""

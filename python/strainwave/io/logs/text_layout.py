@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.clock_text import clock_of
-from strainwave.io.logs.table import Clock
+from strainwave.io.logs.tables import Clock, check_unique
 
 DELIMITERS = ("\t", ";", ",", "|", " ")
 """Delimiters of columns; the one that gives the most numbers applies, the first of similar ones."""
@@ -24,21 +24,8 @@ _NUMBER = re.compile(
     r"[+-]?(?:(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:[eE][+-]?\d+)?|inf(?:inity)?)", re.I
 )
 _SEVERAL = re.compile(r"[-+.\d]+[;,|\s]+[-+.\d]")
-MISSING: tuple[str, ...] = (
-    "",
-    "nan",
-    "NaN",
-    "NAN",
-    "-nan",
-    "NA",
-    "N/A",
-    "n/a",
-    "#N/A",
-    "null",
-    "NULL",
-    "None",
-)
-MISSING += ("-nan(ind)", "-1.#IND", "1.#QNAN", "---", "--", "-")
+MISSING: tuple[str, ...] = ("", "nan", "NaN", "NAN", "-nan", "-nan(ind)", "-1.#IND", "1.#QNAN")
+MISSING += ("NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "---", "--", "-")
 _FLAGS = frozenset({"true", "false", "on", "off", "yes", "no"})
 _MAX_UNIT = 24  # characters of a unit
 _COMMENT = re.compile(r"\s*(?:#+\s*|//\s*|%\s+)")
@@ -52,7 +39,7 @@ _UNIT_WORD = (
 _UNIT = (
     rf"(?:1/)?{_UNIT_WORD}(?:\s?[*·./^ -]?\s?(?:{_UNIT_WORD}|\^?-?[23²³]))*|[-1]"  # compiled on use
 )
-_BRACKETED = re.compile(r"[\[(<](.*)[\])>]")
+_BRACKETED = re.compile(r"^[\[(<](.*)[\])>]$")
 CellKind = Clock | Literal["number", "text", "flag", "empty"]
 
 
@@ -224,21 +211,38 @@ class _Line(NamedTuple):
 
 def read_header(layout: Layout, path: Path) -> Header:
     """Find the names and units of the columns in the lines above the first row."""
-    rows, units, notes = _header_rows(layout, path), dict[int, str](), list[str]()
+    units, notes, names = dict[int, str](), list[str](), list[str]()
     for line in layout.head:
-        cells = _fit(line, layout, shorter=True)
-        if cells and _UNIT_KEYS.fullmatch(cells[0]) and len(layout.kinds) > 1:
-            units = {k: cell for k, cell in enumerate(cells) if k and cell}
-    names, pairs_units = _names_of_pairs(rows, layout)
-    if names:
-        return Header(_complete(names, layout), pairs_units, notes)
+        cells = _fit(line, layout, shorter=True) or [""]
+        keys = cells[: layout.width : 2]
+        if _UNIT_KEYS.fullmatch(cells[0]) and len(layout.kinds) > 1:
+            units = {k: cell for k, cell in enumerate(cells) if cell and cell != cells[0]}
+        elif cells[0].casefold() == "name" and len(keys) > 1 and len(set(keys)) == 1:
+            # pairs of time and value, each below a key, of a TwinCAT scope
+            names = [c if k % 2 or not c else f"{cells[k + 1]}.time" for k, c in enumerate(cells)]
+            names[0] = "time"
+    if not names:
+        names, unit_row = _names_of(layout, path, notes)
+        units |= unit_row
+    names = [
+        name or ("" if kind == "empty" else f"data[{k}]")
+        for k, (name, kind) in enumerate(zip(names, layout.kinds, strict=True))
+    ]
+    return Header(names, units, notes)
+
+
+def _names_of(layout: Layout, path: Path, notes: list[str]) -> tuple[list[str], dict[int, str]]:
+    """Return the names of the columns, empty if they have none, and the units of a row of units."""
+    rows, units = _header_rows(layout, path), dict[int, str]()
     if len(rows) > 1 and _is_unit_row(rows[0], layout) and _is_name_row(rows[1], layout):
-        units = {k: unit for k, cell in enumerate(rows[0].cells) if (unit := _unbracketed(cell))}
+        for k, cell in enumerate(rows[0].cells):
+            if unit := _BRACKETED.sub(r"\1", cell).strip():
+                units[k] = unit
         notes.append(f"line {rows[0].number} is read as the units")
         rows = rows[1:]
     if not rows:
         notes.append("there is no header; the columns are data[0], data[1], ...")
-        return Header(_complete([""] * len(layout.kinds), layout), units, notes)
+        return [""] * len(layout.kinds), units
     names = list(rows[0].cells)
     counts = Counter(names)
     if len(rows) > 1 and any(counts[name] > 1 for name in names if name):
@@ -247,8 +251,8 @@ def read_header(layout: Layout, path: Path) -> Header:
             group = upper or group  # a merged cell
             if counts[names[index]] > 1 and names[index]:
                 names[index] = f"{group} {names[index]}".strip()
-    _check_unique(names, f"{path}, line {rows[0].number}")
-    return Header(_complete(names, layout), units, notes)
+    check_unique(list(filter(None, names)), f"{path}, line {rows[0].number}")
+    return names, units
 
 
 def _header_rows(layout: Layout, path: Path) -> list[_Line]:
@@ -274,7 +278,7 @@ def _header_rows(layout: Layout, path: Path) -> list[_Line]:
                     remedy="correct this line: one name for each column",
                 )
             break
-    while rows and not _is_name_row(rows[0], layout) and not _is_pair_row(rows[0], layout):
+    while rows and not _is_name_row(rows[0], layout):
         if len(rows) > 1 and _is_unit_row(rows[0], layout):
             break
         number, cells = rows.pop(0)
@@ -328,50 +332,8 @@ def _is_name_row(row: _Line, layout: Layout) -> bool:
 
 def _is_unit_row(row: _Line, layout: Layout) -> bool:
     cells = [cell for cell in _used(row, layout) if cell]
-    units = [c for c in cells if re.fullmatch(_UNIT, c) or _BRACKETED.fullmatch(c)]
+    units = [c for c in cells if re.fullmatch(_UNIT, c) or _BRACKETED.match(c)]
     return bool(cells) and 2 * len(units) >= len(cells) and max(map(len, cells)) <= _MAX_UNIT
-
-
-def _unbracketed(cell: str) -> str:
-    match = _BRACKETED.fullmatch(cell)
-    return (match[1] if match else cell).strip()
-
-
-def _is_pair_row(row: _Line, layout: Layout) -> bool:
-    """Whether every other cell is the same key, as in the head of a TwinCAT scope."""
-    return layout.width > 3 and len(set(row.cells[0 : layout.width : 2])) == 1
-
-
-def _names_of_pairs(rows: Sequence[_Line], layout: Layout) -> tuple[list[str], dict[int, str]]:
-    """Names and units of columns in pairs of time and value, each below a key; else nothing."""
-    if not rows or not _is_pair_row(rows[0], layout):
-        return [], {}
-    values = {row.cells[0].casefold(): row.cells for row in rows if _is_pair_row(row, layout)}
-    names = values.get("name")
-    if names is None:
-        return [], {}
-    names = [
-        name if k % 2 else f"{names[k + 1]}.time" if k else "time"
-        for k, name in enumerate(names[: layout.width])
-    ]
-    units = {k: unit for k, unit in enumerate(values.get("unit", ())) if k % 2 and unit}
-    return names + [""] * (len(layout.kinds) - len(names)), units
-
-
-def _complete(names: Sequence[str], layout: Layout) -> list[str]:
-    """Name the columns of values that have no name by their number."""
-    return [
-        name or ("" if kind == "empty" else f"data[{k}]")
-        for k, (name, kind) in enumerate(zip(names, layout.kinds, strict=True))
-    ]
-
-
-def _check_unique(names: Sequence[str], where: str) -> None:
-    for index, name in enumerate(names):
-        if name and name in names[:index]:
-            raise InvalidInput(
-                f"there are two columns named {name!r}", where=where, remedy="rename one of them"
-            )
 
 
 def check_number(text: str, decimal: str, where: str) -> float:

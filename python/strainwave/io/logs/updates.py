@@ -6,8 +6,10 @@ from several sources has empty cells in between. Both are reduced to their updat
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,8 +43,7 @@ class Roles:
     covariates: Collection[str] = ()  # slow by nature
 
 
-@dataclass(frozen=True, slots=True)
-class _Source:
+class _Source(NamedTuple):
     """Columns with common updates."""
 
     names: list[str]
@@ -57,13 +58,11 @@ def separate_slow_columns(
 
     Commands are held by nature and excluded.
     """
-    measured = [name for name in track.columns if name not in roles.commands]
     sources: list[_Source] = []
     fast: list[str] = []
-    for name in measured:
-        values = track.columns[name]
+    for name, values in track.columns.items():
         valid = ~np.isnan(values)
-        if not valid.any():
+        if name in roles.commands or not valid.any():
             continue
         is_held = bool(valid.all())
         updates: BoolArray | None = None
@@ -156,30 +155,38 @@ def _merge(sources: list[_Source]) -> list[_Source]:
                 break
         else:
             merged.append(each)
-    return [replace(s, updates=_with_rest(s.updates)) if s.is_held else s for s in merged]
+    return [s._replace(updates=_with_rest(s.updates)) if s.is_held else s for s in merged]
 
 
-def drop_missing(track: Track, command_columns: Collection[str]) -> tuple[Track, dict[str, int]]:
-    """Drop the rows in which a column has no value for long; returns the missing values by column.
+def drop_missing(
+    tracks: Sequence[Track], roles: Roles, path: Path
+) -> tuple[list[Track], list[Diagnostic]]:
+    """Drop the rows in which a column has no value for long, and warn of missing values.
 
     A column that begins late or ends early narrows the record. A command keeps its last value.
     """
-    missing: dict[str, int] = {}
-    keep = np.ones(len(track.time), dtype=bool)
-    for name, values in track.columns.items():
-        empty = np.isnan(values)
-        if not empty.any() or empty.all():
-            continue
-        rows = np.flatnonzero(~empty)
-        keep[: rows[0]] = False
-        if name in command_columns:
-            continue
-        missing[name] = len(values) - len(rows)
-        keep[rows[-1] + 1 :] = False
-        runs = np.diff(rows)
-        for k in np.flatnonzero(runs > MAX_GAP_PERIODS * float(np.median(runs))):
-            keep[rows[k] + 1 : rows[k + 1]] = False
-    return (track if keep.all() else cut(track, keep)), missing
+    complete, missing = [], dict[str, int]()
+    for track in tracks:
+        keep = np.ones(len(track.time), dtype=bool)
+        for name, values in track.columns.items():
+            rows = np.flatnonzero(~np.isnan(values))
+            if len(rows) in (0, len(values)):
+                continue
+            keep[: rows[0]] = False
+            if name in roles.commands:
+                continue
+            missing[name] = len(values) - len(rows)
+            keep[rows[-1] + 1 :] = False
+            runs = np.diff(rows)
+            for k in np.flatnonzero(runs > MAX_GAP_PERIODS * float(np.median(runs))):
+                keep[rows[k] + 1 : rows[k + 1]] = False
+        complete.append(track if keep.all() else cut(track, keep))
+    if not missing:
+        return complete, []
+    names, count = ", ".join(missing), sum(missing.values())
+    return complete, [
+        Diagnostic("missing-values", Place(file=path.name), columns=names, count=count)
+    ]
 
 
 def fill_missing(
@@ -188,14 +195,13 @@ def fill_missing(
     """Interpolate single missing values, and hold those of commands; returns what was filled."""
     columns, filled = dict(track.columns), {}
     for name, values in track.columns.items():
-        empty = np.isnan(values)
-        if not empty.any() or empty.all():
+        rows = np.flatnonzero(~np.isnan(values))
+        if len(rows) in (0, len(values)):
             continue
-        rows = np.flatnonzero(~empty)
         if name in command_columns:
             last = np.maximum(np.searchsorted(rows, np.arange(len(values)), side="right") - 1, 0)
             columns[name] = values[rows[last]]
         else:
             columns[name] = np.interp(track.time, track.time[rows], values[rows])
-            filled[name] = empty
+            filled[name] = np.isnan(values)
     return replace(track, columns=columns), filled
