@@ -116,11 +116,11 @@ def test_invalid_tables_are_refused() -> None:
         sw.identify(STUDY, data={first: data[first] | {"u1_counts": np.ones(3)}}, stages=("rigid",))
     with pytest.raises(sw.InvalidInput, match="the study has no experiment 'another'"):
         sw.identify(STUDY, data={"another": data[first]})
-    with_nan = data[first] | {
-        "u1_counts": np.where(np.arange(len(data[first]["u1_counts"])) == 7, np.nan, 1.0)
+    with_infinity = data[first] | {
+        "u1_counts": np.where(np.arange(len(data[first]["u1_counts"])) == 7, np.inf, 1.0)
     }
     with pytest.raises(sw.InvalidInput, match=rf"data\['{first}'\].*row 8"):
-        sw.identify(STUDY, data={first: with_nan}, stages=("rigid",))
+        sw.identify(STUDY, data={first: with_infinity}, stages=("rigid",))
     with pytest.raises(sw.InvalidInput, match="two columns named"):
         sw.identify(STUDY, data={first: pa.table([[1.0], [2.0]], names=["t", "t"])})
 

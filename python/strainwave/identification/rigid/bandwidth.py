@@ -91,8 +91,9 @@ def select_bandwidth(trials: Sequence[Trial]) -> Trial:
     is_rigid = not n_compliances(trials[0].arm)
     spread = np.array([trial.spread for trial in trials])
     for k, trial in enumerate(trials if is_rigid else ()):
-        below = [t for t in neighbours(trials, trial) if t.bandwidth_hz < trial.bandwidth_hz]
-        others = [(t.solution, np.diag(t.covariance)) for t in below]
+        near = neighbours(trials, trial)
+        below = [t for t in near if t.bandwidth_hz < trial.bandwidth_hz]
+        others = [(t.solution, np.diag(t.covariance)) for t in below or near]
         excess = excess_variance(trial.solution, others)
         spread[k] = 0.5 * np.log(np.exp(2.0 * spread[k]) + excess)
     least_spread = spread.min(axis=0)

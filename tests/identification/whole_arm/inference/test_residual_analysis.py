@@ -145,8 +145,8 @@ def test_sizes_without_sign_are_not_negative(
     np.testing.assert_allclose(least_squares(columns, target, np.array(signed)), expected)
 
 
-POSSIBLE = sum(1 if effect.first_joint_only else 2 for effect in all_effects())
-"""Number of possible effects of two joints."""
+POSSIBLE = 2 + sum(1 if effect.first_joint_only else 2 for effect in all_effects())
+"""Number of possible effects of two joints, with a stiffness curve each."""
 
 
 def test_an_arm_without_effects_gives_no_evidence_of_any() -> None:

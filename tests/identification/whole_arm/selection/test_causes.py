@@ -100,7 +100,7 @@ POSSIBLE = [
     for joint in (1, 2)
     for effect in all_effects()
     if joint == 1 or not effect.first_joint_only
-]
+] + [(joint, "stiffness-curve") for joint in (1, 2)]
 """Joint and effect of each possible hypothesis."""
 
 
@@ -132,7 +132,7 @@ def test_of_more_than_noise_each_is_tested_at_all_its_shapes_within_the_band(
     whole_arm(("hysteresis",), (), cutoff_hz=cutoff_hz)
     joint_parameters = KnownJoint(0.01, 0.05, 2e4, 30.0, 10.0)
     numbers = {effect.name: len(effect.tested_shapes(joint_parameters)) for effect in all_effects()}
-    numbers |= below
+    numbers |= below | {"stiffness-curve": 1}
     assert counts == {(joint, name): numbers[name] for joint, name in POSSIBLE}
 
 
