@@ -242,7 +242,8 @@ class Parameters(Sequence[Parameter]):
             del row["ci95"]
             rows.append(row | {"ci95_low": low, "ci95_high": high})
         columns = ["name", "joint", "value", "std", "ci95_low", "ci95_high", "unit", "stage"]
-        types = dict.fromkeys(columns[2:6], "float64") | {"joint": "Int64"}
+        columns.append("model_std")
+        types = dict.fromkeys([*columns[2:6], "model_std"], "float64") | {"joint": "Int64"}
         frame: DataFrame = pandas.DataFrame(rows, columns=columns).astype(types)
         return frame
 

@@ -123,6 +123,7 @@ class Parameter(Keyed):
     unit: str
     stage: Stage
     ci95: tuple[float, float] | None = None
+    model_std: float | None = None  # part of `std` that comes from the choice of the model
 
     @classmethod
     def estimated(
@@ -131,6 +132,11 @@ class Parameter(Keyed):
         """Estimate with its 95 % interval, of the half-width `width` in standard deviations."""
         interval = (value - width * std, value + width * std)
         return cls(*key, value, std, unit, stage, interval)
+
+    @classmethod
+    def at_zero(cls, key: Key, upper: float, unit: str, stage: Stage) -> Parameter:
+        """Estimate at the physical bound of zero, with the one-sided 95 % interval [0, upper]."""
+        return cls(*key, 0.0, upper / CI95_STDS, unit, stage, (0.0, upper))
 
 
 @dataclass(frozen=True, slots=True)

@@ -84,12 +84,16 @@ def base_parameter_entries(
     arm: ArmDescription, parameters: Iterable[Parameter]
 ) -> list[dict[str, Any]]:
     """The entry `base_parameters`."""
-    keys = ("value", "std", "ci95", "unit", "stage")
+    keys = ("value", "std", "ci95", "unit", "stage", "model_std")
     return [
         {
             "name": one.name,
             "combination": dict(one.combination),
-            **{key: getattr(one.estimate, key) for key in keys},
+            **{
+                key: getattr(one.estimate, key)
+                for key in keys
+                if key != "model_std" or one.estimate.model_std is not None
+            },
         }
         for one in base_parameter_list(arm, parameters)
     ]

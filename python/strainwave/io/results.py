@@ -650,16 +650,11 @@ def _correlations(model: ArmModel) -> list[list[float]]:
 
 
 def parameter_entry(parameter: Parameter) -> dict[str, Any]:
-    """One entry of the list `parameters`."""
-    return {
-        "name": parameter.name,
-        "joint": parameter.joint,
-        "value": parameter.value,
-        "std": parameter.std,
-        "ci95": list(parameter.ci95) if parameter.ci95 is not None else None,
-        "unit": parameter.unit,
-        "stage": parameter.stage,
-    }
+    """One entry of the list `parameters`; `model_std` where a model error is known."""
+    entry = asdict(parameter)
+    if parameter.model_std is None:
+        del entry["model_std"]
+    return entry
 
 
 def warning_entry(warning: Diagnostic) -> dict[str, Any]:
