@@ -90,7 +90,8 @@ def _regressor(
     model = _model(arm)
     data = model.createData()
     rows = zip(angle, velocity, acceleration, strict=True)
-    return np.array([pin.computeJointTorqueRegressor(model, data, *row) for row in rows])
+    tables = [pin.computeJointTorqueRegressor(model, data, *row) for row in rows]
+    return np.array(tables).reshape(len(tables), arm.n_joints, -1)  # of one joint, vectors
 
 
 def _model(arm: Arm) -> Any:

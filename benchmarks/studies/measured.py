@@ -1,10 +1,13 @@
-"""Measured machines: `python -m benchmarks.studies.measured FOLDER`.
+"""Measured machines: `python -m benchmarks.studies.measured FOLDER KINOVA`.
 
-FOLDER has `emps`, `dfki-double-pendulum` and `ist-flexible-arm`, each with a study. Printed are the
-EMPS parameters with the published ones (A. Janot, M. Gautier, M. Brunot, nonlinearbenchmark.org,
-2019); the torque fits of the DFKI double pendulum by our model, fitted to one record, and by the
-published model 2.0, in the same band; and the parameters of the IST joint with and without its
-torsion sensor.
+FOLDER has `emps`, `dfki-double-pendulum`, `ist-flexible-arm` and `staubli-tx40`, and KINOVA is a
+study of a serial arm. Printed are, for each machine by the defaults, how many primary parameters
+have a value, how many published or independent values lie inside the 95 % intervals, and the
+held-out torque fits of strainwave and of a plain least squares with Pinocchio's regressor, as in
+`serial_rigid`. Tables of single values follow: EMPS beside the published values (A. Janot, M.
+Gautier, M. Brunot, nonlinearbenchmark.org, 2019); the torque fits of the DFKI double pendulum by
+our model, fitted to one record, and by the published model 2.0, in the same band; and the
+parameters of the IST joint with and without its torsion sensor.
 """
 
 from __future__ import annotations
@@ -19,7 +22,17 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.console import Console
+from benchmarks.peers.rigid_chain import fit_plain
+from benchmarks.studies.serial_rigid import (
+    FIRST,
+    SECOND,
+    fit_study,
+    held_out_fits,
+    published_by_key,
+    write_tx40,
+)
 from strainwave.domain import Identification, Parameter, RigidModel, Signals
+from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_fit
 from strainwave.identification import rigid
@@ -44,6 +57,22 @@ IST = (
     "total_viscous_friction",
 )
 
+PRIMARY = (
+    "alpha",
+    "beta",
+    "gamma",
+    "gravity_torque",
+    "rigid_inertia",
+    "inertia",
+    "link_",
+    "grouped_link_",
+    "motor_inertia",
+    "total_viscous_friction",
+    "motor_coulomb_friction",
+    "gear_",
+)
+"""Starts of the names of primary parameters."""
+
 
 def signals_of(folder: Path, *names: str) -> tuple[Arm, list[Signals]]:
     """The arm of a study, and the motor signals of some records."""
@@ -54,26 +83,91 @@ def signals_of(folder: Path, *names: str) -> tuple[Arm, list[Signals]]:
 
 def published_dfki(folder: Path, like: RigidModel) -> RigidModel:
     """The published model, with the order and bandwidth of another model."""
-    lines = (folder / "model_parameters.yml").read_text().splitlines()
-    m = {key: float(value) for key, value in (line.split(": ") for line in lines)}
-    rotor = m["Ir"] * m["gr"] ** 2
-    first = m["I1"] + m["m2"] * m["l1"] ** 2 + rotor + m["Ir"]
-    gravity_2 = m["m2"] * m["g"] * m["r2"]
-    gravity_1 = m["m1"] * m["g"] * m["r1"] + m["m2"] * m["g"] * m["l1"]
-    body = [first, rotor, m["I2"], m["m2"] * m["l1"] * m["r2"], gravity_1, gravity_2]
+    m, of = _dfki_constants(folder), published_parameters(folder)
+    body = [of["rigid_inertia", 1], _rotor(m), *list(of.values())[1:]]
     friction = [m["b1"], m["cf1"], 0.0, m["b2"], m["cf2"], 0.0]
     return replace(like, solution=np.array(body + friction), friction_terms=())
 
 
-def _emps(folder: Path) -> Table:
-    table = Table("parameter", "estimate", "published", "difference", box=None, title="EMPS")
-    arm, motion = signals_of(folder, "estimation")
-    model = rigid.fit_rigid(motion, arm)
-    for name, published in EMPS.items():
-        value = model.value(name, 1) or np.nan
-        difference = f"{100.0 * abs(value / published - 1.0):.2f} %"
-        table.add_row(name, f"{value:.6g}", f"{published:.6g}", difference)
-    return table
+def published_parameters(folder: Path) -> dict[Key, float]:
+    """Published values of the DFKI double pendulum, under the names of a two-link arm."""
+    m = _dfki_constants(folder)
+    second = m["m2"] * m["g"]
+    return {
+        ("rigid_inertia", 1): m["I1"] + m["m2"] * m["l1"] ** 2 + _rotor(m) + m["Ir"],
+        ("beta", None): m["I2"],
+        ("gamma", None): m["m2"] * m["l1"] * m["r2"],
+        ("gravity_torque_1", None): m["m1"] * m["g"] * m["r1"] + second * m["l1"],
+        ("gravity_torque_2", None): second * m["r2"],
+    }
+
+
+def _dfki_constants(folder: Path) -> dict[str, float]:
+    lines = (folder / "model_parameters.yml").read_text().splitlines()
+    return {key: float(value) for key, value in (line.split(": ") for line in lines)}
+
+
+def _rotor(m: dict[str, float]) -> float:
+    """Rotor inertia behind the gear."""
+    return m["Ir"] * m["gr"] ** 2
+
+
+def _machines(folder: Path, kinova: Path, copy: Path) -> Iterator[Table]:
+    """The overview of all machines, and their values beside published or independent ones."""
+    overview = Table(
+        "machine", "values", "inside", "held-out fit", "least squares", box=None, title="machines"
+    )
+    values = Table(
+        "parameter", "estimate", "half-width", "other value", "difference", box=None, title="values"
+    )
+    halves = write_tx40(folder / "staubli-tx40", copy, {"motion": FIRST, "check": SECOND})
+    ist, ist_motor = with_and_without_torsion(folder / "ist-flexible-arm")
+    of_motor = {p.key: p.value for p in ist_motor.parameters if p.value is not None and p.std}
+    emps, dfki = (folder / name for name in ("emps", "dfki-double-pendulum"))
+    machines: tuple[tuple[str, Path | Identification, dict[Key, float], float | None], ...] = (
+        ("EMPS", emps / "study.toml", {(name, 1): v for name, v in EMPS.items()}, 20.0),
+        ("IST", ist, {key: v for key, v in of_motor.items() if key[0] in IST}, None),
+        ("DFKI", dfki / "study.toml", published_parameters(dfki), 6.4),
+        ("TX40", halves, published_by_key(folder / "staubli-tx40", halves), 10.0),
+        ("Kinova", kinova / "study.toml", {}, 4.0),
+    )
+    for name, study, others, cutoff_hz in machines:
+        result = identify(study) if isinstance(study, Path) else study
+        estimates = {p.key: p for p in result.parameters if p.value is not None and p.ci95}
+        n_inside = n_compared = 0
+        for key, other in others.items():
+            if key not in estimates:
+                continue
+            p = estimates[key]
+            assert p.value is not None
+            assert p.ci95 is not None
+            n_compared += 1
+            n_inside += p.ci95[0] <= other <= p.ci95[1]
+            values.add_row(
+                f"{name} {p.label}",
+                f"{p.value:.4g}",
+                f"{0.5 * (p.ci95[1] - p.ci95[0]):.2g}",
+                f"{other:.4g}",
+                f"{100.0 * abs(p.value / other - 1.0):.2f} %",
+            )
+        fits = _held_out(study, cutoff_hz) if isinstance(study, Path) and cutoff_hz else ("", "")
+        verdict = result.verdict
+        decided = (*verdict.identified, *verdict.not_identified, *verdict.rejected)
+        n = sum(key[0].startswith(PRIMARY) for key in decided)
+        n_identified = sum(key[0].startswith(PRIMARY) for key in verdict.identified)
+        inside = f"{n_inside} of {n_compared}" if n_compared else ""
+        overview.add_row(name, f"{n_identified} of {n}", inside, *fits)
+    yield overview
+    yield values
+
+
+def _held_out(path: Path, cutoff_hz: float) -> tuple[str, str]:
+    """Median over the joints of the held-out torque fits: our model, plain least squares."""
+    arm, model, motion, checks = fit_study(path)
+    chain = Arm.of(replace(read_study(path).arm, kind="serial"))
+    ours = held_out_fits(arm, model.solution, checks, cutoff_hz, model.friction_terms)
+    plain = held_out_fits(chain, fit_plain(chain, motion, cutoff_hz), checks, cutoff_hz)
+    return f"{np.median(ours):.1f} %", f"{np.median(plain):.1f} %"
 
 
 def _dfki(folder: Path) -> Table:
@@ -125,9 +219,12 @@ def whole_arm_parameter(result: Identification, name: str) -> Parameter:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
-    folder = parser.parse_args().folder
-    console = Console()
-    console.print(_emps(folder / "emps"))
+    parser.add_argument("kinova", type=Path)
+    arguments = parser.parse_args()
+    folder, console = arguments.folder, Console()
+    with TemporaryDirectory() as copy:
+        for table in _machines(folder, arguments.kinova, Path(copy)):
+            console.print(table)
     console.print(_dfki(folder / "dfki-double-pendulum"))
     console.print(_ist(folder / "ist-flexible-arm"))
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -26,6 +26,7 @@ from rich.table import Table
 from benchmarks.console import Console
 from benchmarks.peers.rigid_chain import fit_plain
 from strainwave.domain import FloatArray, FrictionTerm, RigidModel, RigidOptions, Signals
+from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.friction_terms import additional_friction
 from strainwave.dynamics.rigid_prediction import predict_torque
@@ -49,7 +50,7 @@ _TX40_FRAMES = (
 )
 _TX40_ZEROS = {2: -_QUARTER, 3: _QUARTER}  # [rad] link angles at motor angle 0
 _TX40_SAMPLE_TIME = 2e-4  # [s]
-_FIRST, _SECOND, _WHOLE = (0.1, 5.0), (5.0, 7.5), (0.1, 7.5)  # [s]
+FIRST, SECOND, WHOLE = (0.1, 5.0), (5.0, 7.5), (0.1, 7.5)  # [s]
 # parameters of the same meaning in both models, with their signs
 _SYMBOLS = {
     "link_inertia_": "I",
@@ -129,23 +130,29 @@ def published(folder: Path) -> dict[str, tuple[float, float]]:
     }
 
 
-def on_the_link_side(arm: Arm, model: RigidModel) -> dict[str, tuple[float, float]]:
-    """Values and standard deviations by published symbol, of what both models share.
+def published_symbols(arm: Arm) -> Iterator[tuple[Key, str, float]]:
+    """Parameters that both models have: key, published symbol, and published value per our value.
 
     The published inertia of motor 6 is not in its own row: it has no counterpart.
     """
-    shared: dict[str, tuple[float, float]] = {}
-    stds = np.sqrt(np.diag(model.covariance))
-    for column, value, std in zip(arm.rigid_columns, model.solution, stds, strict=True):
+    for column in arm.rigid_columns:
         name, joint = column.name.removeprefix("grouped_"), column.joint or 0
         prefix = next((each for each in _SYMBOLS if name.startswith(each)), None)
         of_links = prefix is not None and prefix.startswith("link")
         if prefix is None or not (of_links or joint < 5) or (name, joint) == ("link_inertia_zz", 6):
             continue
-        factor = 1.0 if of_links else _TX40_RATIOS[joint - 1] ** 2
-        symbol = f"{_SYMBOLS[prefix]}{name.removeprefix(prefix)}{joint}"
-        shared[symbol] = factor * float(value), factor * float(std)
-    return shared
+        factor = 1.0 if of_links else float(_TX40_RATIOS[joint - 1] ** 2)
+        yield column.key, f"{_SYMBOLS[prefix]}{name.removeprefix(prefix)}{joint}", factor
+
+
+def published_by_key(folder: Path, path: Path) -> dict[Key, float]:
+    """Published values by the keys of our study's parameters."""
+    reference, arm = published(folder), Arm.of(read_study(path).arm)
+    return {
+        key: reference[symbol][0] / factor
+        for key, symbol, factor in published_symbols(arm)
+        if symbol in reference
+    }
 
 
 def frictions_at_half_speed(
@@ -175,7 +182,7 @@ def main() -> None:
     table = Table("arm", "low-pass", "method", *map(str, range(1, 8)), box=None)
     with TemporaryDirectory() as name:
         copy = Path(name)
-        halves = write_tx40(arguments.tx40, copy, {"motion": _FIRST, "check": _SECOND})
+        halves = write_tx40(arguments.tx40, copy, {"motion": FIRST, "check": SECOND})
         for label, path, cutoff_hz in (
             ("Kinova Gen3", arguments.kinova / "study.toml", 4.0),
             ("TX40", halves, 10.0),
@@ -196,11 +203,15 @@ def main() -> None:
                 table.add_row(label, f"{cutoff_hz:g} Hz", method, *(f"{fit:.1f}" for fit in fits))
             Console().print(f"{label}: own band of {model.bandwidth_hz:.0f} Hz")
         Console().print(table)
-        arm, model, motion, _ = fit_study(write_tx40(arguments.tx40, copy, {"motion": _WHOLE}))
+        arm, model, motion, _ = fit_study(write_tx40(arguments.tx40, copy, {"motion": WHOLE}))
     values = Table("parameter", "strainwave", "std", "published", "std", "difference", box=None)
     reference = published(arguments.tx40)
-    for symbol, (value, std) in on_the_link_side(arm, model).items():
+    keys = [column.key for column in arm.rigid_columns]
+    stds = dict(zip(keys, np.sqrt(np.diag(model.covariance)).tolist(), strict=True))
+    solution = dict(zip(keys, model.solution.tolist(), strict=True))
+    for key, symbol, factor in published_symbols(arm):
         if symbol in reference:
+            value, std = factor * solution[key], factor * stds[key]
             expected, of_expected = reference[symbol]
             difference = (value - expected) / np.hypot(std, of_expected)
             numbers = (value, std, expected, of_expected)
