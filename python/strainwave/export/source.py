@@ -184,7 +184,7 @@ def arm_of(
     study = None if study_path else study_of(document, path)
     warnings: tuple[Diagnostic, ...] = ()
     if study is None:
-        study, warnings = _study_from_file(document, path, study_path)
+        study, warnings = study_file_of(document, path, study_path)
     _check_joints(parameters, study, path)
     study = replace(study, arm=study.arm.with_selected_laws([p.key for p in parameters]))
     accepted, rejected = _drop_rejected(parameters, document, path)
@@ -192,8 +192,8 @@ def arm_of(
     return IdentifiedArm(study, accepted, str(path), warnings, rejected, standard)
 
 
-def _study_from_file(
-    document: Mapping[str, Any], path: Path, study_path: Path | str | None
+def study_file_of(
+    document: Mapping[str, Any], path: Path, study_path: Path | str | None = None
 ) -> tuple[Study, tuple[Diagnostic, ...]]:
     """The study file of a result, and a warning if the file has changed since."""
     named, sha256 = _study_reference(document, path)

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cache
 from itertools import starmap
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from strainwave.domain import (
     Diagnostic,
     FloatArray,
     FrequencyResponse,
+    FrictionTerm,
     Identification,
     JointModel,
     Mode,
@@ -234,6 +235,56 @@ def verdict_of(document: Mapping[str, Any]) -> Verdict:
         suspected=tuple(map(_suspicion, entry.suspected)),
         reason_clauses=tuple(map(_plain, reason.split("; ") if reason else ())),
     )
+
+
+def rigid_model_of(document: Mapping[str, Any], n_parameters: int) -> RigidModel | None:
+    """The rigid model of a result, without covariance; None if it predicts nothing.
+
+    `n_parameters` is the number of the arm's rigid columns. Files of earlier versions have no
+    entry `prediction`.
+    """
+    table = document.get("stages", {}).get("rigid") or {}
+    if "prediction" not in table or table.get("status") == "not-identifiable":
+        return None
+    entry: _RigidEntry = _validated(_RigidEntry, table, "the result: stages.rigid")
+    solution, motion = np.array(entry.prediction.solution), np.array(entry.prediction.motion)
+    if solution.shape != (n_parameters,) or motion.ndim != 3 or len(motion) != 3:
+        raise InvalidInput(
+            f"has {len(solution)} values and a motion of shape {motion.shape}; expected "
+            f"{n_parameters} values and (3, n_samples, n_joints)",
+            where="the result: stages.rigid.prediction",
+            remedy=NOT_A_RESULT,
+        )
+    return RigidModel(
+        parameters=entry.parameters,
+        solution=solution,
+        covariance=np.full((n_parameters, n_parameters), np.nan),
+        condition_number=math.nan,
+        fit_percent={},
+        bandwidth_hz=entry.bandwidth_hz,
+        decimation=entry.decimation,
+        n_rows=entry.n_rows,
+        status=entry.status,
+        friction_terms=entry.prediction.friction_terms,
+        motion=motion,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _PredictionEntry:
+    solution: tuple[float, ...]
+    friction_terms: tuple[FrictionTerm, ...]
+    motion: tuple[tuple[tuple[float, ...], ...], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _RigidEntry:
+    parameters: tuple[Parameter, ...]
+    bandwidth_hz: float
+    decimation: int
+    n_rows: int
+    status: Literal["determined", "partly-determined"]
+    prediction: _PredictionEntry
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -467,6 +518,11 @@ def _rigid(model: RigidModel) -> dict[str, Any]:
         "torque_errors": [
             {"joint": joint, "value": value} for joint, value in model.torque_errors.items()
         ],
+        "prediction": {
+            "solution": model.solution.tolist(),
+            "friction_terms": [asdict(term) for term in model.friction_terms],
+            "motion": [[_short(sample) for sample in part] for part in model.motion],
+        },
     }
 
 
