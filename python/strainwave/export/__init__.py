@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from strainwave.errors import InvalidInput, suggest_name
+from strainwave.export.completion import completed
 from strainwave.export.flat import to_c_header, to_json
 from strainwave.export.linear_arm import LinearArm, linear_arm
 from strainwave.export.matlab import to_mat, to_script
@@ -74,12 +76,13 @@ def export_arm(
         )
     if out.is_dir() or not out.name:
         raise InvalidInput("is a directory", where=f"--out {out}", remedy="name a file in it")
+    arm = completed(arm, is_polynomial=form == "mjcf")
     if form == "matlab":
         export = to_script(arm) if out.suffix == ".m" else to_mat(arm)
     else:
         export = _RENDERERS[form](arm)
     write_whole(out.parent, {out.name: export.data})
-    return export
+    return replace(export, notes=(*arm.assumptions, *export.notes))
 
 
 def _checked_format(form: str | None, out: Path) -> str:

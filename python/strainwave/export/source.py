@@ -14,12 +14,13 @@ from strainwave.domain import (
     Joint,
     Parameter,
     Place,
+    RigidModel,
     Study,
     is_physical,
     physical_range,
 )
 from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters
-from strainwave.domain.combinations import is_rigid_drive, lumped_inertias
+from strainwave.domain.combinations import is_rigid_drive, lumped_inertias, rigid_columns
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.parameters import complete_values
@@ -30,6 +31,7 @@ from strainwave.io.results import (
     parameters_of,
     read_document,
     result_path,
+    rigid_model_of,
     standard_parameters_of,
     study_of,
 )
@@ -56,17 +58,27 @@ class IdentifiedArm:
     rejected: tuple[str, ...] = ()  # "gear_damping 2": rejected by the verdict, here without value
     # consistent standard parameters of a serial arm, and motor inertias that agree with them
     standard: Values = field(default_factory=dict)
+    rigid: RigidModel | None = None  # that predicts torques, with samples of the fitted motion
+    completion: Values | None = None  # in place of `values`; see `strainwave.export.completion`
+    assumptions: tuple[str, ...] = ()  # behind it
 
     @property
     def values(self) -> Values:
-        """(name, joint) -> value, including values that follow from the identified ones.
+        """(name, joint) -> value, including values that follow from the identified ones."""
+        return self.complete(self.identified) if self.completion is None else self.completion
+
+    def complete(self, identified: Values) -> Values:
+        """Values that follow from identified ones.
 
         If the viscous friction of the link is not identified, the motor has the total. A serial arm
         has its standard parameters, with the motor inertias of rigid joints.
         """
-        identified = self._identified()
-        for number in self._joints_with_total_friction():
-            identified.pop(("motor_viscous_friction", number), None)
+        totals = self._joints_with_total_friction(identified)
+        identified = {
+            key: value
+            for key, value in identified.items()
+            if key[0] != "motor_viscous_friction" or key[1] not in totals
+        }
         return complete_values(identified, self.study.arm) | {
             (name, joint): value
             for (name, joint), value in self.standard.items()
@@ -110,10 +122,10 @@ class IdentifiedArm:
         """Assumptions where only the sum of two parameters is identified."""
         assumptions = [
             Diagnostic("assumed", Place(joint=number), "friction")
-            for number in self._joints_with_total_friction()
+            for number in self._joints_with_total_friction(self.identified)
             if self.joint(number).elastic
         ]
-        identified, arm = self._identified(), self.study.arm
+        identified, arm = self.identified, self.study.arm
         # the link of a rigid drive has the sum; standard parameters are split by consistency
         is_split = bool(kind_of(arm).standard_rows(arm)) and not is_rigid_drive(arm)
         lumped = lumped_inertias(arm) if is_split else {}
@@ -130,17 +142,18 @@ class IdentifiedArm:
     def assumed_bodies(self) -> tuple[Diagnostic, ...]:
         """A warning if the bodies of a serial arm have base parameters that are not identified."""
         columns = base_parameters(self.study.arm).columns if self.standard else ()
-        identified = self._identified()
+        identified = self.identified
         names = tuple(column.label for column in columns if column.key not in identified)
         place = Place(file=self.source)
         return (Diagnostic("assumed", place, "bodies", names=names),) if names else ()
 
-    def _identified(self) -> Values:
+    @property
+    def identified(self) -> Values:
+        """(name, joint) -> value of the final table."""
         return {p.key: p.value for p in self.parameters if p.value is not None}
 
-    def _joints_with_total_friction(self) -> list[int]:
+    def _joints_with_total_friction(self, identified: Values) -> list[int]:
         """Joints whose total viscous friction is identified without the part of the link."""
-        identified = self._identified()
         return [
             number
             for number in range(1, self.study.arm.n_joints + 1)
@@ -189,7 +202,8 @@ def arm_of(
     study = replace(study, arm=study.arm.with_selected_laws([p.key for p in parameters]))
     accepted, rejected = _drop_rejected(parameters, document, path)
     standard = standard_parameters_of(document, study.arm, str(path))
-    return IdentifiedArm(study, accepted, str(path), warnings, rejected, standard)
+    rigid = rigid_model_of(document, len(rigid_columns(study.arm)))
+    return IdentifiedArm(study, accepted, str(path), warnings, rejected, standard, rigid)
 
 
 def study_file_of(

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from strainwave.domain import Identification, Parameter
+from strainwave.domain import FloatArray, Identification, Parameter, RigidModel
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters
 from strainwave.domain.consistent_links import consistent_links, priors_of
+from strainwave.domain.core_arm import core_arm, transmission
 from strainwave.domain.keys import Key, Values, label_of
 from strainwave.domain.kinds import RigidColumn
 from strainwave.domain.kinds.bodies import LINK_PARAMETERS
@@ -21,6 +22,9 @@ from strainwave.io.joint_covariance import JointCovariance
 _PREFIXES = {"link_mass": "m", "link_first_moment_": "m", "link_inertia_": "I"}
 _REGROUPED = "R"  # suffix of a combination, as in the literature
 _MIN_RELATIVE_STD = 1e-6  # of a combination in the search for consistent links
+# Weight of a torque in the choice of links, relative to the torque of the joint. It is far above
+# the resulting error, its square; with smaller ones the search takes longer.
+_TORQUE_ERROR = 0.03
 
 
 def standard_name(key: Key) -> str:
@@ -104,14 +108,18 @@ def standard_parameter_entries(
 ) -> dict[str, float] | None:
     """The entry `standard_parameters`: bodies nearest to the prior that have the base parameters.
 
-    Motors without estimate have the inertia that the bodies leave. None unless a base parameter has
-    a covariance.
+    Those of the rigid model have its torques over the fitted motion; those of the whole-arm fit
+    agree within their covariance. Motors without estimate have the inertia that the bodies leave.
+    None unless a stage identifies base parameters.
     """
-    arm = identification.study.arm
-    if covariance is None or not base_parameters(arm).has_groups:
+    arm, model, parameters = identification.study.arm, identification.rigid, None
+    if not base_parameters(arm).has_groups:
         return None
-    values = {p.label: p.value for p in identification.parameters}
-    parameters = standard_near_prior(arm, values, covariance)
+    if covariance is not None and identification.whole_arm is not None:
+        values = {p.label: p.value for p in identification.parameters}
+        parameters = standard_near_prior(arm, values, covariance)
+    if parameters is None and model is not None and model.motion.size:
+        parameters = standard_of_torques(arm, model)
     if parameters is None:
         return None
     return {standard_name(key): value for key, value in parameters.items()}
@@ -131,17 +139,51 @@ def standard_near_prior(
     known = [k for k in known if base.rows[k, :n_links].any()]
     if not known:
         return None
-    motors: list[Key] = [(MOTOR_INERTIA, i + 1) for i in range(arm.n_joints)]
-    estimates = [values.get(label_of(*motor)) for motor in motors]
-    inertias = np.array([estimate or 0.0 for estimate in estimates])
     target = np.array([values[base.columns[k].label] for k in known], dtype=float)
-    target -= base.rows[known, n_links:] @ inertias
     places = [names.index(base.columns[k].label) for k in known]
     matrix = covariance.matrix[np.ix_(places, places)]
     floor = _MIN_RELATIVE_STD * np.abs(target).max()
     factor = np.linalg.cholesky(matrix + floor**2 * np.eye(len(places)))
-    rows = np.asarray(np.linalg.solve(factor, base.rows[known]))
-    target = np.asarray(np.linalg.solve(factor, target))
+    estimates = [values.get(label_of(MOTOR_INERTIA, i + 1)) for i in range(arm.n_joints)]
+    rows, target = np.linalg.solve(factor, base.rows[known]), np.linalg.solve(factor, target)
+    return _nearest_to_prior(arm, np.asarray(rows), np.asarray(target), estimates)
+
+
+def standard_of_torques(arm: ArmDescription, model: RigidModel) -> Values | None:
+    """Consistent links and motor inertias with the torques of a rigid model over its motion.
+
+    Differences of torques count relative to the torque of the joint, friction included.
+    """
+    base, core = base_parameters(arm), core_arm(arm, ["rigid"] * arm.n_joints)
+    to_links = transmission(arm)
+    links = (np.ascontiguousarray(x @ to_links.T) for x in model.motion)
+    of_links = np.einsum("jm,njp->nmp", to_links, core.base_regressor(*links))
+    of_motors = model.motion[2][:, :, None] * np.eye(arm.n_joints)
+    regressor = np.concatenate([of_links, of_motors], axis=2)
+    torque = regressor @ base.particular() @ model.solution[: len(base.columns)]
+    viscous, coulomb, offset = (
+        model.solution[len(base.columns) :][: 3 * arm.n_joints].reshape(-1, 3).T
+    )
+    velocity = model.motion[1]
+    friction = viscous * velocity + coulomb * np.sign(velocity) + offset
+    scale = _TORQUE_ERROR * np.std(torque + friction, axis=0)[:, None]
+    rows, target = regressor / scale, (torque[:, :, None] / scale).ravel()
+    # orthogonal columns: the number of samples does not matter
+    Q, R = np.linalg.qr(rows.reshape(len(target), -1))
+    return _nearest_to_prior(arm, R, Q.T @ target, [None] * arm.n_joints)
+
+
+def _nearest_to_prior(
+    arm: ArmDescription, rows: FloatArray, target: FloatArray, estimates: Sequence[float | None]
+) -> Values | None:
+    """Links and motors with rows @ (links, motors) = target, whitened; None if there are none.
+
+    Motors with an estimate keep it; the others are not negative.
+    """
+    base = base_parameters(arm)
+    n_links, motors = len(base.links), [(MOTOR_INERTIA, i + 1) for i in range(arm.n_joints)]
+    inertias = np.array([estimate or 0.0 for estimate in estimates])
+    target = target - rows[:, n_links:] @ inertias
     free = [i for i, estimate in enumerate(estimates) if estimate is None]
     while True:
         of_motors = rows[:, [n_links + i for i in free]]
