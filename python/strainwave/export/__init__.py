@@ -70,6 +70,8 @@ def export_arm(
     parameter that the format needs is missing.
     """
     form = _checked_format(form, out)
+    if (urdf := arm.study.arm.urdf) is not None:
+        inputs = (*inputs, arm.study.path.parent / urdf.file)
     if out.resolve() in [path.resolve() for path in inputs]:
         raise InvalidInput(
             "would overwrite an input file", where=f"--out {out}", remedy="choose another name"

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from strainwave.domain import FloatArray
+from strainwave.domain import FloatArray, RigidModel
 from strainwave.domain.base_parameters import MOTOR_INERTIA
 from strainwave.domain.combinations import LINK_INERTIA, rigid_columns
 from strainwave.domain.effects import all_effects
@@ -22,11 +22,17 @@ from strainwave.domain.ranges import is_physical
 from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import torque_parts
+from strainwave.errors import InvalidInput
+from strainwave.export.bodies import effective_gravity, link_bodies
 from strainwave.export.source import IdentifiedArm
+from strainwave.io.base_parameters import standard_of_torques
 
 FRICTION = ("motor_viscous_friction", "motor_coulomb_friction", "friction_offset")
 DAMPING = ("motor_damping_2", "motor_damping_3")
 """Torque per v |v| and v^3 of a motor, in formats with polynomial damping."""
+# of damping with powers, over that of viscous friction: powers that follow a law of the velocity,
+# not a dependence on load, leave almost nothing; others are wrong at higher speeds
+_MAX_CUBIC_ERROR = 0.5
 _N_SAMPLES = 100  # of a motion in place of a recorded one, in each direction
 _ACCELERATION = 10.0  # [rad/s^2] of its joints; their velocity is 1 rad/s
 
@@ -55,6 +61,14 @@ def completed(arm: IdentifiedArm, *, is_polynomial: bool = False) -> IdentifiedA
         values |= dict(_projected_friction(arm, values, notes, is_polynomial))
     for key in _needed(arm):
         values.setdefault(key, 0.0)
+    arm = replace(arm, completion=values)
+    if arm.rigid is not None:
+        try:
+            link_bodies(arm, effective_gravity(arm))
+        except InvalidInput as error:
+            arm, note = _as_chain(arm, arm.rigid, error)
+            notes.append(note)
+            values |= arm.standard
     listed = [
         f"{label_of(*key)} = {values[key]:.4g} {unit_in(description, key)}"
         for key in _needed(arm)
@@ -65,6 +79,23 @@ def completed(arm: IdentifiedArm, *, is_polynomial: bool = False) -> IdentifiedA
     return replace(arm, completion=values, assumptions=tuple(notes))
 
 
+def _as_chain(
+    arm: IdentifiedArm, model: RigidModel, error: InvalidInput
+) -> tuple[IdentifiedArm, str]:
+    """The arm as a chain of bodies that have the torques of its rigid model; raises `error`."""
+    joints = enumerate(arm.study.arm.joints, start=1)
+    motors = [arm.values[MOTOR_INERTIA, i] if joint.elastic else None for i, joint in joints]
+    standard = standard_of_torques(arm.study.arm, model, motors)
+    if standard is None:
+        raise error
+    chain = replace(arm.study.arm, kind="serial")
+    note = (
+        "assumed: the links are the bodies nearest to typical ones with the torques of the rigid "
+        f"model over the recorded motion: {error.problem}"
+    )
+    return replace(arm, study=replace(arm.study, arm=chain), standard=standard), note
+
+
 def _needed(arm: IdentifiedArm) -> Iterator[Key]:
     """Parameters that are zero, or as in the rigid model, where they have no value."""
     description = arm.study.arm
@@ -72,7 +103,8 @@ def _needed(arm: IdentifiedArm) -> Iterator[Key]:
         yield MOTOR_INERTIA, number
         for name in (*FRICTION, "link_viscous_friction", *["gear_damping"] * joint.elastic):
             yield name, number
-    yield from (key for key in Arm.of(description).base_names if key[0].startswith("gravity"))
+    if description.gravity:
+        yield from (key for key in Arm.of(description).base_names if key[0].startswith("gravity"))
 
 
 def _projected_friction(
@@ -124,16 +156,27 @@ def project_friction(
     if not v.size:
         return np.zeros(len(FRICTION + DAMPING))
     laws = np.column_stack([v, np.sign(v), np.ones_like(v), v * np.abs(v), v**3])
-    weights, top = [[1.0, 0, 0, 0, 0], [0, 1.0, 0, 0, 0]], np.abs(v).max()
+    plain, top = np.eye(5)[: 2 + has_offset], np.abs(v).max()
+    projection, error = _nearest(torque[slides], laws, plain)
     if is_polynomial:  # powers, and laws whose slope (1 - |v|/w)^2 falls up to w
-        weights += [[0, 0, 0, 1.0, 0], [0, 0, 0, 0, 1.0]]
-        weights += [[1.0, 0, 0, -1.0 / w, w**-2 / 3.0] for w in (0.5 * top, top)]
-    weights += [[0, 0, 1.0, 0, 0]] if has_offset else []
-    A = laws @ np.array(weights).T
-    sizes, low = np.linalg.norm(A, axis=0), np.zeros(len(weights))
-    low[len(weights) - has_offset :] = -np.inf
-    shares = lsq_linear(A / sizes, torque[slides], (low, np.inf)).x / sizes
-    return np.asarray(shares @ np.array(weights))
+        curved = [[1.0, 0, 0, -1.0 / w, w**-2 / 3.0] for w in (0.5 * top, top)]
+        cubic, cubic_error = _nearest(
+            torque[slides], laws, np.vstack([plain, np.eye(5)[3:], curved])
+        )
+        if cubic_error < _MAX_CUBIC_ERROR * error:
+            return cubic
+    return projection
+
+
+def _nearest(torque: FloatArray, laws: FloatArray, parts: FloatArray) -> tuple[FloatArray, float]:
+    """Coefficients of the laws (n_samples, 5) nearest to a torque, and the distance.
+
+    They are a sum of rows of `parts` with positive weights, apart from the offset.
+    """
+    A = laws @ parts.T
+    sizes, low = np.linalg.norm(A, axis=0), np.where(parts[:, 2], -np.inf, 0.0)
+    shares = lsq_linear(A / sizes, torque, (low, np.inf)).x
+    return np.asarray(shares / sizes @ parts), float(np.linalg.norm(torque - A / sizes @ shares))
 
 
 def motion_of(arm: IdentifiedArm) -> FloatArray:

@@ -19,6 +19,7 @@ from strainwave.domain import (
     is_physical,
     physical_range,
 )
+from strainwave.domain.arm import Urdf
 from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters
 from strainwave.domain.combinations import is_rigid_drive, lumped_inertias, rigid_columns
 from strainwave.domain.keys import Values
@@ -36,6 +37,7 @@ from strainwave.io.results import (
     study_of,
 )
 from strainwave.io.study import read_study
+from strainwave.io.urdf import read_urdf
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,6 +200,8 @@ def arm_of(
     warnings: tuple[Diagnostic, ...] = ()
     if study is None:
         study, warnings = study_file_of(document, path, study_path)
+    elif "urdf" in document["study"]:
+        study, warnings = _with_urdf(study, document["study"]["urdf"], path)
     _check_joints(parameters, study, path)
     study = replace(study, arm=study.arm.with_selected_laws([p.key for p in parameters]))
     accepted, rejected = _drop_rejected(parameters, document, path)
@@ -217,6 +221,26 @@ def study_file_of(
         return study, ()
     place = Place(file=str(study_file))
     return study, (Diagnostic("study-changed", place, file=str(study_file)),)
+
+
+def _with_urdf(
+    study: Study, entry: Mapping[str, Any], path: Path
+) -> tuple[Study, tuple[Diagnostic, ...]]:
+    """The study with the URDF that places its joints; a warning if there is no such file."""
+    file, held = str(entry.get("file")), tuple(entry.get("held", ()))
+    for folder in _folders(path):
+        for found in (folder / study.path.parent / file, folder / file):
+            if _is_file(found):
+                joints = read_urdf(found, held)
+                if [joint.name for joint in joints] == list(study.arm.joint_names):
+                    urdf = Urdf(str(found.resolve()), tuple(j.prior for j in joints), held)
+                    return replace(study, arm=replace(study.arm, urdf=urdf)), ()
+    return study, (Diagnostic("no-urdf", Place(file=str(path)), file=file),)
+
+
+def _folders(path: Path) -> list[Path]:
+    """Folder of a result and those above."""
+    return [path.resolve().parent, *path.resolve().parent.parents]
 
 
 def _drop_rejected(
@@ -269,10 +293,9 @@ def _find_study(path: Path, named: str, sha256: str, given: Path | str | None) -
     """The study file, preferably the one with the hash in the result."""
     if given is not None:
         return Path(given)
-    folders = [path.resolve().parent, *path.resolve().parent.parents]
     candidates = [
-        folders[0] / Path(named).name,
-        *(folder / named for folder in folders),
+        path.resolve().parent / Path(named).name,
+        *(folder / named for folder in _folders(path)),
         Path(named),
     ]
     existing = [candidate for candidate in candidates if _is_file(candidate)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -119,7 +119,7 @@ def standard_parameter_entries(
         values = {p.label: p.value for p in identification.parameters}
         parameters = standard_near_prior(arm, values, covariance)
     if parameters is None and model is not None and model.motion.size:
-        parameters = standard_of_torques(arm, model)
+        parameters = standard_of_torques(arm, model, [None] * arm.n_joints)
     if parameters is None:
         return None
     return {standard_name(key): value for key, value in parameters.items()}
@@ -149,28 +149,33 @@ def standard_near_prior(
     return _nearest_to_prior(arm, np.asarray(rows), np.asarray(target), estimates)
 
 
-def standard_of_torques(arm: ArmDescription, model: RigidModel) -> Values | None:
+def standard_of_torques(
+    arm: ArmDescription, model: RigidModel, motors: Sequence[float | None]
+) -> Values | None:
     """Consistent links and motor inertias with the torques of a rigid model over its motion.
 
-    Differences of torques count relative to the torque of the joint, friction included.
+    `motors` are known motor inertias. Differences of torques count relative to the torque of the
+    joint, friction included. None if no set is found.
     """
-    base, core = base_parameters(arm), core_arm(arm, ["rigid"] * arm.n_joints)
-    to_links = transmission(arm)
-    links = (np.ascontiguousarray(x @ to_links.T) for x in model.motion)
-    of_links = np.einsum("jm,njp->nmp", to_links, core.base_regressor(*links))
-    of_motors = model.motion[2][:, :, None] * np.eye(arm.n_joints)
-    regressor = np.concatenate([of_links, of_motors], axis=2)
-    torque = regressor @ base.particular() @ model.solution[: len(base.columns)]
-    viscous, coulomb, offset = (
-        model.solution[len(base.columns) :][: 3 * arm.n_joints].reshape(-1, 3).T
-    )
-    velocity = model.motion[1]
-    friction = viscous * velocity + coulomb * np.sign(velocity) + offset
-    scale = _TORQUE_ERROR * np.std(torque + friction, axis=0)[:, None]
-    rows, target = regressor / scale, (torque[:, :, None] / scale).ravel()
+    base, chain = base_parameters(arm), replace(arm, kind="serial")
+    friction, velocity = model.solution[len(base.columns) :], model.motion[1]
+    viscous, coulomb, offset = friction[: 3 * arm.n_joints].reshape(-1, 3).T
+    torque = _motor_regressor(arm, model.motion) @ base.particular()
+    torque = torque @ model.solution[: len(base.columns)]
+    size = torque + viscous * velocity + coulomb * np.sign(velocity) + offset
+    scale = _TORQUE_ERROR * np.std(size, axis=0)[:, None] + np.finfo(float).tiny
+    rows = _motor_regressor(chain, model.motion) / scale
     # orthogonal columns: the number of samples does not matter
-    Q, R = np.linalg.qr(rows.reshape(len(target), -1))
-    return _nearest_to_prior(arm, R, Q.T @ target, [None] * arm.n_joints)
+    Q, R = np.linalg.qr(rows.reshape(torque.size, -1))
+    return _nearest_to_prior(chain, R, Q.T @ (torque[:, :, None] / scale).ravel(), motors)
+
+
+def _motor_regressor(arm: ArmDescription, motion: FloatArray) -> FloatArray:
+    """Motor torques per parameter of the links and motor inertia: (n_samples, n_joints, n)."""
+    core, to_links = core_arm(arm, ["rigid"] * arm.n_joints), transmission(arm)
+    links = (np.ascontiguousarray(x @ to_links.T) for x in motion)
+    of_links = np.einsum("jm,njp->nmp", to_links, core.base_regressor(*links))
+    return np.concatenate([of_links, motion[2][:, :, None] * np.eye(arm.n_joints)], axis=2)
 
 
 def _nearest_to_prior(

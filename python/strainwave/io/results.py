@@ -394,9 +394,11 @@ def _adapter(kind: Any) -> Any:
 
 def _study(study: Study) -> dict[str, Any]:
     """Path and hash of the study file, and the rig, with the joints where a URDF places them."""
-    tables = document_of(replace(study, arm=replace(study.arm, urdf=None)))
+    urdf, arm = study.arm.urdf, replace(study.arm, urdf=None)
+    tables = document_of(replace(study, arm=arm))
     rig = {name: tables[name] for name in _RIG_TABLES if name in tables}
-    return {"path": str(study.path), "sha256": study.sha256, **rig}
+    entry = {"path": str(study.path), "sha256": study.sha256, **rig}
+    return entry | ({"urdf": {"file": urdf.file, "held": urdf.held}} if urdf else {})
 
 
 def _torsion(torsion: TorsionFit) -> dict[str, Any]:

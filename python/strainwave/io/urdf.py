@@ -115,7 +115,8 @@ def patch_urdf(
         comment = document.createComment(f" {note.replace('--', '-')} ")
         robot.insertBefore(comment, robot.firstChild)
         robot.insertBefore(document.createTextNode("\n  "), comment)
-    return document.toxml(encoding="utf-8") + b"\n"
+    nodes = ['<?xml version="1.0" encoding="utf-8"?>', *(n.toxml() for n in document.childNodes)]
+    return "\n".join([*nodes, ""]).encode()
 
 
 def _children(parent: minidom.Element, tag: str) -> list[minidom.Element]:
