@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 from strainwave.errors import InvalidInput, suggest_name
@@ -84,7 +83,7 @@ def export_arm(
     else:
         export = _RENDERERS[form](arm)
     write_whole(out.parent, {out.name: export.data})
-    return replace(export, notes=(*arm.assumptions, *export.notes))
+    return export
 
 
 def _checked_format(form: str | None, out: Path) -> str:

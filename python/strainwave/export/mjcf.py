@@ -34,19 +34,16 @@ from strainwave.export.bodies import (
 from strainwave.export.completion import DAMPING
 from strainwave.export.coordinates import Coordinates, coordinates_of
 from strainwave.export.markup import comment, numbers, root, to_bytes
-from strainwave.export.omissions import Part, notes_of
+from strainwave.export.omissions import LINEAR, SENSORS, omission_note
 from strainwave.export.source import Export, IdentifiedArm
 
 _STEP_S = 1e-4  # [s] time step; Coulomb friction, a constraint, takes two steps to stop a motor
 _FAR = 1e9  # [rad or m] of a spring: its force is constant to 1e-9 per radian
 _LINK_RADIUS = 0.02  # [m] of the drawn links
-_OMISSIONS = {
-    Part.EFFECTS: "MuJoCo has no element for them",
-    Part.SENSORS: "sensors in the file have no lag, noise, rounding, scale error or delay, and an "
-    "IMU whose position or attitude is unknown is omitted",
-    Part.SERVO: "MuJoCo controls are the voltages",
-    Part.UNCERTAINTY: "see result.json",
-}
+_HELD = (
+    *(*LINEAR, "motor_coulomb_friction", "friction_offset", "friction_settling_time"),
+    *("torque_per_volt", "current_loop_hz", SENSORS),
+)
 
 
 def to_mjcf(arm: IdentifiedArm) -> Export:
@@ -55,7 +52,11 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     Controls are voltages, or motor torques if the study has no `torque_per_volt`. Raises
     `InvalidInput` if a parameter that the model needs is missing or not physical.
     """
-    notes = notes_of(arm, _OMISSIONS)
+    notes = (*arm.assumptions, *omission_note(arm, _HELD))
+    joints = enumerate(arm.study.arm.joints, start=1)
+    lost = [str(i) for i, joint in joints if joint.imu and _mounting(arm, i) is None]
+    if lost:
+        notes += (f"omitted: the IMU of joint {', '.join(lost)}: its place is unknown",)
     gravity = effective_gravity(arm)
     bodies = link_bodies(arm, gravity)
     coordinates = coordinates_of(arm.study.arm)

@@ -15,26 +15,15 @@ from strainwave.dynamics.arm import Arm
 from strainwave.export.bodies import gravity_warnings, holds_motor, link_bodies
 from strainwave.export.completion import motion_of, project_friction
 from strainwave.export.markup import comment_text, numbers
-from strainwave.export.omissions import Part, notes_of, sentence_of
+from strainwave.export.omissions import omission_note, sentence_of
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.io.templates import fill_text
 from strainwave.io.urdf import patch_urdf
 
-_OMISSIONS = {
-    Part.GEAR: "joints are rigid in URDF",
-    Part.VISCOUS: "URDF has one damping per joint, their sum at the link",
-    Part.OFFSET: "URDF friction is viscous and Coulomb friction, here the nearest over the motion",
-    Part.SETTLING: "URDF friction is viscous and Coulomb friction",
-    Part.EFFECTS: "URDF has no element for them",
-    Part.GRAVITY: "gravity is set in the simulator; masses have the measured gravity torques if it "
-    "acts as in the study",
-    Part.TRANSMISSION: "a URDF transmission has one joint; friction and motor inertia of "
-    "a joint are those of all motors that turn with it",
-    Part.DRIVE: "the effort of a URDF joint is the torque at the link",
-    Part.SENSORS: "URDF has no sensors",
-    Part.SERVO: "URDF has no controllers",
-    Part.UNCERTAINTY: "see result.json",
-}
+_HELD = (
+    *("motor_inertia", "motor_viscous_friction", "link_viscous_friction"),
+    *("motor_coulomb_friction", "friction_offset"),
+)
 _ERROR_SHARE = 0.03  # of a joint's torque: its weight in the choice of links with rotors
 
 
@@ -73,11 +62,11 @@ def to_urdf(arm: IdentifiedArm) -> Export:
     motors = motion_of(arm)
     links, rotor_notes = _with_rotors(arm, links, motors)
     friction = _friction(arm, motors)
-    notes = (*rotor_notes, *notes_of(arm, _OMISSIONS))
+    notes = (*arm.assumptions, *rotor_notes, *omission_note(arm, _HELD))
     warnings = arm.warnings + arm.assumed() + arm.assumed_bodies() + gravity_warnings(arm)
     urdf = arm.study.arm.urdf
     if urdf is not None:
-        texts = map(sentence_of, (*arm.assumptions, *notes))
+        texts = map(sentence_of, notes)
         comments = ["Inertial values and friction identified by strainwave.", *texts]
         path = arm.study.path.parent / urdf.file
         return Export(patch_urdf(path, urdf.held, links, friction, comments), warnings, notes)
@@ -85,7 +74,7 @@ def to_urdf(arm: IdentifiedArm) -> Export:
     bodies = [Body.of_standard(link) for link in links]
     text = fill_text(
         Path(__file__).with_name("arm.urdf.j2"),
-        notes=(*arm.assumptions, *notes),
+        notes=notes,
         links=list(zip(bodies, joints, arm.study.arm.joint_names, strict=True)),
         friction=friction,
         kind_of=_kind,

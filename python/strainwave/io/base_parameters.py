@@ -13,15 +13,13 @@ from strainwave.domain.arm import ArmDescription
 from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters
 from strainwave.domain.consistent_links import consistent_links, priors_of
 from strainwave.domain.core_arm import core_arm, transmission
-from strainwave.domain.keys import Key, Values, label_of
+from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds import RigidColumn
 from strainwave.domain.kinds.bodies import LINK_PARAMETERS
 from strainwave.errors import NumericalFailure
-from strainwave.io.joint_covariance import JointCovariance
 
 _PREFIXES = {"link_mass": "m", "link_first_moment_": "m", "link_inertia_": "I"}
 _REGROUPED = "R"  # suffix of a combination, as in the literature
-_MIN_RELATIVE_STD = 1e-6  # of a combination in the search for consistent links
 # Weight of a torque in the choice of links, relative to the torque of the joint. It is far above
 # the resulting error, its square; with smaller ones the search takes longer.
 _TORQUE_ERROR = 0.03
@@ -103,50 +101,26 @@ def base_parameter_entries(
     ]
 
 
-def standard_parameter_entries(
-    identification: Identification, covariance: JointCovariance | None
-) -> dict[str, float] | None:
-    """The entry `standard_parameters`: bodies nearest to the prior that have the base parameters.
+def standard_parameter_entries(identification: Identification) -> dict[str, float] | None:
+    """The entry `standard_parameters`: the bodies of `standard_of_torques`.
 
-    Those of the rigid model have its torques over the fitted motion; those of the whole-arm fit
-    agree within their covariance. Motors without estimate have the inertia that the bodies leave.
-    None unless a stage identifies base parameters.
+    The model has the base parameters of the final table, and those of the rigid step that are not
+    identified. None for arms whose parameters are base parameters, and without motion.
     """
-    arm, model, parameters = identification.study.arm, identification.rigid, None
-    if not base_parameters(arm).has_groups:
+    arm, model = identification.study.arm, identification.rigid
+    columns = base_parameters(arm).columns
+    if not base_parameters(arm).has_groups or model is None or not model.motion.size:
         return None
-    if covariance is not None and identification.whole_arm is not None:
-        values = {p.label: p.value for p in identification.parameters}
-        parameters = standard_near_prior(arm, values, covariance)
-    if parameters is None and model is not None and model.motion.size:
-        parameters = standard_of_torques(arm, model, [None] * arm.n_joints)
+    final = {p.key: p.value for p in identification.parameters if p.value is not None}
+    solution = model.solution.copy()
+    for k, column in enumerate(columns):
+        solution[k] = final.get(column.key, solution[k])
+    joints = enumerate(arm.joints, start=1)
+    motors = [final.get((MOTOR_INERTIA, i)) if joint.elastic else None for i, joint in joints]
+    parameters = standard_of_torques(arm, replace(model, solution=solution), motors)
     if parameters is None:
         return None
     return {standard_name(key): value for key, value in parameters.items()}
-
-
-def standard_near_prior(
-    arm: ArmDescription, values: Mapping[str, float | None], covariance: JointCovariance
-) -> Values | None:
-    """Consistent links, and motor inertias; None if no set agrees with the estimates.
-
-    `values` are the estimates by label; `covariance` is that of some of them. The base parameters
-    limit the links only as far as motors without estimate cannot have the difference.
-    """
-    base = base_parameters(arm)
-    n_links, names = len(base.links), list(covariance.names)
-    known = [k for k, column in enumerate(base.columns) if column.label in names]
-    known = [k for k in known if base.rows[k, :n_links].any()]
-    if not known:
-        return None
-    target = np.array([values[base.columns[k].label] for k in known], dtype=float)
-    places = [names.index(base.columns[k].label) for k in known]
-    matrix = covariance.matrix[np.ix_(places, places)]
-    floor = _MIN_RELATIVE_STD * np.abs(target).max()
-    factor = np.linalg.cholesky(matrix + floor**2 * np.eye(len(places)))
-    estimates = [values.get(label_of(MOTOR_INERTIA, i + 1)) for i in range(arm.n_joints)]
-    rows, target = np.linalg.solve(factor, base.rows[known]), np.linalg.solve(factor, target)
-    return _nearest_to_prior(arm, np.asarray(rows), np.asarray(target), estimates)
 
 
 def standard_of_torques(
@@ -154,42 +128,24 @@ def standard_of_torques(
 ) -> Values | None:
     """Consistent links and motor inertias with the torques of a rigid model over its motion.
 
-    `motors` are known motor inertias. Differences of torques count relative to the torque of the
-    joint, friction included. None if no set is found.
+    `motors` are known motor inertias; the others are what the bodies leave, and not negative.
+    Differences of torques count relative to the torque of the joint, friction included. None if no
+    set is found.
     """
-    base, chain = base_parameters(arm), replace(arm, kind="serial")
+    n, base, chain = arm.n_joints, base_parameters(arm), replace(arm, kind="serial")
     friction, velocity = model.solution[len(base.columns) :], model.motion[1]
-    viscous, coulomb, offset = friction[: 3 * arm.n_joints].reshape(-1, 3).T
+    viscous, coulomb, offset = friction[: 3 * n].reshape(-1, 3).T
     torque = _motor_regressor(arm, model.motion) @ base.particular()
     torque = torque @ model.solution[: len(base.columns)]
     size = torque + viscous * velocity + coulomb * np.sign(velocity) + offset
     scale = _TORQUE_ERROR * np.std(size, axis=0)[:, None] + np.finfo(float).tiny
-    rows = _motor_regressor(chain, model.motion) / scale
     # orthogonal columns: the number of samples does not matter
-    Q, R = np.linalg.qr(rows.reshape(torque.size, -1))
-    return _nearest_to_prior(chain, R, Q.T @ (torque[:, :, None] / scale).ravel(), motors)
-
-
-def _motor_regressor(arm: ArmDescription, motion: FloatArray) -> FloatArray:
-    """Motor torques per parameter of the links and motor inertia: (n_samples, n_joints, n)."""
-    core, to_links = core_arm(arm, ["rigid"] * arm.n_joints), transmission(arm)
-    links = (np.ascontiguousarray(x @ to_links.T) for x in motion)
-    of_links = np.einsum("jm,njp->nmp", to_links, core.base_regressor(*links))
-    return np.concatenate([of_links, motion[2][:, :, None] * np.eye(arm.n_joints)], axis=2)
-
-
-def _nearest_to_prior(
-    arm: ArmDescription, rows: FloatArray, target: FloatArray, estimates: Sequence[float | None]
-) -> Values | None:
-    """Links and motors with rows @ (links, motors) = target, whitened; None if there are none.
-
-    Motors with an estimate keep it; the others are not negative.
-    """
-    base = base_parameters(arm)
-    n_links, motors = len(base.links), [(MOTOR_INERTIA, i + 1) for i in range(arm.n_joints)]
-    inertias = np.array([estimate or 0.0 for estimate in estimates])
-    target = target - rows[:, n_links:] @ inertias
-    free = [i for i, estimate in enumerate(estimates) if estimate is None]
+    Q, R = np.linalg.qr((_motor_regressor(chain, model.motion) / scale).reshape(torque.size, -1))
+    rows, target = R, Q.T @ (torque[:, :, None] / scale).ravel()
+    links_of, keys = base_parameters(chain).links, [(MOTOR_INERTIA, i + 1) for i in range(n)]
+    inertias, n_links = np.array([motor or 0.0 for motor in motors]), len(links_of)
+    target -= rows[:, n_links:] @ inertias
+    free = [i for i, motor in enumerate(motors) if motor is None]
     while True:
         of_motors = rows[:, [n_links + i for i in free]]
         directions = np.linalg.svd(of_motors)[0][:, np.linalg.matrix_rank(of_motors) :].T
@@ -205,4 +161,12 @@ def _nearest_to_prior(
             break
         inertias[negative] = 0.0
         free = [i for i in free if i not in negative]
-    return dict(zip([*base.links, *motors], [*links.tolist(), *inertias.tolist()], strict=True))
+    return dict(zip([*links_of, *keys], [*links.tolist(), *inertias.tolist()], strict=True))
+
+
+def _motor_regressor(arm: ArmDescription, motion: FloatArray) -> FloatArray:
+    """Motor torques per parameter of the links and motor inertia: (n_samples, n_joints, n)."""
+    core, to_links = core_arm(arm, ["rigid"] * arm.n_joints), transmission(arm)
+    links = (np.ascontiguousarray(x @ to_links.T) for x in motion)
+    of_links = np.einsum("jm,njp->nmp", to_links, core.base_regressor(*links))
+    return np.concatenate([of_links, motion[2][:, :, None] * np.eye(arm.n_joints)], axis=2)

@@ -52,7 +52,7 @@ from strainwave.io.base_parameters import (
     standard_name,
     standard_parameter_entries,
 )
-from strainwave.io.joint_covariance import JointCovariance, covariance_document, joint_covariance
+from strainwave.io.joint_covariance import covariance_document, joint_covariance
 from strainwave.io.study import document_of
 from strainwave.io.study.reader import Reader
 
@@ -105,7 +105,7 @@ def to_document(identification: Identification) -> dict[str, Any]:
         "verdict": _verdict(verdict),
         "parameters": [parameter_entry(p) for p in identification.parameters],
         "covariance": covariance_document(covariance),
-        **_base_parameters(identification, covariance),
+        **_base_parameters(identification),
         "stages": stages,
         "checks": [
             {"experiment": name, "fit_percent": fits}
@@ -118,14 +118,12 @@ def to_document(identification: Identification) -> dict[str, Any]:
     return finite
 
 
-def _base_parameters(
-    identification: Identification, covariance: JointCovariance | None
-) -> dict[str, Any]:
+def _base_parameters(identification: Identification) -> dict[str, Any]:
     """Base and standard parameters of a serial arm; nothing for other arms."""
     base = base_parameter_entries(identification.study.arm, identification.parameters)
     if not base:
         return {}
-    standard = standard_parameter_entries(identification, covariance)
+    standard = standard_parameter_entries(identification)
     return {"base_parameters": base, "standard_parameters": standard}
 
 
