@@ -66,8 +66,8 @@ def test_a_fault_leaves_an_earlier_export_alone(result: Path) -> None:
     out = result.parent / "arm.xml"
     out.write_text("earlier")
     text = result.read_text()
-    result.write_text(text.replace('"gear_damping"', '"gear_dumping"'))
-    with pytest.raises(InvalidInput, match="gear_damping of joint 1 is missing"):
+    result.write_text(text.replace('"alpha"', '"alfa"'))
+    with pytest.raises(InvalidInput, match="alpha is missing"):
         export_file(result, out)
     assert out.read_text() == "earlier"
 
