@@ -126,19 +126,21 @@ def _projected_friction(
         known = {p.name for p in arm.parameters if p.joint == number and p.value}
         laws = {term.effect for term in model.friction_terms if term.joint == number}
         laws |= {effect.name for effect in all_effects() if known.intersection(effect.names)}
+        if not laws and arm.values.keys() >= set(keys[: len(FRICTION)]):
+            continue
+        projection = project_friction(
+            torque[:, number - 1],
+            velocity[:, number - 1],
+            has_offset=True,
+            is_polynomial=is_polynomial and bool(laws),
+        )
         if laws:
+            powers = ", and damping with powers, read by MuJoCo 4" if projection[3:].any() else ""
             notes.append(
                 f"projected: {', '.join(sorted(laws))} (joint {number}): friction has viscous, "
-                "Coulomb and constant torque, nearest over the recorded motion"
+                f"Coulomb and constant torque{powers}, nearest over the recorded motion"
             )
-        if laws or not arm.values.keys() >= set(keys[: len(FRICTION)]):
-            projection = project_friction(
-                torque[:, number - 1],
-                velocity[:, number - 1],
-                has_offset=True,
-                is_polynomial=is_polynomial and bool(laws),
-            )
-            yield from zip(keys, projection.tolist(), strict=True)
+        yield from zip(keys, projection.tolist(), strict=True)
 
 
 def project_friction(
