@@ -125,8 +125,12 @@ def main() -> None:
     parser.add_argument("results", type=Path, nargs="+")
     table = Table("result", "record", "model", *(f"motor {i}" for i in range(1, 8)), box=None)
     for path in parser.parse_args().results:
+        result = sw.read_result(path)
+        if "rigid" not in result.document["stages"]:
+            table.add_row(path.name, "", "no rigid model")
+            continue
         with TemporaryDirectory() as folder:
-            for record, model, fits in compare(sw.read_result(path), Path(folder)):
+            for record, model, fits in compare(result, Path(folder)):
                 cells = ("" if np.isnan(fit) else f"{fit:.1f}" for fit in fits)
                 table.add_row(path.name, record, model, *cells)
     Console().print(table)

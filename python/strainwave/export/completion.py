@@ -1,8 +1,8 @@
 """A value of every parameter that a format needs: identified, projected or assumed.
 
-A parameter without value has that of the rigid model, which predicts the records: the least-squares
-solution of smallest norm. Without it, friction is zero, the gear is rigid and the links are those
-nearest to the prior.
+A parameter without value has the estimate of the last stage that has one, which may be rejected, or
+that of the rigid model, which predicts the records: the least-squares solution of smallest norm.
+Without these, friction is zero, the gear is rigid and the links are those nearest to the prior.
 """
 
 from __future__ import annotations
@@ -44,14 +44,17 @@ def completed(arm: IdentifiedArm, *, is_polynomial: bool = False) -> IdentifiedA
     """
     before, identified = arm.values, arm.identified
     description, notes = arm.study.arm, list[str]()
+    fallback: Values = {}
     if arm.rigid is not None:
-        columns = rigid_columns(description)
-        for column, value in zip(columns, arm.rigid.solution.tolist(), strict=True):
-            identified.setdefault(column.key, value if is_physical(column.name, value) else 0.0)
+        keys = [column.key for column in rigid_columns(description)]
+        fallback = dict(zip(keys, arm.rigid.solution.tolist(), strict=True))
+    for key, value in (fallback | arm.estimates).items():
+        identified.setdefault(key, value if is_physical(key[0], value) else 0.0)
+    known = arm.complete(identified)
     for number, joint in enumerate(description.joints, start=1):
         needed = [MOTOR_INERTIA, *joint.law.names]
         needed += [LINK_INERTIA] if description.n_joints == 1 and not arm.standard else []
-        missing = [name for name in needed if not before.get((name, number))]
+        missing = [name for name in needed if not known.get((name, number))]
         if joint.elastic and missing:
             description = description.with_joint(number, spring="rigid", effects=())
             notes.append(f"assumed: joint {number} is rigid: {', '.join(missing)} not identified")
@@ -69,10 +72,11 @@ def completed(arm: IdentifiedArm, *, is_polynomial: bool = False) -> IdentifiedA
             arm, note = _as_chain(arm, arm.rigid, error)
             notes.append(note)
             values |= arm.standard
+    law_keys = [(name, i + 1) for i, j in enumerate(description.joints) for name in j.law.names]
     listed = [
         f"{label_of(*key)} = {values[key]:.4g} {unit_in(description, key)}"
-        for key in _needed(arm)
-        if key not in before
+        for key in dict.fromkeys((*_needed(arm), *law_keys, *Arm.of(description).base_names))
+        if key not in before and key in values
     ]
     if listed:
         notes.append(f"assumed, because they are not identified: {', '.join(listed)}")

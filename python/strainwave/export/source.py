@@ -33,6 +33,7 @@ from strainwave.io.results import (
     read_document,
     result_path,
     rigid_model_of,
+    stage_estimates_of,
     standard_parameters_of,
     study_of,
 )
@@ -61,6 +62,7 @@ class IdentifiedArm:
     # consistent standard parameters of a serial arm, and motor inertias that agree with them
     standard: Values = field(default_factory=dict)
     rigid: RigidModel | None = None  # that predicts torques, with samples of the fitted motion
+    estimates: Values = field(default_factory=dict)  # of all stages, also rejected ones
     completion: Values | None = None  # in place of `values`; see `strainwave.export.completion`
     assumptions: tuple[str, ...] = ()  # behind it
 
@@ -207,7 +209,8 @@ def arm_of(
     accepted, rejected = _drop_rejected(parameters, document, path)
     standard = standard_parameters_of(document, study.arm, str(path))
     rigid = rigid_model_of(document, len(rigid_columns(study.arm)))
-    return IdentifiedArm(study, accepted, str(path), warnings, rejected, standard, rigid)
+    estimates = stage_estimates_of(document)
+    return IdentifiedArm(study, accepted, str(path), warnings, rejected, standard, rigid, estimates)
 
 
 def study_file_of(

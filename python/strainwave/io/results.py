@@ -189,6 +189,18 @@ def parameters_of(document: Mapping[str, Any], source: str = "the result") -> tu
     return entries
 
 
+def stage_estimates_of(document: Mapping[str, Any]) -> Values:
+    """Estimates of all stages by (name, joint), the last stage first; they may be rejected."""
+    stages = document.get("stages", {})
+    tables = [stages.get("tuned") or {}, *stages.get("joints", []), stages.get("rigid") or {}]
+    values: Values = {}
+    for table in tables:
+        for p in parameters_of(table, "the result: stages"):
+            if p.value is not None:
+                values.setdefault(p.key, p.value)
+    return values
+
+
 def standard_parameters_of(
     document: Mapping[str, Any], arm: ArmDescription, source: str = "the result"
 ) -> Values:
