@@ -177,8 +177,8 @@ def test_a_patched_file_changes_inertial_values_and_friction_only(
     tree = ElementTree.fromstring(text)
     dynamics = [each.attrib for each in tree.iterfind("joint/dynamics")]
     assert [(d["damping"], d["friction"]) for d in dynamics] == [("1.5", "0.25"), ("2.0", "0.0")]
-    old, new = (_without_values(ElementTree.fromstring(each)) for each in (PATCHED, text))
-    assert old == new
+    rest, kept_rest = (_without_values(ElementTree.fromstring(each)) for each in (PATCHED, text))
+    assert rest == kept_rest
 
 
 def _without_values(robot: ElementTree.Element) -> list[tuple[str, dict[str, str]]]:

@@ -148,7 +148,7 @@ class TorqueParts:
 def torque_parts(
     arm: Arm,
     solution: FloatArray,
-    motion: Sequence[FloatArray],
+    motion: Sequence[FloatArray] | FloatArray,
     friction_terms: Sequence[FrictionTerm],
     payload: Payload | None = None,
 ) -> TorqueParts:
@@ -165,7 +165,9 @@ def torque_parts(
     return TorqueParts(body, smooth, dry)
 
 
-def inverse_dynamics(arm: Arm, model: RigidModel, motion: Sequence[FloatArray]) -> FloatArray:
+def inverse_dynamics(
+    arm: Arm, model: RigidModel, motion: Sequence[FloatArray] | FloatArray
+) -> FloatArray:
     """Motor torques of a rigid model for a motion of the motors: (n_samples, n_joints) [N m].
 
     Dry friction is zero where the velocity is exactly zero.

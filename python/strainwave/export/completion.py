@@ -124,7 +124,7 @@ def _projected_friction(
     friction = torque_parts(description, model.solution, model.motion, model.friction_terms)
     torque = friction.friction(np.sign(velocity))
     of_links = [values.get(("link_viscous_friction", i + 1), 0.0) for i in range(len(velocity.T))]
-    torque -= description.motors_of(of_links * description.links_of(velocity))
+    torque -= description.motors_of(np.array(of_links) * description.links_of(velocity))
     for number in range(1, description.n_joints + 1):
         keys: list[Key] = [(name, number) for name in (*FRICTION, *DAMPING)]
         known = {p.name for p in arm.parameters if p.joint == number and p.value}

@@ -33,7 +33,7 @@ def omission_note(arm: IdentifiedArm, held: Collection[str]) -> tuple[str, ...]:
             is_gear = name == "gear_damping" or family_of(name) == "stiffness"
             is_gear |= p.joint is not None and name in arm.joint(p.joint).law.names
             part = GEAR if is_gear else SENSORS if name in sensor_constants() else name
-            parts.setdefault(part, set()).update({p.joint} - {None})
+            parts.setdefault(part, set()).update(() if p.joint is None else (p.joint,))
     for number, joint in enumerate(arm.study.arm.joints, start=1):
         drive = [key for key in ("torque_per_volt", "current_loop_hz") if getattr(joint, key)]
         has_sensor = any(getattr(joint, key) for key in ("encoder_counts", *link_keys()))
