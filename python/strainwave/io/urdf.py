@@ -90,7 +90,7 @@ def patch_urdf(
     """
     reader = _Reader(path, _root(path), held)
     document = minidom.parseString(read_bytes(path, "the URDF"))
-    robot = document.documentElement
+    (robot,) = _children(document, "robot")
     elements = {each.getAttribute("name"): each for each in _children(robot, "link")}
     joints = {each.getAttribute("name"): each for each in _children(robot, "joint")}
     for joint, link, values in zip(reader.moving_elements(), links, friction, strict=True):
@@ -119,7 +119,7 @@ def patch_urdf(
     return "\n".join([*nodes, ""]).encode()
 
 
-def _children(parent: minidom.Element, tag: str) -> list[minidom.Element]:
+def _children(parent: minidom.Element | minidom.Document, tag: str) -> list[minidom.Element]:
     """Child elements of a name."""
     nodes = (node for node in parent.childNodes if isinstance(node, minidom.Element))
     return [node for node in nodes if node.tagName == tag]
@@ -228,7 +228,7 @@ class _Reader:
     def merged(self, frames: Mapping[str, FloatArray]) -> FloatArray:
         """Sum of the inertial values of links with their frames in one frame: (10,)."""
         inertials = [self._inertial(link, frame) for link, frame in frames.items()]
-        return np.sum([np.zeros(10), *map(np.array, inertials)], axis=0)
+        return np.asarray(np.sum([np.zeros(10), *map(np.array, inertials)], axis=0))
 
     def chains(self) -> Chains:
         """Names of the moving joints from the base to each end, and of mimic joints."""
