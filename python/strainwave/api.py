@@ -579,8 +579,9 @@ class Result:
         """
         arm, model = self._rigid_model()
         study = self._study_of_records() if self.run is None else self.run.study
-        named = [each for each in study.experiments if each.name == record]
-        logs = [log for log in (self.run.logs if self.run else ()) if log.name == record]
+        name = record if isinstance(record, str) else None
+        named = [each for each in study.experiments if each.name == name]
+        logs = [log for log in (self.run.logs if self.run else ()) if log.name == name]
         if not logs:
             control = ("servo",) * arm.n_joints
             new = Experiment("record", "record", "check", control)  # type: ignore[arg-type]
