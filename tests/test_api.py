@@ -22,6 +22,7 @@ import pytest
 import strainwave as sw
 from strainwave.domain import Identification
 from strainwave.domain.progress import Progress, ProgressEvent
+from strainwave.dynamics.arm import Arm
 from strainwave.export import arm_of
 from strainwave.export.state_space import joint_model, joint_model_covariance
 from strainwave.identification.joint_model.agreement import motor_response
@@ -282,11 +283,57 @@ def test_residuals_are_measured_minus_predicted() -> None:
 
 def test_a_result_exports_its_arm(either: sw.Result, tmp_path: Path) -> None:
     notes = either.export(tmp_path / "arm.urdf")
-    assert any("motor_inertia" in note for note in notes)
+    assert any("the links include the rotors" in note for note in notes)
     assert (tmp_path / "arm.urdf").read_text().count("<inertial>") == 2
     either.export(str(tmp_path / "arm"), format="state-space")
     with pytest.raises(sw.InvalidInput, match="did you mean 'urdf'"):
         either.export(tmp_path / "arm", format="urd")
+
+
+def test_a_record_is_predicted_as_in_the_checks(either: sw.Result) -> None:
+    """By its name, and as a log that is not in the study."""
+    log = pd.read_parquet(FOLDER / "motion-check.parquet")
+    for record in ("motion-check", log, FOLDER / "motion-check.parquet"):
+        prediction = either.predict(record)
+        assert prediction.channels == ("u1", "u2")
+        for channel, fit in prediction.fit_percent.items():
+            # a window of the study does not apply to a log
+            reported = either.checks["motion-check"][channel]
+            assert fit == pytest.approx(reported, abs=1e-9 if isinstance(record, str) else 0.5)
+    assert prediction.predicted.shape == prediction.measured.shape == (len(prediction.time), 2)
+    with pytest.raises(sw.InvalidInput, match="motion-chek"):
+        either.predict("motion-chek")
+
+
+def test_inverse_dynamics_are_those_of_the_core(either: sw.Result) -> None:
+    """Torques at the joints by the compiled chain, from the values of the rigid step."""
+    rng, arm = np.random.default_rng(0), Arm.of(arm_of(either.document, either.source).study.arm)
+    q, dq, ddq = rng.normal(size=(3, 20, 2))
+    torque = either.inverse_dynamics(q, dq, ddq)
+    rigid_values = either.document["stages"]["rigid"]["parameters"]
+    values = {(p["name"], p["joint"]): p["value"] for p in rigid_values}
+    rigid_arm = arm.behind_rigid_gears()
+    vector = rigid_arm.parameter_vector(values)
+    expected = rigid_arm.joints_of(rigid_arm.inverse_dynamics(vector, q, dq, ddq))
+    np.testing.assert_allclose(torque, expected, rtol=1e-9)
+    np.testing.assert_array_equal(either.inverse_dynamics(q[0], dq[0], ddq[0]), torque[0])
+    for wrong in (q[:, :1], q[:3]):
+        with pytest.raises(sw.InvalidInput, match=r"give three arrays \(n_samples, 2\)"):
+            either.inverse_dynamics(wrong, dq, ddq)
+
+
+def test_a_result_without_rigid_model_predicts_no_torque() -> None:
+    document = whole().document
+    del document["stages"]["rigid"]["prediction"]
+    with pytest.raises(sw.InvalidInput, match='records of use = "motion"'):
+        sw.Result(document, source=STUDY).inverse_dynamics([0, 0], [0, 0], [0, 0])
+
+
+def test_only_serial_arms_have_base_parameters_apart_from_their_parameters() -> None:
+    assert whole().base_parameters == []
+    entries = [{"name": "Izz1R", "combination": {"Izz1": 1.0}, "value": 1.0}]
+    result = sw.Result(whole().document | {"base_parameters": entries})
+    assert result.base_parameters == entries
 
 
 def test_results_are_compared(either: sw.Result, tmp_path: Path) -> None:

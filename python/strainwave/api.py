@@ -13,17 +13,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from strainwave import pipeline
 from strainwave.domain import (
     ComplexArray,
+    Experiment,
     FloatArray,
     FrequencyResponse,
     Identification,
     InputCheck,
     Options,
     Parameter,
+    Prediction,
     PublishedWarning,
+    RigidModel,
     Study,
     Verdict,
 )
@@ -31,15 +35,21 @@ from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.formatting import percent, plus_minus
 from strainwave.domain.keys import label_of
 from strainwave.domain.progress import Progress, ProgressEvent, ignore_progress
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.rigid_prediction import inverse_dynamics
 from strainwave.errors import Cancelled, InvalidInput, import_optional, suggest_name
+from strainwave.identification.validation import predict_rigid
 from strainwave.io import results
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.joint_covariance import JointCovariance, covariance_of
+from strainwave.io.logs import read_log
 from strainwave.io.logs.in_memory import Data
 from strainwave.io.study import check_study
 from strainwave.io.study import read_study as _read_study
 from strainwave.monitoring import comparison, result_estimates
 from strainwave.numerics.parallel import Stopped, limited
+from strainwave.signals import hygiene
+from strainwave.signals.motor import detect_standing_motors, prepare_motor_signals
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -532,6 +542,62 @@ class Result:
                     columns[channel][rows] = prediction.measured[:, k] - prediction.predicted[:, k]
         return Residuals(experiment, time, tuple(columns), np.column_stack(list(columns.values())))
 
+    @property
+    def base_parameters(self) -> list[dict[str, Any]]:
+        """Entries with name, combination, value, std, ci95, unit and stage, as in result.json.
+
+        Empty for arms whose parameters are base parameters.
+        """
+        return copy.deepcopy(self._document.get("base_parameters", []))
+
+    def inverse_dynamics(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> FloatArray:
+        """Torque at the joints [N m; N of prismatic joints] for a motion of the joints.
+
+        `q`, `dq`, `ddq`, each (n_samples, n_joints) or (n_joints,) [rad, rad/s, rad/s^2], are those
+        of the links. The model is that of the rigid step with all its friction; dry friction is
+        zero at zero velocity. The torque of the motors is the result times the gear ratio. Raises
+        `InvalidInput` if the result has no rigid model or the shapes differ.
+        """
+        arm, model = self._rigid_model()
+        motion = [np.asarray(x, dtype=np.float64) for x in (q, dq, ddq)]
+        shape = motion[0].shape
+        if any(x.shape != shape for x in motion) or shape[-1:] != (arm.n_joints,) or len(shape) > 2:
+            raise InvalidInput(
+                f"q, dq and ddq have the shapes {', '.join(str(x.shape) for x in motion)}",
+                remedy=f"give three arrays (n_samples, {arm.n_joints}) or ({arm.n_joints},)",
+            )
+        motors = [arm.motor_accelerations(x.reshape(-1, arm.n_joints)) for x in motion]
+        return arm.joints_of(inverse_dynamics(arm, model, motors)).reshape(shape)
+
+    def predict(self, record: Any) -> Prediction:
+        """Predict the torques of a record from its motion, with the fit [%] of each.
+
+        `record` is the name of an experiment of the study, or a log that was not in it: a pandas,
+        polars or Arrow table, a dictionary of arrays, or a path. A log has the columns that the
+        study's [channels] name; a result read from a file needs the study file for that. Predicted
+        and measured torques are those within the bandwidth of the rigid model.
+        """
+        arm, model = self._rigid_model()
+        study = self._study_of_records() if self.run is None else self.run.study
+        name = record if isinstance(record, str) else None
+        named = [each for each in study.experiments if each.name == name]
+        logs = [log for log in (self.run.logs if self.run else ()) if log.name == name]
+        if not logs:
+            control = ("servo",) * arm.n_joints
+            new = Experiment("record", "record", "check", control)  # type: ignore[arg-type]
+            logs = [read_log(study, *named)] if named else [read_log(study, new, record)]
+        usable, warnings = hygiene.repair_records(logs, arm)
+        if not usable:
+            raise InvalidInput(
+                f"the record is not usable: {'; '.join(each.observation for each in warnings)}",
+                where=str(record) if isinstance(record, str | Path) else "predict",
+                remedy="correct the sensor or its cable, and record again",
+            )
+        signals = prepare_motor_signals(usable[0], arm)
+        stands = detect_standing_motors([model.motion[0], signals.motor_angle])[1]
+        signals = replace(signals, direction=np.where(stands, 0.0, signals.direction))
+        return predict_rigid(model, signals, arm)
+
     def compare(
         self, other: Result | Path | str, level: float = 0.05
     ) -> comparison.ResultComparison:
@@ -618,6 +684,24 @@ class Result:
         from strainwave.export import arm_of
 
         return arm_of(self._document, self.source)
+
+    def _rigid_model(self) -> tuple[Arm, RigidModel]:
+        """The arm with its drives, and its rigid model."""
+        arm = Arm.of(self._arm().with_identified_drives().study.arm)
+        model = results.rigid_model_of(self._document, len(arm.rigid_columns))
+        if model is None:
+            raise InvalidInput(
+                "has no rigid model, which predicts torques",
+                where=f"{self.source}: stages.rigid.prediction",
+                remedy='identify again, with records of use = "motion"',
+            )
+        return arm, model
+
+    def _study_of_records(self) -> Study:
+        """The study file of a result, whose [channels] its logs need."""
+        from strainwave.export.source import study_file_of
+
+        return study_file_of(self._document, results.result_path(self.source))[0]
 
     def _needs_run(self, subject: str) -> Identification:
         if self.run is None:

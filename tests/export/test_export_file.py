@@ -66,8 +66,8 @@ def test_a_fault_leaves_an_earlier_export_alone(result: Path) -> None:
     out = result.parent / "arm.xml"
     out.write_text("earlier")
     text = result.read_text()
-    result.write_text(text.replace('"gear_damping"', '"gear_dumping"'))
-    with pytest.raises(InvalidInput, match="gear_damping of joint 1 is missing"):
+    result.write_text(text.replace('"alpha"', '"alfa"'))
+    with pytest.raises(InvalidInput, match="alpha is missing"):
         export_file(result, out)
     assert out.read_text() == "earlier"
 
@@ -96,7 +96,5 @@ def test_the_command_prints_warnings_and_notes(tmp_path: Path) -> None:
     done = run(*arguments, "--study", str(moved))
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("warning: joint") == 2
-    assert "note: omitted: motor_coulomb_friction (joint 1, 2): the model is linear" in (
-        done.stdout
-    )
+    assert "note: omitted: motor_coulomb_friction (joint 1, 2), " in done.stdout
     assert run(*arguments, "--study", str(moved), "--quiet").stdout == ""

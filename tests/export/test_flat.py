@@ -166,7 +166,6 @@ def test_a_header_marks_missing_values(arm: IdentifiedArm) -> None:
     assert "friction_offset_1 =" not in text
     assert "strainwave_motor_inertia_1 = 0.00015; /* [kg m^2], std 1.5e-06 */" in text
     assert "strainwave_gravity = 9.81; /* [m/s^2], known */" in text
-    assert " * Omitted: servo: the study file has its gains.\n" in text
 
 
 def test_a_chain_lists_its_placement_coupling_and_bodies(tmp_path: Path) -> None:

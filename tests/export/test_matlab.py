@@ -53,7 +53,7 @@ def test_both_files_note_what_they_leave_out(arm: IdentifiedArm) -> None:
     content = loadmat(io.BytesIO(mat.data), simplify_cells=True)
     assert list(content["notes"]) == list(mat.notes)
     assert "motor_coulomb_friction" in mat.notes[0]
-    assert mat.notes[0].startswith("not in the matrices of joints: ")
+    assert mat.notes[0].endswith("not in the matrices, but in the struct parameters")
     for note in script.notes:
         assert f"% {note[:1].upper()}{note[1:]}." in script.data.decode().splitlines()
 

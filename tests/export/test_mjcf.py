@@ -244,15 +244,13 @@ def test_a_current_loop_faster_than_the_step_is_reported(tmp_path: Path) -> None
     assert "5000 Hz" in warnings[0].message
 
 
-def test_effects_and_sensor_errors_are_noted(tmp_path: Path) -> None:
+def test_effects_are_noted(tmp_path: Path) -> None:
     """On the terminal, and in comments of the file."""
     study = exports.two_links(tmp_path)
     first = replace(study.arm.joints[0], effects=("hysteresis", "kinematic-error"))
     study = replace(study, arm=replace(study.arm, joints=(first, study.arm.joints[1])))
     export = to_mjcf(exports.arm_of(study, exports.values_of(study)))
-    effects, sensors = export.notes[:2]
-    assert effects.startswith("omitted: hysteresis, kinematic-error (joint 1): ")
-    assert "accelerometer_hz" in sensors
+    assert export.notes[0].startswith("omitted: hysteresis (joint 1), kinematic-error (joint 1), ")
     for note in export.notes:
         assert f"<!-- {note[:1].upper()}{note[1:]}. -->" in export.data.decode()
     assert not any("motor_inertia" in note or "gear" in note for note in export.notes)
@@ -348,7 +346,7 @@ def test_an_imu_at_an_unknown_place_is_omitted(mujoco: ModuleType, tmp_path: Pat
     )
     model = mujoco.MjModel.from_xml_string(export.data.decode())
     assert not any(model.sensor(k).name.startswith("imu") for k in range(model.nsensor))
-    assert any("an IMU whose position or attitude is unknown is omitted" in n for n in export.notes)
+    assert "omitted: the IMU of joint 3: its place is unknown" in export.notes
 
 
 def test_motors_without_estimate_have_the_inertia_of_the_standard_parameters(

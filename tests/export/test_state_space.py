@@ -112,7 +112,7 @@ def test_the_file_contains_the_matrices(tmp_path: Path) -> None:
     document = json.loads(export.data)
     assert export.warnings == ()
     assert document["notes"] == list(export.notes)
-    assert export.notes[0].startswith("omitted: beta, gamma: each joint is modelled alone")
+    assert export.notes[0].startswith("omitted: motor_coulomb_friction (joint 1, 2), ")
     assert document["states"] == ["torsion", "motor_velocity", "link_velocity"]
     for joint in (1, 2):
         found = [document["joints"][joint - 1][name] for name in "ABCD"]
@@ -191,17 +191,8 @@ def test_coupled_joints_have_the_model_of_the_whole_arm_only(tmp_path: Path) -> 
     assert len(document["whole_arm"]["A"]) == 12
 
 
-def test_a_missing_parameter_of_the_whole_arm_is_noted(tmp_path: Path) -> None:
-    """The joints are modelled without gravity; without joint models the export is refused."""
-    study = exports.two_links(tmp_path, gravity=9.81)
-    values = exports.values_of(study)
-    del values["gravity_torque_1", None]
-    export = to_state_space(exports.arm_of(study, values))
-    document = json.loads(export.data)
-    assert document["whole_arm"] is None
-    assert export.notes[0] == (
-        "omitted: model of the whole arm: gravity_torque_1 is missing, and this format needs it"
-    )
+def test_a_missing_parameter_of_the_whole_arm_is_refused(tmp_path: Path) -> None:
+    """`export_arm` completes the arm first."""
     study, values = exports.chain(tmp_path, coupling=exports.COUPLING)
     del values["gear_damping", 1]
     with pytest.raises(InvalidInput, match="gear_damping of joint 1 is missing"):

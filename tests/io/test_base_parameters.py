@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 
 import exports
 from serial_chains import parameters_of, random_body
+from strainwave.domain import RigidModel
 from strainwave.domain.arm import ArmDescription, Urdf
 from strainwave.domain.base_parameters import BaseParameters, base_parameters
 from strainwave.domain.consistent_links import is_consistent
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds.bodies import LINK_PARAMETERS
-from strainwave.io.base_parameters import standard_name, standard_near_prior
-from strainwave.io.joint_covariance import JointCovariance
+from strainwave.dynamics.arm import Arm
+from strainwave.io.base_parameters import standard_name, standard_of_torques
 
 ARM = exports.chain(Path("nowhere"), ("rigid",) * 3)[0].arm
 MOTORS: list[Key] = [("motor_inertia", number) for number in (1, 2, 3)]
@@ -30,19 +31,31 @@ def vector(base: BaseParameters, values: Values) -> np.ndarray:
 
 def near_prior(
     arm: ArmDescription, values: Values, *, with_motors: bool
-) -> tuple[BaseParameters, Values]:
-    """Standard parameters from exact base parameters with errors of 0.1 %."""
-    base = base_parameters(arm)
+) -> tuple[np.ndarray, np.ndarray, Values]:
+    """Weights of base parameters in whitened torques, their exact values, and links with them."""
+    base, dynamics = base_parameters(arm), Arm.of(arm)
     exact = base.rows @ vector(base, values)
-    labels = [column.label for column in base.columns]
-    scale = np.abs(exact).max()
-    covariance = JointCovariance("rigid", tuple(labels), (1e-3 * scale) ** 2 * np.eye(len(labels)))
-    estimates = dict(zip(labels, exact.tolist(), strict=True))
-    if with_motors:
-        estimates |= {f"{name} {joint}": values[name, joint] for name, joint in MOTORS}
-    found = standard_near_prior(arm, estimates, covariance)
+    random = np.random.default_rng(1)
+    links = random.normal(size=(3, 200, 3)) * [[[1.5]], [[1.0]], [[5.0]]]
+    motion = np.stack([dynamics.motor_accelerations(part) for part in links])
+    model = RigidModel(
+        parameters=(),
+        solution=np.concatenate([exact, np.zeros(9)]),
+        covariance=np.zeros((0, 0)),
+        condition_number=1.0,
+        fit_percent={},
+        bandwidth_hz=10.0,
+        decimation=1,
+        n_rows=200,
+        status="determined",
+        motion=motion,
+    )
+    motors = [values[motor] if with_motors else None for motor in MOTORS]
+    found = standard_of_torques(arm, model, motors)
     assert found is not None
-    return base, found
+    regressor = dynamics.rigid_regressor(*links)
+    scale = 0.03 * np.std(regressor @ exact, axis=0)
+    return (regressor / scale[:, None]).reshape(600, -1), exact, found
 
 
 def drawn_values(seed: int) -> Values:
@@ -85,12 +98,12 @@ def test_they_agree_with_the_base_parameters(seed: int, with_motors: bool) -> No
     """Motors without estimate have the inertia that remains: it is not negative."""
     values = drawn_values(seed)
     arm = replace(ARM, urdf=Urdf("arm.urdf", tuple(links_of(drawn_values(seed + 1)))))
-    base, found = near_prior(arm, values, with_motors=with_motors)
+    weights, exact, found = near_prior(arm, values, with_motors=with_motors)
     assert all(is_consistent(link) for link in links_of(found))
     assert all(found[motor] >= 0.0 for motor in MOTORS)
     # the true links are consistent and have no residual: the minimum costs no more than they do
-    exact = base.rows @ vector(base, values)
-    residual = (base.rows @ vector(base, found) - exact) / (1e-3 * np.abs(exact).max())
+    base = base_parameters(arm)
+    residual = weights @ (base.rows @ vector(base, found) - exact)
     cost = 0.5 * residual @ residual
     if all(found[motor] > 0.0 for motor in MOTORS):
         cost += divergence(arm, found)
@@ -100,7 +113,7 @@ def test_they_agree_with_the_base_parameters(seed: int, with_motors: bool) -> No
 def test_a_correct_prior_leaves_the_inertia_of_the_motors() -> None:
     values = drawn_values(3)
     arm = replace(ARM, urdf=Urdf("arm.urdf", tuple(links_of(values))))
-    _, found = near_prior(arm, values, with_motors=False)
+    *_, found = near_prior(arm, values, with_motors=False)
     for key, value in values.items():
         assert found[key] == pytest.approx(value, rel=1e-3, abs=1e-5), standard_name(key)
 
@@ -109,10 +122,9 @@ def test_a_prior_that_is_too_heavy_leaves_no_motor() -> None:
     values = drawn_values(3)
     heavy = [tuple(20.0 * value for value in link) for link in links_of(values)]
     arm = replace(ARM, urdf=Urdf("arm.urdf", tuple(heavy)))
-    base, found = near_prior(arm, values, with_motors=False)
+    weights, exact, found = near_prior(arm, values, with_motors=False)
     assert found["motor_inertia", 1] == 0.0
     assert is_consistent(links_of(found)[0])
-    exact = base.rows @ vector(base, values)
-    np.testing.assert_allclose(
-        base.rows @ vector(base, found), exact, atol=0.05 * np.abs(exact).max()
-    )
+    base = base_parameters(arm)
+    residual = weights @ (base.rows @ vector(base, found) - exact)
+    assert np.sqrt(np.mean(residual**2)) < 0.05 / 0.03  # 5 % of the torques

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from strainwave import InvalidInput
 from strainwave.domain import JointLimits
-from strainwave.domain.consistent_links import is_consistent
-from strainwave.io.urdf import read_urdf
+from strainwave.domain.consistent_links import is_consistent, standard_parameters
+from strainwave.io.urdf import patch_urdf, read_urdf
 
 pinocchio = pytest.importorskip("pinocchio")
 
@@ -121,3 +123,68 @@ def test_a_file_that_is_not_a_urdf_is_refused(tmp_path: Path) -> None:
         (tmp_path / "robot.urdf").write_text(content)
         with pytest.raises(InvalidInput, match=message):
             read_urdf(tmp_path / "robot.urdf")
+
+
+PATCHED = """<?xml version="1.0"?>
+<!-- drawn by a colleague -->
+<robot name="two" xmlns:drake="http://drake.mit.edu">
+  <material name="grey"/>
+  <link name="base"/>
+  <link name="upper"><visual><geometry><mesh filename="package://upper.stl"/></geometry></visual></link>
+  <link name="lower"><inertial><mass value="9"/></inertial></link>
+  <!-- the tool -->
+  <link name="tool"><inertial>
+    <mass value="0.5"/>
+    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/>
+  </inertial></link>
+  <joint name="shoulder" type="revolute">
+    <parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="2" effort="9" velocity="3"/>
+    <dynamics damping="7" drake:extra="1"/>
+  </joint>
+  <joint name="elbow" type="continuous">
+    <parent link="upper"/><child link="lower"/><origin xyz="0.4 0 0"/><axis xyz="0 1 0"/>
+  </joint>
+  <joint name="flange" type="fixed">
+    <parent link="lower"/><child link="tool"/><origin xyz="0.2 0 0.1" rpy="0 1 0"/>
+  </joint>
+</robot>
+"""
+
+
+@pytest.mark.parametrize("mass", [3.0, 0.2])
+def test_a_patched_file_changes_inertial_values_and_friction_only(
+    mass: float, tmp_path: Path
+) -> None:
+    """The tool keeps its own inertial values if the rest of the link is a body."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(PATCHED)
+    links = [
+        standard_parameters(m, np.array([0.1, 0.02, 0.0]), m * np.diag([0.1, 0.2, 0.25]))
+        for m in (4.0, mass)
+    ]
+    data = patch_urdf(path, (), links, [(1.5, 0.25), (2.0, 0.0)], ["identified -- here"])
+    (tmp_path / "patched.urdf").write_bytes(data)
+    joints, before = read_urdf(tmp_path / "patched.urdf"), read_urdf(path)
+    for joint, link in zip(joints, links, strict=True):
+        np.testing.assert_allclose(joint.prior, link, rtol=1e-12, atol=1e-14)
+    for new, old in zip(joints, before, strict=True):
+        assert replace(new, prior=old.prior) == old
+    text = data.decode()
+    kept = ("drawn by a colleague", "the tool", "package://upper.stl", 'drake:extra="1"')
+    assert all(part in text for part in (*kept, "identified - here", 'name="flange"'))
+    assert ('<mass value="0.5"/>' in text) == (mass > 0.5)
+    tree = ElementTree.fromstring(text)
+    dynamics = [each.attrib for each in tree.iterfind("joint/dynamics")]
+    assert [(d["damping"], d["friction"]) for d in dynamics] == [("1.5", "0.25"), ("2.0", "0.0")]
+    rest, kept_rest = (_without_values(ElementTree.fromstring(each)) for each in (PATCHED, text))
+    assert rest == kept_rest
+
+
+def _without_values(robot: ElementTree.Element) -> list[tuple[str, dict[str, str]]]:
+    """Tags and attributes apart from inertial values and dynamics."""
+    for parent in [*robot.iter("link"), *robot.iter("joint")]:
+        for tag in ("inertial", "dynamics"):
+            for child in parent.findall(tag):
+                parent.remove(child)
+    return [(each.tag, dict(each.attrib)) for each in robot.iter()]

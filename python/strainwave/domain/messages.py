@@ -302,6 +302,8 @@ TEMPLATES: Mapping[str, str] = {
     " near those of the URDF, or near a guess by the distances of the joints",
     "study-changed": "{file} has changed since it was identified|; gear ratios, lengths and torques"
     " per volt are the present ones",
+    "no-urdf": "the URDF {file} of the study does not exist, or has other joints|; the exported"
+    " URDF has no meshes and no further links",
     "gravity-torque": "gravity is {law}, which differs by {error!p:+.1f} % from that of the study|;"
     " check {keys} and torque_per_volt",
     "left-out": "the lag of the current loop ({bandwidth_hz:g} Hz) is shorter than the time step of"

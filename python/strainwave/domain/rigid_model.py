@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+
 from strainwave.display import Displayed
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.arrays import FloatArray
@@ -63,6 +65,9 @@ class RigidModel(Displayed):
     # joint -> residual of the equations over their torque, rms values within the bandwidth
     torque_errors: Mapping[int, float] = field(default_factory=dict)
     friction_terms: tuple[FrictionTerm, ...] = ()  # further friction that the data support
+    # samples of the fitted motion: angle, velocity, acceleration of the motors. The velocity is
+    # zero where the motor may stick.
+    motion: FloatArray = field(default_factory=lambda: np.zeros((3, 0, 0)))  # (3, n, n_joints)
 
     def value(self, name: str, joint: int | None = None) -> float | None:
         """Value of one parameter; None if it is not identifiable.

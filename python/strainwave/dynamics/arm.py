@@ -99,6 +99,10 @@ class Arm(ArmDescription):
             return np.asarray(torques * self.gear_ratios)
         return np.asarray(torques @ self.transmission)
 
+    def joints_of(self, torques: FloatArray) -> FloatArray:
+        """Joint torques that motor torques balance, the inverse of `motors_of`: (..., n_joints)."""
+        return np.asarray(torques @ np.linalg.inv(self.transmission))
+
     @cached_property
     def torque_per_volt(self) -> FloatArray:
         """Torque per volt e [N m/V], motor side: (n_joints,). One if the input is a torque."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, FrictionTerm, Signals
+from strainwave.domain import BoolArray, FloatArray, FrictionTerm, Payload, RigidModel, Signals
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.friction_terms import additional_friction
 from strainwave.numerics.filters import low_pass
@@ -121,24 +121,59 @@ def predict_torque(
     direction = np.column_stack([_bridge_gaps(d) for d in signals.direction.T])
     sticks = standing(signals.direction, longest_bridge)
     motion = signals.motor_angle, signals.motor_velocity, signals.motor_acceleration
-    viscous, coulomb, offset = arm.joint_friction(solution).T
     torque, payload = np.empty_like(signals.motor_torque), signals.experiment.payload
     for start in range(0, len(torque), _BLOCK_SIZE):
         block = slice(start, start + _BLOCK_SIZE)
-        links = [arm.links_of(x[block]) for x in motion]
-        phi = arm.rigid_regressor(*links)
-        body = phi @ solution[: arm.n_body]
-        if payload is not None:
-            body += arm.payload_torques(payload, *links)
-        smooth = body + viscous * signals.motor_velocity[block] + offset
-        if arm.n_shared:
-            shared = arm.shared_friction_regressor(signals.motor_velocity[block])
-            smooth += shared @ solution[-arm.n_shared :]
-        dry = coulomb + additional_friction(friction_terms, signals.motor_velocity[block], body)
-        limit = np.abs(dry)
+        parts = torque_parts(arm, solution, [x[block] for x in motion], friction_terms, payload)
+        smooth, limit = parts.body + parts.smooth_friction, np.abs(parts.dry_friction)
         sticking = smooth + np.clip(signals.motor_torque[block] - smooth, -limit, limit)
-        torque[block] = np.where(sticks[block], sticking, smooth + dry * direction[block])
+        sliding = smooth + parts.dry_friction * direction[block]
+        torque[block] = np.where(sticks[block], sticking, sliding)
     return torque
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueParts:
+    """Motor torques of a rigid model, each (n_samples, n_joints) [N m]."""
+
+    body: FloatArray  # that moves links and motors
+    smooth_friction: FloatArray  # viscous friction and offset
+    dry_friction: FloatArray  # to be multiplied by the direction of the motion
+
+    def friction(self, direction: FloatArray) -> FloatArray:
+        """Torque of all friction for directions -1, 0 or 1."""
+        return np.asarray(self.smooth_friction + self.dry_friction * direction)
+
+
+def torque_parts(
+    arm: Arm,
+    solution: FloatArray,
+    motion: Sequence[FloatArray] | FloatArray,
+    friction_terms: Sequence[FrictionTerm],
+    payload: Payload | None = None,
+) -> TorqueParts:
+    """Parts of the motor torque for angle, velocity and acceleration of the motors."""
+    velocity, links = motion[1], [arm.links_of(x) for x in motion]
+    viscous, coulomb, offset = arm.joint_friction(solution).T
+    body = arm.rigid_regressor(*links) @ solution[: arm.n_body]
+    if payload is not None:
+        body += arm.payload_torques(payload, *links)
+    smooth = viscous * velocity + offset
+    if arm.n_shared:
+        smooth += arm.shared_friction_regressor(velocity) @ solution[-arm.n_shared :]
+    dry = coulomb + additional_friction(friction_terms, velocity, body)
+    return TorqueParts(body, smooth, dry)
+
+
+def inverse_dynamics(
+    arm: Arm, model: RigidModel, motion: Sequence[FloatArray] | FloatArray
+) -> FloatArray:
+    """Motor torques of a rigid model for a motion of the motors: (n_samples, n_joints) [N m].
+
+    Dry friction is zero where the velocity is exactly zero.
+    """
+    parts = torque_parts(arm, model.solution, motion, model.friction_terms)
+    return np.asarray(parts.body + parts.friction(np.sign(motion[1])))
 
 
 def standing(direction: FloatArray, longest_bridge: int) -> BoolArray:

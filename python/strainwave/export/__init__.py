@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from strainwave.errors import InvalidInput, suggest_name
+from strainwave.export.completion import completed
 from strainwave.export.flat import to_c_header, to_json
 from strainwave.export.linear_arm import LinearArm, linear_arm
 from strainwave.export.matlab import to_mat, to_script
@@ -68,12 +69,15 @@ def export_arm(
     parameter that the format needs is missing.
     """
     form = _checked_format(form, out)
+    if (urdf := arm.study.arm.urdf) is not None:
+        inputs = (*inputs, arm.study.path.parent / urdf.file)
     if out.resolve() in [path.resolve() for path in inputs]:
         raise InvalidInput(
             "would overwrite an input file", where=f"--out {out}", remedy="choose another name"
         )
     if out.is_dir() or not out.name:
         raise InvalidInput("is a directory", where=f"--out {out}", remedy="name a file in it")
+    arm = completed(arm, is_polynomial=form == "mjcf")
     if form == "matlab":
         export = to_script(arm) if out.suffix == ".m" else to_mat(arm)
     else:

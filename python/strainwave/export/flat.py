@@ -12,7 +12,7 @@ from strainwave.domain import ArmDescription
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.link_sensors import key_texts
 from strainwave.domain.units import unit_in
-from strainwave.export.omissions import CORRELATIONS, Part, notes_of, sentence_of
+from strainwave.export.omissions import CORRELATIONS, sentence_of
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.io.templates import fill_text
 
@@ -26,7 +26,6 @@ _JOINT_UNITS = {
     "encoder_counts": "1",
     **{key: unit for key, (_, unit) in key_texts().items() if unit},
 }
-_OMISSIONS = {Part.SERVO: "the study file has its gains"}
 _BODIES = (
     "masses, first moments and inertias of the links are one of many sets with the same motion; "
     "base_parameters in result.json has the combinations that grouped parameters represent"
@@ -57,7 +56,10 @@ def entries(arm: IdentifiedArm) -> tuple[Entry, ...]:
     for p in arm.parameters:
         name = p.name if p.joint is None else f"{p.name}_{p.joint}"
         name = re.sub(r"[\W_]+", "_", name)  # a parameter of one record has the record in brackets
-        entries[name] = Entry(name, arm.standard.get(p.key, p.value), p.std, p.unit)
+        value = arm.standard.get(p.key, p.value)
+        if value is None and arm.completion is not None:
+            value = arm.completion.get(p.key)
+        entries[name] = Entry(name, value, p.std, p.unit)
     for key, value in arm.standard.items():
         name = "_".join(map(str, key))
         entries.setdefault(name, Entry(name, value, None, unit_in(arm.study.arm, key)))
@@ -100,7 +102,7 @@ def _components(
 def _notes(arm: IdentifiedArm) -> tuple[str, ...]:
     """Notes on omitted parts, and on the meaning of the bodies of a serial arm."""
     bodies = (_BODIES,) if arm.standard else ()
-    return (*notes_of(arm, _OMISSIONS), CORRELATIONS, *bodies)
+    return (*arm.assumptions, CORRELATIONS, *bodies)
 
 
 def to_json(arm: IdentifiedArm) -> Export:

@@ -11,11 +11,10 @@ import numpy as np
 from strainwave.domain import FloatArray
 from strainwave.dynamics.two_inertia import NAMES
 from strainwave.export.flat import entries
-from strainwave.export.omissions import CORRELATIONS, Part, names_of, notes_of, sentence_of
+from strainwave.export.omissions import CORRELATIONS, ERRORS, LINEAR, omission_note, sentence_of
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.export.state_space import (
     INPUTS,
-    OMISSIONS,
     OUTPUTS,
     STATES,
     Models,
@@ -26,7 +25,6 @@ from strainwave.export.state_space import (
 from strainwave.io.templates import fill_text
 
 _UNKNOWN = float("nan")
-_ELSEWHERE = (Part.SERVO, Part.UNCERTAINTY)  # not among the numbers of the file either
 
 
 def to_mat(arm: IdentifiedArm) -> Export:
@@ -50,17 +48,16 @@ def to_mat(arm: IdentifiedArm) -> Export:
         "states": np.array(STATES, dtype=object),
         "inputs": np.array(INPUTS, dtype=object),
         "outputs": np.array(OUTPUTS, dtype=object),
-        "notes": np.array(_notes(arm, models), dtype=object),
+        "notes": np.array(_notes(arm), dtype=object),
     }
-    if models.whole_arm is not None:
-        names = {
-            key: np.array(getattr(models.whole_arm, key), dtype=object)
-            for key in ("states", "inputs", "outputs")
-        }
-        content["whole_arm"] = models.whole_arm.matrices | names
+    names = {
+        key: np.array(getattr(models.whole_arm, key), dtype=object)
+        for key in ("states", "inputs", "outputs")
+    }
+    content["whole_arm"] = models.whole_arm.matrices | names
     file = io.BytesIO()
     savemat(file, content, long_field_names=True, oned_as="column")
-    return Export(file.getvalue(), linearised(arm), _notes(arm, models))
+    return Export(file.getvalue(), linearised(arm), _notes(arm))
 
 
 def _joints(count: int, models: Models) -> FloatArray:
@@ -73,14 +70,11 @@ def _joints(count: int, models: Models) -> FloatArray:
     return array
 
 
-def _notes(arm: IdentifiedArm, models: Models) -> tuple[str, ...]:
+def _notes(arm: IdentifiedArm) -> tuple[str, ...]:
     """Notes on parts that the matrices neglect and parts that the file omits."""
-    neglected = names_of(arm, [part for part in OMISSIONS if part not in _ELSEWHERE])
-    matrices = (
-        f"not in the matrices of joints: {neglected}: the struct parameters contains the values"
-    )
-    servo = notes_of(arm, {Part.SERVO: "the study file has its gains"})
-    return (matrices, *models.notes, *servo, CORRELATIONS)
+    omitted = omission_note(arm, (*LINEAR, "servo", ERRORS))
+    matrices = (f"{note}: not in the matrices, but in the struct parameters" for note in omitted)
+    return (*arm.assumptions, *matrices, CORRELATIONS)
 
 
 def to_script(arm: IdentifiedArm) -> Export:
@@ -107,13 +101,13 @@ def to_script(arm: IdentifiedArm) -> Export:
         states=STATES,
         inputs=INPUTS,
         outputs=OUTPUTS,
-        notes=_notes(arm, models),
+        notes=_notes(arm),
         matrix=_matrix,
         names=_names,
         number=lambda value: "NaN" if value is None else repr(value),
         sentence_of=sentence_of,
     )
-    return Export(text.encode(), linearised(arm), _notes(arm, models))
+    return Export(text.encode(), linearised(arm), _notes(arm))
 
 
 def _matrix(matrix: FloatArray) -> str:

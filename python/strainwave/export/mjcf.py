@@ -31,20 +31,19 @@ from strainwave.export.bodies import (
     holds_motor,
     link_bodies,
 )
+from strainwave.export.completion import DAMPING
 from strainwave.export.coordinates import Coordinates, coordinates_of
 from strainwave.export.markup import comment, numbers, root, to_bytes
-from strainwave.export.omissions import Part, notes_of
+from strainwave.export.omissions import LINEAR, SENSORS, omission_note
 from strainwave.export.source import Export, IdentifiedArm
 
 _STEP_S = 1e-4  # [s] time step; Coulomb friction, a constraint, takes two steps to stop a motor
+_FAR = 1e9  # [rad or m] of a spring: its force is constant to 1e-9 per radian
 _LINK_RADIUS = 0.02  # [m] of the drawn links
-_OMISSIONS = {
-    Part.EFFECTS: "MuJoCo has no element for them",
-    Part.SENSORS: "sensors in the file have no lag, noise, rounding, scale error or delay, and an "
-    "IMU whose position or attitude is unknown is omitted",
-    Part.SERVO: "MuJoCo controls are the voltages",
-    Part.UNCERTAINTY: "see result.json",
-}
+_HELD = (
+    *(*LINEAR, "motor_coulomb_friction", "friction_offset", "friction_settling_time"),
+    *("torque_per_volt", "current_loop_hz", SENSORS),
+)
 
 
 def to_mjcf(arm: IdentifiedArm) -> Export:
@@ -53,7 +52,11 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     Controls are voltages, or motor torques if the study has no `torque_per_volt`. Raises
     `InvalidInput` if a parameter that the model needs is missing or not physical.
     """
-    notes = notes_of(arm, _OMISSIONS)
+    notes = (*arm.assumptions, *omission_note(arm, _HELD))
+    joints = enumerate(arm.study.arm.joints, start=1)
+    lost = [str(i) for i, joint in joints if joint.imu and _mounting(arm, i) is None]
+    if lost:
+        notes += (f"omitted: the IMU of joint {', '.join(lost)}: its place is unknown",)
     gravity = effective_gravity(arm)
     bodies = link_bodies(arm, gravity)
     coordinates = coordinates_of(arm.study.arm)
@@ -120,16 +123,19 @@ def _link(
         element.set("euler", numbers(*origin.rpy))
     _inertial(element, body)
     attributes = {"name": arm.study.arm.joint_names[number - 1], **_kind(arm, number)}
-    viscous = arm.need("link_viscous_friction", number)
+    damping = [arm.need("link_viscous_friction", number)]
     joint = arm.joint(number)
     if not joint.elastic and coordinates.has_own_motor(number):
         n2 = joint.gear_ratio**2
-        viscous += arm.need("motor_viscous_friction", number) / n2
+        of_motor = _damping(arm, number, 1.0 / abs(joint.gear_ratio))
+        damping = [damping[0] + of_motor[0], *of_motor[1:]]
         friction = arm.need("motor_coulomb_friction", number) / abs(joint.gear_ratio)
+        offset = arm.values.get(("friction_offset", number), 0.0) / joint.gear_ratio
         attributes |= {"frictionloss": numbers(friction), **_settling(arm, number)}
+        attributes |= _constant_torque(offset, "springref")
         if not holds_motor(arm):
             attributes["armature"] = numbers(arm.need("motor_inertia", number) / n2)
-    ET.SubElement(element, "joint", attributes, damping=numbers(viscous))
+    ET.SubElement(element, "joint", attributes, damping=numbers(*damping))
     x, y, _ = axes_about(joint.axis)
     for axis, tag, _ in _installed(arm, number):
         site = ET.SubElement(element, "site", name=f"{tag}{number}")
@@ -162,11 +168,12 @@ def _motor(world: ET.Element, arm: IdentifiedArm, number: int) -> None:
     _inertial(element, Body.in_plane(inertia, 0.0, inertia))
     # also the motor of a prismatic joint turns; gravity would pull a slide
     hinge = {"type": "hinge", "axis": numbers(*arm.joint(number).axis)}
+    hinge |= _constant_torque(arm.values.get(("friction_offset", number), 0.0), "springref")
     ET.SubElement(
         element,
         "joint",
         {"name": f"motor_joint{number}", **hinge, **_settling(arm, number)},
-        damping=numbers(arm.need("motor_viscous_friction", number)),
+        damping=numbers(*_damping(arm, number)),
         frictionloss=numbers(arm.need("motor_coulomb_friction", number)),
     )
 
@@ -190,6 +197,24 @@ def _settling(arm: IdentifiedArm, number: int) -> dict[str, str]:
     return {"solreffriction": numbers(constant, 1.0), "solimpfriction": "0.9999 0.9999 0.001"}
 
 
+def _damping(arm: IdentifiedArm, number: int, turns: float = 1.0) -> list[float]:
+    """Coefficients of the damping of a motor that turns `turns` times as fast as the joint."""
+    higher = [arm.values.get((name, number), 0.0) for name in DAMPING]
+    powers = [arm.need("motor_viscous_friction", number), *(higher if any(higher) else ())]
+    return [coefficient * turns ** (k + 2) for k, coefficient in enumerate(powers)]
+
+
+def _constant_torque(offset: float, rest: str) -> dict[str, str]:
+    """A friction offset as a soft spring that is far from its rest: `-stiffness (q - rest)`.
+
+    It is a passive force, so that inverse dynamics contain it.
+    """
+    if not offset:
+        return {}
+    stiffness, far = abs(offset) / _FAR, -math.copysign(_FAR, offset)
+    return {"stiffness": numbers(stiffness), rest: numbers(far)}
+
+
 def _gear(
     tendons: ET.Element, arm: IdentifiedArm, number: int, terms: Iterable[tuple[str, float]]
 ) -> None:
@@ -208,9 +233,11 @@ def _shared_motor(
 ) -> None:
     """A motor behind a rigid gear that turns with several joints."""
     attributes = {"name": f"motor{number}", **_settling(arm, number)}
+    offset = arm.values.get(("friction_offset", number), 0.0)
+    attributes |= _constant_torque(offset, "springlength")
     if not holds_motor(arm):
         attributes["armature"] = numbers(arm.need("motor_inertia", number))
-    viscous = numbers(arm.need("motor_viscous_friction", number))
+    viscous = numbers(*_damping(arm, number))
     coulomb = numbers(arm.need("motor_coulomb_friction", number))
     fixed = ET.SubElement(tendons, "fixed", attributes, damping=viscous, frictionloss=coulomb)
     _add_terms(fixed, terms)
@@ -229,7 +256,7 @@ def _springs(arm: IdentifiedArm, number: int) -> tuple[tuple[float, float], ...]
 
 
 def _actuator(actuators: ET.Element, arm: IdentifiedArm, number: int, *, is_shared: bool) -> None:
-    """Voltage to torque (1): e u minus the friction offset, behind the current loop."""
+    """Voltage to torque (1): e u behind the current loop."""
     joint = arm.joint(number)
     target, gear = {"joint": f"motor_joint{number}"}, 1.0
     if is_shared:
@@ -243,8 +270,6 @@ def _actuator(actuators: ET.Element, arm: IdentifiedArm, number: int, *, is_shar
         {"name": f"drive{number}", **target},
         gear=numbers(gear),
         gainprm=numbers(joint.torque_per_command),
-        biastype="affine",
-        biasprm=numbers(-arm.values.get(("friction_offset", number), 0.0), 0, 0),
     )
     lag = _lag(joint)
     if lag is not None:

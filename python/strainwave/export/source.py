@@ -14,12 +14,14 @@ from strainwave.domain import (
     Joint,
     Parameter,
     Place,
+    RigidModel,
     Study,
     is_physical,
     physical_range,
 )
+from strainwave.domain.arm import Urdf
 from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters
-from strainwave.domain.combinations import is_rigid_drive, lumped_inertias
+from strainwave.domain.combinations import is_rigid_drive, lumped_inertias, rigid_columns
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.parameters import complete_values
@@ -30,10 +32,13 @@ from strainwave.io.results import (
     parameters_of,
     read_document,
     result_path,
+    rigid_model_of,
+    stage_estimates_of,
     standard_parameters_of,
     study_of,
 )
 from strainwave.io.study import read_study
+from strainwave.io.urdf import read_urdf
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,17 +61,28 @@ class IdentifiedArm:
     rejected: tuple[str, ...] = ()  # "gear_damping 2": rejected by the verdict, here without value
     # consistent standard parameters of a serial arm, and motor inertias that agree with them
     standard: Values = field(default_factory=dict)
+    rigid: RigidModel | None = None  # that predicts torques, with samples of the fitted motion
+    estimates: Values = field(default_factory=dict)  # of all stages, also rejected ones
+    completion: Values | None = None  # in place of `values`; see `strainwave.export.completion`
+    assumptions: tuple[str, ...] = ()  # behind it
 
     @property
     def values(self) -> Values:
-        """(name, joint) -> value, including values that follow from the identified ones.
+        """(name, joint) -> value, including values that follow from the identified ones."""
+        return self.complete(self.identified) if self.completion is None else self.completion
+
+    def complete(self, identified: Values) -> Values:
+        """Values that follow from identified ones.
 
         If the viscous friction of the link is not identified, the motor has the total. A serial arm
         has its standard parameters, with the motor inertias of rigid joints.
         """
-        identified = self._identified()
-        for number in self._joints_with_total_friction():
-            identified.pop(("motor_viscous_friction", number), None)
+        totals = self._joints_with_total_friction(identified)
+        identified = {
+            key: value
+            for key, value in identified.items()
+            if key[0] != "motor_viscous_friction" or key[1] not in totals
+        }
         return complete_values(identified, self.study.arm) | {
             (name, joint): value
             for (name, joint), value in self.standard.items()
@@ -110,10 +126,10 @@ class IdentifiedArm:
         """Assumptions where only the sum of two parameters is identified."""
         assumptions = [
             Diagnostic("assumed", Place(joint=number), "friction")
-            for number in self._joints_with_total_friction()
+            for number in self._joints_with_total_friction(self.identified)
             if self.joint(number).elastic
         ]
-        identified, arm = self._identified(), self.study.arm
+        identified, arm = self.identified, self.study.arm
         # the link of a rigid drive has the sum; standard parameters are split by consistency
         is_split = bool(kind_of(arm).standard_rows(arm)) and not is_rigid_drive(arm)
         lumped = lumped_inertias(arm) if is_split else {}
@@ -130,17 +146,18 @@ class IdentifiedArm:
     def assumed_bodies(self) -> tuple[Diagnostic, ...]:
         """A warning if the bodies of a serial arm have base parameters that are not identified."""
         columns = base_parameters(self.study.arm).columns if self.standard else ()
-        identified = self._identified()
+        identified = self.identified
         names = tuple(column.label for column in columns if column.key not in identified)
         place = Place(file=self.source)
         return (Diagnostic("assumed", place, "bodies", names=names),) if names else ()
 
-    def _identified(self) -> Values:
+    @property
+    def identified(self) -> Values:
+        """(name, joint) -> value of the final table."""
         return {p.key: p.value for p in self.parameters if p.value is not None}
 
-    def _joints_with_total_friction(self) -> list[int]:
+    def _joints_with_total_friction(self, identified: Values) -> list[int]:
         """Joints whose total viscous friction is identified without the part of the link."""
-        identified = self._identified()
         return [
             number
             for number in range(1, self.study.arm.n_joints + 1)
@@ -184,16 +201,20 @@ def arm_of(
     study = None if study_path else study_of(document, path)
     warnings: tuple[Diagnostic, ...] = ()
     if study is None:
-        study, warnings = _study_from_file(document, path, study_path)
+        study, warnings = study_file_of(document, path, study_path)
+    elif "urdf" in document["study"]:
+        study, warnings = _with_urdf(study, document["study"]["urdf"], path)
     _check_joints(parameters, study, path)
     study = replace(study, arm=study.arm.with_selected_laws([p.key for p in parameters]))
     accepted, rejected = _drop_rejected(parameters, document, path)
     standard = standard_parameters_of(document, study.arm, str(path))
-    return IdentifiedArm(study, accepted, str(path), warnings, rejected, standard)
+    rigid = rigid_model_of(document, len(rigid_columns(study.arm)))
+    estimates = stage_estimates_of(document)
+    return IdentifiedArm(study, accepted, str(path), warnings, rejected, standard, rigid, estimates)
 
 
-def _study_from_file(
-    document: Mapping[str, Any], path: Path, study_path: Path | str | None
+def study_file_of(
+    document: Mapping[str, Any], path: Path, study_path: Path | str | None = None
 ) -> tuple[Study, tuple[Diagnostic, ...]]:
     """The study file of a result, and a warning if the file has changed since."""
     named, sha256 = _study_reference(document, path)
@@ -203,6 +224,26 @@ def _study_from_file(
         return study, ()
     place = Place(file=str(study_file))
     return study, (Diagnostic("study-changed", place, file=str(study_file)),)
+
+
+def _with_urdf(
+    study: Study, entry: Mapping[str, Any], path: Path
+) -> tuple[Study, tuple[Diagnostic, ...]]:
+    """The study with the URDF that places its joints; a warning if there is no such file."""
+    file, held = str(entry.get("file")), tuple(entry.get("held", ()))
+    for folder in _folders(path):
+        for found in (folder / study.path.parent / file, folder / file):
+            if _is_file(found):
+                joints = read_urdf(found, held)
+                if [joint.name for joint in joints] == list(study.arm.joint_names):
+                    urdf = Urdf(str(found.resolve()), tuple(j.prior for j in joints), held)
+                    return replace(study, arm=replace(study.arm, urdf=urdf)), ()
+    return study, (Diagnostic("no-urdf", Place(file=str(path)), file=file),)
+
+
+def _folders(path: Path) -> list[Path]:
+    """Folder of a result and those above."""
+    return [path.resolve().parent, *path.resolve().parent.parents]
 
 
 def _drop_rejected(
@@ -255,10 +296,9 @@ def _find_study(path: Path, named: str, sha256: str, given: Path | str | None) -
     """The study file, preferably the one with the hash in the result."""
     if given is not None:
         return Path(given)
-    folders = [path.resolve().parent, *path.resolve().parent.parents]
     candidates = [
-        folders[0] / Path(named).name,
-        *(folder / named for folder in folders),
+        path.resolve().parent / Path(named).name,
+        *(folder / named for folder in _folders(path)),
         Path(named),
     ]
     existing = [candidate for candidate in candidates if _is_file(candidate)]

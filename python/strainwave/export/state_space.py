@@ -15,7 +15,7 @@ from strainwave.dynamics import two_inertia
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, joint_of
 from strainwave.errors import InvalidInput
 from strainwave.export.linear_arm import LinearArm, linear_arm
-from strainwave.export.omissions import Part, notes_of
+from strainwave.export.omissions import LINEAR, omission_note
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.io.joint_covariance import JointCovariance
 
@@ -23,19 +23,6 @@ STATES = ("torsion", "motor_velocity", "link_velocity")
 INPUTS = ("motor_torque", "interaction_torque")
 OUTPUTS = ("motor_velocity", "link_acceleration")
 _SCHEMA = "strainwave/state-space/1"
-OMISSIONS = {
-    Part.COUPLING: "each joint is modelled alone, with its inertia at zero angles; the torque of "
-    "the other links is the input interaction_torque",
-    Part.GRAVITY: "the models of single joints are linear",
-    Part.COULOMB: "the model is linear; subtract Coulomb friction from the input motor_torque",
-    Part.OFFSET: "subtract it from the input motor_torque",
-    Part.SETTLING: "the model is linear",
-    Part.EFFECTS: "the model has none",
-    Part.DRIVE: "the input is the motor torque [N m]",
-    Part.SENSORS: "the outputs are motor velocity and link acceleration without sensors",
-    Part.SERVO: "the model is in open loop",
-    Part.UNCERTAINTY: "see result.json",
-}
 
 
 class Matrices(NamedTuple):
@@ -130,25 +117,14 @@ class Models(NamedTuple):
     """Linear models of an arm."""
 
     joints: dict[int, Matrices]  # by number, of elastic joints without coupled motors
-    whole_arm: LinearArm | None
-    notes: tuple[str, ...]
+    whole_arm: LinearArm
 
 
 def models_of(arm: IdentifiedArm) -> Models:
-    """Models of the joints, and of the whole arm.
-
-    A note reports if a parameter of the whole arm is missing. Raises `InvalidInput` if a parameter
-    of a joint is missing, or one of the whole arm where no joint has a model of its own.
-    """
+    """Models of the joints, and of the whole arm. Raises `InvalidInput` as `state_space`."""
     is_coupled, joints = arm.study.arm.is_coupled, enumerate(arm.study.arm.joints, start=1)
     numbers = [number for number, joint in joints if joint.elastic and not is_coupled]
-    models = {number: state_space(arm, number) for number in numbers}
-    try:
-        return Models(models, linear_arm(arm), ())
-    except InvalidInput as error:
-        if not models:
-            raise
-        return Models(models, None, (f"omitted: model of the whole arm: {error.problem}",))
+    return Models({number: state_space(arm, number) for number in numbers}, linear_arm(arm))
 
 
 def linearised(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
@@ -164,8 +140,8 @@ def linearised(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
 def to_state_space(arm: IdentifiedArm) -> Export:
     """The matrices of all joints and of the whole arm as JSON; errors as for `models_of`."""
     models = models_of(arm)
-    notes = models.notes + notes_of(arm, OMISSIONS)
-    document: dict[str, Any] = {
+    notes = (*arm.assumptions, *omission_note(arm, LINEAR))
+    document = {
         "schema": _SCHEMA,
         "states": STATES,
         "inputs": INPUTS,
@@ -174,13 +150,12 @@ def to_state_space(arm: IdentifiedArm) -> Export:
             {"joint": number, **_as_lists(model._asdict())}
             for number, model in models.joints.items()
         ],
-        "whole_arm": None,
+        "whole_arm": {
+            **{name: getattr(models.whole_arm, name) for name in ("states", "inputs", "outputs")},
+            **_as_lists(models.whole_arm.matrices),
+        },
         "notes": notes,
     }
-    if models.whole_arm is not None:
-        names = ("states", "inputs", "outputs")
-        whole_arm: dict[str, Any] = {name: getattr(models.whole_arm, name) for name in names}
-        document["whole_arm"] = whole_arm | _as_lists(models.whole_arm.matrices)
     return Export((json.dumps(document, indent=2) + "\n").encode(), linearised(arm), notes)
 
 

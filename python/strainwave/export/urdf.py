@@ -2,36 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from strainwave.domain import Joint, JointLimits
-from strainwave.domain.core_arm import transmission
+from strainwave.domain import FloatArray, Joint, JointLimits, LinkPrior
+from strainwave.domain.consistent_links import consistent_links, standard_parameters
+from strainwave.domain.kinds.bodies import Body
+from strainwave.dynamics.arm import Arm
 from strainwave.export.bodies import gravity_warnings, holds_motor, link_bodies
+from strainwave.export.completion import motion_of, project_friction
 from strainwave.export.markup import comment_text, numbers
-from strainwave.export.omissions import Part, notes_of, sentence_of
+from strainwave.export.omissions import omission_note, sentence_of
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.io.templates import fill_text
+from strainwave.io.urdf import patch_urdf
 
-_OMISSIONS = {
-    Part.MOTOR_INERTIA: "URDF has no motor inertia; a comment in each transmission gives its value "
-    "at the link, motor_inertia/gear_ratio^2, to add as armature or rotor inertia in a simulator",
-    Part.GEAR: "joints are rigid in URDF",
-    Part.VISCOUS: "URDF has one damping per joint, their sum at the link",
-    Part.OFFSET: "URDF friction is viscous and Coulomb friction",
-    Part.SETTLING: "URDF friction is viscous and Coulomb friction",
-    Part.EFFECTS: "URDF has no element for them",
-    Part.GRAVITY: "gravity is set in the simulator; masses have the measured gravity torques if it "
-    "acts as in the study",
-    Part.TRANSMISSION: "a URDF transmission has one joint; friction and motor inertia of "
-    "a joint are those of all motors that turn with it",
-    Part.DRIVE: "the effort of a URDF joint is the torque at the link",
-    Part.SENSORS: "URDF has no sensors",
-    Part.SERVO: "URDF has no controllers",
-    Part.UNCERTAINTY: "see result.json",
-}
+_HELD = (
+    *("motor_inertia", "motor_viscous_friction", "link_viscous_friction"),
+    *("motor_coulomb_friction", "friction_offset"),
+)
+_ERROR_SHARE = 0.03  # of a joint's torque: its weight in the choice of links with rotors
 
 
 _NO_LIMIT = 1e6  # of a joint without limits, where URDF requires numbers
@@ -60,53 +53,94 @@ def _limits(joint: Joint) -> dict[str, float]:
 
 
 def to_urdf(arm: IdentifiedArm) -> Export:
-    """URDF of the arm behind rigid gears (5); `InvalidInput` if a needed parameter is missing."""
-    bodies = link_bodies(arm, arm.study.arm.gravity_size)
+    """URDF of the arm behind rigid gears (5); `InvalidInput` if a needed parameter is missing.
+
+    If a URDF places the joints of the study, it is that file with other inertial values and
+    friction.
+    """
+    links = [_standard(body) for body in link_bodies(arm, arm.study.arm.gravity_size)]
+    motors = motion_of(arm)
+    links, rotor_notes = _with_rotors(arm, links, motors)
+    friction = _friction(arm, motors)
+    notes = (*arm.assumptions, *rotor_notes, *omission_note(arm, _HELD))
+    warnings = arm.warnings + arm.assumed() + arm.assumed_bodies() + gravity_warnings(arm)
+    urdf = arm.study.arm.urdf
+    if urdf is not None:
+        texts = map(sentence_of, notes)
+        comments = ["Inertial values and friction identified by strainwave.", *texts]
+        path = arm.study.path.parent / urdf.file
+        return Export(patch_urdf(path, urdf.held, links, friction, comments), warnings, notes)
     joints = arm.study.arm.joints
-    reasons = dict(_OMISSIONS)
-    if holds_motor(arm):  # the inertia of the link includes it
-        del reasons[Part.MOTOR_INERTIA]
-    notes = notes_of(arm, reasons)
-    # speeds of the motors per speed of each joint alone; transmissions may couple them
-    inertias = arm.standard | arm.values
-    speeds = np.abs(np.linalg.inv(transmission(arm.study.arm)))
-
-    def viscous_friction(number: int) -> float:
-        """d_M/n^2 of all its motors + d_L at the link."""
-        of_link = arm.need("link_viscous_friction", number)
-        return of_link + at_link("motor_viscous_friction", number, 2)
-
-    def coulomb_friction(number: int) -> float:
-        """f_M/n of all its motors at the link."""
-        return at_link("motor_coulomb_friction", number, 1)
-
-    def motor_inertia(number: int) -> float | None:
-        """m_M/n^2 of all its motors at the link; None: unknown, or part of the link."""
-        motors = (np.flatnonzero(speeds[:, number - 1]) + 1).tolist()
-        is_known = all(("motor_inertia", motor) in inertias for motor in motors)
-        if holds_motor(arm) or not is_known:
-            return None
-        weights = speeds[[motor - 1 for motor in motors], number - 1] ** 2
-        return float(weights @ [inertias["motor_inertia", motor] for motor in motors])
-
-    def at_link(name: str, number: int, power: int) -> float:
-        """A property of the motors that turn with one joint, seen from the joint."""
-        weights = enumerate((speeds[:, number - 1] ** power).tolist(), start=1)
-        return sum((arm.need(name, i) * weight for i, weight in weights if weight), 0.0)
-
+    bodies = [Body.of_standard(link) for link in links]
     text = fill_text(
         Path(__file__).with_name("arm.urdf.j2"),
         notes=notes,
         links=list(zip(bodies, joints, arm.study.arm.joint_names, strict=True)),
-        coulomb_friction=coulomb_friction,
+        friction=friction,
         kind_of=_kind,
         limits_of=_limits,
-        motor_inertia=motor_inertia,
-        viscous_friction=viscous_friction,
         comment_text=comment_text,
         numbers=numbers,
         quoted=quoteattr,
         sentence_of=sentence_of,
     )
-    warnings = arm.warnings + arm.assumed() + arm.assumed_bodies() + gravity_warnings(arm)
     return Export(text.encode(), warnings, notes)
+
+
+def _standard(body: Body) -> LinkPrior:
+    xx, yy, zz, xy, xz, yz = body.inertia
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return standard_parameters(body.mass, np.array(body.centre), inertia)
+
+
+def _with_rotors(
+    arm: IdentifiedArm, links: list[LinkPrior], motors: FloatArray
+) -> tuple[list[LinkPrior], tuple[str, ...]]:
+    """Links that include the rotors, for which URDF has no place, and a note on them.
+
+    They are the bodies nearest to the links whose torques are nearest to those of links and rotors,
+    over a motion (3, n_samples, n_joints) of the motors.
+    """
+    description = Arm.of(arm.study.arm)
+    rotors = np.diag([arm.need("motor_inertia", i + 1) for i in range(description.n_joints)])
+    if holds_motor(arm) or not rotors.any():
+        return links, ()
+    chain = replace(description, kind="serial")
+    regressor = chain.base_regressor(*map(chain.links_of, motors))
+    values = np.concatenate(links)
+    target = regressor @ values + chain.joints_of(motors[2] @ rotors)
+    size = np.std(target, axis=0) + np.finfo(float).tiny
+    rows = (regressor / (_ERROR_SHARE * size[:, None])).reshape(-1, len(values))
+    Q, R = np.linalg.qr(rows)
+    merged = consistent_links(links, R, Q.T @ (target / (_ERROR_SHARE * size)).ravel())
+    errors = 100.0 * np.sqrt(np.mean((target - regressor @ merged) ** 2, axis=0)) / size
+    at_joints = np.diag(chain.joints_of(chain.joints_of(rotors).T))
+    listed = ", ".join(
+        f"joint {i}: {inertia:.4g} kg m^2 at the joint, torque differs by {error:.2g} %"
+        for i, (inertia, error) in enumerate(zip(at_joints, errors, strict=True), start=1)
+    )
+    note = f"the links include the rotors ({listed}); MJCF holds rotors exactly, as armature"
+    return [tuple(link) for link in merged.reshape(-1, 10).tolist()], (note,)
+
+
+def _friction(arm: IdentifiedArm, motors: FloatArray) -> list[tuple[float, float]]:
+    """Damping and friction of each joint: nearest to all friction that acts on it, over a motion.
+
+    Exact if a joint has a motor of its own without offset.
+    """
+    description = Arm.of(arm.study.arm)
+    numbers = range(1, description.n_joints + 1)
+    viscous, coulomb, of_links = (
+        np.array([arm.need(name, i) for i in numbers])
+        for name in ("motor_viscous_friction", "motor_coulomb_friction", "link_viscous_friction")
+    )
+    offset = [arm.values.get(("friction_offset", i), 0.0) for i in numbers]
+    speed = motors[1]
+    links = description.links_of(speed)
+    torque = description.joints_of(viscous * speed + coulomb * np.sign(speed) + offset)
+    torque += of_links * links
+    fits = (
+        project_friction(torque[:, i], links[:, i], has_offset=False)
+        for i in range(description.n_joints)
+    )
+    return [(float(damping), float(dry)) for damping, dry, *_ in fits]

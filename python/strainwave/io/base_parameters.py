@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from strainwave.domain import Identification, Parameter
+from strainwave.domain import FloatArray, Identification, Parameter, RigidModel
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters
 from strainwave.domain.consistent_links import consistent_links, priors_of
-from strainwave.domain.keys import Key, Values, label_of
+from strainwave.domain.core_arm import core_arm, transmission
+from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds import RigidColumn
 from strainwave.domain.kinds.bodies import LINK_PARAMETERS
 from strainwave.errors import NumericalFailure
-from strainwave.io.joint_covariance import JointCovariance
 
 _PREFIXES = {"link_mass": "m", "link_first_moment_": "m", "link_inertia_": "I"}
 _REGROUPED = "R"  # suffix of a combination, as in the literature
-_MIN_RELATIVE_STD = 1e-6  # of a combination in the search for consistent links
+# Weight of a torque in the choice of links, relative to the torque of the joint. It is far above
+# the resulting error, its square; with smaller ones the search takes longer.
+_TORQUE_ERROR = 0.03
 
 
 def standard_name(key: Key) -> str:
@@ -99,50 +101,51 @@ def base_parameter_entries(
     ]
 
 
-def standard_parameter_entries(
-    identification: Identification, covariance: JointCovariance | None
-) -> dict[str, float] | None:
-    """The entry `standard_parameters`: bodies nearest to the prior that have the base parameters.
+def standard_parameter_entries(identification: Identification) -> dict[str, float] | None:
+    """The entry `standard_parameters`: the bodies of `standard_of_torques`.
 
-    Motors without estimate have the inertia that the bodies leave. None unless a base parameter has
-    a covariance.
+    The model has the base parameters of the final table, and those of the rigid step that are not
+    identified. None for arms whose parameters are base parameters, and without motion.
     """
-    arm = identification.study.arm
-    if covariance is None or not base_parameters(arm).has_groups:
+    arm, model = identification.study.arm, identification.rigid
+    columns = base_parameters(arm).columns
+    if not base_parameters(arm).has_groups or model is None or not model.motion.size:
         return None
-    values = {p.label: p.value for p in identification.parameters}
-    parameters = standard_near_prior(arm, values, covariance)
+    final = {p.key: p.value for p in identification.parameters if p.value is not None}
+    solution = model.solution.copy()
+    for k, column in enumerate(columns):
+        solution[k] = final.get(column.key, solution[k])
+    joints = enumerate(arm.joints, start=1)
+    motors = [final.get((MOTOR_INERTIA, i)) if joint.elastic else None for i, joint in joints]
+    parameters = standard_of_torques(arm, replace(model, solution=solution), motors)
     if parameters is None:
         return None
     return {standard_name(key): value for key, value in parameters.items()}
 
 
-def standard_near_prior(
-    arm: ArmDescription, values: Mapping[str, float | None], covariance: JointCovariance
+def standard_of_torques(
+    arm: ArmDescription, model: RigidModel, motors: Sequence[float | None]
 ) -> Values | None:
-    """Consistent links, and motor inertias; None if no set agrees with the estimates.
+    """Consistent links and motor inertias with the torques of a rigid model over its motion.
 
-    `values` are the estimates by label; `covariance` is that of some of them. The base parameters
-    limit the links only as far as motors without estimate cannot have the difference.
+    `motors` are known motor inertias; the others are what the bodies leave, and not negative.
+    Differences of torques count relative to the torque of the joint, friction included. None if no
+    set is found.
     """
-    base = base_parameters(arm)
-    n_links, names = len(base.links), list(covariance.names)
-    known = [k for k, column in enumerate(base.columns) if column.label in names]
-    known = [k for k in known if base.rows[k, :n_links].any()]
-    if not known:
-        return None
-    motors: list[Key] = [(MOTOR_INERTIA, i + 1) for i in range(arm.n_joints)]
-    estimates = [values.get(label_of(*motor)) for motor in motors]
-    inertias = np.array([estimate or 0.0 for estimate in estimates])
-    target = np.array([values[base.columns[k].label] for k in known], dtype=float)
-    target -= base.rows[known, n_links:] @ inertias
-    places = [names.index(base.columns[k].label) for k in known]
-    matrix = covariance.matrix[np.ix_(places, places)]
-    floor = _MIN_RELATIVE_STD * np.abs(target).max()
-    factor = np.linalg.cholesky(matrix + floor**2 * np.eye(len(places)))
-    rows = np.asarray(np.linalg.solve(factor, base.rows[known]))
-    target = np.asarray(np.linalg.solve(factor, target))
-    free = [i for i, estimate in enumerate(estimates) if estimate is None]
+    n, base, chain = arm.n_joints, base_parameters(arm), replace(arm, kind="serial")
+    friction, velocity = model.solution[len(base.columns) :], model.motion[1]
+    viscous, coulomb, offset = friction[: 3 * n].reshape(-1, 3).T
+    torque = _motor_regressor(arm, model.motion) @ base.particular()
+    torque = torque @ model.solution[: len(base.columns)]
+    size = torque + viscous * velocity + coulomb * np.sign(velocity) + offset
+    scale = _TORQUE_ERROR * np.std(size, axis=0)[:, None] + np.finfo(float).tiny
+    # orthogonal columns: the number of samples does not matter
+    Q, R = np.linalg.qr((_motor_regressor(chain, model.motion) / scale).reshape(torque.size, -1))
+    rows, target = R, Q.T @ (torque[:, :, None] / scale).ravel()
+    links_of, keys = base_parameters(chain).links, [(MOTOR_INERTIA, i + 1) for i in range(n)]
+    inertias, n_links = np.array([motor or 0.0 for motor in motors]), len(links_of)
+    target -= rows[:, n_links:] @ inertias
+    free = [i for i, motor in enumerate(motors) if motor is None]
     while True:
         of_motors = rows[:, [n_links + i for i in free]]
         directions = np.linalg.svd(of_motors)[0][:, np.linalg.matrix_rank(of_motors) :].T
@@ -158,4 +161,12 @@ def standard_near_prior(
             break
         inertias[negative] = 0.0
         free = [i for i in free if i not in negative]
-    return dict(zip([*base.links, *motors], [*links.tolist(), *inertias.tolist()], strict=True))
+    return dict(zip([*links_of, *keys], [*links.tolist(), *inertias.tolist()], strict=True))
+
+
+def _motor_regressor(arm: ArmDescription, motion: FloatArray) -> FloatArray:
+    """Motor torques per parameter of the links and motor inertia: (n_samples, n_joints, n)."""
+    core, to_links = core_arm(arm, ["rigid"] * arm.n_joints), transmission(arm)
+    links = (np.ascontiguousarray(x @ to_links.T) for x in motion)
+    of_links = np.einsum("jm,njp->nmp", to_links, core.base_regressor(*links))
+    return np.concatenate([of_links, motion[2][:, :, None] * np.eye(arm.n_joints)], axis=2)

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cache
 from itertools import starmap
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from strainwave.domain import (
     Diagnostic,
     FloatArray,
     FrequencyResponse,
+    FrictionTerm,
     Identification,
     JointModel,
     Mode,
@@ -51,7 +52,7 @@ from strainwave.io.base_parameters import (
     standard_name,
     standard_parameter_entries,
 )
-from strainwave.io.joint_covariance import JointCovariance, covariance_document, joint_covariance
+from strainwave.io.joint_covariance import covariance_document, joint_covariance
 from strainwave.io.study import document_of
 from strainwave.io.study.reader import Reader
 
@@ -104,7 +105,7 @@ def to_document(identification: Identification) -> dict[str, Any]:
         "verdict": _verdict(verdict),
         "parameters": [parameter_entry(p) for p in identification.parameters],
         "covariance": covariance_document(covariance),
-        **_base_parameters(identification, covariance),
+        **_base_parameters(identification),
         "stages": stages,
         "checks": [
             {"experiment": name, "fit_percent": fits}
@@ -117,14 +118,12 @@ def to_document(identification: Identification) -> dict[str, Any]:
     return finite
 
 
-def _base_parameters(
-    identification: Identification, covariance: JointCovariance | None
-) -> dict[str, Any]:
+def _base_parameters(identification: Identification) -> dict[str, Any]:
     """Base and standard parameters of a serial arm; nothing for other arms."""
     base = base_parameter_entries(identification.study.arm, identification.parameters)
     if not base:
         return {}
-    standard = standard_parameter_entries(identification, covariance)
+    standard = standard_parameter_entries(identification)
     return {"base_parameters": base, "standard_parameters": standard}
 
 
@@ -190,6 +189,18 @@ def parameters_of(document: Mapping[str, Any], source: str = "the result") -> tu
     return entries
 
 
+def stage_estimates_of(document: Mapping[str, Any]) -> Values:
+    """Estimates of all stages by (name, joint), the last stage first; they may be rejected."""
+    stages = document.get("stages", {})
+    tables = [stages.get("tuned") or {}, *stages.get("joints", []), stages.get("rigid") or {}]
+    values: Values = {}
+    for table in tables:
+        for p in parameters_of(table, "the result: stages"):
+            if p.value is not None:
+                values.setdefault(p.key, p.value)
+    return values
+
+
 def standard_parameters_of(
     document: Mapping[str, Any], arm: ArmDescription, source: str = "the result"
 ) -> Values:
@@ -234,6 +245,56 @@ def verdict_of(document: Mapping[str, Any]) -> Verdict:
         suspected=tuple(map(_suspicion, entry.suspected)),
         reason_clauses=tuple(map(_plain, reason.split("; ") if reason else ())),
     )
+
+
+def rigid_model_of(document: Mapping[str, Any], n_parameters: int) -> RigidModel | None:
+    """The rigid model of a result, without covariance; None if it predicts nothing.
+
+    `n_parameters` is the number of the arm's rigid columns. Files of earlier versions have no
+    entry `prediction`.
+    """
+    table = document.get("stages", {}).get("rigid") or {}
+    if "prediction" not in table or table.get("status") == "not-identifiable":
+        return None
+    entry: _RigidEntry = _validated(_RigidEntry, table, "the result: stages.rigid")
+    solution, motion = np.array(entry.prediction.solution), np.array(entry.prediction.motion)
+    if solution.shape != (n_parameters,) or motion.ndim != 3 or len(motion) != 3:
+        raise InvalidInput(
+            f"has {len(solution)} values and a motion of shape {motion.shape}; expected "
+            f"{n_parameters} values and (3, n_samples, n_joints)",
+            where="the result: stages.rigid.prediction",
+            remedy=NOT_A_RESULT,
+        )
+    return RigidModel(
+        parameters=entry.parameters,
+        solution=solution,
+        covariance=np.full((n_parameters, n_parameters), np.nan),
+        condition_number=math.nan,
+        fit_percent={},
+        bandwidth_hz=entry.bandwidth_hz,
+        decimation=entry.decimation,
+        n_rows=entry.n_rows,
+        status=entry.status,
+        friction_terms=entry.prediction.friction_terms,
+        motion=motion,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _PredictionEntry:
+    solution: tuple[float, ...]
+    friction_terms: tuple[FrictionTerm, ...]
+    motion: tuple[tuple[tuple[float, ...], ...], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _RigidEntry:
+    parameters: tuple[Parameter, ...]
+    bandwidth_hz: float
+    decimation: int
+    n_rows: int
+    status: Literal["determined", "partly-determined"]
+    prediction: _PredictionEntry
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -343,9 +404,11 @@ def _adapter(kind: Any) -> Any:
 
 def _study(study: Study) -> dict[str, Any]:
     """Path and hash of the study file, and the rig, with the joints where a URDF places them."""
-    tables = document_of(replace(study, arm=replace(study.arm, urdf=None)))
+    urdf, arm = study.arm.urdf, replace(study.arm, urdf=None)
+    tables = document_of(replace(study, arm=arm))
     rig = {name: tables[name] for name in _RIG_TABLES if name in tables}
-    return {"path": str(study.path), "sha256": study.sha256, **rig}
+    entry = {"path": str(study.path), "sha256": study.sha256, **rig}
+    return entry | ({"urdf": {"file": urdf.file, "held": urdf.held}} if urdf else {})
 
 
 def _torsion(torsion: TorsionFit) -> dict[str, Any]:
@@ -467,6 +530,11 @@ def _rigid(model: RigidModel) -> dict[str, Any]:
         "torque_errors": [
             {"joint": joint, "value": value} for joint, value in model.torque_errors.items()
         ],
+        "prediction": {
+            "solution": model.solution.tolist(),
+            "friction_terms": [asdict(term) for term in model.friction_terms],
+            "motion": [[_short(sample) for sample in part] for part in model.motion],
+        },
     }
 
 

@@ -5,16 +5,18 @@ Fixed joints are merged into the link before them; meshes, transmissions and plu
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
+from xml.dom import minidom
 from xml.etree import ElementTree
 
 import numpy as np
 
 from strainwave.domain import FloatArray, JointLimits, LinkPrior, Motion, Origin
-from strainwave.domain.consistent_links import standard_parameters
+from strainwave.domain.consistent_links import is_consistent, standard_parameters
+from strainwave.domain.kinds.bodies import Body
 from strainwave.domain.link_sensors.rotations import angles, attitude
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
@@ -73,6 +75,75 @@ class Chains(NamedTuple):
     mimics: tuple[str, ...]
 
 
+def patch_urdf(
+    path: Path,
+    held: Collection[str],
+    links: Sequence[LinkPrior],
+    friction: Sequence[tuple[float, float]],
+    notes: Iterable[str],
+) -> bytes:
+    """The file with other inertial values, and damping and friction of the moving joints.
+
+    `links` are the standard parameters of what each moving joint carries. Links that are fixed to
+    another keep their own if the rest is a body; otherwise the first one has everything. All
+    other contents stay; `notes` become comments.
+    """
+    reader = _Reader(path, _root(path), held)
+    document = minidom.parseString(read_bytes(path, "the URDF"))
+    (robot,) = _children(document, "robot")
+    elements = {each.getAttribute("name"): each for each in _children(robot, "link")}
+    joints = {each.getAttribute("name"): each for each in _children(robot, "joint")}
+    for joint, link, values in zip(reader.moving_elements(), links, friction, strict=True):
+        fixed = reader.fixed_to(joint.child)
+        rest = tuple((np.array(link) - reader.merged(fixed)).tolist())
+        has_rest = is_consistent(rest)
+        for name in () if has_rest else fixed:
+            for inertial in _children(elements[name], "inertial"):
+                elements[name].removeChild(inertial)
+        body = Body.of_standard(rest if has_rest else link)
+        entries = zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), body.inertia, strict=True)
+        inertial = _child(document, elements[joint.child], "inertial")
+        for tag, attributes in (
+            ("origin", {"xyz": _text(*body.centre), "rpy": "0 0 0"}),
+            ("mass", {"value": _text(body.mass)}),
+            ("inertia", {key: _text(value) for key, value in entries}),
+        ):
+            _set(document, inertial, tag, attributes)
+        damping, dry = map(_text, values)
+        _set(document, joints[joint.name], "dynamics", {"damping": damping, "friction": dry})
+    for note in reversed(tuple(notes)):
+        comment = document.createComment(f" {note.replace('--', '-')} ")
+        robot.insertBefore(comment, robot.firstChild)
+        robot.insertBefore(document.createTextNode("\n  "), comment)
+    nodes = ['<?xml version="1.0" encoding="utf-8"?>', *(n.toxml() for n in document.childNodes)]
+    return "\n".join([*nodes, ""]).encode()
+
+
+def _children(parent: minidom.Element | minidom.Document, tag: str) -> list[minidom.Element]:
+    """Child elements of a name."""
+    nodes = (node for node in parent.childNodes if isinstance(node, minidom.Element))
+    return [node for node in nodes if node.tagName == tag]
+
+
+def _child(document: minidom.Document, parent: minidom.Element, tag: str) -> minidom.Element:
+    """The child element of a name, which is added if there is none."""
+    for child in _children(parent, tag):
+        return child
+    return parent.appendChild(document.createElement(tag))
+
+
+def _set(
+    document: minidom.Document, parent: minidom.Element, tag: str, values: Mapping[str, str]
+) -> None:
+    child = _child(document, parent, tag)
+    for key, value in values.items():
+        child.setAttribute(key, value)
+
+
+def _text(*values: float) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
 def read_chains(path: Path) -> Chains:
     """Names of the joints of a URDF file. Raises InvalidInput if it is not a URDF."""
     return _Reader(path, _root(path), ()).chains()
@@ -125,15 +196,39 @@ class _Reader:
         link = self._base()
         self._check_mimics()
         frame, joints = np.eye(4), list[UrdfJoint]()
-        self._merged(link, np.eye(4))  # the base has no parameters, but its joints are checked
+        self._merged(link)  # the base has no parameters, but its joints are checked
         while (found := self._next(link)) is not None:
             frame, joint = found
-            prior = self._merged(joint.child, np.eye(4))
+            prior = self._merged(joint.child)
             joints.append(self._moving(joint, frame, prior))
             link = joint.child
         if not joints:
             raise self._fault("no joint moves", "set the types of the moving joints")
         return tuple(joints)
+
+    def moving_elements(self) -> list[_Element]:
+        """The joints that move, from the base."""
+        link, elements = self._base(), list[_Element]()
+        while (found := self._next(link)) is not None:
+            elements.append(found[1])
+            link = found[1].child
+        return elements
+
+    def fixed_to(self, link: str) -> dict[str, FloatArray]:
+        """Links that are fixed to a link, with their frames in its frame (4, 4)."""
+        return dict(self._fixed(link, np.eye(4)))
+
+    def _fixed(self, link: str, frame: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+        for joint in self._joints:
+            if joint.parent == link and not joint.moves:
+                placed = frame @ self._placement(joint.xml)
+                yield joint.child, placed
+                yield from self._fixed(joint.child, placed)
+
+    def merged(self, frames: Mapping[str, FloatArray]) -> FloatArray:
+        """Sum of the inertial values of links with their frames in one frame: (10,)."""
+        inertials = [self._inertial(link, frame) for link, frame in frames.items()]
+        return np.asarray(np.sum([np.zeros(10), *map(np.array, inertials)], axis=0))
 
     def chains(self) -> Chains:
         """Names of the moving joints from the base to each end, and of mimic joints."""
@@ -141,7 +236,7 @@ class _Reader:
         links, chains = [(self._base(), tuple[str, ...]())], list[tuple[str, ...]]()
         while links:
             link, chain = links.pop(0)
-            moving = [joint for _, joint in self._below(link, np.eye(4)) if joint.moves]
+            moving = [joint for _, joint in self._below(link) if joint.moves]
             moving = [joint for joint in moving if joint.name not in mimics]
             links += [(joint.child, (*chain, joint.name)) for joint in moving]
             if not moving:
@@ -195,19 +290,14 @@ class _Reader:
             )
         return bases[0]
 
-    def _below(self, link: str, frame: FloatArray) -> list[tuple[FloatArray, _Element]]:
+    def _below(self, link: str) -> list[tuple[FloatArray, _Element]]:
         """Joints on a link and on all links fixed to it, with the frames of their parents."""
-        found = []
-        for joint in self._joints:
-            if joint.parent == link:
-                found.append((frame, joint))
-                if not joint.moves:
-                    found += self._below(joint.child, frame @ self._placement(joint.xml))
-        return found
+        frames = {link: np.eye(4), **self.fixed_to(link)}
+        return [(frames[j.parent], j) for j in self._joints if j.parent in frames]
 
     def _next(self, link: str) -> tuple[FloatArray, _Element] | None:
         """The joint that moves after a link, and the frame in which it is placed."""
-        moving = [(frame, joint) for frame, joint in self._below(link, np.eye(4)) if joint.moves]
+        moving = [(frame, joint) for frame, joint in self._below(link) if joint.moves]
         if len(moving) > 1:
             first, second = (joint.name for _, joint in moving[:2])
             raise self._fault(
@@ -243,13 +333,9 @@ class _Reader:
             lower = upper = None
         return JointLimits(lower, upper, velocity or None, effort or None)
 
-    def _merged(self, link: str, frame: FloatArray) -> LinkPrior:
+    def _merged(self, link: str) -> LinkPrior:
         """Inertial values of a link and of all links fixed to it, in the frame of the first."""
-        total = np.array(self._inertial(link, frame))
-        for joint in self._joints:
-            if joint.parent == link and not joint.moves:
-                total += self._merged(joint.child, frame @ self._placement(joint.xml))
-        return tuple(total.tolist())
+        return tuple(self.merged({link: np.eye(4), **self.fixed_to(link)}).tolist())
 
     def _inertial(self, link: str, frame: FloatArray) -> LinkPrior:
         """Mass, first moments and inertias of one link about the origin of `frame`'s base."""

@@ -53,6 +53,7 @@ __all__ = ["RigidOptions", "estimate_drive_gains", "fit_rigid"]
 # alternatives to the motors' usual shares, about one standard deviation away
 _ALTERNATIVE_INERTIA_SHARE = 0.3
 _ALTERNATIVE_VISCOUS_SHARE = 0.21  # any split is possible: that of a uniform distribution
+_MAX_MOTION_SAMPLES = 200  # of the motion in the result; exports project friction onto them
 
 
 def fit_rigid(
@@ -169,7 +170,21 @@ def _model(
         torque_ratios=ratios,
         torque_errors=best.torque_errors,
         friction_terms=terms,
+        motion=_motion_samples(best),
     )
+
+
+def _motion_samples(best: Trial) -> FloatArray:
+    """Evenly spaced samples of the fitted motion, as in `RigidModel.motion`."""
+    parts = []
+    for stretch in best.stretches:
+        angle, velocity, acceleration = (
+            x[stretch.rows // stretch.motion_step] for x in stretch.motion
+        )
+        slides = stretch.signals.direction[stretch.rows] != 0.0
+        parts.append(np.stack([angle, np.where(slides, velocity, 0.0), acceleration]))
+    motion = np.concatenate(parts, axis=1)
+    return motion[:, :: -(-motion.shape[1] // _MAX_MOTION_SAMPLES)]
 
 
 def _fits(best: Trial, record: Signals, terms: tuple[FrictionTerm, ...]) -> dict[str, float]:

@@ -211,11 +211,11 @@ _DATA = {
         "Record a heavier payload if the intervals of torque_per_volt are too wide.",
     ),
     "friction-term": Advice(
-        "The rigid model includes this friction; simulated and exported arms do not.",
+        "The rigid model includes this friction; exported arms have the nearest torque.",
         "No action is required.",
     ),
     "load-friction": Advice(
-        "The rigid model includes this friction; simulated and exported arms do not.",
+        "The rigid model includes this friction; exported arms have the nearest torque.",
         "No action is required.",
     ),
     "not-settled": Advice(
