@@ -153,18 +153,18 @@ def _design(
     loops = Loops.of(plants, clock)
     progress("tuning the loops")
     resolutions = np.array([joint.encoder_resolution for joint in arm.study.arm.joints])
-    tuned = tune_cascades(loops, options.required, resolutions=resolutions, limit=limit)
+    tuned, judged = tune_cascades(loops, options.required, resolutions=resolutions, limit=limit)
     progress("simulating steps")
     sampled = sample(plants, clock)
     gains, current = [each.gains for each in tuned], _current_gains(arm, clock)
-    results = _results(loops, sampled, gains)
+    results = _results(judged, sampled, gains)
     if options.bandwidth_hz is not None:
         _check_bandwidth(tuned, results, options.bandwidth_hz, clock)
     _check_loops(results, options.required, _count_unstable(sampled, gains))
     n_unstable = _count_unstable(sampled, current) if current else 0
     of_current: Sequence[LoopResults | None] = [None] * len(tuned)
     if current and not n_unstable:
-        of_current = _results(loops, sampled, current)
+        of_current = _results(loops.judge(loops.controllers(current)), sampled, current)
     progress("ranking shapers")
     modes, shapers = _shapers(plants, clock)
     progress("designing observers")
@@ -232,13 +232,11 @@ def _drives(arm: IdentifiedArm, options: ServoOptions) -> tuple[Clock, float]:
     return Clock(period, delay), servo.limit if servo else default
 
 
-def _results(loops: Loops, sampled: SampledPlants, gains: Sequence[Gains]) -> list[LoopResults]:
+def _results(
+    judged: Sequence[tuple[Margins, LoopBand]], sampled: SampledPlants, gains: Sequence[Gains]
+) -> list[LoopResults]:
     """Margins, bands and steps of all joints."""
-    pairs = loops.margins_and_bands(gains)
-    return [
-        LoopResults(margins, band, _steps(sampled, gains, i))
-        for i, (margins, band) in enumerate(pairs)
-    ]
+    return [LoopResults(*pair, _steps(sampled, gains, i)) for i, pair in enumerate(judged)]
 
 
 def _count_unstable(sampled: SampledPlants, gains: Sequence[Gains]) -> int:
