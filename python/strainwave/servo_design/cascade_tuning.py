@@ -113,18 +113,18 @@ def tune_cascades(
     required: Requirements,
     *,
     resolutions: FloatArray,
-    limit: float,
+    limits: FloatArray,
     uses_filters: bool = True,
 ) -> tuple[list[TunedJoint], list[tuple[Margins, LoopBand]]]:
     """Gains of all joints, and what `Loops.judge` says of them.
 
-    `resolutions` (n_joints,) are counts of the motor encoders [rad], `limit` is the largest
-    voltage. Without `uses_filters` the loops have gains only.
+    `resolutions` (n_joints,) are counts of the motor encoders [rad], `limits` (n_joints,) are the
+    largest inputs. Without `uses_filters` the loops have gains only.
     """
     plants, period = loops.plants, loops.clock.period
     inertias = np.median(plants.rigid_inertias(), axis=0) / plants.torque_per_volt
     with np.errstate(divide="ignore"):
-        max_kp = MAX_RIPPLE_SHARE * limit * period / resolutions
+        max_kp = MAX_RIPPLE_SHARE * limits * period / resolutions
     search = np.flatnonzero(plants.draw <= _N_SEARCH_DRAWS)
     tuners = [
         _Tuner(loops, required, i, float(inertia), float(largest), uses_filters)

@@ -86,14 +86,14 @@ def test_the_printed_equations_are_the_law(filtered: ServoDesign) -> None:
         law, x, expected = gains.law(), np.zeros(len(gains.law().A)), []
         for *now, ff in inputs:
             wanted = law.C @ x + law.D @ now + ff
-            u = float(np.clip(wanted, -filtered.limit, filtered.limit))
+            u = float(np.clip(wanted, -filtered.limits[0], filtered.limits[0]))
             held = law.holds & (u != wanted)
             x = np.where(held, x, law.A @ x + law.B @ now + law.E * (u - ff))
             expected.append(u)
-        limited = np.mean(np.abs(expected) == filtered.limit)
+        limited = np.mean(np.abs(expected) == filtered.limits[0])
         assert 0.02 < limited < 0.98
         # rounding of sums in another order
-        found = by_equations(gains, filtered.limit, inputs)
+        found = by_equations(gains, filtered.limits[0], inputs)
         np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-10)
 
 
@@ -101,7 +101,7 @@ def test_script_and_text_print_the_equations(filtered: ServoDesign) -> None:
     script, text = to_script(filtered).data.decode(), to_markdown(filtered).data.decode()
     for each in filtered.joints:
         units = Units.of(filtered.arm.joint(each.joint))
-        for equation, remark in difference_equations(each.tuned.gains, filtered.limit, units):
+        for equation, remark in difference_equations(each.tuned.gains, filtered.limits[0], units):
             assert f"%   {equation}  % {remark}\n" in script
             assert f"    {equation}  # {remark}\n" in text
 
