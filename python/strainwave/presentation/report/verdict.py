@@ -34,7 +34,8 @@ _CLASSES = (
 """Classes of identified parameters by the half-width of the 95 % interval over the value."""
 _UNCERTAIN = "Not identified: the 95 % interval is wider than the value"
 _NO_VALUE = "Not identified"
-_REJECTED = "Rejected: do not use"
+_REJECTED = "Rejected: reasons under Parameters"
+_CONTRADICTED = "Rejected: do not use"  # values that depend on a fault of the input
 _USABLE_HALF_WIDTH = 0.1  # relative: good enough to simulate with
 _TITLES: Mapping[str, tuple[str, Mark]] = {
     "determined": ("Determined", "good"),
@@ -107,6 +108,8 @@ def _certainty_groups(identification: Identification) -> Iterator[tuple[str, str
         groups[_certainty_class(decision)].append(decision.parameter)
     for name, members in groups.items():
         if members:
+            if name == _REJECTED and identification.suspected:
+                name = _CONTRADICTED
             yield name, named(p.key for p in members)
     estimated = {d.parameter.key for d in decisions}
     missing = [key for key in identification.verdict.not_identified if key not in estimated]
