@@ -106,10 +106,10 @@ def _certainty_groups(identification: Identification) -> Iterator[tuple[str, str
     groups |= {_UNCERTAIN: [], _NO_VALUE: [], _REJECTED: []}
     for decision in decisions:
         groups[_certainty_class(decision)].append(decision.parameter)
+    if identification.suspected:
+        groups[_CONTRADICTED] = groups.pop(_REJECTED)
     for name, members in groups.items():
         if members:
-            if name == _REJECTED and identification.suspected:
-                name = _CONTRADICTED
             yield name, named(p.key for p in members)
     estimated = {d.parameter.key for d in decisions}
     missing = [key for key in identification.verdict.not_identified if key not in estimated]
