@@ -23,6 +23,7 @@ class Guess:
     reason: str
     sure: Sure
     scale: float | None = 1.0  # factor to SI units; None: the user must fill it in
+    meaning: str = ""  # of a torque: "sensor" behind the gear
     todo: str = ""  # description of the value that the user must fill in, here or in [[joint]]
 
 
@@ -57,6 +58,7 @@ class Mapping:
     missing: dict[str, str] = field(default_factory=dict)  # channel -> description
     limit: str = ""  # why the arm exceeds the supported models
     notes: tuple[str, ...] = ()
+    open_sides: list[str] = field(default_factory=list)  # torques of the motor or of a sensor
     warnings: tuple[str, ...] = ()  # notes that the user needs before completing the study
 
     @property

@@ -109,7 +109,10 @@ class JointColumns:
         sure = sure or ("likely" if each.sure and each.placed else "unsure")
         if column == key and scale == 1.0:
             texts, sure = ["a channel name, in SI units"], "sure"
-        self.mapping.guesses[key] = Guess(key, column, "; ".join(texts), sure, scale, todo)
+        is_sensor = channel == "torque" and each.side == "link"
+        self.mapping.guesses[key] = Guess(
+            key, column, "; ".join(texts), sure, scale, "sensor" if is_sensor else "", todo
+        )
 
     def map_motion(self) -> None:
         """Map the angles, and the columns that their relation to the motor angle determines."""
