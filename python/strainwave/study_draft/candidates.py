@@ -58,7 +58,6 @@ class Mapping:
     missing: dict[str, str] = field(default_factory=dict)  # channel -> description
     limit: str = ""  # why the arm exceeds the supported models
     notes: tuple[str, ...] = ()
-    open_sides: list[str] = field(default_factory=list)  # torques of the motor or of a sensor
     warnings: tuple[str, ...] = ()  # notes that the user needs before completing the study
 
     @property

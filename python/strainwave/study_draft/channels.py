@@ -54,8 +54,7 @@ def map_channels(
         map_input(joint)
         map_sensors(joint)
     _map_imus(record, mapping)
-    if mapping.open_sides:
-        listed = ", ".join(map(repr, mapping.open_sides))
+    if listed := ", ".join(repr(joint.sided_by_guess) for joint in joints if joint.sided_by_guess):
         mapping.warnings += (
             f"on which side of the gear is {listed} measured? The motor side is assumed; if it is a"
             ' sensor behind the gear, write { column = ..., meaning = "sensor" }',

@@ -114,6 +114,16 @@ class JointColumns:
             key, column, "; ".join(texts), sure, scale, "sensor" if is_sensor else "", todo
         )
 
+    @property
+    def sided_by_guess(self) -> str:
+        """Column of a joint-side torque that the motor or a sensor may measure; empty if none."""
+        guess = self.mapping.guesses.get(f"torque{self.number}")
+        if guess is None or not self.facts.joint_side or guess.column == guess.channel:
+            return ""
+        each = self.parsed_names[guess.column]
+        is_open = each.quantity == "torque" and each.role != "desired" and each.side is None
+        return guess.column if is_open else ""
+
     def map_motion(self) -> None:
         """Map the angles, and the columns that their relation to the motor angle determines."""
         motor, velocities = self.angle, self.columns_of("velocity")

@@ -100,8 +100,6 @@ def _add_input(joint: JointColumns, column: str) -> None:
     if is_command:
         meaning = "commanded, not measured"
         joint.facts.command = "A" if is_current else "V"
-    elif each.quantity == "torque" and each.side is None and joint.facts.joint_side:
-        joint.mapping.open_sides.append(column)
     elif each.quantity == "torque" and each.side is None:
         meaning = 'if a sensor behind the gear measures it, add meaning = "sensor"'
     elif each.side == "link":
