@@ -38,7 +38,7 @@ class CommonFactor:
 
 def is_torque_like(unit: str) -> bool:
     """Whether a parameter scales with the torques: its unit contains N or kg."""
-    return unit.startswith(("N", "kg"))
+    return not {"N", "kg"}.isdisjoint(unit.replace("/", " ").split())
 
 
 def common_factor(
