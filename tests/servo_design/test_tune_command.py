@@ -19,7 +19,7 @@ from servo_arms import rig
 from strainwave.domain import JointLimits
 from strainwave.io.study import read_study, write_study
 from strainwave.servo_design.design import design_servo
-from strainwave.servo_design.handover import FORMATS, render_forms
+from strainwave.servo_design.handover import FILES
 from strainwave.servo_design.report import words
 from strainwave.servo_design.report.page import render
 from strainwave.servo_design.report.terminal import print_design
@@ -54,7 +54,7 @@ def tuned(result: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Finis
     assert finished.returncode == 0
     assert {path.name for path in out.iterdir()} == {
         PAGE,
-        *(form.file for form in FORMATS.values()),
+        *FILES,
     }
     return finished, (out / "tune.html").read_text()
 
@@ -176,8 +176,8 @@ def test_an_arm_without_servo_and_voltages_has_torque_gains() -> None:
     assert "The study has no servo" in page
     assert "your servo" not in text
     assert "0.5 N m" in page
-    for export in render_forms(design).values():
-        assert not re.search(rb"\b(inf|nan)\b", export.data)
+    for to_file in FILES.values():
+        assert not re.search(rb"\b(inf|nan)\b", to_file(design).data)
 
 
 def test_an_unstable_servo_is_reported() -> None:

@@ -22,7 +22,7 @@ from strainwave.export.source import IdentifiedArm
 from strainwave.servo_design.control_law import Gains
 from strainwave.servo_design.link_measurements import Measurement, known_part, with_places
 from strainwave.servo_design.observer import Observer
-from strainwave.servo_design.two_inertia import base_vector
+from strainwave.servo_design.plants import base_vector
 from strainwave.servo_design.verification import MOVE, Simulated, shortest_plan
 from strainwave.signals.link_readings import JointMotion
 
@@ -166,7 +166,7 @@ def planned_inputs(arm: IdentifiedArm, planned: FloatArray, period: float) -> Pl
     motion = JointMotion(planned, velocity, np.gradient(velocity, period, axis=0))
     model = with_places(arm)
     torques = model.link_torques(
-        base_vector(arm, model), motion.angle, motion.velocity, motion.acceleration
+        base_vector(model, arm.values), motion.angle, motion.velocity, motion.acceleration
     )
     return PlannedInputs(torques, motion, model)
 

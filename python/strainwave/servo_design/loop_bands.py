@@ -41,7 +41,7 @@ class LoopBand:
         """The band over all plants of bands that begin with the same plant."""
 
         def widest(name: str) -> FloatArray:
-            low, first, high = np.moveaxis([getattr(part, name) for part in parts], 2, 0)
+            low, first, high = np.moveaxis(np.array([getattr(part, name) for part in parts]), 2, 0)
             return np.stack([low.min(axis=0), first[0], high.max(axis=0)], axis=1)
 
         return cls(parts[0].hz, *map(widest, ("gain_db", "phase_deg", "distance")))
