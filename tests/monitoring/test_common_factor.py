@@ -12,11 +12,14 @@ from strainwave.monitoring.comparison import compare
 NAMES = ("beta", "gear_stiffness 1", "motor_inertia 1", "motor_viscous_friction 1")
 
 
-def draws(rng: np.random.Generator, factors: list[float]) -> list[tuple[float, ...]]:
+def draws(
+    rng: np.random.Generator, factors: list[float]
+) -> list[tuple[float, float, float, float]]:
     true = rng.uniform(1.0, 5.0, len(factors))
     std = 0.01 * true
     errors = rng.normal(size=(2, len(factors))) * std
-    return list(zip(true + errors[0], std, factors * true + errors[1], std, strict=True))
+    first, second = (true + errors[0]).tolist(), (factors * true + errors[1]).tolist()
+    return list(zip(first, std.tolist(), second, std.tolist(), strict=True))
 
 
 def test_the_factor_is_estimated_with_its_standard_deviation() -> None:
