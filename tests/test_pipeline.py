@@ -27,6 +27,7 @@ from strainwave.domain.progress import ProgressEvent
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NumericalFailure
 from strainwave.io.logs import read_logs
+from strainwave.io.results import to_document
 from strainwave.pipeline import elastic_arm
 from strainwave.pipeline.elastic_arm import predict_checks
 from strainwave.pipeline.elastic_joints import JointStage, fit_elastic_joints, typical_joints
@@ -187,7 +188,7 @@ def test_a_fit_that_diverges_keeps_the_earlier_stages(
     without = pipeline.identify(tmp_path / "study.toml", stages=("rigid",))
     assert without.verdict.exit_code == 3
     assert "diverged at 0.108 s" in without.verdict.reasons[0]
-    assert pipeline.to_document(without)["status"] == "not-determined"
+    assert to_document(without)["status"] == "not-determined"
 
 
 def test_rigid_joints_stay_rigid_beside_elastic_ones(tmp_path: Path) -> None:
