@@ -512,11 +512,10 @@ def with_periods(record: Planned, periods: int) -> Planned:
     if prbs is None:
         return record
     one = len(drive.voltage) // prbs.periods
-    columns = {
-        name: np.tile(getattr(drive, name)[:one], (periods, 1)) for name in ("voltage", "reference")
-    }
+    voltage, reference = (np.tile(x[:one], (periods, 1)) for x in (drive.voltage, drive.reference))
     experiment = replace(record.experiment, prbs=replace(prbs, periods=periods))
-    return replace(record, experiment=experiment, drive=replace(drive, **columns))
+    longer = replace(drive, voltage=voltage, reference=reference)
+    return replace(record, experiment=experiment, drive=longer)
 
 
 def only(designed: design.Design, *chosen: str) -> design.Design:
