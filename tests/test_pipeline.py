@@ -14,13 +14,23 @@ import pytest
 
 from results import arm_model
 from strainwave import pipeline
-from strainwave.domain import STAGES, Identification, JointModel, Parameter, Prbs
+from strainwave.domain import (
+    STAGES,
+    Identification,
+    JointModel,
+    Parameter,
+    Prbs,
+    Spring,
+    Study,
+)
 from strainwave.domain.progress import ProgressEvent
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NumericalFailure
 from strainwave.io.logs import read_logs
+from strainwave.io.results import to_document
+from strainwave.pipeline import elastic_arm
 from strainwave.pipeline.elastic_arm import predict_checks
-from strainwave.pipeline.elastic_joints import fit_elastic_joints, typical_joints
+from strainwave.pipeline.elastic_joints import JointStage, fit_elastic_joints, typical_joints
 from strainwave.pipeline.inputs import Inputs
 from strainwave.pipeline.reporter import Reporter
 from strainwave.virtual import experiments as virtual
@@ -144,6 +154,67 @@ def test_a_tuned_linear_arm_predicts_steps(
     }
     for joint in (1, 2):
         assert fits[f"step-check-j{joint}", f"omega_m{joint}"] > 97.0
+
+
+def short_study(folder: Path, *springs: Spring) -> Study:
+    """Short records of the rig with these springs: a motion, and a PRBS of each joint."""
+    study = scara.STIFF.study(folder, "linear")
+    short = [replace(e, prbs=Prbs(9, 2e-3, 3, 6.0)) if e.prbs else e for e in study.experiments]
+    used = tuple(e for e in short if e.use in ("motion", "frequency"))
+    pairs = zip(study.arm.joints, springs, strict=True)
+    joints = tuple(replace(joint, spring=spring) for joint, spring in pairs)
+    study = replace(study, arm=study.arm.with_joints(joints), experiments=used)
+    values = scara.STIFF.parameters(5, "linear")
+    virtual.simulate_study(study, values, folder, as_recorded=False)
+    return study
+
+
+def fail(*_: object, **__: object) -> None:
+    raise NumericalFailure("the motion diverged at 0.108 s")
+
+
+def test_a_fit_that_diverges_keeps_the_earlier_stages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    short_study(tmp_path, "linear", "linear")
+    monkeypatch.setattr("strainwave.identification.whole_arm.fit_whole_arm", fail)
+    one = pipeline.identify(tmp_path / "study.toml")
+    assert [joint.joint for joint in one.joints] == [1, 2]
+    assert (one.whole_arm, one.verdict.exit_code) == (None, 3)
+    (warning,) = [w for w in one.warnings if w.code == "not-tuned"]
+    assert "the motion diverged at 0.108 s" in warning.message
+    assert "gear_ratio and torque_per_volt" in warning.message
+    monkeypatch.setattr("strainwave.identification.rigid.fit_rigid", fail)
+    without = pipeline.identify(tmp_path / "study.toml", stages=("rigid",))
+    assert without.verdict.exit_code == 3
+    assert "diverged at 0.108 s" in without.verdict.reasons[0]
+    assert to_document(without)["status"] == "not-determined"
+
+
+def test_rigid_joints_stay_rigid_beside_elastic_ones(tmp_path: Path) -> None:
+    study = short_study(tmp_path, "linear", "rigid")
+    one = pipeline.identify(tmp_path / "study.toml")
+    truth = scara.STIFF.parameters(5, "linear")
+    (joint,) = one.joints
+    assert (joint.joint, one.whole_arm) == (1, None)
+    assert joint.values["gear_stiffness"] == pytest.approx(truth["gear_stiffness", 1], rel=0.03)
+    (motor,) = [p for p in one.parameters if p.key == ("motor_inertia", 2)]
+    assert motor.value == pytest.approx(truth["motor_inertia", 2], rel=0.03)
+    (warning,) = [w for w in one.warnings if w.code == "rigid-joints"]
+    assert warning.message.startswith("joint 2 is rigid: prbs-j2")
+    assert not [w for w in one.warnings if w.code in ("no-link-sensor", "not-tuned")]
+    assert study.arm.joints[1].spring == "rigid"
+
+
+def test_a_model_of_an_impossible_precision_is_a_failed_fit(tmp_path: Path) -> None:
+    short_study(tmp_path, "linear", "rigid")
+    (joint,) = pipeline.identify(tmp_path / "study.toml", stages=STAGES[:2]).joints
+    precise = tuple(replace(p, std=1e-11 * abs(p.value or 0.0)) for p in joint.parameters)
+    failed = JointStage((joint, replace(joint, joint=2, parameters=precise)))
+    stage = elastic_arm._without_failed_fits(failed)
+    assert stage.joints == (joint,)
+    (warning,) = stage.warnings
+    assert "which no record determines" in warning.message
 
 
 def test_check_records_that_cannot_be_simulated_have_a_reason(

@@ -77,10 +77,11 @@ def design(draws: int) -> Positioning:
     plants = plants_of(identified, values, [Condition(np.zeros(1))])
     clock = Clock(_PERIOD, _DELAY)
     loops = Loops.of(plants, clock)
-    tuned = tune_cascades(loops, Requirements(), resolutions=np.zeros(1), limit=_TORQUE)
+    limits = np.array([_TORQUE])
+    tuned, judged = tune_cascades(loops, Requirements(), resolutions=np.zeros(1), limits=limits)
     gains = [each.gains for each in tuned]
     loop = close(sample(plants, clock), [each.law() for each in gains], 0)
-    return Positioning(Steps.of(loop, _PERIOD), loops.margins(gains)[0])
+    return Positioning(Steps.of(loop, _PERIOD), judged[0][0])
 
 
 def main() -> None:

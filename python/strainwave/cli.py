@@ -372,6 +372,10 @@ def excite(
     kind: Annotated[
         str, typer.Option(help="Kind of excitation.", metavar="prbs|multisine")
     ] = "prbs",
+    minutes: Annotated[
+        float | None,
+        typer.Option(help="Longest duration of all records; default: no limit.", metavar="MIN"),
+    ] = None,
     seed: Seed = 0,
     quiet: Quiet = False,
 ) -> None:
@@ -389,6 +393,7 @@ def excite(
             limit_torque=limit_torque,
             limit_distance=limit_distance,
             kind=kind,
+            minutes=minutes,
             seed=seed,
             progress=report,
         )

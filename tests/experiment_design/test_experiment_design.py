@@ -24,8 +24,9 @@ from strainwave.dynamics import excitation, simulation
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design import command_table, motions, rigid_motion, voltages
+from strainwave.experiment_design.duration import fit_duration
 from strainwave.experiment_design.excitation_band import MIN_RESONANCE_LINES, band_of
-from strainwave.experiment_design.plan import LimitBroken, Limits, limits_of
+from strainwave.experiment_design.plan import LimitBroken, Limits, Planned, limits_of
 from strainwave.experiment_design.steps import step_records
 from strainwave.experiment_design.summary import print_design
 from strainwave.experiment_design.voltages import voltage_record
@@ -464,7 +465,8 @@ def test_designs_without_a_servo_are_in_open_loop() -> None:
         replace(study, arm=replace(study.arm, servo=None)).arm, "1.5", "200", "10", None
     )
     plan = design.design(replace(study, arm=replace(study.arm, servo=None)), values, limits)
-    assert {r.experiment.use for r in plan.records} == {"frequency", "sweep"}
+    # a linear gear has the same stiffness at all amplitudes
+    assert {r.experiment.use for r in plan.records} == {"frequency"}
     assert {r.experiment.control for r in plan.records} == {("open",)}
     assert "no-servo" in {w.code for w in plan.warnings}
     assert 'kind = "pi-velocity", period [s], kp' in plan.warnings[0].message
@@ -477,6 +479,43 @@ def test_designs_under_gravity_without_a_servo_have_motions_alone() -> None:
     assert [r.experiment.use for r in plan.records] == ["motion", "check"]
     (warning,) = [w for w in plan.warnings if w.code == "no-servo"]
     assert "only motions, which the arm's own controller follows" in warning.message
+
+
+def test_a_short_session_omits_sweeps_and_then_periods(designed: design.Design) -> None:
+    records, total = designed.records, designed.duration
+    assert fit_duration(records, total) == (records, ())
+    few, omitted = fit_duration(records, 0.7 * total)
+    assert 0.5 * total < sum(r.duration for r in few) <= 0.7 * total
+    assert {r.experiment.name for r in few} | set(omitted) == {r.experiment.name for r in records}
+    assert omitted
+    assert all(name.startswith("sweep-") for name in omitted)
+    kept = [r for r in records if r.experiment.use != "sweep"]
+    kept = [with_periods(r, 7) for r in kept]
+    longest = sum(r.duration for r in kept)
+    short, _ = fit_duration(kept, 0.999 * longest)
+    assert sum(r.duration for r in short) < longest
+    for before, after in zip(kept, short, strict=True):
+        n = len(after.drive.voltage)
+        np.testing.assert_array_equal(before.drive.voltage[:n], after.drive.voltage)
+        if prbs := after.experiment.prbs:
+            assert prbs.periods >= 5
+            assert n * after.drive.tick == pytest.approx(
+                prbs.periods * (2**prbs.order - 1) * prbs.clock
+            )
+    with pytest.raises(InvalidInput, match=r"--minutes: the shortest plan takes .* minutes"):
+        fit_duration(records, 10.0)
+
+
+def with_periods(record: Planned, periods: int) -> Planned:
+    """The record with other periods of its PRBS."""
+    prbs, drive = record.experiment.prbs, record.drive
+    if prbs is None:
+        return record
+    one = len(drive.voltage) // prbs.periods
+    voltage, reference = (np.tile(x[:one], (periods, 1)) for x in (drive.voltage, drive.reference))
+    experiment = replace(record.experiment, prbs=replace(prbs, periods=periods))
+    longer = replace(drive, voltage=voltage, reference=reference)
+    return replace(record, experiment=experiment, drive=longer)
 
 
 def only(designed: design.Design, *chosen: str) -> design.Design:
@@ -612,6 +651,8 @@ def test_the_summary_states_durations_and_reasons(
 ) -> None:
     print_design(designed, tmp_path)
     printed = " ".join(capsys.readouterr().out.split())
+    total = f"{len(designed.records)} records of {designed.duration / 60.0:.1f} minutes together"
+    assert printed.startswith(total)
     for record in designed.records:
         assert f"{record.experiment.name}: {record.duration:.1f} s" in printed
         assert record.experiment.file in printed

@@ -12,7 +12,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 from strainwave import experiment_design as design
-from strainwave.domain import ArmDescription, Experiment, Study
+from strainwave.domain import ArmDescription, Experiment, JointLimits, Study
 from strainwave.domain.combinations import value_of
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
@@ -282,6 +282,12 @@ def endless(study: Study) -> None:
     limits_of(study.arm, "1", None, None, None)
 
 
+def with_turns(study: Study) -> ArmDescription:
+    """The arm whose second joint may turn by more than half a turn."""
+    limits = replace(study.arm.joints[1].limits or JointLimits(), lower=-3.2, upper=3.2)
+    return study.arm.with_joint(2, limits=limits)
+
+
 @pytest.mark.parametrize(
     ("ask", "expected"),
     [
@@ -289,7 +295,11 @@ def endless(study: Study) -> None:
         (endless, r"--limit-velocity: the velocity of joint 2 has no limit.*URDF"),
         (
             lambda study: limits_of(without_limits(study), None, "9", None, None),
-            r"--limit-angle: the angle of joint 1",
+            r"--limit-angle: the study and its URDF limit the angle of joint 1, 2, 3 to more",
+        ),
+        (
+            lambda study: limits_of(with_turns(study), None, "9", None, None),
+            r"the angle of joint 2 to .*--limit-angle [0-9.]+,1.5,[0-9.]+, or lower and upper",
         ),
         (lambda study: limits(study, angle="0.05"), r"the angle of joint 3 excludes all"),
         (lambda study: limits(study, distance="-1"), "--limit-distance"),

@@ -121,3 +121,19 @@ def test_the_terminal_lists_the_fleet(fleet: Trend) -> None:
     assert "step at 2026-04-27" in lines[2]
     assert any(line.startswith("verdict: 2 of 4 arms change") for line in lines)
     assert "written: out/trend.html" in text.getvalue()
+
+
+def test_a_step_of_all_torques_is_one_factor(tmp_path: Path) -> None:
+    """From visit 12 on, the torque constant of the study is 5 % larger."""
+
+    def rescaled(name: str, joint: int | None, visit: int, visits: int) -> float:
+        return 1.05 if visit >= 12 else 1.0
+
+    factors = {"arm-1": rescaled, "arm-2": visited_arms.rubbing}
+    result = trend(read_histories(visited_arms.fleet(tmp_path, factors, seed=4)))
+    by_name = {arm.history.arm: arm.factor for arm in result.arms}
+    assert by_name["arm-1"] is not None
+    assert by_name["arm-1"].value == pytest.approx(1.05, abs=0.005)
+    assert by_name["arm-2"] is None
+    (note,) = [note for note in result.notes if "torque_per_volt" in note]
+    assert note.startswith("arm-1: all torque-like parameters differ by one factor, 1.0")

@@ -236,7 +236,7 @@ def test_held_inputs_give_unstable_models(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(stretches, "_decimate", held)
     options = replace(PUBLISHED_SETTINGS.linear, focus="prediction")
     model = linear.state_space_of(run.decoupled, options)
-    assert np.abs(np.linalg.eigvals(model.A)).max() > 1.0
+    assert np.abs(np.linalg.eigvals(model.A)).max() > 1.05  # 3.4 on the soft arm
 
 
 def test_seeds_differ_in_noise_and_in_the_sequence() -> None:

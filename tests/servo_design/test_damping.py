@@ -19,7 +19,7 @@ from strainwave.servo_design.closed_loop import close, sample
 from strainwave.servo_design.damping import MIN_RATIO
 from strainwave.servo_design.design import ServoDesign, ServoOptions, design_servo
 from strainwave.servo_design.plants import drawn_values, plants_of
-from strainwave.servo_design.verification import follow, shortest_plan
+from strainwave.servo_design.verification import Simulated, shortest_plan
 
 OPTIONS = ServoOptions(postures=((0.0, 0.0), (0.4, 1.9)), draws=3, seed=3)
 BEGIN = np.array([0.4, 1.9])
@@ -84,7 +84,7 @@ def decay(design: ServoDesign, each: list[ControlLaw]) -> FloatArray:
         motor_angle=tuple(motors.tolist()),
         initial_voltage=(0.0, 0.0),
         link_angle=tuple((BEGIN + 1e-3).tolist()),
-        linear_servo=LinearServo(tuple(each), design.clock.period, design.limit),
+        linear_servo=LinearServo(tuple(each), design.clock.period, design.limits[0]),
     )
     run = simulate(
         model, values, drive, sample_time=drive.tick, samples=1500, record=["link_velocity"]
@@ -100,13 +100,13 @@ def test_simulated_links_decay_faster() -> None:
 def test_planned_moves_are_followed_as_without_it() -> None:
     """The feedback does not oppose the torsion of the motion that the feed-forward drives."""
     design = designed()
-    plan = shortest_plan(design.arm, BEGIN, BEGIN + 0.05, design.clock.period, design.limit)
-    drive = follow(design.gains, plan, design.limit)
+    plan = shortest_plan(design.arm, BEGIN, BEGIN + 0.05, design.clock.period, design.limits)
+    drive = Simulated.of(design.arm, design.limits).follow(design.gains, plan)
     planned = plan.extended(len(drive.reference)).link_angle
     model = Arm.of(design.arm.study.arm)
 
     def error(each: list[ControlLaw]) -> FloatArray:
-        servo = LinearServo(tuple(each), design.clock.period, design.limit)
+        servo = LinearServo(tuple(each), design.clock.period, design.limits[0])
         moved = replace(drive, linear_servo=servo)
         run = simulate(
             model, design.arm.values, moved,

@@ -15,9 +15,9 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.export import IdentifiedArm
+from strainwave.servo_design import cascade_tuning, verification
 from strainwave.servo_design import design as module
-from strainwave.servo_design import verification
-from strainwave.servo_design.cascade_tuning import MAX_RIPPLE_SHARE
+from strainwave.servo_design.cascade_tuning import MAX_RIPPLE_SHARE, Loops
 from strainwave.servo_design.closed_loop import close, sample
 from strainwave.servo_design.control_law import Gains
 from strainwave.servo_design.design import ServoDesign, ServoOptions, design_servo
@@ -144,7 +144,7 @@ def test_a_coarse_encoder_limits_the_gain() -> None:
     for joint in design.joints:
         assert joint.tuned.limit == "encoder"
         ripple = joint.tuned.gains.kp * 2.0 * np.pi / counts / design.clock.period
-        assert 0.85 * MAX_RIPPLE_SHARE < ripple / design.limit <= MAX_RIPPLE_SHARE
+        assert 0.85 * MAX_RIPPLE_SHARE < ripple / design.limits[0] <= MAX_RIPPLE_SHARE
 
 
 def test_a_longer_delay_costs_bandwidth() -> None:
@@ -221,17 +221,68 @@ def test_planned_moves_settle_earlier_than_steps() -> None:
         assert move.planned.vibration < 1e-3
         assert move.planned.overshoot < 5e-3
         assert move.planned.settling <= move.duration + 0.05
-        assert move.planned.peak_voltage <= design.limit
+        assert move.planned.peak_voltage <= design.limits[move.joint - 1]
 
 
-def test_without_a_limit_of_the_drives_no_moves_are_compared() -> None:
+def torque_rig(*efforts: float) -> IdentifiedArm:
+    """The rig with logged torques, without servo, and with limits of the efforts at its links."""
     arm = rig()
-    joints = tuple(replace(joint, torque_per_volt=None) for joint in arm.study.arm.joints)
-    study = replace(arm.study, arm=replace(arm.study.arm, joints=joints, servo=None))
-    design = without_shapers(replace(arm, study=study), FEW)
-    assert design.moves == ()
-    assert "torque limit of the drives is unknown" in design.refusal
+    joints = [replace(joint, torque_per_volt=None) for joint in arm.study.arm.joints]
+    for i, effort in enumerate(efforts):
+        joints[i] = replace(joints[i], limits=JointLimits(effort=effort))
+    study = replace(arm.study, arm=replace(arm.study.arm, joints=tuple(joints), servo=None))
+    return replace(arm, study=study)
+
+
+@pytest.mark.parametrize(("efforts", "unknown"), [((), "1, 2"), ((80.0,), "2")])
+def test_drives_without_a_limit_are_refused(efforts: tuple[float, ...], unknown: str) -> None:
+    with pytest.raises(InvalidInput, match=f"drive of joint {unknown} is unknown") as error:
+        without_shapers(torque_rig(*efforts), FEW)
+    assert "effort" in (error.value.remedy or "")
+
+
+def test_limits_of_the_efforts_are_those_of_the_drives() -> None:
+    design = without_shapers(torque_rig(80.0, 30.0), FEW)
+    assert design.limits.tolist() == pytest.approx([0.8, 0.3])  # [N m] behind a ratio of 0.01
     assert all(joint.current is None for joint in design.joints)
+    for move in design.moves:
+        for each in (move.step, move.planned):
+            assert each.peak_voltage <= design.limits[move.joint - 1] * (1.0 + 1e-12)
+
+
+def test_scaled_inputs_move_the_arm_as_they_are() -> None:
+    """Limits that no input reaches do not change a motion."""
+    arm, gains = torque_rig(80.0, 30.0), designed().gains
+    gains = [replace(each, kp=0.05 * each.kp, ki=0.05 * each.ki) for each in gains]
+    begin, end = np.zeros(2), np.array([0.05, 0.0])
+    plan = verification.shortest_plan(arm, begin, end, gains[0].period, np.array([0.8, 0.3]))
+    runs = []
+    for limits in ([9.0, 9.0], [9.0, 2.0]):
+        simulated = verification.Simulated.of(arm, np.array(limits))
+        run = simulate(
+            simulated.model,
+            arm.values,
+            simulated.follow(gains, plan),
+            sample_time=gains[0].period,
+            samples=len(plan.time),
+            record=["link_angle", "voltage"],
+        )
+        runs.append((run["link_angle"], simulated.inputs(run["voltage"])))
+    for plain, scaled in zip(*runs, strict=True):
+        np.testing.assert_allclose(scaled, plain, rtol=1e-6, atol=1e-9)
+
+
+def test_parts_of_the_plants_are_judged_as_all_of_them() -> None:
+    loops = Loops.of(plants_behind(designed()), designed().clock)
+    controllers = loops.controllers(designed().gains)
+    whole = loops.judge(controllers)
+    with patch.object(cascade_tuning, "_POINTS", 3 * len(loops.omega)):
+        parts = loops.judge(controllers)
+    for a, b in zip(whole, parts, strict=True):
+        for name in ("gain_db", "phase_deg", "modulus_hz"):
+            np.testing.assert_array_equal(getattr(a[0], name), getattr(b[0], name))
+        for name in ("gain_db", "phase_deg", "distance"):
+            np.testing.assert_allclose(getattr(a[1], name), getattr(b[1], name), rtol=1e-12)
 
 
 def test_shapers_cover_the_modes_with_held_motors() -> None:
@@ -304,11 +355,11 @@ def test_a_planned_move_is_followed_at_its_time() -> None:
     """A reference that is a period late leaves an error of the velocity times the period."""
     arm, gains = rig(), designed().gains
     begin, end = np.zeros(2), np.array([0.05, 0.0])
-    plan = verification.shortest_plan(arm, begin, end, gains[0].period, 10.0)
+    plan = verification.shortest_plan(arm, begin, end, gains[0].period, np.full(2, 10.0))
     run = simulate(
         Arm.of(arm.study.arm),
         arm.values,
-        verification.follow(gains, plan, 10.0),
+        verification.Simulated.of(arm, np.full(2, 10.0)).follow(gains, plan),
         sample_time=gains[0].period,
         samples=len(plan.time),
         record=["link_angle"],

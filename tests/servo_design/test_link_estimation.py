@@ -32,12 +32,12 @@ from strainwave.servo_design.observer import Observer, design_observers
 from strainwave.servo_design.plants import Condition, drawn_values
 from strainwave.servo_design.report.page import render
 from strainwave.servo_design.sampling import Clock
-from strainwave.servo_design.verification import follow, shortest_plan
+from strainwave.servo_design.verification import Simulated, shortest_plan
 from strainwave.virtual import scara
 
 CLOCK = Clock(1e-3, 0.0)
 GAINS = [Gains(0.3, 5.0, 12.0, 1e-3), Gains(0.3, 5.0, 12.0, 1e-3)]
-LIMIT = 10.0  # [V]
+LIMITS = np.full(2, 10.0)  # [V]
 IMU = Imu((0.2, 0.05, 0.0), (0.3, -0.2, 0.8), 400.0, 400.0)
 
 
@@ -60,8 +60,8 @@ ARMS = {"curved": curved_rig, "vertical": vertical_rig, "linear": rig}
 def move(arm: IdentifiedArm, size: float = 0.05) -> tuple[Drive, FloatArray]:
     """A planned move of both joints, and its link angles."""
     begin = np.array([0.2, 0.9])
-    plan = shortest_plan(arm, begin, begin + size, CLOCK.period, LIMIT)
-    drive = follow(GAINS, plan, LIMIT)
+    plan = shortest_plan(arm, begin, begin + size, CLOCK.period, LIMITS)
+    drive = Simulated.of(arm, LIMITS).follow(GAINS, plan)
     return drive, plan.extended(len(drive.reference)).link_angle
 
 
@@ -75,7 +75,8 @@ def errors(name: str, *, has_imu: bool = False) -> tuple[EstimationError, ...]:
     arm = with_encoders(ARMS[name](), IMU if has_imu else None)
     draws = drawn_values(arm, None, 4, np.random.default_rng(5))
     both = observers(arm), observers(arm, sensors=False)
-    return estimation_errors(arm, *both, draws, *move(arm), np.random.default_rng(6))
+    simulated = Simulated.of(arm, LIMITS)
+    return estimation_errors(simulated, *both, draws, *move(arm), np.random.default_rng(6))
 
 
 @pytest.mark.parametrize("name", ARMS)

@@ -179,25 +179,10 @@ def test_sampling_converges_with_the_square_of_the_period(kind: ShaperKind) -> N
                 float(np.abs(s.residual_vibration(omega, damping) * d - shares).max())
                 for s, d in both
             ),
-            max(abs(s.delay - exact.delay) for s in sampled),
-            max(abs(s.smoothing - exact.smoothing) for s in sampled),
         ]
 
     orders = np.log10(np.array(errors(1e-2)) / np.array(errors(1e-3)))
     assert (orders > 1.7).all()
-
-
-@settings(deadline=None, max_examples=40)
-@given(kinds, st.floats(0.05, 2.0), dampings)
-def test_smoothing_is_the_distance_at_constant_acceleration(
-    kind: ShaperKind, step: float, damping: float
-) -> None:
-    sampled = design_shaper(kind, step / PERIOD, damping).sample(PERIOD)
-    times = np.arange(3 * len(sampled.times)) * PERIOD
-    parabola = 0.5 * times**2
-    shaped = np.convolve(parabola, sampled.amplitudes)[: len(times)]
-    distance = shaped[-1] - 0.5 * (times[-1] - sampled.delay) ** 2
-    assert distance == pytest.approx(sampled.smoothing, rel=1e-9, abs=1e-12 * times[-1] ** 2)
 
 
 def test_convolved_shapers_multiply_their_vibrations() -> None:

@@ -16,9 +16,10 @@ import exports
 import strainwave as sw
 from command_line import Finished, run_here
 from servo_arms import rig
+from strainwave.domain import JointLimits
 from strainwave.io.study import read_study, write_study
 from strainwave.servo_design.design import design_servo
-from strainwave.servo_design.handover import FORMATS
+from strainwave.servo_design.handover import FILES
 from strainwave.servo_design.report import words
 from strainwave.servo_design.report.page import render
 from strainwave.servo_design.report.terminal import print_design
@@ -53,7 +54,7 @@ def tuned(result: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Finis
     assert finished.returncode == 0
     assert {path.name for path in out.iterdir()} == {
         PAGE,
-        *(form.file for form in FORMATS.values()),
+        *FILES,
     }
     return finished, (out / "tune.html").read_text()
 
@@ -161,9 +162,11 @@ def printed(design: sw.ServoDesign) -> str:
     return " ".join(console.export_text().split())
 
 
-def test_an_arm_without_servo_and_voltages_has_torque_gains_and_no_moves() -> None:
-    arm = rig()
-    joints = tuple(replace(joint, torque_per_volt=None) for joint in arm.study.arm.joints)
+def test_an_arm_without_servo_and_voltages_has_torque_gains() -> None:
+    arm, limits = rig(), JointLimits(effort=50.0)
+    joints = tuple(
+        replace(joint, torque_per_volt=None, limits=limits) for joint in arm.study.arm.joints
+    )
     study = replace(arm.study, arm=replace(arm.study.arm, joints=joints, servo=None))
     design = design_servo(replace(arm, study=study), None, FEW)
     page, text = render(design), printed(design)
@@ -172,9 +175,9 @@ def test_an_arm_without_servo_and_voltages_has_torque_gains_and_no_moves() -> No
         assert part in text
     assert "The study has no servo" in page
     assert "your servo" not in text
-    assert "note: no moves are compared: the torque limit" in text
-    assert "No moves are compared: the torque limit of the drives" in page
-    assert "not known" in page
+    assert "0.5 N m" in page
+    for to_file in FILES.values():
+        assert not re.search(rb"\b(inf|nan)\b", to_file(design).data)
 
 
 def test_an_unstable_servo_is_reported() -> None:

@@ -17,7 +17,7 @@ from strainwave.domain import FloatArray
 from strainwave.io.logs import write_log
 from strainwave.io.logs.tables import Table
 from strainwave.study_draft import start_study
-from strainwave.study_draft.names import UNITS, Quantity, parse
+from strainwave.study_draft.names import UNITS, Quantity, names_accelerometer, parse
 from strainwave.study_draft.signal_features import sign_bit
 
 DEG, TURN, RPM = np.pi / 180.0, 2.0 * np.pi, np.pi / 30.0
@@ -335,6 +335,8 @@ def test_logs_of_robot_systems_give_si_or_a_todo(system: str, tmp_path: Path) ->
     assert set(found) == set(expected)
     for name, (column, scale) in expected.items():
         assert found[name] == (column, scale if scale is None else pytest.approx(scale))
+    sensors = [n for n, v in channels.items() if isinstance(v, dict) and "meaning" in v]
+    assert sensors == (["torque1"] if system in ("libfranka", "KUKA FRI") else [])
     if "u1" in expected:  # the drive's current loop lies between command and torque
         assert "\ncurrent_loop_hz = TODO" in text
         assert "torque_per_volt = TODO" in text
@@ -366,6 +368,20 @@ def test_accelerations_of_the_joint_are_not_sensors(tmp_path: Path) -> None:
     _, channels = drafted(tmp_path / "sensor", sensor)
     assert set(channels) == {"theta_m1", "torque1"}  # t and a1 are channel names
     assert "accelerometer_distance" in (tmp_path / "sensor" / "study.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("word", "is_sensor"),
+    [
+        ("acceleration", False),
+        ("beschleunigung", False),
+        ("acelerometro", True),
+        ("linear_acceleration", True),
+        ("加速度計", True),
+    ],
+)
+def test_words_of_accelerometers_are_data(word: str, is_sensor: bool) -> None:
+    assert names_accelerometer(word) is is_sensor
 
 
 def test_two_angles_of_different_motions_are_not_motor_and_link(tmp_path: Path) -> None:

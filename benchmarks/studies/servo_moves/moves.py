@@ -49,7 +49,7 @@ def moves(tuned: Tuned) -> list[Move]:
         for size in _SIZES:
             end = posture.copy()
             end[joint - 1] += size
-            plan = shortest_plan(design.arm, posture, end, design.clock.period, design.limit)
+            plan = shortest_plan(design.arm, posture, end, design.clock.period, design.limits)
             for name, drive in _drives(tuned, joint, end - posture, plan):
                 link, _ = tuned.run(drive, len(drive.reference))
                 share = (link[:, joint - 1] - link[0, joint - 1]) / size

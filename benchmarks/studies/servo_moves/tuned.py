@@ -105,5 +105,5 @@ def drive_under(
         servo=(True,) * reference.shape[1],
         motor_angle=tuple(plan.motor_angle[0].tolist()),
         initial_voltage=tuple(plan.voltage[0].tolist()),
-        linear_servo=LinearServo(tuple(laws), design.clock.period, design.limit),
+        linear_servo=LinearServo(tuple(laws), design.clock.period, design.limits[0]),
     )

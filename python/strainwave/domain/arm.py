@@ -274,6 +274,11 @@ class ArmDescription:
         return tuple(number for number, joint in numbered if joint.torque_per_volt == UNKNOWN)
 
     @property
+    def rigid_joints(self) -> tuple[int, ...]:
+        """Joints, from 1, with rigid gears."""
+        return tuple(n for n, joint in enumerate(self.joints, start=1) if not joint.elastic)
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints in models for other programs: `joint1` for a joint without name."""
         numbered = enumerate(self.joints, start=1)

@@ -164,6 +164,10 @@ TEMPLATES: Mapping[str, str] = {
     "no-frequency-record": 'the study has no record with use = "frequency" or "sweep": without one'
     " the gears start from typical values in the whole-arm fit, if there are step records, and only"
     " link encoders show their stiffness in slow motion|; record a PRBS on each joint",
+    "rigid-joints": "joint {joints!a} is rigid|: the whole-arm fit, which models elastic gears, is"
+    " not made",
+    "rigid-joints/unused": "joint {joints!a} is rigid: {records} are not used|, and the whole-arm"
+    " fit, which models elastic gears, is not made",
     "no-torsion": "the torsion of gear {joint} does not follow the torque of its link|; record"
     " motion in which gravity or acceleration loads the gear more",
     "subspace-not-determined": "the predictor diverges on its own data|. Take off means and drifts,"
@@ -229,6 +233,8 @@ TEMPLATES: Mapping[str, str] = {
     " prior of the exported parameters; correct the file, or export it again from the drawing",
     # whole-arm fit
     "not-tuned": "{reason}",
+    "not-tuned/computation": "{reason}|; the values of the earlier stages are the result. Check"
+    " signs, units and assignment of the channels, gear_ratio and torque_per_volt",
     "start-rejected": "the estimate of the earlier stages, {value:.3g} {unit}, is physically"
     " impossible|; the whole-arm fit starts from the typical value {typical:.3g}",
     "sensor-scale": "the {sensor} reads {scale:.4g} ± {half:.2g} times the motion|. The fit"
@@ -384,6 +390,9 @@ CLAUSES: Mapping[str, str] = {
     " {effect!p:.2g} %",
     "check/rest": "no channel moves in the check records, so none depends on the gear of joint"
     " {joint}",
+    "too-precise": "the fit fails: {label} has the value {value:.3g} with a standard deviation of"
+    " {std:.2g}, which no record determines",
+    "numerical-failure": "the computation fails with these data: {reason}",
     "no-rigid-stage": "the rigid stage was not reached",
     "no-decoupled-model": "the decoupled stage gave no model of joint {joints}",
     "no-whole-arm-fit": "the whole-arm fit was not reached",

@@ -116,8 +116,8 @@ class LinkSummary:
     drive_delay: Delay | None  # torque relative to the log; None: not identifiable
 
 
-LinkSource = Literal["accelerometer", "encoder", "deflection", "gyro", "motor"]
-"""Source of a link's acceleration; "motor": the gear is assumed rigid."""
+LinkSource = Literal["accelerometer", "encoder", "deflection", "gyro", "motor", "rigid"]
+"""Source of a link's acceleration; "motor": the gear is assumed rigid; "rigid": it is."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ from strainwave.domain.keys import Values
 from strainwave.domain.parameters import complete_values, with_known_constants
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
+from strainwave.experiment_design.duration import fit_duration
 from strainwave.experiment_design.excitation_band import ExcitationBand, band_of
 from strainwave.experiment_design.motions import motion_records
 from strainwave.experiment_design.plan import (
@@ -43,6 +44,7 @@ from strainwave.io.study import read_study
 
 __all__ = ["Design", "Limits", "Planned", "design", "excite_study_file"]
 
+_MOTION_SHARE = 0.25  # of the longest duration of a design, for each of two motions
 _N_STARTS = 3  # of the search for the motion; the best two results become records
 _MAX_STICTION_SHARE = 0.3  # of a record's time; a sticking motor hides the rigid parameters
 _MAX_CONDITION_NUMBER = 300.0  # designs within generous limits reach 10
@@ -60,6 +62,7 @@ def excite_study_file(
     limit_torque: str | None,
     limit_distance: str | None,
     kind: str,
+    minutes: float | None,
     seed: int,
     progress: Callable[[str], None],
 ) -> Design:
@@ -86,6 +89,10 @@ def excite_study_file(
             where=f"--out {folder}",
             remedy="choose a directory other than that of the study",
         )
+    if minutes is not None and not minutes > 0.0:
+        raise InvalidInput(
+            f"{minutes:g} minutes are no duration", where="--minutes", remedy="use more than zero"
+        )
     study = read_study(study_path, logs_exist=False, experiments_exist=False)
     values = read_parameters(parameters_path)
     limits = limits_of(
@@ -103,6 +110,7 @@ def excite_study_file(
         limits,
         kind=excitation_kind,
         seed=seed,
+        longest=np.inf if minutes is None else 60.0 * minutes,
         torque_errors=read_torque_errors(parameters_path),
         progress=progress,
     )
@@ -117,6 +125,7 @@ def design(
     *,
     kind: Kind = "prbs",
     seed: int = 0,
+    longest: float = np.inf,
     torque_errors: Mapping[int, float] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Design:
@@ -126,9 +135,10 @@ def design(
     PRBS or multisine, the PRBS at lower amplitudes, steps, and steps for validation. Without a
     servo it contains open-loop voltages, or the motions of an arm that `follows_angles`. The
     experiments of `study` are ignored. `kind` is that of the voltages, `seed` that of the search
-    and of a multisine's phases. `torque_errors` are those of an earlier result, by joint. Raises
-    InvalidInput if a parameter is missing or if no experiment satisfies the limits. A single
-    experiment that violates the limits gives a warning.
+    and of a multisine's phases. `longest` is the duration [s] of all records. `torque_errors` are
+    those of an earlier result, by joint. Raises InvalidInput if a parameter is missing, if no
+    experiment satisfies the limits, or if no plan is as short. A single experiment that violates
+    the limits gives a warning.
     """
     stated = study.arm.joints
     study = replace(study, arm=with_known_constants(study.arm, values))
@@ -159,6 +169,7 @@ def design(
                 starts=_N_STARTS,
                 seed=seed,
                 torque_errors=torque_errors_of(arm, errors),
+                longest=_MOTION_SHARE * longest,
             )
     for joint, band in bands.items():
         if not band or follows_angles(study.arm):
@@ -166,12 +177,15 @@ def design(
         progress(f"sizing the excitation of joint {joint}")
         with collecting():
             record = voltage_record(arm, values, limits, band, joint, kind=kind, seed=seed)
-            sweep, omissions = sweep_records(arm, values, limits, band, record, seed=seed)
-            records += (record, *sweep)
-            place = Place(part="sweep", joint=joint)
-            warnings += tuple(
-                Diagnostic("limit-broken", place, reason=text, remedy=None) for text in omissions
-            )
+            records += (record,)
+            if stated[joint - 1].spring != "linear":  # whose stiffness amplitudes do not change
+                sweep, omissions = sweep_records(arm, values, limits, band, record, seed=seed)
+                records += sweep
+                place = Place(part="sweep", joint=joint)
+                warnings += tuple(
+                    Diagnostic("limit-broken", place, reason=text, remedy=None)
+                    for text in omissions
+                )
         if arm.servo is not None:
             progress(f"sizing the steps of joint {joint}")
             with collecting():
@@ -187,6 +201,7 @@ def design(
         )
         for error in failures
     )
+    records, omitted = fit_duration(records, longest)
     known = complete_values(values, arm)
     warnings += tuple(c for record in records for c in _record_warnings(arm, known, record))
     warnings += _warn_slow_clocks(bands, records)
@@ -199,7 +214,7 @@ def design(
         for joint, each in zip(arm.joints, stated, strict=True)
     )
     planned = replace(study, arm=study.arm.with_joints(joints), experiments=experiments)
-    return Design(planned, limits, records, warnings, precision, errors)
+    return Design(planned, limits, records, warnings, precision, omitted, errors)
 
 
 def _warn_slow_clocks(

@@ -60,11 +60,13 @@ def motion_records(
     starts: int,
     seed: int,
     torque_errors: FloatArray,
+    longest: float = np.inf,
 ) -> tuple[Planned, ...]:
     """Record of the best motion, to be fitted, and of the second best, for validation.
 
     `anti_resonance_hz` is the lowest of the arm, None for rigid gears. `torque_errors` (n_joints,)
-    are those of `standard_deviations`, for the predicted intervals. Raises InvalidInput if the
+    are those of `standard_deviations`, for the predicted intervals. No record is longer than
+    `longest` [s] if one period is not. Raises InvalidInput if the
     drives cannot hold the arm, and LimitBroken if no motion satisfies the limits.
     """
     top = _MAX_MOTION_HZ
@@ -92,7 +94,7 @@ def motion_records(
     motions = optimise(arm, values, limits, period=period, starts=starts, seed=seed)
     uses: tuple[tuple[str, Use], ...] = (("motion", "motion"), ("motion-check", "check"))
     return tuple(
-        _record(search, values, series, *use, torque_errors)
+        _record(search, values, series, *use, torque_errors, longest)
         for series, use in zip(motions, uses, strict=False)
     )
 
@@ -104,10 +106,12 @@ def _record(
     name: str,
     use: Use,
     torque_errors: FloatArray,
+    longest: float,
 ) -> Planned:
     """Record of one series, reduced until the simulated arm satisfies all limits."""
     arm, limits = search.arm, search.limits
-    periods, reason = _periods(search, values, series)
+    allowed = (longest - 2.0 * _LEAD_TIMES[-1]) / series.period
+    periods, reason = _periods(search, values, series, int(np.clip(allowed, 1, _MAX_PERIODS)))
     for _ in range(_MAX_ATTEMPTS):
         planned = _drive(search, values, series, periods)
         drive = planned.drive
@@ -207,7 +211,7 @@ def _ticks(duration: float, tick: float) -> FloatArray:
     return time
 
 
-def _periods(search: Search, values: Values, series: Fourier) -> tuple[int, str]:
+def _periods(search: Search, values: Values, series: Fourier, most: int) -> tuple[int, str]:
     """Number of periods that the noise of the encoders requires, and its reason."""
     arm = search.arm
     single = "1 period, because a repetition only averages noise"
@@ -220,7 +224,7 @@ def _periods(search: Search, values: Values, series: Fourier) -> tuple[int, str]
     if required_periods == 1:
         text = f"{single}; the encoder noise causes a standard deviation of {100.0 * worst:.2g} %"
         return 1, f"{text} of the worst parameter"
-    periods = min(required_periods, _MAX_PERIODS)
+    periods = min(required_periods, most)
     count = (
         f"{periods} periods" if required_periods == periods else f"the maximum of {periods} periods"
     )

@@ -36,6 +36,7 @@ LIMITED = (
 
 _MAX_ANGLE_LIMIT = 2.0 * np.pi  # [rad] of a link; a larger limit is probably in degrees
 _MAX_VELOCITY_LIMIT = 2000.0  # [rad/s] 19,000 rpm, more than servo motors of robots reach
+_MAX_OWN_ANGLE = np.pi  # [rad] of a revolute joint's own limits; cables and tools have less
 _MIN_DISTANCE = 1e-9  # [m] that avoids division by zero
 _DEFAULT_CLOCK = 1e-3  # [s] of a drive whose servo is not described
 
@@ -138,8 +139,14 @@ class Design:
     records: tuple[Planned, ...]
     warnings: tuple[Diagnostic, ...]
     precision: tuple[Parameter, ...] = ()  # predicted for the whole-arm fit
+    omitted: tuple[str, ...] = ()  # records for which the allowed duration is too short
     # joint -> error of its torque over the rms value that a result measured; others are assumed
     torque_errors: Mapping[int, float] = field(default_factory=dict)
+
+    @property
+    def duration(self) -> float:
+        """Duration [s] of all records."""
+        return sum(record.duration for record in self.records)
 
 
 def follows_angles(arm: ArmDescription) -> bool:
@@ -194,6 +201,8 @@ def limits_of(
     lowest = [-np.inf if each.lower is None else each.lower for each in own]
     highest = [np.inf if each.upper is None else each.upper for each in own]
     low, high = np.maximum(lowest, -np.array(angles)), np.minimum(highest, angles)
+    if angle is None:
+        _check_own_limits(arm, low, high)
     links = np.array([each.velocity or np.inf for each in own])
     motors = np.minimum(velocities, links / ratios)
     _check_limited(high - low, "the angle of joint", "--limit-angle", "rad")
@@ -216,6 +225,25 @@ def limits_of(
         posture=tuple(centre.tolist()) if centre.any() else (),
         distance=0.0 if distance is None else _numbers(distance, 1, "--limit-distance")[0],
     )
+
+
+def _check_own_limits(arm: ArmDescription, low: FloatArray, high: FloatArray) -> None:
+    """Raise InvalidInput if the own limits of a revolute joint allow more than half a turn."""
+    largest = np.maximum(-low, high)
+    is_wide = (largest > _MAX_OWN_ANGLE) & [joint.motion == "revolute" for joint in arm.joints]
+    if is_wide.any():
+        numbers = ", ".join(map(str, np.flatnonzero(is_wide) + 1))
+        place = "limits = { lower = -1.5, upper = 1.5 } in the [[joint]] tables"
+        if arm.urdf is not None:
+            place = "lower and upper of the <limit> in the URDF"
+        example = ",".join(f"{size:.3g}" for size in np.where(is_wide, 1.5, largest))
+        raise InvalidInput(
+            f"the study and its URDF limit the angle of joint {numbers} to more than half a turn on"
+            " a side, or not at all",
+            where="--limit-angle",
+            remedy="set the angles [rad] that cables, tools and surroundings allow, one per joint, "
+            f"such as --limit-angle {example}, or {place}",
+        )
 
 
 def _check_limited(ranges: FloatArray, quantity: str, option: str, unit: str) -> None:

@@ -26,11 +26,14 @@ _NAMES = ("gear_stiffness", "gear_damping", "motor_inertia", "link_inertia")
 
 
 def print_design(design: Design, folder: Path) -> None:
-    """Print the predicted motion, duration and reasons of each record, and the warnings.
+    """Print the total duration, the records with motion, duration and reasons, and the warnings.
 
     `folder` is where the design was written.
     """
     console = Console(highlight=False)
+    shortage = f"; omitted for the duration: {', '.join(design.omitted)}" if design.omitted else ""
+    total = f"{len(design.records)} records of {design.duration / 60.0:.1f} minutes together"
+    console.print(Text(total + shortage, style="bold"))
     console.print(_table(design))
     for record in design.records:
         reasons = "; ".join(record.reasons)

@@ -31,8 +31,8 @@ from strainwave.experiment_design.predicted_motion import predicted_motion, run,
 Kind = Literal["prbs", "multisine"]
 
 _HALF_POWER_RATIO = 0.44  # half-power frequency of a PRBS over its clock rate
-_SETTLING_PERIODS = 1  # from standstill to the periodic motion
-_MIN_PERIODS, _MAX_PERIODS = 4, 30  # four periods separate noise from distortion
+SETTLING_PERIODS = 1  # from standstill to the periodic motion
+MIN_PERIODS, _MAX_PERIODS = 4, 30  # four periods separate noise from distortion
 _TARGET_NOISE_RATIO = 0.03  # noise over signal on the weakest lines after averaging
 _MIN_AMPLITUDE_SHARE = 0.02  # of the voltage limit; below, an experiment is useless
 _N_BISECTIONS = 7  # of the amplitude
@@ -113,7 +113,7 @@ def voltage_record(
             where="--kind",
             remedy="use --kind prbs",
         )
-    periods, reason = _SETTLING_PERIODS + _MIN_PERIODS, ""
+    periods, reason = SETTLING_PERIODS + MIN_PERIODS, ""
     for _ in range(2):  # a free joint drifts further in more periods
         results = [_largest_amplitude(signal, periods, limits, control) for control in controls]
         feasible = [(a, c, m) for (a, m), c in zip(results, controls, strict=True) if m]
@@ -123,9 +123,9 @@ def voltage_record(
         required_periods, reason = _required_periods(
             signal, signal.drive(amplitude, periods, control), band
         )
-        if required_periods + _SETTLING_PERIODS <= periods:
+        if required_periods + SETTLING_PERIODS <= periods:
             break
-        periods = required_periods + _SETTLING_PERIODS
+        periods = required_periods + SETTLING_PERIODS
     name = f"{kind}-j{joint}"
     prbs = Prbs(signal.order, signal.clock, periods, amplitude) if kind == "prbs" else None
     return Planned(
@@ -256,7 +256,7 @@ def _largest_amplitude(
 
     def motion_at(amplitude: float) -> PredictedMotion | None:
         # the first period alone often violates a limit
-        first = predict_within_limits(amplitude, _SETTLING_PERIODS)
+        first = predict_within_limits(amplitude, SETTLING_PERIODS)
         return first and predict_within_limits(amplitude, periods)
 
     motion = motion_at(top)
@@ -304,22 +304,22 @@ def _required_periods(signal: Signal, drive: Drive, band: ExcitationBand) -> tup
             density = np.full_like(lines, SensorNoise().accelerometer_density ** 2)
             ratios[f"{axis.sensor.noun} noise"] = np.sqrt(2.0 * density / signal.period) / size
     default_reason = (
-        f"{_SETTLING_PERIODS} period to settle and {_MIN_PERIODS} to separate noise from distortion"
+        f"{SETTLING_PERIODS} period to settle and {MIN_PERIODS} to separate noise from distortion"
     )
     if not ratios:
-        return _MIN_PERIODS, f"{default_reason}; the sensor noise is unknown"
+        return MIN_PERIODS, f"{default_reason}; the sensor noise is unknown"
     sensor, worst = max(
         ((sensor, float(ratio.max())) for sensor, ratio in ratios.items()), key=lambda r: r[1]
     )
     required_periods = int(np.ceil((worst / _TARGET_NOISE_RATIO) ** 2))
-    periods = min(max(required_periods, _MIN_PERIODS), _MAX_PERIODS)
+    periods = min(max(required_periods, MIN_PERIODS), _MAX_PERIODS)
     level = f"{100.0 * worst / periods**0.5:.2g} % of the weakest line near the resonances"
-    if required_periods <= _MIN_PERIODS:
+    if required_periods <= MIN_PERIODS:
         return periods, f"{default_reason}; the {sensor} is then {level}"
     count = f"{periods}" if required_periods == periods else f"the maximum of {periods}"
     return (
         periods,
-        f"{_SETTLING_PERIODS} period to settle and {count}; the {sensor} is then {level}",
+        f"{SETTLING_PERIODS} period to settle and {count}; the {sensor} is then {level}",
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from strainwave.domain import Parameter
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.errors import InvalidInput, NotIdentifiable, import_optional
+from strainwave.monitoring.common_factor import CommonFactor, common_factor, is_torque_like
 from strainwave.monitoring.joint_tests import JointTest, adjust_p_values, joint_test, welch_test
 from strainwave.monitoring.result_estimates import ResultEstimates, degrees_of_freedom
 
@@ -63,6 +64,7 @@ class Pair:
     parameters: tuple[ParameterDifference, ...]
     joint: JointTest | None  # of all parameters that are in both covariances
     left_out: tuple[tuple[str, str], ...]  # parameter, reason why it is not compared
+    factor: CommonFactor | None = None  # of all torque-like parameters
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -162,7 +164,7 @@ def compare(results: Sequence[ResultEstimates], level: float = 0.05) -> ResultCo
             "a comparison needs two results", remedy="give at least two result.json files"
         )
     first, *others = results
-    pairs = [_compare_pair(first, other) for other in others]
+    pairs = [_compare_pair(first, other, level) for other in others]
     if not any(pair.parameters for pair in pairs):
         raise NotIdentifiable(
             "no comparison is possible: no parameter has a value and a standard deviation in "
@@ -193,7 +195,7 @@ def _adjust_tests(comparison: ResultComparison) -> ResultComparison:
     return replace(comparison, pairs=pairs, homogeneity=homogeneity)
 
 
-def _compare_pair(first: ResultEstimates, second: ResultEstimates) -> Pair:
+def _compare_pair(first: ResultEstimates, second: ResultEstimates, level: float) -> Pair:
     first_by_label = {p.label: p for p in first.parameters}
     second_by_label = {p.label: p for p in second.parameters}
     omitted, differences = [], []
@@ -211,7 +213,15 @@ def _compare_pair(first: ResultEstimates, second: ResultEstimates) -> Pair:
         differences.append(ParameterDifference(a, b, z, p))
     compared = {d.first.label for d in differences}
     joint = _joint_test((first, second), compared)
-    return Pair(first.label, second.label, tuple(differences), joint, tuple(omitted))
+    factor = common_factor(
+        (
+            (_value(d.first), _std(d.first), _value(d.second), _std(d.second))
+            for d in differences
+            if is_torque_like(d.first.unit)
+        ),
+        level,
+    )
+    return Pair(first.label, second.label, tuple(differences), joint, tuple(omitted), factor)
 
 
 def _reason_to_omit(a: Parameter | None, b: Parameter | None, first: str, second: str) -> str:
@@ -274,6 +284,8 @@ def _notes(results: Sequence[ResultEstimates], pairs: Sequence[Pair]) -> Iterato
                 f"{d.first.label} ({d.first.stage}, {d.second.stage})" for d in unequal
             )
             yield f"{pair.second}: estimated by stages with different systematic errors: {listed}"
+        if pair.factor is not None:
+            yield f"{pair.second}: {pair.factor.sentence}"
         if pair.joint is None and None not in (covariances[pair.first], covariances[pair.second]):
             yield (
                 f"{pair.second}: the covariances have too few degrees of freedom to test all "

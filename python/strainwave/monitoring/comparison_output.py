@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,7 @@ def to_document(comparison: ResultComparison) -> dict[str, Any]:
                 "second": pair.second,
                 "parameters": [_difference_entry(comparison, d) for d in pair.parameters],
                 "joint_test": pair.joint and _test_entry(comparison, pair.joint),
+                "common_factor": pair.factor and asdict(pair.factor),
                 "left_out": [{"parameter": p, "reason": reason} for p, reason in pair.left_out],
             }
             for pair in comparison.pairs

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.monitoring.common_factor import CommonFactor, common_factor, is_torque_like
 from strainwave.monitoring.joint_tests import adjust_p_values
 from strainwave.monitoring.shapes import MIN_VISITS, Change, fit_change
 from strainwave.monitoring.visits import ArmHistory, Histories, ParameterHistory
@@ -58,6 +59,7 @@ class ArmTrend:
     history: ArmHistory
     parameters: tuple[ParameterTrend, ...]
     too_few: tuple[tuple[str, int], ...]  # parameters with too few visits, number of visits
+    factor: CommonFactor | None = None  # of all torque-like parameters
 
     @property
     def p(self) -> float:
@@ -96,7 +98,7 @@ def trend(histories: Histories, level: float = 0.01) -> Trend:
         raise InvalidInput(
             f"the level {level:g} is not a probability", remedy="give for example 0.01"
         )
-    arms = [_test_arm(history) for history in histories.arms]
+    arms = [_test_arm(history, level) for history in histories.arms]
     if not any(arm.parameters for arm in arms):
         max_visits = max((len(h.visits) for h in histories.arms), default=0)
         n_required = MIN_VISITS + 1 + len(histories.covariates)
@@ -107,6 +109,7 @@ def trend(histories: Histories, level: float = 0.01) -> Trend:
         )
     arms.sort(key=lambda arm: (arm.p, arm.history.arm))
     notes = histories.notes
+    notes += tuple(f"{arm.history.arm}: {arm.factor.sentence}" for arm in arms if arm.factor)
     n_single_visits = sum(len(arm.visits) == 1 for arm in histories.arms)
     if n_single_visits > _MAX_SINGLE_VISIT_SHARE * len(arms):
         notes += (
@@ -125,7 +128,7 @@ def arm_naming_hint(histories: Histories) -> str:
     )
 
 
-def _test_arm(arm: ArmHistory) -> ArmTrend:
+def _test_arm(arm: ArmHistory, level: float) -> ArmTrend:
     tested, too_few = [], []
     for history in arm.parameters:
         change = fit_change(history.series, _rng(arm.arm, history.label))
@@ -136,7 +139,11 @@ def _test_arm(arm: ArmHistory) -> ArmTrend:
     adjusted = adjust_p_values([parameter.change.p for parameter in tested])
     trends = [replace(t, adjusted_p=p) for t, p in zip(tested, adjusted, strict=True)]
     trends.sort(key=lambda parameter: (parameter.adjusted_p, parameter.change.p))
-    return ArmTrend(arm, tuple(trends), tuple(too_few))
+    changes = [each.change for each in trends if is_torque_like(each.history.unit)]
+    factor = common_factor(
+        ((one.level, 0.0, one.level + one.size, one.size_std) for one in changes), level
+    )
+    return ArmTrend(arm, tuple(trends), tuple(too_few), factor)
 
 
 def _rng(*names: str) -> np.random.Generator:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,7 @@ def to_document(trend: Trend) -> dict[str, Any]:
                 "first": arm.history.visits[0].time.isoformat(),
                 "last": arm.history.visits[-1].time.isoformat(),
                 "parameters": [_parameter_entry(trend, parameter) for parameter in arm.parameters],
+                "common_factor": arm.factor and asdict(arm.factor),
                 "too_few": [{"parameter": name, "visits": n} for name, n in arm.too_few],
             }
             for arm in trend.arms

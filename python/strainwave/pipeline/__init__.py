@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -40,8 +41,8 @@ from strainwave.numerics.parallel import limited, one_blas_thread
 from strainwave.pipeline.drives import DriveStage, estimate_drives
 from strainwave.pipeline.elastic_arm import ElasticStages, fit_elastic_arm
 from strainwave.pipeline.input_check import CheckedInputs, check_input, check_inputs
-from strainwave.pipeline.inputs import read_start
-from strainwave.pipeline.reporter import Reporter
+from strainwave.pipeline.inputs import Inputs, read_start
+from strainwave.pipeline.reporter import Reporter, attempt
 from strainwave.pipeline.rigid_joints import RigidStage, fit_rigid_joints
 from strainwave.presentation.matplotlib_backend import images
 from strainwave.signals import consistency
@@ -119,7 +120,10 @@ def _identify(
     if drives.failures:  # without the scale of the torques, no relation holds
         check = replace(check, consistency=Consistency())
     elif check.consistency.motors_agree:  # the rigid model does not use link sensors
-        rigid = fit_rigid_joints(inputs, reporter, drives.gains)
+        rigid = attempt(
+            partial(fit_rigid_joints, inputs, reporter, drives.gains),
+            lambda reason: RigidStage(failures=(reason,)),
+        )
         check = _compare_torque_constants(check, rigid.model)
     elastic = ElasticStages()
     is_elastic = any(joint.elastic for joint in inputs.arm.joints)
@@ -128,7 +132,7 @@ def _identify(
         if is_consistent and suspicion is not None:  # the rigid fit alone doubts the constant
             elastic, check = _explain_suspicion(check, rigid.model, suspicion, reporter)
         elif not check.consistency.suspected:
-            elastic = fit_elastic_arm(inputs, rigid.model, reporter)
+            elastic = _fit_elastic_arm(inputs, rigid.model, reporter)
     known = elastic.whole_arm.values if elastic.whole_arm is not None else {}
     study = replace(study, arm=study.arm.with_selected_laws(known))
     warnings = (*check.warnings, *drives.warnings, *rigid.warnings, *elastic.warnings)
@@ -159,6 +163,14 @@ def _identify(
     )
 
 
+def _fit_elastic_arm(inputs: Inputs, model: RigidModel | None, reporter: Reporter) -> ElasticStages:
+    """Results of the elastic stages; the reason if none can be computed."""
+    return attempt(
+        partial(fit_elastic_arm, inputs, model, reporter),
+        lambda reason: ElasticStages(failures=(reason,)),
+    )
+
+
 def _compare_torque_constants(check: CheckedInputs, model: RigidModel | None) -> CheckedInputs:
     """Add the ratios of torque constants that the rigid fit estimates to the consistency check."""
     ratios = model.torque_ratios if model is not None else {}
@@ -173,7 +185,7 @@ def _explain_suspicion(
     check: CheckedInputs, model: RigidModel | None, suspicion: Suspicion, reporter: Reporter
 ) -> tuple[ElasticStages, CheckedInputs]:
     """Results of the elastic stages if they explain a suspected torque constant; else none."""
-    result = fit_elastic_arm(check.inputs, model, reporter)
+    result = _fit_elastic_arm(check.inputs, model, reporter)
     arm_model = result.whole_arm
     if arm_model is None or not whole_arm.has_likelier_effect(arm_model, check.inputs.arm):
         return ElasticStages(), replace(check, consistency=Consistency((suspicion,)))

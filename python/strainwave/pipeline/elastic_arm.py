@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -15,6 +15,7 @@ from strainwave.domain import (
     LinkSummary,
     Log,
     MotorResponse,
+    Place,
     Prediction,
     RecordModel,
     RigidModel,
@@ -28,12 +29,14 @@ from strainwave.identification.torsion import fit_torsions
 from strainwave.numerics.parallel import both, run_parallel
 from strainwave.pipeline.elastic_joints import JointStage, fit_elastic_joints, typical_joints
 from strainwave.pipeline.inputs import Inputs
-from strainwave.pipeline.reporter import Reporter
+from strainwave.pipeline.reporter import Reporter, attempt
 from strainwave.signals.recorded_input import (
     check_servo_clock,
     missing_motor_signal,
     missing_recorded_input,
 )
+
+_MIN_RELATIVE_STD = 1e-6  # of a joint's parameter; gears of recorded arms reach 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +60,12 @@ def fit_elastic_arm(
     inputs: Inputs, rigid_model: RigidModel | None, reporter: Reporter
 ) -> ElasticStages:
     """Identify each joint and then the whole arm, as far as requested and possible."""
-    is_requested = "tuned" in inputs.stages
+    is_requested = "tuned" in inputs.stages and not inputs.arm.rigid_joints
     if is_requested:  # the last stage simulates these records
         for log in inputs.logs_of("tuning", "check"):
             check_servo_clock(inputs.arm, log)
-    stage = start = fit_elastic_joints(inputs, rigid_model, reporter)
-    warnings = stage.warnings
+    stage = start = _without_failed_fits(fit_elastic_joints(inputs, rigid_model, reporter))
+    warnings = stage.warnings + tuple(_warn_rigid_joints(inputs))
     if is_requested and not inputs.logs_of("frequency", "sweep"):
         start = typical_joints(inputs, rigid_model)
         warnings += start.warnings
@@ -70,7 +73,10 @@ def fit_elastic_arm(
     def fit() -> ArmModel | Diagnostic | None:
         if not is_requested or len(start.joints) != inputs.arm.n_joints:
             return None
-        return _fit_whole_arm(inputs, rigid_model, start, reporter)
+        return attempt(
+            partial(_fit_whole_arm, inputs, rigid_model, start, reporter),
+            lambda reason: Diagnostic("not-tuned", inputs.place, "computation", reason=reason),
+        )
 
     def record_models() -> tuple[RecordModel, ...]:
         with reporter.measure_time("decoupled"):
@@ -88,7 +94,9 @@ def fit_elastic_arm(
         inputs = replace(inputs, arm=inputs.arm.with_selected_laws(outcome.values))
         kept = [w for w in warnings if w.code != "sensor-delay" or w.place not in places]
         checks, not_simulated = predict_checks(inputs, outcome, reporter)
-        motor_responses = _compare_motors(inputs, outcome, start.joints, reporter)
+        motor_responses = attempt(
+            partial(_compare_motors, inputs, outcome, start.joints, reporter), lambda _: ()
+        )
         warnings = (*kept, *outcome.warnings)
     torsions: tuple[TorsionFit, ...] = ()
     if not isinstance(outcome, ArmModel) and rigid_model is not None:
@@ -107,6 +115,32 @@ def fit_elastic_arm(
         warnings,
         stage.failures,
     )
+
+
+def _without_failed_fits(stage: JointStage) -> JointStage:
+    """The stage without models of an impossible precision, which are replaced by warnings."""
+    failed = {
+        joint.joint: Clause("too-precise", label=p.label, value=p.value, std=p.std)
+        for joint in stage.joints
+        for p in joint.parameters
+        if p.value and p.std and p.std < _MIN_RELATIVE_STD * abs(p.value)
+    }
+    warnings = tuple(
+        Diagnostic("not-identifiable", Place(joint=number), "reason", reason=reason)
+        for number, reason in failed.items()
+    )
+    kept = tuple(joint for joint in stage.joints if joint.joint not in failed)
+    return replace(stage, joints=kept, warnings=stage.warnings + warnings)
+
+
+def _warn_rigid_joints(inputs: Inputs) -> Iterator[Diagnostic]:
+    """What rigid joints exclude on an arm with elastic ones."""
+    rigid = inputs.arm.rigid_joints
+    if rigid:
+        logs = inputs.logs_of("frequency", "sweep")
+        unused = tuple(log.name for log in logs if log.experiment.joint in rigid)
+        variant = "unused" if unused else ""
+        yield Diagnostic("rigid-joints", inputs.place, variant, joints=rigid, records=unused)
 
 
 def _fit_torsions(

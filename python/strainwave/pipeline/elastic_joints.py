@@ -64,7 +64,11 @@ def fit_elastic_joints(
     Without excited records, there are no models.
     """
     # a model of one joint has one link inertia, that of the arm without payload
-    excited = [log for log in inputs.logs_of("frequency", "sweep") if not log.experiment.payload]
+    excited = [
+        log
+        for log in inputs.logs_of("frequency", "sweep")
+        if not log.experiment.payload and log.experiment.joint not in inputs.arm.rigid_joints
+    ]
     if not excited:
         return JointStage(warnings=(Diagnostic("no-frequency-record", inputs.place),))
     if rigid_model is None and not is_uncoupled(inputs.arm):
@@ -95,7 +99,9 @@ def fit_elastic_joints(
             decoupled_records = list(zip(excited, sides, joints, strict=True))
             for log, side, parts in decoupled_records:
                 warnings += side.warnings
-                warnings += [w for part in _excited_joints(parts, log) for w in part.warnings]
+                warnings += [
+                    w for part in _excited_joints(parts, log, inputs.arm) for w in part.warnings
+                ]
             stage = _fit_joints(inputs, rigid_model, decoupled_records)
     warnings += [*stage.warnings, *(w for joint in stage.joints for w in joint.warnings)]
     summaries = tuple(summary for side in sides for summary in side.summaries)
@@ -136,7 +142,7 @@ def _fit_joints(
     at_full = [parts for log, _, parts in decoupled_records if log.experiment.use == "frequency"]
     records_by_joint: dict[int, list[tuple[LinkSignals, Decoupled]]] = {}
     for log, link_signals, parts in decoupled_records:
-        for part in _excited_joints(parts, log):
+        for part in _excited_joints(parts, log, arm):
             if log.experiment.use == "frequency":
                 records_by_joint.setdefault(part.joint, []).append((link_signals, part))
 
@@ -202,7 +208,7 @@ def _record_models(
     excited = [
         (log, both, part)
         for log, both, joints in decoupled_records
-        for part in _excited_joints(joints, log)
+        for part in _excited_joints(joints, log, arm)
     ]
     by_use: dict[str, Iterator[RecordModel]] = {}
     for use in ("frequency", "sweep"):
@@ -224,6 +230,7 @@ def _response(records: Sequence[Decoupled], options: FrequencyOptions) -> Freque
         return None
 
 
-def _excited_joints(parts: Sequence[Decoupled], log: Log) -> list[Decoupled]:
-    """The joint that an experiment names, or all."""
-    return [part for part in parts if log.experiment.joint in (None, part.joint)]
+def _excited_joints(parts: Sequence[Decoupled], log: Log, arm: Arm) -> list[Decoupled]:
+    """The elastic joint that an experiment names, or all of them."""
+    elastic = [part for part in parts if part.joint not in arm.rigid_joints]
+    return [part for part in elastic if log.experiment.joint in (None, part.joint)]

@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import TypeVar
 
-from strainwave.domain import Stage
+from strainwave.domain import Clause, Stage
 from strainwave.domain.progress import Progress, ProgressEvent
+from strainwave.errors import NumericalFailure
+
+T = TypeVar("T")
+
+
+def attempt(stage: Callable[[], T], failed: Callable[[Clause], T]) -> T:
+    """The result of a stage, or of `failed` with the reason if its computation fails."""
+    try:
+        return stage()
+    except NumericalFailure as failure:
+        return failed(Clause("numerical-failure", reason=str(failure)))
 
 
 class Reporter:

@@ -24,7 +24,14 @@ from strainwave.domain import (
 from strainwave.domain.consistency import RELATION_TEXTS
 from strainwave.domain.formatting import percent, plus_minus
 from strainwave.domain.keys import Key
-from strainwave.presentation.report import advice, by_severity, drive_note, gain_sentences, sentence
+from strainwave.presentation.report import (
+    advice,
+    by_severity,
+    drive_note,
+    gain_sentences,
+    scale_note,
+    sentence,
+)
 from strainwave.presentation.report.amplitudes import trend_title
 from strainwave.presentation.report.blocks import Cell, number
 
@@ -56,7 +63,7 @@ def print_summary(
         if table.row_count:
             console.print()
             console.print(table)
-    if note := drive_note(identification):
+    for note in filter(None, (drive_note(identification), scale_note(identification))):
         console.print(Text(note))
     if identification.sweeps:
         console.print()

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeVar
 
 import numpy as np
 
@@ -43,9 +42,7 @@ _N_SWEEPS = 2  # over the joints; a third changes gains by less than a step
 _MAX_ADDED = 12  # rounds in which the worst plants join the search
 
 
-_PART = 500  # plants whose responses one thread computes at a time
-
-T = TypeVar("T")
+_POINTS = 100_000  # plants times frequencies that one thread judges at a time: 0.1 GB
 
 FilterMaker = Callable[[float], tuple[Biquad, ...]]
 """Filters of a loop by its bandwidth [rad/s]."""
@@ -61,25 +58,19 @@ class TunedJoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loops:
-    """Sampled plants at the frequencies at which loops are judged."""
+    """Sampled plants and the frequencies at which their loops are judged.
+
+    Responses of all plants may exceed the memory: they are computed in parts, when they are used.
+    """
 
     plants: Plants
     clock: Clock
     omega: FloatArray
-    responses: ComplexArray  # (n_plants, n_omega, n_joints, n_joints)
 
     @classmethod
     def of(cls, plants: Plants, clock: Clock) -> Loops:
-        """The responses of plants under a clock."""
-        omega, n = frequency_grid(plants, clock), plants.n_joints
-        responses = np.empty((len(plants), len(omega), n, n), dtype=complex)
-
-        def fill(chosen: slice) -> None:
-            responses[chosen] = sampled_responses(plants.part(chosen), omega, clock)
-
-        starts = range(0, len(plants), _PART)
-        run_parallel([partial(fill, slice(start, start + _PART)) for start in starts])
-        return cls(plants, clock, omega, responses)
+        """The loops of plants under a clock."""
+        return cls(plants, clock, frequency_grid(plants, clock))
 
     @property
     def z(self) -> ComplexArray:
@@ -90,24 +81,31 @@ class Loops:
         """Responses (n_omega, n_joints) from motor angles to minus voltages."""
         return np.stack([each.response(self.z) for each in gains], axis=1)
 
-    def margins(self, gains: Sequence[Gains]) -> list[Margins]:
-        """Margins of every joint's loop over all plants, the other loops closed."""
-        return self._of_joints(gains, lambda loop: margins_of(loop, self.omega))
+    def responses(self, chosen: IntArray) -> ComplexArray:
+        """Responses of plants: (n_chosen, n_omega, n_joints, n_joints)."""
+        return sampled_responses(self.plants.part(chosen), self.omega, self.clock)
 
-    def margins_and_bands(self, gains: Sequence[Gains]) -> list[tuple[Margins, LoopBand]]:
-        """Margins and bands of every joint's loop over all plants, the other loops closed."""
-        return self._of_joints(
-            gains, lambda loop: (margins_of(loop, self.omega), LoopBand.of(loop, self.omega))
-        )
+    def judge(
+        self, controllers: ComplexArray, chosen: IntArray | None = None
+    ) -> list[tuple[Margins, LoopBand]]:
+        """Margins and band of every joint's loop over all or some plants, the other loops closed.
 
-    def _of_joints(self, gains: Sequence[Gains], work: Callable[[ComplexArray], T]) -> list[T]:
-        """Results of the open-loop responses (n_plants, n_omega) of every joint."""
-        closed = self.controllers(gains)
+        `controllers` are those of the method of that name.
+        """
+        plants = np.arange(len(self.plants)) if chosen is None else chosen
+        n_parts = -(-len(plants) * len(self.omega) // _POINTS)
 
-        def of_joint(i: int) -> T:
-            return work(effective_plants(self.responses, closed, i) * closed[:, i])
+        def judge_part(part: IntArray) -> list[tuple[Margins, LoopBand]]:
+            responses = self.responses(np.append(0, part))  # bands begin with the estimates
+            pairs = []
+            for i in range(self.plants.n_joints):
+                loop = effective_plants(responses, controllers, i) * controllers[:, i]
+                pairs.append((margins_of(loop[1:], self.omega), LoopBand.of(loop, self.omega)))
+            return pairs
 
-        return run_parallel([partial(of_joint, i) for i in range(len(gains))])
+        parts = run_parallel([partial(judge_part, p) for p in np.array_split(plants, n_parts)])
+        margins_and_bands = (zip(*pairs, strict=True) for pairs in zip(*parts, strict=True))
+        return [(Margins.join(m), LoopBand.join(b)) for m, b in margins_and_bands]
 
 
 def tune_cascades(
@@ -115,18 +113,18 @@ def tune_cascades(
     required: Requirements,
     *,
     resolutions: FloatArray,
-    limit: float,
+    limits: FloatArray,
     uses_filters: bool = True,
-) -> list[TunedJoint]:
-    """Gains of all joints.
+) -> tuple[list[TunedJoint], list[tuple[Margins, LoopBand]]]:
+    """Gains of all joints, and what `Loops.judge` says of them.
 
-    `resolutions` (n_joints,) are counts of the motor encoders [rad], `limit` is the largest
-    voltage. Without `uses_filters` the loops have gains only.
+    `resolutions` (n_joints,) are counts of the motor encoders [rad], `limits` (n_joints,) are the
+    largest inputs. Without `uses_filters` the loops have gains only.
     """
     plants, period = loops.plants, loops.clock.period
     inertias = np.median(plants.rigid_inertias(), axis=0) / plants.torque_per_volt
     with np.errstate(divide="ignore"):
-        max_kp = MAX_RIPPLE_SHARE * limit * period / resolutions
+        max_kp = MAX_RIPPLE_SHARE * limits * period / resolutions
     search = np.flatnonzero(plants.draw <= _N_SEARCH_DRAWS)
     tuners = [
         _Tuner(loops, required, i, float(inertia), float(largest), uses_filters)
@@ -137,15 +135,17 @@ def tune_cascades(
     for _ in range(_N_SWEEPS):
         for i, tuner in enumerate(tuners):
             gains[i] = tuner.raise_gains(gains, search)
+    judged = loops.judge(loops.controllers(gains))
     for _ in range(_MAX_ADDED):
-        margins = loops.margins(gains)
-        short = [i for i, each in enumerate(margins) if each.share(required).min() < 1.0]
+        short = [i for i, (each, _) in enumerate(judged) if each.share(required).min() < 1.0]
         if not short:
             break
-        search = np.union1d(search, [margins[i].worst(required) for i in short])
+        search = np.union1d(search, [judged[i][0].worst(required) for i in short])
         for i in short:
             gains[i] = tuners[i].raise_gains(gains, search)
-    return [TunedJoint(each, tuner.limit) for each, tuner in zip(gains, tuners, strict=True)]
+        judged = loops.judge(loops.controllers(gains))
+    tuned = [TunedJoint(each, tuner.limit) for each, tuner in zip(gains, tuners, strict=True)]
+    return tuned, judged
 
 
 @dataclass(slots=True)
@@ -261,7 +261,7 @@ class _Trials:
         search: IntArray,
     ) -> _Trials:
         """Trials of one joint, from 0, on the searched plants."""
-        plant = effective_plants(loops.responses[search], loops.controllers(gains), joint)
+        plant = effective_plants(loops.responses(search), loops.controllers(gains), joint)
         laws = [each.law() for each in gains]
         sampled = sample(loops.plants, loops.clock, search)
         return cls(loops, required, joint, laws, plant, sampled)

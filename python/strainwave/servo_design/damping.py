@@ -25,7 +25,7 @@ from strainwave.numerics.parallel import run_parallel
 from strainwave.servo_design.cascade_tuning import Loops
 from strainwave.servo_design.closed_loop import SampledPlants, close
 from strainwave.servo_design.control_law import Gains
-from strainwave.servo_design.margins import Margins, Requirements, effective_plants, margins_of
+from strainwave.servo_design.margins import Margins, Requirements
 from strainwave.servo_design.observer import Observer
 
 MIN_RATIO = 1.1
@@ -234,12 +234,8 @@ class _Search:
 
     def margins(self, chosen: IntArray, laws: Sequence[ControlLaw]) -> list[Margins]:
         """Margins of the loops of all joints."""
-        responses = self.loops.responses[chosen]
         closed = np.stack([each.feedback(self.loops.z) for each in laws], axis=1)
-        return [
-            margins_of(effective_plants(responses, closed, i) * closed[:, i], self.loops.omega)
-            for i in range(len(laws))
-        ]
+        return [margins for margins, _ in self.loops.judge(closed, chosen)]
 
 
 def _scaled(observer: Observer, pair: Pair) -> Pair:

@@ -31,7 +31,6 @@ from strainwave.servo_design.shaper_ranking import COVERAGE, RankedShaper, rank_
 from strainwave.servo_design.verification import Comparison, compare_moves
 
 _DEFAULT_PERIOD = 1e-3  # [s] of the servo
-_DEFAULT_LIMIT = 10.0  # [V]; torques have none
 _DELAY_SHARE = 0.5  # of the period, if no delay is given
 _N_POSTURES = 4  # drawn, besides zero angles, if no posture is given
 _MAX_MODES = 4  # slowest modes that are shaped
@@ -83,7 +82,7 @@ class ServoDesign:
     arm: IdentifiedArm
     options: ServoOptions
     clock: Clock
-    limit: float  # of the drives [V], or [N m] if torques are logged; infinite if not known
+    limits: FloatArray  # (n_joints,) of the drives [V], or [N m] if torques are logged
     conditions: tuple[Condition, ...]
     draw: IntArray  # (n_plants,) drawn parameters of each plant; 0 are the estimates
     condition: IntArray  # (n_plants,) indices of conditions
@@ -129,10 +128,17 @@ def design_servo(
     arm = arm.with_identified_drives()
     _check_parameters(arm)
     conditions = _conditions(arm, options)
-    clock, limit = _drives(arm, options)
+    clock, limits = _drives(arm, options)
     with one_blas_thread():  # thousands of small matrices
         return _design(
-            arm, covariance, options, clock, limit, conditions, noise or IdentifiedNoise(), progress
+            arm,
+            covariance,
+            options,
+            clock,
+            limits,
+            conditions,
+            noise or IdentifiedNoise(),
+            progress,
         )
 
 
@@ -141,7 +147,7 @@ def _design(
     covariance: JointCovariance | None,
     options: ServoOptions,
     clock: Clock,
-    limit: float,
+    limits: FloatArray,
     conditions: tuple[Condition, ...],
     noise: IdentifiedNoise,
     progress: Callable[[str], None],
@@ -153,18 +159,18 @@ def _design(
     loops = Loops.of(plants, clock)
     progress("tuning the loops")
     resolutions = np.array([joint.encoder_resolution for joint in arm.study.arm.joints])
-    tuned = tune_cascades(loops, options.required, resolutions=resolutions, limit=limit)
+    tuned, judged = tune_cascades(loops, options.required, resolutions=resolutions, limits=limits)
     progress("simulating steps")
     sampled = sample(plants, clock)
     gains, current = [each.gains for each in tuned], _current_gains(arm, clock)
-    results = _results(loops, sampled, gains)
+    results = _results(judged, sampled, gains)
     if options.bandwidth_hz is not None:
         _check_bandwidth(tuned, results, options.bandwidth_hz, clock)
     _check_loops(results, options.required, _count_unstable(sampled, gains))
     n_unstable = _count_unstable(sampled, current) if current else 0
     of_current: Sequence[LoopResults | None] = [None] * len(tuned)
     if current and not n_unstable:
-        of_current = _results(loops, sampled, current)
+        of_current = _results(loops.judge(loops.controllers(current)), sampled, current)
     progress("ranking shapers")
     modes, shapers = _shapers(plants, clock)
     progress("designing observers")
@@ -180,7 +186,7 @@ def _design(
     )
     progress("comparing moves")
     moves, refusal = _moves(
-        arm, gains, current, draws[: _N_MOVE_DRAWS + 1], conditions[0].posture, limit
+        arm, gains, current, draws[: _N_MOVE_DRAWS + 1], conditions[0].posture, limits
     )
     few = draws[: _N_ESTIMATION_DRAWS + 1]
     estimation: tuple[EstimationError, ...] = ()
@@ -188,14 +194,14 @@ def _design(
     if observers and not refusal:
         try:
             pair, posture = (observers, by_encoders), conditions[0].posture
-            estimation = errors_in_a_move(arm, pair, few, gains, posture, limit)
+            estimation = errors_in_a_move(arm, pair, few, gains, posture, limits)
         except (InvalidInput, NumericalFailure) as error:
             unchecked = getattr(error, "problem", str(error))
     return ServoDesign(
         arm=arm,
         options=options,
         clock=clock,
-        limit=limit,
+        limits=limits,
         conditions=conditions,
         draw=plants.draw,
         condition=plants.condition,
@@ -216,8 +222,8 @@ def _design(
     )
 
 
-def _drives(arm: IdentifiedArm, options: ServoOptions) -> tuple[Clock, float]:
-    """Timing and voltage limit, from the options or the servo of the study."""
+def _drives(arm: IdentifiedArm, options: ServoOptions) -> tuple[Clock, FloatArray]:
+    """Timing and limits of the inputs, from the options, the servo and the limits of the joints."""
     servo = arm.study.arm.servo
     period = options.period or (servo.period if servo else _DEFAULT_PERIOD)
     delay = _DELAY_SHARE * period if options.delay is None else options.delay
@@ -227,18 +233,27 @@ def _drives(arm: IdentifiedArm, options: ServoOptions) -> tuple[Clock, float]:
             where="--delay",
             remedy="give the time from an encoder reading to the voltage that follows from it",
         )
-    has_voltages = all(joint.torque_per_volt is not None for joint in arm.study.arm.joints)
-    default = _DEFAULT_LIMIT if has_voltages else math.inf
-    return Clock(period, delay), servo.limit if servo else default
+    limits = np.full(arm.study.arm.n_joints, servo.limit if servo else math.inf)
+    for i, joint in enumerate(arm.study.arm.joints):
+        if joint.limits and joint.limits.effort:
+            by_effort = joint.limits.effort * abs(joint.gear_ratio) / joint.torque_per_command
+            limits[i] = min(limits[i], by_effort)
+    if unknown := [str(number) for number in np.flatnonzero(np.isinf(limits)) + 1]:
+        raise InvalidInput(
+            f"the largest torque of the drive of joint {', '.join(unknown)} is unknown, and a "
+            "servo design needs it",
+            where=arm.source,
+            remedy="pass --study with a study whose [servo] has a limit [V], or whose URDF or "
+            "[[joint]] tables have limits = { effort = ... } [N m at the joint]",
+        )
+    return Clock(period, delay), limits
 
 
-def _results(loops: Loops, sampled: SampledPlants, gains: Sequence[Gains]) -> list[LoopResults]:
+def _results(
+    judged: Sequence[tuple[Margins, LoopBand]], sampled: SampledPlants, gains: Sequence[Gains]
+) -> list[LoopResults]:
     """Margins, bands and steps of all joints."""
-    pairs = loops.margins_and_bands(gains)
-    return [
-        LoopResults(margins, band, _steps(sampled, gains, i))
-        for i, (margins, band) in enumerate(pairs)
-    ]
+    return [LoopResults(*pair, _steps(sampled, gains, i)) for i, pair in enumerate(judged)]
 
 
 def _count_unstable(sampled: SampledPlants, gains: Sequence[Gains]) -> int:
@@ -308,15 +323,13 @@ def _moves(
     current: Sequence[Gains] | None,
     draws: Sequence[Values],
     posture: FloatArray,
-    limit: float,
+    limits: FloatArray,
 ) -> tuple[tuple[Comparison, ...], str]:
     """A move of each joint, or the reason why there is none."""
-    if math.isinf(limit):
-        return (), "the torque limit of the drives is unknown without a [servo] table in the study"
     try:
         numbers = range(1, len(gains) + 1)
         moves = (
-            compare_moves(arm, gains, draws, i, posture, limit, current=current) for i in numbers
+            compare_moves(arm, gains, draws, i, posture, limits, current=current) for i in numbers
         )
         return tuple(moves), ""
     except (InvalidInput, NumericalFailure) as error:

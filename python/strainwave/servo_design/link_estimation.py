@@ -22,8 +22,8 @@ from strainwave.export.source import IdentifiedArm
 from strainwave.servo_design.control_law import Gains
 from strainwave.servo_design.link_measurements import Measurement, known_part, with_places
 from strainwave.servo_design.observer import Observer
-from strainwave.servo_design.two_inertia import base_vector
-from strainwave.servo_design.verification import MOVE, follow, shortest_plan
+from strainwave.servo_design.plants import base_vector
+from strainwave.servo_design.verification import MOVE, Simulated, shortest_plan
 from strainwave.signals.link_readings import JointMotion
 
 _QUANTITIES: tuple[Quantity, ...] = ("voltage", "motor_angle", "link_angle", "link_velocity")
@@ -75,7 +75,7 @@ def errors_in_a_move(
     draws: Sequence[Values],
     gains: Sequence[Gains],
     posture: FloatArray,
-    limit: float,
+    limits: FloatArray,
 ) -> tuple[EstimationError, ...]:
     """Errors in a planned move of all joints from a posture.
 
@@ -83,16 +83,17 @@ def errors_in_a_move(
     """
     period = gains[0].period
     try:
-        plan = shortest_plan(arm, posture, posture + MOVE, period, limit)
+        plan = shortest_plan(arm, posture, posture + MOVE, period, limits)
     except InvalidInput:  # a limit of a joint
-        plan = shortest_plan(arm, posture, posture - MOVE, period, limit)
-    drive = follow(gains, plan, limit)
+        plan = shortest_plan(arm, posture, posture - MOVE, period, limits)
+    simulated = Simulated.of(arm, limits)
+    drive = simulated.follow(gains, plan)
     planned = plan.extended(len(drive.reference)).link_angle
-    return estimation_errors(arm, *observers, draws, drive, planned, np.random.default_rng(0))
+    return estimation_errors(simulated, *observers, draws, drive, planned, np.random.default_rng(0))
 
 
 def estimation_errors(
-    arm: IdentifiedArm,
+    simulated: Simulated,
     observers: Sequence[Observer],
     encoder_observers: Sequence[Observer],
     draws: Sequence[Values],
@@ -105,20 +106,20 @@ def estimation_errors(
     `drive` has ticks of the servo's period, at which `planned` (n_samples, n_joints) are the
     planned link angles.
     """
-    model = with_places(arm)
+    model = with_places(simulated.arm)
     axes = [axis for each in observers for one in each.measurements for axis in one.axes]
     record = dict.fromkeys([*_QUANTITIES, *(name for axis in axes for name in axis.quantities)])
     samples = len(drive.reference)
     runs = simulate_arms(
         model, draws, drive, sample_time=drive.tick, samples=samples, record=list(record)
     )
-    inputs = planned_inputs(arm, planned, drive.tick)
+    inputs = planned_inputs(simulated.arm, planned, drive.tick)
     results = []
     for observer, by_encoder in zip(observers, encoder_observers, strict=True):
         i = observer.joint - 1
         known = inputs.known_readings(observer)
         readings = read_runs(runs, observer.measurements, i, rng) - known
-        torque, voltage = inputs.interaction(observer), runs["voltage"][..., i]
+        torque, voltage = inputs.interaction(observer), simulated.inputs(runs["voltage"])[..., i]
         estimates = [
             estimate_link(observer, voltage, readings, torque),
             estimate_link(by_encoder, voltage, readings[..., :1], torque),
@@ -165,7 +166,7 @@ def planned_inputs(arm: IdentifiedArm, planned: FloatArray, period: float) -> Pl
     motion = JointMotion(planned, velocity, np.gradient(velocity, period, axis=0))
     model = with_places(arm)
     torques = model.link_torques(
-        base_vector(arm, model), motion.angle, motion.velocity, motion.acceleration
+        base_vector(model, arm.values), motion.angle, motion.velocity, motion.acceleration
     )
     return PlannedInputs(torques, motion, model)
 

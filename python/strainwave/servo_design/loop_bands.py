@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,16 @@ class LoopBand:
             phase_deg=_range(np.degrees(phase)),
             distance=_range(np.abs(1.0 + loop)),
         )
+
+    @classmethod
+    def join(cls, parts: Sequence[LoopBand]) -> LoopBand:
+        """The band over all plants of bands that begin with the same plant."""
+
+        def widest(name: str) -> FloatArray:
+            low, first, high = np.moveaxis(np.array([getattr(part, name) for part in parts]), 2, 0)
+            return np.stack([low.min(axis=0), first[0], high.max(axis=0)], axis=1)
+
+        return cls(parts[0].hz, *map(widest, ("gain_db", "phase_deg", "distance")))
 
 
 def _range(values: FloatArray) -> FloatArray:

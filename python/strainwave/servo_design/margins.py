@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -29,6 +30,12 @@ class Margins:
     modulus: FloatArray
     modulus_hz: FloatArray
     bandwidth_hz: FloatArray  # highest frequency at which the loop's gain is one
+
+    @classmethod
+    def join(cls, parts: Sequence[Margins]) -> Margins:
+        """Margins of all plants from those of parts of them."""
+        names = (field.name for field in fields(cls))
+        return cls(*(np.concatenate([getattr(one, name) for one in parts]) for name in names))
 
     def share(self, required: Requirements) -> FloatArray:
         """Smallest margin over the required one, per plant; at least one if all are kept."""

@@ -132,8 +132,7 @@ def plants_of(
     numbers = range(1, n + 1)
     laws = [(number, arm.joint(number).law) for number in coordinates.elastic]
     slopes = (0, 1) if any(law.is_curved for _, law in laws) else (1,)
-    effective = set(model.base.effective)
-    links_at = [_LinksAt.of(model, condition) for condition in conditions]
+    links_at = [LinksAt.of(model, condition) for condition in conditions]
     parts: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     places = []
     for (d, values), slope in product(enumerate(draws), slopes):
@@ -145,7 +144,7 @@ def plants_of(
             [law.stiffness_range(law.of_joint(values, number))[slope] for number, law in laws]
         )
         gear_damping = np.array([values["gear_damping", number] for number, _ in laws])
-        base = np.array([values[key] if key in effective else 0.0 for key in model.base_names])
+        base = base_vector(model, values)
         damping = _form(motors, column("motor_viscous_friction"))
         damping += _form(torsions, gear_damping) + _form(links, column("link_viscous_friction"))
         of_motors, of_gears = _form(motors, column("motor_inertia")), _form(torsions, gears)
@@ -175,13 +174,19 @@ def plants_of(
     )
 
 
+def base_vector(model: Arm, values: Values) -> FloatArray:
+    """Base parameters of a motion: (n_base,)."""
+    effective = set(model.base.effective)
+    return np.array([values[key] if key in effective else 0.0 for key in model.base_names])
+
+
 def _form(rows: FloatArray, weights: FloatArray) -> FloatArray:
     """Quadratic form of weighted rows over the coordinates."""
     return np.asarray(rows.T @ (weights[:, None] * rows))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _LinksAt:
+class LinksAt:
     """M(q) and dg/dq at a posture with a payload, linear in the base parameters."""
 
     inertia_per_base: FloatArray  # (n_joints, n_joints, n_base)
@@ -190,7 +195,7 @@ class _LinksAt:
     payload_gravity: FloatArray
 
     @classmethod
-    def of(cls, model: Arm, condition: Condition) -> _LinksAt:
+    def of(cls, model: Arm, condition: Condition) -> LinksAt:
         """The matrices of a condition. Row i is the torque of link i, column j moves joint j."""
         n, q, load = model.n_joints, condition.posture, condition.payload
         posture, unit = np.tile(q, (n, 1)), np.eye(n)

@@ -51,13 +51,13 @@ def sampled_responses(plants: Plants, omega: FloatArray, clock: Clock) -> Comple
     (n_plants, n_omega, n_joints, n_joints), angle by voltage.
     """
     total = plants.responses(omega) * _hold(omega, 0, clock)[:, None, None]
-    inertia, rate = plants.motor_inertias(), 2.0 * np.pi / clock.period
-    joints = np.arange(plants.n_joints)
+    free = np.zeros((len(omega), plants.n_joints), dtype=complex)  # of an inertia of one
     for k in (k for k in range(-_N_ALIASES, _N_ALIASES + 1) if k):
-        alias = omega + k * rate
-        drive = plants.torque_per_volt / (1.0 + 1j * alias[:, None] / plants.current_loop)
-        free = -drive / (inertia[:, None] * alias[:, None] ** 2)
-        total[:, :, joints, joints] += free * _hold(omega, k, clock)[:, None]
+        alias = (omega + k * 2.0 * np.pi / clock.period)[:, None]
+        drive = plants.torque_per_volt / (1.0 + 1j * alias / plants.current_loop)
+        free -= drive / alias**2 * _hold(omega, k, clock)[:, None]
+    joints = np.arange(plants.n_joints)
+    total[:, :, joints, joints] += free / plants.motor_inertias()[:, None]
     return np.asarray(total)
 
 

@@ -56,23 +56,9 @@ class Impulses:
         return np.asarray(np.abs(np.exp(rate[..., None] * before_end) @ self.amplitudes[active]))
 
     @property
-    def delay(self) -> float:
-        """Mean time of the impulses [s], by which a slow reference is late."""
-        return float(self.amplitudes @ self.times)
-
-    @property
     def duration(self) -> float:
         """Time from the first to the last impulse [s], by which every move is longer."""
         return float(self.times[-1])
-
-    @property
-    def smoothing(self) -> float:
-        """Distance from the delayed reference per acceleration [s^2], at constant acceleration.
-
-        It is half of the variance of the impulses' times. With the variance v, the frequency at
-        which the shaper attenuates by 3 dB is about sqrt(ln 2 / v).
-        """
-        return float(0.5 * self.amplitudes @ (self.times - self.delay) ** 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

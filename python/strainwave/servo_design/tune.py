@@ -49,11 +49,11 @@ def tune_document(
     arm = arm_of(document, source, study)
     design = design_servo(arm, covariance_of(document), options, progress, noise_of(document))
     if out is not None:
-        from strainwave.servo_design.handover import render_forms
+        from strainwave.servo_design.handover import FILES
         from strainwave.servo_design.report.page import render
 
         progress("writing the report")
-        files = {name: export.data for name, export in render_forms(design).items()}
+        files = {name: to_file(design).data for name, to_file in FILES.items()}
         write_whole(out, {PAGE: render(design).encode(), **files})
     return design
 

@@ -12,8 +12,7 @@ import numpy as np
 from strainwave.domain import FloatArray, Joint
 from strainwave.dynamics.arm import Arm
 from strainwave.export.source import IdentifiedArm
-from strainwave.servo_design.payload_motion import payload_motion
-from strainwave.servo_design.plants import Condition
+from strainwave.servo_design.plants import Condition, LinksAt, base_vector
 
 MOTION = ("motor_angle", "motor_velocity", "link_angle", "link_velocity")
 DISTURBANCE, DRIVE_TORQUE, LAST_INPUT = "motor_torque_error", "drive_torque", "last_input"
@@ -104,16 +103,5 @@ class TwoInertia:
 
 def link_inertias(arm: IdentifiedArm, model: Arm, condition: Condition) -> FloatArray:
     """Diagonal of M(q) with the payload: (n_joints,) [kg m^2]."""
-    inertia = model.inertia_matrix(base_vector(arm, model), condition.posture)
-    if condition.payload is not None:
-        posture = condition.posture[None]
-        rest = np.zeros_like(posture)
-        jacobian, _ = payload_motion(model, condition.payload, posture, rest, rest)
-        inertia = inertia + condition.payload.mass * jacobian[0].T @ jacobian[0]
+    inertia = LinksAt.of(model, condition).inertia(base_vector(model, arm.values))
     return np.diagonal(inertia).copy()
-
-
-def base_vector(arm: IdentifiedArm, model: Arm) -> FloatArray:
-    """Identified base parameters: (n_base,)."""
-    values, effective = arm.values, set(model.base.effective)
-    return np.array([values[key] if key in effective else 0.0 for key in model.base_names])

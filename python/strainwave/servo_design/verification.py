@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.domain.control_law import LinearServo
+from strainwave.domain.control_law import ControlLaw, LinearServo
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
@@ -65,7 +65,7 @@ def compare_moves(
     draws: Sequence[Values],
     joint: int,
     posture: FloatArray,
-    limit: float,
+    limits: FloatArray,
     *,
     current: Sequence[Gains] | None = None,
     move: float = MOVE,
@@ -77,15 +77,15 @@ def compare_moves(
     """
     end = posture.copy()
     end[joint - 1] += move
-    plan = shortest_plan(arm, posture, end, gains[0].period, limit)
-    model = Arm.of(arm.study.arm)
+    plan = shortest_plan(arm, posture, end, gains[0].period, limits)
+    simulated = Simulated.of(arm, limits)
     change = end - posture
-    step_run = _simulate_all(model, draws, _step(model, gains, plan, change, limit), joint)
+    step_run = _simulate_all(simulated, draws, _step(simulated, gains, plan, change), joint)
     current_move = None
     if current is not None:
-        drive = _step(model, current, plan, change, limit)
-        current_move = _simulate_all(model, draws, drive, joint).move(move)
-    planned_run = _simulate_all(model, draws, follow(gains, plan, limit), joint)
+        drive = _step(simulated, current, plan, change)
+        current_move = _simulate_all(simulated, draws, drive, joint).move(move)
+    planned_run = _simulate_all(simulated, draws, simulated.follow(gains, plan), joint)
     return Comparison(
         joint=joint,
         posture=posture,
@@ -97,6 +97,65 @@ def compare_moves(
         step_link=step_run.band / move,
         planned_link=planned_run.band / move,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulated:
+    """An arm whose drives have one limit: inputs are scaled where limits differ."""
+
+    arm: IdentifiedArm
+    limit: float  # of the scaled inputs: the largest of all
+    scale: FloatArray  # (n_joints,) scaled inputs over inputs
+
+    @classmethod
+    def of(cls, arm: IdentifiedArm, limits: FloatArray) -> Simulated:
+        """The arm with the limits (n_joints,) of its drives."""
+        study, limit = arm.study, float(limits.max())
+        description = study.arm
+        scale = limit / limits
+        for number, each in enumerate(scale.tolist(), start=1):
+            if each > 1.0:
+                torque = description.joints[number - 1].torque_per_command / each
+                description = description.with_joint(number, torque_per_volt=torque)
+        return cls(replace(arm, study=replace(study, arm=description)), limit, scale)
+
+    @property
+    def model(self) -> Arm:
+        """The arm with the equations."""
+        return Arm.of(self.arm.study.arm)
+
+    def inputs(self, scaled: FloatArray) -> FloatArray:
+        """Inputs of the drives for scaled ones (..., n_joints)."""
+        return scaled / self.scale
+
+    def follow(self, gains: Sequence[Gains], plan: FeedForward) -> Drive:
+        """A planned move with its feed-forward."""
+        held = plan.extended(round(_SECONDS / gains[0].period))
+        reference = held.servo_reference(np.array([each.position_gain for each in gains]))
+        return self.drive([each.law() for each in gains], plan, reference, held.voltage)
+
+    def drive(
+        self,
+        laws: Sequence[ControlLaw],
+        plan: FeedForward,
+        reference: FloatArray,
+        voltage: FloatArray,
+    ) -> Drive:
+        """All motors under control laws, from the planned posture at rest."""
+        scaled = tuple(
+            replace(law, C=each * law.C, D=each * law.D, E=law.E / each)
+            for law, each in zip(laws, self.scale.tolist(), strict=True)
+        )
+        period = float(plan.time[1] - plan.time[0])
+        return Drive(
+            tick=period,
+            voltage=np.ascontiguousarray(self.scale * voltage),
+            reference=np.ascontiguousarray(reference),
+            servo=(True,) * len(scaled),
+            motor_angle=tuple(plan.motor_angle[0].tolist()),
+            initial_voltage=tuple((self.scale * plan.voltage[0]).tolist()),
+            linear_servo=LinearServo(scaled, period, self.limit),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,9 +188,9 @@ class _Runs:
         )
 
 
-def _simulate_all(model: Arm, draws: Sequence[Values], drive: Drive, joint: int) -> _Runs:
+def _simulate_all(simulated: Simulated, draws: Sequence[Values], drive: Drive, joint: int) -> _Runs:
     """The motion of a joint, from 1, for all draws."""
-    samples, links, peaks = len(drive.reference), [], []
+    samples, links, peaks, model = len(drive.reference), [], [], simulated.model
     for values in draws:
         run = simulate(
             model,
@@ -143,13 +202,13 @@ def _simulate_all(model: Arm, draws: Sequence[Values], drive: Drive, joint: int)
         )
         angle = run["link_angle"][:, joint - 1]
         links.append(angle - angle[0])
-        peaks.append(np.abs(run["voltage"][:, joint - 1]).max())
+        peaks.append(np.abs(simulated.inputs(run["voltage"])[:, joint - 1]).max())
     time: FloatArray = drive.tick * np.arange(samples, dtype=np.float64)
     return _Runs(time, np.array(links), np.array(peaks))
 
 
 def _step(
-    model: Arm, gains: Sequence[Gains], plan: FeedForward, change: FloatArray, limit: float
+    simulated: Simulated, gains: Sequence[Gains], plan: FeedForward, change: FloatArray
 ) -> Drive:
     """A step of the reference angles by a change of the link angles, without feed-forward.
 
@@ -163,40 +222,16 @@ def _step(
         replace(law, B=law.B * columns, D=law.D * columns)
         for law, columns in zip(laws, used, strict=True)
     ]
-    reference = np.zeros((round(_SECONDS / period), model.n_joints))
-    reference[0] = model.motor_accelerations(change[None])[0] / period
+    reference = np.zeros((round(_SECONDS / period), len(gains)))
+    reference[0] = simulated.model.motor_accelerations(change[None])[0] / period
     held = np.broadcast_to(plan.voltage[0], reference.shape)
-    return _drive(LinearServo(tuple(without), period, limit), plan, reference, held)
-
-
-def follow(gains: Sequence[Gains], plan: FeedForward, limit: float) -> Drive:
-    """The planned move with its feed-forward."""
-    period = gains[0].period
-    servo = LinearServo(tuple(each.law() for each in gains), period, limit)
-    held = plan.extended(round(_SECONDS / period))
-    reference = held.servo_reference(np.array([each.position_gain for each in gains]))
-    return _drive(servo, plan, reference, held.voltage)
-
-
-def _drive(
-    servo: LinearServo, plan: FeedForward, reference: FloatArray, voltage: FloatArray
-) -> Drive:
-    """All motors under the servo, from the planned posture at rest."""
-    return Drive(
-        tick=servo.period,
-        voltage=np.ascontiguousarray(voltage),
-        reference=np.ascontiguousarray(reference),
-        servo=(True,) * reference.shape[1],
-        motor_angle=tuple(plan.motor_angle[0].tolist()),
-        initial_voltage=tuple(plan.voltage[0].tolist()),
-        linear_servo=servo,
-    )
+    return simulated.drive(without, plan, reference, held)
 
 
 def shortest_plan(
-    arm: IdentifiedArm, begin: FloatArray, end: FloatArray, period: float, limit: float
+    arm: IdentifiedArm, begin: FloatArray, end: FloatArray, period: float, limits: FloatArray
 ) -> FeedForward:
-    """The shortest planned move between two postures within the voltage limit.
+    """The shortest planned move between two postures within the limits of the drives.
 
     Raises `InvalidInput` if a second does not suffice.
     """
@@ -209,7 +244,7 @@ def shortest_plan(
             if duration * _DURATION_STEP > _LONGEST:
                 raise
         else:
-            if np.abs(plan.voltage).max() <= _VOLTAGE_SHARE * limit:
+            if (np.abs(plan.voltage) <= _VOLTAGE_SHARE * limits).all():
                 return plan
         duration *= _DURATION_STEP
     raise InvalidInput(

@@ -244,6 +244,8 @@ class _FilteredLog:
 
 def _source(log: Log, arm: Arm, joint: int) -> LinkSource:
     """Select the best available sensor of a link (joints count from 1)."""
+    if not arm.joints[joint - 1].elastic:
+        return "rigid"
     if f"a{joint}" in log.channels:
         drive = arm.joints[joint - 1]
         if drive.motion == "revolute" and drive.accelerometer_distance is None:

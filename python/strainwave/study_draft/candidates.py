@@ -23,6 +23,7 @@ class Guess:
     reason: str
     sure: Sure
     scale: float | None = 1.0  # factor to SI units; None: the user must fill it in
+    meaning: str = ""  # of a torque: "sensor" behind the gear
     todo: str = ""  # description of the value that the user must fill in, here or in [[joint]]
 
 

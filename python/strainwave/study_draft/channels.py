@@ -16,6 +16,7 @@ from strainwave.study_draft.joints import assign_columns
 from strainwave.study_draft.names import parse
 from strainwave.study_draft.robot import Motion, Robot
 
+_MIN_CORRELATION = 0.98  # of a column that measures the same as another
 _MIN_TORQUE_SHARE = 0.05  # of the gravity of a stretched arm; 1:57 and slower gears have less
 _IMU_AXIS = re.compile(r"[ag][xyz][1-9]")  # channel name of an IMU axis
 
@@ -53,6 +54,11 @@ def map_channels(
         map_input(joint)
         map_sensors(joint)
     _map_imus(record, mapping)
+    if listed := ", ".join(repr(joint.sided_by_guess) for joint in joints if joint.sided_by_guess):
+        mapping.warnings += (
+            f"on which side of the gear is {listed} measured? The motor side is assumed; if it is a"
+            ' sensor behind the gear, write { column = ..., meaning = "sensor" }',
+        )
     used = {guess.column for guess in mapping.guesses.values()}
     for name in record.columns:
         if name not in used and name not in mapping.unused:
@@ -161,7 +167,7 @@ def _describe_unused(record: Record, name: str, mapping: Mapping) -> str:
         if other not in record.columns:
             continue
         r, ratio = record.proportion(other, name)
-        if r > 0.98:
+        if r > _MIN_CORRELATION:
             return f"it correlates with {other!r} (r = {r:.3f}, factor {ratio:.4g})"
         is_angle = guess.channel.startswith("theta_m")
         if is_angle and record.relation(name, other)[0] > MIN_RELATED_CORRELATION:

@@ -109,7 +109,20 @@ class JointColumns:
         sure = sure or ("likely" if each.sure and each.placed else "unsure")
         if column == key and scale == 1.0:
             texts, sure = ["a channel name, in SI units"], "sure"
-        self.mapping.guesses[key] = Guess(key, column, "; ".join(texts), sure, scale, todo)
+        is_sensor = channel == "torque" and each.side == "link"
+        self.mapping.guesses[key] = Guess(
+            key, column, "; ".join(texts), sure, scale, "sensor" if is_sensor else "", todo
+        )
+
+    @property
+    def sided_by_guess(self) -> str:
+        """Column of a joint-side torque that the motor or a sensor may measure; empty if none."""
+        guess = self.mapping.guesses.get(f"torque{self.number}")
+        if guess is None or not self.facts.joint_side or guess.column == guess.channel:
+            return ""
+        each = self.parsed_names[guess.column]
+        is_open = each.quantity == "torque" and each.role != "desired" and each.side is None
+        return guess.column if is_open else ""
 
     def map_motion(self) -> None:
         """Map the angles, and the columns that their relation to the motor angle determines."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from strainwave.study_draft.joint_columns import JointColumns
-from strainwave.study_draft.names import AXIS, UNITS
+from strainwave.study_draft.names import AXIS, UNITS, names_accelerometer
 from strainwave.study_draft.signal_features import (
     flat_top,
     is_register,
@@ -102,6 +102,8 @@ def _add_input(joint: JointColumns, column: str) -> None:
         joint.facts.command = "A" if is_current else "V"
     elif each.quantity == "torque" and each.side is None:
         meaning = 'if a sensor behind the gear measures it, add meaning = "sensor"'
+    elif each.side == "link":
+        meaning = "a sensor behind the gear measures it"
     if each.unit is None and scale is not None and not is_current:
         side = "joint" if joint.facts.joint_side else "motor"
         assumed = f"assumed unit {'V' if channel == 'u' else f'N m at the {side}'}"
@@ -175,7 +177,9 @@ def _is_joint_acceleration(joint: JointColumns, column: str) -> bool:
     """Whether a column without a word of a sensor is the joint's acceleration in SI units."""
     each, motor = joint.parsed_names[column], joint.angle
     guess = joint.mapping.guesses.get(f"theta_m{joint.number}")
-    is_sensor = each.side == "link" or AXIS.search(column) is not None or len(each.word) > 12
+    is_sensor = (
+        each.side == "link" or AXIS.search(column) is not None or names_accelerometer(each.word)
+    )
     if each.quantity != "acceleration" or is_sensor or motor is None or guess is None:
         return False
     if guess.scale is None or joint.facts.prismatic or not joint.is_derivative(column, motor):

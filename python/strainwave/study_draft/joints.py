@@ -20,7 +20,7 @@ from strainwave.study_draft.names import (
     last_number,
     parse,
     position,
-    system_units,
+    system_entry,
     words_of,
 )
 from strainwave.study_draft.robot import Robot
@@ -104,9 +104,12 @@ def find_logged_joints(records: Sequence[Record], fullest: Record, robot: Robot)
 def _parse(name: str, record: Record, joint_words: Sequence[str] = ()) -> ParsedName:
     """Parse a column name, with the unit of its units row or of the robot system of the log."""
     each = parse(name, joint_words, record.units.get(name, ""))
+    columns = tuple(record.columns)
     if each.unit is None and each.quantity is not None:
-        unit = system_units(tuple(record.columns)).get(each.quantity, "")
+        unit = system_entry(columns, "units").get(each.quantity, "")
         each = replace(each, measure=find_unit(unit, each.quantity))
+    if each.side is None and each.quantity in system_entry(columns, "sides"):
+        each = replace(each, side="link")
     has_motor = any("motor" in words_of(other) for other in record.columns)
     if "arm" in each.rest and has_motor and each.side is None:
         each = replace(each, side="link", rest=tuple(w for w in each.rest if w != "arm"))

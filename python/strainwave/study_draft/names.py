@@ -372,13 +372,18 @@ def joint_rank(words: Sequence[str]) -> int:
     return min(ranks, default=0)
 
 
-def system_units(names: Sequence[str]) -> Mapping[Quantity, str]:
-    """Units of the robot system that the names show."""
+def names_accelerometer(word: str) -> bool:
+    """Whether a word for an acceleration, joined by "_", is that of a sensor."""
+    return ("quantity", "acceleration") in _VOCABULARY.get(tuple(word.split("_")), ())
+
+
+def system_entry(names: Sequence[str], key: str) -> Mapping[Quantity, str]:
+    """The entry `units` or `sides` of the robot system that the names show."""
     texts = [" ".join(_compounds(words_of(name))) for name in names]
     for system in _TABLE["system"]:
         if any(mark in text for mark in system["marks"] for text in texts):
-            units: Mapping[Quantity, str] = system["units"]
-            return units
+            entry: Mapping[Quantity, str] = system.get(key, {})
+            return entry
     return {}
 
 

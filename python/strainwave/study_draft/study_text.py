@@ -125,10 +125,11 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
-def _entry(column: str, scale: float | None, of_bag: bool) -> str:
+def _entry(column: str, scale: float | None, of_bag: bool, meaning: str = "") -> str:
     """Return the value of a channel in [channels]; a bag column is /topic.field[joint or index]."""
     value = TODO if scale is None else repr(float(scale))
     scaled = "" if scale == 1.0 else f", scale = {value}"
+    scaled += f", meaning = {_quoted(meaning)}" if meaning else ""
     if not of_bag:
         name = _quoted(column)
         return f"{{ column = {name}{scaled} }}" if scaled else name

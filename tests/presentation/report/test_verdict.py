@@ -74,7 +74,7 @@ def reported(
         (1.0, 1.5, "Not identified: the 95 % interval is wider than the value"),
         (1.0, None, "Not identified: the 95 % interval is wider than the value"),
         (None, None, "Not identified"),
-        (-1.0, 0.1, "Rejected: do not use"),
+        (-1.0, 0.1, "Rejected: reasons under Parameters"),
     ],
 )
 def test_each_parameter_is_classified_by_its_interval(

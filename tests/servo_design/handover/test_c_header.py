@@ -117,8 +117,8 @@ def test_the_compiled_servo_is_the_law(observing: ServoDesign, tmp_path: Path) -
     inputs = signals(observing.clock.period)
     printed = run(observing, inputs, tmp_path)
     for i, gains in enumerate(observing.gains):
-        expected = by_hand(gains.law(), inputs, observing.limit)
-        share = np.mean(np.abs(expected) == observing.limit)
+        expected = by_hand(gains.law(), inputs, observing.limits[0])
+        share = np.mean(np.abs(expected) == observing.limits[0])
         assert 0.1 < share < 0.9
         np.testing.assert_allclose(printed[:, i], expected, rtol=0.0, atol=1e-12)
     weights = observing.shapers[0].impulses.amplitudes

@@ -24,7 +24,7 @@ def test_the_document_has_the_servo(filtered: ServoDesign) -> None:
     assert document["schema"] == "strainwave/servo/1"
     assert document["period"] == filtered.clock.period
     assert document["delay"] == filtered.clock.delay
-    assert document["limit"] == filtered.limit
+    assert [each["limit"] for each in document["joints"]] == filtered.limits.tolist()
     assert (document["draws"], document["seed"], document["plants"]) == (5, 3, 6)
     assert document["required_margins"] == {"gain_db": 6.0, "phase_deg": 30.0, "modulus": 0.5}
     for entry, gains in zip(document["joints"], filtered.gains, strict=True):

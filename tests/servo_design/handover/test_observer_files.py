@@ -19,7 +19,7 @@ from strainwave.servo_design.handover.matlab import to_script
 from strainwave.servo_design.link_estimation import estimate_link, planned_inputs, read_runs
 from strainwave.servo_design.link_measurements import with_places
 from strainwave.servo_design.observer import Observer
-from strainwave.servo_design.verification import follow, shortest_plan
+from strainwave.servo_design.verification import Simulated, shortest_plan
 
 _PROGRAM = """
 #include <stdio.h>
@@ -45,8 +45,8 @@ int main(void) {
 def simulated(design: ServoDesign, one: Observer) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Inputs (n, 4), link motion (n, 2) and motor angle (n,) of joint 2 in a planned move."""
     begin, i = design.conditions[0].posture, one.joint - 1
-    plan = shortest_plan(design.arm, begin, begin + 0.05, design.clock.period, design.limit)
-    drive = follow(design.gains, plan, design.limit)
+    plan = shortest_plan(design.arm, begin, begin + 0.05, design.clock.period, design.limits)
+    drive = Simulated.of(design.arm, design.limits).follow(design.gains, plan)
     planned = plan.extended(len(drive.reference)).link_angle
     axes = [axis for each in one.measurements for axis in each.axes]
     names = {name for axis in axes for name in axis.quantities}
@@ -105,7 +105,7 @@ def test_the_compiled_servo_with_feedback_is_its_law(design: ServoDesign, tmp_pa
     law, x, expected = one.law, np.zeros(len(one.law.A)), []
     for *now, ff in inputs:
         u = law.C @ x + law.D @ now + ff
-        limited = np.clip(u, -design.limit, design.limit)
+        limited = np.clip(u, -design.limits[0], design.limits[0])
         new = law.A @ x + law.B @ now + law.E * (limited - ff)
         x = np.where(law.holds & (limited != u), x, new)
         expected.append(limited)

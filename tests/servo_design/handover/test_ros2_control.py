@@ -62,7 +62,7 @@ def test_the_controller_has_rate_joints_and_gains(design: ServoDesign) -> None:
     assert controller["command_interfaces"] == ["effort"]
     for i, gains in enumerate(controller["gains"].values()):
         drive = design.arm.joint(i + 1)
-        effort = drive.torque_per_command * design.limit / abs(drive.gear_ratio)
+        effort = drive.torque_per_command * design.limits[0] / abs(drive.gear_ratio)
         assert gains["u_clamp_max"] == -gains["u_clamp_min"] == gains["i_clamp"]
         assert gains["i_clamp"] == pytest.approx(effort)
 

@@ -19,6 +19,7 @@ from strainwave.identification import rigid
 from strainwave.io.logs import read_logs, write_log
 from strainwave.io.study import read_study, write_study
 from strainwave.signals.consistency import check_consistency
+from strainwave.signals.consistency.counts import estimate_encoder_count
 from strainwave.signals.motor import prepare_motor_signals
 
 DEGREE = np.pi / 180.0
@@ -268,3 +269,7 @@ def test_time_in_milliseconds_gives_no_traceback(arm: Input, tmp_path: Path) -> 
     result = pipeline.identify(tmp_path / "study.toml")
     assert result.verdict.status == "inconsistent-input"
     assert result.rigid is None
+
+
+def test_no_usable_record_shows_no_encoder_count() -> None:
+    assert estimate_encoder_count([]) is None

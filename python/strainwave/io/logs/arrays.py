@@ -117,7 +117,7 @@ def array_table(
         else:
             usable[name] = source
     if not usable:
-        names = ", ".join(f"{name} ({what})" for name, what in list(omitted.items())[:20])
+        names = ", ".join(f"{name} ({what})".lstrip() for name, what in list(omitted.items())[:20])
         raise InvalidInput(
             f"contains no array of numbers; it contains {names or 'nothing'}",
             where=str(path),

@@ -5,7 +5,7 @@ from strainwave.presentation.report.comparisons import render_comparisons
 from strainwave.presentation.report.page import figures_of, find_figure, render
 from strainwave.presentation.report.remedies import advice, by_severity, sentence
 from strainwave.presentation.report.sensor_gains import gain_sentences
-from strainwave.presentation.report.verdict import drive_note
+from strainwave.presentation.report.verdict import drive_note, scale_note
 
 __all__ = [
     "FIGURE_KINDS",
@@ -19,6 +19,7 @@ __all__ = [
     "gain_sentences",
     "render",
     "render_comparisons",
+    "scale_note",
     "sentence",
     "slug",
 ]

@@ -104,9 +104,9 @@ def _numbers(p: Parameter, rejected: Clause | None = None) -> list[Cell]:
     value, std = plus_minus(p.value, p.std)
     if p.value is None:
         value = "rejected" if rejected else "not identified"
-        interval = text_of(rejected) if rejected else "not identifiable from these data"
-        std = half = ""
-    elif p.ci95 is None:
+        reason = text_of(rejected) if rejected else "not identifiable from these data"
+        return [number(value), number(""), prose(reason), number("")]
+    if p.ci95 is None:
         interval, half = "not known", ""
     else:
         low, high = p.ci95

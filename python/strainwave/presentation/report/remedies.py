@@ -72,6 +72,11 @@ _RESULT = {
         "The gears are identified from steps or torsion alone, or not at all.",
         'Record a PRBS on each joint with use = "frequency".',
     ),
+    "rigid-joints": Advice(
+        "The rigid step and the models of the elastic joints are the result; no whole-arm fit is"
+        " needed for the verdict.",
+        'Set spring = "auto" for the joint if its gear is elastic.',
+    ),
     "no-torsion": Advice(
         "The encoders of the joint do not determine the stiffness of its gear.",
         "Record motion in which gravity or acceleration loads the gear more, or a PRBS.",

@@ -34,7 +34,8 @@ _CLASSES = (
 """Classes of identified parameters by the half-width of the 95 % interval over the value."""
 _UNCERTAIN = "Not identified: the 95 % interval is wider than the value"
 _NO_VALUE = "Not identified"
-_REJECTED = "Rejected: do not use"
+_REJECTED = "Rejected: reasons under Parameters"
+_CONTRADICTED = "Rejected: do not use"  # values that depend on a fault of the input
 _USABLE_HALF_WIDTH = 0.1  # relative: good enough to simulate with
 _TITLES: Mapping[str, tuple[str, Mark]] = {
     "determined": ("Determined", "good"),
@@ -56,6 +57,7 @@ def verdict(identification: Identification) -> Callout:
             Span(title, kind="badge", mark=mark), f" {_count_identified(identification.decisions)}"
         ),
         *(paragraph(sentence(reason)) for reason in reasons),
+        *(paragraph(each) for each in [scale_note(identification)] if each),
         *_suspicion_blocks(identification),
         *_cause_blocks(identification),
         *_validation_blocks(identification),
@@ -65,6 +67,20 @@ def verdict(identification: Identification) -> Callout:
     if groups:
         blocks.append(Facts(groups))
     return Callout(mark, tuple(blocks))
+
+
+def scale_note(identification: Identification) -> str:
+    """The constants with which all torques scale; empty if the records determine the scale."""
+    study = identification.study
+    has_load = any(experiment.payload for experiment in study.experiments)
+    if identification.drive_gains or has_load or not identification.verdict.identified:
+        return ""
+    has_voltages = any(joint.torque_per_volt is not None for joint in study.arm.joints)
+    constant = "torque_per_volt" if has_voltages else "the scale of the torque channels"
+    return (
+        f"Inertias, friction, gravity and stiffness scale with {constant}; an error that all joints"
+        " share is not visible in the records."
+    )
 
 
 def _suspicion_blocks(identification: Identification) -> Iterator[Block]:
@@ -105,6 +121,8 @@ def _certainty_groups(identification: Identification) -> Iterator[tuple[str, str
     groups |= {_UNCERTAIN: [], _NO_VALUE: [], _REJECTED: []}
     for decision in decisions:
         groups[_certainty_class(decision)].append(decision.parameter)
+    if identification.suspected:
+        groups[_CONTRADICTED] = groups.pop(_REJECTED)
     for name, members in groups.items():
         if members:
             yield name, named(p.key for p in members)

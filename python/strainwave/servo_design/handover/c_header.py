@@ -35,7 +35,8 @@ def to_c_header(design: ServoDesign) -> Export:
         values = {name: _initializer(row) for name, row in rows.items()}
         unit = Units.of(design.arm.joint(number)).input
         name = design.arm.study.arm.joint_names[number - 1]
-        entries.append((macro, number, name, len(law.A), unit, law.names, values))
+        limit = float(design.limits[number - 1])
+        entries.append((macro, number, name, len(law.A), limit, unit, law.names, values))
     systems = [(one.joint, one.system) for one in design.observers]
     observers = [
         (number, system, {name: _initializer(getattr(system, name)) for name in "ABCD"})
@@ -46,7 +47,6 @@ def to_c_header(design: ServoDesign) -> Export:
         prefix=HEADER_PREFIX,
         period=design.clock.period,
         delay=design.clock.delay,
-        limit=design.limit,
         n_states=n_states,
         n_joints=len(design.gains),
         laws=entries,

@@ -12,7 +12,7 @@ def difference_equations(gains: Gains, limit: float, units: Units) -> list[tuple
     r and w are angle and velocity of the reference, y is the angle of the motor, ff the
     feed-forward and u the input of the drive.
     """
-    T = gains.period
+    T, limit = gains.period, float(limit)
     lines = [
         (
             f"e[k] = w[k] + {gains.position_gain!r}*(r[k] - y[k]) - (y[k] - y[k-1])/{T!r}",

@@ -29,7 +29,7 @@ def to_markdown(design: ServoDesign) -> Export:
                 each,
                 design.arm.study.arm.joint_names[each.joint - 1],
                 units,
-                difference_equations(gains, design.limit, units),
+                difference_equations(gains, design.limits[each.joint - 1], units),
                 [
                     (one, design.condition[one.plant] + 1)
                     for one in margin_summaries(each.results.margins, design.options.required)

@@ -33,7 +33,7 @@ def to_script(design: ServoDesign) -> Export:
         law = gains.law()
         matrices = {name: _matrix(getattr(law, name)) for name in ("A", "B", "C", "D")}
         matrices["E"] = _matrix(law.E[:, None])
-        equations = difference_equations(gains, design.limit, units)
+        equations = difference_equations(gains, design.limits[each.joint - 1], units)
         states = _cell(state_names(law))
         joints.append((each.joint, gains, units, matrices, states, equations))
     text = fill_text(

@@ -65,12 +65,14 @@ def to_ros2_control(design: ServoDesign) -> Export:
     """YAML with `update_rate`, the gains of a trajectory controller, and low-pass filters."""
     arm, period = design.arm.study.arm, design.clock.period
     joints, filters = [], []
-    for each, name in zip(design.joints, arm.joint_names, strict=True):
+    for each, name, limit in zip(
+        design.joints, arm.joint_names, design.limits.tolist(), strict=True
+    ):
         joint, gains = design.arm.joint(each.joint), each.tuned.gains
         ratio = 1.0 if arm.is_coupled else joint.gear_ratio
         units = Units.of(joint)
         effort = units.input if joint.known_torque_per_volt is None else units.torque
-        pid = effort_pid(gains, design.limit, joint, ratio)
+        pid = effort_pid(gains, limit, joint, ratio)
         joints.append((name, units, effort, pid, gains.filters))
         corners = [hz for one in gains.filters if (hz := low_pass_hz(one, period)) is not None]
         if corners:

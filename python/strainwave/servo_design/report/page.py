@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 from strainwave.presentation.report.blocks import (
@@ -62,16 +61,13 @@ def _headline(design: ServoDesign) -> Callout:
 
 def _scope(design: ServoDesign) -> Iterator[Block]:
     clock, options = design.clock, design.options
-    limit = f"{design.limit:g} {words.input_unit(design)}"
-    if design.arm.study.arm.servo is None:
-        limit = f"{limit}, assumed" if math.isfinite(design.limit) else "not known"
     yield Facts(
         (
             ("parameters", f"the estimates and {options.draws} draws of them, seed {options.seed}"),
             ("plants", f"{design.n_plants}: draws, conditions, lowest and highest gear slope"),
             ("servo period", f"{1e3 * clock.period:g} ms"),
             ("delay", f"{1e3 * clock.delay:g} ms from an encoder reading to its voltage"),
-            ("limit of the drives", limit),
+            ("limit of the drives", words.limits(design)),
         )
     )
     joints = range(1, len(design.joints) + 1)

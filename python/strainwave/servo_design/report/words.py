@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from strainwave.domain import FloatArray
 from strainwave.presentation.report.blocks import Cell, Row, number, prose
 from strainwave.servo_design.cascade_tuning import MAX_RIPPLE_SHARE
@@ -107,6 +109,12 @@ def input_unit(design: ServoDesign) -> str:
         for joint in design.arm.study.arm.joints
     }
     return " or ".join(sorted(units))
+
+
+def limits(design: ServoDesign) -> str:
+    """Limits of the drives with their unit: one if all are equal."""
+    each = design.limits[:1] if np.ptp(design.limits) == 0.0 else design.limits
+    return f"{', '.join(f'{limit:.4g}' for limit in each.tolist())} {input_unit(design)}"
 
 
 def gain_heads(design: ServoDesign) -> tuple[Cell, ...]:

@@ -27,7 +27,9 @@ def estimate_encoder_count(angles: Sequence[FloatArray]) -> float | None:
     steps are whole multiples of it. `angles` holds the same channel of several records, each of
     shape (n_samples,). Returns None if the angle shows no quantisation.
     """
-    steps = np.concatenate([np.abs(np.diff(angle[:_MAX_SAMPLES])) for angle in angles])
+    steps = np.concatenate(
+        [np.zeros(0), *(np.abs(np.diff(angle[:_MAX_SAMPLES])) for angle in angles)]
+    )
     largest = steps.max(initial=0.0)
     steps = steps[steps > 1e-9 * largest]
     if len(steps) < _MIN_STEPS:

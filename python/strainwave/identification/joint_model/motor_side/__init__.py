@@ -42,7 +42,7 @@ def models_from_motors(
     PRBS. Link signals of `records` are not used. `model` may be None for a single joint without
     gravity.
 
-    Returns sets of models, one model per joint from the base. The first set has the least
+    Returns sets of models, one model per elastic joint from the base. The first set has the least
     objective; the others are alternative minima from which a whole-arm fit may start.
 
     Raises `NotIdentifiable` if a joint is not driven or no arm explains the motion of the motors.
@@ -50,7 +50,8 @@ def models_from_motors(
     spectra_pieces = [
         piece for r in records for piece in pieces(r, arm, max_lines=_FIT_LINES) if piece.rows
     ]
-    for i in range(arm.n_joints):
+    elastic = [i for i in range(arm.n_joints) if i + 1 not in arm.rigid_joints]
+    for i in elastic:
         if not any(i in piece.rows for piece in spectra_pieces):
             raise NotIdentifiable(
                 f"no record has the motor of joint {i + 1} slide most of the time when driven,"
@@ -75,7 +76,7 @@ def _models(
     pieces_in_posture: Sequence[Piece],
     experiments: Sequence[tuple[str, ...]],
 ) -> tuple[JointModel, ...]:
-    """One model per joint from a minimum."""
+    """One model per elastic joint from a minimum."""
     joints = family.joints(minimum.point)
     band = (
         float(min(piece.s[0].imag for piece in pieces_in_posture) / (2.0 * np.pi)),
@@ -83,6 +84,8 @@ def _models(
     )
     models = []
     for i, joint in enumerate(joints):
+        if i + 1 in arm.rigid_joints:
+            continue
         covariance = _covariance(minimum, family, i)
         values = dict(zip(NAMES, joint.vector.tolist(), strict=True))
         standard_deviations = np.sqrt(np.diag(covariance))

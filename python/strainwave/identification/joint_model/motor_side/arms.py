@@ -36,6 +36,7 @@ _START_DECAY_RATE = 0.5  # [1/s] starting value of c_0 / c_1
 _MIN_DECAY_RATE = 0.01  # [1/s] least c_0 / c_1 of a rigid model
 # motor's share of the viscous friction, which motor signals do not determine
 _MOTOR_VISCOUS_SHARE = 0.5
+_RIGID_FREQUENCY = 1e5  # [rad/s] anti-resonance of a rigid gear with all of its joint's inertia
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,13 +111,17 @@ class Family:
         if total is None or viscous is None:
             total, viscous = np.exp(points[..., -2 * n : -n]), np.exp(points[..., -n:])
         viscous = np.broadcast_to(viscous, share.shape)
+        stiffness, damping = np.exp(gears[..., 0]), np.exp(gears[..., 1])
+        rigid = [number - 1 for number in self.arm.rigid_joints]  # their coordinates have no effect
+        stiffness[..., rigid] = (_RIGID_FREQUENCY**2 * total / self.ratio**2)[..., rigid]
+        damping[..., rigid] = 0.0
         return {
             "motor_inertia": share * total,
             "motor_viscous_friction": _MOTOR_VISCOUS_SHARE * viscous,
             "link_inertia": (1.0 - share) * total / self.ratio**2,
             "link_viscous_friction": (1.0 - _MOTOR_VISCOUS_SHARE) * viscous / self.ratio**2,
-            "gear_stiffness": np.exp(gears[..., 0]),
-            "gear_damping": np.exp(gears[..., 1]),
+            "gear_stiffness": stiffness,
+            "gear_damping": damping,
         }
 
     def joints(self, point: FloatArray) -> list[TwoInertia]:
