@@ -207,14 +207,13 @@ def main() -> None:
     values = Table("parameter", "strainwave", "std", "published", "std", "difference", box=None)
     reference = published(arguments.tx40)
     keys = [column.key for column in arm.rigid_columns]
-    stds = dict(zip(keys, np.sqrt(np.diag(model.covariance)).tolist(), strict=True))
-    solution = dict(zip(keys, model.solution.tolist(), strict=True))
+    stds = np.sqrt(np.diag(model.covariance)).tolist()
+    estimates = dict(zip(keys, zip(model.solution.tolist(), stds, strict=True), strict=True))
     for key, symbol, factor in published_symbols(arm):
         if symbol in reference:
-            value, std = factor * solution[key], factor * stds[key]
-            expected, of_expected = reference[symbol]
-            difference = (value - expected) / np.hypot(std, of_expected)
-            numbers = (value, std, expected, of_expected)
+            (value, std), (expected, of_expected) = estimates[key], reference[symbol]
+            numbers = (factor * value, factor * std, expected, of_expected)
+            difference = (factor * value - expected) / np.hypot(factor * std, of_expected)
             values.add_row(symbol, *(f"{x:.4g}" for x in numbers), f"{difference:.1f}")
     Console().print(values)
     friction = Table("axis", "friction [N m]", "published", "difference %", box=None)
