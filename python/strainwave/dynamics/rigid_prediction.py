@@ -9,7 +9,11 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, FrictionTerm, Signals
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.friction_terms import additional_friction
+from strainwave.dynamics.friction_terms import (
+    additional_friction,
+    corrected_signals,
+    spring_torque,
+)
 from strainwave.numerics.filters import low_pass
 
 _BLOCK_SIZE = 1 << 16  # samples per regressor, which limits its memory
@@ -51,7 +55,7 @@ def band_fit(
 
     Equal to the fit of `band_prediction`, with less memory.
     """
-    T = signals.sample_time
+    T, signals = signals.sample_time, corrected_signals(signals, arm, friction_terms)
     torque = predict_torque(arm, solution, signals, _bridge(model_hz, T), friction_terms)
     fits = []
     for i in range(torque.shape[1]):
@@ -74,7 +78,7 @@ def band_prediction(
     `solution` (n_parameters,) has the order of `Arm.rigid_columns`. `model_hz` is the bandwidth in
     which the model was estimated.
     """
-    T = signals.sample_time
+    T, signals = signals.sample_time, corrected_signals(signals, arm, friction_terms)
     torque = predict_torque(arm, solution, signals, _bridge(model_hz, T), friction_terms)
     measured, predicted = (low_pass(x, model_hz, T) for x in (signals.motor_torque, torque))
     inside = _inside(measured, model_hz, T)
@@ -111,7 +115,7 @@ def predict_torque(
     longest_bridge: int,
     friction_terms: Sequence[FrictionTerm],
 ) -> FloatArray:
-    """Motor torques of the rigid model for a motion: (n_samples, n_joints) [N m].
+    """Motor torques of the rigid model for a corrected motion: (n_samples, n_joints) [N m].
 
     In a brief reversal, of up to `longest_bridge` samples, Coulomb friction changes linearly from
     one direction to the other. A motor that sticks for longer has a set of possible torques, +-f
@@ -134,6 +138,7 @@ def predict_torque(
         if arm.n_shared:
             shared = arm.shared_friction_regressor(signals.motor_velocity[block])
             smooth += shared @ solution[-arm.n_shared :]
+        smooth += spring_torque(arm, friction_terms, links[0])
         dry = coulomb + additional_friction(friction_terms, signals.motor_velocity[block], body)
         limit = np.abs(dry)
         sticking = smooth + np.clip(signals.motor_torque[block] - smooth, -limit, limit)

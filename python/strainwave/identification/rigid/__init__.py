@@ -38,9 +38,11 @@ from strainwave.identification.rigid.drive_gains import estimate_drive_gains, ga
 from strainwave.identification.rigid.equations import MotorShares, anti_resonances
 from strainwave.identification.rigid.friction_terms import (
     estimated_terms,
-    select_terms,
+    fit_with_terms,
+    refit,
     term_warning,
 )
+from strainwave.identification.rigid.model_choice import Choice, candidates_of
 from strainwave.identification.rigid.stretch import decimation
 from strainwave.identification.rigid.torque_constants import torque_ratios
 from strainwave.identification.rigid.trial import Trial, fit_trial
@@ -85,13 +87,22 @@ def _fit(
     else:
         trials = search_bandwidths(motions, arm)
     best = plain = select_bandwidth(trials)
-    candidates = select_terms(best, chosen.load_friction)
+    nearby = neighbours(trials, best)
+    candidates = candidates_of(arm, best.stretches)
+    doubt = np.zeros_like(best.covariance)
     if candidates:
-        nearby = [best, *neighbours(trials, best)]
-        best, *_ = trials = [trial.refit_with_terms(candidates) for trial in nearby]
-    others = [(t.solution, np.diag(t.covariance)) for t in neighbours(trials, best)]
-    model_error = excess_variance(best.solution, others)
-    covariance = best.covariance + np.diag(model_error + _elastic_model_error(best))
+        choice = Choice.of(best, candidates)
+        chosen = [candidates[k] for k in choice.select()]
+        if chosen:
+            best = fit_with_terms(best, motions, chosen)
+            nearby = [refit(trial, motions, best.candidates) for trial in nearby]
+            choice = Choice.of(best, candidates)
+        doubt = choice.model_error()
+    trials = [best, *nearby]
+    others = [(t.solution, np.diag(t.covariance)) for t in nearby]
+    excess = excess_variance(best.solution, others)
+    model_error = doubt + np.diag(excess + _elastic_model_error(best))
+    covariance = best.covariance + model_error
     if gains is not None:
         by_gain = gain_sensitivity(best, gains)
         covariance = covariance + by_gain @ gains.relative_covariance @ by_gain.T

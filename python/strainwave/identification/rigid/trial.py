@@ -134,10 +134,6 @@ class Trial:
                 errors[i + 1] = float(np.linalg.norm(residual[rows])) / torque
         return errors
 
-    def refit_with_terms(self, candidates: Sequence[Candidate]) -> Trial:
-        """Fit at the same bandwidth with further terms of friction."""
-        return fit_trial(self.arm, self.stretches, self.estimate, candidates=candidates)
-
 
 def fit_trial(
     arm: Arm,

@@ -274,7 +274,7 @@ class Reader:
                 remedy='write a list such as effects = ["stribeck"], or effects = "auto"',
             )
         if isinstance(names, list):
-            self._check_registered(names, effects.names(), names, "joint", index, "effects")
+            self._check_registered(names, effects.study_names(), names, "joint", index, "effects")
         return self.record(Joint, table, "joint", index, **placed)
 
     def _check_registered(

@@ -1,0 +1,215 @@
+"""Which further terms a rigid model has, and what doubt about them adds to its intervals.
+
+A term enters if it improves the prediction of stretches that the fit does not use. Terms that stay
+out make plausible models: their change of the estimates, weighted by their prediction, is model
+error, as far as it exceeds what the same data explain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from strainwave.domain import FloatArray
+from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
+from strainwave.domain.parameter_table import parameter_table
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.friction_terms import DELAY, ZERO
+from strainwave.identification.rigid.equations import ALL_JOINTS, Candidate, Terms, assemble
+from strainwave.identification.rigid.stretch import Stretch, n_compliances
+from strainwave.identification.rigid.submodels import Submodels
+from strainwave.identification.rigid.trial import Trial
+from strainwave.numerics import least_squares as ls
+from strainwave.numerics.held_out import MIN_WEIGHT, model_weights, weight_over
+
+STRIBECK, POWER = "stribeck", "power-friction"
+GAIN = "drive-gain"
+"""Error of a torque constant. It only adds to intervals: the records show ratios of constants."""
+
+_MAX_ROUNDS = 4  # of the selection; each adds at most one term per joint
+# Stribeck velocities over the largest velocity of the joint; below, the encoder hides the effect
+_STRIBECK_VELOCITIES = (0.03, 0.06, 0.12, 0.25)
+# largest speed [rad/s] of a motor below which (S16) is nearly viscous friction
+_MIN_POWER_SPEED = 3.0
+_GAIN_STD = 0.3  # prior standard deviation of the relative error of a torque constant
+# share of the torque below which the half-width of an interval does not count as undetermined
+_MAX_NEGLIGIBLE_SHARE = 0.02
+
+
+def candidates_of(arm: Arm, stretches: Sequence[Stretch]) -> list[Candidate]:
+    """Terms that the joints of an arm with rigid gears may have, as the study allows.
+
+    Joints that stay at rest have none.
+    """
+    if n_compliances(arm):
+        return []
+    velocities = [np.abs(s.signals.motor_velocity).max(axis=0) for s in stretches]
+    largest = np.max(velocities, axis=0)
+    slides = np.any([np.any(s.signals.direction != 0.0, axis=0) for s in stretches], axis=0)
+    (exponent,) = effect_named(POWER).shapes.values()
+    shapes: Mapping[str, Sequence[FloatArray]] = {
+        STRIBECK: [share * largest for share in _STRIBECK_VELOCITIES],
+        POWER: [np.full(arm.n_joints, exponent)],
+    }
+    effects = [OF_RIGID_JOINTS if j.selects_effects else j.named_effects for j in arm.joints]
+    of_joints = [
+        Candidate(effect, i, float(shape[i]))
+        for i in range(arm.n_joints)
+        for effect in effects[i]
+        for shape in shapes.get(effect, [np.ones(arm.n_joints)])
+        if slides[i] and effect != DELAY
+        if effect != ZERO or arm.gravity_size > 0.0
+        if effect != POWER or largest[i] > _MIN_POWER_SPEED
+    ]
+    is_delayed = any(DELAY in names for names in effects)
+    return [*of_joints, Candidate(DELAY, ALL_JOINTS)] if is_delayed else of_joints
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Models of a trial with any of the candidates."""
+
+    trial: Trial
+    candidates: tuple[Candidate, ...]  # columns of their sizes, of shapes and of gains follow
+    models: Submodels
+
+    @staticmethod
+    def of(trial: Trial, candidates: Sequence[Candidate]) -> Choice:
+        """Linearise the candidates, and errors of the torque constants, at a trial.
+
+        The terms of the trial precede the candidates.
+        """
+        arm = trial.arm
+        taken = {(c.effect, c.joint) for c in trial.candidates}
+        rest = [c for c in candidates if (c.effect, c.joint) not in taken]
+        candidates = [*trial.candidates, *rest]
+        terms = Terms.of(candidates, trial.stretches)
+        equations = assemble(arm, trial.stretches, trial.estimate, terms)
+        if arm.n_joints > 1:
+            torque = trial.equations.target - ls.residual_of(trial.equations, trial.factor)
+            gains = torque[:, None] * (equations.group[:, None] == np.arange(arm.n_joints))
+            equations = replace(
+                equations,
+                common=np.hstack([equations.common, gains]),
+                common_deviation=np.append(
+                    equations.common_deviation, np.full(arm.n_joints, _GAIN_STD)
+                ),
+            )
+        return Choice(trial, tuple(candidates), Submodels(trial, equations))
+
+    def with_shapes(self, terms: Sequence[int]) -> list[int]:
+        """Columns of the sizes and of the estimated shapes of some candidates."""
+        estimated = [k for k, c in enumerate(self.candidates) if c.size is not None]
+        n = len(self.candidates)
+        return [*terms, *(n + at for at, k in enumerate(estimated) if k in terms)]
+
+    def is_possible(self, terms: Sequence[int]) -> bool:
+        """Whether no size that cannot be negative is negative."""
+        sizes = self.models.sizes(terms).tolist()
+        ranges = (
+            parameter_table()[effect_named(c.effect).sizes[0]].range
+            for c in (self.candidates[k] for k in terms)
+        )
+        return all(size > 0.0 or each == "any" for size, each in zip(sizes, ranges, strict=True))
+
+    def covariance(self, terms: Sequence[int]) -> FloatArray:
+        """Jackknife covariance of the parameters in a model."""
+        shifts = self.models.shifts(terms)
+        return np.asarray((len(shifts) - 1) / len(shifts) * shifts.T @ shifts)
+
+    def is_determined(self, terms: Sequence[int]) -> list[bool]:
+        """Whether the interval of each parameter is narrower than its value, or negligible."""
+        half = self.trial.interval_half_width * np.sqrt(np.diag(self.covariance(terms)))
+        factor = self.trial.factor
+        torque = float(np.linalg.norm(factor.root * self.trial.equations.target))
+        is_negligible = half * factor.scale < _MAX_NEGLIGIBLE_SHARE * torque
+        is_narrow = half < np.abs(self.models.solution(terms))
+        return list((is_narrow | is_negligible) & self.trial.determined)
+
+    def select(self) -> list[int]:
+        """Candidates that the study names, and those that improve the held-out prediction."""
+        rng = np.random.default_rng(0)
+        chosen: list[int] = []
+        for same in self._rivals(chosen):
+            number = self.candidates[same[0]].joint
+            joints = self.trial.arm.joints
+            of_term = joints if number == ALL_JOINTS else joints[number : number + 1]
+            if not any(joint.selects_effects for joint in of_term):
+                chosen.append(max(same, key=lambda k: self._total([*chosen, k])))
+        for _ in range(_MAX_ROUNDS):
+            n_before = len(chosen)
+            for joint in (*range(self.trial.arm.n_joints), ALL_JOINTS):
+                every = [k for same in self._rivals(chosen) for k in same]
+                rest = [k for k in every if self.candidates[k].joint == joint]
+                base, before = self.models.scores(chosen), self.is_determined(chosen)
+                totals = {k: float(np.sum(self.models.scores([*chosen, k]))) for k in rest}
+                for k in sorted(rest, key=lambda k: -totals[k]):
+                    if totals[k] <= float(np.sum(base)):
+                        break
+                    model = [*chosen, k]
+                    weight = weight_over(self.models.scores(model), base, rng)
+                    stays = all(
+                        now or not was
+                        for now, was in zip(self.is_determined(model), before, strict=True)
+                    )
+                    if weight > MIN_WEIGHT and self.is_possible(model) and stays:
+                        chosen = model
+                        break
+            if len(chosen) == n_before:
+                break
+        return chosen
+
+    def model_error(self) -> FloatArray:
+        """Variance (n_parameters, n_parameters) between the trial's model and plausible rivals.
+
+        The rivals have one term of a joint more or less, or other torque constants. Their weights
+        are those of held-out prediction. Of a change, the excess over its interval from the same
+        blocks counts: a term of no effect changes the estimates as well.
+        """
+        rng = np.random.default_rng(0)
+        total = np.zeros_like(self.trial.covariance)
+        chosen = self.with_shapes(range(len(self.trial.candidates)))
+        solution, shifts = self.models.solution(chosen), self.models.shifts(chosen)
+        n = len(shifts)
+        for family in self._families(list(range(len(self.trial.candidates)))):
+            scores = np.array([self.models.scores(model) for model in (chosen, *family)])
+            for weight, model in zip(model_weights(scores, rng)[1:], family, strict=True):
+                change = self.models.solution(model) - solution
+                moved = self.models.shifts(model) - shifts
+                variance = (n - 1) / n * np.sum(moved**2, axis=0)
+                expected = self.trial.interval_half_width**2 * variance
+                excess = np.sign(change) * np.sqrt(np.clip(change**2 - expected, 0.0, None))
+                total += weight * np.outer(excess, excess)
+        return total
+
+    def _families(self, chosen: list[int]) -> Iterator[list[list[int]]]:
+        """Rivals of a model that explain the same: terms of one joint, or torque constants."""
+        joint_of = [c.joint for c in self.candidates]
+        n_joints = self.trial.arm.n_joints
+        for joint in range(n_joints):
+            models = [
+                [k for k in chosen if k != left] for left in chosen if joint_of[left] == joint
+            ]
+            for same in self._rivals(chosen):
+                if joint_of[same[0]] == joint:
+                    model = max(([*chosen, k] for k in same), key=self._total)
+                    models += [model] if self.is_possible(model) else []
+            yield [self.with_shapes(model) for model in models]
+        if n_joints > 1:
+            first = self.models.equations.common.shape[1] - n_joints
+            yield [[*self.with_shapes(chosen), first + joint] for joint in range(n_joints)]
+
+    def _rivals(self, chosen: Sequence[int]) -> list[list[int]]:
+        """Candidates that a model lacks, those of one effect and joint together."""
+        key = [(c.effect, c.joint) for c in self.candidates]
+        taken = {key[k] for k in chosen}
+        groups: dict[tuple[str, int], list[int]] = {}
+        for k, each in enumerate(key):
+            if each not in taken:
+                groups.setdefault(each, []).append(k)
+        return list(groups.values())
+
+    def _total(self, terms: Sequence[int]) -> float:
+        return float(np.sum(self.models.scores(terms)))
