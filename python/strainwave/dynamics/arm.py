@@ -438,7 +438,8 @@ class _GearEquations(NamedTuple):
 
 def _core_effects(joint: Joint) -> list[str]:
     """Names of the core's effects of a joint, without duplicates."""
-    known = (effect_named(name).core_name for name in joint.named_effects)
+    effects = map(effect_named, joint.named_effects)
+    known = (e.core_name for e in effects if joint.elastic or not e.needs_elastic_gear)
     return list(dict.fromkeys(name for name in known if name is not None))
 
 

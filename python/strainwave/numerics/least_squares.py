@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -54,6 +54,8 @@ class Equations:
     target: FloatArray  # (n_rows,)
     group: IntArray  # (n_rows,) rows of a group have errors of one variance; or PRIOR_GROUP
     block: IntArray  # (n_rows,) rows of a block may have correlated errors
+    # (n_rows,) rows of a block with different numbers repeat the same motion; empty: none do
+    repetition: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ class LoadSpeedFriction(Effect):
     name = "load-speed-friction"
     sizes = ("load_speed_friction",)
     typical_size = 1e-3
+    core_name: str | None = None
     description = "viscous friction that grows with the load"
     consequence = "viscous friction depends on the loads of the records"
     experiment = "turn the joint at several constant speeds under several loads"
@@ -29,6 +30,7 @@ class DirectionFriction(Effect):
     name = "direction-friction"
     sizes = ("direction_friction",)
     typical_size = 0.1
+    core_name: str | None = None
     description = "viscous friction that differs between the directions"
     consequence = "viscous friction is an average over the directions"
     experiment = "turn the joint at several constant speeds of both signs"
@@ -45,6 +47,7 @@ class TorqueDelay(Effect):
     sizes = ("torque_delay",)
     typical_size = 1e-3  # [s]
     misleads_inertias = True
+    core_name: str | None = None
     description = "a delay of the logged torque behind the motion"
     consequence = "the phase of the torque turns inertia into viscous friction"
     experiment = "log torque and angle in the same cycle, or compare both at a hard stop"

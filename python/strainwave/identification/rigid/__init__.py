@@ -34,6 +34,7 @@ from strainwave.identification.rigid.bandwidth import (
     search_bandwidths,
     select_bandwidth,
 )
+from strainwave.identification.rigid.bounds import Bounded, bound
 from strainwave.identification.rigid.drive_gains import estimate_drive_gains, gain_sensitivity
 from strainwave.identification.rigid.equations import MotorShares, anti_resonances
 from strainwave.identification.rigid.friction_terms import (
@@ -43,7 +44,7 @@ from strainwave.identification.rigid.friction_terms import (
     term_warning,
 )
 from strainwave.identification.rigid.model_choice import Choice, candidates_of
-from strainwave.identification.rigid.stretch import decimation
+from strainwave.identification.rigid.stretch import decimation, n_compliances
 from strainwave.identification.rigid.torque_constants import torque_ratios
 from strainwave.identification.rigid.trial import Trial, fit_trial
 from strainwave.identification.rigid.trial_warnings import warnings_of
@@ -89,26 +90,32 @@ def _fit(
     best = plain = select_bandwidth(trials)
     nearby = neighbours(trials, best)
     candidates = candidates_of(arm, best.stretches)
-    doubt = np.zeros_like(best.covariance)
+    doubt, noise = np.zeros_like(best.covariance), np.diag(best.covariance)
     if candidates:
         choice = Choice.of(best, candidates)
-        chosen = [candidates[k] for k in choice.select()]
-        if chosen:
-            best = fit_with_terms(best, motions, chosen)
+        terms = [candidates[k] for k in choice.select()]
+        if terms:
+            best = fit_with_terms(best, motions, terms)
             nearby = [refit(trial, motions, best.candidates) for trial in nearby]
             choice = Choice.of(best, candidates)
         doubt = choice.model_error()
-    trials = [best, *nearby]
-    others = [(t.solution, np.diag(t.covariance)) for t in nearby]
-    excess = excess_variance(best.solution, others)
-    model_error = doubt + np.diag(excess + _elastic_model_error(best))
-    covariance = best.covariance + model_error
+        noise = np.minimum(np.diag(best.covariance), choice.noise_variance())
+    excess = excess_variance(best.solution, [(t.solution, np.diag(t.covariance)) for t in nearby])
+    covariance = best.covariance + doubt + np.diag(excess + _elastic_model_error(best))
+    fit = Bounded(best, covariance)
+    if not n_compliances(arm):  # otherwise the whole-arm fit has the bounds
+        fit = bound(best, covariance)
     if gains is not None:
-        by_gain = gain_sensitivity(best, gains)
-        covariance = covariance + by_gain @ gains.relative_covariance @ by_gain.T
-    terms = estimated_terms(trials, best)
-    fits = {s.experiment.name: _fits(best, s, terms) for s in signals}
-    return _model(best, covariance, terms, torque_ratios(trials, best, plain), fits)
+        by_gain = gain_sensitivity(fit.trial, gains)
+        by_gains = by_gain @ gains.relative_covariance @ by_gain.T
+        fit, noise = replace(fit, covariance=fit.covariance + by_gains), noise + np.diag(by_gains)
+    trials = [fit.trial, *nearby]
+    further = estimated_terms(trials, fit.trial)
+    if plain is best:
+        plain = fit.trial
+    ratios = torque_ratios(trials, fit.trial, plain)
+    fits = {s.experiment.name: _fits(fit.trial, s, further) for s in signals}
+    return _model(fit, noise, further, ratios, fits)
 
 
 def _elastic_model_error(best: Trial) -> FloatArray:
@@ -142,24 +149,32 @@ def _elastic_model_error(best: Trial) -> FloatArray:
 
 
 def _model(
-    best: Trial,
-    covariance: FloatArray,
+    fit: Bounded,
+    noise: FloatArray,
     terms: tuple[FrictionTerm, ...],
     ratios: dict[int, tuple[float, float]],
     fit_percent: dict[str, dict[str, float]],
 ) -> RigidModel:
-    """Result of a fit; parameters that are not identified are None."""
+    """Result of a fit; parameters that are not identified are None.
+
+    `noise` (n_parameters,) is the part of the variances that is not model error.
+    """
+    best, covariance = fit.trial, fit.covariance
     identified = best.determined
-    stds = np.sqrt(np.diag(covariance)).tolist()
-    width = best.interval_half_width
-    parameters = [
-        Parameter.estimated(column.key, value, std, column.unit, "rigid", width)
-        if is_identified
-        else Parameter(*column.key, None, None, column.unit, "rigid")
-        for column, value, std, is_identified in zip(
-            best.arm.rigid_columns, best.solution.tolist(), stds, identified, strict=True
-        )
-    ]
+    variances, width = np.diag(covariance), best.interval_half_width
+    model_stds = np.sqrt(np.clip(variances - noise, 0.0, None)).tolist()
+
+    def parameter(k: int) -> Parameter:
+        column = best.arm.rigid_columns[k]
+        if not identified[k]:
+            return Parameter(*column.key, None, None, column.unit, "rigid")
+        if k in fit.upper:
+            return Parameter.at_zero(column.key, fit.upper[k], column.unit, "rigid")
+        value, std = float(best.solution[k]), float(np.sqrt(variances[k]))
+        estimate = Parameter.estimated(column.key, value, std, column.unit, "rigid", width)
+        return replace(estimate, model_std=model_stds[k])
+
+    parameters = map(parameter, range(len(identified)))
     status: Literal["determined", "partly-determined", "not-identifiable"] = "not-identifiable"
     if identified.any():
         status = "determined" if identified.all() else "partly-determined"
@@ -176,7 +191,7 @@ def _model(
         ),
         n_rows=len(best.equations.target),
         status=status,
-        warnings=(*warnings_of(best), *map(term_warning, terms)),
+        warnings=(*warnings_of(best, variances), *map(term_warning, terms)),
         torque_ratios=ratios,
         torque_errors=best.torque_errors,
         friction_terms=terms,

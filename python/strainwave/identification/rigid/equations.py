@@ -226,6 +226,7 @@ def assemble(
         target=np.concatenate([part.target for part in parts]),
         group=np.repeat([part.joint for part in parts], np.diff(ends)),
         block=np.concatenate([part.block for part in parts]),
+        repetition=np.concatenate([part.repetition for part in parts]),
     )
 
 
@@ -240,20 +241,18 @@ class _Part:
     free_std: float  # [N m]
     target: FloatArray  # (n_rows,)
     block: IntArray  # (n_rows,)
+    repetition: IntArray  # (n_rows,)
 
 
 def _parts(
     arm: Arm, stretches: Sequence[Stretch], around: Estimate | None, terms: Terms | None
 ) -> Iterator[_Part]:
     """Equations record by record and joint by joint."""
-    total = sum(s.sliding_time for s in stretches)
-    if total == 0.0:
-        raise NotIdentifiable("no motor slides in any record; record a faster motion")
-    first_block = 0
+    first_block, counts = 0, blocks_of(stretches)
     is_two_way = slides_both_ways(stretches)
     for record, stretch in enumerate(stretches):
         body = _body_equations(arm, stretch, around, record)
-        n_blocks = max(2, round(_JACKKNIFE_BLOCKS * stretch.sliding_time / total))
+        n_blocks = counts[record]
         block = first_block + stretch.blocks(n_blocks)
         first_block += n_blocks
         common = body.lags
@@ -279,7 +278,16 @@ def _parts(
                 max(_STICTION_STD * abs(float(coulomb)), 1e-300),
                 body.torque[keep, i],
                 block[keep],
+                stretch.repetition[keep],
             )
+
+
+def blocks_of(stretches: Sequence[Stretch]) -> list[int]:
+    """Number of blocks of each record, in proportion to the time in which joints slide."""
+    total = sum(s.sliding_time for s in stretches)
+    if total == 0.0:
+        raise NotIdentifiable("no motor slides in any record; record a faster motion")
+    return [max(2, round(_JACKKNIFE_BLOCKS * s.sliding_time / total)) for s in stretches]
 
 
 def slides_both_ways(stretches: Sequence[Stretch]) -> BoolArray:

@@ -17,6 +17,7 @@ from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
 from strainwave.domain.parameter_table import parameter_table
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.friction_terms import DELAY, ZERO
+from strainwave.identification.rigid.bounds import has_zero_bound
 from strainwave.identification.rigid.equations import ALL_JOINTS, Candidate, Terms, assemble
 from strainwave.identification.rigid.stretch import Stretch, n_compliances
 from strainwave.identification.rigid.submodels import Submodels
@@ -88,15 +89,7 @@ class Choice:
         terms = Terms.of(candidates, trial.stretches)
         equations = assemble(arm, trial.stretches, trial.estimate, terms)
         if arm.n_joints > 1:
-            torque = trial.equations.target - ls.residual_of(trial.equations, trial.factor)
-            gains = torque[:, None] * (equations.group[:, None] == np.arange(arm.n_joints))
-            equations = replace(
-                equations,
-                common=np.hstack([equations.common, gains]),
-                common_deviation=np.append(
-                    equations.common_deviation, np.full(arm.n_joints, _GAIN_STD)
-                ),
-            )
+            equations = _with_gains(equations, trial, len(trial.candidates))
         return Choice(trial, tuple(candidates), Submodels(trial, equations))
 
     def with_shapes(self, terms: Sequence[int]) -> list[int]:
@@ -106,7 +99,20 @@ class Choice:
         return [*terms, *(n + at for at, k in enumerate(estimated) if k in terms)]
 
     def is_possible(self, terms: Sequence[int]) -> bool:
-        """Whether no size that cannot be negative is negative."""
+        """Whether the terms make no size and no parameter impossible that is possible without."""
+        solution, own = self.models.solution(terms), self.trial.solution
+        columns = self.trial.arm.rigid_columns
+        negative = [
+            k for k, c in enumerate(columns) if solution[k] < 0.0 and has_zero_bound(c.name)
+        ]
+        if any(own[k] > 0.0 for k in negative):
+            return False
+        if negative:
+            width = self.trial.interval_half_width
+            upper = solution + width * np.sqrt(np.diag(self.covariance(terms)))
+            own_upper = own + width * self.trial.standard_deviations
+            if any(upper[k] < 0.0 < own_upper[k] for k in negative if self.trial.determined[k]):
+                return False
         sizes = self.models.sizes(terms).tolist()
         ranges = (
             parameter_table()[effect_named(c.effect).sizes[0]].range
@@ -184,6 +190,10 @@ class Choice:
                 total += weight * np.outer(excess, excess)
         return total
 
+    def noise_variance(self) -> FloatArray:
+        """Variances (n_parameters,) of the trial's model without what repeats with the motion."""
+        return self.models.noise_variance(self.with_shapes(range(len(self.trial.candidates))))
+
     def _families(self, chosen: list[int]) -> Iterator[list[list[int]]]:
         """Rivals of a model that explain the same: terms of one joint, or torque constants."""
         joint_of = [c.joint for c in self.candidates]
@@ -213,3 +223,29 @@ class Choice:
 
     def _total(self, terms: Sequence[int]) -> float:
         return float(np.sum(self.models.scores(terms)))
+
+
+def _with_gains(equations: ls.Equations, trial: Trial, n_terms: int) -> ls.Equations:
+    """Equations with the relative error of each joint's torque constant as a further unknown.
+
+    Its column is the torque of the model. A second pass takes that of the model with the errors:
+    only then do those of two joints fit alike if both have the same ratio.
+    """
+    group, n_joints = equations.group, trial.arm.n_joints
+    residual = ls.residual_of(trial.equations, trial.factor)
+    for _ in range(2):
+        torque = equations.target - residual
+        gains = torque[:, None] * (group[:, None] == np.arange(n_joints))
+        extended = replace(
+            equations,
+            common=np.hstack([equations.common, gains]),
+            common_deviation=np.append(equations.common_deviation, np.full(n_joints, _GAIN_STD)),
+        )
+        own = replace(
+            extended,
+            common=extended.common[:, [*range(n_terms), *range(-n_joints, 0)]],
+            common_deviation=extended.common_deviation[[*range(n_terms), *range(-n_joints, 0)]],
+        )
+        factor = ls.factorise(own, trial.factor.root)
+        residual = ls.residual_of(own, factor) + gains @ factor.common[n_terms:]
+    return extended

@@ -108,7 +108,7 @@ class Submodels:
         ridge = _RIDGE * np.eye(k, rows.shape[1])
         R = triangular_factor(np.concatenate([rows, ridge]))
         solved = np.linalg.solve(R[:k, :k], R[:k, k:])
-        return _Reduced(solved[:, -1], solved[:, :-1], R[k:, k:])
+        return _Reduced(*map(np.asarray, (solved[:, -1], solved[:, :-1], R[k:, k:])))
 
     @cached_property
     def _held(self) -> tuple[FloatArray, list[FloatArray]]:
@@ -152,6 +152,59 @@ class Submodels:
         """Changes of the parameters without each fold, (n_folds, n_parameters)."""
         unknowns = np.array([one.unknowns(terms) for one in self._without])
         return np.asarray((unknowns - self._whole.unknowns(terms)) @ self._back.T)
+
+    def noise_variance(self, terms: Sequence[int]) -> FloatArray:
+        """Variances (n_parameters,) of errors that differ between repetitions of the motion.
+
+        What repeats with the motion is model error. The errors of the periods are taken as a whole,
+        and part by part, which has more degrees of freedom; the larger variance counts. Blocks that
+        are not repeated count entirely.
+        """
+        at = np.concatenate(
+            [np.arange(len(self.equations.target)), ls.rows_of_local(self.equations)]
+        )
+        fold, rows = self.equations.block[at], self._rows
+        k = self._back.shape[1]
+        columns = [*range(k), *(k + term for term in terms)]
+        priors = np.eye(len(terms), len(columns), k)
+        Q, R = np.linalg.qr(np.vstack([rows[:, columns], priors]))
+        padded = np.append(rows[:, -1], np.zeros(len(terms)))
+        error = (padded - Q @ (Q.T @ padded))[: len(rows)]
+        to_parameters = self._back @ np.linalg.inv(R)[:k]
+        _, label = np.unique(
+            np.column_stack([fold, self.equations.repetition[at]]), axis=0, return_inverse=True
+        )
+        label = label.ravel()
+        change = np.zeros((label.max() + 1, len(to_parameters)))
+        np.add.at(change, label, (Q[: len(rows)] * error[:, None]) @ to_parameters.T)
+        first = np.unique(label, return_index=True)[1]
+        block, repetition = fold[first], self.equations.repetition[at][first]
+        record = self.trial.record_of_block[block]
+        parts = _scatter(change, block)
+        periods, number = np.unique(
+            np.column_stack([record, repetition]), axis=0, return_inverse=True
+        )
+        whole = np.zeros((len(periods), change.shape[1]))
+        np.add.at(whole, number.ravel(), change)
+        is_repeated = np.bincount(periods[:, 0])[periods[:, 0]] > 1
+        single = ~is_repeated[number.ravel()]
+        together = _scatter(whole[is_repeated], periods[is_repeated, 0])
+        together += _scatter(change[single], block[single])
+        return np.maximum(parts, together)
+
+
+def _scatter(changes: FloatArray, label: IntArray) -> FloatArray:
+    """Variance of the sum of changes (n, n_columns) from their scatter about the mean by label.
+
+    A change that has its label alone counts entirely.
+    """
+    total = np.zeros(changes.shape[1])
+    for each in np.unique(label):
+        own = changes[label == each]
+        n = len(own)
+        mean = own.mean(axis=0) if n > 1 else 0.0
+        total += np.sum((own - mean) ** 2, axis=0) * (n / (n - 1) if n > 1 else 1.0)
+    return total
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,8 @@ import numpy as np
 
 from strainwave.domain import ArmDescription, Imu, JointLimits, Study, channel_names, channel_parts
 from strainwave.domain.arm import UNKNOWN, Matrix
-from strainwave.domain.effects import effect_named
+from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
+from strainwave.domain.effects import names as effect_names
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.link_sensors import optional_constants, sensor_of
 from strainwave.domain.parameters import whole_arm_parameter_names
@@ -67,9 +68,17 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
             _check_imu(arm, index, joint.imu, reader.place("joint", index, "imu"))
         _check_limits(joint.limits or JointLimits(), reader.place("joint", index, "limits"))
         for name in joint.named_effects:
-            if effect_named(name).needs_elastic_gear and not joint.elastic:
+            if joint.elastic and name not in effect_names():
                 raise InvalidInput(
-                    f"the effect '{name}' needs an elastic gear",
+                    f"the effect '{name}' needs a rigid joint",
+                    where=reader.place("joint", index, "effects"),
+                    remedy=f"remove '{name}', or set spring = \"rigid\"",
+                )
+            is_torsion = effect_named(name).needs_elastic_gear and name not in OF_RIGID_JOINTS
+            if is_torsion and not joint.elastic:
+                raise InvalidInput(
+                    f"the effect '{name}' needs an elastic gear: it acts on the gear's torsion, "
+                    "which a rigid joint does not have",
                     where=reader.place("joint", index, "effects"),
                     remedy=f"remove '{name}', or set an elastic spring",
                 )
