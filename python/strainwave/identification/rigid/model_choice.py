@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray
+from strainwave.domain import BoolArray, FloatArray
 from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
 from strainwave.domain.parameter_table import parameter_table
 from strainwave.dynamics.arm import Arm
@@ -125,14 +125,14 @@ class Choice:
         shifts = self.models.shifts(terms)
         return np.asarray((len(shifts) - 1) / len(shifts) * shifts.T @ shifts)
 
-    def is_determined(self, terms: Sequence[int]) -> list[bool]:
+    def is_determined(self, terms: Sequence[int]) -> BoolArray:
         """Whether the interval of each parameter is narrower than its value, or negligible."""
         half = self.trial.interval_half_width * np.sqrt(np.diag(self.covariance(terms)))
         factor = self.trial.factor
         torque = float(np.linalg.norm(factor.root * self.trial.equations.target))
         is_negligible = half * factor.scale < _MAX_NEGLIGIBLE_SHARE * torque
         is_narrow = half < np.abs(self.models.solution(terms))
-        return list((is_narrow | is_negligible) & self.trial.determined)
+        return np.asarray((is_narrow | is_negligible) & self.trial.determined)
 
     def select(self) -> list[int]:
         """Candidates that the study names, and those that improve the held-out prediction."""
@@ -145,27 +145,27 @@ class Choice:
             if not any(joint.selects_effects for joint in of_term):
                 chosen.append(max(same, key=lambda k: self._total([*chosen, k])))
         for _ in range(_MAX_ROUNDS):
-            n_before = len(chosen)
-            for joint in (*range(self.trial.arm.n_joints), ALL_JOINTS):
-                every = [k for same in self._rivals(chosen) for k in same]
-                rest = [k for k in every if self.candidates[k].joint == joint]
-                base, before = self.models.scores(chosen), self.is_determined(chosen)
-                totals = {k: float(np.sum(self.models.scores([*chosen, k]))) for k in rest}
-                for k in sorted(rest, key=lambda k: -totals[k]):
-                    if totals[k] <= float(np.sum(base)):
-                        break
-                    model = [*chosen, k]
-                    weight = weight_over(self.models.scores(model), base, rng)
-                    stays = all(
-                        now or not was
-                        for now, was in zip(self.is_determined(model), before, strict=True)
-                    )
-                    if weight > MIN_WEIGHT and self.is_possible(model) and stays:
-                        chosen = model
-                        break
+            total, n_before = self._total(chosen), len(chosen)
+            every = [k for same in self._rivals(chosen) for k in same]
+            gains = {k: self._total([*chosen, k]) - total for k in every}
+            extended: set[int] = set()  # joints
+            for k in sorted(every, key=lambda k: -gains[k]):
+                joint = self.candidates[k].joint
+                if gains[k] > 0.0 and joint not in extended and self._improves(chosen, k, rng):
+                    chosen = [*chosen, k]
+                    extended.add(joint)
             if len(chosen) == n_before:
                 break
         return chosen
+
+    def _improves(self, chosen: Sequence[int], k: int, rng: np.random.Generator) -> bool:
+        """Whether a term improves the prediction, and leaves all values possible and determined."""
+        model, scores = [*chosen, k], self.models.scores(chosen)
+        return (
+            weight_over(self.models.scores(model), scores, rng) > MIN_WEIGHT
+            and self.is_possible(model)
+            and not np.any(self.is_determined(chosen) & ~self.is_determined(model))
+        )
 
     def model_error(self) -> FloatArray:
         """Variance (n_parameters, n_parameters) between the trial's model and plausible rivals.

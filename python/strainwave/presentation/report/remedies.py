@@ -211,8 +211,8 @@ _DATA = {
         "Record a heavier payload if the intervals of torque_per_volt are too wide.",
     ),
     "friction-term": Advice(
-        "The rigid model includes this friction; simulated and exported arms do not.",
-        "No action is required.",
+        "The rigid model includes this effect; simulated and exported arms may not.",
+        "Correct a zero or a delay in the study or the logger; otherwise no action is required.",
     ),
     "load-friction": Advice(
         "The rigid model includes this friction; simulated and exported arms do not.",
