@@ -33,8 +33,8 @@ def _load_speed_friction(velocity: FloatArray, load: FloatArray, shape: float) -
 
 
 def _direction_friction(velocity: FloatArray, load: FloatArray, shape: float) -> FloatArray:
-    """The velocity with its sign, so that the torque has that of the size."""
-    return velocity
+    """|dq| - w_a without the direction of motion: the offset is that at the speed w_a."""
+    return np.asarray(velocity - shape * np.sign(velocity))
 
 
 def _stribeck(velocity: FloatArray, load: FloatArray, shape: float) -> FloatArray:

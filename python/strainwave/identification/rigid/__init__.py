@@ -43,7 +43,11 @@ from strainwave.identification.rigid.friction_terms import (
     refit,
     term_warning,
 )
-from strainwave.identification.rigid.model_choice import Choice, candidates_of
+from strainwave.identification.rigid.model_choice import (
+    Choice,
+    candidates_of,
+    choose,
+)
 from strainwave.identification.rigid.stretch import decimation, n_compliances
 from strainwave.identification.rigid.torque_constants import torque_ratios
 from strainwave.identification.rigid.trial import Trial, fit_trial
@@ -92,12 +96,11 @@ def _fit(
     candidates = candidates_of(arm, best.stretches)
     doubt, noise = np.zeros_like(best.covariance), np.diag(best.covariance)
     if candidates:
-        choice = Choice.of(best, candidates)
-        terms = [candidates[k] for k in choice.select()]
+        terms, candidates = choose(best, nearby, candidates)
         if terms:
             best = fit_with_terms(best, motions, terms)
             nearby = [refit(trial, motions, best.candidates) for trial in nearby]
-            choice = Choice.of(best, candidates)
+        choice = Choice.of(best, candidates)
         doubt = choice.model_error()
         noise = np.minimum(np.diag(best.covariance), choice.noise_variance())
     excess = excess_variance(best.solution, [(t.solution, np.diag(t.covariance)) for t in nearby])

@@ -16,7 +16,8 @@ from strainwave.domain import BoolArray, FloatArray
 from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
 from strainwave.domain.parameter_table import parameter_table
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.friction_terms import DELAY, ZERO
+from strainwave.dynamics.friction_terms import CORRECTIONS, DELAY, ZERO
+from strainwave.identification.rigid.bandwidth import excess_variance
 from strainwave.identification.rigid.bounds import has_zero_bound
 from strainwave.identification.rigid.equations import ALL_JOINTS, Candidate, Terms, assemble
 from strainwave.identification.rigid.stretch import Stretch, n_compliances
@@ -29,6 +30,8 @@ STRIBECK, POWER = "stribeck", "power-friction"
 GAIN = "drive-gain"
 """Error of a torque constant. It only adds to intervals: the records show ratios of constants."""
 
+# standard deviations, with the change between bandwidths, from which a correction counts as shown
+_MIN_STDS = 4.0
 _MAX_ROUNDS = 4  # of the selection; each adds at most one term per joint
 # Stribeck velocities over the largest velocity of the joint; below, the encoder hides the effect
 _STRIBECK_VELOCITIES = (0.03, 0.06, 0.12, 0.25)
@@ -48,10 +51,12 @@ def candidates_of(arm: Arm, stretches: Sequence[Stretch]) -> list[Candidate]:
         return []
     velocities = [np.abs(s.signals.motor_velocity).max(axis=0) for s in stretches]
     largest = np.max(velocities, axis=0)
+    speeds = [np.mean(np.abs(s.signals.motor_velocity), axis=0) for s in stretches]
     slides = np.any([np.any(s.signals.direction != 0.0, axis=0) for s in stretches], axis=0)
     (exponent,) = effect_named(POWER).shapes.values()
     shapes: Mapping[str, Sequence[FloatArray]] = {
         STRIBECK: [share * largest for share in _STRIBECK_VELOCITIES],
+        "direction-friction": [np.mean(speeds, axis=0)],
         POWER: [np.full(arm.n_joints, exponent)],
     }
     effects = [OF_RIGID_JOINTS if j.selects_effects else j.named_effects for j in arm.joints]
@@ -66,6 +71,38 @@ def candidates_of(arm: Arm, stretches: Sequence[Stretch]) -> list[Candidate]:
     ]
     is_delayed = any(DELAY in names for names in effects)
     return [*of_joints, Candidate(DELAY, ALL_JOINTS)] if is_delayed else of_joints
+
+
+def choose(
+    best: Trial, nearby: Sequence[Trial], candidates: Sequence[Candidate]
+) -> tuple[list[Candidate], list[Candidate]]:
+    """Terms that the records support, and the candidates that remain plausible.
+
+    An error of an angle or of a time is the same at all bandwidths. A correction of the signals
+    that changes with the bandwidth is another error that resembles it.
+    """
+    rest = list(candidates)
+    while True:
+        chosen = [rest[k] for k in Choice.of(best, rest).select()]
+        shown = [c for c in chosen if c.effect in CORRECTIONS and is_selected(best.arm, c)]
+        if not shown:
+            return chosen, rest
+        every = list(range(len(chosen)))
+        models = [Choice.of(trial, chosen).models for trial in (best, *nearby)]
+        (value, variance), *others = [(m.sizes(every), m.size_stds(every) ** 2) for m in models]
+        limit = _MIN_STDS * np.sqrt(variance + excess_variance(value, others))
+        changing = [c for c, v, x in zip(chosen, value, limit, strict=True) if abs(v) < x]
+        changing = [c for c in changing if c in shown]
+        if not changing:
+            return chosen, rest
+        rest = [c for c in rest if c not in changing]
+
+
+def is_selected(arm: Arm, candidate: Candidate) -> bool:
+    """Whether the data decide about a candidate; otherwise the study names it."""
+    i = candidate.joint
+    joints = arm.joints if i == ALL_JOINTS else arm.joints[i : i + 1]
+    return any(joint.selects_effects for joint in joints)
 
 
 @dataclass(frozen=True)
@@ -139,10 +176,7 @@ class Choice:
         rng = np.random.default_rng(0)
         chosen: list[int] = []
         for same in self._rivals(chosen):
-            number = self.candidates[same[0]].joint
-            joints = self.trial.arm.joints
-            of_term = joints if number == ALL_JOINTS else joints[number : number + 1]
-            if not any(joint.selects_effects for joint in of_term):
+            if not is_selected(self.trial.arm, self.candidates[same[0]]):
                 chosen.append(max(same, key=lambda k: self._total([*chosen, k])))
         for _ in range(_MAX_ROUNDS):
             total, n_before = self._total(chosen), len(chosen)

@@ -22,6 +22,7 @@ from strainwave.numerics.linalg import triangular_factor
 # weight of a prior that keeps directions finite which only the left out block determines, relative
 # to the information of all blocks
 _RIDGE = 3e-5
+_MIN_FOLDS = 2  # the other folds estimate the variance of a joint
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,8 @@ class Submodels:
         residual = ls.residual_of(self.trial.equations, self.trial.factor) * self.trial.factor.root
         group = self.trial.equations.group
         joints = range(self.trial.arm.n_joints)
-        return np.array([estimate_rows_per_error(residual[group == i]) for i in joints])
+        own = (residual[group == i] for i in joints)
+        return np.array([estimate_rows_per_error(each) if len(each) else 1.0 for each in own])
 
     @cached_property
     def folds(self) -> IntArray:
@@ -87,6 +89,8 @@ class Submodels:
                 number, total = number + 1, 0.0
         if total and number:
             fold[fold == number] = number - 1
+        if fold[-1] < _MIN_FOLDS - 1:
+            fold = np.arange(n_blocks) * _MIN_FOLDS // n_blocks
         return fold[block]
 
     @cached_property
@@ -143,6 +147,14 @@ class Submodels:
     def sizes(self, terms: Sequence[int]) -> FloatArray:
         """Estimates of some terms in a model with these."""
         return self._whole.terms(terms) * self.equations.common_deviation[list(terms)]
+
+    def size_stds(self, terms: Sequence[int]) -> FloatArray:
+        """Jackknife standard deviations of these estimates."""
+        moved = np.array([one.terms(terms) for one in self._without]) - self._whole.terms(terms)
+        scale = (len(moved) - 1) / len(moved)
+        return np.asarray(
+            np.sqrt(scale * np.sum(moved**2, axis=0)) * self.equations.common_deviation[list(terms)]
+        )
 
     def solution(self, terms: Sequence[int]) -> FloatArray:
         """Parameters (n_parameters,) of the model with some terms."""
