@@ -98,6 +98,9 @@ class Joint:
     axis: Vector = (0.0, 0.0, 1.0)  # in the joint's frame; its length does not matter
     name: str | None = None  # in the URDF and in exports
     limits: JointLimits | None = None
+    # the logs have no torque of the motor, but that of a sensor between gear and link, which shows
+    # neither the rotor's inertia nor the motor's friction
+    torque_at_link: bool = False
 
     @property
     def torque_per_command(self) -> float:

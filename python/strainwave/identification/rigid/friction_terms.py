@@ -9,6 +9,7 @@ import numpy as np
 
 from strainwave.domain import Diagnostic, FrictionTerm, Parameter, Place
 from strainwave.domain.effects import effect_named
+from strainwave.domain.ranges import physical_range
 from strainwave.domain.units import unit_in
 from strainwave.dynamics.friction_terms import CORRECTIONS, DELAY, ZERO, correct
 from strainwave.identification.rigid.bandwidth import (
@@ -32,7 +33,8 @@ _MAX_CHANGES = {STRIBECK: 0.7, ZERO: 0.5, DELAY: 0.02}
 def fit_with_terms(trial: Trial, motions: Sequence[Motion], terms: Sequence[Candidate]) -> Trial:
     """Fit with terms at the bandwidth of a trial, by Gauss-Newton iterations.
 
-    They estimate Stribeck velocities, and the corrections of the signals.
+    They estimate Stribeck velocities, and the corrections of the signals. Terms that become
+    impossible are left out.
     """
     for _ in range(_MAX_ITERATIONS):
         trial = refit(trial, motions, terms)
@@ -57,10 +59,20 @@ def fit_with_terms(trial: Trial, motions: Sequence[Motion], terms: Sequence[Cand
             else:
                 moved.append(c)
             has_converged &= abs(change) <= _TOLERANCES.get(c.effect, 0.0)
-        if has_converged:
+        possible = [
+            c
+            for c, size in zip(moved, sizes, strict=True)
+            if size >= 0.0 or c.effect in CORRECTIONS or _is_signed(c)
+        ]
+        if has_converged and len(possible) == len(moved):
             break
-        terms = moved
+        terms = possible
     return trial
+
+
+def _is_signed(candidate: Candidate) -> bool:
+    """Whether the size of a term can be negative."""
+    return physical_range(effect_named(candidate.effect).sizes[0]) == "any"
 
 
 def refit(trial: Trial, motions: Sequence[Motion], terms: Sequence[Candidate]) -> Trial:

@@ -275,7 +275,7 @@ class Reader:
             )
         if isinstance(names, list):
             self._check_registered(names, effects.study_names(), names, "joint", index, "effects")
-        return self.record(Joint, table, "joint", index, **placed)
+        return self.record(Joint, table, "joint", index, torque_at_link=False, **placed)
 
     def _check_registered(
         self, names: Sequence[Any], known: Sequence[str], value: Any, *place: Any
