@@ -19,6 +19,10 @@ from strainwave.domain.ranges import physical_range
 from strainwave.identification.rigid.trial import Trial
 from strainwave.numerics import least_squares as ls
 
+MAX_NEGLIGIBLE_SHARE = 0.02
+"""Share of the torque below which a value, or the half-width of an interval, is negligible."""
+
+_AT_INTERVAL = 1.0 + 1e-9  # for rounding
 _NORMAL = NormalDist()
 
 
@@ -36,16 +40,27 @@ def bound(trial: Trial, covariance: FloatArray) -> Bounded:
     """Set estimates to zero that are negative within their intervals, by an active set.
 
     The covariance includes the model error. Parameters that are negative beyond their intervals
-    keep their values: the model contradicts the data.
+    keep their values: the model contradicts the data. If the value is negligible, the interval is
+    widened to zero instead, because the model error is at least as large.
     """
     columns = trial.arm.rigid_columns
     upper: dict[int, float] = {}
     width = trial.interval_half_width
     bounded = [k for k, c in enumerate(columns) if has_zero_bound(c.name) and trial.determined[k]]
     solution, fit = trial.solution, trial
+    torque = float(np.linalg.norm(trial.factor.root * trial.equations.target))
+    covariance = covariance.copy()
+    for k in bounded:
+        if solution[k] * trial.factor.scale[k] > -MAX_NEGLIGIBLE_SHARE * torque:
+            reaching = (min(float(solution[k]), 0.0) / width) ** 2
+            covariance[k, k] = max(covariance[k, k], reaching)
     while True:
         stds = np.sqrt(np.diag(covariance))
-        inside = [k for k in bounded if k not in upper and -width * stds[k] <= solution[k] < 0.0]
+        inside = [
+            k
+            for k in bounded
+            if k not in upper and -_AT_INTERVAL * width * stds[k] <= solution[k] < 0.0
+        ]
         if not inside:
             return Bounded(fit, covariance, upper)
         k = min(inside, key=lambda k: solution[k] / stds[k])

@@ -19,7 +19,7 @@ from strainwave.identification.rigid.bandwidth import (
     prepare_all,
 )
 from strainwave.identification.rigid.equations import Candidate
-from strainwave.identification.rigid.model_choice import STRIBECK
+from strainwave.identification.rigid.model_choice import STRIBECK, is_selected
 from strainwave.identification.rigid.trial import Trial, fit_trial
 
 LOAD = "load-friction"
@@ -33,8 +33,8 @@ _MAX_CHANGES = {STRIBECK: 0.7, ZERO: 0.5, DELAY: 0.02}
 def fit_with_terms(trial: Trial, motions: Sequence[Motion], terms: Sequence[Candidate]) -> Trial:
     """Fit with terms at the bandwidth of a trial, by Gauss-Newton iterations.
 
-    They estimate Stribeck velocities, and the corrections of the signals. Terms that become
-    impossible are left out.
+    They estimate Stribeck velocities, and the corrections of the signals. Terms that the study
+    does not name are left out if their size is impossible.
     """
     for _ in range(_MAX_ITERATIONS):
         trial = refit(trial, motions, terms)
@@ -62,7 +62,7 @@ def fit_with_terms(trial: Trial, motions: Sequence[Motion], terms: Sequence[Cand
         possible = [
             c
             for c, size in zip(moved, sizes, strict=True)
-            if size >= 0.0 or c.effect in CORRECTIONS or _is_signed(c)
+            if size >= 0.0 or _can_be_negative(c) or not is_selected(trial.arm, c)
         ]
         if has_converged and len(possible) == len(moved):
             break
@@ -70,8 +70,7 @@ def fit_with_terms(trial: Trial, motions: Sequence[Motion], terms: Sequence[Cand
     return trial
 
 
-def _is_signed(candidate: Candidate) -> bool:
-    """Whether the size of a term can be negative."""
+def _can_be_negative(candidate: Candidate) -> bool:
     return physical_range(effect_named(candidate.effect).sizes[0]) == "any"
 
 

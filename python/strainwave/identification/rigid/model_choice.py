@@ -18,7 +18,7 @@ from strainwave.domain.parameter_table import parameter_table
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.friction_terms import CORRECTIONS, DELAY, ZERO
 from strainwave.identification.rigid.bandwidth import excess_variance
-from strainwave.identification.rigid.bounds import has_zero_bound
+from strainwave.identification.rigid.bounds import MAX_NEGLIGIBLE_SHARE, has_zero_bound
 from strainwave.identification.rigid.equations import ALL_JOINTS, Candidate, Terms, assemble
 from strainwave.identification.rigid.stretch import Stretch, n_compliances
 from strainwave.identification.rigid.submodels import Submodels
@@ -38,8 +38,6 @@ _STRIBECK_VELOCITIES = (0.03, 0.06, 0.12, 0.25)
 # largest speed [rad/s] of a motor below which (S16) is nearly viscous friction
 _MIN_POWER_SPEED = 3.0
 _GAIN_STD = 0.3  # prior standard deviation of the relative error of a torque constant
-# share of the torque below which the half-width of an interval does not count as undetermined
-_MAX_NEGLIGIBLE_SHARE = 0.02
 
 
 def candidates_of(arm: Arm, stretches: Sequence[Stretch]) -> list[Candidate]:
@@ -167,7 +165,7 @@ class Choice:
         half = self.trial.interval_half_width * np.sqrt(np.diag(self.covariance(terms)))
         factor = self.trial.factor
         torque = float(np.linalg.norm(factor.root * self.trial.equations.target))
-        is_negligible = half * factor.scale < _MAX_NEGLIGIBLE_SHARE * torque
+        is_negligible = half * factor.scale < MAX_NEGLIGIBLE_SHARE * torque
         is_narrow = half < np.abs(self.models.solution(terms))
         return np.asarray((is_narrow | is_negligible) & self.trial.determined)
 
