@@ -172,4 +172,5 @@ def test_a_sensor_behind_the_gear_shows_the_link(tmp_path: Path) -> None:
     result = sw.identify(study_of(tmp_path), data={"m": log})
     assert result.status == "determined"
     assert result["link_inertia", 1].value == pytest.approx(0.5, rel=0.01)
+    assert result.run is not None
     assert "torque-at-link" in {w.code for w in result.run.warnings}

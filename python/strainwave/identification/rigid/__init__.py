@@ -94,16 +94,18 @@ def _fit(
     best = plain = select_bandwidth(trials)
     nearby = neighbours(trials, best)
     candidates = candidates_of(arm, best.stretches)
-    doubt, noise = np.zeros_like(best.covariance), np.diag(best.covariance)
+    doubt, noise_share = np.zeros_like(best.covariance), 1.0
     if candidates:
         terms, candidates = choose(best, nearby, candidates)
         if terms:
             best = fit_with_terms(best, motions, terms)
             nearby = [refit(trial, motions, best.candidates) for trial in nearby]
         choice = Choice.of(best, candidates)
-        doubt = choice.model_error()
-        noise = np.minimum(np.diag(best.covariance), choice.noise_variance())
+        doubt, noise_share = choice.model_error(), choice.noise_share()
     excess = excess_variance(best.solution, [(t.solution, np.diag(t.covariance)) for t in nearby])
+    # rivals and bandwidths partly show the same error
+    excess = np.clip(excess - np.diag(doubt), 0.0, None)
+    noise = noise_share * (np.diag(best.covariance) + excess)
     covariance = best.covariance + doubt + np.diag(excess + _elastic_model_error(best))
     fit = Bounded(best, covariance)
     if not n_compliances(arm):  # otherwise the whole-arm fit has the bounds

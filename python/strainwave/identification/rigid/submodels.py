@@ -112,7 +112,10 @@ class Submodels:
         ridge = _RIDGE * np.eye(k, rows.shape[1])
         R = triangular_factor(np.concatenate([rows, ridge]))
         solved = np.linalg.solve(R[:k, :k], R[:k, k:])
-        return _Reduced(*map(np.asarray, (solved[:, -1], solved[:, :-1], R[k:, k:])))
+        plain, per_term, triangle = (
+            np.asarray(x, dtype=np.float64) for x in (solved[:, -1], solved[:, :-1], R[k:, k:])
+        )
+        return _Reduced(plain, per_term, triangle)
 
     @cached_property
     def _held(self) -> tuple[FloatArray, list[FloatArray]]:
