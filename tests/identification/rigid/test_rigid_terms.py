@@ -11,7 +11,11 @@ import pytest
 
 import strainwave as sw
 from strainwave.domain import FloatArray, RigidModel
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
+from strainwave.identification.rigid import fit_rigid
+from strainwave.io.logs import read_logs
+from strainwave.signals.motor import prepare_motor_signals
 
 SAMPLE_TIME, SUBSTEPS = 1e-3, 10
 # the torque of a sample is held until the next one, and so acts half a period later on average
@@ -110,6 +114,16 @@ def test_the_zero_is_estimated_where_gravity_acts(tmp_path: Path) -> None:
     check(model, Pendulum())
     assert size_of(model, "encoder-zero") == pytest.approx(0.3, abs=1e-3)
     assert any("exceeds the encoder reading" in w.message for w in model.warnings)
+
+
+@pytest.mark.parametrize("zero", [0.5 * np.pi, -0.5 * np.pi, -1.0])
+def test_a_distant_zero_is_no_spring(tmp_path: Path, zero: float) -> None:
+    study = study_of(tmp_path)
+    arm = Arm.of(study.arm)
+    (log,) = read_logs(study, data={"m": Pendulum().log(centre=-0.5 * np.pi, zero=zero)})
+    model = fit_rigid([prepare_motor_signals(log, arm)], arm)
+    check(model, Pendulum())
+    assert size_of(model, "encoder-zero") == pytest.approx(zero, abs=1e-3)
 
 
 @pytest.mark.parametrize("gravity", [0.0, 6.0])

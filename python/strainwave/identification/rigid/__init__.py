@@ -42,6 +42,7 @@ from strainwave.identification.rigid.friction_terms import (
     fit_with_terms,
     refit,
     term_warning,
+    with_coarse_zeros,
 )
 from strainwave.identification.rigid.model_choice import (
     Choice,
@@ -96,6 +97,11 @@ def _fit(
     candidates = candidates_of(arm, best.stretches)
     doubt, noise_share = np.zeros_like(best.covariance), 1.0
     if candidates:
+        start, candidates = with_coarse_zeros(best, motions, candidates)
+        if start is not best:
+            best = start
+            moved = [c for c in candidates if c.corrected]
+            nearby = [refit(trial, motions, moved) for trial in nearby]
         terms, candidates = choose(best, nearby, candidates)
         if terms:
             best = fit_with_terms(best, motions, terms)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -24,6 +25,7 @@ from strainwave.identification.rigid.trial import Trial, fit_trial
 
 LOAD = "load-friction"
 _MAX_ITERATIONS = 12
+_MAX_COST_RATIO = 0.5  # of squared residuals, from which a distant zero replaces a nearer one
 # change at convergence: of a shape's logarithm, of an angle [rad, m], of a delay [s]
 _TOLERANCES = {STRIBECK: 0.02, ZERO: 1e-4, DELAY: 1e-6}
 # in one iteration
@@ -72,6 +74,39 @@ def fit_with_terms(trial: Trial, motions: Sequence[Motion], terms: Sequence[Cand
 
 def _can_be_negative(candidate: Candidate) -> bool:
     return physical_range(effect_named(candidate.effect).sizes[0]) == "any"
+
+
+def with_coarse_zeros(
+    trial: Trial, motions: Sequence[Motion], candidates: Sequence[Candidate]
+) -> tuple[Trial, list[Candidate]]:
+    """Candidates whose encoder zeros start at the best eighth of a turn, with the trial there.
+
+    From a distant start, the gravity torque vanishes and a spring explains its remainder. Chains
+    have the centres of mass of their links anywhere, so that a distant zero is another centre.
+    """
+    result = list(candidates)
+    for k, c in enumerate(result):
+        if (
+            c.effect != ZERO
+            or trial.arm.base.has_groups
+            or trial.arm.joints[c.joint].motion != "revolute"
+        ):
+            continue
+        for eighth in (-3, -2, -1, 1, 2, 3):
+            moved = [*result[:k], replace(c, corrected=eighth * math.pi / 4.0), *result[k + 1 :]]
+            values = [(each.effect, each.joint, each.corrected) for each in moved]
+            corrected = [
+                (correct(s, trial.arm, [v for v in values if v[2]]), period)
+                for s, period in motions
+            ]
+            stretches = prepare_all(trial.arm, corrected, trial.bandwidth_hz)
+            other = fit_trial(trial.arm, stretches, None)
+            names = [column.name for column in trial.arm.rigid_columns]
+            gravity = dict(zip(names, other.solution, strict=True))[f"gravity_torque_{c.joint + 1}"]
+            is_better = other.residual_power < _MAX_COST_RATIO * trial.residual_power
+            if gravity > 0.0 and is_better:  # otherwise half a turn further
+                trial, result = other, moved
+    return trial, result
 
 
 def refit(trial: Trial, motions: Sequence[Motion], terms: Sequence[Candidate]) -> Trial:

@@ -89,7 +89,9 @@ def choose(
         models = [Choice.of(trial, chosen).models for trial in (best, *nearby)]
         (value, variance), *others = [(m.sizes(every), m.size_stds(every) ** 2) for m in models]
         limit = _MIN_STDS * np.sqrt(variance + excess_variance(value, others))
-        changing = [c for c, v, x in zip(chosen, value, limit, strict=True) if abs(v) < x]
+        changing = [
+            c for c, v, x in zip(chosen, value, limit, strict=True) if abs(c.corrected + v) < x
+        ]
         changing = [c for c in changing if c in shown]
         if not changing:
             return chosen, rest
@@ -174,7 +176,8 @@ class Choice:
         rng = np.random.default_rng(0)
         chosen: list[int] = []
         for same in self._rivals(chosen):
-            if not is_selected(self.trial.arm, self.candidates[same[0]]):
+            first = self.candidates[same[0]]
+            if first.corrected or not is_selected(self.trial.arm, first):
                 chosen.append(max(same, key=lambda k: self._total([*chosen, k])))
         for _ in range(_MAX_ROUNDS):
             total, n_before = self._total(chosen), len(chosen)

@@ -128,6 +128,11 @@ class Trial:
         ]
 
     @property
+    def residual_power(self) -> float:
+        """Sum of the squared residuals of all joints, each over its torque."""
+        return float(sum(error**2 for error in self.torque_errors.values()))
+
+    @property
     def torque_errors(self) -> dict[int, float]:
         """Joint -> residual over torque, rms values of its rows."""
         equations, errors = self.equations, dict[int, float]()
