@@ -28,6 +28,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_fit
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.bandwidth import (
+    Motion,
     excess_variance,
     neighbours,
     prepare_all,
@@ -36,8 +37,9 @@ from strainwave.identification.rigid.bandwidth import (
 )
 from strainwave.identification.rigid.bounds import Bounded, bound
 from strainwave.identification.rigid.drive_gains import estimate_drive_gains, gain_sensitivity
-from strainwave.identification.rigid.equations import MotorShares, anti_resonances
+from strainwave.identification.rigid.equations import Candidate, MotorShares, anti_resonances
 from strainwave.identification.rigid.friction_terms import (
+    MAX_POWER_RATIO,
     estimated_terms,
     fit_with_terms,
     refit,
@@ -97,16 +99,15 @@ def _fit(
     candidates = candidates_of(arm, best.stretches)
     doubt, noise_share = np.zeros_like(best.covariance), 1.0
     if candidates:
-        start, candidates = with_coarse_zeros(best, motions, candidates)
-        if start is not best:
-            best = start
-            moved = [c for c in candidates if c.corrected]
-            nearby = [refit(trial, motions, moved) for trial in nearby]
-        terms, candidates = choose(best, nearby, candidates)
-        if terms:
-            best = fit_with_terms(best, motions, terms)
-            nearby = [refit(trial, motions, best.candidates) for trial in nearby]
-        choice = Choice.of(best, candidates)
+        best, nearby, rest = _with_terms(best, nearby, motions, candidates)
+        start, moved = with_coarse_zeros(plain, motions, candidates)
+        if start is not plain:
+            zeros = [c for c in moved if c.corrected]
+            others = [refit(trial, motions, zeros) for trial in neighbours(trials, plain)]
+            distant = _with_terms(start, others, motions, moved)
+            if distant[0].residual_power < MAX_POWER_RATIO * best.residual_power:
+                best, nearby, rest = distant
+        choice = Choice.of(best, rest)
         doubt, noise_share = choice.model_error(), choice.noise_share()
     excess = excess_variance(best.solution, [(t.solution, np.diag(t.covariance)) for t in nearby])
     # rivals and bandwidths partly show the same error
@@ -127,6 +128,17 @@ def _fit(
     ratios = torque_ratios(trials, fit.trial, plain)
     fits = {s.experiment.name: _fits(fit.trial, s, further) for s in signals}
     return _model(fit, noise, further, ratios, fits)
+
+
+def _with_terms(
+    best: Trial, nearby: list[Trial], motions: Sequence[Motion], candidates: Sequence[Candidate]
+) -> tuple[Trial, list[Trial], list[Candidate]]:
+    """Fits with the terms that the records support, and the candidates that remain plausible."""
+    terms, rest = choose(best, nearby, candidates)
+    if terms:
+        best = fit_with_terms(best, motions, terms)
+        nearby = [refit(trial, motions, best.candidates) for trial in nearby]
+    return best, nearby, rest
 
 
 def _elastic_model_error(best: Trial) -> FloatArray:

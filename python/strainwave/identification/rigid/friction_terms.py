@@ -25,7 +25,9 @@ from strainwave.identification.rigid.trial import Trial, fit_trial
 
 LOAD = "load-friction"
 _MAX_ITERATIONS = 12
-_MAX_COST_RATIO = 0.5  # of squared residuals, from which a distant zero replaces a nearer one
+MAX_POWER_RATIO = 0.5
+"""Ratio of squared residuals from which a distant encoder zero replaces a nearer one."""
+
 # change at convergence: of a shape's logarithm, of an angle [rad, m], of a delay [s]
 _TOLERANCES = {STRIBECK: 0.02, ZERO: 1e-4, DELAY: 1e-6}
 # in one iteration
@@ -103,7 +105,7 @@ def with_coarse_zeros(
             other = fit_trial(trial.arm, stretches, None)
             names = [column.name for column in trial.arm.rigid_columns]
             gravity = dict(zip(names, other.solution, strict=True))[f"gravity_torque_{c.joint + 1}"]
-            is_better = other.residual_power < _MAX_COST_RATIO * trial.residual_power
+            is_better = other.residual_power < MAX_POWER_RATIO * trial.residual_power
             if gravity > 0.0 and is_better:  # otherwise half a turn further
                 trial, result = other, moved
     return trial, result

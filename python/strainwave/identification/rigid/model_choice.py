@@ -217,6 +217,8 @@ class Choice:
         for family in self._families(list(range(len(self.trial.candidates)))):
             scores = np.array([self.models.scores(model) for model in (chosen, *family)])
             for weight, model in zip(model_weights(scores, rng)[1:], family, strict=True):
+                if weight < 1.0 - MIN_WEIGHT:  # beyond a 95 % interval
+                    continue
                 change = self.models.solution(model) - solution
                 moved = self.models.shifts(model) - shifts
                 variance = (n - 1) / n * np.sum(moved**2, axis=0)
