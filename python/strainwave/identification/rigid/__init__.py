@@ -24,6 +24,7 @@ from strainwave.domain import (
     RigidOptions,
     Signals,
 )
+from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_fit
 from strainwave.errors import NotIdentifiable
@@ -59,6 +60,9 @@ from strainwave.numerics.parallel import one_blas_thread, run_parallel
 from strainwave.signals.repetition import period_of
 
 __all__ = ["RigidOptions", "estimate_drive_gains", "fit_rigid"]
+
+Changes = dict[Key, float]
+"""Changes of values by a term, by name and joint."""
 
 # alternatives to the motors' usual shares, about one standard deviation away
 _ALTERNATIVE_INERTIA_SHARE = 0.3
@@ -97,7 +101,7 @@ def _fit(
     best = plain = select_bandwidth(trials)
     nearby = neighbours(trials, best)
     candidates = candidates_of(arm, best.stretches)
-    doubt, noise_share = np.zeros_like(best.covariance), 1.0
+    doubt, noise_share, changes = np.zeros_like(best.covariance), np.ones(1), list[Changes]()
     if candidates:
         best, nearby, rest = _with_terms(best, nearby, motions, candidates)
         start, moved = with_coarse_zeros(plain, motions, candidates)
@@ -108,7 +112,7 @@ def _fit(
             if distant[0].residual_power < MAX_POWER_RATIO * best.residual_power:
                 best, nearby, rest = distant
         choice = Choice.of(best, rest)
-        doubt, noise_share = choice.model_error(), choice.noise_share()
+        doubt, noise_share, changes = choice.model_error(), choice.noise_share(), choice.changes()
     excess = excess_variance(best.solution, [(t.solution, np.diag(t.covariance)) for t in nearby])
     # rivals and bandwidths partly show the same error
     excess = np.clip(excess - np.diag(doubt), 0.0, None)
@@ -122,7 +126,7 @@ def _fit(
         by_gains = by_gain @ gains.relative_covariance @ by_gain.T
         fit, noise = replace(fit, covariance=fit.covariance + by_gains), noise + np.diag(by_gains)
     trials = [fit.trial, *nearby]
-    further = estimated_terms(trials, fit.trial)
+    further = estimated_terms(trials, fit.trial, changes)
     if plain is best:
         plain = fit.trial
     ratios = torque_ratios(trials, fit.trial, plain)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from strainwave.domain import Diagnostic, FrictionTerm, Parameter, Place
 from strainwave.domain.effects import effect_named
+from strainwave.domain.keys import Key
 from strainwave.domain.ranges import physical_range
 from strainwave.domain.units import unit_in
 from strainwave.dynamics.friction_terms import CORRECTIONS, DELAY, ZERO, correct
@@ -121,8 +122,10 @@ def refit(trial: Trial, motions: Sequence[Motion], terms: Sequence[Candidate]) -
     return fit_trial(trial.arm, stretches, trial.estimate, candidates=terms)
 
 
-def estimated_terms(trials: Sequence[Trial], best: Trial) -> tuple[FrictionTerm, ...]:
-    """Sizes and shapes of the terms of a trial.
+def estimated_terms(
+    trials: Sequence[Trial], best: Trial, changes: Sequence[Mapping[Key, float]]
+) -> tuple[FrictionTerm, ...]:
+    """Sizes and shapes of the terms of a trial, with the changes of other values.
 
     The standard deviations include the scatter between neighbouring bandwidths.
     """
@@ -143,7 +146,8 @@ def estimated_terms(trials: Sequence[Trial], best: Trial) -> tuple[FrictionTerm,
             std, unit = candidate.shape * float(stds[at_shape]), unit_in(best.arm, (name, joint))
             shape = Parameter.estimated((name, joint), candidate.shape, std, unit, "rigid", width)
             at_shape += 1
-        terms.append(FrictionTerm(candidate.effect, joint, size, candidate.shape, shape))
+        law = candidate.effect, joint, size, candidate.shape
+        terms.append(FrictionTerm(*law, shape, changes[k]))
     return tuple(terms)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray
 from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
+from strainwave.domain.keys import Key
 from strainwave.domain.parameter_table import parameter_table
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.friction_terms import CORRECTIONS, DELAY, ZERO
@@ -226,6 +227,19 @@ class Choice:
                 excess = np.sign(change) * np.sqrt(np.clip(change**2 - expected, 0.0, None))
                 total += weight * np.outer(excess, excess)
         return total
+
+    def changes(self) -> list[dict[Key, float]]:
+        """Changes of the values by each term of the trial, if beyond the standard deviations."""
+        every = list(range(len(self.trial.candidates)))
+        solution = self.models.solution(self.with_shapes(every))
+        stds, columns = self.trial.standard_deviations, self.trial.arm.rigid_columns
+        result = []
+        for left in every:
+            model = self.with_shapes([k for k in every if k != left])
+            change = solution - self.models.solution(model)
+            at = np.flatnonzero((np.abs(change) > stds) & self.trial.determined)
+            result.append({columns[k].key: float(change[k]) for k in at})
+        return result
 
     def noise_share(self) -> FloatArray:
         """Share (n_parameters,) of the trial's variances that does not repeat with the motion."""
