@@ -195,10 +195,14 @@ class Choice:
         return chosen
 
     def _improves(self, chosen: Sequence[int], k: int, rng: np.random.Generator) -> bool:
-        """Whether a term improves the prediction, and leaves all values possible and determined."""
+        """Whether a term improves the prediction, and leaves all values possible and determined.
+
+        With many candidates, one of them improves it by chance (Bonferroni).
+        """
         model, scores = [*chosen, k], self.models.scores(chosen)
+        limit = 1.0 - (1.0 - MIN_WEIGHT) / len(self._rivals([]))
         return (
-            weight_over(self.models.scores(model), scores, rng) > MIN_WEIGHT
+            weight_over(self.models.scores(model), scores, rng) > limit
             and self.is_possible(model)
             and not np.any(self.is_determined(chosen) & ~self.is_determined(model))
         )
