@@ -133,7 +133,7 @@ OF_STAGES: dict[str, Callable[[Any], Any]] = {
     "physical": physical_with,
 }
 CHANGES: dict[str, dict[str, Any]] = {
-    "rigid": {"bandwidth_hz": 3.0, "load_friction": True},
+    "rigid": {"bandwidth_hz": 3.0},
     "links": {"time_constant": 0.05, "order": 1, "bandwidth_hz": 100.0},
     "responses": {"inputs": 1, "segment": 0.3, "transient_periods": 0},
     "statespace": {
@@ -373,7 +373,7 @@ def test_a_run_passes_options_to_every_stage(small: Path, monkeypatch: pytest.Mo
     assert received["fit_record"].physical == run_options.physical
     assert received["fit_whole_arm"] == run_options.tuning
     document = json.loads(result.to_json(result.to_document(identification)))
-    assert document["options"]["rigid"] == {"bandwidth_hz": 4.0, "load_friction": None}
+    assert document["options"]["rigid"] == {"bandwidth_hz": 4.0}
     assert document["options"]["tuning"]["max_iterations"] == 1
     assert document["stages"]["rigid"]["bandwidth_hz"] == 4.0
 

@@ -93,11 +93,14 @@ class Joint:
     gyro_hz: Positive | None = None  # first-order low-pass
     imu: Imu | None = None
     # optional terms of the model; "auto": those that the data support
-    effects: tuple[EffectName, ...] | Literal["auto"] = ()
+    effects: tuple[EffectName, ...] | Literal["auto"] = "auto"
     origin: Origin = Origin()
     axis: Vector = (0.0, 0.0, 1.0)  # in the joint's frame; its length does not matter
     name: str | None = None  # in the URDF and in exports
     limits: JointLimits | None = None
+    # the logs have no torque of the motor, but that of a sensor between gear and link, which shows
+    # neither the rotor's inertia nor the motor's friction
+    torque_at_link: bool = False
 
     @property
     def torque_per_command(self) -> float:

@@ -132,7 +132,15 @@ class BaseParameters:
 def base_parameters(arm: ArmDescription) -> BaseParameters:
     """Base parameters of an arm; they depend on its geometry, gravity and transmission only."""
     joints = (
-        Joint("rigid", j.gear_ratio, j.motion, origin=j.origin, axis=j.axis) for j in arm.joints
+        Joint(
+            "rigid",
+            j.gear_ratio,
+            j.motion,
+            origin=j.origin,
+            axis=j.axis,
+            torque_at_link=j.torque_at_link,
+        )
+        for j in arm.joints
     )
     return _base_parameters(ArmDescription(arm.kind, tuple(joints), arm.gravity, arm.coupling))
 
@@ -241,6 +249,7 @@ def _regressor(arm: ArmDescription) -> tuple[FloatArray, tuple[Key, ...]]:
     of_links = core.base_regressor(angle, velocity, acceleration)
     inverse = np.linalg.inv(transmission(arm))
     motors = inverse.T[None] * (acceleration @ inverse.T)[:, None, :]
+    motors *= [not joint.torque_at_link for joint in arm.joints]
     links = tuple(core.parameter_names[: of_links.shape[2]])
     return np.concatenate([of_links, motors], axis=2).reshape(_SAMPLES * n, -1), links
 

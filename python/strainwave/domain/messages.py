@@ -124,6 +124,14 @@ TEMPLATES: Mapping[str, str] = {
     " tuned stage do not contain its error. Record a heavier payload if it limits the accuracy",
     "friction-term": "{description}: {label} is {value:.3g} +- {std:.2g} {unit}|. Predictions of"
     " the rigid model include this; simulations and exports do not",
+    "torque-at-link": "the logs have the torque of joint {joints} behind the gear only|. The"
+    " results are those of the links, without the rotors' inertias and the motors' friction,"
+    " and friction values are those between sensor and link",
+    "friction-term/zero": "the joint angle exceeds the encoder reading by {value:.4g} +- {std:.2g}"
+    " {unit}|, if gravity acts as the study states and the link's centre of mass is where the kind"
+    " of arm places it. All values belong to the corrected angle",
+    "friction-term/delay": "the torque is logged {value!m:.3g} +- {std!m:.2g} ms behind the"
+    " motion|. The fit corrects the delay, which otherwise turns inertia into viscous friction",
     "load-friction": "friction increases by {share:.3f} +- {std:.3f} of the load|. Predictions of"
     " the rigid model include this; simulations and exports do not",
     "not-rigid": "the anti-resonance at {anti_resonance_hz:.1f} Hz is too close to the motion band"

@@ -45,7 +45,6 @@ class RigidOptions(_Checked):
     """Options of the rigid-joint model, (5) to (7): `rigid`."""
 
     bandwidth_hz: Positive | None = None  # of the equations' filter; None: from the data
-    load_friction: bool | None = None  # friction proportional to the load; None: from the data
 
 
 @dataclass(frozen=True, slots=True)

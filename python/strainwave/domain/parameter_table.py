@@ -116,6 +116,23 @@ _EFFECT_PARAMETERS = (
     ParameterDescription(
         "encoder_zero", "q_0", "joint angle minus encoder reading", ("rad", "m"), "any"
     ),
+    ParameterDescription(
+        "load_speed_friction",
+        "mu_v",
+        "viscous friction per torque of the links, both motor side",
+        ("s/rad", "s/m"),
+        "non-negative",
+    ),
+    ParameterDescription(
+        "direction_friction",
+        "d_a",
+        "half the difference of the viscous frictions of both directions, motor side",
+        ("N m s/rad", "N s/m"),
+        "any",
+    ),
+    ParameterDescription(
+        "torque_delay", "T_d", "delay of the logged torque behind the motion", ("s", "s"), "any"
+    ),
 )
 """Parameters of effects that the core does not simulate."""
 

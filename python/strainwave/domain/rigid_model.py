@@ -12,6 +12,7 @@ from strainwave.display import Displayed
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.estimates import Diagnostic, Parameter
+from strainwave.domain.keys import Key
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,13 +32,14 @@ class DriveGains:
 
 @dataclass(frozen=True, slots=True)
 class FrictionTerm:
-    """Friction of a rigid joint in addition to viscous and Coulomb friction."""
+    """Effect of rigid joints in addition to inertia, viscous and Coulomb friction."""
 
-    effect: str  # of the joint model, which names the law
-    joint: int  # from 1
+    effect: str  # names the law
+    joint: int | None  # from 1; None for all joints
     size: Parameter
     shape: float  # of the law
     estimated_shape: Parameter | None = None  # None if the shape is given or the law has none
+    changes: Mapping[Key, float] = field(default_factory=dict)  # of other values, by the term
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

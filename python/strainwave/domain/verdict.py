@@ -102,8 +102,9 @@ def _required_stages(results: StageResults) -> _Requirements:
     if stages:
         keys += [column.key for column in base.columns]
     viscous = viscous_friction(arm)
-    for number in range(1, arm.n_joints + 1):
-        keys += [(viscous, number), ("motor_coulomb_friction", number)]
+    for number, joint in enumerate(arm.joints, start=1):
+        if not joint.torque_at_link:  # a sensor behind the gear does not show the friction
+            keys += [(viscous, number), ("motor_coulomb_friction", number)]
     has_whole_arm = "tuned" in results.stages and len(elastic) == arm.n_joints
     is_excited = any(e.use in ("frequency", "sweep") for e in study.experiments)
     if has_decoupled and (is_excited or not has_whole_arm):

@@ -21,7 +21,7 @@ from strainwave.domain.combinations import (
     shared_viscous_friction,
 )
 from strainwave.domain.core_arm import core_arm, transmission
-from strainwave.domain.effects import effect_named
+from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
 from strainwave.domain.keys import Key, Row, Values
 from strainwave.domain.kinds import RigidColumn
 from strainwave.domain.link_sensors import low_passes
@@ -442,7 +442,12 @@ class _GearEquations(NamedTuple):
 
 def _core_effects(joint: Joint) -> list[str]:
     """Names of the core's effects of a joint, without duplicates."""
-    known = (effect_named(name).core_name for name in joint.named_effects)
+    effects = map(effect_named, joint.named_effects)
+    known = (
+        e.core_name
+        for e in effects
+        if joint.elastic or not (e.needs_elastic_gear and e.name in OF_RIGID_JOINTS)
+    )
     return list(dict.fromkeys(name for name in known if name is not None))
 
 

@@ -1,15 +1,22 @@
-"""Dry friction of rigid joints in addition to Coulomb friction, by the laws of the core's effects.
+"""Terms of rigid joints in addition to inertia, viscous friction, Coulomb friction and offset.
 
-Each law is a size times a function of motor velocity, load and one shape parameter.
+Friction is a size times a law of motor velocity, load and one shape parameter, times the direction
+of motion. A spring acts on the link. Encoder zeros and torque delays correct the signals.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, FrictionTerm
+from strainwave.domain import FloatArray, FrictionTerm, Signals
+from strainwave.dynamics.arm import Arm
+
+SPRING, ZERO, DELAY = "ground-spring", "encoder-zero", "torque-delay"
+CORRECTIONS = (ZERO, DELAY)
+"""Effects that correct the signals; the others add torques."""
 
 # of (S16), as in the core: velocity [rad/s] of the stated friction, and offset of its ratio
 _POWER_VELOCITY, _POWER_OFFSET = 100.0, 0.01
@@ -18,6 +25,16 @@ _POWER_VELOCITY, _POWER_OFFSET = 100.0, 0.01
 def _load_friction(velocity: FloatArray, load: FloatArray, shape: float) -> FloatArray:
     """Magnitude of the load, (S15)."""
     return np.abs(load)
+
+
+def _load_speed_friction(velocity: FloatArray, load: FloatArray, shape: float) -> FloatArray:
+    """|load dq|."""
+    return np.abs(load * velocity)
+
+
+def _direction_friction(velocity: FloatArray, load: FloatArray, shape: float) -> FloatArray:
+    """|dq| - w_a without the direction of motion: the offset is that at the speed w_a."""
+    return np.asarray(velocity - shape * np.sign(velocity))
 
 
 def _stribeck(velocity: FloatArray, load: FloatArray, shape: float) -> FloatArray:
@@ -33,6 +50,8 @@ def _power_friction(velocity: FloatArray, load: FloatArray, shape: float) -> Flo
 
 _LAWS: Mapping[str, Callable[[FloatArray, FloatArray, float], FloatArray]] = {
     "load-friction": _load_friction,
+    "load-speed-friction": _load_speed_friction,
+    "direction-friction": _direction_friction,
     "stribeck": _stribeck,
     "power-friction": _power_friction,
 }
@@ -54,7 +73,43 @@ def additional_friction(
     """Friction of all terms against the motion: (n_samples, n_joints)."""
     friction = np.zeros_like(velocity)
     for term in terms:
-        i = term.joint - 1
-        per_size = friction_per_size(term.effect, term.shape, velocity[:, i], load[:, i])
-        friction[:, i] += (term.size.value or 0.0) * per_size
+        if term.effect in _LAWS and term.joint is not None:
+            i = term.joint - 1
+            per_size = friction_per_size(term.effect, term.shape, velocity[:, i], load[:, i])
+            friction[:, i] += (term.size.value or 0.0) * per_size
     return friction
+
+
+def spring_torque(arm: Arm, terms: Sequence[FrictionTerm], angle: FloatArray) -> FloatArray:
+    """Motor torques of the springs between links and ground at link angles: (n, n_joints)."""
+    stiffness = np.zeros(arm.n_joints)
+    for term in terms:
+        if term.effect == SPRING and term.joint is not None:
+            stiffness[term.joint - 1] += term.size.value or 0.0
+    return arm.motors_of(stiffness * angle)
+
+
+def corrected_signals(signals: Signals, arm: Arm, terms: Sequence[FrictionTerm]) -> Signals:
+    """The signals with encoder zeros added to the angles and delays removed from the torques."""
+    values = [
+        (term.effect, (term.joint or 0) - 1, term.size.value or 0.0)
+        for term in terms
+        if term.effect in CORRECTIONS
+    ]
+    return correct(signals, arm, values)
+
+
+def correct(signals: Signals, arm: Arm, values: Sequence[tuple[str, int, float]]) -> Signals:
+    """The signals corrected by values of effects, the joints of encoder zeros from 0."""
+    if not values:
+        return signals
+    zero, torque = np.zeros(arm.n_joints), signals.motor_torque
+    for effect, i, value in values:
+        if effect == ZERO:
+            zero[i] += value
+        else:
+            late = signals.time + value
+            columns = [np.interp(late, signals.time, column) for column in torque.T]
+            torque = np.column_stack(columns)
+    angle = signals.motor_angle + arm.motor_accelerations(zero)
+    return replace(signals, motor_angle=angle, motor_torque=torque)

@@ -9,7 +9,12 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, FrictionTerm, Payload, RigidModel, Signals
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.friction_terms import additional_friction
+from strainwave.dynamics.friction_terms import (
+    additional_friction,
+    corrected_signals,
+    encoder_zeros,
+    spring_torque,
+)
 from strainwave.numerics.filters import low_pass
 
 _BLOCK_SIZE = 1 << 16  # samples per regressor, which limits its memory
@@ -51,7 +56,7 @@ def band_fit(
 
     Equal to the fit of `band_prediction`, with less memory.
     """
-    T = signals.sample_time
+    T, signals = signals.sample_time, corrected_signals(signals, arm, friction_terms)
     torque = predict_torque(arm, solution, signals, _bridge(model_hz, T), friction_terms)
     fits = []
     for i in range(torque.shape[1]):
@@ -74,7 +79,7 @@ def band_prediction(
     `solution` (n_parameters,) has the order of `Arm.rigid_columns`. `model_hz` is the bandwidth in
     which the model was estimated.
     """
-    T = signals.sample_time
+    T, signals = signals.sample_time, corrected_signals(signals, arm, friction_terms)
     torque = predict_torque(arm, solution, signals, _bridge(model_hz, T), friction_terms)
     measured, predicted = (low_pass(x, model_hz, T) for x in (signals.motor_torque, torque))
     inside = _inside(measured, model_hz, T)
@@ -111,7 +116,7 @@ def predict_torque(
     longest_bridge: int,
     friction_terms: Sequence[FrictionTerm],
 ) -> FloatArray:
-    """Motor torques of the rigid model for a motion: (n_samples, n_joints) [N m].
+    """Motor torques of the rigid model for a corrected motion: (n_samples, n_joints) [N m].
 
     In a brief reversal, of up to `longest_bridge` samples, Coulomb friction changes linearly from
     one direction to the other. A motor that sticks for longer has a set of possible torques, +-f
@@ -136,7 +141,7 @@ def predict_torque(
 class TorqueParts:
     """Motor torques of a rigid model, each (n_samples, n_joints) [N m]."""
 
-    body: FloatArray  # that moves links and motors
+    body: FloatArray  # that moves links and motors, and bends springs
     smooth_friction: FloatArray  # viscous friction and offset
     dry_friction: FloatArray  # to be multiplied by the direction of the motion
 
@@ -162,7 +167,7 @@ def torque_parts(
     if arm.n_shared:
         smooth += arm.shared_friction_regressor(velocity) @ solution[-arm.n_shared :]
     dry = coulomb + additional_friction(friction_terms, velocity, body)
-    return TorqueParts(body, smooth, dry)
+    return TorqueParts(body + spring_torque(arm, friction_terms, links[0]), smooth, dry)
 
 
 def inverse_dynamics(
@@ -170,9 +175,11 @@ def inverse_dynamics(
 ) -> FloatArray:
     """Motor torques of a rigid model for a motion of the motors: (n_samples, n_joints) [N m].
 
-    Dry friction is zero where the velocity is exactly zero.
+    Dry friction is zero where the velocity is exactly zero. Angles are those of the encoders.
     """
-    parts = torque_parts(arm, model.solution, motion, model.friction_terms)
+    zero = arm.motor_accelerations(encoder_zeros(arm, model.friction_terms))
+    corrected = [motion[0] + zero, *motion[1:]]
+    parts = torque_parts(arm, model.solution, corrected, model.friction_terms)
     return np.asarray(parts.body + parts.friction(np.sign(motion[1])))
 
 

@@ -511,6 +511,14 @@ def _verdict(verdict: Verdict) -> dict[str, Any]:
     }
 
 
+def _changes(term: FrictionTerm) -> list[dict[str, Any]]:
+    """Changes of other values by a term of the rigid model."""
+    return [
+        {"name": name, "joint": joint, "change": change}
+        for (name, joint), change in term.changes.items()
+    ]
+
+
 def _rigid(model: RigidModel) -> dict[str, Any]:
     pairs = model.torque_ratios.items()
     ratios = [{"joint": joint, "value": value, "std": std} for joint, (value, std) in pairs]
@@ -523,7 +531,9 @@ def _rigid(model: RigidModel) -> dict[str, Any]:
         "decimation": model.decimation,
         "n_rows": model.n_rows,
         "friction_terms": [
-            parameter_entry(p) for term in model.friction_terms for p in term.parameters
+            parameter_entry(p) | {"effect": term.effect, "changes": _changes(term)}
+            for term in model.friction_terms
+            for p in term.parameters
         ],
         "torque_ratio": next((ratio for ratio in ratios if ratio["joint"] == 2), None),
         "torque_ratios": ratios,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.domain import FloatArray, ResidualCorrelation
+from strainwave.domain import ComplexArray, FloatArray, ResidualCorrelation
 
 MAX_LAGS = 25
 """Maximum lag of each sign, as in MATLAB's `resid`."""
@@ -78,3 +78,31 @@ def expected_autocorrelation(
 def _padded_spectrum(column: FloatArray) -> np.ndarray:
     """Spectrum without the mean, zero-padded so that correlations are not circular."""
     return np.asarray(np.fft.rfft(column - column.mean(), 2 * len(column)))
+
+
+def estimate_rows_per_error(column: FloatArray) -> float:
+    """Rows per independent error of a series (n_rows,), from its autocorrelation."""
+    return rows_per_error(spectrum_and_autocovariance(column)[1][: len(column) // 2])
+
+
+def spectrum_and_autocovariance(column: FloatArray) -> tuple[ComplexArray, FloatArray]:
+    """Zero-padded spectrum (n + 1,) and autocovariance times n (n,) of a series (n,).
+
+    Both are without the mean; the autocovariance starts at lag zero.
+    """
+    n = len(column)
+    spectrum = np.asarray(np.fft.rfft(column - column.mean(), 2 * n))
+    return spectrum, np.fft.irfft(np.abs(spectrum) ** 2, 2 * n)[:n]
+
+
+def rows_per_error(covariance: FloatArray) -> float:
+    """Variance inflation factor: 1 + 2 sum of autocorrelations before the first negative one.
+
+    `covariance` (n_lags,) starts at lag zero.
+    """
+    if covariance[0] <= 0.0:
+        return 1.0
+    correlation = covariance / covariance[0]
+    negative = np.flatnonzero(correlation < 0.0)
+    n_lags = negative[0] if negative.size else len(correlation)
+    return float(1.0 + 2.0 * np.sum(correlation[1:n_lags]))

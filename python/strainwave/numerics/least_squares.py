@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -54,6 +54,8 @@ class Equations:
     target: FloatArray  # (n_rows,)
     group: IntArray  # (n_rows,) rows of a group have errors of one variance; or PRIOR_GROUP
     block: IntArray  # (n_rows,) rows of a block may have correlated errors
+    # (n_rows,) rows of a block with different numbers repeat the same motion; empty: none do
+    repetition: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,16 +162,30 @@ class _ReducedEquations:
         return common, np.asarray(local)
 
 
-def _reduce(
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Weighted rows after elimination of the local parameters.
+
+    The columns are those of the common nuisance parameters, in units of their priors, of the scaled
+    parameters, and of the targets. The squares of `own` and `below` add up to those of the errors,
+    less what the local parameters explain with their priors.
+    """
+
+    scale: FloatArray  # (n_parameters,) norms of the weighted columns
+    own: FloatArray  # (n_rows, n_columns)
+    below: FloatArray  # (n_local, n_columns) regression of each column on the local regressors
+    leverage: FloatArray  # (n_rows,) of the local parameters
+
+
+def rows_of(
     equations: Equations, root: FloatArray, targets: FloatArray, *, leverage: bool = True
-) -> _ReducedEquations:
-    """Eliminate the local parameters part by part, then compute a QR decomposition."""
+) -> Rows:
+    """Eliminate the local parameters part by part."""
     X = equations.shared * root[:, None]
     scale = np.linalg.norm(X, axis=0)
     scale[scale == 0.0] = 1.0
     common = equations.common * root[:, None] * equations.common_deviation
     columns = np.column_stack([common, X / scale, targets * root[:, None]])
-    n_common, n_regressors = common.shape[1], common.shape[1] + len(scale)
     local_leverage = np.zeros(len(root))
     local_coefficients: list[FloatArray] = [np.zeros((0, columns.shape[1]))]
     for part, Z in _weighted_parts(equations, root):
@@ -178,16 +194,33 @@ def _reduce(
         local_coefficients.append(eliminated.coefficients)
         if leverage:
             local_leverage[part.rows] = eliminated.leverage
-    below = np.concatenate(local_coefficients)
-    priors = np.eye(n_common, columns.shape[1])
-    Q, R = np.linalg.qr(np.vstack([columns, -below, priors]))
+    return Rows(scale, columns, np.concatenate(local_coefficients), local_leverage)
+
+
+def _reduce(
+    equations: Equations, root: FloatArray, targets: FloatArray, *, leverage: bool = True
+) -> _ReducedEquations:
+    """Eliminate the local parameters part by part, then compute a QR decomposition."""
+    rows = rows_of(equations, root, targets, leverage=leverage)
+    n_common = equations.common.shape[1]
+    priors = np.eye(n_common, rows.own.shape[1])
+    Q, R = np.linalg.qr(np.vstack([rows.own, -rows.below, priors]))
     return _ReducedEquations(
-        scale=scale,
+        scale=rows.scale,
         n_common=n_common,
         triangle=R,
-        below=below,
-        leverage=np.sum(Q[: len(root), :n_regressors] ** 2, axis=1) + local_leverage,
+        below=rows.below,
+        leverage=np.sum(Q[: len(root), : n_common + len(rows.scale)] ** 2, axis=1) + rows.leverage,
     )
+
+
+def rows_of_local(equations: Equations) -> IntArray:
+    """A row in which each local parameter occurs, (n_local,)."""
+    rows = []
+    for part, _ in _parts(equations):
+        first = np.searchsorted(part.columns.first, np.arange(part.columns.n_columns))
+        rows.append(part.rows[np.minimum(first, len(part.rows) - 1)])
+    return np.concatenate(rows) if rows else np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,7 +41,7 @@ from strainwave.numerics.parallel import limited, one_blas_thread
 from strainwave.pipeline.drives import DriveStage, estimate_drives
 from strainwave.pipeline.elastic_arm import ElasticStages, fit_elastic_arm
 from strainwave.pipeline.input_check import CheckedInputs, check_input, check_inputs
-from strainwave.pipeline.inputs import Inputs, read_start
+from strainwave.pipeline.inputs import Inputs, read_start, with_sensed_torques
 from strainwave.pipeline.reporter import Reporter, attempt
 from strainwave.pipeline.rigid_joints import RigidStage, fit_rigid_joints
 from strainwave.presentation.matplotlib_backend import images
@@ -96,7 +96,9 @@ def identify(
             if options is not None:
                 the_study = with_options(the_study, options)
             starts = read_start(start, the_study)
-            raw_logs = logs.read_logs(the_study, data=data)
+            the_study, raw_logs = with_sensed_torques(
+                the_study, logs.read_logs(the_study, data=data)
+            )
         the_study = the_study.with_segments(log.experiment for log in raw_logs)
         return _identify(the_study, raw_logs, chosen, reporter, starts)
 

@@ -15,7 +15,7 @@ from strainwave.io import logs
 from strainwave.io.logs.in_memory import Data
 from strainwave.io.study import read_study
 from strainwave.numerics.parallel import one_blas_thread
-from strainwave.pipeline.inputs import Inputs
+from strainwave.pipeline.inputs import Inputs, with_sensed_torques
 from strainwave.signals import consistency, hygiene
 
 
@@ -62,7 +62,7 @@ def check_input(study: Study | Path, *, data: Data | None = None) -> InputCheck:
     begin = time.perf_counter()
     with one_blas_thread():
         given = study if isinstance(study, Study) else read_study(study)
-        raw_logs = logs.read_logs(given, data=data)
+        given, raw_logs = with_sensed_torques(given, logs.read_logs(given, data=data))
         given = given.with_segments(log.experiment for log in raw_logs)
         checked = check_inputs(given, raw_logs)
     return InputCheck(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from strainwave.domain import Log, Place, Stage, Study, Use
+import numpy as np
+
+from strainwave.domain import Diagnostic, Log, Place, Stage, Study, Use
 from strainwave.domain.keys import Key, Values, label_of
 from strainwave.domain.parameters import complete_values
 from strainwave.dynamics.arm import Arm
@@ -32,6 +34,60 @@ class Inputs:
     def place(self) -> Place:
         """The study file."""
         return Place(file=str(self.study.path))
+
+
+def with_sensed_torques(study: Study, logs: Sequence[Log]) -> tuple[Study, tuple[Log, ...]]:
+    """Take torques of rigid joints from sensors behind the gears where logs lack those of motors.
+
+    The channel `torque{i}` is then that of the sensor, on the motor's side of the gear: N C' tau_l.
+    Raises InvalidInput if other logs have the torque of that motor, which includes its friction.
+    """
+    arm, numbers = Arm.of(study.arm), range(1, study.arm.n_joints + 1)
+
+    def has_motor(log: Log, i: int) -> bool:
+        return f"torque{i}" in log.channels or f"u{i}" in log.channels
+
+    sensed = [i for i in numbers if not any(has_motor(log, i) for log in logs)]
+    for log in logs:
+        lacking = [i for i in numbers if i not in sensed and not has_motor(log, i)]
+        if lacking:
+            raise InvalidInput(
+                f"the log has only the sensor's torque of joint {lacking[0]}, and others have that "
+                "of the motor",
+                where=log.name,
+                remedy=f"remove torque{lacking[0]} from [channels] to use the sensor of all logs, "
+                "or remove this log",
+            )
+    if not sensed or not logs:
+        return study, tuple(logs)
+    if arm.is_coupled and len(sensed) < arm.n_joints:
+        raise InvalidInput(
+            f"joint {sensed[0]} has only the torque of its sensor, but motors turn several joints",
+            where=str(study.path),
+            remedy="log the torques of all sensors (tau_l), or those of all motors",
+        )
+    converted = []
+    for log in logs:
+        none = np.zeros(len(log))
+        at_links = np.column_stack([log.channels.get(f"tau_l{i}", none) for i in numbers])
+        at_motors = arm.motors_of(at_links)
+        channels = {f"torque{i}": at_motors[:, i - 1] for i in sensed}
+        masked = {
+            f"torque{i}": log.masked[f"tau_l{i}"] for i in sensed if f"tau_l{i}" in log.masked
+        }
+        place = Place.in_records(log.name)
+        converted.append(
+            replace(
+                log,
+                channels={**log.channels, **channels},
+                masked={**log.masked, **masked},
+                warnings=(*log.warnings, Diagnostic("torque-at-link", place, joints=tuple(sensed))),
+            )
+        )
+    described = study.arm
+    for i in sensed:
+        described = described.with_joint(i, torque_at_link=True)
+    return replace(study, arm=described), tuple(converted)
 
 
 def read_start(start: Path | Mapping[Key, float] | None, study: Study) -> Values:

@@ -17,8 +17,9 @@ from strainwave.domain import (
     Signals,
 )
 from strainwave.domain.combinations import is_uncoupled
+from strainwave.domain.effects import OF_RIGID_JOINTS
 from strainwave.dynamics.arm import Arm
-from strainwave.errors import NotIdentifiable, RecordTooShort
+from strainwave.errors import InvalidInput, NotIdentifiable, RecordTooShort
 from strainwave.identification import rigid, validation
 from strainwave.numerics.parallel import run_parallel
 from strainwave.pipeline.inputs import Inputs
@@ -45,6 +46,7 @@ def fit_rigid_joints(
     `gains` are the estimated torques per volt, which the arm has.
     """
     arm = inputs.arm
+    _check_effects(arm)
     with reporter.time_part("rigid", "rigid joints: least squares"):
         motion_logs = inputs.logs_of("motion")
         prepared = run_parallel(
@@ -72,6 +74,28 @@ def fit_rigid_joints(
         checked, warnings_of_checks = _predict(model, checks, arm, fitted)
     warnings += warnings_of_fit + warnings_of_checks
     return RigidStage(model, fitted, checked, warnings)
+
+
+def _check_effects(arm: Arm) -> None:
+    """Raise InvalidInput for an effect that no stage of an arm with rigid joints has.
+
+    The whole-arm fit, which needs an elastic gear, has equations of all effects.
+    """
+    if any(joint.elastic for joint in arm.joints):
+        return
+    for number, joint in enumerate(arm.joints, start=1):
+        for name in set(joint.named_effects) - set(OF_RIGID_JOINTS):
+            raise InvalidInput(
+                f"the effect '{name}' is part of the whole-arm fit, which needs an elastic gear",
+                where=f"joint {number}, effects",
+                remedy=f"remove '{name}'; rigid arms can have {', '.join(OF_RIGID_JOINTS)}",
+            )
+        if "encoder-zero" in joint.named_effects and not arm.gravity_size:
+            raise InvalidInput(
+                "the effect 'encoder-zero' needs gravity, whose torque shows the zero",
+                where=f"joint {number}, effects",
+                remedy="set gravity in [arm], or remove 'encoder-zero'",
+            )
 
 
 def _prepare_check(log: Log, arm: Arm) -> Signals | Diagnostic:

@@ -30,11 +30,6 @@ OPTION_TEXTS: Mapping[str, OptionText] = {
         "from the data",
         "The search takes the widest band in which the estimates do not change with the band.",
     ),
-    "rigid.load_friction": OptionText(
-        "Whether friction of rigid joints grows with the load.",
-        "by the data",
-        "The term is added only where it reduces the residuals significantly.",
-    ),
     "links.time_constant": OptionText(
         "Time constant T_V [s] of the fusion of link velocities, equation (10).",
         "0.2 s",

@@ -159,7 +159,9 @@ def test_the_typical_size_changes_the_motion(effect: Effect) -> None:
 @EACH_OF_THE_CORE
 def test_rigid_gears_reject_effects_of_elastic_gears(effect: Effect, tmp_path: Path) -> None:
     path = study(tmp_path, f'["{effect.name}"]', RIGID)
-    if effect.needs_elastic_gear:
+    if effect.name in effects.OF_RIGID_JOINTS and effect.needs_elastic_gear:
+        assert read_study(path, logs_exist=False).arm.joints[0].effects == (effect.name,)
+    elif effect.needs_elastic_gear:
         with pytest.raises(InvalidInput, match=f"'{effect.name}' needs an elastic gear"):
             read_study(path, logs_exist=False)
     else:
@@ -203,7 +205,7 @@ def test_unknown_effects_are_rejected(named: str, tmp_path: Path) -> None:
         InvalidInput, match=r"'effects' is .*, but it should be 'stribeck', "
     ) as error:
         read_study(study(tmp_path, named), logs_exist=False)
-    assert error.value.problem.endswith(f" or {effects.names()[-1]!r}")
+    assert error.value.problem.endswith(f" or {effects.study_names()[-1]!r}")
     assert "line 8" in str(error.value)
 
 

@@ -102,6 +102,12 @@ def test_dfki_beats_the_published_model(shared_data: Path) -> None:
         assert fit["torque2"] > published_fit["torque2"]
 
 
-def test_emps_has_no_friction_by_load(shared_data: Path) -> None:
+def test_the_friction_of_emps_differs_between_the_directions(shared_data: Path) -> None:
     study, motion = load(shared_data / "real" / "emps", "estimation")
-    assert rigid.fit_rigid(motion, Arm.of(study.arm)).friction_terms == ()
+    model = rigid.fit_rigid(motion, Arm.of(study.arm))
+    assert [term.effect for term in model.friction_terms] == ["direction-friction"]
+    plain = rigid.fit_rigid(motion, Arm.of(study.arm.with_joint(1, effects=())))
+    for p, other in zip(model.parameters, plain.parameters, strict=True):
+        assert p.std is not None
+        assert other.std is not None
+        assert p.std < other.std

@@ -33,6 +33,12 @@ def loaded(shares: FloatArray, seed: int = 1, arm: int = 1) -> tuple[Study, Floa
     return study, values, virtual_arms.exact_signals(motion, torque + noise)
 
 
+def named(study: Study, *effects: str) -> Arm:
+    """The arm with effects of both joints that the study names."""
+    joints = tuple(replace(joint, effects=effects) for joint in study.arm.joints)
+    return Arm.of(study.arm.with_joints(joints))
+
+
 def test_the_load_friction_is_recovered() -> None:
     study, values, signals = loaded(SHARES)
     model = rigid.fit_rigid([signals], Arm.of(study.arm))
@@ -48,10 +54,7 @@ def test_the_load_friction_is_recovered() -> None:
 def test_the_load_friction_improves_the_prediction() -> None:
     study, _, signals = loaded(SHARES)
     _, _, other_signals = loaded(SHARES, seed=2)
-    models = [
-        rigid.fit_rigid([signals], Arm.of(study.arm), RigidOptions(load_friction=o))
-        for o in (None, False)
-    ]
+    models = [rigid.fit_rigid([signals], arm) for arm in (Arm.of(study.arm), named(study))]
     fits = [
         validation.predict_rigid(m, other_signals, Arm.of(study.arm)).fit_percent["torque1"]
         for m in models
@@ -66,9 +69,7 @@ def test_the_load_friction_improves_the_prediction() -> None:
 def test_an_arm_without_it_has_none(seed: int) -> None:
     study, _, signals = loaded(np.zeros(2), seed)
     assert rigid.fit_rigid([signals], Arm.of(study.arm)).friction_terms == ()
-    forced = rigid.fit_rigid(
-        [signals], Arm.of(study.arm), RigidOptions(load_friction=True)
-    ).friction_terms
+    forced = rigid.fit_rigid([signals], named(study, "load-friction")).friction_terms
     assert [term.joint for term in forced] == [1, 2]
     for p in (term.size for term in forced):
         assert p.value is not None
@@ -80,5 +81,5 @@ def test_behind_elastic_gears_friction_is_the_whole_arm_fits() -> None:
     study, _, signals = loaded(SHARES)
     joints = tuple(replace(joint, spring="linear") for joint in study.arm.joints)
     elastic = replace(study, arm=replace(study.arm, joints=joints))
-    options = RigidOptions(bandwidth_hz=4.0, load_friction=True)
+    options = RigidOptions(bandwidth_hz=4.0)
     assert rigid.fit_rigid([signals], Arm.of(elastic.arm), options).friction_terms == ()

@@ -27,6 +27,8 @@ from strainwave.domain.effects.interface import KnownJoint as KnownJoint
 from strainwave.domain.effects.interface import RecordEffect as RecordEffect
 from strainwave.domain.effects.link import FlexibleLink, GroundSpring, SoftBase, Tilt
 from strainwave.domain.effects.motor import LoadFriction, PowerFriction, Stribeck, TorqueRipple
+from strainwave.domain.effects.rigid import OF_RIGID_JOINTS as OF_RIGID_JOINTS
+from strainwave.domain.effects.rigid import RIGID_ONLY
 from strainwave.domain.parameter_table import parameter_table
 from strainwave.domain.registry import Registry
 from strainwave.errors import InvalidInput
@@ -65,7 +67,13 @@ STIFFNESS_CURVE = StiffnessCurve()
 
 def effect_named(name: str) -> Effect:
     """The effect with a name. Raises InvalidInput if there is none."""
-    return STIFFNESS_CURVE if name == STIFFNESS_CURVE.name else _EFFECTS[name]
+    further = {effect.name: effect for effect in (STIFFNESS_CURVE, *RIGID_ONLY)}
+    return further[name] if name in further else _EFFECTS[name]
+
+
+def study_names() -> tuple[str, ...]:
+    """Names that studies can use: those of all effects, and of the effects of rigid joints."""
+    return (*names(), *(effect.name for effect in RIGID_ONLY))
 
 
 def possible_causes() -> tuple[Effect, ...]:

@@ -24,24 +24,35 @@ from strainwave.domain import (
     RigidOptions,
     Signals,
 )
+from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_fit
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.bandwidth import (
+    Motion,
     excess_variance,
     neighbours,
     prepare_all,
     search_bandwidths,
     select_bandwidth,
 )
+from strainwave.identification.rigid.bounds import Bounded, bound
 from strainwave.identification.rigid.drive_gains import estimate_drive_gains, gain_sensitivity
-from strainwave.identification.rigid.equations import MotorShares, anti_resonances
+from strainwave.identification.rigid.equations import Candidate, MotorShares, anti_resonances
 from strainwave.identification.rigid.friction_terms import (
+    MAX_POWER_RATIO,
     estimated_terms,
-    select_terms,
+    fit_with_terms,
+    refit,
     term_warning,
+    with_coarse_zeros,
 )
-from strainwave.identification.rigid.stretch import decimation
+from strainwave.identification.rigid.model_choice import (
+    Choice,
+    candidates_of,
+    choose,
+)
+from strainwave.identification.rigid.stretch import decimation, n_compliances
 from strainwave.identification.rigid.torque_constants import torque_ratios
 from strainwave.identification.rigid.trial import Trial, fit_trial
 from strainwave.identification.rigid.trial_warnings import warnings_of
@@ -49,6 +60,9 @@ from strainwave.numerics.parallel import one_blas_thread, run_parallel
 from strainwave.signals.repetition import period_of
 
 __all__ = ["RigidOptions", "estimate_drive_gains", "fit_rigid"]
+
+Changes = dict[Key, float]
+"""Changes of values by a term, by name and joint."""
 
 # alternatives to the motors' usual shares, about one standard deviation away
 _ALTERNATIVE_INERTIA_SHARE = 0.3
@@ -86,19 +100,50 @@ def _fit(
     else:
         trials = search_bandwidths(motions, arm)
     best = plain = select_bandwidth(trials)
-    candidates = select_terms(best, chosen.load_friction)
+    nearby = neighbours(trials, best)
+    candidates = candidates_of(arm, best.stretches)
+    doubt, noise_share, changes = np.zeros_like(best.covariance), np.ones(1), list[Changes]()
     if candidates:
-        nearby = [best, *neighbours(trials, best)]
-        best, *_ = trials = [trial.refit_with_terms(candidates) for trial in nearby]
-    others = [(t.solution, np.diag(t.covariance)) for t in neighbours(trials, best)]
-    model_error = excess_variance(best.solution, others)
-    covariance = best.covariance + np.diag(model_error + _elastic_model_error(best))
+        best, nearby, rest = _with_terms(best, nearby, motions, candidates)
+        start, moved = with_coarse_zeros(plain, motions, candidates)
+        if start is not plain:
+            zeros = [c for c in moved if c.corrected]
+            others = [refit(trial, motions, zeros) for trial in neighbours(trials, plain)]
+            distant = _with_terms(start, others, motions, moved)
+            if distant[0].residual_power < MAX_POWER_RATIO * best.residual_power:
+                best, nearby, rest = distant
+        choice = Choice.of(best, rest)
+        doubt, noise_share, changes = choice.model_error(), choice.noise_share(), choice.changes()
+    excess = excess_variance(best.solution, [(t.solution, np.diag(t.covariance)) for t in nearby])
+    # rivals and bandwidths partly show the same error
+    excess = np.clip(excess - np.diag(doubt), 0.0, None)
+    noise = noise_share * (np.diag(best.covariance) + excess)
+    covariance = best.covariance + doubt + np.diag(excess + _elastic_model_error(best))
+    fit = Bounded(best, covariance)
+    if not n_compliances(arm):  # otherwise the whole-arm fit has the bounds
+        fit = bound(best, covariance)
     if gains is not None:
-        by_gain = gain_sensitivity(best, gains)
-        covariance = covariance + by_gain @ gains.relative_covariance @ by_gain.T
-    terms = estimated_terms(trials, best)
-    fits = {s.experiment.name: _fits(best, s, terms) for s in signals}
-    return _model(best, covariance, terms, torque_ratios(trials, best, plain), fits)
+        by_gain = gain_sensitivity(fit.trial, gains)
+        by_gains = by_gain @ gains.relative_covariance @ by_gain.T
+        fit, noise = replace(fit, covariance=fit.covariance + by_gains), noise + np.diag(by_gains)
+    trials = [fit.trial, *nearby]
+    further = estimated_terms(trials, fit.trial, changes)
+    if plain is best:
+        plain = fit.trial
+    ratios = torque_ratios(trials, fit.trial, plain)
+    fits = {s.experiment.name: _fits(fit.trial, s, further) for s in signals}
+    return _model(fit, noise, further, ratios, fits)
+
+
+def _with_terms(
+    best: Trial, nearby: list[Trial], motions: Sequence[Motion], candidates: Sequence[Candidate]
+) -> tuple[Trial, list[Trial], list[Candidate]]:
+    """Fits with the terms that the records support, and the candidates that remain plausible."""
+    terms, rest = choose(best, nearby, candidates)
+    if terms:
+        best = fit_with_terms(best, motions, terms)
+        nearby = [refit(trial, motions, best.candidates) for trial in nearby]
+    return best, nearby, rest
 
 
 def _elastic_model_error(best: Trial) -> FloatArray:
@@ -132,24 +177,32 @@ def _elastic_model_error(best: Trial) -> FloatArray:
 
 
 def _model(
-    best: Trial,
-    covariance: FloatArray,
+    fit: Bounded,
+    noise: FloatArray,
     terms: tuple[FrictionTerm, ...],
     ratios: dict[int, tuple[float, float]],
     fit_percent: dict[str, dict[str, float]],
 ) -> RigidModel:
-    """Result of a fit; parameters that are not identified are None."""
+    """Result of a fit; parameters that are not identified are None.
+
+    `noise` (n_parameters,) is the part of the variances that is not model error.
+    """
+    best, covariance = fit.trial, fit.covariance
     identified = best.determined
-    stds = np.sqrt(np.diag(covariance)).tolist()
-    width = best.interval_half_width
-    parameters = [
-        Parameter.estimated(column.key, value, std, column.unit, "rigid", width)
-        if is_identified
-        else Parameter(*column.key, None, None, column.unit, "rigid")
-        for column, value, std, is_identified in zip(
-            best.arm.rigid_columns, best.solution.tolist(), stds, identified, strict=True
-        )
-    ]
+    variances, width = np.diag(covariance), best.interval_half_width
+    model_stds = np.sqrt(np.clip(variances - noise, 0.0, None)).tolist()
+
+    def parameter(k: int) -> Parameter:
+        column = best.arm.rigid_columns[k]
+        if not identified[k]:
+            return Parameter(*column.key, None, None, column.unit, "rigid")
+        if k in fit.upper:
+            return Parameter.at_zero(column.key, fit.upper[k], column.unit, "rigid")
+        value, std = float(best.solution[k]), float(np.sqrt(variances[k]))
+        estimate = Parameter.estimated(column.key, value, std, column.unit, "rigid", width)
+        return replace(estimate, model_std=model_stds[k])
+
+    parameters = map(parameter, range(len(identified)))
     status: Literal["determined", "partly-determined", "not-identifiable"] = "not-identifiable"
     if identified.any():
         status = "determined" if identified.all() else "partly-determined"
@@ -166,7 +219,7 @@ def _model(
         ),
         n_rows=len(best.equations.target),
         status=status,
-        warnings=(*warnings_of(best), *map(term_warning, terms)),
+        warnings=(*warnings_of(best, variances), *map(term_warning, terms)),
         torque_ratios=ratios,
         torque_errors=best.torque_errors,
         friction_terms=terms,

@@ -17,7 +17,7 @@ from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.domain.combinations import FRICTION_COLUMNS
 from strainwave.domain.kinds.starts import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.friction_terms import friction_per_size
+from strainwave.dynamics.friction_terms import DELAY, SPRING, ZERO, friction_per_size
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.stretch import Stretch, motion_of, n_compliances
 from strainwave.numerics.banded import Banded
@@ -28,6 +28,9 @@ from strainwave.numerics.least_squares import Equations, Factor, Local
 _STICTION_STD = 0.58
 _JACKKNIFE_BLOCKS = 20  # blocks of the jackknife over all records
 _LOAD_FRICTION_STD = 0.5  # prior standard deviation of the load friction; gears have 0.03 to 0.3
+# prior standard deviations of sizes [rad, m], [s] that have no relation to the torque
+_KNOWN_STDS = {"load-friction": _LOAD_FRICTION_STD, ZERO: 1.0, DELAY: 0.05}
+_ZERO_STEP = 1e-5  # [rad, m] of an angle, for a derivative
 _LOG_SHAPE_STD = 0.7  # prior standard deviation of a shape's logarithm: a factor of two
 _SHAPE_STEP = 1e-3  # of a shape's logarithm, for its derivative
 _COMPLIANCE_STD = 0.25  # prior standard deviation of (bandwidth / anti-resonance)^2
@@ -80,19 +83,24 @@ def convert_estimate(
     return replace(estimate, standing=tuple(stiction_torque))
 
 
+ALL_JOINTS = -1
+"""Joint of a term that is common to all joints."""
+
+
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A term of a joint's friction in addition to viscous and Coulomb friction."""
+    """A term of a joint in addition to inertia, viscous and Coulomb friction, and offset."""
 
     effect: str
-    joint: int  # from 0
+    joint: int  # from 0, or `ALL_JOINTS`
     shape: float = 1.0
     size: float | None = None  # around which the shape is estimated; None: the shape is given
+    corrected: float = 0.0  # part of the size by which the signals are corrected
 
 
 @dataclass(frozen=True, slots=True)
 class Terms:
-    """Further terms of friction, with the direction of motion of all joints."""
+    """Further terms, with the direction of motion of all joints."""
 
     candidates: tuple[Candidate, ...]
     direction: tuple[FloatArray, ...]  # per record (n_motion, n_joints)
@@ -106,12 +114,26 @@ class Terms:
         return Terms(tuple(candidates), tuple(directions))
 
     def deviations(self, stretches: Sequence[Stretch]) -> FloatArray:
-        """Prior standard deviations of the sizes, then of the estimated shapes' logarithms."""
-        torque = np.max([np.std(s.torque, axis=0) for s in stretches], axis=0)
-        sizes = [
-            _LOAD_FRICTION_STD if c.effect == "load-friction" else float(torque[c.joint])
-            for c in self.candidates
-        ]
+        """Prior standard deviations of the sizes, then of the estimated shapes' logarithms.
+
+        They correspond to the largest torque of the joint, or to a known size.
+        """
+        torque = np.max([np.max(np.abs(s.torque), axis=0) for s in stretches], axis=0)
+        speed, angle = (
+            np.max([np.max(np.abs(s.motion[k]), axis=0) for s in stretches], axis=0) for k in (1, 0)
+        )
+        tiny = np.finfo(float).tiny
+
+        def deviation(c: Candidate) -> float:
+            per_unit = {
+                "direction-friction": speed[c.joint],
+                "load-speed-friction": speed[c.joint] * torque[c.joint] / _LOAD_FRICTION_STD,
+                SPRING: angle[c.joint],
+            }.get(c.effect, 1.0)
+            known = _KNOWN_STDS.get(c.effect)
+            return known if known is not None else float(torque[c.joint] / max(per_unit, tiny))
+
+        sizes = [deviation(c) for c in self.candidates]
         return np.array([*sizes, *(_LOG_SHAPE_STD for c in self.candidates if c.size is not None)])
 
     def columns(self, arm: Arm, stretch: Stretch, record: int, around: Estimate) -> FloatArray:
@@ -120,28 +142,51 @@ class Terms:
         The load is the body torque of the estimate, without friction.
         """
         q, dq, ddq = map(arm.links_of, stretch.motion)
-        body = arm.rigid_regressor(q, dq, ddq) @ around.solution[: arm.n_body]
+        base = arm.links_of_rigid() @ around.solution[: arm.n_body]
         payload = stretch.signals.experiment.payload
+        if payload is not None:
+            base = base + arm.payload_vector(payload)
+        body = arm.rigid_regressor(q, dq, ddq) @ around.solution[: arm.n_body]
         if payload is not None:
             body += arm.payload_torques(payload, q, dq, ddq)
         velocity, direction = stretch.motion[1], self.direction[record]
+        interval = stretch.motion_step * stretch.signals.sample_time
 
-        def friction(c: Candidate, factor: float = 1.0) -> FloatArray:
-            i = c.joint
+        def regressor(c: Candidate, factor: float = 1.0) -> FloatArray:
+            """Torques of all joints per size, or those of the joint alone."""
+            i, unit = c.joint, np.eye(arm.n_joints)[c.joint]
+            if c.effect == SPRING:
+                return arm.motors_of(q * unit)
+            if c.effect == ZERO:
+                ahead, behind = (
+                    arm.link_torques(base, q + step * unit, dq, ddq)
+                    for step in (_ZERO_STEP, -_ZERO_STEP)
+                )
+                return arm.motors_of((ahead - behind) / (2.0 * _ZERO_STEP))
+            if c.effect == DELAY:  # gravity and friction would show other errors as a delay
+                rest = np.zeros_like(q)
+                gravity = arm.motors_of(arm.link_torques(base, q, rest, rest))
+                return -differentiate(body - gravity, interval)
             law = friction_per_size(c.effect, factor * c.shape, velocity[:, i], body[:, i])
             return np.asarray(law * direction[:, i])
 
         step = np.exp(_SHAPE_STEP)
-        pairs = [(c, friction(c)) for c in self.candidates]
+        parts = [(c, regressor(c)) for c in self.candidates]
         for c in self.candidates:
             if c.size is not None:
-                change = friction(c, step) - friction(c, 1.0 / step)
-                pairs.append((c, c.size / (2.0 * _SHAPE_STEP) * change))
-        columns = np.zeros((len(stretch.rows), arm.n_joints, len(pairs)))
-        if pairs:
-            filtered = stretch.filtered(np.column_stack([column for _, column in pairs]))
-            for k, (c, _) in enumerate(pairs):
-                columns[:, c.joint, k] = filtered[:, k]
+                change = regressor(c, step) - regressor(c, 1.0 / step)
+                parts.append((c, c.size / (2.0 * _SHAPE_STEP) * change))
+        columns = np.zeros((len(stretch.rows), arm.n_joints, len(parts)))
+        at = [
+            (k, joints)
+            for k, (c, part) in enumerate(parts)
+            for joints in (range(arm.n_joints) if part.ndim == 2 else [c.joint])
+        ]
+        if at:
+            flat = [part if part.ndim == 2 else part[:, None] for _, part in parts]
+            filtered = stretch.filtered(np.concatenate(flat, axis=1))
+            for column, (k, joint) in zip(filtered.T, at, strict=True):
+                columns[:, joint, k] = column
         return columns
 
 
@@ -183,6 +228,7 @@ def assemble(
         target=np.concatenate([part.target for part in parts]),
         group=np.repeat([part.joint for part in parts], np.diff(ends)),
         block=np.concatenate([part.block for part in parts]),
+        repetition=np.concatenate([part.repetition for part in parts]),
     )
 
 
@@ -197,20 +243,18 @@ class _Part:
     free_std: float  # [N m]
     target: FloatArray  # (n_rows,)
     block: IntArray  # (n_rows,)
+    repetition: IntArray  # (n_rows,)
 
 
 def _parts(
     arm: Arm, stretches: Sequence[Stretch], around: Estimate | None, terms: Terms | None
 ) -> Iterator[_Part]:
     """Equations record by record and joint by joint."""
-    total = sum(s.sliding_time for s in stretches)
-    if total == 0.0:
-        raise NotIdentifiable("no motor slides in any record; record a faster motion")
-    first_block = 0
+    first_block, counts = 0, blocks_of(stretches)
     is_two_way = slides_both_ways(stretches)
     for record, stretch in enumerate(stretches):
         body = _body_equations(arm, stretch, around, record)
-        n_blocks = max(2, round(_JACKKNIFE_BLOCKS * stretch.sliding_time / total))
+        n_blocks = counts[record]
         block = first_block + stretch.blocks(n_blocks)
         first_block += n_blocks
         common = body.lags
@@ -236,7 +280,16 @@ def _parts(
                 max(_STICTION_STD * abs(float(coulomb)), 1e-300),
                 body.torque[keep, i],
                 block[keep],
+                stretch.repetition[keep],
             )
+
+
+def blocks_of(stretches: Sequence[Stretch]) -> list[int]:
+    """Number of blocks of each record, in proportion to the time in which joints slide."""
+    total = sum(s.sliding_time for s in stretches)
+    if total == 0.0:
+        raise NotIdentifiable("no motor slides in any record; record a faster motion")
+    return [max(2, round(_JACKKNIFE_BLOCKS * s.sliding_time / total)) for s in stretches]
 
 
 def slides_both_ways(stretches: Sequence[Stretch]) -> BoolArray:

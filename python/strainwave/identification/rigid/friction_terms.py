@@ -1,159 +1,131 @@
-"""Friction of rigid joints in addition to viscous and Coulomb friction, where the data support it.
-
-Candidates are effects of the joint model: friction that grows with the load, that falls with the
-velocity near standstill (Stribeck), and that grows with a power of the velocity.
-"""
+"""Fits of a rigid model with further terms: shapes, corrections of the signals, estimates."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, FrictionTerm, Parameter, Place
-from strainwave.domain.combinations import FRICTION_COLUMNS
+from strainwave.domain import Diagnostic, FrictionTerm, Parameter, Place
 from strainwave.domain.effects import effect_named
+from strainwave.domain.keys import Key
+from strainwave.domain.ranges import physical_range
 from strainwave.domain.units import unit_in
-from strainwave.identification.rigid.bandwidth import excess_variance, neighbours
-from strainwave.identification.rigid.equations import Candidate, Terms, assemble
-from strainwave.identification.rigid.stretch import n_compliances
-from strainwave.identification.rigid.trial import Trial
-from strainwave.numerics import least_squares as ls
+from strainwave.dynamics.friction_terms import CORRECTIONS, DELAY, ZERO, correct
+from strainwave.identification.rigid.bandwidth import (
+    Motion,
+    excess_variance,
+    neighbours,
+    prepare_all,
+)
+from strainwave.identification.rigid.equations import Candidate
+from strainwave.identification.rigid.model_choice import STRIBECK, is_selected
+from strainwave.identification.rigid.trial import Trial, fit_trial
 
-LOAD, STRIBECK, POWER = "load-friction", "stribeck", "power-friction"
-# significance of a term in standard deviations of the jackknife: 1e-4 false alarms
-_MIN_STDS = 4.0
-_MIN_LOAD_FRICTION = 0.01  # of the load; smaller shares are below the error of the torque constant
-_MAX_ROUNDS = 4  # of the selection; each adds at most one term per joint
-# Stribeck velocities over the largest velocity of the joint; below, the encoder hides the effect
-_STRIBECK_VELOCITIES = (0.03, 0.06, 0.12, 0.25)
-_MAX_SHAPE_ITERATIONS = 6
-_SHAPE_TOLERANCE = 0.02  # change of a shape's logarithm at convergence
-_MAX_LOG_CHANGE = 0.7  # of a shape in one iteration
-# Rows are four per period of the cut-off; a low-passed signal has two independent values.
-_ROWS_PER_INDEPENDENT_ROW = 2.0
+LOAD = "load-friction"
+_MAX_ITERATIONS = 12
+MAX_POWER_RATIO = 0.5
+"""Ratio of squared residuals from which a distant encoder zero replaces a nearer one."""
 
-
-def _is_supported(trial: Trial, k: int, candidate: Candidate) -> bool:
-    """Whether a term is significant and no parameter of its joint is impossible."""
-    smallest = _MIN_LOAD_FRICTION if candidate.effect == LOAD else 0.0
-    size, std = trial.factor.common[k], trial.common_deviation[k]
-    implausible = {trial.arm.rigid_columns[i].joint for i in trial.implausible}
-    return bool(size > max(smallest, _MIN_STDS * std)) and candidate.joint + 1 not in implausible
+# change at convergence: of a shape's logarithm, of an angle [rad, m], of a delay [s]
+_TOLERANCES = {STRIBECK: 0.02, ZERO: 1e-4, DELAY: 1e-6}
+# in one iteration
+_MAX_CHANGES = {STRIBECK: 0.7, ZERO: 0.5, DELAY: 0.02}
 
 
-def select_terms(best: Trial, load_friction: bool | None) -> tuple[Candidate, ...]:
-    """Terms that the data support, with their shapes at the selected bandwidth.
+def fit_with_terms(trial: Trial, motions: Sequence[Motion], terms: Sequence[Candidate]) -> Trial:
+    """Fit with terms at the bandwidth of a trial, by Gauss-Newton iterations.
 
-    Adds the term of each joint that decreases the BIC most, while terms are significant.
-
-        BIC = n ln(cost) + ln(n) (number of terms and shapes)
-
-    with n independent rows of the joint. Empty for arms with elastic gears: their load is not known
-    accurately enough, and the whole-arm fit estimates the friction. `load_friction` is the option:
-    True includes the load friction of all joints, False of none. Planar arms and single joints have
-    no other candidates, as published.
+    They estimate Stribeck velocities, and the corrections of the signals. Terms that the study
+    does not name are left out if their size is impossible.
     """
-    arm = best.arm
-    if n_compliances(arm):
-        return ()
-    columns = best.determined[arm.n_body : arm.n_body + FRICTION_COLUMNS * arm.n_joints]
-    is_determined = columns.reshape(arm.n_joints, FRICTION_COLUMNS).all(axis=1)
-    chosen = [Candidate(LOAD, joint) for joint in range(arm.n_joints)] if load_friction else []
-    effects = [STRIBECK, POWER] if arm.base.has_groups else []
-    effects += [LOAD] if load_friction is None else []
-    rest = {(e, i) for e in effects for i in np.flatnonzero(is_determined).tolist()}
-    for _ in range(_MAX_ROUNDS):
-        trial = best.refit_with_terms(chosen) if chosen else best
-        rest -= {(c.effect, c.joint) for c in chosen}
-        added = _best_candidates(trial, chosen, rest)
-        if not added:
-            break
-        while added:
-            trial = best.refit_with_terms([*chosen, *added])
-            places = range(len(chosen), len(chosen) + len(added))
-            kept = [c for k, c in zip(places, added, strict=True) if _is_supported(trial, k, c)]
-            rest -= {(c.effect, c.joint) for c in added if c not in kept}
-            if len(kept) == len(added):
-                break
-            added = kept
-        chosen += added
-    return _with_shapes(best, chosen).candidates if chosen else ()
-
-
-def _best_candidates(
-    trial: Trial, chosen: Sequence[Candidate], rest: Collection[tuple[str, int]]
-) -> list[Candidate]:
-    """The candidate of each joint with the largest decrease of the BIC, if any decreases it.
-
-    `rest` has the effects and joints, from 0, that may be added.
-    """
-    n_joints = trial.arm.n_joints
-    n = np.bincount(trial.equations.group, minlength=n_joints) / _ROWS_PER_INDEPENDENT_ROW
-    cost = _costs(trial, chosen)[0]
-    least: dict[int, tuple[float, Candidate]] = {}
-    for effect, shapes in _alternatives(trial):
-        added = [Candidate(effect, i, shapes[i]) for i in range(n_joints) if (effect, i) in rest]
-        if not added:
-            continue
-        costs, sizes = _costs(trial, [*chosen, *added])
-        for candidate, size in zip(added, sizes[len(chosen) :].tolist(), strict=True):
-            i = candidate.joint
-            n_unknowns = 2 if effect == STRIBECK else 1
-            if size > 0.0 and cost[i] > 0.0:
-                change = float(n[i] * np.log(costs[i] / cost[i]) + n_unknowns * np.log(n[i]))
-                if change < least.get(i, (0.0, candidate))[0]:
-                    least[i] = change, candidate
-    return [candidate for _, candidate in least.values()]
-
-
-def _alternatives(trial: Trial) -> Iterator[tuple[str, list[float]]]:
-    """Effects with a shape for each joint."""
-    velocities = [np.abs(s.signals.motor_velocity).max(axis=0) for s in trial.stretches]
-    largest = np.maximum(np.max(velocities, axis=0), np.finfo(float).tiny)
-    yield LOAD, [1.0] * len(largest)
-    for share in _STRIBECK_VELOCITIES:
-        yield STRIBECK, (share * largest).tolist()
-    # at its usual value: size and exponent have nearly the same effect
-    (exponent,) = effect_named(POWER).shapes.values()
-    yield POWER, [exponent] * len(largest)
-
-
-def _costs(trial: Trial, candidates: Sequence[Candidate]) -> tuple[FloatArray, FloatArray]:
-    """Weighted squared residuals of each joint and sizes of the terms, by one solution."""
-    terms = Terms.of(candidates, trial.stretches)
-    equations = assemble(trial.arm, trial.stretches, trial.estimate, terms)
-    factor = ls.factorise(equations, trial.factor.root)
-    squares = (trial.factor.root * ls.residual_of(equations, factor)) ** 2
-    costs = np.bincount(equations.group, squares, minlength=trial.arm.n_joints)
-    return np.asarray(costs, dtype=np.float64), factor.common
-
-
-def _with_shapes(best: Trial, candidates: Sequence[Candidate]) -> Trial:
-    """Fit with terms whose Stribeck velocities are estimated by Gauss-Newton iterations."""
-    trial = best.refit_with_terms(candidates)
-    n = len(candidates)
-    for _ in range(_MAX_SHAPE_ITERATIONS):
-        current = [
-            replace(c, size=float(size)) if c.effect == STRIBECK else c
-            for c, size in zip(trial.candidates, trial.factor.common[:n], strict=True)
+    for _ in range(_MAX_ITERATIONS):
+        trial = refit(trial, motions, terms)
+        sizes, shapes = (
+            trial.factor.common[: len(terms)].tolist(),
+            iter(trial.factor.common[len(terms) :].tolist()),
+        )
+        moved, has_converged = [], True
+        for c, size in zip(terms, sizes, strict=True):
+            change = 0.0
+            if c.effect in CORRECTIONS:
+                change = size
+            elif c.size is not None:
+                change = next(shapes)
+            limit = _MAX_CHANGES.get(c.effect, 0.0)
+            step = min(max(change, -limit), limit)
+            if c.effect in CORRECTIONS:
+                moved.append(replace(c, corrected=c.corrected + step))
+            elif c.effect == STRIBECK:
+                has_converged &= c.size is not None
+                moved.append(replace(c, shape=c.shape * float(np.exp(step)), size=size))
+            else:
+                moved.append(c)
+            has_converged &= abs(change) <= _TOLERANCES.get(c.effect, 0.0)
+        possible = [
+            c
+            for c, size in zip(moved, sizes, strict=True)
+            if size >= 0.0 or _can_be_negative(c) or not is_selected(trial.arm, c)
         ]
-        if all(c.size is None for c in current):
+        if has_converged and len(possible) == len(moved):
             break
-        trial = best.refit_with_terms(current)
-        changes = np.zeros(n)
-        changes[[k for k, c in enumerate(current) if c.size is not None]] = trial.factor.common[n:]
-        if np.all(np.abs(changes) < _SHAPE_TOLERANCE):
-            break
-        steps = np.exp(np.clip(changes, -_MAX_LOG_CHANGE, _MAX_LOG_CHANGE)).tolist()
-        moved = [replace(c, shape=c.shape * f) for c, f in zip(current, steps, strict=True)]
-        trial = replace(trial, candidates=tuple(moved))
+        terms = possible
     return trial
 
 
-def estimated_terms(trials: Sequence[Trial], best: Trial) -> tuple[FrictionTerm, ...]:
-    """Sizes and shapes of the terms of a trial.
+def _can_be_negative(candidate: Candidate) -> bool:
+    return physical_range(effect_named(candidate.effect).sizes[0]) == "any"
+
+
+def with_coarse_zeros(
+    trial: Trial, motions: Sequence[Motion], candidates: Sequence[Candidate]
+) -> tuple[Trial, list[Candidate]]:
+    """Candidates whose encoder zeros start at the best eighth of a turn, with the trial there.
+
+    From a distant start, the gravity torque vanishes and a spring explains its remainder. Chains
+    have the centres of mass of their links anywhere, so that a distant zero is another centre.
+    """
+    result = list(candidates)
+    for k, c in enumerate(result):
+        if (
+            c.effect != ZERO
+            or trial.arm.base.has_groups
+            or trial.arm.joints[c.joint].motion != "revolute"
+        ):
+            continue
+        for eighth in (-3, -2, -1, 1, 2, 3):
+            moved = [*result[:k], replace(c, corrected=eighth * math.pi / 4.0), *result[k + 1 :]]
+            values = [(each.effect, each.joint, each.corrected) for each in moved]
+            corrected = [
+                (correct(s, trial.arm, [v for v in values if v[2]]), period)
+                for s, period in motions
+            ]
+            stretches = prepare_all(trial.arm, corrected, trial.bandwidth_hz)
+            other = fit_trial(trial.arm, stretches, None)
+            names = [column.name for column in trial.arm.rigid_columns]
+            gravity = dict(zip(names, other.solution, strict=True))[f"gravity_torque_{c.joint + 1}"]
+            is_better = other.residual_power < MAX_POWER_RATIO * trial.residual_power
+            if gravity > 0.0 and is_better:  # otherwise half a turn further
+                trial, result = other, moved
+    return trial, result
+
+
+def refit(trial: Trial, motions: Sequence[Motion], terms: Sequence[Candidate]) -> Trial:
+    """Fit at the bandwidth of a trial with terms as they are."""
+    stretches = trial.stretches
+    values = [(c.effect, c.joint, c.corrected) for c in terms if c.effect in CORRECTIONS]
+    if any(value for *_, value in values):
+        corrected = [(correct(signals, trial.arm, values), period) for signals, period in motions]
+        stretches = prepare_all(trial.arm, corrected, trial.bandwidth_hz)
+    return fit_trial(trial.arm, stretches, trial.estimate, candidates=terms)
+
+
+def estimated_terms(
+    trials: Sequence[Trial], best: Trial, changes: Sequence[Mapping[Key, float]]
+) -> tuple[FrictionTerm, ...]:
+    """Sizes and shapes of the terms of a trial, with the changes of other values.
 
     The standard deviations include the scatter between neighbouring bandwidths.
     """
@@ -164,31 +136,33 @@ def estimated_terms(trials: Sequence[Trial], best: Trial) -> tuple[FrictionTerm,
     width, at_shape = best.interval_half_width, len(candidates)
     terms = []
     for k, candidate in enumerate(candidates):
-        effect, joint = effect_named(candidate.effect), candidate.joint + 1
-        key = effect.sizes[0], joint
-        size = Parameter.estimated(
-            key, float(values[k]), float(stds[k]), unit_in(best.arm, key), "rigid", width
-        )
+        effect, joint = effect_named(candidate.effect), candidate.joint + 1 or None
+        key, value = (effect.sizes[0], joint), candidate.corrected + float(values[k])
+        unit = unit_in(best.arm, key)
+        size = Parameter.estimated(key, value, float(stds[k]), unit, "rigid", width)
         shape = None
         if candidate.size is not None:
             (name,) = effect.shapes
             std, unit = candidate.shape * float(stds[at_shape]), unit_in(best.arm, (name, joint))
             shape = Parameter.estimated((name, joint), candidate.shape, std, unit, "rigid", width)
             at_shape += 1
-        terms.append(FrictionTerm(candidate.effect, joint, size, candidate.shape, shape))
+        law = candidate.effect, joint, size, candidate.shape
+        terms.append(FrictionTerm(*law, shape, changes[k]))
     return tuple(terms)
 
 
 def term_warning(term: FrictionTerm) -> Diagnostic:
-    """State that the friction of a joint has a further term."""
+    """State that the model of a joint has a further term."""
     place = Place(joint=term.joint)
     size = term.size
     if term.effect == LOAD:
         return Diagnostic("load-friction", place, share=size.value, std=size.std)
     effect = effect_named(term.effect)
+    variant = {ZERO: "zero", DELAY: "delay"}.get(term.effect)
     return Diagnostic(
         "friction-term",
         place,
+        *([variant] if variant else []),
         description=effect.description,
         label=size.name,
         value=size.value,

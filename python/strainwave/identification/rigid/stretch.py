@@ -74,6 +74,11 @@ class Stretch:
         # a block contains the same part of all periods
         return np.asarray((offset % span) * count / span, dtype=np.int64)
 
+    @property
+    def repetition(self) -> IntArray:
+        """Number of the period of each row, (n_rows,)."""
+        return np.asarray((self.rows - self.rows[:1]) // self.period, dtype=np.int64)
+
     def motion_samples(self) -> IntArray:
         """Sample indices of the motion; they include the rows of the equations."""
         return np.arange(len(self.signals.time))[

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray
+from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.domain.distributions import student_quantile
 from strainwave.domain.parameter_table import family_of, parameter_table
 from strainwave.dynamics.arm import Arm
@@ -20,6 +20,7 @@ from strainwave.identification.rigid.equations import (
     anti_resonances,
     assemble,
     average_estimates,
+    blocks_of,
     estimate_of,
     slides_both_ways,
 )
@@ -80,6 +81,11 @@ class Trial:
         return len(np.unique(self.equations.block))
 
     @property
+    def record_of_block(self) -> IntArray:
+        """Number of the record of each block."""
+        return np.repeat(np.arange(len(self.stretches)), blocks_of(self.stretches))
+
+    @property
     def interval_half_width(self) -> float:
         """Half-width of a 95 % interval in standard deviations."""
         return student_quantile(0.975, max(1, self.n_blocks - 1))
@@ -110,10 +116,9 @@ class Trial:
         lower_bound = replace(self.estimate, compliance=np.clip(compliance, 0.0, None))
         return float(np.min(anti_resonances(self.arm, lower_bound))) / RESONANCE_RATIO
 
-    @property
-    def implausible(self) -> list[int]:
-        """Parameters that are significantly negative although they must be positive."""
-        upper = self.solution + 2.0 * self.standard_deviations
+    def implausible(self, variances: FloatArray) -> list[int]:
+        """Parameters that are negative beyond their intervals although they must be positive."""
+        upper = self.solution + self.interval_half_width * np.sqrt(variances)
         return [
             k
             for k, column in enumerate(self.arm.rigid_columns)
@@ -121,6 +126,11 @@ class Trial:
             and parameter_table()[column.name].range != "any"
             and upper[k] < 0.0
         ]
+
+    @property
+    def residual_power(self) -> float:
+        """Sum of the squared residuals of all joints, each over its torque."""
+        return float(sum(error**2 for error in self.torque_errors.values()))
 
     @property
     def torque_errors(self) -> dict[int, float]:
@@ -133,10 +143,6 @@ class Trial:
             if torque > 0.0:
                 errors[i + 1] = float(np.linalg.norm(residual[rows])) / torque
         return errors
-
-    def refit_with_terms(self, candidates: Sequence[Candidate]) -> Trial:
-        """Fit at the same bandwidth with further terms of friction."""
-        return fit_trial(self.arm, self.stretches, self.estimate, candidates=candidates)
 
 
 def fit_trial(

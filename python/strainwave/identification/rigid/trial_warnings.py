@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, Place
+from strainwave.domain import Diagnostic, FloatArray, Place
 from strainwave.domain.parameter_table import family_of
 from strainwave.identification.rigid.trial import MAX_ITERATIONS, RESONANCE_RATIO, Trial
 from strainwave.numerics import least_squares as ls
@@ -16,8 +16,11 @@ _MAX_STICTION_SHARE = 0.3  # share of a record in possible stiction that causes 
 _MAX_CONDITION_NUMBER = 300.0  # condition number that causes a warning; good motion gives 10 to 50
 
 
-def warnings_of(best: Trial) -> Iterator[Diagnostic]:
-    """Warnings on unidentified parameters, stiction, excitation, convergence and elasticity."""
+def warnings_of(best: Trial, variances: FloatArray) -> Iterator[Diagnostic]:
+    """Warnings on unidentified parameters, stiction, excitation, convergence and elasticity.
+
+    `variances` (n_parameters,) include the model error.
+    """
     columns = best.arm.rigid_columns
     records = Place.in_records(*(s.signals.experiment.name for s in best.stretches))
     for k, column in enumerate(columns):
@@ -35,7 +38,7 @@ def warnings_of(best: Trial) -> Iterator[Diagnostic]:
         weakest_direction = np.abs(best.factor.directions[-1])
         names = tuple(str(columns[k]) for k in np.flatnonzero(weakest_direction > 0.3))
         yield Diagnostic("poor-excitation", records, condition=condition, names=names)
-    for k in best.implausible:
+    for k in best.implausible(variances):
         place = Place(joint=columns[k].joint, parameter=columns[k].name)
         value = float(best.solution[k])
         yield Diagnostic("implausible", place, "rigid", value=value, unit=columns[k].unit)

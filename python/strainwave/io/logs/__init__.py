@@ -281,6 +281,8 @@ def _check_required(sources: dict[str, Channel], study: Study, table: Table | Ba
 
 def _check_inputs(sources: dict[str, Channel], study: Study, table: Table | Bag) -> None:
     for i, joint in enumerate(study.arm.joints, start=1):
+        if f"tau_l{i}" in sources and not any(each.elastic for each in study.arm.joints):
+            continue
         if f"u{i}" not in sources and f"torque{i}" not in sources:
             for name in (f"u{i}", f"torque{i}"):
                 if name in study.channels:
@@ -334,7 +336,10 @@ def _check_constants(
             )
         raise InvalidInput(problem, where=str(path), remedy=remedy)
     inputs = [
-        channels[name] for i in joints for name in (f"u{i}", f"torque{i}") if name in channels
+        channels[name]
+        for i in joints
+        for name in (f"u{i}", f"torque{i}", f"tau_l{i}")
+        if name in channels
     ]
     if all(np.ptp(values) == 0.0 for values in inputs):
         raise InvalidInput(

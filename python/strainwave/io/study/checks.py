@@ -12,9 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from strainwave.domain import ArmDescription, Imu, JointLimits, Study, channel_names, channel_parts
+from strainwave.domain import (
+    ArmDescription,
+    Imu,
+    Joint,
+    JointLimits,
+    Study,
+    channel_names,
+    channel_parts,
+)
 from strainwave.domain.arm import UNKNOWN, Matrix
-from strainwave.domain.effects import effect_named
+from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
+from strainwave.domain.effects import names as effect_names
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.link_sensors import optional_constants, sensor_of
 from strainwave.domain.parameters import whole_arm_parameter_names
@@ -66,19 +75,7 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
         if joint.imu is not None:
             _check_imu(arm, index, joint.imu, reader.place("joint", index, "imu"))
         _check_limits(joint.limits or JointLimits(), reader.place("joint", index, "limits"))
-        for name in joint.named_effects:
-            if effect_named(name).needs_elastic_gear and not joint.elastic:
-                raise InvalidInput(
-                    f"the effect '{name}' needs an elastic gear",
-                    where=reader.place("joint", index, "effects"),
-                    remedy=f"remove '{name}', or set an elastic spring",
-                )
-            if effect_named(name).first_joint_only and index > 0:
-                raise InvalidInput(
-                    f"joint {index + 1} has the effect '{name}', which only joint 1 can have",
-                    where=reader.place("joint", index, "effects"),
-                    remedy=f"move '{name}' to the effects of joint 1",
-                )
+        _check_effects(index, joint, reader.place("joint", index, "effects"))
     if arm.coupling is not None:
         _check_coupling(arm.coupling, arm, reader.place("transmission", None, "coupling"))
     if arm.servo is not None:
@@ -86,6 +83,30 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
             gains = getattr(arm.servo, key)
             if gains is not None:
                 _check_count(gains, arm.n_joints, reader.place("servo", None, key), key)
+
+
+def _check_effects(index: int, joint: Joint, place: str) -> None:
+    for name in joint.named_effects:
+        if joint.elastic and name not in effect_names():
+            raise InvalidInput(
+                f"the effect '{name}' needs a rigid joint",
+                where=place,
+                remedy=f"remove '{name}', or set spring = \"rigid\"",
+            )
+        is_torsion = effect_named(name).needs_elastic_gear and name not in OF_RIGID_JOINTS
+        if is_torsion and not joint.elastic:
+            raise InvalidInput(
+                f"the effect '{name}' needs an elastic gear: it acts on the gear's torsion, "
+                "which a rigid joint does not have",
+                where=place,
+                remedy=f"remove '{name}', or set an elastic spring",
+            )
+        if effect_named(name).first_joint_only and index > 0:
+            raise InvalidInput(
+                f"joint {index + 1} has the effect '{name}', which only joint 1 can have",
+                where=place,
+                remedy=f"move '{name}' to the effects of joint 1",
+            )
 
 
 def _check_imu(arm: ArmDescription, index: int, imu: Imu, place: str) -> None:

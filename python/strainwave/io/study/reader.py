@@ -274,8 +274,8 @@ class Reader:
                 remedy='write a list such as effects = ["stribeck"], or effects = "auto"',
             )
         if isinstance(names, list):
-            self._check_registered(names, effects.names(), names, "joint", index, "effects")
-        return self.record(Joint, table, "joint", index, **placed)
+            self._check_registered(names, effects.study_names(), names, "joint", index, "effects")
+        return self.record(Joint, table, "joint", index, torque_at_link=False, **placed)
 
     def _check_registered(
         self, names: Sequence[Any], known: Sequence[str], value: Any, *place: Any

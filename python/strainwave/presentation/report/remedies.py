@@ -215,9 +215,13 @@ _DATA = {
         "Inertias, friction and stiffness of all stages scale with the estimated torque per volt.",
         "Record a heavier payload if the intervals of torque_per_volt are too wide.",
     ),
+    "torque-at-link": Advice(
+        "Rotor inertia and motor friction are not identified, and are not asked for.",
+        "Log the motors' torques or currents as well if a servo model needs them.",
+    ),
     "friction-term": Advice(
-        "The rigid model includes this friction; exported arms have the nearest torque.",
-        "No action is required.",
+        "The rigid model includes this effect; exported arms have the nearest torque.",
+        "Correct a zero or a delay in the study or the logger; otherwise no action is required.",
     ),
     "load-friction": Advice(
         "The rigid model includes this friction; exported arms have the nearest torque.",

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from strainwave.domain import FloatArray, IntArray
-from strainwave.identification.whole_arm.inference.held_out import held_out_scores, weight_over
+from strainwave.identification.whole_arm.inference.held_out import held_out_scores
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation, Rows
 from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.numerics.held_out import weight_over
 
 N_ROWS, N_FOLDS = 400, 10
 RNG = np.random.default_rng(3)

@@ -11,16 +11,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from strainwave.domain import FloatArray, IntArray
-from strainwave.identification.whole_arm.problem.error_correlation import estimate_rows_per_error
 from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.numerics.correlations import estimate_rows_per_error
+from strainwave.numerics.held_out import MIN_CORRELATION_TIMES, log_density
 from strainwave.numerics.linalg import triangular_factor
 
-MIN_CORRELATION_TIMES = 10.0
-"""Minimum length of a fold in correlation times of the residuals."""
-
-_DRAWS = 1000  # of the Bayesian bootstrap
 _MIN_FOLDS = 2  # of a record; the other folds estimate the variance of a channel
 
 
@@ -44,17 +41,6 @@ def held_out_scores(fits: Sequence[Fit]) -> FloatArray:
     return np.array(
         [_scores(fit, own, folds, correlation) for fit, own in zip(fits, rows, strict=True)]
     )
-
-
-def weight_over(scores: FloatArray, others: FloatArray, rng: np.random.Generator) -> float:
-    """Weight of a model against another one by pseudo-BMA+ (Yao et al., 2018).
-
-    `scores` and `others` are their held-out scores (n_folds,). A Bayesian bootstrap over the folds
-    keeps a single fold from deciding.
-    """
-    n = len(scores)
-    totals = n * rng.dirichlet(np.ones(n), _DRAWS) @ (scores - others)
-    return float(np.mean(0.5 * (1.0 + np.tanh(0.5 * totals))))
 
 
 def _folds(n_rows: int, rows_per_error: float) -> IntArray:
@@ -87,9 +73,9 @@ def _scores(
     scores = []
     for k, held in parts:
         squares = predicted[k] ** 2
-        variance = np.maximum(np.mean(squares[~held], axis=0), np.finfo(float).tiny)
-        terms = np.log(variance) + np.mean(squares[held], axis=0) / variance
-        scores.append(-0.5 * float(np.sum(np.sum(held) / correlation[k] * terms)))
+        held_out, variance = np.mean(squares[held], axis=0), np.mean(squares[~held], axis=0)
+        count = np.sum(held) / correlation[k]
+        scores.append(float(np.sum(log_density(held_out, variance, count))))
     return np.array(scores)
 
 

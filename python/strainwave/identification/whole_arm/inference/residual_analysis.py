@@ -11,13 +11,13 @@ from math import erfc, sqrt
 import numpy as np
 
 from strainwave.domain import BoolArray, Clause, Diagnostic, FloatArray, Place, ResidualTest
-from strainwave.identification.whole_arm.problem.error_correlation import (
-    spectrum_and_autocovariance,
-)
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.numerics.correlations import correlate_residuals
+from strainwave.numerics.correlations import (
+    correlate_residuals,
+    spectrum_and_autocovariance,
+)
 from strainwave.numerics.parallel import run_parallel
 from strainwave.numerics.spectra import cross_spectral_densities
 

@@ -18,11 +18,11 @@ from strainwave.domain.distributions import STD_PER_MEDIAN
 from strainwave.dynamics.rigid_prediction import fit_percent
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.closed_loop import MIN_SIGNAL_TO_NOISE
-from strainwave.identification.whole_arm.problem.error_correlation import estimate_rows_per_error
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation, Rows, Weights
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.preparation import lengthen_steps
+from strainwave.numerics.correlations import estimate_rows_per_error
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import run_parallel
 from strainwave.numerics.trust_region import Flat, Linearised, minimise

@@ -19,7 +19,7 @@ from strainwave.domain.gear_laws.cubic import CUBIC
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
-from strainwave.identification.whole_arm.inference.held_out import held_out_scores, weight_over
+from strainwave.identification.whole_arm.inference.held_out import held_out_scores
 from strainwave.identification.whole_arm.inference.score_tests import curve_tests_of
 from strainwave.identification.whole_arm.problem.arm_unknowns import replace_stiffness
 from strainwave.identification.whole_arm.problem.effect_unknowns import with_effects
@@ -33,9 +33,7 @@ from strainwave.identification.whole_arm.selection.candidate import (
     run_trial,
 )
 from strainwave.identification.whole_arm.selection.stiffness_curves import restart_coarse_fit
-
-MIN_WEIGHT = 0.95
-"""Weight by held-out scores from which the law with more parameters is selected."""
+from strainwave.numerics.held_out import MIN_WEIGHT, weight_over
 
 MAX_HIDDEN_CHANGE = 0.1
 """Relative change of the stiffness up to the largest torque, by its 95 % bound, from which one

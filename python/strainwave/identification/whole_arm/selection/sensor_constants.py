@@ -28,13 +28,13 @@ from strainwave.domain.link_sensors.motor_encoder import MotorEncoder
 from strainwave.domain.parameter_table import record_of
 from strainwave.dynamics.link_sensors import MAX_SCALE_ERROR, MAX_SENSOR_DELAY
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
-from strainwave.identification.whole_arm.problem.error_correlation import estimate_rows_per_error
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
 from strainwave.identification.whole_arm.problem.restrictions import is_held
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import refine, resumed_coarse_search
 from strainwave.identification.whole_arm.selection.candidate import Selection
+from strainwave.numerics.correlations import estimate_rows_per_error
 
 # standard deviations from which a constant joins: no false alarm in 8 candidates
 _MIN_SIGNIFICANCE = 4.0

@@ -1,0 +1,308 @@
+"""Which further terms a rigid model has, and what doubt about them adds to its intervals.
+
+A term enters if it improves the prediction of stretches that the fit does not use. Terms that stay
+out make plausible models: their change of the estimates, weighted by their prediction, is model
+error, as far as it exceeds what the same data explain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from strainwave.domain import BoolArray, FloatArray
+from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
+from strainwave.domain.keys import Key
+from strainwave.domain.parameter_table import parameter_table
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.friction_terms import CORRECTIONS, DELAY, ZERO
+from strainwave.identification.rigid.bandwidth import excess_variance
+from strainwave.identification.rigid.bounds import MAX_NEGLIGIBLE_SHARE, has_zero_bound
+from strainwave.identification.rigid.equations import ALL_JOINTS, Candidate, Terms, assemble
+from strainwave.identification.rigid.stretch import Stretch, n_compliances
+from strainwave.identification.rigid.submodels import Submodels
+from strainwave.identification.rigid.trial import Trial
+from strainwave.numerics import least_squares as ls
+from strainwave.numerics.held_out import MIN_WEIGHT, model_weights, weight_over
+
+STRIBECK, POWER = "stribeck", "power-friction"
+GAIN = "drive-gain"
+"""Error of a torque constant. It only adds to intervals: the records show ratios of constants."""
+
+# standard deviations, with the change between bandwidths, from which a correction counts as shown
+_MIN_STDS = 4.0
+_MAX_ROUNDS = 4  # of the selection; each adds at most one term per joint
+# Stribeck velocities over the largest velocity of the joint; below, the encoder hides the effect
+_STRIBECK_VELOCITIES = (0.03, 0.06, 0.12, 0.25)
+# largest speed [rad/s] of a motor below which (S16) is nearly viscous friction
+_MIN_POWER_SPEED = 3.0
+_GAIN_STD = 0.3  # prior standard deviation of the relative error of a torque constant
+
+
+def candidates_of(arm: Arm, stretches: Sequence[Stretch]) -> list[Candidate]:
+    """Terms that the joints of an arm with rigid gears may have, as the study allows.
+
+    Joints that stay at rest have none.
+    """
+    if n_compliances(arm):
+        return []
+    velocities = [np.abs(s.signals.motor_velocity).max(axis=0) for s in stretches]
+    largest = np.max(velocities, axis=0)
+    speeds = [np.mean(np.abs(s.signals.motor_velocity), axis=0) for s in stretches]
+    slides = np.any([np.any(s.signals.direction != 0.0, axis=0) for s in stretches], axis=0)
+    (exponent,) = effect_named(POWER).shapes.values()
+    shapes: Mapping[str, Sequence[FloatArray]] = {
+        STRIBECK: [share * largest for share in _STRIBECK_VELOCITIES],
+        "direction-friction": [np.mean(speeds, axis=0)],
+        POWER: [np.full(arm.n_joints, exponent)],
+    }
+    effects = [OF_RIGID_JOINTS if j.selects_effects else j.named_effects for j in arm.joints]
+    of_joints = [
+        Candidate(effect, i, float(shape[i]))
+        for i in range(arm.n_joints)
+        for effect in effects[i]
+        for shape in shapes.get(effect, [np.ones(arm.n_joints)])
+        if slides[i] and effect != DELAY
+        if effect != ZERO or arm.gravity_size > 0.0
+        if effect != POWER or largest[i] > _MIN_POWER_SPEED
+    ]
+    is_delayed = any(DELAY in names for names in effects)
+    return [*of_joints, Candidate(DELAY, ALL_JOINTS)] if is_delayed else of_joints
+
+
+def choose(
+    best: Trial, nearby: Sequence[Trial], candidates: Sequence[Candidate]
+) -> tuple[list[Candidate], list[Candidate]]:
+    """Terms that the records support, and the candidates that remain plausible.
+
+    An error of an angle or of a time is the same at all bandwidths. A correction of the signals
+    that changes with the bandwidth is another error that resembles it.
+    """
+    rest = list(candidates)
+    while True:
+        chosen = [rest[k] for k in Choice.of(best, rest).select()]
+        shown = [c for c in chosen if c.effect in CORRECTIONS and is_selected(best.arm, c)]
+        if not shown:
+            return chosen, rest
+        every = list(range(len(chosen)))
+        models = [Choice.of(trial, chosen).models for trial in (best, *nearby)]
+        (value, variance), *others = [(m.sizes(every), m.size_stds(every) ** 2) for m in models]
+        limit = _MIN_STDS * np.sqrt(variance + excess_variance(value, others))
+        changing = [
+            c for c, v, x in zip(chosen, value, limit, strict=True) if abs(c.corrected + v) < x
+        ]
+        changing = [c for c in changing if c in shown]
+        if not changing:
+            return chosen, rest
+        rest = [c for c in rest if c not in changing]
+
+
+def is_selected(arm: Arm, candidate: Candidate) -> bool:
+    """Whether the data decide about a candidate; otherwise the study names it."""
+    i = candidate.joint
+    joints = arm.joints if i == ALL_JOINTS else arm.joints[i : i + 1]
+    return any(joint.selects_effects for joint in joints)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Models of a trial with any of the candidates."""
+
+    trial: Trial
+    candidates: tuple[Candidate, ...]  # columns of their sizes, of shapes and of gains follow
+    models: Submodels
+
+    @staticmethod
+    def of(trial: Trial, candidates: Sequence[Candidate]) -> Choice:
+        """Linearise the candidates, and errors of the torque constants, at a trial.
+
+        The terms of the trial precede the candidates.
+        """
+        arm = trial.arm
+        taken = {(c.effect, c.joint) for c in trial.candidates}
+        rest = [c for c in candidates if (c.effect, c.joint) not in taken]
+        candidates = [*trial.candidates, *rest]
+        terms = Terms.of(candidates, trial.stretches)
+        equations = assemble(arm, trial.stretches, trial.estimate, terms)
+        if arm.n_joints > 1:
+            equations = _with_gains(equations, trial, len(trial.candidates))
+        return Choice(trial, tuple(candidates), Submodels(trial, equations))
+
+    def with_shapes(self, terms: Sequence[int]) -> list[int]:
+        """Columns of the sizes and of the estimated shapes of some candidates."""
+        estimated = [k for k, c in enumerate(self.candidates) if c.size is not None]
+        n = len(self.candidates)
+        return [*terms, *(n + at for at, k in enumerate(estimated) if k in terms)]
+
+    def is_possible(self, terms: Sequence[int]) -> bool:
+        """Whether the terms make no size and no parameter impossible that is possible without."""
+        solution, own = self.models.solution(terms), self.trial.solution
+        columns = self.trial.arm.rigid_columns
+        negative = [
+            k for k, c in enumerate(columns) if solution[k] < 0.0 and has_zero_bound(c.name)
+        ]
+        if any(own[k] > 0.0 for k in negative):
+            return False
+        if negative:
+            width = self.trial.interval_half_width
+            upper = solution + width * np.sqrt(np.diag(self.covariance(terms)))
+            own_upper = own + width * self.trial.standard_deviations
+            if any(upper[k] < 0.0 < own_upper[k] for k in negative if self.trial.determined[k]):
+                return False
+        sizes = self.models.sizes(terms).tolist()
+        ranges = (
+            parameter_table()[effect_named(c.effect).sizes[0]].range
+            for c in (self.candidates[k] for k in terms)
+        )
+        return all(size > 0.0 or each == "any" for size, each in zip(sizes, ranges, strict=True))
+
+    def covariance(self, terms: Sequence[int]) -> FloatArray:
+        """Jackknife covariance of the parameters in a model."""
+        shifts = self.models.shifts(terms)
+        return np.asarray((len(shifts) - 1) / len(shifts) * shifts.T @ shifts)
+
+    def is_determined(self, terms: Sequence[int]) -> BoolArray:
+        """Whether the interval of each parameter is narrower than its value, or negligible."""
+        half = self.trial.interval_half_width * np.sqrt(np.diag(self.covariance(terms)))
+        factor = self.trial.factor
+        torque = float(np.linalg.norm(factor.root * self.trial.equations.target))
+        is_negligible = half * factor.scale < MAX_NEGLIGIBLE_SHARE * torque
+        is_narrow = half < np.abs(self.models.solution(terms))
+        return np.asarray((is_narrow | is_negligible) & self.trial.determined)
+
+    def select(self) -> list[int]:
+        """Candidates that the study names, and those that improve the held-out prediction."""
+        rng = np.random.default_rng(0)
+        chosen: list[int] = []
+        for same in self._rivals(chosen):
+            first = self.candidates[same[0]]
+            if first.corrected or not is_selected(self.trial.arm, first):
+                chosen.append(max(same, key=lambda k: self._total([*chosen, k])))
+        for _ in range(_MAX_ROUNDS):
+            total, n_before = self._total(chosen), len(chosen)
+            every = [k for same in self._rivals(chosen) for k in same]
+            gains = {k: self._total([*chosen, k]) - total for k in every}
+            extended: set[int] = set()  # joints
+            for k in sorted(every, key=lambda k: -gains[k]):
+                joint = self.candidates[k].joint
+                if gains[k] > 0.0 and joint not in extended and self._improves(chosen, k, rng):
+                    chosen = [*chosen, k]
+                    extended.add(joint)
+            if len(chosen) == n_before:
+                break
+        return chosen
+
+    def _improves(self, chosen: Sequence[int], k: int, rng: np.random.Generator) -> bool:
+        """Whether a term improves the prediction, and leaves all values possible and determined.
+
+        With many candidates, one of them improves it by chance (Bonferroni).
+        """
+        model, scores = [*chosen, k], self.models.scores(chosen)
+        limit = 1.0 - (1.0 - MIN_WEIGHT) / len(self._rivals([]))
+        return (
+            weight_over(self.models.scores(model), scores, rng) > limit
+            and self.is_possible(model)
+            and not np.any(self.is_determined(chosen) & ~self.is_determined(model))
+        )
+
+    def model_error(self) -> FloatArray:
+        """Variance (n_parameters, n_parameters) between the trial's model and plausible rivals.
+
+        The rivals have one term of a joint more or less, or other torque constants. Their weights
+        are those of held-out prediction. Of a change, the excess over its interval from the same
+        blocks counts: a term of no effect changes the estimates as well.
+        """
+        rng = np.random.default_rng(0)
+        total = np.zeros_like(self.trial.covariance)
+        chosen = self.with_shapes(range(len(self.trial.candidates)))
+        solution, shifts = self.models.solution(chosen), self.models.shifts(chosen)
+        n = len(shifts)
+        for family in self._families(list(range(len(self.trial.candidates)))):
+            scores = np.array([self.models.scores(model) for model in (chosen, *family)])
+            for weight, model in zip(model_weights(scores, rng)[1:], family, strict=True):
+                if weight < 1.0 - MIN_WEIGHT:  # beyond a 95 % interval
+                    continue
+                change = self.models.solution(model) - solution
+                moved = self.models.shifts(model) - shifts
+                variance = (n - 1) / n * np.sum(moved**2, axis=0)
+                expected = self.trial.interval_half_width**2 * variance
+                excess = np.sign(change) * np.sqrt(np.clip(change**2 - expected, 0.0, None))
+                total += weight * np.outer(excess, excess)
+        return total
+
+    def changes(self) -> list[dict[Key, float]]:
+        """Changes of the values by each term of the trial, if beyond the standard deviations."""
+        every = list(range(len(self.trial.candidates)))
+        solution = self.models.solution(self.with_shapes(every))
+        stds, columns = self.trial.standard_deviations, self.trial.arm.rigid_columns
+        result = []
+        for left in every:
+            model = self.with_shapes([k for k in every if k != left])
+            change = solution - self.models.solution(model)
+            at = np.flatnonzero((np.abs(change) > stds) & self.trial.determined)
+            result.append({columns[k].key: float(change[k]) for k in at})
+        return result
+
+    def noise_share(self) -> FloatArray:
+        """Share (n_parameters,) of the trial's variances that does not repeat with the motion."""
+        noise = self.models.noise_variance(self.with_shapes(range(len(self.trial.candidates))))
+        variance = np.maximum(np.diag(self.trial.covariance), np.finfo(float).tiny)
+        return np.minimum(noise / variance, 1.0)
+
+    def _families(self, chosen: list[int]) -> Iterator[list[list[int]]]:
+        """Rivals of a model that explain the same: terms of one joint, or torque constants."""
+        joint_of = [c.joint for c in self.candidates]
+        n_joints = self.trial.arm.n_joints
+        for joint in range(n_joints):
+            models = [
+                [k for k in chosen if k != left] for left in chosen if joint_of[left] == joint
+            ]
+            for same in self._rivals(chosen):
+                if joint_of[same[0]] == joint:
+                    model = max(([*chosen, k] for k in same), key=self._total)
+                    models += [model] if self.is_possible(model) else []
+            yield [self.with_shapes(model) for model in models]
+        if n_joints > 1:
+            first = self.models.equations.common.shape[1] - n_joints
+            yield [[*self.with_shapes(chosen), first + joint] for joint in range(n_joints)]
+
+    def _rivals(self, chosen: Sequence[int]) -> list[list[int]]:
+        """Candidates that a model lacks, those of one effect and joint together."""
+        key = [(c.effect, c.joint) for c in self.candidates]
+        taken = {key[k] for k in chosen}
+        groups: dict[tuple[str, int], list[int]] = {}
+        for k, each in enumerate(key):
+            if each not in taken:
+                groups.setdefault(each, []).append(k)
+        return list(groups.values())
+
+    def _total(self, terms: Sequence[int]) -> float:
+        return float(np.sum(self.models.scores(terms)))
+
+
+def _with_gains(equations: ls.Equations, trial: Trial, n_terms: int) -> ls.Equations:
+    """Equations with the relative error of each joint's torque constant as a further unknown.
+
+    Its column is the torque of the model. A second pass takes that of the model with the errors:
+    only then do those of two joints fit alike if both have the same ratio.
+    """
+    group, n_joints = equations.group, trial.arm.n_joints
+    residual = ls.residual_of(trial.equations, trial.factor)
+    for _ in range(2):
+        torque = equations.target - residual
+        gains = torque[:, None] * (group[:, None] == np.arange(n_joints))
+        extended = replace(
+            equations,
+            common=np.hstack([equations.common, gains]),
+            common_deviation=np.append(equations.common_deviation, np.full(n_joints, _GAIN_STD)),
+        )
+        own = replace(
+            extended,
+            common=extended.common[:, [*range(n_terms), *range(-n_joints, 0)]],
+            common_deviation=extended.common_deviation[[*range(n_terms), *range(-n_joints, 0)]],
+        )
+        factor = ls.factorise(own, trial.factor.root)
+        residual = ls.residual_of(own, factor) + gains @ factor.common[n_terms:]
+    return extended

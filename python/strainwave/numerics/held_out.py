@@ -1,0 +1,45 @@
+"""Comparison of models by their predictions of data that their estimates do not use.
+
+In-sample costs favour the model with more parameters, and their chi squares assume that the
+residuals are noise. Folds are stretches longer than ten correlation times of the residuals.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from strainwave.domain import FloatArray
+
+MIN_CORRELATION_TIMES = 10.0
+"""Minimum length of a fold in correlation times of the residuals."""
+
+MIN_WEIGHT = 0.95
+"""Weight from which a model with more parameters replaces one with fewer."""
+
+_DRAWS = 1000  # of the Bayesian bootstrap
+
+
+def log_density(mean_square: FloatArray, variance: FloatArray, count: FloatArray) -> FloatArray:
+    """Log predictive density of normal errors: - n / 2 (ln s^2 + mean square / s^2).
+
+    `variance` s^2 is the mean square in other folds, `count` n the number of independent errors.
+    """
+    variance = np.maximum(variance, np.finfo(float).tiny)
+    return np.asarray(-0.5 * count * (np.log(variance) + mean_square / variance))
+
+
+def model_weights(scores: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Weights (n_models,) of models by pseudo-BMA+ (Yao, Vehtari, Simpson and Gelman, 2018).
+
+    `scores` (n_models, n_folds) are log predictive densities. A Bayesian bootstrap over the folds
+    keeps a single fold from deciding.
+    """
+    n = scores.shape[1]
+    totals = n * rng.dirichlet(np.ones(n), _DRAWS) @ scores.T
+    likelihoods = np.exp(totals - totals.max(axis=1, keepdims=True))
+    return np.asarray(np.mean(likelihoods / likelihoods.sum(axis=1, keepdims=True), axis=0))
+
+
+def weight_over(scores: FloatArray, others: FloatArray, rng: np.random.Generator) -> float:
+    """Weight of a model against one other, from their held-out scores (n_folds,)."""
+    return float(model_weights(np.array([scores, others]), rng)[0])

@@ -1,0 +1,190 @@
+"""Terms, corrections and bounds of a rigid joint, on a pendulum integrated here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import strainwave as sw
+from strainwave.domain import FloatArray, RigidModel
+from strainwave.dynamics.arm import Arm
+from strainwave.errors import InvalidInput
+from strainwave.identification.rigid import fit_rigid
+from strainwave.io.logs import read_logs
+from strainwave.signals.motor import prepare_motor_signals
+
+SAMPLE_TIME, SUBSTEPS = 1e-3, 10
+# the torque of a sample is held until the next one, and so acts half a period later on average
+HALF_HOLD = 0.5 * SAMPLE_TIME
+
+
+@dataclass(frozen=True)
+class Pendulum:
+    """J ddq + d dq + f sgn dq + G cos q + k q = torque."""
+
+    inertia: float = 0.5
+    viscous: float = 0.8
+    coulomb: float = 1.2
+    gravity: float = 6.0
+    stiffness: float = 0.0
+
+    def log(
+        self, centre: float = 0.0, zero: float = 0.0, delay: float = 0.0, seed: int = 0
+    ) -> dict[str, FloatArray]:
+        """A multisine under a PD servo; the angle reads q - zero, the torque `delay` late."""
+        rng = np.random.default_rng(seed)
+        n, lead = 20_000, 100
+        frequency = 2.0 * np.pi * np.array([0.3, 0.7, 1.3])
+        amplitude, phase = np.array([0.8, 0.4, 0.2]), rng.uniform(0.0, 2.0 * np.pi, 3)
+        angle, torque = np.zeros(n + lead), np.zeros(n + lead)
+        q, v, step = centre, 0.0, SAMPLE_TIME / SUBSTEPS
+        for i in range(n + lead):
+            turn = frequency * i * SAMPLE_TIME + phase
+            error = centre + amplitude @ np.sin(turn) - q
+            rate_error = amplitude * frequency @ np.cos(turn) - v
+            held = 120.0 * error + 12.0 * rate_error + self.gravity * np.cos(q)
+            angle[i], torque[i] = q, held
+            for _ in range(SUBSTEPS):
+                friction = self.viscous * v + self.coulomb * np.tanh(v / 1e-3)
+                middle = q + 0.5 * step * v
+                load = self.gravity * np.cos(middle) + self.stiffness * middle
+                change = step * (held - friction - load) / self.inertia
+                q += step * (v + 0.5 * change)
+                v += change
+        time = np.arange(n + lead) * SAMPLE_TIME
+        late = np.interp(time - delay, time, torque)
+        return {
+            "t": time[:n],
+            "theta_m1": angle[lead:] - zero + rng.normal(0.0, 2e-5, n),
+            "torque1": late[lead:] + rng.normal(0.0, 0.02, n),
+        }
+
+
+def study_of(folder: Path, *, gravity: bool = True, joint: str = "") -> sw.Study:
+    path = folder / "study.toml"
+    path.write_text(
+        '[arm]\nkind = "single-joint"\n'
+        + ("gravity = 9.81\n" if gravity else "")
+        + f'[[joint]]\nspring = "rigid"\ngear_ratio = 1.0\n{joint}\n'
+        + '[[experiment]]\nname = "m"\nfile = "m.csv"\nuse = "motion"\ncontrol = ["open"]\n'
+    )
+    return sw.read_study(path)
+
+
+def model_of(study: sw.Study, log: Mapping[str, FloatArray]) -> RigidModel:
+    run = sw.identify(study, data={"m": log}).run
+    assert run is not None
+    assert run.rigid is not None
+    return run.rigid
+
+
+def check(model: RigidModel, pendulum: Pendulum) -> None:
+    """The values are those of the pendulum, but for 0.1 % from the change of friction at rest."""
+    truth = {
+        "inertia": pendulum.inertia,
+        "motor_viscous_friction": pendulum.viscous,
+        "motor_coulomb_friction": pendulum.coulomb,
+        "gravity_torque_1": pendulum.gravity,
+    }
+    for p in model.parameters:
+        if p.name in truth:
+            assert p.value == pytest.approx(truth[p.name], rel=0.003), p
+
+
+def size_of(model: RigidModel, effect: str) -> float:
+    (size,) = (term.size.value for term in model.friction_terms if term.effect == effect)
+    assert size is not None
+    return size
+
+
+@pytest.mark.parametrize("gravity", [0.0, 6.0])
+def test_a_parallel_spring_does_not_bias_the_inertia(tmp_path: Path, gravity: float) -> None:
+    pendulum = Pendulum(gravity=gravity, stiffness=3.0)
+    model = model_of(study_of(tmp_path, gravity=gravity > 0.0), pendulum.log())
+    check(model, pendulum)
+    assert size_of(model, "ground-spring") == pytest.approx(3.0, rel=0.005)
+
+
+def test_the_zero_is_estimated_where_gravity_acts(tmp_path: Path) -> None:
+    model = model_of(study_of(tmp_path), Pendulum().log(zero=0.3))
+    check(model, Pendulum())
+    assert size_of(model, "encoder-zero") == pytest.approx(0.3, abs=1e-3)
+    assert any("exceeds the encoder reading" in w.message for w in model.warnings)
+
+
+@pytest.mark.parametrize("zero", [0.5 * np.pi, -0.5 * np.pi, -1.0])
+def test_a_distant_zero_is_no_spring(tmp_path: Path, zero: float) -> None:
+    study = study_of(tmp_path)
+    arm = Arm.of(study.arm)
+    (log,) = read_logs(study, data={"m": Pendulum().log(centre=-0.5 * np.pi, zero=zero)})
+    model = fit_rigid([prepare_motor_signals(log, arm)], arm)
+    check(model, Pendulum())
+    assert size_of(model, "encoder-zero") == pytest.approx(zero, abs=1e-3)
+
+
+@pytest.mark.parametrize("gravity", [0.0, 6.0])
+def test_a_late_torque_is_corrected(tmp_path: Path, gravity: float) -> None:
+    pendulum = Pendulum(gravity=gravity)
+    model = model_of(study_of(tmp_path, gravity=gravity > 0.0), pendulum.log(delay=0.02))
+    check(model, pendulum)
+    assert size_of(model, "torque-delay") == pytest.approx(0.02 - HALF_HOLD, abs=1e-4)
+
+
+def test_without_effects_the_delay_biases_the_friction(tmp_path: Path) -> None:
+    model = model_of(study_of(tmp_path, joint="effects = []"), Pendulum().log(delay=0.02))
+    assert model.friction_terms == ()
+    assert model.value("motor_viscous_friction", 1) != pytest.approx(0.8, rel=0.05)
+
+
+def test_a_named_effect_is_part_of_the_model(tmp_path: Path) -> None:
+    study = study_of(tmp_path, joint='effects = ["stribeck", "torque-delay"]')
+    model = model_of(study, Pendulum().log())
+    assert {term.effect for term in model.friction_terms} == {"stribeck", "torque-delay"}
+
+
+@pytest.mark.parametrize(
+    ("effects", "gravity", "problem"),
+    [
+        ("torque-ripple", True, "is part of the whole-arm fit"),
+        ("encoder-zero", False, "needs gravity"),
+        ("backlash", True, "needs an elastic gear"),
+    ],
+)
+def test_an_effect_that_cannot_be_used_is_refused(
+    tmp_path: Path, effects: str, *, gravity: bool, problem: str
+) -> None:
+    with pytest.raises(InvalidInput, match=problem):
+        sw.identify(
+            study_of(tmp_path, gravity=gravity, joint=f'effects = ["{effects}"]'),
+            data={"m": Pendulum().log()},
+        )
+
+
+def test_a_friction_of_nothing_is_at_its_bound(tmp_path: Path) -> None:
+    pendulum = Pendulum(viscous=0.0)
+    at_zero = 0
+    for seed in range(4):
+        model = model_of(study_of(tmp_path), pendulum.log(seed=seed))
+        (p,) = (p for p in model.parameters if p.name == "motor_viscous_friction")
+        assert p.value is not None
+        assert p.ci95 is not None
+        assert p.value >= 0.0
+        at_zero += p.value == 0.0
+        if p.value == 0.0:
+            assert p.ci95[0] == 0.0 < p.ci95[1] < 0.05
+    assert at_zero > 0
+
+
+def test_a_sensor_behind_the_gear_shows_the_link(tmp_path: Path) -> None:
+    """The sensor's torque is without rotor inertia and friction: neither is asked for."""
+    log = Pendulum(viscous=0.0, coulomb=0.0).log()
+    log["tau_l1"] = log.pop("torque1")
+    result = sw.identify(study_of(tmp_path), data={"m": log})
+    assert result.status == "determined"
+    assert result["link_inertia", 1].value == pytest.approx(0.5, rel=0.01)
+    assert result.run is not None
+    assert "torque-at-link" in {w.code for w in result.run.warnings}
