@@ -93,7 +93,7 @@ class Joint:
     gyro_hz: Positive | None = None  # first-order low-pass
     imu: Imu | None = None
     # optional terms of the model; "auto": those that the data support
-    effects: tuple[EffectName, ...] | Literal["auto"] = ()
+    effects: tuple[EffectName, ...] | Literal["auto"] = "auto"
     origin: Origin = Origin()
     axis: Vector = (0.0, 0.0, 1.0)  # in the joint's frame; its length does not matter
     name: str | None = None  # in the URDF and in exports

@@ -275,7 +275,7 @@ def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
     stds = np.sqrt(np.diag(confidence_of(fit).combined))
     parameter_shifts = []
     for (name, joint), std in zip(fit.space.keys, stds.tolist(), strict=True):
-        if _is_primary((name, joint)) and std > 0.0:
+        if is_primary((name, joint)) and std > 0.0:
             shift = values[name, joint] - estimates[name, joint]
             parameter_shifts.append(
                 ParameterShift(name, joint, estimates[name, joint], shift, shift / std)
@@ -283,7 +283,7 @@ def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
     yield from sorted(parameter_shifts, key=lambda move: -abs(move.deviations))
 
 
-def _is_primary(key: Key) -> bool:
+def is_primary(key: Key) -> bool:
     """Whether a parameter is an inertia, gravity torque, gear parameter or Coulomb friction."""
     excluded = (*VISCOUS, OFFSET, SETTLING)
     of_effects = {name for effect in all_effects() for name in effect.names}

@@ -19,7 +19,7 @@ from strainwave.domain.gear_laws.cubic import CUBIC
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
-from strainwave.identification.whole_arm.inference.held_out import held_out_scores, weight_over
+from strainwave.identification.whole_arm.inference.held_out import held_out_scores, model_weights
 from strainwave.identification.whole_arm.inference.score_tests import curve_tests_of
 from strainwave.identification.whole_arm.problem.arm_unknowns import replace_stiffness
 from strainwave.identification.whole_arm.problem.effect_unknowns import with_effects
@@ -174,7 +174,7 @@ def _select(joint: int, rivals: Mapping[str, Fit]) -> LawChoice:
 
     def margin(k: int, other: int) -> LawMargin:
         difference = float(np.sum(scores[k] - scores[other]))
-        weight = weight_over(scores[k], scores[other], np.random.default_rng(0))
+        weight = float(model_weights(scores[[k, other]], np.random.default_rng(0))[0])
         return LawMargin(names[other], difference, weight)
 
     chosen = 0

@@ -11,7 +11,6 @@ from functools import partial
 
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection
-from strainwave.identification.whole_arm.selection.causes import add_significant_effects
 from strainwave.identification.whole_arm.selection.gear_laws import select_gear_laws
 from strainwave.identification.whole_arm.selection.initial_motion import (
     add_significant_initial_motion,
@@ -62,7 +61,6 @@ FINE: tuple[Candidate, ...] = (
     add_significant_tilts,
     remove_insignificant_sensor_constants,
     remove_insignificant_settling_times,
-    add_significant_effects,
 )
 """Candidates of the fine fit, in the order of their trials."""
 
