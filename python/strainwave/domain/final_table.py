@@ -1,7 +1,7 @@
 """Final table of a run: the value and the verdict of each parameter.
 
-The latest stage that estimates a parameter decides it, whether or not it identifies a value. A value
-is rejected if the input contradicts it, or if it is physically impossible beyond its interval.
+The latest stage that estimates a parameter decides it, whether or not it identifies a value. A
+value is rejected if the input contradicts it, or if it is impossible beyond its interval.
 """
 
 from __future__ import annotations

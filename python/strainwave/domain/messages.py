@@ -243,8 +243,8 @@ TEMPLATES: Mapping[str, str] = {
     "no-descent": "the fit ended where a large decrease of the cost is predicted but no step"
     " achieves it|; hold a parameter that the records hardly determine (tuning.hold), or use longer"
     " records",
-    "causes-not-fitted": "{effects} might explain the residuals and were only linearised: the budget"
-    " of {evaluations} evaluations for fits with one more effect was exhausted|; raise"
+    "causes-not-fitted": "{effects} might explain the residuals and were only linearised: the"
+    " budget of {evaluations} evaluations for fits with one more effect was exhausted|; raise"
     " tuning.rival_effort to fit them",
     "at-bounds": "the estimate is at the limit of its range, {value:.3g} {unit}: the data"
     " contradict the model or do not determine the value",

@@ -33,6 +33,7 @@ class PlausibleModel:
     fit: Fit
     arm: Arm
     weight: float  # by held-out scores
+    is_determined: bool  # whether it determines the primary values; else only its shifts count
 
 
 def parameters_of(
@@ -50,28 +51,31 @@ def parameters_of(
     covariance is (n_parameters, n_parameters).
     """
     quantities = _quantities(fit, arm, largest_torque)
-    covariance = _covariance(quantities, fit)
+    covariance = _covariance(quantities, confidence_of(fit).combined)
     own = np.diag(covariance)
     variance = (1.0 - sum(model.weight for model in plausible)) * own
-    model_error = np.diag([(excess or {}).get(quantity.key, 0.0) for quantity in quantities])
+    shifts = np.diag([(excess or {}).get(quantity.key, 0.0) for quantity in quantities])
     for model in plausible:
         others = _quantities(model.fit, model.arm, largest_torque)
-        pairs = zip(others, np.diag(_covariance(others, model.fit)).tolist(), strict=True)
+        theirs = _covariance(others, confidence_of(model.fit).combined)
+        pairs = zip(others, np.diag(theirs).tolist(), strict=True)
         by_key = {other.key: (other.value, square) for other, square in pairs}
         at_own = [(q.value, square) for q, square in zip(quantities, own.tolist(), strict=True)]
         estimates = [by_key.get(q.key, one) for q, one in zip(quantities, at_own, strict=True)]
         shift = np.array(
             [
-                0.0 if theirs is None or value is None else theirs - value
-                for (theirs, _), (value, _) in zip(estimates, at_own, strict=True)
+                0.0 if other is None or value is None else other - value
+                for (other, _), (value, _) in zip(estimates, at_own, strict=True)
             ]
         )
-        variance = variance + model.weight * np.array([square for _, square in estimates])
-        model_error = model_error + model.weight * np.outer(shift, shift)
-    covariance = with_variances(covariance, variance) + model_error
+        of_model = [square for _, square in (estimates if model.is_determined else at_own)]
+        variance = variance + model.weight * np.array(of_model)
+        shifts = shifts + model.weight * np.outer(shift, shift)
+    model_error = np.diag(shifts + _covariance(quantities, confidence_of(fit).model_error))
+    covariance = with_variances(covariance, variance) + shifts
     total = np.diag(covariance)
     stds = np.sqrt(np.where(total >= 0.0, total, np.inf))  # negative only by rounding
-    model_stds = np.sqrt(np.diag(model_error))
+    model_stds = np.sqrt(np.clip(model_error, 0.0, total))
     zeros = {key for key, at in zip(fit.space.keys, at_zero(fit), strict=True) if at}
     rows = zip(quantities, stds.tolist(), model_stds.tolist(), strict=True)
     return tuple(_parameter(q, std, model, q.key in zeros) for q, std, model in rows), covariance
@@ -97,9 +101,9 @@ def _quantities(fit: Fit, arm: Arm, largest_torque: Sequence[float]) -> list[_Qu
     ]
 
 
-def _covariance(quantities: Sequence[_Quantity], fit: Fit) -> FloatArray:
+def _covariance(quantities: Sequence[_Quantity], of_unknowns: FloatArray) -> FloatArray:
     W = np.array([quantity.slope for quantity in quantities])
-    return np.asarray(W @ confidence_of(fit).combined @ W.T)
+    return np.asarray(W @ of_unknowns @ W.T)
 
 
 def _unknowns(fit: Fit, arm: Arm, identified: Mapping[Key, Key | None]) -> Iterator[_Quantity]:

@@ -57,6 +57,9 @@ from strainwave.identification.whole_arm.records.loads import Loads, gear_torque
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search, polish, search_minimum
 from strainwave.identification.whole_arm.selection.candidate import Selection
+from strainwave.identification.whole_arm.selection.sensor_constants import (
+    add_significant_sensor_constants,
+)
 
 MAX_RIVAL_EFFECTS = 3  # fitted effects of largest predicted gain
 MAX_OTHER_EFFECTS = 4  # fitted effects of the same joint if the rivals explain too little
@@ -145,8 +148,9 @@ def include_effects(fit: Fit, selection: Selection) -> tuple[Fit, Comparison]:
     if others:
         scores = held_out_scores([fit, *(other for other, _ in others)])
         weights = model_weights(scores, np.random.default_rng(0)).tolist()
+        values = _primary_values(fit, selection.arm)
         plausible = [
-            PlausibleModel(other, arm, weight)
+            PlausibleModel(other, arm, weight, values <= _primary_values(other, arm))
             for (other, arm), weight in zip(others, weights[1:], strict=True)
         ]
     excluded = tuple(budget.excluded)
@@ -176,6 +180,8 @@ def _include(fit: Fit, rival: Rival, selection: Selection) -> Fit | None:
     objective = with_effects(fit.objective, rival.fit.space, rival.arm)
     try:
         extended = fine_search(fit.restart(objective, rival.fit.z), selection.options)
+        # the effect may have hidden, or imitated, the constant of a sensor
+        extended = add_significant_sensor_constants(extended, selection, coarse=False)
         extended = polish(extended, selection.options)
     except NotIdentifiable:
         return None
@@ -184,22 +190,23 @@ def _include(fit: Fit, rival: Rival, selection: Selection) -> Fit | None:
         extended.space, extended.z, confidence_of(extended).cautious
     )
     bounded = zip(extended.space.keys, at_bounds(extended), strict=True)
-    names = effect_named(name).names
+    sizes = effect_named(name).sizes
     if rival.named_effect in insignificant or any(
-        at and base_name(key[0]) in names and key[1] == joint for key, at in bounded
+        at and base_name(key[0]) in sizes and key[1] == joint for key, at in bounded
     ):
         return None
-    values = {p.key for p in _primary_values(fit, selection.arm)}
-    remaining = {p.key for p in _primary_values(extended, selection.arm)}
-    return extended if values <= remaining else None
+    values = _primary_values(fit, selection.arm)
+    return extended if values <= _primary_values(extended, rival.arm) else None
 
 
-def _primary_values(fit: Fit, arm: Arm) -> Iterator[Parameter]:
+def _primary_values(fit: Fit, arm: Arm) -> set[Key]:
     """The primary parameters that a fit determines."""
     largest = gear_torques(fit.objective.records, fit.values).tolist()
-    for p in parameters_of(fit, arm, largest)[0]:
-        if is_primary(p.key) and p.value and CI95_STDS * (p.std or 0.0) < abs(p.value):
-            yield p
+    return {
+        p.key
+        for p in parameters_of(fit, arm, largest)[0]
+        if is_primary(p.key) and p.value and CI95_STDS * (p.std or 0.0) < abs(p.value)
+    }
 
 
 def _rivals_of(
@@ -304,12 +311,14 @@ def _refit(fit: Fit, tested: TestedEffect, selection: Selection, budget: _Budget
 
 
 def _linearise(fit: Fit, tested: TestedEffect, arm: Arm, options: WholeArmOptions) -> Rival | None:
-    """The model one linear step from the fit; None if it cannot be simulated."""
+    """The model one linear step from the fit; None if the step does not reduce the cost."""
     loads = loads_of(fit.objective.records, fit.values)
     once = replace(options, max_iterations=1)
     other = _search_with_effect(fit, tested.named_effect, tested.values, loads, arm, once)
     rival = None if other is None else _rival(fit, tested, other, arm)
-    return rival and replace(rival, is_linearised=True)
+    if rival is None or not rival.gain > 0.0:
+        return None
+    return replace(rival, is_linearised=True)
 
 
 def _rival(fit: Fit, tested: TestedEffect, other: Fit, arm: Arm) -> Rival:
