@@ -57,6 +57,7 @@ from strainwave.identification.whole_arm.records.loads import Loads, gear_torque
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search, polish, search_minimum
 from strainwave.identification.whole_arm.selection.candidate import Selection
+from strainwave.identification.whole_arm.selection.search_ranges import extend_ranges
 from strainwave.identification.whole_arm.selection.sensor_constants import (
     add_significant_sensor_constants,
 )
@@ -69,10 +70,10 @@ MIN_RIVAL_GAIN_SHARE = 0.4  # of the best effect's linear gain
 MIN_INCLUDED_WEIGHT = 0.95
 """Weight by held-out scores, against the model without it, from which an effect is included."""
 MIN_LISTED_WEIGHT = 0.05  # of a plausible effect
-MAX_REFIT_EVALUATIONS = 12  # of each search; nearly all converge in 4 to 9
-RIVAL_ROWS = 600_000
-"""Budget of fits with one additional effect, in evaluated residual rows: 62 evaluations of a study
-of 9,700 rows, about half a minute of one core."""
+MAX_REFIT_EVALUATIONS = 20  # of each search; most converge in 4 to 9, added inertias in 15
+RIVAL_ROWS = 1_200_000
+"""Budget of fits with one additional effect, in evaluated residual rows: 124 evaluations of a study
+of 9,700 rows, about a minute of one core."""
 REFIT_GAIN_TOLERANCE = 0.1  # predicted cost reduction at which a search ends
 MIN_ACHIEVED_GAIN_SHARE = 0.5  # share of the linear gain below which a second start is tried
 MAX_INCLUDED_EFFECTS = 4  # that the data select
@@ -181,6 +182,7 @@ def _include(fit: Fit, rival: Rival, selection: Selection) -> Fit | None:
     try:
         extended = fine_search(fit.restart(objective, rival.fit.z), selection.options)
         # the effect may have hidden, or imitated, the constant of a sensor
+        extended = extend_ranges(extended, selection)
         extended = add_significant_sensor_constants(extended, selection, coarse=False)
         extended = polish(extended, selection.options)
     except NotIdentifiable:
@@ -291,14 +293,19 @@ def _refit(fit: Fit, tested: TestedEffect, selection: Selection, budget: _Budget
     """Fit with one additional effect; None if no such arm can be simulated.
 
     The search starts at the result of the linear step. If it gains much less than the linear step
-    predicts, a second search starts from the fit without the effect.
+    predicts, a second search starts from the fit without the effect and a typical size.
     """
     estimates = fit.values
-    sizes = {key: value for key, value in tested.values.items() if key not in estimates}
+    sizes = set(tested.test.sizes)
+    shapes = {
+        key: value
+        for key, value in tested.values.items()
+        if key not in estimates and base_name(key[0]) not in sizes
+    }
     loads = loads_of(fit.objective.records, estimates)
     best: Fit | None = None
     gain = -math.inf
-    for start in (tested.values, estimates | sizes):
+    for start in (tested.values, estimates | shapes):
         limit = budget.next_limit
         if not limit or gain > MIN_ACHIEVED_GAIN_SHARE * tested.alone:
             break

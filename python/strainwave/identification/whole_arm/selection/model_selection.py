@@ -23,6 +23,7 @@ from strainwave.identification.whole_arm.selection.named_effects import (
     add_named_effects,
     remove_insignificant_effects,
 )
+from strainwave.identification.whole_arm.selection.search_ranges import extend_ranges
 from strainwave.identification.whole_arm.selection.sensor_constants import (
     add_sensor_bandwidths,
     add_significant_sensor_constants,
@@ -52,6 +53,7 @@ COARSE: tuple[Candidate, ...] = (
 """Candidates of a coarse fit, in the order of their trials."""
 
 FINE: tuple[Candidate, ...] = (
+    extend_ranges,
     restart_fine_fit,
     remove_insignificant_stiffness_terms,
     remove_insignificant_effects,
