@@ -29,7 +29,7 @@ from strainwave.domain.joint_models import JointModel
 from strainwave.domain.keys import Key, Row
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.link_sensors import constant_of, link_channel_kinds, link_keys
-from strainwave.domain.parameter_table import base_name, family_of, parameter_table
+from strainwave.domain.parameter_table import VISCOUS, base_name, family_of, parameter_table
 from strainwave.domain.ranges import is_physical, physical_range
 from strainwave.domain.signals import Activity
 from strainwave.domain.stage_results import StageResults
@@ -274,7 +274,8 @@ def _decide_row(entry: _Entry, study: Study, levels: Mapping[int, Activity]) -> 
             reason = Clause("reason/impossible", value=p.value, unit=p.unit)
         else:
             zero = Parameter.at_zero(p.key, p.ci95[1], p.unit, p.stage)
-            p = replace(zero, model_std=p.model_std)
+            # a part of the total viscous friction has no value instead: the sum must remain
+            p = replace(zero, model_std=p.model_std, value=None if p.name in VISCOUS else 0.0)
     if p.value is None or reason:
         without_value = replace(p, value=None, std=None, ci95=None, model_std=None)
         # a parameter without a value is not identified instead of rejected
@@ -296,8 +297,11 @@ def _is_impossible(p: Parameter) -> bool:
 
 
 def half_width(p: Parameter) -> float | None:
-    """Half-width of the 95 % confidence interval; None without an interval."""
-    return None if p.ci95 is None else 0.5 * (p.ci95[1] - p.ci95[0])
+    """Half-width of the 95 % confidence interval, or its width if it is one-sided."""
+    if p.ci95 is None:
+        return None
+    width = p.ci95[1] - p.ci95[0]
+    return width if p.value in p.ci95 else 0.5 * width
 
 
 def _is_identified(p: Parameter, study: Study, levels: Mapping[int, Activity]) -> bool:

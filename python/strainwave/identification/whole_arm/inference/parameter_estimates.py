@@ -194,7 +194,7 @@ def _identified_curves(
 def _parameter(quantity: _Quantity, std: float, model_std: float, is_zero: bool) -> Parameter:
     key, value, unit = quantity.key, quantity.value, quantity.unit
     may_be_vague = key[0] in VISCOUS or is_by_load(key[0])
-    is_vague = may_be_vague and std > _MAX_RELATIVE_STD * abs(value or 0.0)
+    is_vague = may_be_vague and (is_zero or std > _MAX_RELATIVE_STD * abs(value or 0.0))
     if value is None or is_vague or not np.isfinite(std):
         return Parameter(*key, None, None, unit, "tuned")
     estimate = Parameter.estimated(key, value, std, unit, "tuned")

@@ -60,6 +60,7 @@ from strainwave.identification.whole_arm.selection.candidate import Selection
 from strainwave.identification.whole_arm.selection.search_ranges import extend_ranges
 from strainwave.identification.whole_arm.selection.sensor_constants import (
     add_significant_sensor_constants,
+    remove_insignificant_sensor_constants,
 )
 
 MAX_RIVAL_EFFECTS = 3  # fitted effects of largest predicted gain
@@ -184,6 +185,7 @@ def _include(fit: Fit, rival: Rival, selection: Selection) -> Fit | None:
         # the effect may have hidden, or imitated, the constant of a sensor
         extended = extend_ranges(extended, selection)
         extended = add_significant_sensor_constants(extended, selection, coarse=False)
+        extended = remove_insignificant_sensor_constants(extended, selection)
         extended = polish(extended, selection.options)
     except NotIdentifiable:
         return None
