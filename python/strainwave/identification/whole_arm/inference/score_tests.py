@@ -34,12 +34,17 @@ from strainwave.identification.whole_arm.inference.effect_columns import (
     Hypothesis,
     Shapes,
 )
-from strainwave.identification.whole_arm.inference.residual_analysis import has_excess_residuals
+from strainwave.identification.whole_arm.inference.residual_analysis import (
+    MIN_WARNING_RATIO,
+    channels_above_noise,
+    has_excess_residuals,
+)
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     NamedEffect,
     effects_in,
     known_joint,
 )
+from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.records.loads import loads_of
 from strainwave.identification.whole_arm.search.fit import Fit
 
@@ -252,6 +257,16 @@ def _score_test(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTes
         shifts=parameter_shifts,
         limit=chi_square_limit(chance, len(step.size)),
     )
+
+
+def min_relevant_share(objective: Objective, z: FloatArray) -> float:
+    """Share of the cost from which an effect is relevant.
+
+    Near the sensor noise, small effects imitate the errors of integrator and friction corner.
+    """
+    if any(bool(np.any(far)) for far in channels_above_noise(objective, z, MIN_WARNING_RATIO)):
+        return MIN_COST_SHARE
+    return RELEVANT_COST_SHARE
 
 
 def is_relevant(share: float, moves: Sequence[ParameterShift]) -> bool:

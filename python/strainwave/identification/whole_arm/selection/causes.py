@@ -42,6 +42,7 @@ from strainwave.identification.whole_arm.inference.score_tests import (
     TestedEffect,
     is_primary,
     lengthen_steps,
+    min_relevant_share,
     score_tests_of,
     shifts,
 )
@@ -136,7 +137,7 @@ def include_effects(fit: Fit, selection: Selection) -> tuple[Fit, Comparison]:
         budget = _Budget(fit, selection.options)
         rivals = _rivals_of(fit, tests, selection, budget)
         others += [(rival.fit, rival.arm) for rival in rivals]
-        candidates = [rival for rival in rivals if _may_enter(rival, selection)]
+        candidates = [rival for rival in rivals if _may_enter(rival, fit, selection)]
         if len(included) == MAX_INCLUDED_EFFECTS:
             candidates = []
         extensions = ((rival, _include(fit, rival, selection)) for rival in candidates)
@@ -161,11 +162,12 @@ def include_effects(fit: Fit, selection: Selection) -> tuple[Fit, Comparison]:
     )
 
 
-def _may_enter(rival: Rival, selection: Selection) -> bool:
+def _may_enter(rival: Rival, fit: Fit, selection: Selection) -> bool:
     """Whether the data may include the effect: a study states gear laws and named effects."""
     joint, effect = rival.named_effect
     return (
         rival.weight > MIN_INCLUDED_WEIGHT
+        and rival.share > min_relevant_share(fit.objective, fit.z)
         and not rival.is_linearised
         and effect != STIFFNESS_CURVE.name
         and selection.arm.joints[joint - 1].selects_effects
@@ -224,7 +226,8 @@ def _rivals_of(
     decided = [(joint, STIFFNESS_CURVE.name) for joint in selection.law_choices]
     excluded = {*named_effects(selection.arm), *decided}
     unnamed = [one for one in tested if one.named_effect not in excluded]
-    promising = [one for one in unnamed if one.is_promising]
+    min_share = min_relevant_share(fit.objective, fit.z)
+    promising = [one for one in unnamed if one.is_promising and one.test.share > min_share]
     if not promising:
         return []
     unnamed.sort(key=_predicted_gain, reverse=True)
