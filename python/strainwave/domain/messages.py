@@ -309,8 +309,8 @@ TEMPLATES: Mapping[str, str] = {
     "linearised": "{note}",
     # likely effects, whatever their code
     "effect-likely": "{effect} would explain {share!p:.2g} % of the residuals"
-    " ({sizes}){changes}{rivals}|; the intervals contain this change; to confirm the effect,"
-    " {experiment}",
+    " ({sizes}){changes}{rivals}|; the intervals contain this change; to fit it, give the joint"
+    " {setting}; to confirm it, {experiment}",
 }
 """Messages of warnings, by code or "code/variant"."""
 
