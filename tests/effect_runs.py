@@ -93,7 +93,11 @@ def rig(effects: Asked) -> Study:
     return replace(
         study,
         arm=replace(
-            study.arm, joints=(replace(study.arm.joints[0], effects=effects), study.arm.joints[1])
+            study.arm,
+            joints=(
+                replace(study.arm.joints[0], effects=effects),
+                replace(study.arm.joints[1], effects=()),
+            ),
         ),
     )
 

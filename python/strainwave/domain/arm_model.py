@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,6 +11,7 @@ from strainwave.display import Displayed
 from strainwave.domain.arm import EffectName
 from strainwave.domain.arrays import ComplexArray, FloatArray
 from strainwave.domain.clauses import Clause, Place
+from strainwave.domain.distributions import chi_square_tail
 from strainwave.domain.estimates import Diagnostic, Parameter, Prediction
 from strainwave.domain.keys import Key, Keyed
 from strainwave.domain.search_end import SearchEnd
@@ -85,14 +86,17 @@ class ScoreTest:
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """Likely effect, confirmed by a fit that includes it."""
+    """Effect that the model includes, or that a plausible model has in addition."""
 
     joint: int  # from 1
     effect: EffectName
     parameters: tuple[Parameter, ...]  # of the effect, with confidence intervals
-    gain: float  # decrease of the objective minus its expectation by chance
+    gain: float  # decrease of the objective
     share: float  # of the objective that the effect explains
     shifts: tuple[ParameterShift, ...]  # of all other parameters, most significant first
+    weight: float = 0.0  # by held-out scores, against the model without the effect
+    is_included: bool = False
+    is_linearised: bool = False  # one step from the fit without the effect
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +105,7 @@ class Criticism:
 
     residuals: tuple[ResidualTest, ...]
     score_tests: tuple[ScoreTest, ...]  # most significant first
-    causes: tuple[Cause, ...] = ()  # that were fitted, most likely first
+    causes: tuple[Cause, ...] = ()  # included, then plausible, most likely first
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,11 +165,8 @@ class StageDifference(Keyed):
 MIN_RELATIVE_DIFFERENCE = 0.01
 """Relative difference of two stages below which the difference is of no practical importance."""
 
-MAX_DISAGREEMENT = 4.0
-"""Largest difference, in standard deviations, at which the stages agree.
-
-Two joints have four tests, so noise alone exceeds this limit in one of 4,000 runs.
-"""
+MIN_AGREEMENT_PROBABILITY = 1e-3
+"""Chi-square probability below which the stages disagree."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,27 +181,15 @@ class AgreementTest:
     largest: float = math.inf  # largest relative difference
 
     @property
-    def matters(self) -> bool:
-        """Whether a difference is of practical importance, independent of its significance."""
-        return self.largest >= MIN_RELATIVE_DIFFERENCE
+    def disagrees(self) -> bool:
+        """Whether the difference is significant and of practical importance."""
+        probability = chi_square_tail(self.chi_square, self.degrees)
+        return probability < MIN_AGREEMENT_PROBABILITY and self.largest >= MIN_RELATIVE_DIFFERENCE
 
     @property
     def subject(self) -> Clause:
         """Compared values."""
         return Clause(f"subject/{self.scope}", joint=self.joint)
-
-
-def contradictions(tests: Sequence[AgreementTest]) -> tuple[AgreementTest, ...]:
-    """Select the tests of inertias and frictions in which the stages contradict each other.
-
-    If only the test of all values fails, the group with the largest difference is returned.
-    """
-    groups = [test for test in tests if test.scope != "all"]
-    failed = [test for test in tests if test.deviations > MAX_DISAGREEMENT and test.matters]
-    failed_groups = [test for test in failed if test.scope != "all"]
-    if failed and not failed_groups:
-        failed_groups = sorted(groups, key=lambda test: test.deviations)[-1:]
-    return tuple(failed_groups)
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,6 +287,20 @@ class ArmModel(Displayed):
     suspects: tuple[SuspectConstant, ...] = ()  # if the stages disagree, most likely first
     sensor_gains: tuple[SensorGain, ...] = ()  # of link sensors that the rig does not have
     gear_laws: tuple[LawChoice, ...] = ()  # of joints whose law the fit selected
+
+    @property
+    def contradictions(self) -> tuple[AgreementTest, ...]:
+        """Disagreements of the stages in inertias that no error of the model explains.
+
+        A model that lacks an effect leaves residuals far above the noise. Its stages differ, and
+        the intervals contain the difference. Frictions differ if the law or the state of friction
+        does.
+        """
+        residuals = self.criticism.residuals if self.criticism else ()
+        if any(test.is_far_above_noise for test in residuals):
+            return ()
+        failed = [test for test in self.agreement if test.disagrees]
+        return tuple(test for test in failed if test.scope == "inertias")
 
     @property
     def status(self) -> SearchEnd:

@@ -1,9 +1,7 @@
 """Final table of a run: the value and the verdict of each parameter.
 
-The latest stage that estimates a parameter decides it, whether or not it identifies a value. If a
-fit contains a physically impossible value, its values are rejected and the estimates of the earlier
-stage are used. Estimates that depend on faulty channels, or on stages that contradict each other,
-are also rejected.
+The latest stage that estimates a parameter decides it, whether or not it identifies a value. A
+value is rejected if the input contradicts it, or if it is impossible beyond its interval.
 """
 
 from __future__ import annotations
@@ -12,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from strainwave.domain.arm import ArmDescription
-from strainwave.domain.arm_model import ArmModel, contradictions
+from strainwave.domain.arm_model import ArmModel
 from strainwave.domain.base_parameters import (
     base_parameters,
     link_inertia,
@@ -25,39 +23,27 @@ from strainwave.domain.combinations import (
     inertias_of_links,
     lumped_inertias,
 )
-from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.estimates import Parameter, Suspicion
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.joint_models import JointModel
 from strainwave.domain.keys import Key, Row
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.link_sensors import constant_of, link_channel_kinds, link_keys
-from strainwave.domain.parameter_table import base_name, family_of, is_friction, parameter_table
+from strainwave.domain.parameter_table import VISCOUS, base_name, family_of, parameter_table
 from strainwave.domain.ranges import is_physical, physical_range
 from strainwave.domain.signals import Activity
 from strainwave.domain.stage_results import StageResults
-from strainwave.domain.stages import Stage
 from strainwave.domain.study import Study, channel_parts
-
-MAX_EFFECT_SHIFT = 0.05
-"""Largest relative shift of a value due to an effect that the model omits.
-
-A value is rejected if the shift exceeds this limit and its 95 % confidence interval.
-"""
 
 _RIGID, _DECOUPLED, _TUNED, _NONE = range(4)
 _STAGE_OF_USE = {"motion": _RIGID, "frequency": _DECOUPLED, "sweep": _DECOUPLED, "tuning": _TUNED}
 _MOTOR_CHANNELS = frozenset({"u", "torque", "theta_m", "omega_m", "ref"})
-# standard deviations below zero from which a negative value is significant
-_MIN_STDS_BELOW_ZERO = 2.0
 # share of a joint's rms torque below which the half-width of a confidence interval is negligible
 _MAX_NEGLIGIBLE_SHARE = 0.02
 # half-width of the interval of a sensor's place, whose zero is arbitrary
 _MAX_PLACE_HALF_WIDTH = {"m": 0.01, "rad": 0.05}
 _FAULT_REASON = Clause("reason/fault")
 _CONTRADICTION_REASON = Clause("reason/contradiction")
-_IMPLAUSIBLE_REASON = Clause("reason/implausible")
-_VISCOUS_FRICTIONS = ("motor_viscous_friction", "link_viscous_friction")
 _FIRST_ROWS = (
     "torque_per_volt",
     "rigid_inertia",
@@ -111,13 +97,18 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
     table: _Table = {}
     if rigid is not None:
         further = [p for term in rigid.friction_terms for p in term.parameters]
-        table = _stage_table((*rigid.parameters, *further), "rigid", spread_to_all=False)
+        table = {p.key: _Entry(p) for p in (*rigid.parameters, *further)}
     if first_affected <= _RIGID:
         table = _reject_all(table.values(), _FAULT_REASON)
-    accepted = [j for j in results.joints if not _enter_if_rejected(table, j, first_affected)]
-    accepted = [_at_zero_angles(joint, table, study.arm) for joint in accepted]
-    for joint in accepted:
-        table.update({p.key: _Entry(p) for p in joint.parameters})
+    accepted: list[JointModel] = []
+    if first_affected <= _DECOUPLED:
+        for p in (p for joint in results.joints for p in joint.parameters):
+            table.setdefault(p.key, _Entry(p, _FAULT_REASON))
+    else:
+        accepted = [_at_zero_angles(joint, table, study.arm) for joint in results.joints]
+        for p in (p for joint in accepted for p in joint.parameters):
+            if p.key not in table or not _is_impossible(p):
+                table[p.key] = _Entry(p)
     for torsion in results.torsions:
         entry = _Entry(torsion.stiffness)
         is_faulty = first_affected <= _DECOUPLED
@@ -164,60 +155,15 @@ def first_affected_stage(suspicion: Suspicion, study: Study) -> int:
     return max(channel_stage, min(record_stages, default=_RIGID))
 
 
-def _impossible_parameters(parameters: Iterable[Parameter]) -> list[Parameter]:
-    """Parameters with a physically impossible, significantly negative value."""
-    return [
-        p
-        for p in parameters
-        if p.value is not None
-        and not is_physical(p.name, p.value)
-        and p.value + _MIN_STDS_BELOW_ZERO * (p.std or 0.0) < 0.0
-    ]
-
-
-def _stage_table(parameters: Sequence[Parameter], stage: Stage, *, spread_to_all: bool) -> _Table:
-    """Table of a stage; an impossible value rejects its joint and the parameters of the arm."""
-    impossible = _impossible_parameters(parameters)
-    if not impossible:
-        return {p.key: _Entry(p) for p in parameters}
-    first = impossible[0]
-    reason = Clause(
-        "reason/stage", stage=stage, label=first.label, value=first.value, unit=first.unit
-    )
-    joints = {p.joint for p in impossible} | {None}
-    is_all_rejected = spread_to_all or None in {p.joint for p in impossible}
-    return {
-        p.key: _Entry(p, reason if is_all_rejected or p.joint in joints else None)
-        for p in parameters
-    }
-
-
 def _reject_all(entries: Iterable[_Entry], reason: Clause) -> _Table:
-    return {e.parameter.key: replace(e, rejected=reason) for e in entries}
-
-
-def _enter_if_rejected(table: _Table, joint: JointModel, first_affected: int) -> bool:
-    """Return whether the decoupled fit of a joint is rejected, and if so add it to the table."""
-    entries = _stage_table(joint.parameters, "decoupled", spread_to_all=True)
-    if first_affected <= _DECOUPLED:
-        entries = _reject_all(entries.values(), _FAULT_REASON)
-    elif joint.status == "implausible":
-        reasons = (e.rejected for e in entries.values() if e.rejected)
-        entries = _reject_all(entries.values(), next(reasons, _IMPLAUSIBLE_REASON))
-    if not any(entry.rejected for entry in entries.values()):
-        return False
-    for key, entry in entries.items():
-        table.setdefault(key, entry)
-    return True
+    return {e.parameter.key: e.reject(reason) for e in entries}
 
 
 def _enter_whole_arm(table: _Table, whole_arm: ArmModel, first_affected: int) -> None:
     """Enter the estimates of the whole-arm fit, identified or not, into the table.
 
     If the stages contradict each other in inertias or gravity torques, the torque of a joint is
-    wrong. All values are then rejected, because all joints share the inertias of the arm. If only
-    frictions differ, the probable cause is a different friction law. Only the frictions of that
-    joint are then rejected.
+    wrong. All values are then rejected, because all joints share the inertias of the arm.
     """
     if first_affected <= _TUNED:
         for p in whole_arm.parameters:
@@ -227,29 +173,8 @@ def _enter_whole_arm(table: _Table, whole_arm: ArmModel, first_affected: int) ->
     for p in whole_arm.parameters:
         reason = Clause("reason/at-bound", value=p.value or 0.0, unit=p.unit)
         table[p.key] = _Entry(p, reason if p.key in bounded else None)
-    for key, reason in _effect_shift_reasons(whole_arm).items():
-        if key in table:
-            table[key] = table[key].reject(reason)
-    failed_tests = contradictions(whole_arm.agreement)
-    friction_joints = {test.joint for test in failed_tests if test.scope == "friction"}
-    is_torque_wrong = any(test.scope == "inertias" for test in failed_tests)
-    for (name, joint), entry in table.items():
-        if is_torque_wrong or (joint in friction_joints and is_friction(name)):
-            table[name, joint] = entry.reject(_CONTRADICTION_REASON)
-
-
-def _effect_shift_reasons(whole_arm: ArmModel) -> dict[Key, Clause]:
-    """Values that a likely effect would shift significantly, each with the reason for rejection."""
-    reasons: dict[Key, Clause] = {}
-    for cause in whole_arm.criticism.causes if whole_arm.criticism else ():
-        reason = Clause(
-            "reason/effect", effect=cause.effect, joint=cause.joint, limit=MAX_EFFECT_SHIFT
-        )
-        for shift in cause.shifts:
-            is_large = abs(shift.shift) > MAX_EFFECT_SHIFT * abs(shift.without)
-            if is_large and abs(shift.deviations) > CI95_STDS:
-                reasons.setdefault(shift.key, reason)
-    return reasons
+    if whole_arm.contradictions:
+        table.update(_reject_all(table.values(), _CONTRADICTION_REASON))
 
 
 def _at_zero_angles(model: JointModel, table: _Table, arm: ArmDescription) -> JointModel:
@@ -342,35 +267,41 @@ def _reject_contradictions(table: _Table, arm: ArmDescription) -> None:
 
 
 def _decide_row(entry: _Entry, study: Study, levels: Mapping[int, Activity]) -> Decision:
-    """Decide one row: accept its value, set it to zero, or reject it."""
+    """Decide one row: accept its value, set it to the bound of zero, or reject it."""
     p, reason = entry.parameter, entry.rejected
-    if p.value is not None and not reason and not is_physical(p.name, p.value):
-        zeroed = _set_to_zero(p, study, levels)
-        if zeroed is not None:
-            return Decision(zeroed, identified=True)
-        reason = Clause("reason/impossible", value=p.value, unit=p.unit)
+    if not reason and p.value is not None and not is_physical(p.name, p.value):
+        if _is_impossible(p) or p.ci95 is None:
+            reason = Clause("reason/impossible", value=p.value, unit=p.unit)
+        else:
+            zero = Parameter.at_zero(p.key, p.ci95[1], p.unit, p.stage)
+            # a part of the total viscous friction has no value instead: the sum must remain
+            p = replace(zero, model_std=p.model_std, value=None if p.name in VISCOUS else 0.0)
     if p.value is None or reason:
-        without_value = replace(p, value=None, std=None, ci95=None)
+        without_value = replace(p, value=None, std=None, ci95=None, model_std=None)
         # a parameter without a value is not identified instead of rejected
         rejected = reason if p.value is not None else None
         return Decision(without_value, identified=False, rejected=rejected, raw=p.value)
     return Decision(p, identified=_is_identified(p, study, levels))
 
 
-def _set_to_zero(p: Parameter, study: Study, levels: Mapping[int, Activity]) -> Parameter | None:
-    """Set an insignificant, negligible friction or damping to zero; None if not applicable."""
-    if physical_range(p.name) != "non-negative" or p.name in _VISCOUS_FRICTIONS:
-        return None  # parts of the total viscous friction are not changed
-    if p.value is None or p.ci95 is None or p.ci95[1] < 0.0:
-        return None
-    if not _is_negligible(p, study, levels):
-        return None
-    return replace(p, value=0.0, ci95=(0.0, p.ci95[1]))
+def _is_impossible(p: Parameter) -> bool:
+    """Whether a value is physically impossible beyond its interval.
+
+    Inertia, friction and damping have a bound of zero. A value that crosses it by less than its
+    interval is zero with a one-sided interval.
+    """
+    if p.value is None or is_physical(p.name, p.value):
+        return False
+    may_vanish = physical_range(p.name) == "non-negative" or family_of(p.name) == "inertia"
+    return not may_vanish or p.ci95 is None or p.ci95[1] <= 0.0
 
 
 def half_width(p: Parameter) -> float | None:
-    """Half-width of the 95 % confidence interval; None without an interval."""
-    return None if p.ci95 is None else 0.5 * (p.ci95[1] - p.ci95[0])
+    """Half-width of the 95 % confidence interval, or its width if it is one-sided."""
+    if p.ci95 is None:
+        return None
+    width = p.ci95[1] - p.ci95[0]
+    return width if p.value in p.ci95 else 0.5 * width
 
 
 def _is_identified(p: Parameter, study: Study, levels: Mapping[int, Activity]) -> bool:

@@ -257,9 +257,9 @@ TEMPLATES: Mapping[str, str] = {
     "no-descent": "the fit ended where a large decrease of the cost is predicted but no step"
     " achieves it|; hold a parameter that the records hardly determine (tuning.hold), or use longer"
     " records",
-    "causes-not-fitted": "{effects} might explain the residuals but were not fitted: the budget of"
-    " {evaluations} evaluations for fits with one more effect was exhausted|. The true cause may be"
-    " one of them; raise tuning.rival_effort to fit them",
+    "causes-not-fitted": "{effects} might explain the residuals and were only linearised: the"
+    " budget of {evaluations} evaluations for fits with one more effect was exhausted|; raise"
+    " tuning.rival_effort to fit them",
     "at-bounds": "the estimate is at the limit of its range, {value:.3g} {unit}: the data"
     " contradict the model or do not determine the value",
     "not-reached": "no record loads the gear so far that it shows|; use a larger amplitude, or hold"
@@ -286,8 +286,8 @@ TEMPLATES: Mapping[str, str] = {
     " together by {spread!p:.2g} %|; use the combination, not the single values",
     "residual-not-noise": "the residuals of {channel} are {ratio:.2g} times its sensor's noise,"
     " most near {worst_hz:.3g} Hz{dependence}|{unexplained}; intervals were widened for it",
-    "effect-taken-up": "{effect}, {description}, was added to the model: without it {consequence}|;"
-    " to confirm it, {experiment}",
+    "effect-taken-up": "{effect}, {description}, was added to the model ({sizes}){changes}: without"
+    " it {consequence}|; to confirm it, {experiment}",
     "effect-left-out": "{effect} was fitted and removed: its size does not differ significantly"
     " from zero in the records, and the other parameters are estimated without it|; remove it from"
     " the joint's effects, or add {needed}",
@@ -325,8 +325,8 @@ TEMPLATES: Mapping[str, str] = {
     "linearised": "{note}",
     # likely effects, whatever their code
     "effect-likely": "{effect} would explain {share!p:.2g} % of the residuals"
-    " ({sizes}){changes}{rivals}{rest}|; to fit it, give the joint {setting}; to confirm it,"
-    " {experiment}",
+    " ({sizes}){changes}{rivals}|; the intervals contain this change; to fit it, give the joint"
+    " {setting}; to confirm it, {experiment}",
 }
 """Messages of warnings, by code or "code/variant"."""
 
@@ -379,17 +379,11 @@ CLAUSES: Mapping[str, str] = {
     "changes": " and change {shifts}",
     "shift": "{parameter} by {change!p:+.2g} %",
     "rivals": "; less likely causes are {effects!a}",
-    "mostly-unexplained": "; most of the residuals remain unexplained",
     "and-remedy": "; {remedy}",
     "rejected-value": "{label} = {value:.4g}",
     "reason/fault": "it depends on channels that contradict each other or the study",
     "reason/contradiction": "the rigid and the whole-arm fit contradict each other",
-    "reason/implausible": "the decoupled fit of the joint contains an impossible value",
-    "reason/stage": "the {stage} fit gives {label} = {value:.3g} {unit}, which is physically"
-    " impossible",
     "reason/at-bound": "the estimate is at the limit of its range, {value:.3g} {unit}",
-    "reason/effect": "{effect} of joint {joint}, which explains part of the residuals, would shift"
-    " it out of its interval and by more than {limit!p:.0f} %",
     "reason/gamma": "gamma^2 = {square:.3g} is not below alpha beta = {product:.3g}",
     "reason/impossible": "{value:.3g} {unit} is physically impossible",
     "check/not-simulated": "no simulation of {records!a}: {reason}",

@@ -44,15 +44,7 @@ class ParameterDescription:
         torque = _TORQUES.get(self.owner, "other") if self.units[0] == "N m" else "other"
         return _FAMILIES.get(self.units[0], torque)
 
-    @property
-    def is_friction(self) -> bool:
-        """Whether it is part of a friction law of motor or link."""
-        is_viscous = self.family == "damping" and self.owner != "gear"
-        is_effect = self.owner in _FRICTION_EFFECTS or self.name in (SETTLING, FRICTION_CHANGE)
-        return self.family == "dry friction" or is_viscous or is_effect
 
-
-_FRICTION_EFFECTS = ("stribeck", "load-friction", "power-friction")
 _FAMILIES: Mapping[str, Family] = {
     **dict.fromkeys(("kg m^2", "kg m", "kg"), "inertia"),
     "N m s/rad": "damping",
@@ -160,12 +152,6 @@ def grouped_name(name: str) -> str:
 def base_name(name: str) -> str:
     """Name of a parameter without its record."""
     return name.partition("[")[0]
-
-
-def is_friction(name: str) -> bool:
-    """Whether a parameter is part of a friction law of motor or link."""
-    described = parameter_table().get(base_name(name))
-    return described is not None and described.is_friction
 
 
 def family_of(name: str) -> Family:

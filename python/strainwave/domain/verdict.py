@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from strainwave.domain.arm_model import ArmModel, ResidualTest, contradictions
+from strainwave.domain.arm_model import ArmModel, ResidualTest
 from strainwave.domain.base_parameters import base_parameters
 from strainwave.domain.clauses import Clause, Place
 from strainwave.domain.combinations import is_uncoupled, viscous_friction
@@ -149,7 +149,7 @@ def _failure_reasons(
 
 def _contradiction_reasons(whole_arm: ArmModel) -> Iterator[Clause]:
     """Yield the disagreements of the stages, with likely causes and experiments to test them."""
-    for test in contradictions(whole_arm.agreement):
+    for test in whole_arm.contradictions:
         yield Clause(
             "disagreement",
             deviations=test.deviations,

@@ -711,6 +711,9 @@ def _criticism(criticism: Criticism) -> dict[str, Any]:
                 "gain": cause.gain,
                 "share": cause.share,
                 "shifts": [asdict(shift) for shift in cause.shifts],
+                "weight": cause.weight,
+                "is_included": cause.is_included,
+                "is_linearised": cause.is_linearised,
             }
             for cause in criticism.causes
         ],

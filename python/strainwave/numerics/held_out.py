@@ -19,13 +19,20 @@ MIN_WEIGHT = 0.95
 _DRAWS = 1000  # of the Bayesian bootstrap
 
 
-def log_density(mean_square: FloatArray, variance: FloatArray, count: FloatArray) -> FloatArray:
-    """Log predictive density of normal errors: - n / 2 (ln s^2 + mean square / s^2).
+def log_density(
+    mean_square: FloatArray, variance: FloatArray, count: FloatArray, others: FloatArray
+) -> FloatArray:
+    """Log predictive density of normal errors, but for a constant of the counts.
 
-    `variance` s^2 is the mean square in other folds, `count` n the number of independent errors.
+        - n / 2 ln s^2 - (n + m) / 2 ln(1 + n mean square / (m s^2))
+
+    `variance` s^2 is the mean square in other folds; `count` n and `others` m are the numbers of
+    independent errors in both. With many others it is - n / 2 (ln s^2 + mean square / s^2); with
+    few, their variance is uncertain, and no single fold decides (Student's t).
     """
     variance = np.maximum(variance, np.finfo(float).tiny)
-    return np.asarray(-0.5 * count * (np.log(variance) + mean_square / variance))
+    ratio = np.log1p(count * mean_square / (np.maximum(others, 1e-9) * variance))
+    return np.asarray(-0.5 * (count * np.log(variance) + (count + others) * ratio))
 
 
 def model_weights(scores: FloatArray, rng: np.random.Generator) -> FloatArray:

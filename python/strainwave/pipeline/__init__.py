@@ -193,12 +193,7 @@ def _explain_suspicion(
         return ElasticStages(), replace(check, consistency=Consistency((suspicion,)))
     places, contradiction = suspicion.places, suspicion.clause
     warning = Diagnostic("torques-contradict", places, contradiction=contradiction)
-    is_missing = arm_model.criticism is not None and bool(arm_model.criticism.causes)
-    result = replace(
-        result,
-        warnings=(*result.warnings, warning),
-        failures=(*result.failures, warning.clause) if is_missing else result.failures,
-    )
+    result = replace(result, warnings=(*result.warnings, warning))
     return result, replace(check, consistency=Consistency())
 
 

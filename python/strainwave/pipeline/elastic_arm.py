@@ -179,7 +179,7 @@ def _fit_whole_arm(
                 others=start.alternatives,
                 progress=count,
             )
-        except NotIdentifiable as failure:
+        except (NotIdentifiable, NumericalFailure) as failure:
             return Diagnostic("not-tuned", inputs.place, reason=str(failure))
 
 

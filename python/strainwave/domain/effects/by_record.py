@@ -46,7 +46,7 @@ class DriveGainByRecord(RecordEffect):
     sizes = (_GAIN_CHANGE,)
     typical_size = 0.05  # magnets that warm up by 50 K, or amplifier drift
     by_record = True
-    prior_std = 0.1
+    prior_std = 0.05
     core_name = "drive-gain"  # for a gain error that is the same in all records
     defaults: Mapping[str, float] = {_GAIN: 0.0}
     misleads_inertias = True

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from strainwave.domain.effects.interface import Effect
+from strainwave.domain.effects.interface import Effect, KnownJoint, Values
+
+_TWIST_SHARE = 0.1  # of the largest torsion; gears of the catalogue have 0.05 to 0.15
 
 
 class Hysteresis(Effect):
@@ -23,6 +25,12 @@ class Hysteresis(Effect):
     consequence = "damping and the lowest slope of the stiffness are biased"
     experiment = "hold the link and turn the motor slowly back and forth up to several torques"
     record = "a record of slow reversals"
+
+    def tested_shapes(self, joint: KnownJoint) -> tuple[Values, ...]:
+        """The usual twist, or that of a soft gear: a tenth of its largest torsion."""
+        (usual,) = super().tested_shapes(joint)
+        twist = max(*usual.values(), _TWIST_SHARE * joint.largest_torsion)
+        return ({"hysteresis_twist": twist},)
 
 
 class KinematicError(Effect):

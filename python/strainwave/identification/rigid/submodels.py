@@ -144,7 +144,8 @@ class Submodels:
         count = np.bincount(own, minlength=n_folds * n_joints).reshape(n_folds, n_joints)
         others = np.maximum(count.sum(axis=0) - count, 1)
         variance = (squares.sum(axis=0) - squares) / others
-        density = log_density(squares / np.maximum(count, 1), variance, count / self.rows_per_error)
+        mean, kappa = squares / np.maximum(count, 1), self.rows_per_error
+        density = log_density(mean, variance, count / kappa, others / kappa)
         return np.asarray(density.sum(axis=1))
 
     def sizes(self, terms: Sequence[int]) -> FloatArray:

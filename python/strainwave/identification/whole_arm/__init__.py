@@ -15,6 +15,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.conclusion import arm_model
 from strainwave.identification.whole_arm.inference.predicted_precision import predicted_parameters
+from strainwave.identification.whole_arm.inference.score_tests import score_tests_of
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     set_record_effects,
     with_effects,
@@ -35,6 +36,7 @@ from strainwave.identification.whole_arm.search.undescribed_records import (
     find_undescribed,
 )
 from strainwave.identification.whole_arm.selection.candidate import Selection
+from strainwave.identification.whole_arm.selection.causes import Comparison, include_effects
 from strainwave.identification.whole_arm.selection.model_selection import COARSE, FINE, select_model
 from strainwave.identification.whole_arm.start import Start, prepare_start
 from strainwave.identification.whole_arm.torque_constant_rivals import has_likelier_effect
@@ -86,7 +88,12 @@ def fit_whole_arm(
     with one_blas_thread(), report_progress(progress):  # thousands of small factorisations
         prepared = prepare_start(logs, model, (joints, *others), arm, chosen, start)
         selection = Selection(arm, chosen)
-        return arm_model(_fit(prepared, selection), prepared, selection)
+        fit = _fit(prepared, selection)
+        if chosen.as_published:
+            comparison = Comparison(score_tests_of(fit, selection.arm))
+        else:
+            fit, comparison = include_effects(fit, selection)
+        return arm_model(fit, comparison, prepared, selection)
 
 
 def fit_records(

@@ -16,8 +16,8 @@ from strainwave.identification.closed_loop import predict_closed_loop
 from strainwave.identification.whole_arm.inference.agreement import (
     agreement_tests,
     disagreement,
-    is_disagreement,
     stage_differences,
+    stage_excess,
     suspects_of,
 )
 from strainwave.identification.whole_arm.inference.bounds import at_bounds, parameters_at_bounds
@@ -28,7 +28,6 @@ from strainwave.identification.whole_arm.inference.residual_analysis import (
     residual_tests,
     residual_warnings,
 )
-from strainwave.identification.whole_arm.inference.score_tests import score_tests_of
 from strainwave.identification.whole_arm.inference.sensor_gains import sensor_gains
 from strainwave.identification.whole_arm.problem.effect_unknowns import warn_removed_effects
 from strainwave.identification.whole_arm.records.loads import (
@@ -39,11 +38,9 @@ from strainwave.identification.whole_arm.records.loads import (
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.selection.candidate import Selection
 from strainwave.identification.whole_arm.selection.causes import (
-    fit_missing_effects,
+    Comparison,
+    effect_warnings,
     list_causes,
-    warn_added_effects,
-    warn_likely_cause,
-    warn_unfitted_effects,
 )
 from strainwave.identification.whole_arm.selection.gear_laws import equivalent_stiffnesses
 from strainwave.identification.whole_arm.selection.sensor_constants import sensor_warnings
@@ -52,30 +49,31 @@ from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.recorded_input import missing_recorded_input
 
 
-def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
+def arm_model(fit: Fit, comparison: Comparison, start: Start, selection: Selection) -> ArmModel:
     """Build the result of a whole-arm fit.
 
-    `start` holds the starting values of the fit, `selection` the arm of the study and the options.
+    `comparison` has the models that were compared with the fit, `start` the starting values,
+    `selection` the arm of the study and the options.
     """
     arm = selection.arm
     instant_settling = {(SETTLING, number): 0.0 for number in range(1, arm.n_joints + 1)}
     values = instant_settling | fit.values
     gear_loads = gear_torque_samples(fit.objective.records, values)
     largest_torque = largest_of(gear_loads).tolist()
-    parameters, covariance = parameters_of(fit, arm, largest_torque)
+    agreement, differences = agreement_tests(fit), stage_differences(fit, arm)
+    parameters, covariance = parameters_of(
+        fit, arm, largest_torque, comparison.plausible, stage_excess(differences, agreement)
+    )
     keys_at_bounds = tuple(parameters_at_bounds(fit, arm))
-    agreement = agreement_tests(fit)
-    score_tests = score_tests_of(fit, arm)
-    refits = fit_missing_effects(fit, score_tests, selection)
     criticism = Criticism(
         residual_tests(fit.objective, fit.z),
-        tuple(one.test for one in score_tests),
-        tuple(list_causes(refits.fits, arm)),
+        tuple(one.test for one in comparison.tests),
+        tuple(list_causes(comparison, parameters)),
     )
     is_far_above_noise = any(test.is_far_above_noise for test in criticism.residuals)
     suspects = (
         suspects_of(fit, arm, criticism.causes)
-        if is_far_above_noise or is_disagreement(agreement)
+        if is_far_above_noise or any(test.disagrees for test in agreement)
         else ()
     )
     public = [k for k, p in enumerate(parameters) if not is_hidden(p.key)]
@@ -93,13 +91,11 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
             *start.rejected,
             *warnings_of(fit, at_bounds(fit), parameters),
             *motor_side_limits(fit, arm, parameters, keys_at_bounds),
-            *disagreement(stage_differences(fit, arm), agreement, suspects),
+            *disagreement(differences, agreement, suspects),
             *warn_removed_effects(fit.space, arm),
-            *warn_added_effects(fit, arm),
+            *effect_warnings(criticism.causes, comparison),
             *sensor_warnings(parameters),
             *residual_warnings(criticism.residuals, explained=bool(criticism.causes)),
-            *warn_likely_cause(criticism.causes),
-            *warn_unfitted_effects(refits),
             *equivalent_stiffnesses(criticism.score_tests, fit, selection, largest_torque),
         ),
         criticism=criticism,

@@ -27,7 +27,7 @@ _RESULT = {
         "Check gear_ratio, torque_per_volt, and the sign and scale of each channel.",
     ),
     "stages-disagree": Advice(
-        "One of the two values is biased; from four standard deviations both are rejected.",
+        "One of the two values is biased. The intervals contain the difference.",
         "Check in this order: motor constant at high current, clock of the logger, dead zone of the"
         " drive, friction law.",
     ),
@@ -116,7 +116,7 @@ _RESULT = {
         "Add an accelerometer or an encoder to that link.",
     ),
     "causes-not-fitted": Advice(
-        "The likely cause of the residuals may be one of the effects that were not fitted.",
+        "These effects were linearised; their weight enters the intervals.",
         "Raise tuning.rival_effort, or name the effect in the joint's effects.",
     ),
     "residual-not-noise": Advice(

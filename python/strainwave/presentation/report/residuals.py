@@ -79,8 +79,8 @@ def residual_tests(criticism: Criticism) -> Iterator[Block]:
         label = f"All {len(tests)} residual tests"
         yield Fold(label, tuple(_residual_table(label, tests, heading=False)))
     share = number("share of the cost")
-    heads: Row = ("effect", "joint", "its parameters", share, "changes other parameters by")
-    title = "Effects that likely act but are missing in the model, each fitted"
+    heads: Row = ("effect", "joint", "its parameters", share, "changes by it", "model")
+    title = "Effects that the model includes, and plausible ones that the intervals contain"
     yield from table(title, heads, map(_cause_row, criticism.causes))
     yield from map(_describe_effect, dict.fromkeys(cause.effect for cause in criticism.causes))
     yield from _score_table(criticism.score_tests)
@@ -224,6 +224,7 @@ def _cause_row(cause: Cause) -> Row:
         _list_sizes(sizes) or "not identified",
         share,
         prose(shifts),
+        "included" if cause.is_included else f"weight {two_digits(cause.weight)}",
     )
 
 

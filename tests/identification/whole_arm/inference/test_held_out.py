@@ -12,7 +12,7 @@ from strainwave.domain import FloatArray, IntArray
 from strainwave.identification.whole_arm.inference.held_out import held_out_scores
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation, Rows
 from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.numerics.held_out import weight_over
+from strainwave.numerics.held_out import model_weights
 
 N_ROWS, N_FOLDS = 400, 10
 RNG = np.random.default_rng(3)
@@ -27,7 +27,10 @@ def fit_of(columns: FloatArray) -> Fit:
     evaluated = Evaluation(residual, columns[:, None, :], np.zeros(0), ())
     rows = Rows(residual, np.ones_like(residual), evaluated, np.ones(1), np.zeros(0))
     prior = (np.zeros((0, columns.shape[1])), np.zeros(0))
-    space = SimpleNamespace(linearise_prior=lambda _: prior)
+    names = [(f"x{k}", None) for k in range(columns.shape[1])]
+    space = SimpleNamespace(
+        linearise_prior=lambda _: prior, keys=names, lower=-1e6 + 0.0 * z, upper=1e6 + 0.0 * z
+    )
     objective = SimpleNamespace(rows=lambda _: [rows], space=space)
     return cast(Fit, SimpleNamespace(objective=objective, space=space, z=z))
 
@@ -61,12 +64,15 @@ def test_the_true_model_predicts_best() -> None:
     powers = [np.column_stack([TIME**p for p in range(n)]) for n in (1, 2, 9)]
     constant, line, polynomial = held_out_scores([fit_of(X) for X in powers])
     rng = np.random.default_rng(0)
-    assert weight_over(line, constant, rng) > 0.999
-    assert weight_over(polynomial, line, rng) < 0.05
+    weights = model_weights(np.array([line, constant, polynomial]), rng)
+    assert weights[0] > 0.95
+    assert weights.sum() == pytest.approx(1.0)
 
 
 def test_one_fold_does_not_decide() -> None:
     same = np.zeros(10)
-    assert weight_over(same, same, np.random.default_rng(0)) == 0.5
+    equal = model_weights(np.array([same, same]), np.random.default_rng(0))
+    assert equal.tolist() == [0.5, 0.5]
     outlier = np.array([*np.full(9, -2.0), 30.0])
-    assert weight_over(outlier, same, np.random.default_rng(0)) < 0.8  # the sum favours it by 12
+    weights = model_weights(np.array([outlier, same]), np.random.default_rng(0))
+    assert weights[0] < 0.8  # the sum favours it by 12

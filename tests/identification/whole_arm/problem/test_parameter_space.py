@@ -131,6 +131,17 @@ def test_coordinates_stay_in_reach() -> None:
     np.testing.assert_array_equal(z[positive], -space.upper[positive])
 
 
+def test_a_recentred_range_keeps_the_values() -> None:
+    _, _, space = mixed()
+    z = somewhere(space, 3)
+    chosen = [k for k, unknown in enumerate(space.unknowns) if unknown.name in VISCOUS]
+    recentred = space.recentre(z, chosen)
+    values = space.values(z)
+    at = recentred.coordinates(values)
+    assert at[chosen] == pytest.approx(0.0, abs=1e-12)
+    assert recentred.parameters(at) == pytest.approx(space.parameters(z), rel=1e-12)
+
+
 def test_reach_is_a_factor() -> None:
     _, _, space = mixed()
     start = space.values(np.zeros(len(space.unknowns)))

@@ -23,6 +23,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.distributions import chi_square_tail
 from strainwave.domain.effects import effect_named
+from strainwave.domain.keys import Values
 from strainwave.domain.parameter_table import family_of
 from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
@@ -37,13 +38,6 @@ from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
 from strainwave.identification.whole_arm.search.fit import Fit
 
 Scope = Literal["all", "inertias", "friction"]
-
-MAX_NOISE_DEVIATIONS = 3.0
-"""Difference in standard deviations above which the stages disagree.
-
-Noise alone exceeds it in one of 100 runs. Above `domain.arm_model.MAX_DISAGREEMENT`, the values are
-rejected.
-"""
 
 RIGID_MODEL_ERROR = 5e-4
 """Relative error of the rigid model's values, because torsion moves the links by milliradians."""
@@ -157,9 +151,15 @@ def _as_normal(chi_square: float, degrees: int) -> float:
     return max(0.0, -NormalDist().inv_cdf(0.5 * tail))
 
 
-def is_disagreement(tests: Sequence[AgreementTest]) -> bool:
-    """Whether a difference between the stages is significant and of practical importance."""
-    return any(test.deviations > MAX_NOISE_DEVIATIONS and test.matters for test in tests)
+def stage_excess(differences: Sequence[StageDifference], tests: Sequence[AgreementTest]) -> Values:
+    """Excess of the squared differences over their variance, if the stages disagree.
+
+    The covariance of the difference accounts for the errors that both stages share (Hausman, 1978),
+    so only the excess is an error of the model.
+    """
+    if not any(test.disagrees for test in tests):
+        return {}
+    return {d.key: max(0.0, (d.whole_arm - d.rigid) ** 2 - d.std**2) for d in differences}
 
 
 def suspects_of(fit: Fit, arm: Arm, causes: Sequence[Cause]) -> tuple[SuspectConstant, ...]:
@@ -251,9 +251,10 @@ def disagreement(
     suspects: Sequence[SuspectConstant] = (),
 ) -> Iterator[Diagnostic]:
     """Yield the warning that the stages disagree, with likely causes; at most one."""
-    if not is_disagreement(tests):
+    failed = [test for test in tests if test.disagrees]
+    if not failed:
         return
-    worst = max((t for t in tests if t.matters), key=lambda test: test.deviations)
+    worst = max(failed, key=lambda test: test.deviations)
     largest = tuple(
         Clause(
             "stage-difference",

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
+from strainwave.domain import BoolArray, FloatArray
 from strainwave.domain.keys import Key
 from strainwave.domain.parameter_table import SETTLING
+from strainwave.domain.ranges import physical_range
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.search.fit import Fit
 
@@ -29,8 +33,18 @@ def parameters_at_bounds(fit: Fit, arm: Arm) -> Iterator[Key]:
 
 
 def at_bounds(fit: Fit) -> list[bool]:
-    """Whether each unknown is at a bound of its range."""
-    space = fit.space
-    margin = 0.5 * _BOUND_TOLERANCE * (space.upper - space.lower)
-    is_near: list[bool] = ((fit.z < space.lower + margin) | (fit.z > space.upper - margin)).tolist()
-    return is_near
+    """Whether each unknown is at a bound of its search range that is no physical bound of zero."""
+    near = _is_near(fit.space.upper - fit.z, fit) | _is_near(fit.z - fit.space.lower, fit)
+    return [at and not zero for at, zero in zip(near.tolist(), at_zero(fit), strict=True)]
+
+
+def at_zero(fit: Fit) -> list[bool]:
+    """Whether each unknown is at the lower bound of a range that begins at zero."""
+    may_vanish = [physical_range(name) == "non-negative" for name, _ in fit.space.keys]
+    zeros: list[bool] = (_is_near(fit.z - fit.space.lower, fit) & np.array(may_vanish)).tolist()
+    return zeros
+
+
+def _is_near(distance: FloatArray, fit: Fit) -> BoolArray:
+    margin = 0.5 * _BOUND_TOLERANCE * (fit.space.upper - fit.space.lower)
+    return np.asarray(distance < margin)

@@ -12,9 +12,9 @@ Four covariances describe the error of each parameter:
 - scatter, from the gradients of whole records. It includes model errors that differ between
   experiments.
 
-A variance is the larger of sandwich and steady, plus an increment from the scatter. Correlations
-are those of the steady covariance, because a combination of parameters depends on other errors than
-its terms.
+The variance within records is the larger of sandwich and steady. Correlations are those of the
+steady covariance, because a combination of parameters depends on other errors than its terms. What
+follows is added as model error.
 
 The rows of the rigid model are weighted by standard deviations with a lower limit, so that the
 records dominate. Both sandwiches use the errors that the rigid step reports. They are scaled up
@@ -63,6 +63,7 @@ class Confidence:
     """Covariances of the parameters, each (n_unknowns, n_unknowns)."""
 
     combined: FloatArray
+    model_error: FloatArray  # part of `combined`: excess scatter and unexplained residuals
     local: FloatArray
     sandwich: FloatArray
     steady: FloatArray
@@ -134,17 +135,16 @@ def confidence_at(objective: Objective, z: FloatArray) -> Confidence:
         )
     )
     variance = np.maximum(np.diag(sandwich), np.diag(steady))
+    model_error = n_records * _unexplained_share(slope @ answer, records) * variance
     if n_records >= _MIN_RECORDS:
-        variance = variance + _scatter_increment(
-            np.diag(local), np.diag(scatter), pooled, n_records
-        )
-    variance = variance * (1.0 + n_records * _unexplained_share(slope @ answer, records))
+        model_error = model_error + _scatter_excess(variance, np.diag(scatter), pooled, n_records)
     by_segments, by_steady_errors = (
         residual_covariance(prior.errors, rows @ answer, rows, meat)
         for meat in (segment_meat, steady_meat)
     )
     return Confidence(
-        with_variances(steady, variance),
+        with_variances(steady, variance + model_error),
+        with_variances(steady, model_error),
         local,
         sandwich,
         steady,
@@ -154,20 +154,18 @@ def confidence_at(objective: Objective, z: FloatArray) -> Confidence:
     )
 
 
-def _scatter_increment(
-    own: FloatArray, scattered: FloatArray, pooled: float, n_records: int
+def _scatter_excess(
+    variance: FloatArray, scattered: FloatArray, pooled: float, n_records: int
 ) -> FloatArray:
-    """Increment of the variances from the scatter of few records.
+    """Excess of the scatter of few records over the variance within records.
 
-    The scatter of one parameter follows a chi-square distribution with few degrees of freedom. If
-    the pooled scatter agrees with the noise, its excess is chance. If the pooled scatter is much
-    larger, the model has errors, of which the records are a small sample. The excess is then scaled
-    by the squared ratio of the quantiles of Student's t and the normal distribution, and every
-    parameter receives at least the pooled excess.
+    The scatter of one parameter follows a chi-square distribution with few degrees of freedom, so
+    the excess is scaled by the squared ratio of the quantiles of Student's t and the normal
+    distribution. If the pooled scatter agrees with the noise, the excess is chance.
     """
     quantile_ratio = (student_quantile(0.975, n_records - 1) / CI95_STDS) ** 2
-    weight = quantile_ratio * (1.0 - 1.0 / pooled)
-    return np.asarray(np.maximum((scattered - own) * weight, own * (pooled - 1.0) * quantile_ratio))
+    excess = np.maximum(scattered - variance, 0.0)
+    return np.asarray(excess * quantile_ratio * (1.0 - 1.0 / pooled))
 
 
 def _prior_scale(

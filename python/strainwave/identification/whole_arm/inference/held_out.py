@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from strainwave.domain import FloatArray, IntArray
+from strainwave.identification.whole_arm.inference.bounds import at_bounds, at_zero
 from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.search.fit import Fit
@@ -24,20 +25,20 @@ _MIN_FOLDS = 2  # of a record; the other folds estimate the variance of a channe
 def held_out_scores(fits: Sequence[Fit]) -> FloatArray:
     """Log predictive densities of fits of the same records, (n_fits, n_folds).
 
-    log p(fold) = -n / (2 kappa) [ln s^2 + RSS / (n s^2)], summed over the channels of the fold. s^2
-    is the variance in the other folds of the record, and kappa the number of rows per independent
-    residual, the largest of the fits. The parameters without a fold are one Gauss-Newton step from
-    the fit: the least squares solution of the factors of the other folds, stacked.
+    The density of `log_density` is summed over the channels of the fold; the number of independent
+    errors is that of the rows over kappa, the rows per independent residual, the largest of the
+    fits. The parameters without a fold are one Gauss-Newton step from
+    the fit: the least squares solution of the factors of the other folds, stacked. Unknowns at a
+    bound stay there.
     """
     rows = [fit.objective.rows(fit.z) for fit in fits]
+    # long integrator steps may end a row earlier
+    n_rows = [min(len(one.residual) for one in of_record) for of_record in zip(*rows, strict=True)]
     correlation = [
         np.max([[estimate_rows_per_error(e) for e in one.errors.T] for one in of_record], axis=0)
         for of_record in zip(*rows, strict=True)
     ]
-    folds = [
-        _folds(len(of_fit.residual), float(np.max(kappa)))
-        for of_fit, kappa in zip(rows[0], correlation, strict=True)
-    ]
+    folds = [_folds(n, float(np.max(kappa))) for n, kappa in zip(n_rows, correlation, strict=True)]
     return np.array(
         [_scores(fit, own, folds, correlation) for fit, own in zip(fits, rows, strict=True)]
     )
@@ -54,28 +55,33 @@ def _scores(
     fit: Fit, rows: Sequence[Rows], folds: Sequence[IntArray], correlation: Sequence[FloatArray]
 ) -> FloatArray:
     """Log predictive densities of the folds of all records, (n_folds,)."""
-    columns = [_shared_columns(one) for one in rows]
+    columns = [_shared_columns(one)[: len(f)] for one, f in zip(rows, folds, strict=True)]
+    residuals = [one.residual[: len(f)] for one, f in zip(rows, folds, strict=True)]
+    roots = [one.root[: len(f)] for one, f in zip(rows, folds, strict=True)]
     parts = [
         (k, fold == number) for k, fold in enumerate(folds) for number in range(int(fold[-1]) + 1)
     ]
     factors = []
     for k, held in parts:
-        weighted = columns[k][held] * rows[k].root[held][..., None]
-        residual = (rows[k].residual * rows[k].root)[held][..., None]
+        weighted = columns[k][held] * roots[k][held][..., None]
+        residual = (residuals[k] * roots[k])[held][..., None]
         table = np.concatenate([weighted, residual], axis=2)
         factors.append(triangular_factor(table.reshape(-1, table.shape[2])))
     prior = np.column_stack(fit.space.linearise_prior(fit.z))
-    predicted = [np.zeros_like(one.residual) for one in rows]
+    held_at_bounds = np.array(at_bounds(fit)) | np.array(at_zero(fit))
+    free = np.flatnonzero(~held_at_bounds)
+    predicted = [np.zeros_like(residual) for residual in residuals]
     for number, (k, held) in enumerate(parts):
         others = np.concatenate([prior, *factors[:number], *factors[number + 1 :]])
-        step = np.linalg.lstsq(others[:, :-1], -others[:, -1])[0]
-        predicted[k][held] = (rows[k].residual[held] + columns[k][held] @ step) * rows[k].stds
+        step = np.linalg.lstsq(others[:, free], -others[:, -1])[0]
+        change = columns[k][held][..., free] @ step
+        predicted[k][held] = (residuals[k][held] + change) * rows[k].stds
     scores = []
     for k, held in parts:
         squares = predicted[k] ** 2
         held_out, variance = np.mean(squares[held], axis=0), np.mean(squares[~held], axis=0)
-        count = np.sum(held) / correlation[k]
-        scores.append(float(np.sum(log_density(held_out, variance, count))))
+        count, others = np.sum(held) / correlation[k], np.sum(~held) / correlation[k]
+        scores.append(float(np.sum(log_density(held_out, variance, count, others))))
     return np.array(scores)
 
 

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from strainwave.domain import FloatArray, Parameter
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.gear_laws import is_by_load
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import constant_of
 from strainwave.domain.parameter_table import VISCOUS
 from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm.inference.covariance import confidence_of
+from strainwave.identification.whole_arm.inference.bounds import at_zero
+from strainwave.identification.whole_arm.inference.covariance import confidence_of, with_variances
 from strainwave.identification.whole_arm.problem.prior import combination
 from strainwave.identification.whole_arm.search.fit import Fit
 
@@ -24,27 +26,59 @@ _MAX_RELATIVE_STD = 0.3
 _MOUNTING_STEPS = (1e-6, -1e-6)  # of mounting unknowns for central differences [m or rad]
 
 
+@dataclass(frozen=True, slots=True)
+class PlausibleModel:
+    """A model that predicts held-out stretches about as well as the one that is handed over."""
+
+    fit: Fit
+    arm: Arm
+    weight: float  # by held-out scores
+    is_determined: bool  # whether it determines the primary values; else only its shifts count
+
+
 def parameters_of(
-    fit: Fit, arm: Arm, largest_torque: Sequence[float]
+    fit: Fit,
+    arm: Arm,
+    largest_torque: Sequence[float],
+    plausible: Sequence[PlausibleModel] = (),
+    excess: Mapping[Key, float] | None = None,
 ) -> tuple[tuple[Parameter, ...], FloatArray]:
     """Compute the unknowns and derived parameters, with their covariance.
 
-    `largest_torque` [N m] is the largest torque of each gear in the records. The covariance is
-    (n_parameters, n_parameters).
+    With the weights w of the models, V = sum w [P + (theta_m - theta)(theta_m - theta)'] about the
+    model that is handed over; the second part is the model error. `excess` has further variances of
+    the model error. `largest_torque` [N m] is the largest torque of each gear in the records. The
+    covariance is (n_parameters, n_parameters).
     """
-    combined = confidence_of(fit).combined
-    quantities = [
-        *_unknowns(fit, arm, _identified_curves(fit, combined, arm, largest_torque)),
-        *_combinations(fit, arm),
-        *_vanished(fit, arm),
-        *_mountings(fit),
-    ]
-    W = np.array([quantity.slope for quantity in quantities])
-    covariance = W @ combined @ W.T
-    variance = np.diag(covariance)
-    stds = np.sqrt(np.where(variance >= 0.0, variance, np.inf))  # negative only by rounding
-    pairs = zip(quantities, stds.tolist(), strict=True)
-    return tuple(_parameter(quantity, std) for quantity, std in pairs), covariance
+    quantities = _quantities(fit, arm, largest_torque)
+    covariance = _covariance(quantities, confidence_of(fit).combined)
+    own = np.diag(covariance)
+    variance = (1.0 - sum(model.weight for model in plausible)) * own
+    shifts = np.diag([(excess or {}).get(quantity.key, 0.0) for quantity in quantities])
+    for model in plausible:
+        others = _quantities(model.fit, model.arm, largest_torque)
+        theirs = _covariance(others, confidence_of(model.fit).combined)
+        pairs = zip(others, np.diag(theirs).tolist(), strict=True)
+        by_key = {other.key: (other.value, square) for other, square in pairs}
+        at_own = [(q.value, square) for q, square in zip(quantities, own.tolist(), strict=True)]
+        estimates = [by_key.get(q.key, one) for q, one in zip(quantities, at_own, strict=True)]
+        shift = np.array(
+            [
+                0.0 if other is None or value is None else other - value
+                for (other, _), (value, _) in zip(estimates, at_own, strict=True)
+            ]
+        )
+        of_model = [square for _, square in (estimates if model.is_determined else at_own)]
+        variance = variance + model.weight * np.array(of_model)
+        shifts = shifts + model.weight * np.outer(shift, shift)
+    model_error = np.diag(shifts + _covariance(quantities, confidence_of(fit).model_error))
+    covariance = with_variances(covariance, variance) + shifts
+    total = np.diag(covariance)
+    stds = np.sqrt(np.where(total >= 0.0, total, np.inf))  # negative only by rounding
+    model_stds = np.sqrt(np.clip(model_error, 0.0, total))
+    zeros = {key for key, at in zip(fit.space.keys, at_zero(fit), strict=True) if at}
+    rows = zip(quantities, stds.tolist(), model_stds.tolist(), strict=True)
+    return tuple(_parameter(q, std, model, q.key in zeros) for q, std, model in rows), covariance
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +89,21 @@ class _Quantity:
     unit: str
     value: float | None  # None: not identified
     slope: FloatArray  # (n_unknowns,)
+
+
+def _quantities(fit: Fit, arm: Arm, largest_torque: Sequence[float]) -> list[_Quantity]:
+    curves = _identified_curves(fit, confidence_of(fit).combined, arm, largest_torque)
+    return [
+        *_unknowns(fit, arm, curves),
+        *_combinations(fit, arm),
+        *_vanished(fit, arm),
+        *_mountings(fit),
+    ]
+
+
+def _covariance(quantities: Sequence[_Quantity], of_unknowns: FloatArray) -> FloatArray:
+    W = np.array([quantity.slope for quantity in quantities])
+    return np.asarray(W @ of_unknowns @ W.T)
 
 
 def _unknowns(fit: Fit, arm: Arm, identified: Mapping[Key, Key | None]) -> Iterator[_Quantity]:
@@ -142,10 +191,13 @@ def _identified_curves(
     return identified
 
 
-def _parameter(quantity: _Quantity, std: float) -> Parameter:
+def _parameter(quantity: _Quantity, std: float, model_std: float, is_zero: bool) -> Parameter:
     key, value, unit = quantity.key, quantity.value, quantity.unit
     may_be_vague = key[0] in VISCOUS or is_by_load(key[0])
-    is_vague = may_be_vague and std > _MAX_RELATIVE_STD * abs(value or 0.0)
+    is_vague = may_be_vague and (is_zero or std > _MAX_RELATIVE_STD * abs(value or 0.0))
     if value is None or is_vague or not np.isfinite(std):
         return Parameter(*key, None, None, unit, "tuned")
-    return Parameter.estimated(key, value, std, unit, "tuned")
+    estimate = Parameter.estimated(key, value, std, unit, "tuned")
+    if is_zero:
+        estimate = Parameter.at_zero(key, value + CI95_STDS * std, unit, "tuned")
+    return replace(estimate, model_std=model_std or None)

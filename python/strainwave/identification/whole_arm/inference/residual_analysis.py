@@ -25,7 +25,7 @@ _N_SEGMENTS = 8  # number of half-overlapping segments per record for averaged s
 _MIN_SEGMENT_ROWS = 64  # minimum segment length [rows]
 _MAX_BAND_SHARE = 0.8  # upper limit of the band for spectral comparison, relative to the cut-off
 _MAX_INPUT_DELAY = 0.1  # maximum delay between input and residual [s]
-_MIN_WARNING_RATIO = 3.0  # ratio of residual to sensor noise above which a warning is issued
+MIN_WARNING_RATIO = 3.0  # ratio of residual to sensor noise above which a warning is issued
 _MIN_NOISE_RATIO = 1.5  # ratio above which more than half of the residual power is not noise
 _SIGNIFICANCE_LEVEL = 1e-3  # significance level of the input correlation
 
@@ -170,15 +170,17 @@ def has_excess_residuals(objective: Objective, z: FloatArray) -> bool:
     return any(bool(np.any(beyond)) for beyond in channels_above_noise(objective, z))
 
 
-def channels_above_noise(objective: Objective, z: FloatArray) -> list[BoolArray]:
-    """Channels whose residual exceeds the sensor noise: one (n_channels,) for each record.
+def channels_above_noise(
+    objective: Objective, z: FloatArray, ratio: float = _MIN_NOISE_RATIO
+) -> list[BoolArray]:
+    """Channels whose residual exceeds a multiple of the noise: (n_channels,) for each record.
 
     `z`, (n_unknowns,), is the final iterate of the fit.
     """
     exceeding = []
     for record, rows in zip(objective.records, objective.rows(z), strict=True):
         stds = np.std(rows.errors, axis=0)
-        exceeding.append((stds >= _MIN_NOISE_RATIO * record.noise) & (record.noise > 0.0))
+        exceeding.append((stds >= ratio * record.noise) & (record.noise > 0.0))
     return exceeding
 
 
@@ -190,7 +192,7 @@ def residual_warnings(tests: Sequence[ResidualTest], *, explained: bool) -> Iter
     for name in dict.fromkeys(test.channel for test in tests):
         candidates = [test for test in tests if test.channel == name and test.noise > 0.0]
         worst = max(candidates, key=lambda test: test.deviation / test.noise, default=None)
-        if worst is None or worst.deviation < _MIN_WARNING_RATIO * worst.noise:
+        if worst is None or worst.deviation < MIN_WARNING_RATIO * worst.noise:
             continue
         dependence = Clause("follows-no-input")
         if worst.input_probability < _SIGNIFICANCE_LEVEL:

@@ -34,12 +34,17 @@ from strainwave.identification.whole_arm.inference.effect_columns import (
     Hypothesis,
     Shapes,
 )
-from strainwave.identification.whole_arm.inference.residual_analysis import has_excess_residuals
+from strainwave.identification.whole_arm.inference.residual_analysis import (
+    MIN_WARNING_RATIO,
+    channels_above_noise,
+    has_excess_residuals,
+)
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     NamedEffect,
     effects_in,
     known_joint,
 )
+from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.records.loads import loads_of
 from strainwave.identification.whole_arm.search.fit import Fit
 
@@ -254,6 +259,16 @@ def _score_test(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTes
     )
 
 
+def min_relevant_share(objective: Objective, z: FloatArray) -> float:
+    """Share of the cost from which an effect is relevant.
+
+    Near the sensor noise, small effects imitate the errors of integrator and friction corner.
+    """
+    if any(bool(np.any(far)) for far in channels_above_noise(objective, z, MIN_WARNING_RATIO)):
+        return MIN_COST_SHARE
+    return RELEVANT_COST_SHARE
+
+
 def is_relevant(share: float, moves: Sequence[ParameterShift]) -> bool:
     """Whether an effect is relevant.
 
@@ -275,7 +290,7 @@ def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
     stds = np.sqrt(np.diag(confidence_of(fit).combined))
     parameter_shifts = []
     for (name, joint), std in zip(fit.space.keys, stds.tolist(), strict=True):
-        if _is_primary((name, joint)) and std > 0.0:
+        if is_primary((name, joint)) and std > 0.0:
             shift = values[name, joint] - estimates[name, joint]
             parameter_shifts.append(
                 ParameterShift(name, joint, estimates[name, joint], shift, shift / std)
@@ -283,7 +298,7 @@ def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
     yield from sorted(parameter_shifts, key=lambda move: -abs(move.deviations))
 
 
-def _is_primary(key: Key) -> bool:
+def is_primary(key: Key) -> bool:
     """Whether a parameter is an inertia, gravity torque, gear parameter or Coulomb friction."""
     excluded = (*VISCOUS, OFFSET, SETTLING)
     of_effects = {name for effect in all_effects() for name in effect.names}

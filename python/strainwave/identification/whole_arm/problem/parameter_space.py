@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -162,6 +162,15 @@ class ParameterSpace:
             else:
                 z.append(np.log(max(value / unknown.scale, 1e-12)))
         return np.asarray(np.clip(np.array(z), self.lower, self.upper))
+
+    def recentre(self, z: FloatArray, chosen: Collection[int]) -> ParameterSpace:
+        """Centre the ranges of unknowns with logarithmic coordinates at their values at z."""
+        values = self.parameters(z).tolist()
+        unknowns = tuple(
+            replace(u, start=value, scale=u.scale * float(np.exp(at))) if k in chosen else u
+            for k, (u, value, at) in enumerate(zip(self.unknowns, values, z.tolist(), strict=True))
+        )
+        return replace(self, unknowns=unknowns)
 
     def add(
         self, unknowns: Iterable[Unknown], columns: Iterable[FloatArray] | None = None

@@ -1,13 +1,14 @@
-"""Find the effect that the model most likely lacks by fits of the best score tests.
+"""Effects that the model lacks: included if they predict held-out stretches better.
 
-A score test is one linear step. Effects with similar score tests can be told apart by fits, which
-use the shapes and limits of their laws.
+A score test is one linear step. Effects with similar score tests are told apart by fits, which use
+the shapes and limits of their laws, and by the held-out scores of these fits. The models that
+predict about as well as the one that is handed over remain plausible, and enter its intervals.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -23,18 +24,25 @@ from strainwave.domain import (
     Place,
     WholeArmOptions,
 )
-from strainwave.domain.distributions import chi_square_limit
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.effects import STIFFNESS_CURVE, effect_named
 from strainwave.domain.gear_laws import STIFFNESS, gear_law
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import base_name
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
-from strainwave.identification.whole_arm.inference.parameter_estimates import parameters_of
+from strainwave.identification.whole_arm.inference.bounds import at_bounds
+from strainwave.identification.whole_arm.inference.covariance import confidence_of
+from strainwave.identification.whole_arm.inference.held_out import held_out_scores
+from strainwave.identification.whole_arm.inference.parameter_estimates import (
+    PlausibleModel,
+    parameters_of,
+)
 from strainwave.identification.whole_arm.inference.score_tests import (
     TestedEffect,
-    is_relevant,
+    is_primary,
     lengthen_steps,
+    min_relevant_share,
     score_tests_of,
     shifts,
 )
@@ -42,61 +50,63 @@ from strainwave.identification.whole_arm.problem.arm_unknowns import replace_sti
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     NamedEffect,
     add_effects,
-    effects_in,
+    insignificant_effects,
     named_effects,
     with_effects,
 )
 from strainwave.identification.whole_arm.records.loads import Loads, gear_torques, loads_of
 from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.solver import fine_search, search_minimum
+from strainwave.identification.whole_arm.search.solver import fine_search, polish, search_minimum
 from strainwave.identification.whole_arm.selection.candidate import Selection
+from strainwave.identification.whole_arm.selection.search_ranges import extend_ranges
+from strainwave.identification.whole_arm.selection.sensor_constants import (
+    add_significant_sensor_constants,
+    remove_insignificant_sensor_constants,
+)
+from strainwave.numerics.held_out import model_weights, weight_over
 
 MAX_RIVAL_EFFECTS = 3  # fitted effects of largest predicted gain
 MAX_OTHER_EFFECTS = 4  # fitted effects of the same joint if the rivals explain too little
+MAX_LINEARISED_EFFECTS = 6  # further effects, one step from the fit
 MIN_EXPLAINED_SHARE = 0.25  # of the cost; below, further effects of the joint are fitted
 MIN_RIVAL_GAIN_SHARE = 0.4  # of the best effect's linear gain
-MAX_REFIT_EVALUATIONS = 12  # of each search; nearly all converge in 4 to 9
-RIVAL_ROWS = 600_000
-"""Budget of fits with one additional effect, in evaluated residual rows: 62 evaluations of a study
-of 9,700 rows, about half a minute of one core."""
+MIN_INCLUDED_WEIGHT = 0.95
+"""Weight by held-out scores, against the model without it, from which an effect is included."""
+MIN_LISTED_WEIGHT = 0.05  # of a plausible effect
+MAX_REFIT_EVALUATIONS = 20  # of each search; most converge in 4 to 9, added inertias in 15
+RIVAL_ROWS = 1_200_000
+"""Budget of fits with one additional effect, in evaluated residual rows: 124 evaluations of a study
+of 9,700 rows, about a minute of one core."""
 REFIT_GAIN_TOLERANCE = 0.1  # predicted cost reduction at which a search ends
 MIN_ACHIEVED_GAIN_SHARE = 0.5  # share of the linear gain below which a second start is tried
-MAX_AUTO_EFFECTS = 4  # effects that a fit adds
+MAX_INCLUDED_EFFECTS = 4  # that the data select
 MAX_NAMED_PARAMETERS = 3  # in a warning, of the effect and of the arm
-MIN_UNEXPLAINED_SHARE = 1e-9  # of the cost; keeps the logarithm finite
-MIN_SUFFICIENT_SHARE = 0.5  # of the cost; below, the warning says that more is missing
 
 
 @dataclass(frozen=True, slots=True)
-class Refit:
-    """A fit with one additional effect."""
+class Rival:
+    """A model with one further effect."""
 
     named_effect: NamedEffect
+    arm: Arm
     fit: Fit
-    gain: float  # cost reduction minus its expectation if the residuals are noise
+    gain: float  # cost reduction
     share: float  # of the cost that the effect explains
-    evidence: float  # decrease of Schwarz's criterion
     shifts: tuple[ParameterShift, ...]
-
-
-def schwarz_decrease(share: float, parameters: int, cost: float) -> float:
-    """Decrease of Schwarz's criterion by an effect: n ln(1 / (1 - share)) - p ln n.
-
-    `share` is the share of the cost that the effect explains, p the number of its `parameters`, and
-    n the `cost` without it, which the weights make the number of independent errors. An effect with
-    several sizes must therefore explain more than one with a single size.
-    """
-    n = max(cost, 1.0)
-    return -n * math.log(max(1.0 - share, MIN_UNEXPLAINED_SHARE)) - parameters * math.log(n)
+    is_linearised: bool  # one step from the fit without the effect
+    weight: float = 0.0  # by held-out scores, against the model without the effect
 
 
 @dataclass(frozen=True, slots=True)
-class Refits:
-    """Fits with one additional effect each, and the effects that the budget excluded."""
+class Comparison:
+    """The models that were compared with the one that is handed over."""
 
-    fits: tuple[Refit, ...]  # the significant ones, the most likely first
-    excluded: tuple[NamedEffect, ...]
-    evaluations: int  # budget that was given, in evaluations of the fit's objective
+    tests: Sequence[TestedEffect] = ()
+    included: tuple[Rival, ...] = ()  # in the order of inclusion
+    rivals: tuple[Rival, ...] = ()  # of effects that are not included, the most likely first
+    plausible: tuple[PlausibleModel, ...] = ()
+    excluded: tuple[NamedEffect, ...] = ()  # effects that the budget excluded from fits
+    evaluations: int = 0  # budget, in evaluations of the fit's objective
 
 
 class _Budget:
@@ -114,68 +124,169 @@ class _Budget:
         return min(MAX_REFIT_EVALUATIONS, self.remaining)
 
 
-def fit_missing_effects(fit: Fit, tested: Sequence[TestedEffect], selection: Selection) -> Refits:
-    """Fit each of the most significant effects, within a budget of evaluations.
+def include_effects(fit: Fit, selection: Selection) -> tuple[Fit, Comparison]:
+    """Include the effects that improve held-out prediction, for joints that select their effects.
 
-    No effect is fitted unless one is promising. `fit` is at its minimum, and `tested` is in order
-    of significance.
+    Effects are included one at a time, the best first. An effect stays out if another primary value
+    is not determined with it. The other models enter the intervals by their weights. `fit` is at
+    its minimum.
     """
-    arm, options = selection.arm, selection.options
+    included: list[Rival] = []
+    others: list[tuple[Fit, Arm]] = []  # the models without the included effects, and their rivals
+    while True:
+        tests = score_tests_of(fit, selection.arm)
+        budget = _Budget(fit, selection.options)
+        rivals = _rivals_of(fit, tests, selection, budget)
+        others += [(rival.fit, rival.arm) for rival in rivals]
+        candidates = [rival for rival in rivals if _may_enter(rival, fit, selection)]
+        if len(included) == MAX_INCLUDED_EFFECTS:
+            candidates = []
+        extensions = ((rival, _include(fit, rival, selection)) for rival in candidates)
+        best, extended = next((pair for pair in extensions if pair[1] is not None), (None, None))
+        if best is None or extended is None:
+            break
+        included.append(best)
+        others = [(fit, selection.arm), *(other for other in others if other[0] is not best.fit)]
+        fit = extended
+    plausible: list[PlausibleModel] = []
+    if others:
+        scores = held_out_scores([fit, *(other for other, _ in others)])
+        weights = model_weights(scores, np.random.default_rng(0)).tolist()
+        values = _primary_values(fit, selection.arm)
+        plausible = [
+            PlausibleModel(other, arm, weight, values <= _primary_values(other, arm))
+            for (other, arm), weight in zip(others, weights[1:], strict=True)
+        ]
+    excluded = tuple(budget.excluded)
+    return fit, Comparison(
+        tests, tuple(included), tuple(rivals), tuple(plausible), excluded, budget.evaluations
+    )
+
+
+def _may_enter(rival: Rival, fit: Fit, selection: Selection) -> bool:
+    """Whether the data may include the effect: a study states gear laws and named effects."""
+    joint, effect = rival.named_effect
+    return (
+        rival.weight > MIN_INCLUDED_WEIGHT
+        and rival.share > min_relevant_share(fit.objective, fit.z)
+        and not rival.is_linearised
+        and effect != STIFFNESS_CURVE.name
+        and selection.arm.joints[joint - 1].selects_effects
+    )
+
+
+def _include(fit: Fit, rival: Rival, selection: Selection) -> Fit | None:
+    """The fit with the effect of a rival; None if the data do not determine its values.
+
+    Either a size of the effect is insignificant or at the limit of its range, or another primary
+    value is lost.
+    """
+    selection.renew(fit)
+    objective = with_effects(fit.objective, rival.fit.space, rival.arm)
+    try:
+        extended = fine_search(fit.restart(objective, rival.fit.z), selection.options)
+        # the effect may have hidden, or imitated, the constant of a sensor
+        extended = extend_ranges(extended, selection)
+        extended = add_significant_sensor_constants(extended, selection, coarse=False)
+        extended = remove_insignificant_sensor_constants(extended, selection)
+        extended = polish(extended, selection.options)
+    except NotIdentifiable:
+        return None
+    joint, name = rival.named_effect
+    insignificant = insignificant_effects(
+        extended.space, extended.z, confidence_of(extended).cautious
+    )
+    bounded = zip(extended.space.keys, at_bounds(extended), strict=True)
+    sizes = effect_named(name).sizes
+    if rival.named_effect in insignificant or any(
+        at and base_name(key[0]) in sizes and key[1] == joint for key, at in bounded
+    ):
+        return None
+    values = _primary_values(fit, selection.arm)
+    return extended if values <= _primary_values(extended, rival.arm) else None
+
+
+def _primary_values(fit: Fit, arm: Arm) -> set[Key]:
+    """The primary parameters that a fit determines."""
+    largest = gear_torques(fit.objective.records, fit.values).tolist()
+    return {
+        p.key
+        for p in parameters_of(fit, arm, largest)[0]
+        if is_primary(p.key) and p.value and CI95_STDS * (p.std or 0.0) < abs(p.value)
+    }
+
+
+def _rivals_of(
+    fit: Fit, tested: Sequence[TestedEffect], selection: Selection, budget: _Budget
+) -> list[Rival]:
+    """Models with one of the most significant effects each, the best held-out score first.
+
+    No effect is fitted unless one is promising. Promising effects beyond the fitted ones are
+    linearised.
+    """
     decided = [(joint, STIFFNESS_CURVE.name) for joint in selection.law_choices]
-    excluded = {*named_effects(arm), *decided}
+    excluded = {*named_effects(selection.arm), *decided}
     unnamed = [one for one in tested if one.named_effect not in excluded]
-    promising = [one for one in unnamed if one.is_promising]
+    min_share = min_relevant_share(fit.objective, fit.z)
+    promising = [one for one in unnamed if one.is_promising and one.test.share > min_share]
     if not promising:
-        return Refits((), (), 0)
+        return []
     unnamed.sort(key=_predicted_gain, reverse=True)
     min_gain = MIN_RIVAL_GAIN_SHARE * max(map(_predicted_gain, promising))
-    rivals = [one for one in unnamed if _predicted_gain(one) >= min_gain][:MAX_RIVAL_EFFECTS]
-    budget, starts = _Budget(fit, options), [fit]
+    candidates = [one for one in unnamed if _predicted_gain(one) >= min_gain][:MAX_RIVAL_EFFECTS]
+    starts = [fit]
     long = lengthen_steps(fit)
     if long is not fit:
         long = replace(long, objective=long.objective.store_step_errors(fit.z))
         starts = [long, fit]  # some effects are too stiff for long steps
-    refits = _fit_rivals(starts, rivals, arm, options, budget)
-    if not refits or not _is_sufficient(refits[0]):
+    arm = selection.arm
+    rivals = _fit_rivals(starts, candidates, selection, budget)
+    best = max(rivals, key=lambda one: one.gain, default=None)
+    if (
+        best is None
+        or best.share < MIN_EXPLAINED_SHARE
+        or effect_named(best.named_effect[1]).by_record
+    ):
         # a linear step underrates some effects; an effect by record can replace many others
-        joint = refits[0].named_effect[0] if refits else promising[0].test.joint
-        others = [one for one in unnamed if one.test.joint == joint and one not in rivals]
-        refits += _fit_rivals(starts, others[:MAX_OTHER_EFFECTS], arm, options, budget)
-    return Refits(tuple(_sort_by_evidence(refits)), tuple(budget.excluded), budget.evaluations)
-
-
-def _is_sufficient(refit: Refit) -> bool:
-    """Whether the effect explains so much that no further effects need a fit."""
-    is_by_record = effect_named(refit.named_effect[1]).by_record
-    return refit.share >= MIN_EXPLAINED_SHARE and not is_by_record
-
-
-def _sort_by_evidence(refits: Iterable[Refit]) -> list[Refit]:
-    """Refits in order of decreasing evidence."""
-    return sorted(refits, key=lambda one: -one.evidence)
+        joint = best.named_effect[0] if best else promising[0].test.joint
+        further = [one for one in unnamed if one.test.joint == joint and one not in candidates]
+        rivals += _fit_rivals(starts, further[:MAX_OTHER_EFFECTS], selection, budget)
+    known = {rival.named_effect for rival in rivals}
+    others = [one for one in promising if one.named_effect not in known]
+    for one in others[:MAX_LINEARISED_EFFECTS]:
+        attempts = (_linearise(start, one, arm, selection.options) for start in starts)
+        rivals += [rival for rival in attempts if rival is not None][:1]
+    if not rivals:
+        return []
+    scores = held_out_scores([fit, *(rival.fit for rival in rivals)])
+    weights = [
+        weight_over(scores[k], scores[0], np.random.default_rng(0)) for k in range(1, len(scores))
+    ]
+    totals = scores.sum(axis=1)[1:].tolist()
+    order = sorted(range(len(rivals)), key=lambda k: -totals[k])
+    return [replace(rivals[k], weight=weights[k]) for k in order]
 
 
 def _fit_rivals(
     starts: Sequence[Fit],
-    rivals: Sequence[TestedEffect],
-    arm: Arm,
-    options: WholeArmOptions,
+    candidates: Sequence[TestedEffect],
+    selection: Selection,
     budget: _Budget,
-) -> list[Refit]:
-    """Fit each effect; keep those significant beyond chance, the most likely first.
+) -> list[Rival]:
+    """Fit each effect; keep the fits that reduce the cost.
 
     A later one of the `starts` is used if no arm near those before it can be simulated.
     """
-    refits = []
-    for one in rivals:
+    rivals = []
+    for one in candidates:
         if not budget.next_limit:
             budget.excluded.append(one.named_effect)
             continue
-        attempts = (_refit(start, one, arm, options, budget) for start in starts)
-        refit = next((refit for refit in attempts if refit is not None), None)
-        if refit is not None and _is_significant(refit, one.chance):
-            refits.append(refit)
-    return _sort_by_evidence(refits)
+        attempts = (_refit(start, one, selection, budget) for start in starts)
+        rival = next((rival for rival in attempts if rival is not None), None)
+        if rival is not None and rival.gain > 0.0:
+            rivals.append(rival)
+    return rivals
 
 
 def _predicted_gain(tested: TestedEffect) -> float:
@@ -183,41 +294,60 @@ def _predicted_gain(tested: TestedEffect) -> float:
     return max(tested.alone, tested.test.gain if tested.is_promising else 0.0)
 
 
-def _refit(
-    fit: Fit, tested: TestedEffect, arm: Arm, options: WholeArmOptions, budget: _Budget
-) -> Refit | None:
+def _refit(fit: Fit, tested: TestedEffect, selection: Selection, budget: _Budget) -> Rival | None:
     """Fit with one additional effect; None if no such arm can be simulated.
 
     The search starts at the result of the linear step. If it gains much less than the linear step
-    predicts, a second search starts from the fit without the effect.
+    predicts, a second search starts from the fit without the effect and a typical size.
     """
-    n = len(fit.space.unknowns)
     estimates = fit.values
-    sizes = {key: value for key, value in tested.values.items() if key not in estimates}
+    sizes = set(tested.test.sizes)
+    shapes = {
+        key: value
+        for key, value in tested.values.items()
+        if key not in estimates and base_name(key[0]) not in sizes
+    }
     loads = loads_of(fit.objective.records, estimates)
     best: Fit | None = None
     gain = -math.inf
-    for start in (tested.values, estimates | sizes):
+    for start in (tested.values, estimates | shapes):
         limit = budget.next_limit
         if not limit or gain > MIN_ACHIEVED_GAIN_SHARE * tested.alone:
             break
-        limited = replace(options, max_iterations=limit)
-        other = _search_with_effect(fit, tested.named_effect, start, loads, arm, limited)
+        limited = replace(selection.options, max_iterations=limit)
+        other = _search_with_effect(fit, tested.named_effect, start, loads, selection.arm, limited)
         budget.remaining -= limit if other is None else min(other.iterations, budget.remaining)
         if other is not None and (best is None or other.cost < best.cost):
             best, gain = other, fit.cost - tested.rigid - other.cost
-    if best is None:
+    return None if best is None else _rival(fit, tested, best, selection.arm)
+
+
+def _linearise(fit: Fit, tested: TestedEffect, arm: Arm, options: WholeArmOptions) -> Rival | None:
+    """The model one linear step from the fit; None if the step does not reduce the cost."""
+    loads = loads_of(fit.objective.records, fit.values)
+    once = replace(options, max_iterations=1)
+    other = _search_with_effect(fit, tested.named_effect, tested.values, loads, arm, once)
+    rival = None if other is None else _rival(fit, tested, other, arm)
+    if rival is None or not rival.gain > 0.0:
         return None
-    values = best.values
-    joint, law = tested.named_effect[0], effect_named(tested.named_effect[1]).fitted_law
-    if law:  # its stiffness at zero torsion replaces the linear one
+    return replace(rival, is_linearised=True)
+
+
+def _rival(fit: Fit, tested: TestedEffect, other: Fit, arm: Arm) -> Rival:
+    gain = fit.cost - tested.rigid - other.cost
+    moved = tuple(shifts(fit, _comparable_values(other, tested.named_effect)))
+    share = gain / max(fit.cost, 1e-300)
+    extended = _with_possible_effect(arm, tested.named_effect)
+    return Rival(tested.named_effect, extended, other, gain, share, moved, is_linearised=False)
+
+
+def _comparable_values(fit: Fit, one: NamedEffect) -> Values:
+    """Values of a fit; the stiffness of a curve at zero torsion replaces the linear one."""
+    values, (joint, law) = fit.values, (one[0], effect_named(one[1]).fitted_law)
+    if law:
         curve = gear_law(law).of_joint(values, joint)
         values[STIFFNESS, joint] = float(gear_law(law).stiffness(curve, np.zeros(1))[0])
-    parameter_shifts = tuple(shifts(fit, values))
-    n_added = len(best.space.unknowns) - n
-    share = gain / max(fit.cost, 1e-300)
-    evidence = schwarz_decrease(share, n_added, fit.cost)
-    return Refit(tested.named_effect, best, gain - n_added, share, evidence, parameter_shifts)
+    return values
 
 
 def _search_with_effect(
@@ -251,83 +381,59 @@ def _with_possible_effect(arm: Arm, one: NamedEffect) -> Arm:
     )
 
 
-def _is_significant(refit: Refit, chance: float) -> bool:
-    """Whether a fitted effect is significant and relevant."""
-    degrees = len(_effect_parameters(refit))
-    significant = refit.gain + degrees > chi_square_limit(chance, degrees)
-    return significant and refit.evidence > 0.0 and is_relevant(refit.share, refit.shifts)
+def list_causes(comparison: Comparison, parameters: Sequence[Parameter]) -> Iterator[Cause]:
+    """The included effects with their `parameters` of the result, then the plausible ones."""
+    for rival in comparison.included:
+        yield _cause(rival, parameters, is_included=True)
+    for rival in comparison.rivals:
+        if rival.weight > MIN_LISTED_WEIGHT:
+            largest = gear_torques(rival.fit.objective.records, rival.fit.values).tolist()
+            yield _cause(rival, parameters_of(rival.fit, rival.arm, largest)[0], is_included=False)
 
 
-def _effect_parameters(refit: Refit) -> set[Key]:
-    """The parameters of the refit's effect."""
-    joint, effect = refit.named_effect
-    law = effect_named(effect).fitted_law
-    names = gear_law(law).names if law else effect_named(effect).names
-    keys = refit.fit.space.keys
-    return {key for key in keys if key[1] == joint and base_name(key[0]) in names}
+def _cause(rival: Rival, parameters: Sequence[Parameter], *, is_included: bool) -> Cause:
+    joint, name = rival.named_effect
+    law = effect_named(name).fitted_law
+    names = gear_law(law).names if law else effect_named(name).names
+    return Cause(
+        joint,
+        name,
+        tuple(p for p in parameters if p.joint == joint and base_name(p.name) in names),
+        rival.gain,
+        rival.share,
+        rival.shifts,
+        rival.weight,
+        is_included,
+        rival.is_linearised,
+    )
 
 
-def list_causes(refits: Sequence[Refit], arm: Arm) -> Iterator[Cause]:
-    """The published record of each refit."""
-    for refit in refits:
-        joint, effect = refit.named_effect
-        values = refit.fit.values
-        largest = gear_torques(refit.fit.objective.records, values).tolist()
-        parameters, _ = parameters_of(
-            refit.fit, _with_possible_effect(arm, refit.named_effect), largest
-        )
-        yield Cause(
-            joint,
-            effect,
-            tuple(p for p in parameters if p.key in _effect_parameters(refit)),
-            refit.gain,
-            refit.share,
-            refit.shifts,
-        )
-
-
-def add_significant_effects(fit: Fit, selection: Selection) -> Fit:
-    """Add the significant effects, for joints with effects = "auto".
-
-    Effects are added one at a time, the most likely first, until none is significant. If the
-    residuals are noise, the probability of adding any is `FALSE_ALARMS`.
-    """
-    arm = selection.arm
-    if not any(joint.selects_effects for joint in arm.joints):
-        return fit
-    for _ in range(MAX_AUTO_EFFECTS):
-        tested = [
-            one
-            for one in score_tests_of(fit, arm)
-            if arm.joints[one.test.joint - 1].selects_effects
-        ]
-        refits = fit_missing_effects(fit, tested, selection)
-        if not refits.fits or refits.fits[0].named_effect[1] == STIFFNESS_CURVE.name:
-            break  # the study states the gear law: the conclusion names the cause
-        selection.renew(fit)
-        best = refits.fits[0]
-        extended = _with_possible_effect(arm, best.named_effect)
-        objective = with_effects(fit.objective, best.fit.space, extended)
-        fit = fine_search(fit.restart(objective, best.fit.z), selection.options)
-    return fit
-
-
-def warn_unfitted_effects(refits: Refits) -> Iterator[Diagnostic]:
-    """Warn about effects that were excluded because the budget was exhausted."""
-    if refits.excluded:
-        effects = tuple(Clause("of-joint", name=e, joint=j) for j, e in refits.excluded)
-        evaluations = refits.evaluations
+def effect_warnings(causes: Sequence[Cause], comparison: Comparison) -> Iterator[Diagnostic]:
+    """Warn about included effects, the most likely plausible one, and those without a fit."""
+    for cause in causes:
+        if cause.is_included:
+            effect = effect_named(cause.effect)
+            yield Diagnostic(
+                "effect-taken-up",
+                Place(joint=cause.joint),
+                effect=effect.name,
+                description=effect.description,
+                consequence=effect.consequence,
+                sizes=tuple(_sizes(cause.parameters)),
+                changes=_changes(cause.shifts),
+                experiment=effect.experiment,
+            )
+    yield from warn_likely_cause([cause for cause in causes if not cause.is_included])
+    if comparison.excluded:
+        effects = tuple(Clause("of-joint", name=e, joint=j) for j, e in comparison.excluded)
+        evaluations = comparison.evaluations
         yield Diagnostic(
             "causes-not-fitted", WHOLE_ARM_FIT, effects=effects, evaluations=evaluations
         )
 
 
 def warn_likely_cause(causes: Sequence[Cause]) -> Iterator[Diagnostic]:
-    """Warn about the most likely cause: what it explains, what it changes, how to confirm it.
-
-    Only the first cause gets a warning, because the gain of the others is only known with the first
-    one in the model.
-    """
+    """Warn about the most likely effect that is not included, with its rivals."""
     for cause in causes[:1]:
         effect = effect_named(cause.effect)
         rivals = tuple(Clause("of-joint", name=c.effect, joint=c.joint) for c in causes[1:])
@@ -339,7 +445,6 @@ def warn_likely_cause(causes: Sequence[Cause]) -> Iterator[Diagnostic]:
             sizes=tuple(_sizes(cause.parameters)),
             changes=_changes(cause.shifts) if cause.shifts else None,
             rivals=Clause("rivals", effects=rivals) if rivals else None,
-            rest=None if cause.share >= MIN_SUFFICIENT_SHARE else Clause("mostly-unexplained"),
             experiment=effect.experiment,
         )
         yield Diagnostic.of(effect.warning_code, Place(joint=cause.joint), clause)
@@ -365,18 +470,3 @@ def _changes(shifts: Sequence[ParameterShift]) -> Clause:
         if shift.without
     )
     return Clause("changes", shifts=listed)
-
-
-def warn_added_effects(fit: Fit, arm: Arm) -> Iterator[Diagnostic]:
-    """Warn about the effects that the fit added."""
-    for number, name in effects_in(fit.space, arm):
-        if arm.joints[number - 1].selects_effects:
-            effect = effect_named(name)
-            yield Diagnostic(
-                "effect-taken-up",
-                Place(joint=number),
-                effect=name,
-                description=effect.description,
-                consequence=effect.consequence,
-                experiment=effect.experiment,
-            )

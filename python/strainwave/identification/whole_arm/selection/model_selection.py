@@ -11,7 +11,6 @@ from functools import partial
 
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection
-from strainwave.identification.whole_arm.selection.causes import add_significant_effects
 from strainwave.identification.whole_arm.selection.gear_laws import select_gear_laws
 from strainwave.identification.whole_arm.selection.initial_motion import (
     add_significant_initial_motion,
@@ -24,6 +23,7 @@ from strainwave.identification.whole_arm.selection.named_effects import (
     add_named_effects,
     remove_insignificant_effects,
 )
+from strainwave.identification.whole_arm.selection.search_ranges import extend_ranges
 from strainwave.identification.whole_arm.selection.sensor_constants import (
     add_sensor_bandwidths,
     add_significant_sensor_constants,
@@ -53,6 +53,7 @@ COARSE: tuple[Candidate, ...] = (
 """Candidates of a coarse fit, in the order of their trials."""
 
 FINE: tuple[Candidate, ...] = (
+    extend_ranges,
     restart_fine_fit,
     remove_insignificant_stiffness_terms,
     remove_insignificant_effects,
@@ -62,7 +63,6 @@ FINE: tuple[Candidate, ...] = (
     add_significant_tilts,
     remove_insignificant_sensor_constants,
     remove_insignificant_settling_times,
-    add_significant_effects,
 )
 """Candidates of the fine fit, in the order of their trials."""
 
