@@ -89,6 +89,15 @@ def spring_torque(arm: Arm, terms: Sequence[FrictionTerm], angle: FloatArray) ->
     return arm.motors_of(stiffness * angle)
 
 
+def encoder_zeros(arm: Arm, terms: Sequence[FrictionTerm]) -> FloatArray:
+    """Joint angle minus encoder reading of each joint [rad or m]: (n_joints,)."""
+    zeros = np.zeros(arm.n_joints)
+    for term in terms:
+        if term.effect == ZERO and term.joint is not None:
+            zeros[term.joint - 1] += term.size.value or 0.0
+    return zeros
+
+
 def corrected_signals(signals: Signals, arm: Arm, terms: Sequence[FrictionTerm]) -> Signals:
     """The signals with encoder zeros added to the angles and delays removed from the torques."""
     values = [
