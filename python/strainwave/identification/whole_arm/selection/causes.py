@@ -63,15 +63,13 @@ from strainwave.identification.whole_arm.selection.sensor_constants import (
     add_significant_sensor_constants,
     remove_insignificant_sensor_constants,
 )
-from strainwave.numerics.held_out import model_weights, weight_over
+from strainwave.numerics.held_out import MIN_WEIGHT, model_weights, weight_over
 
 MAX_RIVAL_EFFECTS = 3  # fitted effects of largest predicted gain
 MAX_OTHER_EFFECTS = 4  # fitted effects of the same joint if the rivals explain too little
 MAX_LINEARISED_EFFECTS = 6  # further effects, one step from the fit
 MIN_EXPLAINED_SHARE = 0.25  # of the cost; below, further effects of the joint are fitted
 MIN_RIVAL_GAIN_SHARE = 0.4  # of the best effect's linear gain
-MIN_INCLUDED_WEIGHT = 0.95
-"""Weight by held-out scores, against the model without it, from which an effect is included."""
 MIN_LISTED_WEIGHT = 0.05  # of a plausible effect
 MAX_REFIT_EVALUATIONS = 20  # of each search; most converge in 4 to 9, added inertias in 15
 RIVAL_ROWS = 1_200_000
@@ -167,7 +165,7 @@ def _may_enter(rival: Rival, fit: Fit, selection: Selection) -> bool:
     """Whether the data may include the effect: a study states gear laws and named effects."""
     joint, effect = rival.named_effect
     return (
-        rival.weight > MIN_INCLUDED_WEIGHT
+        rival.weight > MIN_WEIGHT
         and rival.share > min_relevant_share(fit.objective, fit.z)
         and not rival.is_linearised
         and effect != STIFFNESS_CURVE.name
