@@ -26,6 +26,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.friction_terms import correct
 from strainwave.dynamics.rigid_prediction import band_fit
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.bandwidth import (
@@ -46,6 +47,7 @@ from strainwave.identification.rigid.friction_terms import (
     refit,
     term_warning,
     with_coarse_zeros,
+    with_delay,
 )
 from strainwave.identification.rigid.model_choice import (
     Choice,
@@ -101,7 +103,12 @@ def _fit(
         trials = search_bandwidths(motions, arm)
     best = plain = select_bandwidth(trials)
     nearby = neighbours(trials, best)
-    candidates = candidates_of(arm, best.stretches)
+    candidates = with_delay(best, motions, candidates_of(arm, best.stretches))
+    values = [(c.effect, c.joint, c.corrected) for c in candidates if c.corrected]
+    if values and chosen.bandwidth_hz is None:
+        trials = search_bandwidths([(correct(s, arm, values), n) for s, n in motions], arm)
+        best = plain = select_bandwidth(trials)
+        nearby = neighbours(trials, best)
     doubt, noise_share, changes = np.zeros_like(best.covariance), np.ones(1), list[Changes]()
     if candidates:
         best, nearby, rest = _with_terms(best, nearby, motions, candidates)

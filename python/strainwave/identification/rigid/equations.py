@@ -163,10 +163,10 @@ class Terms:
                     for step in (_ZERO_STEP, -_ZERO_STEP)
                 )
                 return arm.motors_of((ahead - behind) / (2.0 * _ZERO_STEP))
-            if c.effect == DELAY:  # gravity and friction would show other errors as a delay
-                rest = np.zeros_like(q)
-                gravity = arm.motors_of(arm.link_torques(base, q, rest, rest))
-                return -differentiate(body - gravity, interval)
+            if c.effect == DELAY:
+                viscous, coulomb, _ = arm.joint_friction(around.solution).T
+                torque = body + viscous * velocity + coulomb * direction
+                return -differentiate(torque, interval)
             law = friction_per_size(c.effect, factor * c.shape, velocity[:, i], body[:, i])
             return np.asarray(law * direction[:, i])
 

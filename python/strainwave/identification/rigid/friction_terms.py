@@ -27,7 +27,12 @@ from strainwave.identification.rigid.trial import Trial, fit_trial
 LOAD = "load-friction"
 _MAX_ITERATIONS = 12
 MAX_POWER_RATIO = 0.5
-"""Ratio of squared residuals from which a distant encoder zero replaces a nearer one."""
+"""Ratio of squared residuals from which a delay or a distant encoder zero corrects the signals."""
+
+_FIRST_DELAY = 2e-3  # [s] of the first parabola through the squared residuals
+_MAX_DELAY = 0.05  # [s]
+_DELAY_TOLERANCE = 2e-5  # [s] change at which the search ends; Gauss-Newton refines it
+_MAX_PARABOLAS = 6
 
 # change at convergence: of a shape's logarithm, of an angle [rad, m], of a delay [s]
 _TOLERANCES = {STRIBECK: 0.02, ZERO: 1e-4, DELAY: 1e-6}
@@ -72,11 +77,59 @@ def fit_with_terms(trial: Trial, motions: Sequence[Motion], terms: Sequence[Cand
         if has_converged and len(possible) == len(moved):
             break
         terms = possible
-    return trial
+    turned = [_hanging_down(trial, c) for c in trial.candidates]
+    return refit(trial, motions, turned) if turned != list(trial.candidates) else trial
+
+
+def _hanging_down(trial: Trial, c: Candidate) -> Candidate:
+    """A zero of a planar arm half a turn away if gravity pulls its link up there."""
+    key = (f"gravity_torque_{c.joint + 1}", None)
+    values = {
+        column.key: x for column, x in zip(trial.arm.rigid_columns, trial.solution, strict=True)
+    }
+    if c.effect != ZERO or values.get(key, 0.0) >= 0.0:
+        return c
+    return replace(c, corrected=c.corrected - math.copysign(math.pi, c.corrected))
 
 
 def _can_be_negative(candidate: Candidate) -> bool:
     return physical_range(effect_named(candidate.effect).sizes[0]) == "any"
+
+
+def with_delay(
+    trial: Trial, motions: Sequence[Motion], candidates: Sequence[Candidate]
+) -> list[Candidate]:
+    """Candidates with the torque delay of least residuals, if they halve with it.
+
+    A smaller delay is a candidate as others.
+    """
+    k = next((k for k, c in enumerate(candidates) if c.effect == DELAY), None)
+    if k is None:
+        return list(candidates)
+    delay, powers = 0.0, {0.0: trial.residual_power}
+
+    def power(value: float) -> float:
+        if value not in powers:
+            moved = replace(candidates[k], corrected=value)
+            powers[value] = refit(trial, motions, [moved]).residual_power
+        return powers[value]
+
+    step = _FIRST_DELAY
+    for _ in range(_MAX_PARABOLAS):
+        low, mid, high = (power(delay + x) for x in (-step, 0.0, step))
+        curvature = low + high - 2.0 * mid
+        change = 0.5 * step * (low - high) / curvature if curvature > 0.0 else math.inf
+        limit = 10.0 * step if curvature > 0.0 else 3.0 * step
+        change = math.copysign(min(abs(change), limit), low - high)
+        last, delay = delay, min(max(delay + change, -_MAX_DELAY), _MAX_DELAY)
+        if min(powers.values()) > MAX_POWER_RATIO * power(0.0) and power(delay) > 0.9 * mid:
+            break
+        if abs(delay - last) < _DELAY_TOLERANCE:
+            break
+        step = max(_DELAY_TOLERANCE, min(step, abs(delay - last)))
+    best = min(powers, key=lambda value: powers[value])
+    corrected = best if powers[best] < MAX_POWER_RATIO * powers[0.0] else 0.0
+    return [replace(c, corrected=corrected) if c.effect == DELAY else c for c in candidates]
 
 
 def with_coarse_zeros(

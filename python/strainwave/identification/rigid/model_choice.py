@@ -100,7 +100,12 @@ def choose(
 
 
 def is_selected(arm: Arm, candidate: Candidate) -> bool:
-    """Whether the data decide about a candidate; otherwise the study names it."""
+    """Whether the data decide about a candidate.
+
+    Otherwise the study names it, or it corrects the signals because the residuals halve with it.
+    """
+    if candidate.corrected:
+        return False
     i = candidate.joint
     joints = arm.joints if i == ALL_JOINTS else arm.joints[i : i + 1]
     return any(joint.selects_effects for joint in joints)
