@@ -12,7 +12,6 @@ from strainwave.display import Displayed
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.estimates import Diagnostic, Parameter
-from strainwave.domain.keys import Key
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +38,7 @@ class FrictionTerm:
     size: Parameter
     shape: float  # of the law
     estimated_shape: Parameter | None = None  # None if the shape is given or the law has none
-    changes: Mapping[Key, float] = field(default_factory=dict)  # of other values, by the term
+    changes: Mapping[str, float] = field(default_factory=dict)  # of other values, by their labels
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

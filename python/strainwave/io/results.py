@@ -511,14 +511,6 @@ def _verdict(verdict: Verdict) -> dict[str, Any]:
     }
 
 
-def _changes(term: FrictionTerm) -> list[dict[str, Any]]:
-    """Changes of other values by a term of the rigid model."""
-    return [
-        {"name": name, "joint": joint, "change": change}
-        for (name, joint), change in term.changes.items()
-    ]
-
-
 def _rigid(model: RigidModel) -> dict[str, Any]:
     pairs = model.torque_ratios.items()
     ratios = [{"joint": joint, "value": value, "std": std} for joint, (value, std) in pairs]
@@ -531,7 +523,7 @@ def _rigid(model: RigidModel) -> dict[str, Any]:
         "decimation": model.decimation,
         "n_rows": model.n_rows,
         "friction_terms": [
-            parameter_entry(p) | {"effect": term.effect, "changes": _changes(term)}
+            parameter_entry(p) | {"effect": term.effect, "changes": dict(term.changes)}
             for term in model.friction_terms
             for p in term.parameters
         ],

@@ -24,7 +24,6 @@ from strainwave.domain import (
     RigidOptions,
     Signals,
 )
-from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.friction_terms import correct
 from strainwave.dynamics.rigid_prediction import band_fit
@@ -62,9 +61,6 @@ from strainwave.numerics.parallel import one_blas_thread, run_parallel
 from strainwave.signals.repetition import period_of
 
 __all__ = ["RigidOptions", "estimate_drive_gains", "fit_rigid"]
-
-Changes = dict[Key, float]
-"""Changes of values by a term, by name and joint."""
 
 # alternatives to the motors' usual shares, about one standard deviation away
 _ALTERNATIVE_INERTIA_SHARE = 0.3
@@ -109,7 +105,11 @@ def _fit(
         trials = search_bandwidths([(correct(s, arm, values), n) for s, n in motions], arm)
         best = plain = select_bandwidth(trials)
         nearby = neighbours(trials, best)
-    doubt, noise_share, changes = np.zeros_like(best.covariance), np.ones(1), list[Changes]()
+    doubt, noise_share, changes = (
+        np.zeros_like(best.covariance),
+        np.ones(1),
+        list[dict[str, float]](),
+    )
     if candidates:
         best, nearby, rest = _with_terms(best, nearby, motions, candidates)
         start, moved = with_coarse_zeros(plain, motions, candidates)

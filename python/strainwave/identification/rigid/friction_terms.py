@@ -10,7 +10,6 @@ import numpy as np
 
 from strainwave.domain import Diagnostic, FrictionTerm, Parameter, Place
 from strainwave.domain.effects import effect_named
-from strainwave.domain.keys import Key
 from strainwave.domain.ranges import physical_range
 from strainwave.domain.units import unit_in
 from strainwave.dynamics.friction_terms import CORRECTIONS, DELAY, ZERO, correct
@@ -176,7 +175,7 @@ def refit(trial: Trial, motions: Sequence[Motion], terms: Sequence[Candidate]) -
 
 
 def estimated_terms(
-    trials: Sequence[Trial], best: Trial, changes: Sequence[Mapping[Key, float]]
+    trials: Sequence[Trial], best: Trial, changes: Sequence[Mapping[str, float]]
 ) -> tuple[FrictionTerm, ...]:
     """Sizes and shapes of the terms of a trial, with the changes of other values.
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray
 from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
-from strainwave.domain.keys import Key
 from strainwave.domain.parameter_table import parameter_table
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.friction_terms import CORRECTIONS, DELAY, ZERO
@@ -237,7 +236,7 @@ class Choice:
                 total += weight * np.outer(excess, excess)
         return total
 
-    def changes(self) -> list[dict[Key, float]]:
+    def changes(self) -> list[dict[str, float]]:
         """Changes of the values by each term of the trial, if beyond the standard deviations."""
         every = list(range(len(self.trial.candidates)))
         solution = self.models.solution(self.with_shapes(every))
@@ -247,7 +246,7 @@ class Choice:
             model = self.with_shapes([k for k in every if k != left])
             change = solution - self.models.solution(model)
             at = np.flatnonzero((np.abs(change) > stds) & self.trial.determined)
-            result.append({columns[k].key: float(change[k]) for k in at})
+            result.append({columns[k].label: float(change[k]) for k in at})
         return result
 
     def noise_share(self) -> FloatArray:
