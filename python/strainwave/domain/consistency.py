@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from strainwave.domain.clauses import Place
@@ -69,9 +69,20 @@ class Consistency:
     warnings: tuple[Diagnostic, ...] = ()
 
     @property
+    def deciding(self) -> tuple[Suspicion, ...]:
+        """Suspected faults that decide the status: those that are not accepted."""
+        return tuple(each for each in self.suspected if not each.accepted)
+
+    @property
     def motors_agree(self) -> bool:
-        """Whether all suspected faults concern link sensors, their positions or the link length."""
-        return all(_is_on_link(place) for suspicion in self.suspected for place in suspicion.places)
+        """Whether all deciding faults concern link sensors, their positions or the link length."""
+        return all(_is_on_link(place) for suspicion in self.deciding for place in suspicion.places)
+
+    def suspecting(self, *further: Suspicion, accept: Collection[str]) -> Consistency:
+        """With further suspicions; those with a code in `accept` are marked as accepted."""
+        all_faults = (*self.suspected, *further)
+        marked = (replace(each, accepted=each.code in accept) for each in all_faults)
+        return replace(self, suspected=tuple(marked))
 
 
 def _is_on_link(place: Place) -> bool:
@@ -96,10 +107,11 @@ class InputCheck:
 
     @property
     def status(self) -> CheckStatus:
-        """Whether a fault of the input is suspected."""
-        return "inconsistent-input" if self.suspected else "consistent"
+        """Whether a fault of the input is suspected and not accepted."""
+        is_decided = all(each.accepted for each in self.suspected)
+        return "consistent" if is_decided else "inconsistent-input"
 
     @property
     def exit_code(self) -> int:
-        """0 if nothing is suspected, otherwise 3."""
-        return 3 if self.suspected else 0
+        """0 if the input is consistent, otherwise 3."""
+        return 0 if self.status == "consistent" else 3

@@ -4,6 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+FAULT_CODES = (
+    "wrong-unit",
+    "wrong-sign",
+    "swapped-channels",
+    "wrong-gear-ratio",
+    "wrong-geometry",
+    "misaligned",
+    "clock-drift",
+    "clipped",
+    "wrong-torque-constant",
+    "wrong-zero",
+    "dead-channel",
+    "wrong-prbs-clock",
+    "unstated-payload",
+    "effort-without-gravity",
+    "effort-without-friction",
+    "desired-effort",
+    "ac-coupled",
+)
+"""Codes of suspected faults of the input."""
+
 _SCALE = "{channel} is {ratio:.4g} times the value that {basis} implies: "
 _BETTER = "the torques of all joints agree with one arm {ratio:.3g} times better"
 

@@ -106,7 +106,8 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
     """
     study, rigid, whole_arm = results.study, results.rigid, results.whole_arm
     first_affected = min(
-        (first_affected_stage(suspicion, study) for suspicion in results.suspected), default=_NONE
+        (first_affected_stage(each, study) for each in results.suspected if not each.accepted),
+        default=_NONE,
     )
     table: _Table = {}
     if rigid is not None:

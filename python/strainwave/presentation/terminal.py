@@ -99,7 +99,7 @@ def print_check(check: InputCheck, *, console: Console | None = None) -> None:
     console.print(table)
     _print_warnings(check.warnings, console)
     console.print()
-    style = _FAULT_STYLE if check.suspected else _STATUS_STYLES["determined"]
+    style = _FAULT_STYLE if check.exit_code else _STATUS_STYLES["determined"]
     console.print(Text(f"check: {check.status} (exit code {check.exit_code})"), style=style)
     for line in _suspicion_lines(check.suspected):
         console.print(Text(line), style=style)
@@ -120,7 +120,8 @@ def _print_warnings(warnings: Sequence[Diagnostic], console: Console) -> None:
 def _suspicion_lines(suspicions: Sequence[Suspicion]) -> Iterator[str]:
     """Suspected faults with their corrections."""
     for suspicion in suspicions:
-        yield f"  {suspicion.where}: {suspicion.message}"
+        accepted = "accepted: " if suspicion.accepted else ""
+        yield f"  {accepted}{suspicion.where}: {suspicion.message}"
         yield f"    correction: {suspicion.remedy}"
 
 
@@ -128,7 +129,7 @@ def _verdict_lines(verdict: Verdict) -> Iterator[tuple[str, str]]:
     """Status, reasons and corrections, each with its style."""
     style = _STATUS_STYLES.get(verdict.status, _FAULT_STYLE)
     yield f"verdict: {verdict.status} (exit code {verdict.exit_code})", style
-    for reason in () if verdict.suspected else verdict.reasons:
+    for reason in () if verdict.status == "inconsistent-input" else verdict.reasons:
         yield f"  {sentence(reason)}", style
     for line in _suspicion_lines(verdict.suspected):
         yield line, style
