@@ -115,7 +115,7 @@ class Case:
 def clean_variants(given: Input, rng: np.random.Generator) -> Iterator[Case]:
     """Inputs without a fault."""
     yield Case("as recorded", given)
-    slow = [e.name for e in given.study.experiments if e.use in ("motion", "check")]
+    slow = [e.name for e in given.study.experiments if e.joint is None]
 
     def window(first: float, last: float) -> Callable[[Columns], Columns]:
         def cut(table: Columns) -> Columns:
@@ -175,7 +175,7 @@ def faults(given: Input, joint: int) -> Iterator[Case]:
     n, j = arm.n_joints, joint
     other = j + 1 if j < n else j - 1
     efforts, all_efforts = given.efforts(j), given.of_kinds(_EFFORTS)
-    motions = [e.name for e in study.experiments if e.use in ("motion", "check")]
+    motions = [e.name for e in study.experiments if not e.joint and e.use in ("motion", "check")]
     tests = [e.name for e in study.experiments if e.use in ("frequency", "sweep")]
     is_serial = arm.kind == "serial"
 

@@ -36,7 +36,12 @@ RELATION_TEXTS: Mapping[str, str] = {
     "drift": "sensor clock drift [s/s]",
     "input-delay": "command delay [s]",
     "inertia": "inertia by the torque [kg m^2]",
-    "torque-fit": "unexplained torque / best geometry",
+    "torque-fit": "unexplained torque / best explanation",
+    "torque-prediction": "predicted share of held-out torques",
+    "torque-sensor": "torque sensor / motor torque",
+    "friction": "share of friction in the torque",
+    "mass": "implied mass / largest plausible",
+    "speed": "joint speed / largest plausible",
     "torque-ratio": "torque of joint 1 / this joint",
     "explained-share": "explained share",
 }

@@ -118,6 +118,7 @@ def channel_line(study: Study, name: str) -> str:
     channel = study.channels.get(name) or Channel(name)
     scale = f", scale = {channel.scale:.7g}" if channel.scale != 1.0 else ""
     offset = f", offset = {channel.offset:.7g}" if channel.offset else ""
-    if not scale and not offset:
+    meaning = f', meaning = "{channel.meaning}"' if channel.meaning != "motor" else ""
+    if not scale and not offset and not meaning:
         return f'channels.{name} = "{channel.column}"'
-    return f'channels.{name} = {{ column = "{channel.column}"{scale}{offset} }}'
+    return f'channels.{name} = {{ column = "{channel.column}"{scale}{offset}{meaning} }}'

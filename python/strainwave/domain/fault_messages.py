@@ -32,6 +32,14 @@ FAULTS: Mapping[str, str] = {
     # observations, by code or "code/variant"
     "wrong-unit": _SCALE + "logged in {unit}?",
     "wrong-unit/reversed": _SCALE + "logged in {unit}, with the wrong sign?",
+    "wrong-unit/efforts": "{channels!a} belong to a much heavier arm than one of this size:"
+    " logged in {unit}?",
+    "wrong-sign/efforts": "all joints accelerate against their efforts: {channels!a} have the wrong"
+    " sign",
+    "wrong-sign/some": "the joints accelerate against {channels!a}: wrong sign",
+    "effort-without-friction": "the efforts of all joints show no friction ({share!p:.2g} % of the"
+    " torque): {channels!a} are calculated by a model, as desired torques or by an observer, and"
+    " not measured at the motors",
     "wrong-unit/unknown": _SCALE + "its scale is wrong",
     "wrong-unit/time": "the time base is {ratio:.4g} times the value that the other signals and the"
     " clocks of the study imply: t is logged in {unit}, not in seconds",
@@ -81,6 +89,14 @@ FAULTS: Mapping[str, str] = {
     " {joint}: the two channels are exchanged",
     "swapped-channels/excited-joint": "{experiment}: the study states joint = {stated} as the"
     " excited joint, but the test signal is in the command of joint {excited}",
+    "record": "{record} alone: {fault}",
+    "unstated-payload": "the torques of {record} agree with those of the other records {ratio:.3g}"
+    " times better with a load on the last link: {record} and the other records were made with"
+    " different payloads",
+    "effort-without-gravity": "the torques of all joints agree with one arm {ratio:.3g} times"
+    " better without gravity: the driver of the robot subtracts gravity from the logged efforts",
+    "misaligned/torques": _BETTER + " if {channels!a} are {delay!m:.3g} ms {side} than the torques"
+    " that move the motors",
     "misaligned/command": "{channels!a}: the command in the log is {delay!m:.3g} ms {side} than the"
     " torque that moves {angles!a}, according to the phase of the motor's response to the test"
     " signals; the delay would bias damping, stiffness and inertias",
@@ -131,6 +147,11 @@ FAULTS: Mapping[str, str] = {
     "contradiction/drift": "the delay of {place} grows by {value:.4g} s per second",
     "contradiction/torque-fit": "{place}: the unexplained variance of the torques is {value:.3g}"
     " times that with another geometry",
+    "contradiction/torque-sensor": "{place} is {value:.4g} times the torque of its motor",
+    "contradiction/friction": "friction is {value!p:.2g} % of the torques",
+    "contradiction/mass": "the torques imply a mass of {value:.3g} times the heaviest plausible arm"
+    " of this size",
+    "contradiction/speed": "the joints are {value:.3g} times faster than the fastest plausible arm",
     "contradiction/inertia": "joint {joint} accelerates against its torque: {place} or"
     " theta_m{joint} has the wrong sign",
     "contradiction/excited-joint": "the test signal of {place} is not in the command of joint"
@@ -151,6 +172,9 @@ FAULTS: Mapping[str, str] = {
     "factor/about": "about {value:.2g}",
     # remedies
     "remedy": "{steps!s}",
+    "remedy/record": "correct these channels in the log of {record}, or remove its [[experiment]]",
+    "remedy/payload": "weigh the load and state it in [[experiment]] {record}: payload = {{ mass,"
+    " xyz }}, or remove that record",
     "remedy/log-clock": "{steps!s}, or correct prbs.clock and the period of the servo",
     "remedy/command": "{steps!s}, or record commands and encoders with one clock",
     "remedy/amplitude": "{steps!s}; or, if that value is correct, {other!s}",

@@ -7,8 +7,8 @@ gear stiffness.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -48,6 +48,10 @@ _POSTURE_STRIDE = 16
 _MIN_COLUMN_NORM = 1e-12
 
 
+EFFORTS = ("torque", "u", "tau_l")
+"""Kinds of channels of the effort of a joint, of which the first present one is compared."""
+
+
 @dataclass(frozen=True, slots=True)
 class Ratio:
     """Regression of a motor signal on its prediction in one record; 1 if they agree."""
@@ -70,6 +74,9 @@ class TorqueRegression:
     base: tuple[Key, ...]  # base parameters in the equation
     value: FloatArray  # (n_base,) their estimates
     covariance: FloatArray  # (n_base, n_base)
+    friction: float  # mean magnitude of friction over the standard deviation of the torque
+    friction_std: float
+    record: str = ""  # empty: all slow records
 
     def shared(self, other: TorqueRegression) -> list[int]:
         """Indices of the base parameters that also occur in the equation of another joint."""
@@ -159,13 +166,12 @@ def regress_torques(evidence: Evidence) -> Iterator[TorqueRegression]:
         return _Equations.of(recall_motion(used[k], evidence), arm, stretches[k])
 
     for i in range(arm.n_joints):
-        names = f"torque{i + 1}", f"u{i + 1}"
         chosen = [
             k
             for k, r in enumerate(used)
-            if (slow or r.experiment.joint in (None, i + 1)) and set(names) & set(r.channels)
+            if (slow or r.experiment.joint in (None, i + 1)) and effort_channel(r.channels, i + 1)
         ]
-        torques = [used[k].channels.get(name) for k in chosen for name in names]
+        torques = [used[k].channels.get(f"{kind}{i + 1}") for k in chosen for kind in EFFORTS]
 
         def compute(i: int = i, chosen: Sequence[int] = chosen) -> TorqueRegression | None:
             return _regress_torque([(used[k], equations_of(k)) for k in chosen], arm, i)
@@ -173,14 +179,66 @@ def regress_torques(evidence: Evidence) -> Iterator[TorqueRegression]:
         estimate = evidence.memory.recall((*setting, i), (arm, *angles, *torques), compute)
         if estimate is not None:
             yield estimate
+        for k in chosen if len(chosen) > 1 else ():
+
+            def of_record(k: int = k, i: int = i) -> TorqueRegression | None:
+                return _regress_torque([(used[k], equations_of(k))], arm, i)
+
+            sources = (arm, *angles, *torques)
+            each = evidence.memory.recall((*setting, i, k), sources, of_record)
+            if each is not None:
+                yield replace(each, record=used[k].experiment.name)
 
 
 def motor_signals(record: SlowRecord, arm: Arm) -> list[FloatArray]:
     """Angles and inputs of the motors of a record."""
-    names = (
-        f"{kind}{i}" for kind in ("theta_m", "u", "torque") for i in range(1, arm.n_joints + 1)
-    )
+    names = (f"{kind}{i}" for kind in ("theta_m", *EFFORTS) for i in range(1, arm.n_joints + 1))
     return [record.channels[name] for name in names if name in record.channels]
+
+
+def compare_torque_sensors(evidence: Evidence) -> Iterator[Ratio]:
+    """Ratios of torques behind the gears to those of the motors, without friction and rotor."""
+    for record in evidence.records:
+        for i, joint in enumerate(evidence.arm.joints, start=1):
+            motor, sensor = f"torque{i}", f"tau_l{i}"
+            if {motor, sensor} <= set(record.channels) and not evidence.arm.is_coupled:
+                rate = differentiate(record.channels[f"theta_m{i}"], record.sample_time)
+                own = [record.channels[motor] / joint.gear_ratio, rate, record.direction[:, i - 1]]
+                own.append(differentiate(rate, record.sample_time))
+                columns = np.column_stack(own)[record.inside]
+                yield from _regress_ratio(record, sensor, record.channels[sensor], columns)
+
+
+def implied_mass(evidence: Evidence) -> float | None:
+    """Largest torque of a joint over the torque of a mass of 1 kg at the reach of the arm [kg].
+
+    None without torques, or without a length or a revolute joint.
+    """
+    arm = evidence.arm
+    lengths = [float(np.linalg.norm(joint.origin.xyz)) for joint in arm.joints[1:]]
+    if not sum(lengths) or any(joint.motion == "prismatic" for joint in arm.joints):
+        return None
+    reach, masses = sum(lengths), []
+    for record in evidence.records:
+        motion = recall_motion(record, evidence)
+        for i, joint in enumerate(arm.joints):
+            if is_slow(record.experiment) and effort_channel(record.channels, i + 1):
+                torque = np.ptp(compute_motor_torque(record, arm, i)[record.inside])
+                fastest = float(np.abs(motion.acceleration[record.inside, i]).max())
+                size = reach * np.hypot(arm.gravity_size or 0.0, reach * fastest)
+                masses.append(0.5 * float(torque) / abs(joint.gear_ratio) / max(size, 1e-300))
+    return max(masses, default=None)
+
+
+def link_speed(evidence: Evidence) -> float | None:
+    """Largest speed of a revolute joint [rad/s]; None without one."""
+    speeds = [
+        float(np.abs(recall_motion(r, evidence).velocity[r.inside, i]).max())
+        for r in evidence.records
+        for i, joint in enumerate(evidence.arm.joints)
+        if joint.motion == "revolute" and r.inside.any()
+    ]
+    return max(speeds, default=None)
 
 
 def _servo_controlled(evidence: Evidence) -> Iterator[tuple[SlowRecord, int]]:
@@ -237,6 +295,9 @@ def _regress_torque(
         return None
     base = varying[varying < arm.n_body]
     n = len(base)
+    own = columns[:, varying[-2:]]  # velocity and its sign, if both vary
+    share = float(np.std(own @ fit.value[-2:]) / max(np.std(np.concatenate(targets)), 1e-300))
+    spread = np.sqrt(np.diag(fit.covariance)[-2:]) * own.std(axis=0)
     weights = np.concatenate(inertias).mean(axis=0)[base]
     return TorqueRegression(
         joint=i + 1,
@@ -246,6 +307,8 @@ def _regress_torque(
         base=tuple(arm.rigid_columns[k].key for k in base),
         value=fit.value[:n],
         covariance=fit.covariance[:n, :n],
+        friction=share,
+        friction_std=float(np.linalg.norm(spread) / max(np.std(np.concatenate(targets)), 1e-300)),
     )
 
 
@@ -280,13 +343,21 @@ def sliding_rows(record: SlowRecord, i: int) -> BoolArray:
 def compute_motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
     """Motor torque of joint i (from 0), (n_rows,) [N m].
 
-    Returns the logged torque, or torque_per_volt times the voltage. If the study gives no
-    torque_per_volt, the scale is 1.
+    Returns the logged torque, torque_per_volt times the voltage (with a scale of 1 if the study
+    gives no torque_per_volt), or the reading of a sensor behind the gear.
     """
-    name = f"torque{i + 1}"
-    if name in record.channels:
+    name = effort_channel(record.channels, i + 1) or ""
+    if name.startswith("torque"):
         return record.channels[name]
-    return DriveLaw.of(arm.joints[i]).command(record.channels[f"u{i + 1}"])
+    if name.startswith("tau_l"):
+        return arm.joints[i].gear_ratio * record.channels[name]
+    return DriveLaw.of(arm.joints[i]).command(record.channels[name])
+
+
+def effort_channel(channels: Collection[str], joint: int) -> str | None:
+    """Channel of the effort of a joint, from 1: of its motor, or of a sensor behind the gear."""
+    names = (f"{kind}{joint}" for kind in EFFORTS)
+    return next((name for name in names if name in channels), None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -13,10 +13,15 @@ from strainwave.signals.consistency.evidence import Evidence
 from strainwave.signals.consistency.input_delay import pool_delays
 from strainwave.signals.consistency.motors import (
     Ratio,
+    TorqueRegression,
+    compare_torque_sensors,
     compute_reference_ratios,
     compute_servo_output_ratios,
     compute_velocity_ratios,
+    effort_channel,
     estimate_torque_ratios,
+    implied_mass,
+    link_speed,
     regress_torques,
 )
 from strainwave.signals.consistency.regression import pool_estimates
@@ -27,6 +32,7 @@ from strainwave.signals.consistency.sensors import (
     regress_readings,
 )
 from strainwave.signals.consistency.torque_fit import (
+    MIN_COST_DIFFERENCE,
     MIN_FIT_RATIO,
     fit_ratio,
     recall_quality,
@@ -55,11 +61,13 @@ Kind = Literal[
     "limit",
     "tilt",
     "torque-fit",
+    "torque-prediction",
+    "torque-sensor",
+    "friction",
+    "mass",
+    "speed",
 ]
 
-# Minimum difference of the log likelihoods of two geometries; 36 coordinates of a six-axis arm
-# reduce that of a correct one by 18 +- 4.
-_MIN_COST_DIFFERENCE = 20.0
 # Minimum significance of a contradiction, in standard deviations.
 _MIN_SIGNIFICANCE = 5.0
 # The same for the torque ratio, whose standard deviation includes friction errors.
@@ -68,6 +76,16 @@ _MAX_INPUT_DELAY_SAMPLES = 1.25
 """Tolerated delay of a command in sampling periods; logs hold the value before or after a tick."""
 _MAX_INPUT_DELAY = 1.25e-3
 """Tolerated delay of a command [s]; buses and drives commonly have delays of up to 1 ms."""
+
+_MIN_PREDICTED_SHARE = 0.3
+"""Share of the torques that the arm predicts on held-out stretches below which units are doubted;
+measured arms with strong friction reach 0.6."""
+_MIN_FRICTION = 5e-3
+"""Share of friction in a motor's torque below which the effort has none; gears take several %."""
+_MAX_DENSITY = 500.0
+"""Largest mass over the cube of the reach of an arm [kg/m^3]; arms have 5 to 100."""
+_MAX_SPEED = 40.0
+"""Largest plausible speed of a joint [rad/s]; arms reach 2 to 20, in degrees more than 60."""
 
 _TOLERANCE: dict[Kind, float] = {
     "count": 0.03,  # rounding of the counts in a data sheet
@@ -90,6 +108,11 @@ _TOLERANCE: dict[Kind, float] = {
     "tilt": 0.3,  # of g; tables and brackets are level to 17 degrees
     "excited-joint": 0.0,
     "torque-fit": MIN_FIT_RATIO - 1.0,
+    "torque-prediction": _MIN_PREDICTED_SHARE,
+    "torque-sensor": 1.0,  # friction and the rotor take a share
+    "friction": _MIN_FRICTION,
+    "mass": 1.0,
+    "speed": 1.0,
     "torque-ratio": 0.5,  # the rigid fit detects smaller errors with higher accuracy
 }
 """Tolerated relative difference from 1, or absolute value of delays, `drift` and `tilt`."""
@@ -105,6 +128,7 @@ _MODEL_ERROR: dict[Kind, float] = {
     "rotation-ratio": 0.02,
     "delay": 4e-4,
     "tilt": 0.01,
+    "torque-sensor": 0.05,
     "drift": 0.0,  # follows from the floor of the delay and the length of the record
 }
 """Model error of an observation in one record: springs, friction and servo lag, without noise."""
@@ -178,6 +202,8 @@ class Observation:
             if self.is_of_link and not self._is_of_imu:
                 limit = _MIN_EXPLAINED_SHARE
             return self.value < limit
+        if self.kind in ("torque-prediction", "friction"):
+            return self.value + 2.0 * self.std < _TOLERANCE[self.kind]
         tolerance = self.tolerance or _TOLERANCE[self.kind]
         if self._is_of_imu and self.kind in _PARTS:
             tolerance = _IMU_TOLERANCE
@@ -227,6 +253,8 @@ def compute_observations(evidence: Evidence) -> Iterator[Observation]:
     yield from _observe_ratios("reference", compute_reference_ratios(evidence))
     yield from _observe_ratios("servo", compute_servo_output_ratios(evidence))
     yield from _observe_ratios("velocity", compute_velocity_ratios(evidence))
+    yield from _observe_ratios("torque-sensor", compare_torque_sensors(evidence))
+    yield from _observe_sizes(evidence)
     yield from _observe_torque_fit(evidence)
     yield from _observe_sensors(evidence)
     yield from _observe_torques(evidence)
@@ -297,9 +325,21 @@ def _observe_torque_fit(evidence: Evidence) -> Iterator[Observation]:
     fit = recall_quality(evidence) if evidence.geometries else None
     if fit is not None:
         ratio = fit_ratio(fit.cost, evidence.geometries[0].cost, fit.n_all)
-        least = fit_ratio(_MIN_COST_DIFFERENCE, 0.0, fit.n_all) - 1.0
+        least = fit_ratio(MIN_COST_DIFFERENCE, 0.0, fit.n_all) - 1.0
         place = Place(part="arm")
         yield Observation("torque-fit", place, max(ratio, 1.0), least / _MIN_SIGNIFICANCE)
+        yield Observation("torque-prediction", place, 1.0 - float(np.median(fit.unexplained)), 0.0)
+
+
+def _observe_sizes(evidence: Evidence) -> Iterator[Observation]:
+    """Speed and implied mass over the largest plausible ones; at least 1."""
+    speed, mass = link_speed(evidence), implied_mass(evidence)
+    if speed is not None:
+        yield Observation("speed", Place(part="arm"), max(1.0, speed / _MAX_SPEED), 0.0)
+    if mass is not None:
+        reach = sum(float(np.linalg.norm(j.origin.xyz)) for j in evidence.arm.joints[1:])
+        ratio = mass / (_MAX_DENSITY * reach**3)
+        yield Observation("mass", Place(part="arm"), max(1.0, ratio), 0.0)
 
 
 def _observe_ratios(kind: Kind, ratios: Iterable[Ratio]) -> Iterator[Observation]:
@@ -370,12 +410,30 @@ def _observe_sensor(place: Place, readings: list[Reading]) -> Iterator[Observati
 def _observe_torques(evidence: Evidence) -> Iterator[Observation]:
     estimates = []
     for each in regress_torques(evidence):
+        name = effort_channel(evidence.channels, each.joint)
+        if each.record:  # a short record determines the sign of the inertia alone
+            place = Place(channel=name, experiments=(each.record,))
+            if each.explained > _MIN_PARTLY_EXPLAINED_SHARE:
+                yield Observation("inertia", place, each.inertia, each.inertia_std)
+            continue
         estimates.append(each)
-        names = f"torque{each.joint}", f"u{each.joint}"
-        place = Place(channel=next(name for name in names if name in evidence.channels))
-        yield Observation("inertia", place, each.inertia, each.inertia_std)
+        yield Observation("inertia", Place(channel=name), each.inertia, each.inertia_std)
         yield Observation("explained-share", Place(joint=each.joint), each.explained, 0.0)
+    yield from _observe_friction(estimates, evidence)
     if evidence.geometries:
         return  # the fit of one arm to all torques compares more than one pair of equations
     for joint, ratio in estimate_torque_ratios(estimates).items():
         yield Observation("torque-ratio", Place(joint=joint, key="torque_per_volt"), *ratio)
+
+
+def _observe_friction(
+    estimates: Sequence[TorqueRegression], evidence: Evidence
+) -> Iterator[Observation]:
+    """Largest share of friction in a motor's torque; sensors behind the gears measure none."""
+    channels = evidence.channels
+    motors = [each for each in estimates if f"torque{each.joint}" in channels]
+    meanings = {evidence.channel(f"torque{each.joint}").meaning for each in motors}
+    if motors and meanings <= {"motor", "without-gravity"}:
+        most = max(motors, key=lambda each: each.friction)
+        std = max(each.friction_std for each in motors)
+        yield Observation("friction", Place(part="arm"), most.friction, std)

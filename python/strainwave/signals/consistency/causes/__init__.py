@@ -16,6 +16,8 @@ from strainwave.signals.consistency.observations import Observation
 __all__ = ["Cause", "propose_causes"]
 
 _OF_ARM = (
+    channels.propose_effort_scales,
+    channels.propose_record_signs,
     geometry.propose_geometries,
     commands.propose_time_bases,
     commands.propose_input_delays,

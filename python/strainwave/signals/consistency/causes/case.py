@@ -44,6 +44,7 @@ class Cause:
     delay_s: float | None = None
     has_estimated_factor: bool = False  # not a unit, a sign or an exchange
     moves_frames: bool = False
+    excluded: tuple[str, ...] = ()  # records with the fault; the others do not have it
 
     def corrected(self, evidence: Evidence) -> Evidence:
         """Evidence after the corrections.
@@ -52,6 +53,8 @@ class Cause:
         so these are not compared with estimated frames.
         """
         after = evidence.corrected(self.corrections)
+        if self.excluded:
+            after = after.without_records(self.excluded)
         if not self.moves_frames:
             return after
         links = [name for name in after.channels if channel_parts(name)[0] in LINK_CHANNELS]
