@@ -95,8 +95,9 @@ FAULTS: Mapping[str, str] = {
     " different payloads",
     "effort-without-gravity": "the torques of all joints agree with one arm {ratio:.3g} times"
     " better without gravity: the driver of the robot subtracts gravity from the logged efforts",
-    "misaligned/torques": _BETTER + " if {channels!a} are {delay!m:.3g} ms {side} than the torques"
-    " that move the motors",
+    "misaligned/motors": _BETTER + " if {channels!a} are {delay!m:.3g} ms {side} than the other"
+    " signals of the motors",
+    "rival": "or, as likely: {fault}",
     "misaligned/command": "{channels!a}: the command in the log is {delay!m:.3g} ms {side} than the"
     " torque that moves {angles!a}, according to the phase of the motor's response to the test"
     " signals; the delay would bias damping, stiffness and inertias",

@@ -84,9 +84,9 @@ def _explain_contradictions(
             likely = [cause.code for cause in ranked if not cause.has_estimated_factor]
         if not ranked:
             break
-        chosen.append(ranked[0].suspicion(evidence.study))
+        chosen.extend(each.suspicion(evidence.study) for each in (ranked[0], *ranked[0].rivals))
         if not ranked[0].has_estimated_factor or ranked[0].moves_frames:
-            structured.append(chosen[-1])
+            structured.append(ranked[0].suspicion(evidence.study))
         evidence = ranked[0].corrected(evidence)
         observations = tuple(compute_observations(evidence))
     remaining = [o for o in observations if o.contradicts and is_reported(o)]
@@ -104,7 +104,8 @@ def _needs_cause(each: Observation, evidence: Evidence) -> bool:
     Friction alone can reduce the explained share of a motor signal; the torques of chains are
     tested by their common fit.
     """
-    return each.contradicts and (evidence.arm.has_planar_program or is_reported(each))
+    is_searched = evidence.arm.has_planar_program or each.kind == "torque-prediction"
+    return each.contradicts and (is_searched or is_reported(each))
 
 
 def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:

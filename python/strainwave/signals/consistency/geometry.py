@@ -20,11 +20,13 @@ from strainwave.domain.corrections import exchange_corrections
 from strainwave.domain.kinds import kind_of
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.consistency.evidence import Alternative, ChangeKind, Evidence, is_slow
+from strainwave.signals.consistency.motors import EFFORTS, effort_channel
 from strainwave.signals.consistency.torque_fit import (
     MIN_COST_DIFFERENCE,
     MIN_FIT_RATIO,
     FitQuality,
     TorqueFit,
+    TorqueSystem,
     fit_ratio,
     fit_torques,
     predict_stretches,
@@ -88,13 +90,18 @@ def search_geometry(evidence: Evidence) -> tuple[Alternative, ...]:
     if kind_of(evidence.arm).places_joints:
         return ()
     evidence.memory.stated_arm = evidence.arm
+    slow = tuple(record for record in evidence.records if is_slow(record.experiment))
+    evidence = replace(evidence, records=slow)
     system = torque_system(evidence)
     if system is None:
         return ()
     fit, stated = fit_torques(system), predict_stretches(system)
-    candidates = [*_discrete(evidence), *_effort_exchanges(evidence)]
+    candidates = [*_discrete(evidence), *_efforts(evidence, "")]
     if max(fit.unexplained.values()) > _MAX_UNEXPLAINED:
-        candidates += _joint_exchanges(evidence)
+        candidates += _joint_exchanges(evidence, "")
+    for record in _doubtful_records(system, stated):
+        candidates += [Alternative("payload", None, (), record=record)]
+        candidates += [*_efforts(evidence, record), *_joint_exchanges(evidence, record)]
     jobs = [partial(_predict, evidence, fit, stated, each) for each in candidates]
     jobs += [
         partial(_search, evidence, fit, stated, family) for family in _promising(evidence, fit)
@@ -147,22 +154,38 @@ def _fit(evidence: Evidence, corrections: Sequence[Correction]) -> TorqueFit | N
     return None if system is None else fit_torques(system)
 
 
-def _effort_exchanges(evidence: Evidence) -> Iterator[Alternative]:
-    """Exchanged torques of two joints, in all records or in one."""
-    for pair in combinations(range(1, evidence.arm.n_joints + 1), 2):
-        for record in ("", *_slow_names(evidence)):
-            yield from _exchange(evidence, ("u", "torque"), pair, record)
+def _doubtful_records(system: TorqueSystem, stated: FitQuality) -> list[str]:
+    """Records without which the stretches of the others are predicted clearly better."""
+    names = np.array(system.records)
+    doubtful = []
+    for name in dict.fromkeys(system.records) if len(set(system.records)) > 1 else ():
+        kept = names != name
+        others = predict_stretches(system, names[~kept].tolist())
+        before, after = (quality.squares[kept].sum(axis=0) for quality in (stated, others))
+        gain = 0.5 * stated.n_rows @ np.log(np.maximum(before, 1e-300) / np.maximum(after, 1e-300))
+        if fit_ratio(gain, 0.0, stated.n_all) > MIN_FIT_RATIO:
+            doubtful.append(name)
+    return doubtful
 
 
-def _joint_exchanges(evidence: Evidence) -> Iterator[Alternative]:
-    """Exchanged motor angles, or angles and torques, of two joints, in all records or in one."""
+def _efforts(evidence: Evidence, record: str) -> Iterator[Alternative]:
+    """Reversed and exchanged efforts, in all records or in one."""
+    joints = range(1, evidence.arm.n_joints + 1)
+    for i in joints:
+        name = effort_channel(evidence.channels, i)
+        if name is not None:
+            reverse = Correction("channels", name, "scale", -evidence.channel(name).scale)
+            yield Alternative("torque", i, (reverse,), record=record)
+    for pair in combinations(joints, 2):
+        yield from _exchange(evidence, EFFORTS, pair, record)
+
+
+def _joint_exchanges(evidence: Evidence, record: str) -> Iterator[Alternative]:
+    """Exchanged motor angles, or angles and efforts, of two joints, in all records or in one."""
+    motors = ("theta_m", "omega_m", "ref")
     for pair in combinations(range(1, evidence.arm.n_joints + 1), 2):
-        for record in ("", *_slow_names(evidence)):
-            if not record:
-                yield from _exchange(evidence, ("theta_m",), pair, record)
-            yield from _exchange(
-                evidence, ("theta_m", "omega_m", "ref", "u", "torque"), pair, record
-            )
+        for kinds in (motors, (*motors, *EFFORTS)):
+            yield from _exchange(evidence, kinds, pair, record)
 
 
 def _exchange(
@@ -175,12 +198,6 @@ def _exchange(
         yield Alternative(
             "exchange", pair[0], changes, record=record, exchanged=tuple(given), other=pair[1]
         )
-
-
-def _slow_names(evidence: Evidence) -> list[str]:
-    """Names of the records whose torques are compared, if there are several."""
-    names = [r.experiment.name for r in evidence.records if is_slow(r.experiment)]
-    return names if len(names) > 1 else []
 
 
 def _discrete(evidence: Evidence) -> Iterator[Alternative]:
@@ -197,11 +214,6 @@ def _discrete(evidence: Evidence) -> Iterator[Alternative]:
             scaled = _torque(evidence, i, np.array([np.log(factor) / _RATIO_STD]))
             if scaled:
                 yield Alternative("torque", i, scaled)
-        for name in (f"{kind}{i}" for kind in ("torque", "u")):
-            if name in evidence.channels:
-                reverse = Correction("channels", name, "scale", -evidence.channel(name).scale)
-                for record in ("", *_slow_names(evidence)):
-                    yield Alternative("torque", i, (reverse,), record=record)
     size = arm.gravity_size or _STANDARD_GRAVITY
     stated = np.array(arm.gravity or (0.0, 0.0, 0.0)) / size
     for unit in units:
@@ -220,8 +232,6 @@ def _discrete(evidence: Evidence) -> Iterator[Alternative]:
     if efforts and arm.gravity:
         changes = tuple(Correction("channels", n, "meaning", "without-gravity") for n in efforts)
         yield Alternative("without-gravity", None, changes)
-    for record in _slow_names(evidence):
-        yield Alternative("payload", None, (), record=record)
 
 
 def _families(evidence: Evidence) -> Iterator[_Family]:
@@ -240,10 +250,10 @@ def _families(evidence: Evidence) -> Iterator[_Family]:
             tolerated = np.array([_TOLERATED_TORQUE / _RATIO_STD])
             yield _Family("torque", i, 1, partial(_torque, evidence, i), tolerated)
     step = max(r.sample_time for r in evidence.records) / _DELAY_ROWS
-    efforts = [f"{k}{i}" for i in joints for k in ("torque", "u")]
-    efforts = [name for name in efforts if name in evidence.channels]
-    for names in (efforts, *([name] for name in efforts)):
-        joint = channel_parts(names[0])[1] if len(names) == 1 else None
+    efforts = [name for i in joints if (name := effort_channel(evidence.channels, i))]
+    angles = [[f"theta_m{i}", f"omega_m{i}"] for i in joints]
+    for names in (efforts, *([name] for name in efforts), *angles):
+        joint = channel_parts(names[0])[1] if names is not efforts else None
         late = partial(_delay, names, step)
         yield _Family("delay", joint, 1, late, np.array([_TOLERATED_DELAY / step]))
 
@@ -276,7 +286,7 @@ def _torque(evidence: Evidence, i: int, x: FloatArray) -> tuple[Correction, ...]
 
 
 def _delay(names: Sequence[str], step: float, x: FloatArray) -> tuple[Correction, ...]:
-    """A delay of the torques `names` relative to the motor angles, in units of `step`."""
+    """A delay of efforts or motor angles, in units of `step`."""
     return tuple(Correction("log", name, "delay_s", step * float(x[0])) for name in names)
 
 

@@ -70,6 +70,8 @@ Kind = Literal[
 
 # Minimum significance of a contradiction, in standard deviations.
 _MIN_SIGNIFICANCE = 5.0
+# The same for the sign of an inertia in one record, whose friction can imitate inertia.
+_MIN_RECORD_SIGNIFICANCE = 10.0
 # The same for the torque ratio, whose standard deviation includes friction errors.
 _MIN_TORQUE_SIGNIFICANCE = 3.5
 _MAX_INPUT_DELAY_SAMPLES = 1.25
@@ -413,7 +415,7 @@ def _observe_torques(evidence: Evidence) -> Iterator[Observation]:
         name = effort_channel(evidence.channels, each.joint)
         if each.record:  # a short record determines the sign of the inertia alone
             place = Place(channel=name, experiments=(each.record,))
-            if each.explained > _MIN_PARTLY_EXPLAINED_SHARE:
+            if each.inertia < -_MIN_RECORD_SIGNIFICANCE * each.inertia_std:
                 yield Observation("inertia", place, each.inertia, each.inertia_std)
             continue
         estimates.append(each)

@@ -10,7 +10,7 @@ torque that the fit does not explain is then larger than with the correct chain.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -188,8 +188,10 @@ def fit_torques(system: TorqueSystem) -> TorqueFit:
     return TorqueFit(links, basis, weight, residual, shares, n_rows)
 
 
-def predict_stretches(system: TorqueSystem) -> FitQuality:
+def predict_stretches(system: TorqueSystem, without: Collection[str] = ()) -> FitQuality:
     """Prediction of the torques of each stretch by the links fitted to all others.
+
+    The records `without` are not fitted.
 
     The prior of a parameter of the links is that its torque is below the norm of all torques, so
     that combinations that one stretch alone excites are not extrapolated.
@@ -199,14 +201,18 @@ def predict_stretches(system: TorqueSystem) -> FitQuality:
     size = np.linalg.norm(columns, axis=0)
     used = size > _MIN_SINGULAR_VALUE * size.max()
     columns = columns[:, used] / size[used]
-    gram, product = columns.T @ columns, columns.T @ torque
+    excluded = np.isin(np.array(system.records)[system.fold], list(without))
+    gram = columns[~excluded].T @ columns[~excluded]
+    product = columns[~excluded].T @ torque[~excluded]
     prior = np.eye(len(gram)) / max(float(torque @ torque), 1e-300)
     joints = sorted(system.total)
     squares = np.zeros((len(system.records), len(joints)))
     for k in range(len(system.records)):
         rows = system.fold == k
         block, target = columns[rows], torque[rows]
-        links = np.linalg.solve(gram - block.T @ block + prior, product - block.T @ target)
+        fitted = float(system.records[k] not in without)
+        left = gram - fitted * block.T @ block, product - fitted * block.T @ target
+        links = np.linalg.solve(left[0] + prior, left[1])
         errors = (target - block @ links) / fit.weight[rows]
         for j, joint in enumerate(joints):
             squares[k, j] = float(np.sum(errors[system.joint[rows] == joint] ** 2))

@@ -42,6 +42,9 @@ _OF_JOINT = (
 def propose_causes(evidence: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
     """Yield all candidate causes, structured causes first."""
     case = Case(evidence, tuple(contradictions))
+    if {each.kind for each in contradictions} == {"torque-fit"}:
+        yield from geometry.propose_geometries(case)  # they competed on held-out stretches
+        return
     for propose in _OF_ARM:
         yield from propose(case)
     estimated_causes: list[Cause] = []

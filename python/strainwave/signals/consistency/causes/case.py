@@ -44,6 +44,7 @@ class Cause:
     delay_s: float | None = None
     has_estimated_factor: bool = False  # not a unit, a sign or an exchange
     moves_frames: bool = False
+    rivals: tuple[Cause, ...] = ()  # that explain the contradictions equally well
     excluded: tuple[str, ...] = ()  # records with the fault; the others do not have it
 
     def corrected(self, evidence: Evidence) -> Evidence:

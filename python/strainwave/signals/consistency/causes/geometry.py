@@ -13,6 +13,9 @@ from strainwave.signals.consistency.causes.case import Case, Cause
 from strainwave.signals.consistency.evidence import Alternative, ChangeKind
 from strainwave.signals.consistency.torque_fit import MIN_FIT_RATIO, fit_ratio, recall_quality
 
+# Ratio of unexplained variances to the best one within which two causes cannot be told apart, and
+# the number of rivals that are named.
+_MAX_RIVAL_RATIO, _MAX_RIVALS = 1.1, 1
 # Log ratio within which an estimated reduction is the nearest whole number.
 _REDUCTION_TOLERANCE = 0.01
 # Decimal logarithm within which a factor is that of a unit.
@@ -28,14 +31,32 @@ def propose_geometries(case: Case) -> Iterator[Cause]:
     n_rows = fit.n_all if fit is not None else 1.0
     best, stated = geometries[0].cost, geometries[-1].cost
     order = {kind: k for k, kind in enumerate(_CAUSES)}
+
+    def is_rival(each: Alternative) -> bool:
+        return fit_ratio(each.cost, best, n_rows) < _MAX_RIVAL_RATIO
+
     good = [a for a in geometries[:-1] if fit_ratio(a.cost, best, n_rows) < MIN_FIT_RATIO]
-    for each in sorted(good, key=lambda a: (order[a.kind], a.cost)):
-        cause = _CAUSES[each.kind](case, each, fit_ratio(stated, each.cost, n_rows))
-        yield replace(
-            cause,
-            has_estimated_factor=each.kind in _ESTIMATED and cause.factor != -1.0,
-            moves_frames=each.kind in ("frame", "robot"),
-        )
+    good.sort(key=lambda a: (not is_rival(a), order[a.kind] if is_rival(a) else 0, a.cost))
+    causes = [_cause(case, a, fit_ratio(stated, a.cost, n_rows)) for a in good]
+    rivals = [c for a, c in zip(good, causes, strict=True) if is_rival(a) and not c.moves_frames]
+    for cause in causes:
+        others = [each for each in rivals if each.places != cause.places][:_MAX_RIVALS]
+        is_one = cause in rivals
+        yield replace(cause, rivals=tuple(map(_as_rival, others)) if is_one else ())
+
+
+def _as_rival(cause: Cause) -> Cause:
+    """The cause as one that is as likely as the cause before it."""
+    return replace(cause, clause=Clause("rival", fault=cause.clause))
+
+
+def _cause(case: Case, change: Alternative, ratio: float) -> Cause:
+    cause = _CAUSES[change.kind](case, change, ratio)
+    return replace(
+        cause,
+        has_estimated_factor=change.kind in _ESTIMATED and cause.factor != -1.0,
+        moves_frames=change.kind in ("frame", "robot"),
+    )
 
 
 def _axis(case: Case, change: Alternative, ratio: float) -> Cause:
@@ -129,7 +150,7 @@ def _delay(case: Case, change: Alternative, ratio: float) -> Cause:
     names = tuple(each.entry for each in change.corrections)
     delay = float(f"{change.corrections[0].number:.3g}")
     side = "later" if delay > 0.0 else "earlier"
-    clause = Clause("misaligned/torques", ratio=ratio, channels=names, delay=abs(delay), side=side)
+    clause = Clause("misaligned/motors", ratio=ratio, channels=names, delay=abs(delay), side=side)
     changes = tuple(replace(each, value=delay) for each in change.corrections)
     places, remedy = tuple(Place(channel=name) for name in names), Clause("remedy/command")
     return Cause("misaligned", places, clause, changes, remedy, delay_s=delay)
