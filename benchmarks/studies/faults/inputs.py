@@ -155,7 +155,6 @@ def clean_variants(given: Input, rng: np.random.Generator) -> Iterator[Case]:
         return {
             k: v if k == "t" or not np.ptp(v) else np.round(v / (s := np.ptp(v) / 4096)) * s
             for k, v in table.items()
-            if k != "t" or True
         }
 
     yield Case("12 bit", given.changed(coarse, slow))
@@ -218,10 +217,7 @@ def faults(given: Input, joint: int) -> Iterator[Case]:
     swapped = ("swapped-channels",)
     a, b = given.efforts(j), given.efforts(other)
     yield Case("torques exchanged", exchanged(a, b), swapped, (j, other))
-    a, b = (
-        [x for x in given.of_kinds(("theta_m", "omega_m", "torque", "u", "ref"), i)]
-        for i in (j, other)
-    )
+    a, b = (given.of_kinds(("theta_m", "omega_m", "torque", "u", "ref"), i) for i in (j, other))
     yield Case("joints exchanged", exchanged(a, b), swapped, (j, other))
     yield Case(
         "exchanged in one record", exchanged(a, b, motions[:1]), swapped, (j, other), (motions[0],)
@@ -341,10 +337,7 @@ def _without(given: Input, parts: Sequence[str]) -> Input:
             effort = next(iter(given.efforts(i + 1)), None)
             if effort is None or effort not in table:
                 continue
-            if effort.startswith("u"):
-                scale = 1.0 / arm.joints[i].torque_per_command
-            else:
-                scale = 1.0
+            scale = 1.0 / arm.joints[i].torque_per_command if effort[0] == "u" else 1.0
             if "gravity" in parts:
                 columns[effort] = table[effort] - scale * static[:, i]
             if "friction" in parts:

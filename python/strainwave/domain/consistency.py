@@ -38,6 +38,7 @@ RELATION_TEXTS: Mapping[str, str] = {
     "inertia": "inertia by the torque [kg m^2]",
     "torque-fit": "unexplained torque / best explanation",
     "torque-prediction": "predicted share of held-out torques",
+    "presence": "range / range of the prediction",
     "torque-sensor": "torque sensor / motor torque",
     "friction": "share of friction in the torque",
     "mass": "implied mass / largest plausible",
@@ -58,6 +59,8 @@ class Relation:
     std: float  # standard deviation; 0: not estimated
     expected: float | None  # None: any positive value
     is_consistent: bool
+    accuracy: float  # largest difference from the expected value of consistent input
+    bound: Literal["equal", "least", "most"] = "equal"  # what the expected value is
 
     @property
     def where(self) -> str:
@@ -72,6 +75,7 @@ class Consistency:
     suspected: tuple[Suspicion, ...] = ()
     relations: tuple[Relation, ...] = ()
     warnings: tuple[Diagnostic, ...] = ()
+    unchecked: tuple[str, ...] = ()  # channels that occur in no relation
 
     @property
     def deciding(self) -> tuple[Suspicion, ...]:
@@ -108,6 +112,7 @@ class InputCheck:
     relations: tuple[Relation, ...]
     suspected: tuple[Suspicion, ...]
     warnings: tuple[Diagnostic, ...]
+    unchecked: tuple[str, ...]  # channels that occur in no relation
     seconds: float  # for reading and checking
 
     @property

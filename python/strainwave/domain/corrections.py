@@ -75,8 +75,9 @@ def _with_joint(arm: ArmDescription, correction: Correction) -> ArmDescription:
 
 
 def _correct_experiment(experiment: Experiment, correction: Correction) -> Experiment:
-    if correction.key == "prbs.amplitude" and experiment.prbs is not None:
-        prbs = replace(experiment.prbs, amplitude=correction.value)  # type: ignore[arg-type]
+    _, _, key = correction.key.partition("prbs.")
+    if key and experiment.prbs is not None:
+        prbs = replace(experiment.prbs, **{key: correction.value})  # type: ignore[arg-type]
         return replace(experiment, prbs=prbs)
     return replace(experiment, **{correction.key: correction.value})  # type: ignore[arg-type]
 

@@ -37,6 +37,8 @@ FAULTS: Mapping[str, str] = {
     "wrong-sign/efforts": "all joints accelerate against their efforts: {channels!a} have the wrong"
     " sign",
     "wrong-sign/some": "the joints accelerate against {channels!a}: wrong sign",
+    "dead-channel": "{channel} shows noise alone: its range is {share!p:.2g} % of the range that the"
+    " motor angles imply; the sensor or its cable is faulty",
     "effort-without-friction": "the efforts of all joints show no friction ({share!p:.2g} % of the"
     " torque): {channels!a} are calculated by a model, as desired torques or by an observer, and"
     " not measured at the motors",
@@ -108,6 +110,10 @@ FAULTS: Mapping[str, str] = {
     " than the whole-arm fit corrects",
     "clock-drift": "the voltages change with a period of {ratio:.6g} times the PRBS or servo period"
     " of the study: the clock of the logger is wrong by that factor",
+    "clock-drift/records": "the voltages of {records!a} change with a period of {ratio:.6g} times"
+    " that of the study, in contrast to the other records: their time is wrong by that factor",
+    "wrong-prbs-clock": "the test signals of {records!a} change with a period of {ratio:.6g} times"
+    " the clock of their prbs",
     "clock-drift/sensor": "{channels}: the delay relative to the motor angle changes by"
     " {drift!m:.3g} ms per second: the clock of these channels is {error!p:.3g} % {side}",
     "ac-coupled": "{channels!a}: the readings agree with the motion only after a high-pass of"
@@ -148,7 +154,10 @@ FAULTS: Mapping[str, str] = {
     "contradiction/drift": "the delay of {place} grows by {value:.4g} s per second",
     "contradiction/torque-fit": "{place}: the unexplained variance of the torques is {value:.3g}"
     " times that with another geometry",
+    "contradiction/torque-prediction": "{place}: the model predicts only {value!p:.2g} % of the"
+    " torques",
     "contradiction/torque-sensor": "{place} is {value:.4g} times the torque of its motor",
+    "contradiction/presence": "the range of {place} is {value!p:.2g} % of that of its prediction",
     "contradiction/friction": "friction is {value!p:.2g} % of the torques",
     "contradiction/mass": "the torques imply a mass of {value:.3g} times the heaviest plausible arm"
     " of this size",
@@ -177,6 +186,7 @@ FAULTS: Mapping[str, str] = {
     "remedy/payload": "weigh the load and state it in [[experiment]] {record}: payload = {{ mass,"
     " xyz }}, or remove that record",
     "remedy/log-clock": "{steps!s}, or correct prbs.clock and the period of the servo",
+    "remedy/record-clock": "multiply the time of {records!a} by {ratio:.6g} in their logs",
     "remedy/command": "{steps!s}, or record commands and encoders with one clock",
     "remedy/amplitude": "{steps!s}; or, if that value is correct, {other!s}",
     "remedy/sensor-delay": "{steps!s}; or state the sensor's bandwidth (accelerometer_hz, gyro_hz)"

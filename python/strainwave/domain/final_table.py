@@ -58,6 +58,12 @@ _FAULT_REASON = Clause("reason/fault")
 _CONTRADICTION_REASON = Clause("reason/contradiction")
 _IMPLAUSIBLE_REASON = Clause("reason/implausible")
 _VISCOUS_FRICTIONS = ("motor_viscous_friction", "link_viscous_friction")
+_FRICTIONS = (
+    *_VISCOUS_FRICTIONS,
+    "total_viscous_friction",
+    "motor_coulomb_friction",
+    "friction_offset",
+)
 _FIRST_ROWS = (
     "torque_per_volt",
     "rigid_inertia",
@@ -129,6 +135,8 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
     else:
         _make_consistent(table, study.arm, accepted)
     _reject_contradictions(table, study.arm)
+    for key in [key for key in table if key[0] in _FRICTIONS and _is_calculated(study, key[1])]:
+        table[key] = table[key].reject(Clause("reason/calculated-effort"))
     drives = {p.key: _Entry(p) for p in results.drive_gains}
     levels_by_joint = {level.joint: level for level in results.activity}
     rows = [_decide_row(entry, study, levels_by_joint) for entry in (drives | table).values()]
@@ -140,6 +148,12 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
         return row.parameter.joint or 0, order.index(name) if name in order else len(order)
 
     return tuple(sorted(rows, key=place))
+
+
+def _is_calculated(study: Study, joint: int | None) -> bool:
+    """Whether the effort of a joint is calculated by a model, so that it has no friction."""
+    channel = study.channels.get(f"torque{joint}")
+    return channel is not None and channel.meaning in ("without-friction", "desired")
 
 
 def first_affected_stage(suspicion: Suspicion, study: Study) -> int:

@@ -366,6 +366,7 @@ CLAUSES: Mapping[str, str] = {
     "mostly-unexplained": "; most of the residuals remain unexplained",
     "and-remedy": "; {remedy}",
     "rejected-value": "{label} = {value:.4g}",
+    "reason/calculated-effort": "the effort is calculated by a model and has no friction",
     "reason/fault": "it depends on channels that contradict each other or the study",
     "reason/contradiction": "the rigid and the whole-arm fit contradict each other",
     "reason/implausible": "the decoupled fit of the joint contains an impossible value",

@@ -74,5 +74,6 @@ def check_input(
         relations=checked.consistency.relations,
         suspected=checked.consistency.suspected,
         warnings=merge_by_cause(dict.fromkeys(checked.warnings)),
+        unchecked=checked.consistency.unchecked,
         seconds=time.perf_counter() - begin,
     )

@@ -347,7 +347,7 @@ class Reader:
             else:
                 channel = self.record(Channel, as_table, "channels", second_column=second)
             is_sensor = channel.meaning == "sensor"
-            if is_sensor and not name.startswith(("torque", "tau_l")):
+            if channel.meaning != "motor" and not name.startswith(("torque", "tau_l")):
                 raise InvalidInput(
                     f"'{name}' has a meaning, but only torque channels have one",
                     where=self.place("channels", None, name),

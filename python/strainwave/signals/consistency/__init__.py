@@ -12,13 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Consistency, Log, Study, Suspicion
+from strainwave.domain import Consistency, Log, Relation, Study, Suspicion, channel_parts
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.parallel import one_blas_thread
 from strainwave.signals.consistency.causes import Cause, propose_causes
 from strainwave.signals.consistency.clipping import measure_clipping
 from strainwave.signals.consistency.evidence import Evidence, collect_evidence
 from strainwave.signals.consistency.geometry import search_geometry
+from strainwave.signals.consistency.motors import EFFORTS
 from strainwave.signals.consistency.observations import (
     Observation,
     compute_observations,
@@ -68,7 +69,23 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
         warnings = tuple(report_impossible_links(study.arm))
         warnings += () if suspicions else tuple(compare_urdf_masses(unclipped))
     relations = (*(each.relation for each in clippings), *relations_of(observations))
-    return Consistency(tuple(suspicions), relations, warnings)
+    return Consistency(tuple(suspicions), relations, warnings, _unchecked(logs, relations))
+
+
+def _unchecked(logs: Sequence[Log], relations: Sequence[Relation]) -> tuple[str, ...]:
+    """Channels of the logs that occur in no relation but that of clipped samples.
+
+    The relations of sensors and torques compare them with the motor angles.
+    """
+    compared = {r.place.channel for r in relations if r.kind != "clipped"}
+    joints = {r.place.joint for r in relations if r.kind in ("explained-share", "torque-ratio")}
+    if any(r.kind == "torque-fit" for r in relations):
+        joints |= {channel_parts(name)[1] for log in logs for name in log.channels}
+    references = {r.place.channel for r in relations if r.kind == "reference"}
+    compared |= {name.replace("theta_m", "ref") for name in references if name is not None}
+    names = dict.fromkeys(name for log in logs for name in log.channels)
+    motors = {f"{kind}{i}" for kind in ("theta_m", *EFFORTS[:2]) for i in joints}
+    return tuple(name for name in names if name not in compared | motors)
 
 
 def _explain_contradictions(

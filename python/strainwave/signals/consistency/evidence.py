@@ -105,6 +105,7 @@ ChangeKind = Literal[
     "delay",
     "without-gravity",
     "payload",
+    "unit",
 ]
 """What an alternative explanation of the torques changes."""
 

@@ -60,10 +60,12 @@ _MIN_PREDICTED_DECREASE = 0.03
 _MIN_DECREASE = 2e-3
 # Changes within which a description is accepted: relative, angles [rad], lengths [m], gravity
 # [m/s^2], torque constants. Drawings and calibrations of robots are more accurate.
-_TOLERATED_RATIO, _TOLERATED_ANGLE, _TOLERATED_LENGTH = 0.02, 0.03, 0.01
+_TOLERATED_RATIO, _TOLERATED_ANGLE, _TOLERATED_LENGTH = 0.004, 0.03, 0.01
 _TOLERATED_GRAVITY, _TOLERATED_TORQUE = 0.5, 0.1
 # Factors of the torque of one joint in another unit.
 _TORQUE_UNITS = (1e3, 1e-3)
+_DEGREE = np.pi / 180.0  # [rad]
+_ROTATIONS = ("theta_m", "omega_m", "ref")
 _STANDARD_GRAVITY = 9.81  # [m/s^2]
 # Cosine above which two directions are equal.
 _EQUAL_DIRECTIONS = 0.999
@@ -96,17 +98,21 @@ def search_geometry(evidence: Evidence) -> tuple[Alternative, ...]:
     if system is None:
         return ()
     fit, stated = fit_torques(system), predict_stretches(system)
-    candidates = [*_discrete(evidence), *_efforts(evidence, "")]
-    if max(fit.unexplained.values()) > _MAX_UNEXPLAINED:
-        candidates += _joint_exchanges(evidence, "")
+    simple = [*_discrete(evidence), *_angle_units(evidence), *_efforts(evidence, "")]
+
+    def predict(candidates: Sequence[Alternative]) -> list[Alternative]:
+        jobs = [partial(_predict, evidence, fit, stated, each) for each in candidates]
+        return [each for each in run_parallel(jobs) if each is not None]
+
+    searches = [partial(_search, evidence, fit, stated, f) for f in _promising(evidence, fit)]
+    found = predict(simple) + [each for each in run_parallel(searches) if each is not None]
+    further = []
+    if found or max(fit.unexplained.values()) > _MAX_UNEXPLAINED:
+        further = [*_joint_exchanges(evidence, "")]
     for record in _doubtful_records(system, stated):
-        candidates += [Alternative("payload", None, (), record=record)]
-        candidates += [*_efforts(evidence, record), *_joint_exchanges(evidence, record)]
-    jobs = [partial(_predict, evidence, fit, stated, each) for each in candidates]
-    jobs += [
-        partial(_search, evidence, fit, stated, family) for family in _promising(evidence, fit)
-    ]
-    found = [each for each in run_parallel(jobs) if each is not None]
+        further += [Alternative("payload", None, (), record=record)]
+        further += [*_efforts(evidence, record), *_joint_exchanges(evidence, record)]
+    found += predict(further)
     return (*sorted(found, key=lambda a: a.cost), Alternative("robot", None, (), stated.cost))
 
 
@@ -178,6 +184,18 @@ def _efforts(evidence: Evidence, record: str) -> Iterator[Alternative]:
             yield Alternative("torque", i, (reverse,), record=record)
     for pair in combinations(joints, 2):
         yield from _exchange(evidence, EFFORTS, pair, record)
+
+
+def _angle_units(evidence: Evidence) -> Iterator[Alternative]:
+    """All motor angles and velocities in degrees or turns."""
+    if any(joint.motion == "prismatic" for joint in evidence.arm.joints):
+        return
+    names = [n for n in sorted(evidence.channels) if channel_parts(n)[0] in _ROTATIONS]
+    for factor in (_DEGREE, 2.0 * np.pi):
+        changes = [
+            Correction("channels", n, "scale", evidence.channel(n).scale * factor) for n in names
+        ]
+        yield Alternative("unit", None, tuple(changes))
 
 
 def _joint_exchanges(evidence: Evidence, record: str) -> Iterator[Alternative]:

@@ -8,7 +8,7 @@ gear stiffness.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -76,7 +76,6 @@ class TorqueRegression:
     covariance: FloatArray  # (n_base, n_base)
     friction: float  # mean magnitude of friction over the standard deviation of the torque
     friction_std: float
-    record: str = ""  # empty: all slow records
 
     def shared(self, other: TorqueRegression) -> list[int]:
         """Indices of the base parameters that also occur in the equation of another joint."""
@@ -147,15 +146,17 @@ def _recall_velocity_ratio(evidence: Evidence, record: SlowRecord, i: int) -> li
     return evidence.memory.recall(setting, (angle, velocity), compute)
 
 
-def regress_torques(evidence: Evidence) -> Iterator[TorqueRegression]:
+def regress_torques(
+    evidence: Evidence, record: SlowRecord | None = None
+) -> Iterator[TorqueRegression]:
     """Regress the torque of each joint on the regressor of the rigid-joint equations.
 
     The joints are regressed separately, so base parameters that couple joints are estimated by
     each of them. Joints without a torque or voltage channel are omitted. A joint is regressed when
-    the result is needed, and once for each set of signals.
+    the result is needed, and once for each set of signals. Uses all slow records, or one `record`.
     """
     arm = evidence.arm
-    slow = [r for r in evidence.records if is_slow(r.experiment)]
+    slow = [record] if record else [r for r in evidence.records if is_slow(r.experiment)]
     used = slow or list(evidence.records)
     stretches = spread_stretches(used, _MAX_ROWS)
     angles = [r.channels[f"theta_m{i + 1}"] for r in used for i in range(arm.n_joints)]
@@ -179,15 +180,6 @@ def regress_torques(evidence: Evidence) -> Iterator[TorqueRegression]:
         estimate = evidence.memory.recall((*setting, i), (arm, *angles, *torques), compute)
         if estimate is not None:
             yield estimate
-        for k in chosen if len(chosen) > 1 else ():
-
-            def of_record(k: int = k, i: int = i) -> TorqueRegression | None:
-                return _regress_torque([(used[k], equations_of(k))], arm, i)
-
-            sources = (arm, *angles, *torques)
-            each = evidence.memory.recall((*setting, i, k), sources, of_record)
-            if each is not None:
-                yield replace(each, record=used[k].experiment.name)
 
 
 def motor_signals(record: SlowRecord, arm: Arm) -> list[FloatArray]:

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import Place, Relation, channel_parts
-from strainwave.signals.consistency.evidence import Evidence
+from strainwave.signals.consistency.evidence import Evidence, is_slow
 from strainwave.signals.consistency.input_delay import pool_delays
 from strainwave.signals.consistency.motors import (
     Ratio,
@@ -62,6 +62,7 @@ Kind = Literal[
     "tilt",
     "torque-fit",
     "torque-prediction",
+    "presence",
     "torque-sensor",
     "friction",
     "mass",
@@ -82,10 +83,16 @@ _MAX_INPUT_DELAY = 1.25e-3
 _MIN_PREDICTED_SHARE = 0.3
 """Share of the torques that the arm predicts on held-out stretches below which units are doubted;
 measured arms with strong friction reach 0.6."""
+_MIN_PRESENCE = 0.1
+"""Range of a reading over that of its prediction below which a silent channel is dead."""
+_SHARES = ("torque-prediction", "friction", "presence")
+"""Kinds whose value must exceed the tolerance."""
+_SIZES = ("mass", "speed")
+"""Kinds whose value must not exceed 1."""
 _MIN_FRICTION = 5e-3
 """Share of friction in a motor's torque below which the effort has none; gears take several %."""
-_MAX_DENSITY = 500.0
-"""Largest mass over the cube of the reach of an arm [kg/m^3]; arms have 5 to 100."""
+_MAX_DENSITY = 3000.0
+"""Largest mass over the cube of the reach of an arm [kg/m^3]; arms with a load have 5 to 300."""
 _MAX_SPEED = 40.0
 """Largest plausible speed of a joint [rad/s]; arms reach 2 to 20, in degrees more than 60."""
 
@@ -105,16 +112,14 @@ _TOLERANCE: dict[Kind, float] = {
     "delay": 5e-3,  # [s] range that the whole-arm fit corrects
     "input-delay": _MAX_INPUT_DELAY,
     "drift": 2e-4,  # [s/s]
-    "inertia": np.inf,  # only the sign is tested
     "limit": 1.0,  # a factor of two, because the stated limit can exclude an added PRBS
     "tilt": 0.3,  # of g; tables and brackets are level to 17 degrees
     "excited-joint": 0.0,
     "torque-fit": MIN_FIT_RATIO - 1.0,
     "torque-prediction": _MIN_PREDICTED_SHARE,
+    "presence": _MIN_PRESENCE,
     "torque-sensor": 1.0,  # friction and the rotor take a share
     "friction": _MIN_FRICTION,
-    "mass": 1.0,
-    "speed": 1.0,
     "torque-ratio": 0.5,  # the rigid fit detects smaller errors with higher accuracy
 }
 """Tolerated relative difference from 1, or absolute value of delays, `drift` and `tilt`."""
@@ -144,6 +149,12 @@ which the elasticity of the gears changes. Units and axes differ by more."""
 _MAX_SCALE_ERROR = 0.025
 _LENGTH_TOLERANCE = 0.04
 """Tolerated relative error of link_length if the own-joint scale is correct."""
+
+_EXPECTED: dict[Kind, float | None] = {
+    **dict.fromkeys(("delay", "drift", "input-delay", "tilt"), 0.0),
+    "inertia": None,
+}
+"""Values for consistent input other than 1; None: any positive value."""
 
 _ABSOLUTE_KINDS = ("delay", "drift", "input-delay", "tilt")
 """Kinds whose value is 0 for consistent input; that of others is 1."""
@@ -197,26 +208,46 @@ class Observation:
         return kind in IMU_ACCELEROMETERS
 
     @property
+    def least(self) -> float | None:
+        """Smallest value of consistent input, of a share; None for other kinds."""
+        if self.kind == "explained-share":
+            is_partial = self._is_of_imu or not self.is_of_link
+            return _MIN_MOTOR_EXPLAINED_SHARE if is_partial else _MIN_EXPLAINED_SHARE
+        return _TOLERANCE[self.kind] if self.kind in _SHARES else None
+
+    @property
+    def accuracy(self) -> float:
+        """Largest difference from the expected value of consistent input; 0 of a bound."""
+        if self.least is not None or self.kind in _SIZES:
+            return 0.0
+        certain = _MIN_TORQUE_SIGNIFICANCE if self.kind == "torque-ratio" else _MIN_SIGNIFICANCE
+        return max(self._tolerance, certain * self.std)
+
+    @property
+    def _tolerance(self) -> float:
+        if self.kind == "inertia":
+            return 0.0  # only the sign is tested
+        if self._is_of_imu and self.kind in _PARTS:
+            return _IMU_TOLERANCE
+        return self.tolerance or _TOLERANCE[self.kind]
+
+    @property
     def contradicts(self) -> bool:
         """Whether the error exceeds the tolerance and is statistically significant."""
-        if self.kind == "explained-share":
-            limit = _MIN_MOTOR_EXPLAINED_SHARE
-            if self.is_of_link and not self._is_of_imu:
-                limit = _MIN_EXPLAINED_SHARE
-            return self.value < limit
-        if self.kind in ("torque-prediction", "friction"):
-            return self.value + 2.0 * self.std < _TOLERANCE[self.kind]
-        tolerance = self.tolerance or _TOLERANCE[self.kind]
-        if self._is_of_imu and self.kind in _PARTS:
-            tolerance = _IMU_TOLERANCE
+        if self.least is not None:
+            return self.value + 2.0 * self.std < self.least
+        if self.kind in _SIZES:
+            return self.value > 1.0
         if self.kind in _ABSOLUTE_KINDS:
-            return abs(self.value) > max(tolerance, _MIN_SIGNIFICANCE * self.std)
+            return abs(self.value) > self.accuracy
         if self.value < 0.0:
             return abs(self.value) > _MIN_SIGNIFICANCE * self.std
+        if self.kind == "inertia":
+            return False
         certain = _MIN_TORQUE_SIGNIFICANCE if self.kind == "torque-ratio" else _MIN_SIGNIFICANCE
         if self.value == 0.0 or abs(self.value - 1.0) <= certain * self.std:
             return False
-        return bool(abs(np.log(self.value)) > np.log1p(tolerance))
+        return bool(abs(np.log(self.value)) > np.log1p(self._tolerance))
 
     @property
     def weight(self) -> float:
@@ -227,23 +258,27 @@ class Observation:
 def relations_of(observations: Iterable[Observation]) -> tuple[Relation, ...]:
     """The observations as relations, each place once with its worst value.
 
-    A low explained share of a motor signal is consistent: friction and servo limits reduce it.
+    The explained share of a motor signal tests nothing: friction and servo limits reduce it.
     """
     worst: dict[tuple[Kind, Place], Observation] = {}
     for each in observations:
         known = worst.setdefault((each.kind, each.place), each)
         if each.contradicts and not known.contradicts:
             worst[each.kind, each.place] = each
-    return tuple(_relation(each) for each in worst.values())
-
-
-def _relation(each: Observation) -> Relation:
-    expected: float | None = 0.0 if each.kind in _ABSOLUTE_KINDS else 1.0
-    if each.kind == "inertia":
-        expected = None
-    is_share_of_motor = each.kind == "explained-share" and not each.is_of_link
-    is_consistent = is_share_of_motor or not each.contradicts
-    return Relation(each.kind, each.place, each.value, each.std, expected, is_consistent)
+    tests = (o for o in worst.values() if o.kind != "explained-share" or o.is_of_link)
+    return tuple(
+        Relation(
+            each.kind,
+            each.place,
+            each.value,
+            each.std,
+            _EXPECTED.get(each.kind, 1.0) if each.least is None else each.least,
+            not each.contradicts,
+            each.accuracy,
+            "least" if each.least is not None else "most" if each.kind in _SIZES else "equal",
+        )
+        for each in tests
+    )
 
 
 def compute_observations(evidence: Evidence) -> Iterator[Observation]:
@@ -334,14 +369,14 @@ def _observe_torque_fit(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _observe_sizes(evidence: Evidence) -> Iterator[Observation]:
-    """Speed and implied mass over the largest plausible ones; at least 1."""
+    """Speed and implied mass over the largest plausible ones."""
     speed, mass = link_speed(evidence), implied_mass(evidence)
     if speed is not None:
-        yield Observation("speed", Place(part="arm"), max(1.0, speed / _MAX_SPEED), 0.0)
+        yield Observation("speed", Place(part="arm"), speed / _MAX_SPEED, 0.0)
     if mass is not None:
         reach = sum(float(np.linalg.norm(j.origin.xyz)) for j in evidence.arm.joints[1:])
         ratio = mass / (_MAX_DENSITY * reach**3)
-        yield Observation("mass", Place(part="arm"), max(1.0, ratio), 0.0)
+        yield Observation("mass", Place(part="arm"), ratio, 0.0)
 
 
 def _observe_ratios(kind: Kind, ratios: Iterable[Ratio]) -> Iterator[Observation]:
@@ -364,6 +399,13 @@ def _observe_ratios(kind: Kind, ratios: Iterable[Ratio]) -> Iterator[Observation
 def _observe_sensors(evidence: Evidence) -> Iterator[Observation]:
     for channel, all_records in regress_readings(evidence):
         readings = [each for each in all_records if each.signal > _MIN_SIGNAL_TO_NOISE]
+        silent = [
+            each.size
+            for each in all_records
+            if each.signal <= _MIN_SIGNAL_TO_NOISE < each.expected_signal
+        ]
+        if silent:
+            yield Observation("presence", Place(channel=channel), max(silent), 0.0)
         if readings:
             yield from _observe_sensor(Place(channel=channel), readings)
 
@@ -413,15 +455,17 @@ def _observe_torques(evidence: Evidence) -> Iterator[Observation]:
     estimates = []
     for each in regress_torques(evidence):
         name = effort_channel(evidence.channels, each.joint)
-        if each.record:  # a short record determines the sign of the inertia alone
-            place = Place(channel=name, experiments=(each.record,))
-            if each.inertia < -_MIN_RECORD_SIGNIFICANCE * each.inertia_std:
-                yield Observation("inertia", place, each.inertia, each.inertia_std)
-            continue
         estimates.append(each)
         yield Observation("inertia", Place(channel=name), each.inertia, each.inertia_std)
         yield Observation("explained-share", Place(joint=each.joint), each.explained, 0.0)
     yield from _observe_friction(estimates, evidence)
+    slow = [r for r in evidence.records if is_slow(r.experiment)]
+    for record in slow if len(slow) > 1 else ():  # short records determine the sign alone
+        for each in regress_torques(evidence, record):
+            if each.inertia < -_MIN_RECORD_SIGNIFICANCE * each.inertia_std:
+                name = effort_channel(evidence.channels, each.joint)
+                place = Place(channel=name, experiments=(record.experiment.name,))
+                yield Observation("inertia", place, each.inertia, each.inertia_std)
     if evidence.geometries:
         return  # the fit of one arm to all torques compares more than one pair of equations
     for joint, ratio in estimate_torque_ratios(estimates).items():

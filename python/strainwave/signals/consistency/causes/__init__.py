@@ -18,8 +18,10 @@ __all__ = ["Cause", "propose_causes"]
 _OF_ARM = (
     channels.propose_effort_scales,
     channels.propose_record_signs,
+    channels.propose_dead_channels,
     geometry.propose_geometries,
     commands.propose_time_bases,
+    commands.propose_record_clocks,
     commands.propose_input_delays,
     commands.propose_excited_joints,
     commands.propose_voltage_scales,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -76,6 +76,11 @@ class Cause:
             delay_s=self.delay_s,
             corrections=self.corrections,
         )
+
+
+def as_rival(cause: Cause) -> Cause:
+    """The cause as one that is as likely as the cause before it."""
+    return replace(cause, clause=Clause("rival", fault=cause.clause))
 
 
 @dataclass(frozen=True, slots=True)

@@ -166,6 +166,14 @@ def propose_record_signs(case: Case) -> Iterator[Cause]:
         yield Cause("wrong-sign", places, clause, (), remedy, factor=-1.0, excluded=record)
 
 
+def propose_dead_channels(case: Case) -> Iterator[Cause]:
+    """Sensors that show noise alone."""
+    for name, size in case.by_channel("presence").items():
+        clause = Clause("dead-channel", channel=name, share=size)
+        changes = log_corrections([name], "unusable", 0.0)
+        yield Cause("dead-channel", places_of([name]), clause, changes)
+
+
 def _angle_scales(evidence: Evidence, name: str) -> dict[Unit, float]:
     """Scales to radians of the units in which a motor angle can be logged."""
     units = dict(_ANGLES)
@@ -307,6 +315,7 @@ def propose_motor_angle_scales(case: Case, joint: int) -> Iterator[Cause]:
     name = f"theta_m{joint}"
     ratios = case.values(name, "count", "reference")
     ratios += [1.0 / factor for factor in case.rotation_factors(joint)]
+    ratios += [1.0 / factor for factor in case.values(f"omega_m{joint}", "velocity")]
     # Unit factors differ from 1 by more than the tolerance.
     ratios = [ratio for ratio in ratios if abs(np.log(abs(ratio))) > UNIT_TOLERANCE]
     per_turn = case.evidence.arm.joints[joint - 1].encoder_counts

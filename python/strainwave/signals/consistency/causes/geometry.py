@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import Clause, Correction, Place
-from strainwave.signals.consistency.causes.case import Case, Cause
+from strainwave.signals.consistency.causes.case import Case, Cause, as_rival
 from strainwave.signals.consistency.evidence import Alternative, ChangeKind
 from strainwave.signals.consistency.torque_fit import MIN_FIT_RATIO, fit_ratio, recall_quality
 
@@ -42,12 +42,7 @@ def propose_geometries(case: Case) -> Iterator[Cause]:
     for cause in causes:
         others = [each for each in rivals if each.places != cause.places][:_MAX_RIVALS]
         is_one = cause in rivals
-        yield replace(cause, rivals=tuple(map(_as_rival, others)) if is_one else ())
-
-
-def _as_rival(cause: Cause) -> Cause:
-    """The cause as one that is as likely as the cause before it."""
-    return replace(cause, clause=Clause("rival", fault=cause.clause))
+        yield replace(cause, rivals=tuple(map(as_rival, others)) if is_one else ())
 
 
 def _cause(case: Case, change: Alternative, ratio: float) -> Cause:
@@ -195,7 +190,18 @@ def _robot(case: Case, change: Alternative, ratio: float) -> Cause:
     return Cause("wrong-geometry", (place,), clause, change.corrections, remedy)
 
 
+def _unit(case: Case, change: Alternative, _: float) -> Cause:
+    """All motor angles in another unit."""
+    names = tuple(each.entry for each in change.corrections)
+    factor = change.corrections[0].number / case.evidence.channel(names[0]).scale
+    unit = "degrees" if factor < 1.0 else "turns"
+    clause = Clause("wrong-unit/angles", channels=names, unit=unit)
+    places = tuple(Place(channel=name) for name in names)
+    return Cause("wrong-unit", places, clause, change.corrections, factor=1.0 / factor)
+
+
 _CAUSES: Mapping[ChangeKind, Callable[[Case, Alternative, float], Cause]] = {
+    "unit": _unit,
     "axis": _axis,
     "without-gravity": _without_gravity,
     "exchange": _exchange,
