@@ -37,7 +37,7 @@ FAULTS: Mapping[str, str] = {
     "wrong-sign/efforts": "all joints accelerate against their efforts: {channels!a} have the wrong"
     " sign",
     "wrong-sign/some": "the joints accelerate against {channels!a}: wrong sign",
-    "dead-channel": "{channel} shows noise alone: its range is {share!p:.2g} % of the range that the"
+    "dead-channel": "{channel} shows noise alone: its range is {share!p:.2g} % of that which the"
     " motor angles imply; the sensor or its cable is faulty",
     "effort-without-friction": "the efforts of all joints show no friction ({share!p:.2g} % of the"
     " torque): {channels!a} are calculated by a model, as desired torques or by an observer, and"

@@ -161,6 +161,7 @@ def _contradiction_weight(
         for o in before
         if (o.contradicts or o.kind in _REQUIRED_KINDS)
         and not (may_be_missing and o.is_of_joint_equation)
+        and o.kind != "torque-fit"  # not compared without the record of a fault
     }
     weight = 0.0
     for each in now:

@@ -121,10 +121,19 @@ def _predict(
 ) -> Alternative | None:
     """The alternative with its cost; None if it does not predict better than the stated arm."""
     changed = evidence.corrected_in(alternative.record, alternative.corrections)
-    system = torque_system(changed, alternative.record if alternative.kind == "payload" else "")
-    if system is None or fit.cost - fit_torques(system).cost < _MIN_DECREASE_TO_PREDICT * fit.n_all:
+    loaded = alternative.record if alternative.kind == "payload" else ""
+    system = torque_system(changed, loaded)
+    if system is None or (loaded and _load_inertia(system) < 0.0):
+        return None
+    if fit.cost - fit_torques(system).cost < _MIN_DECREASE_TO_PREDICT * fit.n_all:
         return None
     return _if_better(alternative, stated, predict_stretches(system))
+
+
+def _load_inertia(system: TorqueSystem) -> float:
+    """Trace of the inertia of the load, the last parameters of a system with one [kg m^2]."""
+    load = fit_torques(system).links[-10:]
+    return float(load[[4, 6, 9]].sum())
 
 
 def _if_better(
@@ -355,7 +364,9 @@ def _search(
     if system is None:
         return None
     found = Alternative(family.kind, family.joint, corrections)
-    return _if_better(found, stated, predict_stretches(system))
+    better = _if_better(found, stated, predict_stretches(system))
+    # the coordinates are fitted to all stretches: the criterion of Akaike
+    return None if better is None else replace(better, cost=better.cost + family.size)
 
 
 def _slope(evidence: Evidence, fit: TorqueFit, family: _Family, x: FloatArray) -> FloatArray:

@@ -74,8 +74,6 @@ class TorqueRegression:
     base: tuple[Key, ...]  # base parameters in the equation
     value: FloatArray  # (n_base,) their estimates
     covariance: FloatArray  # (n_base, n_base)
-    friction: float  # mean magnitude of friction over the standard deviation of the torque
-    friction_std: float
 
     def shared(self, other: TorqueRegression) -> list[int]:
         """Indices of the base parameters that also occur in the equation of another joint."""
@@ -287,9 +285,6 @@ def _regress_torque(
         return None
     base = varying[varying < arm.n_body]
     n = len(base)
-    own = columns[:, varying[-2:]]  # velocity and its sign, if both vary
-    share = float(np.std(own @ fit.value[-2:]) / max(np.std(np.concatenate(targets)), 1e-300))
-    spread = np.sqrt(np.diag(fit.covariance)[-2:]) * own.std(axis=0)
     weights = np.concatenate(inertias).mean(axis=0)[base]
     return TorqueRegression(
         joint=i + 1,
@@ -299,8 +294,6 @@ def _regress_torque(
         base=tuple(arm.rigid_columns[k].key for k in base),
         value=fit.value[:n],
         covariance=fit.covariance[:n, :n],
-        friction=share,
-        friction_std=float(np.linalg.norm(spread) / max(np.std(np.concatenate(targets)), 1e-300)),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -13,7 +13,6 @@ from strainwave.signals.consistency.evidence import Evidence, is_slow
 from strainwave.signals.consistency.input_delay import pool_delays
 from strainwave.signals.consistency.motors import (
     Ratio,
-    TorqueRegression,
     compare_torque_sensors,
     compute_reference_ratios,
     compute_servo_output_ratios,
@@ -35,6 +34,7 @@ from strainwave.signals.consistency.torque_fit import (
     MIN_COST_DIFFERENCE,
     MIN_FIT_RATIO,
     fit_ratio,
+    friction_shares,
     recall_quality,
 )
 
@@ -89,8 +89,8 @@ _SHARES = ("torque-prediction", "friction", "presence")
 """Kinds whose value must exceed the tolerance."""
 _SIZES = ("mass", "speed")
 """Kinds whose value must not exceed 1."""
-_MIN_FRICTION = 5e-3
-"""Share of friction in a motor's torque below which the effort has none; gears take several %."""
+_MIN_FRICTION = 0.03
+"""Share of friction in a motor's torque below which the effort has none; that of gears is 0.1 to 0.7."""
 _MAX_DENSITY = 3000.0
 """Largest mass over the cube of the reach of an arm [kg/m^3]; arms with a load have 5 to 300."""
 _MAX_SPEED = 40.0
@@ -365,7 +365,19 @@ def _observe_torque_fit(evidence: Evidence) -> Iterator[Observation]:
         least = fit_ratio(MIN_COST_DIFFERENCE, 0.0, fit.n_all) - 1.0
         place = Place(part="arm")
         yield Observation("torque-fit", place, max(ratio, 1.0), least / _MIN_SIGNIFICANCE)
+        yield from _observe_friction(evidence)
         yield Observation("torque-prediction", place, 1.0 - float(np.median(fit.unexplained)), 0.0)
+
+
+def _observe_friction(evidence: Evidence) -> Iterator[Observation]:
+    """Largest share of friction in a motor's torque; sensors behind the gears measure none."""
+    shares = friction_shares(evidence)
+    names = [f"torque{i}" for i in shares if f"torque{i}" in evidence.channels]
+    if names and {evidence.channel(name).meaning for name in names} <= {"motor", "without-gravity"}:
+        most = max(shares.values())
+        yield Observation(
+            "friction", Place(part="arm"), most[0], max(s for _, s in shares.values())
+        )
 
 
 def _observe_sizes(evidence: Evidence) -> Iterator[Observation]:
@@ -458,7 +470,6 @@ def _observe_torques(evidence: Evidence) -> Iterator[Observation]:
         estimates.append(each)
         yield Observation("inertia", Place(channel=name), each.inertia, each.inertia_std)
         yield Observation("explained-share", Place(joint=each.joint), each.explained, 0.0)
-    yield from _observe_friction(estimates, evidence)
     slow = [r for r in evidence.records if is_slow(r.experiment)]
     for record in slow if len(slow) > 1 else ():  # short records determine the sign alone
         for each in regress_torques(evidence, record):
@@ -470,16 +481,3 @@ def _observe_torques(evidence: Evidence) -> Iterator[Observation]:
         return  # the fit of one arm to all torques compares more than one pair of equations
     for joint, ratio in estimate_torque_ratios(estimates).items():
         yield Observation("torque-ratio", Place(joint=joint, key="torque_per_volt"), *ratio)
-
-
-def _observe_friction(
-    estimates: Sequence[TorqueRegression], evidence: Evidence
-) -> Iterator[Observation]:
-    """Largest share of friction in a motor's torque; sensors behind the gears measure none."""
-    channels = evidence.channels
-    motors = [each for each in estimates if f"torque{each.joint}" in channels]
-    meanings = {evidence.channel(f"torque{each.joint}").meaning for each in motors}
-    if motors and meanings <= {"motor", "without-gravity"}:
-        most = max(motors, key=lambda each: each.friction)
-        std = max(each.friction_std for each in motors)
-        yield Observation("friction", Place(part="arm"), most.friction, std)

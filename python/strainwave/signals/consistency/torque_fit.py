@@ -148,7 +148,29 @@ def recall_quality(evidence: Evidence) -> FitQuality | None:
         return None if system is None else predict_stretches(system)
 
     setting = ("torque-fit", *(r.sample_time for r in records))
-    return evidence.memory.recall(setting, (evidence.arm, *sources), compute)
+    return evidence.memory.recall(setting, (arm_of_torques(evidence), *sources), compute)
+
+
+def friction_shares(evidence: Evidence) -> dict[int, tuple[float, float]]:
+    """Share of friction in the torque of each joint, and its standard deviation.
+
+    With the fitted links, velocity and direction explain the rest of a torque beyond the part that
+    the acceleration of the motor explains.
+    """
+    system = torque_system(evidence)
+    if system is None:
+        return {}
+    fit = fit_torques(system)
+    friction, noise = dict.fromkeys(system.total, 0.0), dict.fromkeys(system.total, 0.0)
+    for each, columns in _blocks(evidence, Arm.base_regressor, "regressor"):
+        own = each.torque - (columns - columns.mean(axis=0)) @ fit.links
+        friction[each.joint] += float(np.sum((each.basis[:, 1:].T @ own) ** 2))
+        rows = max(len(own) * _ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW, 1.0)
+        noise[each.joint] += float(np.sum(each.remainder(own) ** 2)) / rows
+    return {
+        i: (float(np.sqrt(friction[i] / total)), float(np.sqrt(noise[i] / total)))
+        for i, total in system.total.items()
+    }
 
 
 def fit_torques(system: TorqueSystem) -> TorqueFit:
@@ -245,7 +267,8 @@ def torque_system(evidence: Evidence, loaded: str = "") -> TorqueSystem | None:
     records: list[str] = []
     totals: dict[int, float] = {}
     n_rows: dict[int, float] = {}
-    for each, columns in _blocks(evidence, Arm.base_regressor, "regressor"):
+    for each, of_links in _blocks(evidence, Arm.base_regressor, "regressor"):
+        columns = each.remainder(of_links)
         i, torque = each.joint, each.torque
         if each.record not in records:
             records += [each.record] * _N_FOLDS
@@ -276,7 +299,7 @@ def unexplained_torques(evidence: Evidence, links: FloatArray) -> FloatArray:
 
     return np.concatenate(
         [
-            block.remainder(block.torque) - torques[:, 0]
+            block.remainder(block.torque - torques[:, 0])
             for block, torques in _blocks(evidence, torques_of, None)
         ]
     )
@@ -341,7 +364,7 @@ def _blocks(
             torque = _strided(compute_motor_torque(record, arm, i), stretches)[rows]
             if basis is not None and np.ptp(torque) > 0.0:
                 block = _Block(record.experiment.name, i + 1, torque - torque.mean(), basis)
-                yield block, block.remainder(of_motors[rows, i])
+                yield block, of_motors[rows, i]
 
 
 def _motor_torques(

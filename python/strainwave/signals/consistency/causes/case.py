@@ -54,8 +54,8 @@ class Cause:
         so these are not compared with estimated frames.
         """
         after = evidence.corrected(self.corrections)
-        if self.excluded:
-            after = after.without_records(self.excluded)
+        if self.excluded:  # the explanations of the torques competed on all records
+            after = replace(after.without_records(self.excluded), geometries=())
         if not self.moves_frames:
             return after
         links = [name for name in after.channels if channel_parts(name)[0] in LINK_CHANNELS]
