@@ -58,8 +58,8 @@ def check_input(
 ) -> InputCheck:
     """Check the input of a study without identification.
 
-    `options` changes those of the study, as in `identify`; `data` maps names of experiments to logs, tables in memory or paths that replace the study's
-    files. Raises `InvalidInput` if the study or a log is invalid. Input that contradicts itself
+    `options` changes those of the study, as in `identify`; `data` maps names of experiments to
+    logs, tables in memory or paths that replace the study's files. Raises `InvalidInput` if the study or a log is invalid. Input that contradicts itself
     raises no error: `suspected` lists the faults.
     """
     begin = time.perf_counter()

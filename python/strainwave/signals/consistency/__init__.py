@@ -41,6 +41,8 @@ __all__ = ["check_consistency", "find_doubtful_torque_constant", "suspect_torque
 _MAX_CAUSES = 3
 # Kinds of observations that must remain available after a correction.
 _REQUIRED_KINDS = ("explained-share", "scale", "inertia")
+# Kinds that are not observed without the record, the channel or the meaning of a fault.
+_MAY_BE_MISSING = ("torque-fit", "friction", "presence")
 # Minimum decrease of the total contradiction weight for a cause to be accepted.
 _MIN_EXPLAINED_WEIGHT = 0.75
 # Weight added to a cause with an estimated factor, so that structured causes take precedence.
@@ -161,7 +163,7 @@ def _contradiction_weight(
         for o in before
         if (o.contradicts or o.kind in _REQUIRED_KINDS)
         and not (may_be_missing and o.is_of_joint_equation)
-        and o.kind != "torque-fit"  # not compared without the record of a fault
+        and o.kind not in _MAY_BE_MISSING
     }
     weight = 0.0
     for each in now:

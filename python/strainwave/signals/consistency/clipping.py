@@ -16,7 +16,7 @@ _IMU_KINDS = ("ax", "ay", "az", "gx", "gy", "gz")
 _KINDS = ("a", "gyro", *_IMU_KINDS, "theta_l", "deflection", "tau_l", "torque", "omega_m")
 # Kinds whose noise prevents runs of equal samples unless the sensor is saturated.
 _NOISY_KINDS = ("a", "gyro", *_IMU_KINDS)
-# Share of the motor's range in all records that the motor must cover during a run for the run to count.
+# Share of its range in all records that the motor must cover during a run for the run to count.
 _MIN_MOTOR_MOTION_SHARE = 0.01
 # Sensor resolutions of motion that a constant reading can hide.
 _HIDDEN_RESOLUTIONS = 2.0

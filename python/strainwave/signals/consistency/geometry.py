@@ -341,7 +341,7 @@ def _robot(evidence: Evidence, x: FloatArray) -> tuple[Correction, ...]:
 def _search(
     evidence: Evidence, start: TorqueFit, stated: FitQuality, family: _Family
 ) -> Alternative | None:
-    """Gauss-Newton search of one family; None within tolerated changes, or if it predicts no better."""
+    """Gauss-Newton search of one family; None within tolerated changes or if it is no better."""
     x, fit = np.zeros(family.size), start
     for k in range(_MAX_STEPS):
         if k == _N_TRIAL_STEPS and fit_ratio(fit.cost, 0.0, fit.n_all) > _MAX_TRIAL_UNEXPLAINED:

@@ -90,7 +90,7 @@ _SHARES = ("torque-prediction", "friction", "presence")
 _SIZES = ("mass", "speed")
 """Kinds whose value must not exceed 1."""
 _MIN_FRICTION = 0.03
-"""Share of friction in a motor's torque below which the effort has none; that of gears is 0.1 to 0.7."""
+"""Share of friction in a motor's torque below which the effort has none; gears have 0.1 to 0.7."""
 _MAX_DENSITY = 3000.0
 """Largest mass over the cube of the reach of an arm [kg/m^3]; arms with a load have 5 to 300."""
 _MAX_SPEED = 40.0
@@ -240,14 +240,11 @@ class Observation:
             return self.value > 1.0
         if self.kind in _ABSOLUTE_KINDS:
             return abs(self.value) > self.accuracy
-        if self.value < 0.0:
-            return abs(self.value) > _MIN_SIGNIFICANCE * self.std
-        if self.kind == "inertia":
-            return False
+        if self.value <= 0.0 or self.kind == "inertia":
+            return self.value < -_MIN_SIGNIFICANCE * self.std
         certain = _MIN_TORQUE_SIGNIFICANCE if self.kind == "torque-ratio" else _MIN_SIGNIFICANCE
-        if self.value == 0.0 or abs(self.value - 1.0) <= certain * self.std:
-            return False
-        return bool(abs(np.log(self.value)) > np.log1p(self._tolerance))
+        is_certain = abs(self.value - 1.0) > certain * self.std
+        return bool(is_certain and abs(np.log(self.value)) > np.log1p(self._tolerance))
 
     @property
     def weight(self) -> float:
@@ -373,11 +370,10 @@ def _observe_friction(evidence: Evidence) -> Iterator[Observation]:
     """Largest share of friction in a motor's torque; sensors behind the gears measure none."""
     shares = friction_shares(evidence)
     names = [f"torque{i}" for i in shares if f"torque{i}" in evidence.channels]
-    if names and {evidence.channel(name).meaning for name in names} <= {"motor", "without-gravity"}:
-        most = max(shares.values())
-        yield Observation(
-            "friction", Place(part="arm"), most[0], max(s for _, s in shares.values())
-        )
+    meanings = {evidence.channel(name).meaning for name in names}
+    if names and meanings <= {"motor", "without-gravity"}:
+        std = max(each for _, each in shares.values())
+        yield Observation("friction", Place(part="arm"), max(shares.values())[0], std)
 
 
 def _observe_sizes(evidence: Evidence) -> Iterator[Observation]:
