@@ -76,6 +76,23 @@ class Input:
                 after = after.changed(lambda table, each=each: _corrected(table, each))
         return after
 
+    def exchanged(
+        self, first: Sequence[str], second: Sequence[str], records: Sequence[str] | None = None
+    ) -> Input:
+        """With exchanged channels, in some records or in all."""
+        names = dict(zip([*first, *second], [*second, *first], strict=True))
+        return self.changed(lambda t: {k: t[names.get(k, k)] for k in t}, records)
+
+    def late(self, names: Sequence[str], seconds: float) -> Input:
+        """With delayed channels."""
+
+        def delay(table: Columns) -> Columns:
+            time = table["t"]
+            late = {k: np.interp(time - seconds, time, v) for k, v in table.items() if k in names}
+            return {**table, **late}
+
+        return self.changed(delay)
+
     def efforts(self, joint: int) -> list[str]:
         """Channels of the torque of a joint."""
         names = {name for table in self.tables.values() for name in table}
@@ -170,33 +187,29 @@ def clean_variants(given: Input, rng: np.random.Generator) -> Iterator[Case]:
 
 def faults(given: Input, joint: int) -> Iterator[Case]:
     """Faults of the input; those of one joint in `joint`."""
-    study, arm = given.study, given.study.arm
-    n, j = arm.n_joints, joint
-    other = j + 1 if j < n else j - 1
+    yield from _signal_faults(given, joint)
+    yield from _record_faults(given, joint)
+    yield from _study_faults(given, joint)
+
+
+def _of_joint(given: Input, joint: int, key: str, factor: float) -> Correction:
+    value = getattr(given.study.arm.joints[joint - 1], key)
+    return Correction("joint", str(joint), key, factor * value)
+
+
+def _neighbour(given: Input, joint: int) -> int:
+    return joint + 1 if joint < given.study.arm.n_joints else joint - 1
+
+
+def _signal_faults(given: Input, j: int) -> Iterator[Case]:
+    """Faults of constants, units, signs, joints, zeros and delays in all records."""
+    arm, other = given.study.arm, _neighbour(given, j)
     efforts, all_efforts = given.efforts(j), given.of_kinds(_EFFORTS)
-    motions = [e.name for e in study.experiments if not e.joint and e.use in ("motion", "check")]
-    tests = [e.name for e in study.experiments if e.use in ("frequency", "sweep")]
-    is_serial = arm.kind == "serial"
-
-    def of_joint(key: str, factor: float) -> Correction:
-        return Correction("joint", str(j), key, factor * getattr(arm.joints[j - 1], key))
-
-    def exchanged(
-        a: Sequence[str], b: Sequence[str], records: Sequence[str] | None = None
-    ) -> Input:
-        names = dict(zip([*a, *b], [*b, *a], strict=True))
-        return given.changed(lambda t: {k: t[names.get(k, k)] for k in t}, records)
-
-    def late(names: Sequence[str], seconds: float) -> Input:
-        return given.changed(
-            lambda t: {
-                k: np.interp(t["t"] - seconds, t["t"], v) if k in names else v for k, v in t.items()
-            }
-        )
-
     ratio = ("wrong-gear-ratio",)
-    yield Case("gear ratio 1 %", given.stated(of_joint("gear_ratio", 100 / 101)), ratio, (j,))
-    yield Case("gear ratio 20 %", given.stated(of_joint("gear_ratio", 0.8)), ratio, (j,))
+    yield Case(
+        "gear ratio 1 %", given.stated(_of_joint(given, j, "gear_ratio", 100 / 101)), ratio, (j,)
+    )
+    yield Case("gear ratio 20 %", given.stated(_of_joint(given, j, "gear_ratio", 0.8)), ratio, (j,))
     constant = ("wrong-torque-constant", "wrong-unit")
     yield Case("torque x 0.8", given.scaled(efforts, 0.8), constant, (j,))
     yield Case("torque reversed", given.scaled(efforts, -1.0), ("wrong-sign",), (j,))
@@ -216,12 +229,9 @@ def faults(given: Input, joint: int) -> Iterator[Case]:
     yield Case("angle reversed", given.scaled([f"theta_m{j}"], -1.0), ("wrong-sign",), (j,))
     swapped = ("swapped-channels",)
     a, b = given.efforts(j), given.efforts(other)
-    yield Case("torques exchanged", exchanged(a, b), swapped, (j, other))
+    yield Case("torques exchanged", given.exchanged(a, b), swapped, (j, other))
     a, b = (given.of_kinds(("theta_m", "omega_m", "torque", "u", "ref"), i) for i in (j, other))
-    yield Case("joints exchanged", exchanged(a, b), swapped, (j, other))
-    yield Case(
-        "exchanged in one record", exchanged(a, b, motions[:1]), swapped, (j, other), (motions[0],)
-    )
+    yield Case("joints exchanged", given.exchanged(a, b), swapped, (j, other))
     zero = ("wrong-zero",)
     gear = arm.joints[j - 1].gear_ratio
     for size in (0.1, np.pi / 2):
@@ -229,9 +239,26 @@ def faults(given: Input, joint: int) -> Iterator[Case]:
         if arm.gravity:
             yield Case(f"zero {size:.2g} rad", moved, zero, (j,))
     misaligned = ("misaligned",)
-    yield Case("torque 20 ms late", late(efforts, 0.02), misaligned, (j,))
-    yield Case("all torques 20 ms late", late(all_efforts, 0.02), misaligned)
-    yield Case("angle 20 ms late", late([f"theta_m{j}"], 0.02), misaligned, (j,))
+    yield Case("torque 20 ms late", given.late(efforts, 0.02), misaligned, (j,))
+    yield Case("all torques 20 ms late", given.late(all_efforts, 0.02), misaligned)
+    yield Case("angle 20 ms late", given.late([f"theta_m{j}"], 0.02), misaligned, (j,))
+
+
+def _record_faults(given: Input, j: int) -> Iterator[Case]:
+    """Faults of single records, and dead channels."""
+    study, other = given.study, _neighbour(given, j)
+    efforts = given.efforts(j)
+    motions = [e.name for e in study.experiments if not e.joint and e.use in ("motion", "check")]
+    kinds = ("theta_m", "omega_m", "torque", "u", "ref")
+    a, b = given.of_kinds(kinds, j), given.of_kinds(kinds, other)
+    swapped = ("swapped-channels",)
+    yield Case(
+        "exchanged in one record",
+        given.exchanged(a, b, motions[:1]),
+        swapped,
+        (j, other),
+        (motions[0],),
+    )
     signed = given.changed(
         lambda t: {k: -v if k in efforts else v for k, v in t.items()}, motions[:1]
     )
@@ -248,8 +275,15 @@ def faults(given: Input, joint: int) -> Iterator[Case]:
             lambda t: {**t, name: np.zeros_like(t["t"]) + 1e-3 * np.sin(9e3 * t["t"] ** 2)}
         )
         yield Case("dead accelerometer", dead, ("dead-channel",), (j,))
-    geometry = ("wrong-geometry",)
-    if is_serial:
+
+
+def _study_faults(given: Input, j: int) -> Iterator[Case]:
+    """Faults of the geometry, of gravity, of the meaning of efforts, and of test signals."""
+    study, arm = given.study, given.study.arm
+    motions = [e.name for e in study.experiments if not e.joint and e.use in ("motion", "check")]
+    tests = [e.name for e in study.experiments if e.use in ("frequency", "sweep")]
+    swapped, geometry = ("swapped-channels",), ("wrong-geometry",)
+    if arm.kind == "serial":
         down = arm.gravity
         yield Case(
             "gravity direction",
@@ -285,7 +319,7 @@ def faults(given: Input, joint: int) -> Iterator[Case]:
         if key:
             yield Case(
                 "distance x 1.5",
-                given.stated(of_joint("accelerometer_distance", 1.5)),
+                given.stated(_of_joint(given, j, "accelerometer_distance", 1.5)),
                 geometry,
                 (j,),
             )

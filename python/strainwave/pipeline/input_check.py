@@ -59,8 +59,9 @@ def check_input(
     """Check the input of a study without identification.
 
     `options` changes those of the study, as in `identify`; `data` maps names of experiments to
-    logs, tables in memory or paths that replace the study's files. Raises `InvalidInput` if the study or a log is invalid. Input that contradicts itself
-    raises no error: `suspected` lists the faults.
+    logs, tables in memory or paths that replace the study's files. Raises `InvalidInput` if the
+    study or a log is invalid. Input that contradicts itself raises no error: `suspected` lists the
+    faults.
     """
     begin = time.perf_counter()
     with one_blas_thread():

@@ -221,7 +221,9 @@ def implied_mass(evidence: Evidence) -> float | None:
 
 
 def link_speed(evidence: Evidence) -> float | None:
-    """Largest speed of a revolute joint [rad/s]; None without one."""
+    """Largest speed of a revolute joint [rad/s]; None of a single joint, which may spin."""
+    if evidence.arm.n_joints == 1:
+        return None
     speeds = [
         float(np.abs(recall_motion(r, evidence).velocity[r.inside, i]).max())
         for r in evidence.records
