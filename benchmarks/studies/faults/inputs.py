@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +74,7 @@ class Input:
         after = self.stated(*corrections)
         for each in corrections:
             if each.table == "log":
-                after = after.changed(lambda table, each=each: _corrected(table, each))
+                after = after.changed(partial(_corrected, each))
         return after
 
     def exchanged(
@@ -108,7 +109,7 @@ class Input:
         ]
 
 
-def _corrected(table: Columns, each: Correction) -> Columns:
+def _corrected(each: Correction, table: Columns) -> Columns:
     name, time = each.entry, table["t"]
     if name not in table:
         return table
@@ -192,6 +193,10 @@ def faults(given: Input, joint: int) -> Iterator[Case]:
     yield from _study_faults(given, joint)
 
 
+def _moved(name: str, offset: float, table: Columns) -> Columns:
+    return {**table, name: table[name] + offset}
+
+
 def _of_joint(given: Input, joint: int, key: str, factor: float) -> Correction:
     value = getattr(given.study.arm.joints[joint - 1], key)
     return Correction("joint", str(joint), key, factor * value)
@@ -235,7 +240,7 @@ def _signal_faults(given: Input, j: int) -> Iterator[Case]:
     zero = ("wrong-zero",)
     gear = arm.joints[j - 1].gear_ratio
     for size in (0.1, np.pi / 2):
-        moved = given.changed(lambda t, s=size: {**t, f"theta_m{j}": t[f"theta_m{j}"] + s / gear})
+        moved = given.changed(partial(_moved, f"theta_m{j}", size / gear))
         if arm.gravity:
             yield Case(f"zero {size:.2g} rad", moved, zero, (j,))
     misaligned = ("misaligned",)
@@ -284,7 +289,7 @@ def _study_faults(given: Input, j: int) -> Iterator[Case]:
     tests = [e.name for e in study.experiments if e.use in ("frequency", "sweep")]
     swapped, geometry = ("swapped-channels",), ("wrong-geometry",)
     if arm.kind == "serial":
-        down = arm.gravity
+        down = arm.gravity or (0.0, 0.0, 0.0)
         yield Case(
             "gravity direction",
             given.stated(Correction("arm", "", "gravity", (0.0, down[2], 0.0))),
@@ -326,7 +331,7 @@ def _study_faults(given: Input, j: int) -> Iterator[Case]:
     if tests:
         clock = ("wrong-prbs-clock",)
         doubled = [
-            Correction("experiment", e.name, "prbs", replace(e.prbs, clock=2.0 * e.prbs.clock))
+            Correction("experiment", e.name, "prbs.clock", 2.0 * e.prbs.clock)
             for e in study.experiments
             if e.prbs is not None
         ]

@@ -183,8 +183,8 @@ FAULTS: Mapping[str, str] = {
     # remedies
     "remedy": "{steps!s}",
     "remedy/record": "correct these channels in the log of {record}, or remove its [[experiment]]",
-    "remedy/payload": "weigh the load and state it in [[experiment]] {record}: payload = {{ mass,"
-    " xyz }}, or remove that record",
+    "remedy/payload": "weigh the load and state its mass and xyz as payload in [[experiment]]"
+    " {record}, or remove that record",
     "remedy/log-clock": "{steps!s}, or correct prbs.clock and the period of the servo",
     "remedy/record-clock": "multiply the time of {records!a} by {ratio:.6g} in their logs",
     "remedy/command": "{steps!s}, or record commands and encoders with one clock",

@@ -13,7 +13,7 @@ from functools import cache
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray
+from strainwave.domain import BoolArray, FloatArray, channel_parts
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate
@@ -334,9 +334,10 @@ def compute_motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
     gives no torque_per_volt), or the reading of a sensor behind the gear.
     """
     name = effort_channel(record.channels, i + 1) or ""
-    if name.startswith("torque"):
+    kind = channel_parts(name)[0]
+    if kind == "torque":
         return record.channels[name]
-    if name.startswith("tau_l"):
+    if kind == "tau_l":
         return arm.joints[i].gear_ratio * record.channels[name]
     return DriveLaw.of(arm.joints[i]).command(record.channels[name])
 

@@ -85,7 +85,8 @@ class FitQuality:
     @property
     def unexplained(self) -> FloatArray:
         """Share of each torque (n_joints,) that is not predicted."""
-        return np.maximum(self.squares.sum(axis=0) / self.total, _MIN_UNEXPLAINED)
+        shares = self.squares.sum(axis=0) / self.total
+        return np.asarray(np.maximum(shares, _MIN_UNEXPLAINED))
 
     @property
     def cost(self) -> float:
