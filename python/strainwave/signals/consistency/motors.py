@@ -202,22 +202,25 @@ def compare_torque_sensors(evidence: Evidence) -> Iterator[Ratio]:
 def implied_mass(evidence: Evidence) -> float | None:
     """Largest torque of a joint over the torque of a mass of 1 kg at the reach of the arm [kg].
 
-    None without torques, or without a length or a revolute joint.
+    None without logged torques, of planar arms, whose distant masses have no length in the study,
+    and with prismatic joints.
     """
     arm = evidence.arm
     lengths = [float(np.linalg.norm(joint.origin.xyz)) for joint in arm.joints[1:]]
-    if not sum(lengths) or any(joint.motion == "prismatic" for joint in arm.joints):
+    is_sliding = any(joint.motion == "prismatic" for joint in arm.joints)
+    if not sum(lengths) or is_sliding or arm.has_planar_program:
         return None
     reach, masses = sum(lengths), []
     for record in evidence.records:
         motion = recall_motion(record, evidence)
         for i, joint in enumerate(arm.joints):
-            if is_slow(record.experiment) and effort_channel(record.channels, i + 1):
+            name = effort_channel(record.channels, i + 1)
+            if is_slow(record.experiment) and name and channel_parts(name)[0] != "u":
                 torque = np.ptp(compute_motor_torque(record, arm, i)[record.inside])
                 fastest = float(np.abs(motion.acceleration[record.inside, i]).max())
                 size = reach * np.hypot(arm.gravity_size or 0.0, reach * fastest)
                 masses.append(0.5 * float(torque) / abs(joint.gear_ratio) / max(size, 1e-300))
-    return max(masses, default=None)
+    return float(max(masses)) if masses else None
 
 
 def link_speed(evidence: Evidence) -> float | None:
