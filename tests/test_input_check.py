@@ -141,7 +141,7 @@ def test_stdout_is_json_only(reversed_study: Path) -> None:
     assert outcome.exit_code == 3
     document = json.loads(outcome.stdout)
     assert document["status"] == "inconsistent-input"
-    keys = {"relation", "where", "measured", "std", "expected", "consistent"}
+    keys = {"relation", "where", "measured", "std", "expected", "accuracy", "bound", "consistent"}
     assert all(set(each) == keys for each in document["relations"])
 
 

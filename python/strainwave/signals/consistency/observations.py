@@ -398,9 +398,8 @@ def _observe_ratios(kind: Kind, ratios: Iterable[Ratio]) -> Iterator[Observation
         value, std = pool_estimates([e.value for e in clear], stds)
         place = Place(channel=channel)
         yield Observation("explained-share", place, best, 0.0)
-        if best > (
-            _MIN_EXPLAINED_SHARE if kind == "reference" else _MIN_PARTLY_EXPLAINED_SHARE
-        ):  # a servo can lag
+        is_strict = kind in ("reference", "torque-sensor")  # a servo can lag, and a torque be noise
+        if best > (_MIN_EXPLAINED_SHARE if is_strict else _MIN_PARTLY_EXPLAINED_SHARE):
             yield Observation(kind, place, value, std)
 
 
