@@ -56,6 +56,36 @@ def test_consistent_input() -> None:
     assert "check: consistent (exit code 0)" in text
 
 
+def test_an_accepted_fault_does_not_decide(reversed_study: Path) -> None:
+    (fault,) = sw.check(reversed_study).suspected
+    result = CliRunner().invoke(
+        app, ["check", str(reversed_study), "--json", "--accept", fault.code]
+    )
+    document = json.loads(result.stdout)
+    assert (result.exit_code, document["status"]) == (0, "consistent")
+    assert [entry["accepted"] for entry in document["suspected"]] == [True]
+    identification = identify(reversed_study, stages=("rigid",), options=[f"accept={fault.code}"])
+    assert identification.verdict.status != "inconsistent-input"
+    assert [each.accepted for each in identification.verdict.suspected] == [True]
+    other = CliRunner().invoke(app, ["check", str(reversed_study), "--accept", "clipped"])
+    assert other.exit_code == 3
+
+
+def test_an_unknown_code_is_not_accepted(reversed_study: Path) -> None:
+    result = CliRunner().invoke(app, ["check", str(reversed_study), "--accept", "sign"])
+    assert result.exit_code != 0
+
+
+def test_channels_in_no_relation_are_listed(tmp_path: Path) -> None:
+    check = sw.check(SMALL_ARM)
+    extended = replace(check, unchecked=("temperature1",))
+    assert "not checked: temperature1" in printed(extended)
+    assert check_document(extended)["unchecked"] == ["temperature1"]
+    for relation in check.relations:  # the verdict follows from the printed numbers
+        if relation.bound == "equal" and relation.expected is not None:
+            assert abs(relation.measured - relation.expected) <= relation.accuracy
+
+
 def test_a_fault_has_the_verdict_of_identify(reversed_study: Path) -> None:
     check = sw.check(reversed_study)
     assert (check.status, check.exit_code) == ("inconsistent-input", 3)
@@ -111,7 +141,7 @@ def test_stdout_is_json_only(reversed_study: Path) -> None:
     assert outcome.exit_code == 3
     document = json.loads(outcome.stdout)
     assert document["status"] == "inconsistent-input"
-    keys = {"relation", "where", "measured", "std", "expected", "consistent"}
+    keys = {"relation", "where", "measured", "std", "expected", "accuracy", "bound", "consistent"}
     assert all(set(each) == keys for each in document["relations"])
 
 

@@ -58,6 +58,14 @@ Overrides = Annotated[
         metavar="STAGE.KEY=VALUE",
     ),
 ]
+Accepted = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--accept",
+        help="Code of a suspected fault that does not decide the status; repeat for more.",
+        metavar="CODE",
+    ),
+]
 Seed = Annotated[int, typer.Option(help="Seed of all random numbers.", metavar="INTEGER")]
 
 DONE, INPUT_AT_FAULT, NOT_DETERMINED, CHANGED = 0, 2, 3, 4
@@ -140,6 +148,7 @@ def identify(
     out: Out,
     stages: Stages = None,
     options: Overrides = None,
+    accept: Accepted = None,
     as_published: Annotated[
         bool,
         typer.Option(
@@ -173,7 +182,12 @@ def identify(
         identification = pipeline.identify(
             study,
             stages=chosen,
-            options=[*([AS_PUBLISHED] if as_published else ()), *(options or ())] or None,
+            options=[
+                *([AS_PUBLISHED] if as_published else ()),
+                *(options or ()),
+                *_accepted(accept),
+            ]
+            or None,
             start=start,
             progress=pipeline.with_report_loading(report),
         )
@@ -185,9 +199,15 @@ def identify(
     raise typer.Exit(identification.verdict.exit_code)
 
 
+def _accepted(codes: list[str] | None) -> list[str]:
+    """The codes of --accept as an option of the study."""
+    return [f"accept={','.join(codes)}"] if codes else []
+
+
 @app.command(epilog="Example: strainwave check study.toml")
 def check(
     study: StudyFile,
+    accept: Accepted = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the check as JSON, and nothing else.")
     ] = False,
@@ -198,7 +218,7 @@ def check(
 
     with _progress(quiet or as_json) as report:
         report("checking the input")
-        result = pipeline.check_input(study)
+        result = pipeline.check_input(study, options=_accepted(accept) or None)
     if as_json:
         from strainwave.io.check_document import check_document
         from strainwave.io.results import to_json

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from strainwave.domain.clauses import Place
@@ -36,7 +36,13 @@ RELATION_TEXTS: Mapping[str, str] = {
     "drift": "sensor clock drift [s/s]",
     "input-delay": "command delay [s]",
     "inertia": "inertia by the torque [kg m^2]",
-    "torque-fit": "unexplained torque / best geometry",
+    "torque-fit": "unexplained torque / best explanation",
+    "torque-prediction": "predicted share of held-out torques",
+    "presence": "range / range of the prediction",
+    "torque-sensor": "torque sensor / motor torque",
+    "friction": "share of friction in the torque",
+    "mass": "implied mass / largest plausible",
+    "speed": "joint speed / largest plausible",
     "torque-ratio": "torque of joint 1 / this joint",
     "explained-share": "explained share",
 }
@@ -53,6 +59,8 @@ class Relation:
     std: float  # standard deviation; 0: not estimated
     expected: float | None  # None: any positive value
     is_consistent: bool
+    accuracy: float  # largest difference from the expected value of consistent input
+    bound: Literal["equal", "least", "most"] = "equal"  # what the expected value is
 
     @property
     def where(self) -> str:
@@ -67,11 +75,23 @@ class Consistency:
     suspected: tuple[Suspicion, ...] = ()
     relations: tuple[Relation, ...] = ()
     warnings: tuple[Diagnostic, ...] = ()
+    unchecked: tuple[str, ...] = ()  # channels that occur in no relation
+
+    @property
+    def deciding(self) -> tuple[Suspicion, ...]:
+        """Suspected faults that decide the status: those that are not accepted."""
+        return tuple(each for each in self.suspected if not each.accepted)
 
     @property
     def motors_agree(self) -> bool:
-        """Whether all suspected faults concern link sensors, their positions or the link length."""
-        return all(_is_on_link(place) for suspicion in self.suspected for place in suspicion.places)
+        """Whether all deciding faults concern link sensors, their positions or the link length."""
+        return all(_is_on_link(place) for suspicion in self.deciding for place in suspicion.places)
+
+    def suspecting(self, *further: Suspicion, accept: Collection[str]) -> Consistency:
+        """With further suspicions; those with a code in `accept` are marked as accepted."""
+        all_faults = (*self.suspected, *further)
+        marked = (replace(each, accepted=each.code in accept) for each in all_faults)
+        return replace(self, suspected=tuple(marked))
 
 
 def _is_on_link(place: Place) -> bool:
@@ -92,14 +112,16 @@ class InputCheck:
     relations: tuple[Relation, ...]
     suspected: tuple[Suspicion, ...]
     warnings: tuple[Diagnostic, ...]
+    unchecked: tuple[str, ...]  # channels that occur in no relation
     seconds: float  # for reading and checking
 
     @property
     def status(self) -> CheckStatus:
-        """Whether a fault of the input is suspected."""
-        return "inconsistent-input" if self.suspected else "consistent"
+        """Whether a fault of the input is suspected and not accepted."""
+        is_decided = all(each.accepted for each in self.suspected)
+        return "consistent" if is_decided else "inconsistent-input"
 
     @property
     def exit_code(self) -> int:
-        """0 if nothing is suspected, otherwise 3."""
-        return 3 if self.suspected else 0
+        """0 if the input is consistent, otherwise 3."""
+        return 0 if self.status == "consistent" else 3

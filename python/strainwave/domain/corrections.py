@@ -75,8 +75,9 @@ def _with_joint(arm: ArmDescription, correction: Correction) -> ArmDescription:
 
 
 def _correct_experiment(experiment: Experiment, correction: Correction) -> Experiment:
-    if correction.key == "prbs.amplitude" and experiment.prbs is not None:
-        prbs = replace(experiment.prbs, amplitude=correction.value)  # type: ignore[arg-type]
+    _, _, key = correction.key.partition("prbs.")
+    if key and experiment.prbs is not None:
+        prbs = replace(experiment.prbs, **{key: correction.value})  # type: ignore[arg-type]
         return replace(experiment, prbs=prbs)
     return replace(experiment, **{correction.key: correction.value})  # type: ignore[arg-type]
 
@@ -118,6 +119,7 @@ def channel_line(study: Study, name: str) -> str:
     channel = study.channels.get(name) or Channel(name)
     scale = f", scale = {channel.scale:.7g}" if channel.scale != 1.0 else ""
     offset = f", offset = {channel.offset:.7g}" if channel.offset else ""
-    if not scale and not offset:
+    meaning = f', meaning = "{channel.meaning}"' if channel.meaning != "motor" else ""
+    if not scale and not offset and not meaning:
         return f'channels.{name} = "{channel.column}"'
-    return f'channels.{name} = {{ column = "{channel.column}"{scale}{offset} }}'
+    return f'channels.{name} = {{ column = "{channel.column}"{scale}{offset}{meaning} }}'

@@ -4,6 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+FAULT_CODES = (
+    "wrong-unit",
+    "wrong-sign",
+    "swapped-channels",
+    "wrong-gear-ratio",
+    "wrong-geometry",
+    "misaligned",
+    "clock-drift",
+    "clipped",
+    "wrong-torque-constant",
+    "wrong-zero",
+    "dead-channel",
+    "wrong-prbs-clock",
+    "unstated-payload",
+    "effort-without-gravity",
+    "effort-without-friction",
+    "desired-effort",
+    "ac-coupled",
+)
+"""Codes of suspected faults of the input."""
+
 _SCALE = "{channel} is {ratio:.4g} times the value that {basis} implies: "
 _BETTER = "the torques of all joints agree with one arm {ratio:.3g} times better"
 
@@ -11,6 +32,16 @@ FAULTS: Mapping[str, str] = {
     # observations, by code or "code/variant"
     "wrong-unit": _SCALE + "logged in {unit}?",
     "wrong-unit/reversed": _SCALE + "logged in {unit}, with the wrong sign?",
+    "wrong-unit/efforts": "{channels!a} belong to a much heavier arm than one of this size:"
+    " logged in {unit}?",
+    "wrong-sign/efforts": "all joints accelerate against their efforts: {channels!a} have the wrong"
+    " sign",
+    "wrong-sign/some": "the joints accelerate against {channels!a}: wrong sign",
+    "dead-channel": "{channel} shows noise alone: its range is {share!p:.2g} % of that which the"
+    " motor angles imply; the sensor or its cable is faulty",
+    "effort-without-friction": "the efforts of all joints show no friction ({share!p:.2g} % of the"
+    " torque): {channels!a} are calculated by a model, as desired torques or by an observer, and"
+    " not measured at the motors",
     "wrong-unit/unknown": _SCALE + "its scale is wrong",
     "wrong-unit/time": "the time base is {ratio:.4g} times the value that the other signals and the"
     " clocks of the study imply: t is logged in {unit}, not in seconds",
@@ -60,6 +91,15 @@ FAULTS: Mapping[str, str] = {
     " {joint}: the two channels are exchanged",
     "swapped-channels/excited-joint": "{experiment}: the study states joint = {stated} as the"
     " excited joint, but the test signal is in the command of joint {excited}",
+    "record": "{record} alone: {fault}",
+    "unstated-payload": "the torques of {record} agree with those of the other records {ratio:.3g}"
+    " times better with a load on the last link: {record} and the other records were made with"
+    " different payloads",
+    "effort-without-gravity": "the torques of all joints agree with one arm {ratio:.3g} times"
+    " better without gravity: the driver of the robot subtracts gravity from the logged efforts",
+    "misaligned/motors": _BETTER + " if {channels!a} are {delay!m:.3g} ms {side} than the other"
+    " signals of the motors",
+    "rival": "or, as likely: {fault}",
     "misaligned/command": "{channels!a}: the command in the log is {delay!m:.3g} ms {side} than the"
     " torque that moves {angles!a}, according to the phase of the motor's response to the test"
     " signals; the delay would bias damping, stiffness and inertias",
@@ -70,6 +110,10 @@ FAULTS: Mapping[str, str] = {
     " than the whole-arm fit corrects",
     "clock-drift": "the voltages change with a period of {ratio:.6g} times the PRBS or servo period"
     " of the study: the clock of the logger is wrong by that factor",
+    "clock-drift/records": "the voltages of {records!a} change with a period of {ratio:.6g} times"
+    " that of the study, in contrast to the other records: their time is wrong by that factor",
+    "wrong-prbs-clock": "the test signals of {records!a} change with a period of {ratio:.6g} times"
+    " the clock of their prbs",
     "clock-drift/sensor": "{channels}: the delay relative to the motor angle changes by"
     " {drift!m:.3g} ms per second: the clock of these channels is {error!p:.3g} % {side}",
     "ac-coupled": "{channels!a}: the readings agree with the motion only after a high-pass of"
@@ -110,6 +154,14 @@ FAULTS: Mapping[str, str] = {
     "contradiction/drift": "the delay of {place} grows by {value:.4g} s per second",
     "contradiction/torque-fit": "{place}: the unexplained variance of the torques is {value:.3g}"
     " times that with another geometry",
+    "contradiction/torque-prediction": "{place}: the model predicts only {value!p:.2g} % of the"
+    " torques",
+    "contradiction/torque-sensor": "{place} is {value:.4g} times the torque of its motor",
+    "contradiction/presence": "the range of {place} is {value!p:.2g} % of that of its prediction",
+    "contradiction/friction": "friction is {value!p:.2g} % of the torques",
+    "contradiction/mass": "the torques imply a mass of {value:.3g} times the heaviest plausible arm"
+    " of this size",
+    "contradiction/speed": "the joints are {value:.3g} times faster than the fastest plausible arm",
     "contradiction/inertia": "joint {joint} accelerates against its torque: {place} or"
     " theta_m{joint} has the wrong sign",
     "contradiction/excited-joint": "the test signal of {place} is not in the command of joint"
@@ -130,7 +182,11 @@ FAULTS: Mapping[str, str] = {
     "factor/about": "about {value:.2g}",
     # remedies
     "remedy": "{steps!s}",
+    "remedy/record": "correct these channels in the log of {record}, or remove its [[experiment]]",
+    "remedy/payload": "weigh the load and state its mass and xyz as payload in [[experiment]]"
+    " {record}, or remove that record",
     "remedy/log-clock": "{steps!s}, or correct prbs.clock and the period of the servo",
+    "remedy/record-clock": "multiply the time of {records!a} by {ratio:.6g} in their logs",
     "remedy/command": "{steps!s}, or record commands and encoders with one clock",
     "remedy/amplitude": "{steps!s}; or, if that value is correct, {other!s}",
     "remedy/sensor-delay": "{steps!s}; or state the sensor's bandwidth (accelerometer_hz, gyro_hz)"

@@ -44,6 +44,13 @@ _MAX_NEGLIGIBLE_SHARE = 0.02
 _MAX_PLACE_HALF_WIDTH = {"m": 0.01, "rad": 0.05}
 _FAULT_REASON = Clause("reason/fault")
 _CONTRADICTION_REASON = Clause("reason/contradiction")
+_FRICTIONS = (
+    "motor_viscous_friction",
+    "link_viscous_friction",
+    "total_viscous_friction",
+    "motor_coulomb_friction",
+    "friction_offset",
+)
 _FIRST_ROWS = (
     "torque_per_volt",
     "rigid_inertia",
@@ -92,7 +99,8 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
     """
     study, rigid, whole_arm = results.study, results.rigid, results.whole_arm
     first_affected = min(
-        (first_affected_stage(suspicion, study) for suspicion in results.suspected), default=_NONE
+        (first_affected_stage(each, study) for each in results.suspected if not each.accepted),
+        default=_NONE,
     )
     table: _Table = {}
     if rigid is not None:
@@ -119,6 +127,8 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
     else:
         _make_consistent(table, study.arm, accepted)
     _reject_contradictions(table, study.arm)
+    for key in [key for key in table if key[0] in _FRICTIONS and _is_calculated(study, key[1])]:
+        table[key] = table[key].reject(Clause("reason/calculated-effort"))
     drives = {p.key: _Entry(p) for p in results.drive_gains}
     levels_by_joint = {level.joint: level for level in results.activity}
     rows = [_decide_row(entry, study, levels_by_joint) for entry in (drives | table).values()]
@@ -130,6 +140,12 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
         return row.parameter.joint or 0, order.index(name) if name in order else len(order)
 
     return tuple(sorted(rows, key=place))
+
+
+def _is_calculated(study: Study, joint: int | None) -> bool:
+    """Whether the effort of a joint is calculated by a model, so that it has no friction."""
+    channel = study.channels.get(f"torque{joint}")
+    return channel is not None and channel.meaning in ("without-friction", "desired")
 
 
 def first_affected_stage(suspicion: Suspicion, study: Study) -> int:

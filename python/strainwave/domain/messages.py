@@ -381,6 +381,7 @@ CLAUSES: Mapping[str, str] = {
     "rivals": "; less likely causes are {effects!a}",
     "and-remedy": "; {remedy}",
     "rejected-value": "{label} = {value:.4g}",
+    "reason/calculated-effort": "the effort is calculated by a model and has no friction",
     "reason/fault": "it depends on channels that contradict each other or the study",
     "reason/contradiction": "the rigid and the whole-arm fit contradict each other",
     "reason/at-bound": "the estimate is at the limit of its range, {value:.3g} {unit}",

@@ -129,6 +129,7 @@ class Options(_Checked):
     statespace: LinearOptions = LinearOptions()
     physical: PhysicalOptions = PhysicalOptions()
     tuning: WholeArmOptions = WholeArmOptions()
+    accept: tuple[str, ...] = ()  # codes of suspected faults that do not decide the status
 
     def __post_init__(self) -> None:
         """Make records of plain mappings: `Options(links={"order": 1})`."""
@@ -151,9 +152,11 @@ PUBLISHED_OPTIONS = Options(
 def changed_options(options: Options) -> list[str]:
     """Options that differ from the defaults, in the command line's notation: "links.order=1"."""
     defaults = asdict(Options())
-    return [
+    changed = asdict(options)
+    accepted = changed.pop("accept")
+    return [f"accept={','.join(accepted)}"] * bool(accepted) + [
         f"{stage}.{key}={value}"
-        for stage, table in asdict(options).items()
+        for stage, table in changed.items()
         for key, value in table.items()
         if value != defaults[stage][key]
     ]

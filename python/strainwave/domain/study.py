@@ -18,7 +18,7 @@ from strainwave.domain.options import Options
 
 Use = Literal["motion", "frequency", "sweep", "tuning", "check"]
 Control = Literal["open", "servo"]
-Meaning = Literal["motor", "sensor"]
+Meaning = Literal["motor", "sensor", "without-gravity", "without-friction", "desired"]
 """What a torque channel measures: the motor, or a sensor behind the gear."""
 
 

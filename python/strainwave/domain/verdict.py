@@ -76,7 +76,7 @@ def compute_verdict(results: StageResults, decisions: Sequence[Decision]) -> Ver
     status: Status = "partly-determined" if reasons else "determined"
     if set(identified).isdisjoint(required.primary):
         status = "not-determined"
-    if results.suspected:
+    if any(not each.accepted for each in results.suspected):
         status = "inconsistent-input"
     return Verdict(
         status=status,
@@ -125,8 +125,9 @@ def _failure_reasons(
     results: StageResults, decisions: Sequence[Decision], required: _Requirements
 ) -> Iterator[Clause]:
     """Yield the reasons why a run is not determined, most important first."""
-    if results.suspected:  # all other failures may follow from these
-        yield from (suspicion.clause for suspicion in results.suspected)
+    deciding = [each.clause for each in results.suspected if not each.accepted]
+    if deciding:  # all other failures may follow from these
+        yield from deciding
         return
     yield from results.failures
     yield from _missing_stages(results, required)

@@ -18,6 +18,8 @@ def check_document(check: InputCheck) -> dict[str, Any]:
             "measured": each.measured,
             "std": each.std,
             "expected": each.expected,
+            "accuracy": each.accuracy,
+            "bound": each.bound,
             "consistent": each.is_consistent,
         }
         for each in check.relations
@@ -29,6 +31,7 @@ def check_document(check: InputCheck) -> dict[str, Any]:
         "status": check.status,
         "relations": relations,
         "suspected": suspicion_entries(check.suspected),
+        "unchecked": list(check.unchecked),
         "warnings": [warning_entry(warning) for warning in check.warnings],
         "seconds": check.seconds,
     }

@@ -312,6 +312,7 @@ class _SuspicionEntry:
     factor: float | None = None
     delay_s: float | None = None
     corrections: tuple[Correction, ...] = ()
+    accepted: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -333,6 +334,7 @@ def _suspicion(entry: _SuspicionEntry) -> Suspicion:
         factor=entry.factor,
         delay_s=entry.delay_s,
         corrections=entry.corrections,
+        accepted=entry.accepted,
     )
 
 
@@ -497,7 +499,9 @@ def suspicion_entries(suspicions: Iterable[Suspicion]) -> list[dict[str, Any]]:
         sizes = {"factor": one.factor, "delay_s": one.delay_s}
         sizes = {key: size for key, size in sizes.items() if size is not None}
         corrections = [asdict(each) for each in one.corrections]
-        suspected.append({"code": one.code, **texts, **sizes, "corrections": corrections})
+        accepted = {"accepted": True} if one.accepted else {}
+        entry = {"code": one.code, **texts, **sizes, **accepted, "corrections": corrections}
+        suspected.append(entry)
     return suspected
 
 

@@ -117,7 +117,7 @@ def _identify(
     with reporter.time_part("consistency", "detecting defects, checking consistency"):
         check = check_inputs(study, raw_logs, stages)
     check = replace(check, inputs=replace(check.inputs, start=start))
-    inputs, is_consistent = check.inputs, not check.consistency.suspected
+    inputs, is_consistent = check.inputs, not check.consistency.deciding
     rigid = RigidStage()
     if drives.failures:  # without the scale of the torques, no relation holds
         check = replace(check, consistency=Consistency())
@@ -133,7 +133,7 @@ def _identify(
         suspicion = consistency.find_doubtful_torque_constant(check.consistency)
         if is_consistent and suspicion is not None:  # the rigid fit alone doubts the constant
             elastic, check = _explain_suspicion(check, rigid.model, suspicion, reporter)
-        elif not check.consistency.suspected:
+        elif not check.consistency.deciding:
             elastic = _fit_elastic_arm(inputs, rigid.model, reporter)
     known = elastic.whole_arm.values if elastic.whole_arm is not None else {}
     study = replace(study, arm=study.arm.with_selected_laws(known))
@@ -179,8 +179,8 @@ def _compare_torque_constants(check: CheckedInputs, model: RigidModel | None) ->
     torques = consistency.suspect_torque_constants(ratios, check.inputs.study)
     if torques is None:
         return check
-    suspected = (*check.consistency.suspected, torques)
-    return replace(check, consistency=replace(check.consistency, suspected=suspected))
+    accept = check.inputs.study.options.accept
+    return replace(check, consistency=check.consistency.suspecting(torques, accept=accept))
 
 
 def _explain_suspicion(
@@ -190,11 +190,12 @@ def _explain_suspicion(
     result = _fit_elastic_arm(check.inputs, model, reporter)
     arm_model = result.whole_arm
     if arm_model is None or not whole_arm.has_likelier_effect(arm_model, check.inputs.arm):
-        return ElasticStages(), replace(check, consistency=Consistency((suspicion,)))
+        return ElasticStages(), check
     places, contradiction = suspicion.places, suspicion.clause
     warning = Diagnostic("torques-contradict", places, contradiction=contradiction)
     result = replace(result, warnings=(*result.warnings, warning))
-    return result, replace(check, consistency=Consistency())
+    accepted = tuple(each for each in check.consistency.suspected if each.accepted)
+    return result, replace(check, consistency=replace(check.consistency, suspected=accepted))
 
 
 def with_report_loading(progress: Progress) -> Progress:

@@ -13,7 +13,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.io import logs
 from strainwave.io.logs.in_memory import Data
-from strainwave.io.study import read_study
+from strainwave.io.study import read_study, with_options
 from strainwave.numerics.parallel import one_blas_thread
 from strainwave.pipeline.inputs import Inputs, with_sensed_torques
 from strainwave.signals import consistency, hygiene
@@ -39,6 +39,7 @@ def check_inputs(
     warnings = (*(warning for log in raw_logs for warning in log.warnings), *warnings)
     inputs = Inputs(study, arm, usable, stages)
     agreement = consistency.check_consistency(usable, study)
+    agreement = agreement.suspecting(accept=study.options.accept)
     return CheckedInputs(inputs, agreement, (*warnings, *agreement.warnings))
 
 
@@ -52,16 +53,20 @@ def _nothing_usable(study: Study, warnings: Sequence[Diagnostic]) -> InvalidInpu
     )
 
 
-def check_input(study: Study | Path, *, data: Data | None = None) -> InputCheck:
+def check_input(
+    study: Study | Path, *, data: Data | None = None, options: Sequence[str] | None = None
+) -> InputCheck:
     """Check the input of a study without identification.
 
-    `data` maps names of experiments to logs, tables in memory or paths that replace the study's
-    files. Raises `InvalidInput` if the study or a log is invalid. Input that contradicts itself
-    raises no error: `suspected` lists the faults.
+    `options` changes those of the study, as in `identify`; `data` maps names of experiments to
+    logs, tables in memory or paths that replace the study's files. Raises `InvalidInput` if the
+    study or a log is invalid. Input that contradicts itself raises no error: `suspected` lists the
+    faults.
     """
     begin = time.perf_counter()
     with one_blas_thread():
         given = study if isinstance(study, Study) else read_study(study)
+        given = given if options is None else with_options(given, options)
         given, raw_logs = with_sensed_torques(given, logs.read_logs(given, data=data))
         given = given.with_segments(log.experiment for log in raw_logs)
         checked = check_inputs(given, raw_logs)
@@ -70,5 +75,6 @@ def check_input(study: Study | Path, *, data: Data | None = None) -> InputCheck:
         relations=checked.consistency.relations,
         suspected=checked.consistency.suspected,
         warnings=merge_by_cause(dict.fromkeys(checked.warnings)),
+        unchecked=checked.consistency.unchecked,
         seconds=time.perf_counter() - begin,
     )

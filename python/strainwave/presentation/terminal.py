@@ -25,6 +25,7 @@ from strainwave.domain.consistency import RELATION_TEXTS
 from strainwave.domain.formatting import percent, plus_minus
 from strainwave.domain.keys import Key
 from strainwave.presentation.report import (
+    NOTES,
     advice,
     by_severity,
     drive_note,
@@ -88,25 +89,32 @@ def print_summary(
     console.print(f"{sum(identification.timing_s.values()):.1f} s")
 
 
+_BOUNDS = {"equal": "", "least": "> ", "most": "< "}
+
+
 def print_check(check: InputCheck, *, console: Console | None = None) -> None:
     """Print the relations of an input check as a table, warnings, and the suspected faults."""
     console = console or Console(highlight=False)
-    table = printed_table("relation", "place", number("measured"), number("expected"), "verdict")
+    numbers = map(number, ("measured", "expected", "accuracy"))
+    table = printed_table("relation", "place", *numbers, "verdict")
     places: dict[tuple[str, ...], list[str]] = {}
     for relation in sorted(check.relations, key=lambda each: each.is_consistent):
         verdict = "consistent" if relation.is_consistent else "contradiction"
-        expected = "> 0" if relation.expected is None else f"{relation.expected:g}"
-        row = RELATION_TEXTS[relation.kind], f"{relation.measured:.4g}", expected, verdict
+        sign = _BOUNDS[relation.bound]
+        expected = "> 0" if relation.expected is None else f"{sign}{relation.expected:g}"
+        measured = f"{relation.measured:.4g}"
+        accuracy = f"{relation.accuracy:.2g}" if relation.accuracy else ""
+        row = RELATION_TEXTS[relation.kind], measured, expected, accuracy, verdict
         places.setdefault(row, []).append(relation.where)
-    for (text, measured, expected, verdict), names in places.items():
-        style = "" if verdict == "consistent" else _FAULT_STYLE
-        table.add_row(
-            *map(Text, (text, ", ".join(names), measured, expected, verdict)), style=style
-        )
+    for (text, *values), names in places.items():
+        style = "" if values[-1] == "consistent" else _FAULT_STYLE
+        table.add_row(*map(Text, (text, ", ".join(names), *values)), style=style)
     console.print(table)
+    if check.unchecked:
+        console.print(Text(f"in no relation, not checked: {', '.join(check.unchecked)}"))
     _print_warnings(check.warnings, console)
     console.print()
-    style = _FAULT_STYLE if check.suspected else _STATUS_STYLES["determined"]
+    style = _FAULT_STYLE if check.exit_code else _STATUS_STYLES["determined"]
     console.print(Text(f"check: {check.status} (exit code {check.exit_code})"), style=style)
     for line in _suspicion_lines(check.suspected):
         console.print(Text(line), style=style)
@@ -120,14 +128,18 @@ def _print_warnings(warnings: Sequence[Diagnostic], console: Console) -> None:
         groups.setdefault(warning.code, []).append(warning)
     for code, same in groups.items():
         console.print()
-        console.print(Text(f"warning [{code}]"), style="yellow")
+        is_note = code in NOTES
+        console.print(
+            Text(f"{'note' if is_note else 'warning'} [{code}]"), style="" if is_note else "yellow"
+        )
         console.print(_warning_table(same))
 
 
 def _suspicion_lines(suspicions: Sequence[Suspicion]) -> Iterator[str]:
     """Suspected faults with their corrections."""
     for suspicion in suspicions:
-        yield f"  {suspicion.where}: {suspicion.message}"
+        accepted = "accepted: " if suspicion.accepted else ""
+        yield f"  {accepted}{suspicion.where}: {suspicion.message}"
         yield f"    correction: {suspicion.remedy}"
 
 
@@ -135,7 +147,7 @@ def _verdict_lines(verdict: Verdict) -> Iterator[tuple[str, str]]:
     """Status, reasons and corrections, each with its style."""
     style = _STATUS_STYLES.get(verdict.status, _FAULT_STYLE)
     yield f"verdict: {verdict.status} (exit code {verdict.exit_code})", style
-    for reason in () if verdict.suspected else verdict.reasons:
+    for reason in () if verdict.status == "inconsistent-input" else verdict.reasons:
         yield f"  {sentence(reason)}", style
     for line in _suspicion_lines(verdict.suspected):
         yield line, style

@@ -60,7 +60,7 @@ def gate_of(path: Path) -> Gate:
     stored = _read(path)
     if stored is None or stored.fingerprint != current:
         return Gate("unchecked", REASONS["unchecked"])
-    state: GateState = "suspected" if stored.document["suspected"] else "consistent"
+    state: GateState = "consistent" if stored.document["status"] == "consistent" else "suspected"
     if state == "suspected" and stored.is_overridden:
         state = "overridden"
     return Gate(state, REASONS[state], stored.document)

@@ -37,7 +37,7 @@ def option_groups(options: Options) -> list[OptionGroup]:
     """The form of all options, with the values of a study."""
     defaults = asdict(Options())
     groups = []
-    for stage in fields(Options):
+    for stage in (each for each in fields(Options) if each.name != "accept"):
         record = getattr(options, stage.name)
         hints = get_type_hints(type(record), include_extras=False)
         rows = []

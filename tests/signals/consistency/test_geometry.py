@@ -10,10 +10,19 @@ import numpy as np
 import pytest
 
 from serial_chains import parameters_of, random_body
-from strainwave.domain import ArmDescription, Correction, Experiment, Joint, Log, Study
+from strainwave.domain import (
+    ArmDescription,
+    Correction,
+    Experiment,
+    FloatArray,
+    Joint,
+    Log,
+    Study,
+)
 from strainwave.domain.arm import Imu, Origin, Urdf
 from strainwave.domain.consistent_links import standard_parameters
 from strainwave.domain.corrections import apply_corrections
+from strainwave.domain.study import Payload
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.consistency import check_consistency
 from strainwave.signals.consistency.evidence import collect_evidence
@@ -175,6 +184,125 @@ def test_a_wrong_ratio_is_estimated(given: tuple[tuple[Log, ...], Study]) -> Non
     (correction,) = best.corrections
     assert (best.kind, best.joint) == ("ratio", 2)
     assert correction.number == pytest.approx(-0.02, rel=1e-2)
+
+
+Columns = dict[str, FloatArray]
+
+
+def split(
+    given: tuple[tuple[Log, ...], Study], change: Callable[[str, Columns], Columns]
+) -> tuple[tuple[Log, ...], Study]:
+    """The motor signals as two records, "a" and "b", with a change of the columns of each."""
+    (log,), study = given
+    motors = {name: values for name, values in log.channels.items() if name[0] == "t"}
+    experiments = tuple(
+        replace(log.experiment, name=name, file=f"{name}.csv") for name in ("a", "b")
+    )
+    half = len(log.time) // 2
+    logs = []
+    for each, rows in zip(experiments, (slice(0, half), slice(half, None)), strict=True):
+        columns = change(each.name, {name: x[rows] for name, x in motors.items()})
+        logs.append(replace(log, experiment=each, time=log.time[:half], channels=columns))
+    return tuple(logs), replace(study, experiments=experiments)
+
+
+def scaled(factor: float, *prefixes: str) -> Callable[[str, Columns], Columns]:
+    return lambda _, columns: {
+        k: factor * x if k.startswith(prefixes) else x for k, x in columns.items()
+    }
+
+
+def late(_: str, columns: Columns) -> Columns:
+    rows = np.arange(len(columns["torque2"]), dtype=float)
+    delayed = np.interp(rows - 0.02 / SAMPLE_TIME, rows, columns["torque2"])
+    return columns | {"torque2": delayed}
+
+
+def moved(_: str, columns: Columns) -> Columns:
+    return columns | {"theta_m2": columns["theta_m2"] + 0.4 / ARM.joints[1].gear_ratio}
+
+
+def reversed_in_one(name: str, columns: Columns) -> Columns:
+    return columns | ({"torque2": -columns["torque2"]} if name == "b" else {})
+
+
+def exchanged_in_one(name: str, columns: Columns) -> Columns:
+    first, second = columns["torque2"], columns["torque3"]
+    return columns | ({"torque2": second, "torque3": first} if name == "b" else {})
+
+
+EFFORTS: dict[str, tuple[Callable[[str, Columns], Columns], str, str]] = {
+    "all reversed": (scaled(-1.0, "torque"), "wrong-sign", "torque1, torque2, torque3"),
+    "mN m": (scaled(1e3, "torque"), "wrong-unit", "torque1, torque2, torque3"),
+    "degrees": (scaled(180.0 / np.pi, "theta"), "wrong-unit", "theta_m1, theta_m2, theta_m3"),
+    "late": (late, "misaligned", "torque2"),
+    "zero": (moved, "wrong-zero", "theta_m2"),
+    "reversed in b": (reversed_in_one, "wrong-sign", "b, torque2"),
+    "exchanged in b": (exchanged_in_one, "swapped-channels", "b, torque2, b, torque3"),
+}
+
+
+@pytest.mark.parametrize("name", EFFORTS)
+def test_a_fault_of_the_motors_is_named_and_its_remedy_is_right(
+    name: str, given: tuple[tuple[Log, ...], Study]
+) -> None:
+    change, code, where = EFFORTS[name]
+    logs, study = split(given, change)
+    suspicion = check_consistency(logs, study).suspected[0]
+    assert (suspicion.code, suspicion.where) == (code, where)
+    if code == "misaligned":
+        assert suspicion.delay_s == pytest.approx(0.02, abs=2e-3)
+    if code == "wrong-zero":
+        (offset,) = suspicion.corrections
+        assert offset.number * -0.02 == pytest.approx(-0.4, abs=0.02)
+
+
+def torques_of_links(links: list[list[float]], columns: Columns, *, moves: bool) -> Columns:
+    """Torques of links at the motors, of the motion or at rest."""
+    arm = Arm.of(ARM)
+    motors = np.column_stack([columns[f"theta_m{i + 1}"] for i in range(N_JOINTS)])
+    motion = JointMotion.of_motors(motors, arm, SAMPLE_TIME)
+    rates = (motion.velocity, motion.acceleration) if moves else (0.0 * motors, 0.0 * motors)
+    torques = arm.motors_of(arm.base_regressor(motion.angle, *rates) @ np.concatenate(links))
+    return {f"torque{i + 1}": torques[:, i] for i in range(N_JOINTS)}
+
+
+def test_efforts_without_gravity_are_named(
+    given: tuple[tuple[Log, ...], Study], links: list[list[float]]
+) -> None:
+    def change(_: str, columns: Columns) -> Columns:
+        static = torques_of_links(links, columns, moves=False)
+        return columns | {name: columns[name] - torque for name, torque in static.items()}
+
+    logs, study = split(given, change)
+    (suspicion,) = check_consistency(logs, study).suspected
+    assert suspicion.code == "effort-without-gravity"
+    assert 'meaning = "without-gravity"' in suspicion.remedy
+    corrected = apply_corrections(study, suspicion.corrections)
+    assert check_consistency(logs, corrected).suspected == ()
+
+
+def test_efforts_without_friction_are_named(
+    given: tuple[tuple[Log, ...], Study], links: list[list[float]]
+) -> None:
+    logs, study = split(
+        given, lambda _, columns: columns | torques_of_links(links, columns, moves=True)
+    )
+    (suspicion,) = check_consistency(logs, study).suspected
+    assert suspicion.code == "effort-without-friction"
+    corrected = apply_corrections(study, suspicion.corrections)
+    assert check_consistency(logs, corrected).suspected == ()
+
+
+def test_a_payload_in_one_record_is_named(given: tuple[tuple[Log, ...], Study]) -> None:
+    load = [[0.0] * 10, [0.0] * 10, list(Payload(3.0, (0.2, 0.0, 0.05)).parameters)]
+
+    def change(name: str, columns: Columns) -> Columns:
+        added = torques_of_links(load, columns, moves=True) if name == "b" else {}
+        return columns | {key: columns[key] + torque for key, torque in added.items()}
+
+    suspicion = check_consistency(*split(given, change)).suspected[0]
+    assert (suspicion.code, suspicion.places[0].experiments) == ("unstated-payload", ("b",))
 
 
 def test_vectors_are_corrected_in_the_table_of_the_joint_or_in_the_urdf() -> None:

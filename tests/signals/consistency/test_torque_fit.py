@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from strainwave.signals.consistency.evidence import Memory
-from strainwave.signals.consistency.torque_fit import TorqueSystem, fit_torques
+from strainwave.signals.consistency.torque_fit import (
+    TorqueSystem,
+    fit_torques,
+    predict_stretches,
+)
 
 N_ROWS, N_LINKS, JOINTS = 80, 12, (1, 2)
 
@@ -21,7 +27,9 @@ def system_of(rng: np.random.Generator, rank: int, noise: float) -> TorqueSystem
     joint = np.repeat(JOINTS, N_ROWS)
     torque = columns @ rng.normal(size=N_LINKS) + noise * joint * rng.normal(size=n)
     total = {i: float(np.sum(torque[joint == i] ** 2)) for i in JOINTS}
-    return TorqueSystem(columns, torque, joint, total, dict.fromkeys(JOINTS, float(N_ROWS)))
+    fold = np.tile(np.repeat((0, 1), N_ROWS // 2), len(JOINTS))
+    n_rows = dict.fromkeys(JOINTS, float(N_ROWS))
+    return TorqueSystem(columns, torque, joint, fold, ("a", "b"), total, n_rows)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, N_LINKS), st.sampled_from([0.1, 3.0]))
@@ -37,6 +45,29 @@ def test_the_fit_is_weighted_least_squares(seed: int, rank: int, noise: float) -
     for i in JOINTS:
         error = fit.residual[system.joint == i] / fit.weight[system.joint == i]
         assert fit.unexplained[i] == pytest.approx(error @ error / system.total[i], rel=1e-9)
+
+
+def test_each_stretch_is_predicted_by_the_links_fitted_to_the_others() -> None:
+    system = system_of(np.random.default_rng(5), N_LINKS, 0.1)
+    predicted, fit = predict_stretches(system), fit_torques(system)
+    for k in (0, 1):
+        rows, others = system.fold == k, system.fold != k
+        weighted = fit.weight[:, None] * system.columns
+        links = np.linalg.lstsq(weighted[others], (fit.weight * system.torque)[others], rcond=None)[
+            0
+        ]
+        error = system.torque[rows] - system.columns[rows] @ links
+        expected = [float(np.sum(error[system.joint[rows] == i] ** 2)) for i in JOINTS]
+        np.testing.assert_allclose(predicted.squares[k], expected, rtol=1e-2)
+
+
+def test_a_record_with_other_torques_is_predicted_better_without_it() -> None:
+    system = system_of(np.random.default_rng(6), N_LINKS, 0.01)
+    wrong = replace(system, torque=np.where(system.fold == 1, -2.0, 1.0) * system.torque)
+    # the first stretch is predicted by the second; without it, by the prior alone
+    assert (
+        predict_stretches(wrong).squares[0].sum() > predict_stretches(wrong, ["b"]).squares[0].sum()
+    )
 
 
 def test_a_result_is_computed_once_per_object() -> None:

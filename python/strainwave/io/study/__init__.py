@@ -18,7 +18,13 @@ from strainwave.domain.kinds import kind_of
 from strainwave.domain.options import PUBLISHED_OPTIONS
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
-from strainwave.io.study.checks import check_consistency, check_files, check_options, check_sizes
+from strainwave.io.study.checks import (
+    check_consistency,
+    check_files,
+    check_options,
+    check_sizes,
+    without_gravity,
+)
 from strainwave.io.study.flags import Flag, parse_flag
 from strainwave.io.study.reader import PLACED_BY_URDF, Reader
 from strainwave.io.toml_files import parse_toml
@@ -51,7 +57,7 @@ def read_study(
     check_sizes(study, reader)
     if logs_exist:
         check_files(study, reader)
-    return study
+    return without_gravity(study, reader)
 
 
 def with_options(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -250,6 +251,26 @@ def _check_channels(study: Study, reader: Reader) -> None:
                 where=reader.place("channels", None, name),
                 remedy="set the factor from the column's unit to the SI unit",
             )
+
+
+def without_gravity(study: Study, reader: Reader) -> Study:
+    """The study without gravity if the drivers subtract it from the logged efforts.
+
+    Gravity then acts on no torque, and the accelerometers of the links would contradict that.
+    """
+    efforts = {n: c for n, c in study.channels.items() if n.startswith(("torque", "tau_l"))}
+    others = [n for n, c in efforts.items() if c.meaning != "without-gravity"]
+    if len(others) == len(efforts):
+        return study
+    sensors = [n for n in study.channels if channel_parts(n)[0] in ("a", "ax", "ay", "az")]
+    if others or sensors or study.arm.kind != "serial":
+        raise InvalidInput(
+            "efforts without gravity need a serial arm, no accelerometers, and the same meaning of"
+            " all efforts",
+            where=reader.place("channels", None, (others or sensors or [*efforts])[0]),
+            remedy="log the efforts of the motors, or remove the accelerometers from [channels]",
+        )
+    return replace(study, arm=replace(study.arm, gravity=None))
 
 
 def _moving_encoders(arm: ArmDescription, channel: str) -> Iterator[str]:

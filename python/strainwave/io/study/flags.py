@@ -23,11 +23,13 @@ class Flag(Reader):
         return self.text
 
 
-def parse_flag(text: str) -> dict[str, dict[str, Any]]:
+def parse_flag(text: str) -> dict[str, Any]:
     """Table by stage and key of a flag "STAGE.KEY=VALUE" with a TOML value or a bare word.
 
     Raises InvalidInput if the text has another form or the value is not valid TOML.
     """
+    if text.startswith("accept="):
+        return {"accept": text.removeprefix("accept=").split(",")}
     match = _FLAG.fullmatch(text)
     if match is None:
         raise InvalidInput(

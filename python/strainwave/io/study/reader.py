@@ -28,6 +28,7 @@ from strainwave.domain import (
     gear_laws,
 )
 from strainwave.domain.arm import Matrix, Positive
+from strainwave.domain.fault_messages import FAULT_CODES
 from strainwave.domain.kinds import Kind, all_kinds, kind_named
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.urdf import UrdfJoint, read_urdf
@@ -102,6 +103,9 @@ class Reader:
         stages = {f.name: getattr(previous, f.name) for f in dataclasses.fields(previous)}
         self._check_keys(table, stages, "options")
         for stage, changes in table.items():
+            if stage == "accept":
+                stages[stage] = self._accepted(changes)
+                continue
             if not isinstance(changes, dict):
                 raise InvalidInput(
                     f"'{stage}' is {_abbreviated(changes)}",
@@ -112,6 +116,17 @@ class Reader:
             given = {key: getattr(checked, key) for key in changes}
             stages[stage] = dataclasses.replace(stages[stage], **given)
         return Options(**stages)
+
+    def _accepted(self, codes: Any) -> tuple[str, ...]:
+        """Codes of suspected faults that are accepted."""
+        for code in codes if isinstance(codes, list | tuple) else [codes]:
+            if code not in FAULT_CODES:
+                raise InvalidInput(
+                    f"'accept' has the code {code!r}, which no suspected fault has",
+                    where=self.place("options", None, "accept"),
+                    remedy=f"write a list of codes: {', '.join(FAULT_CODES)}",
+                )
+        return tuple(codes)
 
     def record(
         self,
@@ -332,7 +347,7 @@ class Reader:
             else:
                 channel = self.record(Channel, as_table, "channels", second_column=second)
             is_sensor = channel.meaning == "sensor"
-            if is_sensor and not name.startswith(("torque", "tau_l")):
+            if channel.meaning != "motor" and not name.startswith(("torque", "tau_l")):
                 raise InvalidInput(
                     f"'{name}' has a meaning, but only torque channels have one",
                     where=self.place("channels", None, name),

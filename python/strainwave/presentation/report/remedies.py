@@ -352,6 +352,9 @@ _SCOPE = {
 }
 """Warnings about the scope of the result."""
 
+NOTES = frozenset({*_SCOPE, "torque-sensor", "urdf-mass", "urdf-inertia"})
+"""Codes that require no action."""
+
 
 def advice() -> Mapping[str, Advice]:
     """Meaning and remedy by code, the most serious first."""

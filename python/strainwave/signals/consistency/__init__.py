@@ -12,13 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Consistency, Log, Study, Suspicion
+from strainwave.domain import Consistency, Log, Relation, Study, Suspicion, channel_parts
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.parallel import one_blas_thread
 from strainwave.signals.consistency.causes import Cause, propose_causes
 from strainwave.signals.consistency.clipping import measure_clipping
 from strainwave.signals.consistency.evidence import Evidence, collect_evidence
 from strainwave.signals.consistency.geometry import search_geometry
+from strainwave.signals.consistency.motors import EFFORTS
 from strainwave.signals.consistency.observations import (
     Observation,
     compute_observations,
@@ -40,6 +41,8 @@ __all__ = ["check_consistency", "find_doubtful_torque_constant", "suspect_torque
 _MAX_CAUSES = 3
 # Kinds of observations that must remain available after a correction.
 _REQUIRED_KINDS = ("explained-share", "scale", "inertia")
+# Kinds that are not observed without the record, the channel or the meaning of a fault.
+_MAY_BE_MISSING = ("torque-fit", "friction", "presence")
 # Minimum decrease of the total contradiction weight for a cause to be accepted.
 _MIN_EXPLAINED_WEIGHT = 0.75
 # Weight added to a cause with an estimated factor, so that structured causes take precedence.
@@ -68,7 +71,23 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
         warnings = tuple(report_impossible_links(study.arm))
         warnings += () if suspicions else tuple(compare_urdf_masses(unclipped))
     relations = (*(each.relation for each in clippings), *relations_of(observations))
-    return Consistency(tuple(suspicions), relations, warnings)
+    return Consistency(tuple(suspicions), relations, warnings, _unchecked(logs, relations))
+
+
+def _unchecked(logs: Sequence[Log], relations: Sequence[Relation]) -> tuple[str, ...]:
+    """Channels of the logs that occur in no relation but that of clipped samples.
+
+    The relations of sensors and torques compare them with the motor angles.
+    """
+    compared = {r.place.channel for r in relations if r.kind != "clipped"}
+    joints = {r.place.joint for r in relations if r.kind in ("explained-share", "torque-ratio")}
+    if any(r.kind == "torque-fit" for r in relations):
+        joints |= {channel_parts(name)[1] for log in logs for name in log.channels}
+    references = {r.place.channel for r in relations if r.kind == "reference"}
+    compared |= {name.replace("theta_m", "ref") for name in references if name is not None}
+    names = dict.fromkeys(name for log in logs for name in log.channels)
+    motors = {f"{kind}{i}" for kind in ("theta_m", *EFFORTS[:2]) for i in joints}
+    return tuple(name for name in names if name not in compared | motors)
 
 
 def _explain_contradictions(
@@ -84,9 +103,9 @@ def _explain_contradictions(
             likely = [cause.code for cause in ranked if not cause.has_estimated_factor]
         if not ranked:
             break
-        chosen.append(ranked[0].suspicion(evidence.study))
+        chosen.extend(each.suspicion(evidence.study) for each in (ranked[0], *ranked[0].rivals))
         if not ranked[0].has_estimated_factor or ranked[0].moves_frames:
-            structured.append(chosen[-1])
+            structured.append(ranked[0].suspicion(evidence.study))
         evidence = ranked[0].corrected(evidence)
         observations = tuple(compute_observations(evidence))
     remaining = [o for o in observations if o.contradicts and is_reported(o)]
@@ -104,7 +123,8 @@ def _needs_cause(each: Observation, evidence: Evidence) -> bool:
     Friction alone can reduce the explained share of a motor signal; the torques of chains are
     tested by their common fit.
     """
-    return each.contradicts and (evidence.arm.has_planar_program or is_reported(each))
+    is_searched = evidence.arm.has_planar_program or each.kind == "torque-prediction"
+    return each.contradicts and (is_searched or is_reported(each))
 
 
 def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:
@@ -143,6 +163,7 @@ def _contradiction_weight(
         for o in before
         if (o.contradicts or o.kind in _REQUIRED_KINDS)
         and not (may_be_missing and o.is_of_joint_equation)
+        and o.kind not in _MAY_BE_MISSING
     }
     weight = 0.0
     for each in now:

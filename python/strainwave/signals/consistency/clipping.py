@@ -16,7 +16,7 @@ _IMU_KINDS = ("ax", "ay", "az", "gx", "gy", "gz")
 _KINDS = ("a", "gyro", *_IMU_KINDS, "theta_l", "deflection", "tau_l", "torque", "omega_m")
 # Kinds whose noise prevents runs of equal samples unless the sensor is saturated.
 _NOISY_KINDS = ("a", "gyro", *_IMU_KINDS)
-# Share of the motor's range that the motor must cover during a run for the run to count.
+# Share of its range in all records that the motor must cover during a run for the run to count.
 _MIN_MOTOR_MOTION_SHARE = 0.01
 # Sensor resolutions of motion that a constant reading can hide.
 _HIDDEN_RESOLUTIONS = 2.0
@@ -39,7 +39,9 @@ class Clipping:
     def relation(self) -> Relation:
         """The largest share as a relation."""
         share, place = self.shares[self.worst], Place(channel=self.channel)
-        return Relation("clipped", place, share, 0.0, 0.0, share <= MAX_SATURATED_SHARE)
+        return Relation(
+            "clipped", place, share, 0.0, 0.0, share <= MAX_SATURATED_SHARE, MAX_SATURATED_SHARE
+        )
 
     @property
     def suspicions(self) -> Iterator[Suspicion]:
@@ -74,23 +76,29 @@ def measure_clipping(logs: Sequence[Log], arm: Arm) -> Iterator[Clipping]:
             given = [log for log in logs if name in log.channels]
             if given:
                 rests = kind not in _NOISY_KINDS
-                shares = {log.name: _clipped_share(log, name, rests=rests) for log in given}
+                motor = f"theta_m{i}"
+                travel = max(
+                    (np.ptp(log.channels[motor]) for log in logs if motor in log.channels),
+                    default=0.0,
+                )
+                shares = {
+                    log.name: _clipped_share(log, name, float(travel), rests=rests) for log in given
+                }
                 values = {log.name: log.channels[name] for log in given}
                 ranges = {key: (float(v.min()), float(v.max())) for key, v in values.items()}
                 yield Clipping(name, shares, ranges)
 
 
-def _clipped_share(log: Log, name: str, *, rests: bool) -> float:
+def _clipped_share(log: Log, name: str, travel: float, *, rests: bool) -> float:
     """Share of the samples in runs of equal values at either extreme.
 
-    If `rests` is true, counts only the runs during which the motor moves.
+    If `rests` is true, counts only the runs during which the motor moves. `travel` is its range in
+    all records; in a record in which it rests, its range is noise.
     """
     values, motor = log.channels[name], log.channels.get(f"theta_m{channel_parts(name)[1]}")
     runs = [run for ends in find_saturated_runs(values, rests=rests) for run in ends.tolist()]
     if rests and motor is not None:
         relative_resolution = resolution_of(values) / float(np.ptp(values)) if runs else 0.0
-        min_motion = (_MIN_MOTOR_MOTION_SHARE + _HIDDEN_RESOLUTIONS * relative_resolution) * float(
-            np.ptp(motor)
-        )
+        min_motion = (_MIN_MOTOR_MOTION_SHARE + _HIDDEN_RESOLUTIONS * relative_resolution) * travel
         runs = [(start, stop) for start, stop in runs if np.ptp(motor[start:stop]) > min_motion]
     return float(sum(stop - start for start, stop in runs)) / len(values)

@@ -16,6 +16,8 @@ _MAX_STEP_COUNTS = 12.0
 _MAX_COUNT_DISTANCE = 0.12
 # Minimum share of the steps within `_MAX_COUNT_DISTANCE` of a whole number of counts.
 _MIN_WHOLE_SHARE = 0.97
+# Minimum share of the steps that are odd multiples of a count.
+_MIN_ODD_SHARE = 0.25
 # Maximum number of samples evaluated per record.
 _MAX_SAMPLES = 40_000
 
@@ -46,6 +48,10 @@ def estimate_encoder_count(angles: Sequence[FloatArray]) -> float | None:
     multiples = np.round(small_steps / count)
     if multiples.min() < 1.0:
         return None
+    if np.mean(multiples % 2.0 == 1.0) < _MIN_ODD_SHARE:  # interpolated samples halve a count
+        count, multiples = 2.0 * count, 0.5 * multiples
+        whole = multiples % 1.0 == 0.0
+        small_steps, multiples = small_steps[whole], multiples[whole]
     count = float(multiples @ small_steps / (multiples @ multiples))
     distance = np.abs(small_steps / count - multiples)
     distinct = len(np.unique(multiples))

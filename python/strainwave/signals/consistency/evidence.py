@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any, Literal, TypeVar
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from strainwave.domain import (
     BoolArray,
@@ -39,6 +40,8 @@ _FAST_BAND = (0.5, 0.25)
 # Minimum power of a spectral line of a motion over that of noise, which one line in 22,000 of white
 # noise exceeds.
 _MIN_LINE_OVER_NOISE = 10.0
+# Bandwidth of a record over the median of the slow records above which noise determines it.
+_MAX_BAND_RATIO = 4.0
 # Minimum record length in periods of the bandwidth frequency.
 _MIN_CYCLES = 10.0
 # Rows per period of the bandwidth frequency. Second derivatives lose 0.1 % at this rate.
@@ -59,6 +62,7 @@ class Memory:
 
     def __init__(self) -> None:
         self._results: dict[tuple[Hashable, ...], tuple[tuple[object, ...], Any]] = {}
+        self.stated_arm: object = None  # the large results are kept for this arm alone
 
     def recall(
         self, name: Hashable, sources: Sequence[object], compute: Callable[[], Result]
@@ -89,19 +93,34 @@ class SlowRecord:
 
 
 ChangeKind = Literal[
-    "axis", "gravity", "ratio", "zero", "frame", "coupling", "robot", "torque", "exchange"
+    "axis",
+    "gravity",
+    "ratio",
+    "zero",
+    "frame",
+    "coupling",
+    "robot",
+    "torque",
+    "exchange",
+    "delay",
+    "without-gravity",
+    "payload",
+    "unit",
 ]
-"""What an alternative geometry changes."""
+"""What an alternative explanation of the torques changes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """A change of the geometry, and the cost of the torque fit with it and its coordinates."""
+    """Another explanation of the torques, and the cost of its prediction of held-out stretches."""
 
     kind: ChangeKind
     joint: int | None  # from 1
     corrections: tuple[Correction, ...]
-    cost: float
+    cost: float = np.inf
+    record: str = ""  # the only record with the fault; empty: all records
+    exchanged: tuple[str, ...] = ()  # kinds of channels that are exchanged with `other`
+    other: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +161,20 @@ class Evidence:
             if each.table == "log":
                 after = after._with_log(each)
         return after
+
+    def corrected_in(self, record: str, corrections: Sequence[Correction]) -> Evidence:
+        """Evidence after corrections of the channels of one record, or of all if it is empty."""
+        after = self.corrected(corrections)
+        if not record:
+            return after
+        pairs = zip(self.records, after.records, strict=True)
+        records = [new if new.experiment.name == record else old for old, new in pairs]
+        return replace(self, records=tuple(records))
+
+    def without_records(self, names: Collection[str]) -> Evidence:
+        """Evidence without the records `names`."""
+        records = tuple(r for r in self.records if r.experiment.name not in names)
+        return replace(self, records=records)
 
     def channel(self, name: str) -> Channel:
         """Column, scale and offset of a channel."""
@@ -213,7 +246,9 @@ def _shift_channel(record: SlowRecord, name: str, delay: float, drift: float) ->
     if name not in record.channels:
         return record
     time = record.sample_time * np.arange(len(record.inside))
-    moved = np.interp(time + delay + drift * time, time, record.channels[name])
+    moved = CubicSpline(time, record.channels[name])(
+        np.clip(time + delay + drift * time, time[0], time[-1])
+    )
     return replace(
         record,
         channels={**record.channels, name: moved},
@@ -262,10 +297,10 @@ def _remapped(
 def collect_evidence(logs: Sequence[Log], study: Study) -> Evidence:
     """Collect the evidence of a study. Records that are too short are omitted."""
     arm = Arm.of(study.arm)
-    moves = _moving_motors(logs, arm)
-    records = run_parallel(
-        [partial(_slow_record, log, arm, at) for log, at in zip(logs, moves, strict=True)]
-    )
+    pairs = [*zip(logs, _moving_motors(logs, arm), strict=True)]
+    bands = [_record_band(log, arm, moves) for log, moves in pairs if is_slow(log.experiment)]
+    limit = _MAX_BAND_RATIO * float(np.median(bands)) if bands else np.inf
+    records = run_parallel([partial(_slow_record, log, arm, at, limit) for log, at in pairs])
     counts = {}
     for joint in range(1, arm.n_joints + 1):
         count = estimate_encoder_count([log.channels[f"theta_m{joint}"] for log in logs])
@@ -294,15 +329,23 @@ def _motor_angles(log: Log, arm: Arm) -> FloatArray:
     return np.column_stack([log.channels[f"theta_m{i}"][:_MAX_SAMPLES] for i in joints])
 
 
-def _slow_record(log: Log, arm: Arm, moves: BoolArray) -> SlowRecord | None:
+def _record_band(log: Log, arm: Arm, moves: BoolArray) -> float:
+    """Bandwidth of the motion of the motors that `moves` marks, (n_joints,) [Hz]."""
+    angle = _motor_angles(log, arm)
+    band = motion_band(angle[:, moves], log.sample_time, slow=is_slow(log.experiment))
+    return max(band, _MIN_CYCLES / (len(angle) * log.sample_time))
+
+
+def _slow_record(log: Log, arm: Arm, moves: BoolArray, limit: float) -> SlowRecord | None:
     """Low-pass filter and decimate a record. Returns None if the record is too short.
 
-    The motion of the motors that `moves` marks, (n_joints,), determines the bandwidth.
+    `limit` is the highest bandwidth of a slow record [Hz].
     """
     angle, T = _motor_angles(log, arm), log.sample_time
     n = len(angle)
-    band = motion_band(angle[:, moves], T, slow=is_slow(log.experiment))
-    band = max(band, _MIN_CYCLES / (n * T))
+    band = _record_band(log, arm, moves)
+    if is_slow(log.experiment):
+        band = max(min(band, limit), _MIN_CYCLES / (n * T))
     block = max(1, int(1.0 / (_ROWS_PER_CYCLE * band * T)))
     n_rows = n // block
     edge = int(np.ceil(1.0 / (band * block * T)))

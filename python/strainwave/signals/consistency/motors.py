@@ -7,13 +7,13 @@ gear stiffness.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray
+from strainwave.domain import BoolArray, FloatArray, channel_parts
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate
@@ -46,6 +46,10 @@ _STRETCH_ROWS = 200
 _POSTURE_STRIDE = 16
 # Norm of a column of an equation over that of the largest below which the column is zero.
 _MIN_COLUMN_NORM = 1e-12
+
+
+EFFORTS = ("torque", "u", "tau_l")
+"""Kinds of channels of the effort of a joint, of which the first present one is compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,15 +144,17 @@ def _recall_velocity_ratio(evidence: Evidence, record: SlowRecord, i: int) -> li
     return evidence.memory.recall(setting, (angle, velocity), compute)
 
 
-def regress_torques(evidence: Evidence) -> Iterator[TorqueRegression]:
+def regress_torques(
+    evidence: Evidence, record: SlowRecord | None = None
+) -> Iterator[TorqueRegression]:
     """Regress the torque of each joint on the regressor of the rigid-joint equations.
 
     The joints are regressed separately, so base parameters that couple joints are estimated by
     each of them. Joints without a torque or voltage channel are omitted. A joint is regressed when
-    the result is needed, and once for each set of signals.
+    the result is needed, and once for each set of signals. Uses all slow records, or one `record`.
     """
     arm = evidence.arm
-    slow = [r for r in evidence.records if is_slow(r.experiment)]
+    slow = [record] if record else [r for r in evidence.records if is_slow(r.experiment)]
     used = slow or list(evidence.records)
     stretches = spread_stretches(used, _MAX_ROWS)
     angles = [r.channels[f"theta_m{i + 1}"] for r in used for i in range(arm.n_joints)]
@@ -159,13 +165,12 @@ def regress_torques(evidence: Evidence) -> Iterator[TorqueRegression]:
         return _Equations.of(recall_motion(used[k], evidence), arm, stretches[k])
 
     for i in range(arm.n_joints):
-        names = f"torque{i + 1}", f"u{i + 1}"
         chosen = [
             k
             for k, r in enumerate(used)
-            if (slow or r.experiment.joint in (None, i + 1)) and set(names) & set(r.channels)
+            if (slow or r.experiment.joint in (None, i + 1)) and effort_channel(r.channels, i + 1)
         ]
-        torques = [used[k].channels.get(name) for k in chosen for name in names]
+        torques = [used[k].channels.get(f"{kind}{i + 1}") for k in chosen for kind in EFFORTS]
 
         def compute(i: int = i, chosen: Sequence[int] = chosen) -> TorqueRegression | None:
             return _regress_torque([(used[k], equations_of(k)) for k in chosen], arm, i)
@@ -177,10 +182,58 @@ def regress_torques(evidence: Evidence) -> Iterator[TorqueRegression]:
 
 def motor_signals(record: SlowRecord, arm: Arm) -> list[FloatArray]:
     """Angles and inputs of the motors of a record."""
-    names = (
-        f"{kind}{i}" for kind in ("theta_m", "u", "torque") for i in range(1, arm.n_joints + 1)
-    )
+    names = (f"{kind}{i}" for kind in ("theta_m", *EFFORTS) for i in range(1, arm.n_joints + 1))
     return [record.channels[name] for name in names if name in record.channels]
+
+
+def compare_torque_sensors(evidence: Evidence) -> Iterator[Ratio]:
+    """Ratios of torques behind the gears to those of the motors, without friction and rotor."""
+    for record in evidence.records:
+        for i, joint in enumerate(evidence.arm.joints, start=1):
+            motor, sensor = f"torque{i}", f"tau_l{i}"
+            if {motor, sensor} <= set(record.channels) and not evidence.arm.is_coupled:
+                rate = differentiate(record.channels[f"theta_m{i}"], record.sample_time)
+                own = [record.channels[motor] / joint.gear_ratio, rate, record.direction[:, i - 1]]
+                own.append(differentiate(rate, record.sample_time))
+                columns = np.column_stack(own)[record.inside]
+                yield from _regress_ratio(record, sensor, record.channels[sensor], columns)
+
+
+def implied_mass(evidence: Evidence) -> float | None:
+    """Largest torque of a joint over the torque of a mass of 1 kg at the reach of the arm [kg].
+
+    None without logged torques, of planar arms, whose distant masses have no length in the study,
+    and with prismatic joints.
+    """
+    arm = evidence.arm
+    lengths = [float(np.linalg.norm(joint.origin.xyz)) for joint in arm.joints[1:]]
+    is_sliding = any(joint.motion == "prismatic" for joint in arm.joints)
+    if not sum(lengths) or is_sliding or arm.has_planar_program:
+        return None
+    reach, masses = sum(lengths), []
+    for record in evidence.records:
+        motion = recall_motion(record, evidence)
+        for i, joint in enumerate(arm.joints):
+            name = effort_channel(record.channels, i + 1)
+            if is_slow(record.experiment) and name and channel_parts(name)[0] != "u":
+                torque = np.ptp(compute_motor_torque(record, arm, i)[record.inside])
+                fastest = float(np.abs(motion.acceleration[record.inside, i]).max())
+                size = reach * np.hypot(arm.gravity_size or 0.0, reach * fastest)
+                masses.append(0.5 * float(torque) / abs(joint.gear_ratio) / max(size, 1e-300))
+    return float(max(masses)) if masses else None
+
+
+def link_speed(evidence: Evidence) -> float | None:
+    """Largest speed of a revolute joint [rad/s]; None of a single joint, which may spin."""
+    if evidence.arm.n_joints == 1:
+        return None
+    speeds = [
+        float(np.abs(recall_motion(r, evidence).velocity[r.inside, i]).max())
+        for r in evidence.records
+        for i, joint in enumerate(evidence.arm.joints)
+        if joint.motion == "revolute" and r.inside.any()
+    ]
+    return max(speeds, default=None)
 
 
 def _servo_controlled(evidence: Evidence) -> Iterator[tuple[SlowRecord, int]]:
@@ -280,13 +333,22 @@ def sliding_rows(record: SlowRecord, i: int) -> BoolArray:
 def compute_motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
     """Motor torque of joint i (from 0), (n_rows,) [N m].
 
-    Returns the logged torque, or torque_per_volt times the voltage. If the study gives no
-    torque_per_volt, the scale is 1.
+    Returns the logged torque, torque_per_volt times the voltage (with a scale of 1 if the study
+    gives no torque_per_volt), or the reading of a sensor behind the gear.
     """
-    name = f"torque{i + 1}"
-    if name in record.channels:
+    name = effort_channel(record.channels, i + 1) or ""
+    kind = channel_parts(name)[0]
+    if kind == "torque":
         return record.channels[name]
-    return DriveLaw.of(arm.joints[i]).command(record.channels[f"u{i + 1}"])
+    if kind == "tau_l":
+        return arm.joints[i].gear_ratio * record.channels[name]
+    return DriveLaw.of(arm.joints[i]).command(record.channels[name])
+
+
+def effort_channel(channels: Collection[str], joint: int) -> str | None:
+    """Channel of the effort of a joint, from 1: of its motor, or of a sensor behind the gear."""
+    names = (f"{kind}{joint}" for kind in EFFORTS)
+    return next((name for name in names if name in channels), None)
 
 
 @dataclass(frozen=True, slots=True)

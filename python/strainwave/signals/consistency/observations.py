@@ -9,14 +9,18 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import Place, Relation, channel_parts
-from strainwave.signals.consistency.evidence import Evidence
+from strainwave.signals.consistency.evidence import Evidence, is_slow
 from strainwave.signals.consistency.input_delay import pool_delays
 from strainwave.signals.consistency.motors import (
     Ratio,
+    compare_torque_sensors,
     compute_reference_ratios,
     compute_servo_output_ratios,
     compute_velocity_ratios,
+    effort_channel,
     estimate_torque_ratios,
+    implied_mass,
+    link_speed,
     regress_torques,
 )
 from strainwave.signals.consistency.regression import pool_estimates
@@ -27,8 +31,10 @@ from strainwave.signals.consistency.sensors import (
     regress_readings,
 )
 from strainwave.signals.consistency.torque_fit import (
+    MIN_COST_DIFFERENCE,
     MIN_FIT_RATIO,
     fit_ratio,
+    friction_shares,
     recall_quality,
 )
 
@@ -55,19 +61,40 @@ Kind = Literal[
     "limit",
     "tilt",
     "torque-fit",
+    "torque-prediction",
+    "presence",
+    "torque-sensor",
+    "friction",
+    "mass",
+    "speed",
 ]
 
-# Minimum difference of the log likelihoods of two geometries; 36 coordinates of a six-axis arm
-# reduce that of a correct one by 18 +- 4.
-_MIN_COST_DIFFERENCE = 20.0
 # Minimum significance of a contradiction, in standard deviations.
 _MIN_SIGNIFICANCE = 5.0
+# The same for the sign of an inertia in one record, whose friction can imitate inertia.
+_MIN_RECORD_SIGNIFICANCE = 10.0
 # The same for the torque ratio, whose standard deviation includes friction errors.
 _MIN_TORQUE_SIGNIFICANCE = 3.5
 _MAX_INPUT_DELAY_SAMPLES = 1.25
 """Tolerated delay of a command in sampling periods; logs hold the value before or after a tick."""
 _MAX_INPUT_DELAY = 1.25e-3
 """Tolerated delay of a command [s]; buses and drives commonly have delays of up to 1 ms."""
+
+_MIN_PREDICTED_SHARE = 0.3
+"""Share of the torques that the arm predicts on held-out stretches below which units are doubted;
+measured arms with strong friction reach 0.6."""
+_MIN_PRESENCE = 0.1
+"""Range of a reading over that of its prediction below which a silent channel is dead."""
+_SHARES = ("torque-prediction", "friction", "presence")
+"""Kinds whose value must exceed the tolerance."""
+_SIZES = ("mass", "speed")
+"""Kinds whose value must not exceed 1."""
+_MIN_FRICTION = 0.03
+"""Share of friction in a motor's torque below which the effort has none; gears have 0.1 to 0.7."""
+_MAX_DENSITY = 3000.0
+"""Largest mass over the cube of the reach of an arm [kg/m^3]; arms with a load have 5 to 300."""
+_MAX_SPEED = 40.0
+"""Largest plausible speed of a joint [rad/s]; arms reach 2 to 20, in degrees more than 60."""
 
 _TOLERANCE: dict[Kind, float] = {
     "count": 0.03,  # rounding of the counts in a data sheet
@@ -85,11 +112,14 @@ _TOLERANCE: dict[Kind, float] = {
     "delay": 5e-3,  # [s] range that the whole-arm fit corrects
     "input-delay": _MAX_INPUT_DELAY,
     "drift": 2e-4,  # [s/s]
-    "inertia": np.inf,  # only the sign is tested
     "limit": 1.0,  # a factor of two, because the stated limit can exclude an added PRBS
     "tilt": 0.3,  # of g; tables and brackets are level to 17 degrees
     "excited-joint": 0.0,
     "torque-fit": MIN_FIT_RATIO - 1.0,
+    "torque-prediction": _MIN_PREDICTED_SHARE,
+    "presence": _MIN_PRESENCE,
+    "torque-sensor": 4.0,  # friction and the rotor take a share; units differ by ten or more
+    "friction": _MIN_FRICTION,
     "torque-ratio": 0.5,  # the rigid fit detects smaller errors with higher accuracy
 }
 """Tolerated relative difference from 1, or absolute value of delays, `drift` and `tilt`."""
@@ -105,6 +135,7 @@ _MODEL_ERROR: dict[Kind, float] = {
     "rotation-ratio": 0.02,
     "delay": 4e-4,
     "tilt": 0.01,
+    "torque-sensor": 0.05,
     "drift": 0.0,  # follows from the floor of the delay and the length of the record
 }
 """Model error of an observation in one record: springs, friction and servo lag, without noise."""
@@ -118,6 +149,12 @@ which the elasticity of the gears changes. Units and axes differ by more."""
 _MAX_SCALE_ERROR = 0.025
 _LENGTH_TOLERANCE = 0.04
 """Tolerated relative error of link_length if the own-joint scale is correct."""
+
+_EXPECTED: dict[Kind, float | None] = {
+    **dict.fromkeys(("delay", "drift", "input-delay", "tilt"), 0.0),
+    "inertia": None,
+}
+"""Values for consistent input other than 1; None: any positive value."""
 
 _ABSOLUTE_KINDS = ("delay", "drift", "input-delay", "tilt")
 """Kinds whose value is 0 for consistent input; that of others is 1."""
@@ -171,24 +208,43 @@ class Observation:
         return kind in IMU_ACCELEROMETERS
 
     @property
+    def least(self) -> float | None:
+        """Smallest value of consistent input, of a share; None for other kinds."""
+        if self.kind == "explained-share":
+            is_partial = self._is_of_imu or not self.is_of_link
+            return _MIN_MOTOR_EXPLAINED_SHARE if is_partial else _MIN_EXPLAINED_SHARE
+        return _TOLERANCE[self.kind] if self.kind in _SHARES else None
+
+    @property
+    def accuracy(self) -> float:
+        """Largest difference from the expected value of consistent input; 0 of a bound."""
+        if self.least is not None or self.kind in _SIZES:
+            return 0.0
+        certain = _MIN_TORQUE_SIGNIFICANCE if self.kind == "torque-ratio" else _MIN_SIGNIFICANCE
+        return max(self._tolerance, certain * self.std)
+
+    @property
+    def _tolerance(self) -> float:
+        if self.kind == "inertia":
+            return 0.0  # only the sign is tested
+        if self._is_of_imu and self.kind in _PARTS:
+            return _IMU_TOLERANCE
+        return self.tolerance or _TOLERANCE[self.kind]
+
+    @property
     def contradicts(self) -> bool:
         """Whether the error exceeds the tolerance and is statistically significant."""
-        if self.kind == "explained-share":
-            limit = _MIN_MOTOR_EXPLAINED_SHARE
-            if self.is_of_link and not self._is_of_imu:
-                limit = _MIN_EXPLAINED_SHARE
-            return self.value < limit
-        tolerance = self.tolerance or _TOLERANCE[self.kind]
-        if self._is_of_imu and self.kind in _PARTS:
-            tolerance = _IMU_TOLERANCE
+        if self.least is not None:
+            return self.value + 2.0 * self.std < self.least
+        if self.kind in _SIZES:
+            return self.value > 1.0
         if self.kind in _ABSOLUTE_KINDS:
-            return abs(self.value) > max(tolerance, _MIN_SIGNIFICANCE * self.std)
-        if self.value < 0.0:
-            return abs(self.value) > _MIN_SIGNIFICANCE * self.std
+            return abs(self.value) > self.accuracy
+        if self.value <= 0.0 or self.kind == "inertia":
+            return self.value < -_MIN_SIGNIFICANCE * self.std
         certain = _MIN_TORQUE_SIGNIFICANCE if self.kind == "torque-ratio" else _MIN_SIGNIFICANCE
-        if self.value == 0.0 or abs(self.value - 1.0) <= certain * self.std:
-            return False
-        return bool(abs(np.log(self.value)) > np.log1p(tolerance))
+        is_certain = abs(self.value - 1.0) > certain * self.std
+        return bool(is_certain and abs(np.log(self.value)) > np.log1p(self._tolerance))
 
     @property
     def weight(self) -> float:
@@ -199,23 +255,27 @@ class Observation:
 def relations_of(observations: Iterable[Observation]) -> tuple[Relation, ...]:
     """The observations as relations, each place once with its worst value.
 
-    A low explained share of a motor signal is consistent: friction and servo limits reduce it.
+    The explained share of a motor signal tests nothing: friction and servo limits reduce it.
     """
     worst: dict[tuple[Kind, Place], Observation] = {}
     for each in observations:
         known = worst.setdefault((each.kind, each.place), each)
         if each.contradicts and not known.contradicts:
             worst[each.kind, each.place] = each
-    return tuple(_relation(each) for each in worst.values())
-
-
-def _relation(each: Observation) -> Relation:
-    expected: float | None = 0.0 if each.kind in _ABSOLUTE_KINDS else 1.0
-    if each.kind == "inertia":
-        expected = None
-    is_share_of_motor = each.kind == "explained-share" and not each.is_of_link
-    is_consistent = is_share_of_motor or not each.contradicts
-    return Relation(each.kind, each.place, each.value, each.std, expected, is_consistent)
+    tests = (o for o in worst.values() if o.kind != "explained-share" or o.is_of_link)
+    return tuple(
+        Relation(
+            each.kind,
+            each.place,
+            each.value,
+            each.std,
+            _EXPECTED.get(each.kind, 1.0) if each.least is None else each.least,
+            not each.contradicts,
+            each.accuracy,
+            "least" if each.least is not None else "most" if each.kind in _SIZES else "equal",
+        )
+        for each in tests
+    )
 
 
 def compute_observations(evidence: Evidence) -> Iterator[Observation]:
@@ -227,6 +287,8 @@ def compute_observations(evidence: Evidence) -> Iterator[Observation]:
     yield from _observe_ratios("reference", compute_reference_ratios(evidence))
     yield from _observe_ratios("servo", compute_servo_output_ratios(evidence))
     yield from _observe_ratios("velocity", compute_velocity_ratios(evidence))
+    yield from _observe_ratios("torque-sensor", compare_torque_sensors(evidence))
+    yield from _observe_sizes(evidence)
     yield from _observe_torque_fit(evidence)
     yield from _observe_sensors(evidence)
     yield from _observe_torques(evidence)
@@ -297,9 +359,32 @@ def _observe_torque_fit(evidence: Evidence) -> Iterator[Observation]:
     fit = recall_quality(evidence) if evidence.geometries else None
     if fit is not None:
         ratio = fit_ratio(fit.cost, evidence.geometries[0].cost, fit.n_all)
-        least = fit_ratio(_MIN_COST_DIFFERENCE, 0.0, fit.n_all) - 1.0
+        least = fit_ratio(MIN_COST_DIFFERENCE, 0.0, fit.n_all) - 1.0
         place = Place(part="arm")
         yield Observation("torque-fit", place, max(ratio, 1.0), least / _MIN_SIGNIFICANCE)
+        yield from _observe_friction(evidence)
+        yield Observation("torque-prediction", place, 1.0 - float(np.median(fit.unexplained)), 0.0)
+
+
+def _observe_friction(evidence: Evidence) -> Iterator[Observation]:
+    """Largest share of friction in a motor's torque; sensors behind the gears measure none."""
+    shares = friction_shares(evidence)
+    names = [f"torque{i}" for i in shares if f"torque{i}" in evidence.channels]
+    meanings = {evidence.channel(name).meaning for name in names}
+    if names and meanings <= {"motor", "without-gravity"}:
+        std = max(each for _, each in shares.values())
+        yield Observation("friction", Place(part="arm"), max(shares.values())[0], std)
+
+
+def _observe_sizes(evidence: Evidence) -> Iterator[Observation]:
+    """Speed and implied mass over the largest plausible ones."""
+    speed, mass = link_speed(evidence), implied_mass(evidence)
+    if speed is not None:
+        yield Observation("speed", Place(part="arm"), speed / _MAX_SPEED, 0.0)
+    if mass is not None:
+        reach = sum(float(np.linalg.norm(j.origin.xyz)) for j in evidence.arm.joints[1:])
+        ratio = mass / (_MAX_DENSITY * reach**3)
+        yield Observation("mass", Place(part="arm"), ratio, 0.0)
 
 
 def _observe_ratios(kind: Kind, ratios: Iterable[Ratio]) -> Iterator[Observation]:
@@ -313,15 +398,21 @@ def _observe_ratios(kind: Kind, ratios: Iterable[Ratio]) -> Iterator[Observation
         value, std = pool_estimates([e.value for e in clear], stds)
         place = Place(channel=channel)
         yield Observation("explained-share", place, best, 0.0)
-        if best > (
-            _MIN_EXPLAINED_SHARE if kind == "reference" else _MIN_PARTLY_EXPLAINED_SHARE
-        ):  # a servo can lag
+        is_strict = kind in ("reference", "torque-sensor")  # a servo can lag, and a torque be noise
+        if best > (_MIN_EXPLAINED_SHARE if is_strict else _MIN_PARTLY_EXPLAINED_SHARE):
             yield Observation(kind, place, value, std)
 
 
 def _observe_sensors(evidence: Evidence) -> Iterator[Observation]:
     for channel, all_records in regress_readings(evidence):
         readings = [each for each in all_records if each.signal > _MIN_SIGNAL_TO_NOISE]
+        silent = [
+            each.size
+            for each in all_records
+            if each.signal <= _MIN_SIGNAL_TO_NOISE < each.expected_signal
+        ]
+        if silent:
+            yield Observation("presence", Place(channel=channel), max(silent), 0.0)
         if readings:
             yield from _observe_sensor(Place(channel=channel), readings)
 
@@ -370,11 +461,17 @@ def _observe_sensor(place: Place, readings: list[Reading]) -> Iterator[Observati
 def _observe_torques(evidence: Evidence) -> Iterator[Observation]:
     estimates = []
     for each in regress_torques(evidence):
+        name = effort_channel(evidence.channels, each.joint)
         estimates.append(each)
-        names = f"torque{each.joint}", f"u{each.joint}"
-        place = Place(channel=next(name for name in names if name in evidence.channels))
-        yield Observation("inertia", place, each.inertia, each.inertia_std)
+        yield Observation("inertia", Place(channel=name), each.inertia, each.inertia_std)
         yield Observation("explained-share", Place(joint=each.joint), each.explained, 0.0)
+    slow = [r for r in evidence.records if is_slow(r.experiment)]
+    for record in slow if len(slow) > 1 else ():  # short records determine the sign alone
+        for each in regress_torques(evidence, record):
+            if each.inertia < -_MIN_RECORD_SIGNIFICANCE * each.inertia_std:
+                name = effort_channel(evidence.channels, each.joint)
+                place = Place(channel=name, experiments=(record.experiment.name,))
+                yield Observation("inertia", place, each.inertia, each.inertia_std)
     if evidence.geometries:
         return  # the fit of one arm to all torques compares more than one pair of equations
     for joint, ratio in estimate_torque_ratios(estimates).items():

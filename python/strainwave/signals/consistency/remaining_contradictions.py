@@ -31,6 +31,12 @@ _CODES: dict[Kind, str] = {
     "inertia": "wrong-sign",
     "excited-joint": "swapped-channels",
     "torque-fit": "wrong-geometry",
+    "torque-prediction": "wrong-geometry",
+    "torque-sensor": "wrong-unit",
+    "presence": "dead-channel",
+    "friction": "effort-without-friction",
+    "mass": "wrong-unit",
+    "speed": "wrong-unit",
 }
 # Minimum explained share of a link sensor's variance; short records of fault-free arms reach 0.8.
 _MIN_EXPLAINED_SHARE = 0.5
@@ -46,6 +52,8 @@ def is_reported(each: Observation) -> bool:
     A low explained share of a motor signal is not reported, because friction and servo limits
     can cause it. Link sensors follow the motion in every fault-free record.
     """
+    if each.kind == "torque-prediction":
+        return False  # friction and slow motion can hide the torques of the links
     if each.kind != "explained-share":
         return True
     return each.is_of_link and each.value < _MIN_EXPLAINED_SHARE

@@ -79,6 +79,8 @@ class Reading:
     drift_std: float
     explained: float  # share of the variance of the reading
     signal: float  # signal-to-noise ratio at low frequency
+    expected_signal: float  # the same of the prediction
+    size: float  # standard deviation over that of the prediction
     parts: dict[str, tuple[float, float]]  # "own-joint", "origin-motion", "gravity" -> scale, std
     # scale of the joint's rotation over that of the joints before it, std
     rotation_ratio: tuple[float, float] | None
@@ -321,6 +323,8 @@ def _regress_channel(
         drift_std=drift_std,
         explained=fit.explained,
         signal=size / max(record.noise[name], 1e-12 * size, 1e-300),
+        expected_signal=float(np.std(prediction)) / max(record.noise[name], 1e-300),
+        size=size / max(float(np.std(prediction)), 1e-300),
         parts=scales,
         rotation_ratio=nuisance.quotient(target, [*rotations, *rest]) if rotations else None,
         tilt=None if arm.gravity else _tilt(fit, 4 + len(decays), len(derivatives.tilt)),

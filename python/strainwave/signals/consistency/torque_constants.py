@@ -47,9 +47,9 @@ def find_doubtful_torque_constant(consistency: Consistency) -> Suspicion | None:
     The rigid fit assumes Coulomb and viscous friction and a linear drive. Other friction terms or
     a nonlinear drive can violate the symmetry of M(q) in the same way as a wrong torque constant.
     """
-    if len(consistency.suspected) != 1:
+    if len(consistency.deciding) != 1:
         return None
-    (suspicion,) = consistency.suspected
+    (suspicion,) = consistency.deciding
     is_near_one = (
         suspicion.factor is not None
         and 1.0 / _MAX_DOUBTFUL_FACTOR < suspicion.factor < _MAX_DOUBTFUL_FACTOR

@@ -16,8 +16,12 @@ from strainwave.signals.consistency.observations import Observation
 __all__ = ["Cause", "propose_causes"]
 
 _OF_ARM = (
+    channels.propose_effort_scales,
+    channels.propose_record_signs,
+    channels.propose_dead_channels,
     geometry.propose_geometries,
     commands.propose_time_bases,
+    commands.propose_record_clocks,
     commands.propose_input_delays,
     commands.propose_excited_joints,
     commands.propose_voltage_scales,
@@ -40,6 +44,9 @@ _OF_JOINT = (
 def propose_causes(evidence: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
     """Yield all candidate causes, structured causes first."""
     case = Case(evidence, tuple(contradictions))
+    if {each.kind for each in contradictions} == {"torque-fit"}:
+        yield from geometry.propose_geometries(case)  # they competed on held-out stretches
+        return
     for propose in _OF_ARM:
         yield from propose(case)
     estimated_causes: list[Cause] = []

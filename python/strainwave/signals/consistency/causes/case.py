@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -44,6 +44,8 @@ class Cause:
     delay_s: float | None = None
     has_estimated_factor: bool = False  # not a unit, a sign or an exchange
     moves_frames: bool = False
+    rivals: tuple[Cause, ...] = ()  # that explain the contradictions equally well
+    excluded: tuple[str, ...] = ()  # records with the fault; the others do not have it
 
     def corrected(self, evidence: Evidence) -> Evidence:
         """Evidence after the corrections.
@@ -52,6 +54,8 @@ class Cause:
         so these are not compared with estimated frames.
         """
         after = evidence.corrected(self.corrections)
+        if self.excluded:  # the explanations of the torques competed on all records
+            after = replace(after.without_records(self.excluded), geometries=())
         if not self.moves_frames:
             return after
         links = [name for name in after.channels if channel_parts(name)[0] in LINK_CHANNELS]
@@ -72,6 +76,11 @@ class Cause:
             delay_s=self.delay_s,
             corrections=self.corrections,
         )
+
+
+def as_rival(cause: Cause) -> Cause:
+    """The cause as one that is as likely as the cause before it."""
+    return replace(cause, clause=Clause("rival", fault=cause.clause))
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,7 @@ from strainwave.signals.consistency.causes.case import (
 )
 from strainwave.signals.consistency.causes.commands import VOLTAGES
 from strainwave.signals.consistency.evidence import Evidence
+from strainwave.signals.consistency.motors import effort_channel
 from strainwave.signals.consistency.observations import Kind
 from strainwave.signals.consistency.sensors import (
     LINK_CHANNELS,
@@ -111,7 +112,8 @@ def propose_angle_units(case: Case) -> Iterator[Cause]:
     evidence = case.evidence
     joints = range(1, evidence.arm.n_joints + 1)
     angles = [f"theta_m{joint}" for joint in joints]
-    if len(angles) < 2 or not case.joints:
+    doubts = case.contradicts("torque-prediction", "speed")
+    if (len(angles) < 2 and not doubts) or not (case.joints or doubts):
         return
     rates = [f"{kind}{joint}" for kind in ("omega_m", "ref") for joint in joints]
     rates = [name for name in rates if name in evidence.channels]
@@ -130,6 +132,46 @@ def propose_angle_units(case: Case) -> Iterator[Cause]:
         for names, changes in groups:
             clause = Clause("wrong-unit/angles", channels=tuple(names), unit=unit)
             yield Cause("wrong-unit", places_of(names), clause, tuple(changes), factor=factor)
+
+
+def propose_effort_scales(case: Case) -> Iterator[Cause]:
+    """The efforts of all joints in another unit, or with another sign; or without friction."""
+    joints = range(1, case.evidence.arm.n_joints + 1)
+    names = [name for i in joints if (name := effort_channel(case.evidence.channels, i))]
+    negative = {o.joint for o in case.contradictions if o.kind == "inertia"}
+    factors: list[tuple[float, Unit | None]] = [(-1.0, None)] if len(negative) > 1 else []
+    if case.contradicts("mass"):
+        factors += [(1e-3, "mN m"), (1e-2, "N cm")]
+    for factor, unit in factors:
+        code = "wrong-sign" if unit is None else "wrong-unit"
+        clause = Clause(f"{code}/efforts", channels=tuple(names), unit=unit)
+        changes = case.scale_corrections(names, factor)
+        yield Cause(code, places_of(names), clause, changes, factor=1.0 / factor)
+    if case.contradicts("friction"):
+        efforts = tuple(name for name in names if channel_parts(name)[0] == "torque")
+        share = next(o.value for o in case.contradictions if o.kind == "friction")
+        changes = tuple(Correction("channels", n, "meaning", "without-friction") for n in efforts)
+        clause = Clause("effort-without-friction", channels=efforts, share=share)
+        yield Cause("effort-without-friction", places_of(efforts), clause, changes)
+
+
+def propose_record_signs(case: Case) -> Iterator[Cause]:
+    """Efforts with another sign in single records."""
+    signs = [o for o in case.contradictions if o.kind == "inertia" and o.place.experiments]
+    for record in dict.fromkeys(o.place.experiments for o in signs):
+        places = tuple(o.place for o in signs if o.place.experiments == record)
+        names = tuple(place.channel or "" for place in places)
+        clause = Clause("record", record=record[0], fault=Clause("wrong-sign/some", channels=names))
+        remedy = Clause("remedy/record", record=record[0])
+        yield Cause("wrong-sign", places, clause, (), remedy, factor=-1.0, excluded=record)
+
+
+def propose_dead_channels(case: Case) -> Iterator[Cause]:
+    """Sensors that show noise alone."""
+    for name, size in case.by_channel("presence").items():
+        clause = Clause("dead-channel", channel=name, share=size)
+        changes = log_corrections([name], "unusable", 0.0)
+        yield Cause("dead-channel", places_of([name]), clause, changes)
 
 
 def _angle_scales(evidence: Evidence, name: str) -> dict[Unit, float]:
@@ -273,6 +315,7 @@ def propose_motor_angle_scales(case: Case, joint: int) -> Iterator[Cause]:
     name = f"theta_m{joint}"
     ratios = case.values(name, "count", "reference")
     ratios += [1.0 / factor for factor in case.rotation_factors(joint)]
+    ratios += [1.0 / factor for factor in case.values(f"omega_m{joint}", "velocity")]
     # Unit factors differ from 1 by more than the tolerance.
     ratios = [ratio for ratio in ratios if abs(np.log(abs(ratio))) > UNIT_TOLERANCE]
     per_turn = case.evidence.arm.joints[joint - 1].encoder_counts

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from strainwave.signals.consistency.causes.case import (
     Case,
     Cause,
     Unit,
+    as_rival,
     log_corrections,
     match_known_factor,
     places_of,
@@ -48,6 +50,40 @@ def propose_time_bases(case: Case) -> Iterator[Cause]:
             code, clause = "wrong-unit", Clause("wrong-unit/time", ratio=ratio, unit=unit)
             remedy = STEPS
         yield Cause(code, places_of("t"), clause, corrections, remedy, factor=ratio)
+
+
+def propose_record_clocks(case: Case) -> Iterator[Cause]:
+    """A wrong PRBS clock of the study, or another clock of the logger, in some of the records.
+
+    Without a second clock in these records the two cannot be told apart.
+    """
+    wrong = {
+        o.place.experiments[0]: o
+        for o in case.contradictions
+        if o.kind in ("prbs-clock", "servo-clock")
+    }
+    clocked = [r for r in case.evidence.records if r.clocks.prbs or r.clocks.servo]
+    if not wrong:
+        return
+    ratio = float(np.median([o.value for o in wrong.values()]))
+    names = tuple(wrong)
+    stated = {r.experiment.name: r.experiment.prbs for r in clocked}
+    changes = tuple(
+        Correction("experiment", name, "prbs.clock", float(f"{o.value * prbs.clock:.5g}"))
+        for name, o in wrong.items()
+        if (prbs := stated[name]) is not None and o.kind == "prbs-clock"
+    )
+    place = Place(experiments=names, key="prbs")
+    clause = Clause("wrong-prbs-clock", records=names, ratio=ratio)
+    of_prbs = Cause("wrong-prbs-clock", (place,), clause, changes, factor=ratio)
+    clause = Clause("clock-drift/records", records=names, ratio=ratio)
+    remedy = Clause("remedy/record-clock", records=names, ratio=1.0 / ratio)
+    place = Place(experiments=names, channel="t")
+    of_logger = Cause("clock-drift", (place,), clause, (), remedy, factor=ratio, excluded=names)
+    if changes and len(changes) == len(wrong):
+        yield replace(of_prbs, rivals=() if len(wrong) < len(clocked) else (as_rival(of_logger),))
+    if len(wrong) < len(clocked):
+        yield of_logger
 
 
 def propose_input_delays(case: Case) -> Iterator[Cause]:

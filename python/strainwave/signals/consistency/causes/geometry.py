@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from strainwave.domain import Clause, Correction, Place
-from strainwave.signals.consistency.causes.case import Case, Cause
+from strainwave.signals.consistency.causes.case import Case, Cause, as_rival
 from strainwave.signals.consistency.evidence import Alternative, ChangeKind
 from strainwave.signals.consistency.torque_fit import MIN_FIT_RATIO, fit_ratio, recall_quality
 
+# Ratio of unexplained variances to the best one within which two causes cannot be told apart, and
+# the number of rivals that are named.
+_MAX_RIVAL_RATIO, _MAX_RIVALS = 1.1, 1
 # Log ratio within which an estimated reduction is the nearest whole number.
 _REDUCTION_TOLERANCE = 0.01
 # Decimal logarithm within which a factor is that of a unit.
@@ -26,19 +30,28 @@ def propose_geometries(case: Case) -> Iterator[Cause]:
     fit = recall_quality(case.evidence)
     n_rows = fit.n_all if fit is not None else 1.0
     best, stated = geometries[0].cost, geometries[-1].cost
-    order = {kind: k for k, kind in enumerate(_CAUSES)}  # exchanges are a cause of their own
-    good = [
-        a
-        for a in geometries[:-1]
-        if a.kind in order and fit_ratio(a.cost, best, n_rows) < MIN_FIT_RATIO
-    ]
-    for each in sorted(good, key=lambda a: (order[a.kind], a.cost)):
-        cause = _CAUSES[each.kind](case, each, fit_ratio(stated, each.cost, n_rows))
-        yield replace(
-            cause,
-            has_estimated_factor=each.kind not in ("axis", "coupling") and cause.factor != -1.0,
-            moves_frames=each.kind in ("frame", "robot"),
-        )
+    order = {kind: k for k, kind in enumerate(_CAUSES)}
+
+    def is_rival(each: Alternative) -> bool:
+        return fit_ratio(each.cost, best, n_rows) < _MAX_RIVAL_RATIO
+
+    good = [a for a in geometries[:-1] if fit_ratio(a.cost, best, n_rows) < MIN_FIT_RATIO]
+    good.sort(key=lambda a: (not is_rival(a), order[a.kind] if is_rival(a) else 0, a.cost))
+    causes = [_cause(case, a, fit_ratio(stated, a.cost, n_rows)) for a in good]
+    rivals = [c for a, c in zip(good, causes, strict=True) if is_rival(a) and not c.moves_frames]
+    for cause in causes:
+        others = [each for each in rivals if each.places != cause.places][:_MAX_RIVALS]
+        is_one = cause in rivals
+        yield replace(cause, rivals=tuple(map(as_rival, others)) if is_one else ())
+
+
+def _cause(case: Case, change: Alternative, ratio: float) -> Cause:
+    cause = _CAUSES[change.kind](case, change, ratio)
+    return replace(
+        cause,
+        has_estimated_factor=change.kind in _ESTIMATED and cause.factor != -1.0,
+        moves_frames=change.kind in ("frame", "robot"),
+    )
 
 
 def _axis(case: Case, change: Alternative, ratio: float) -> Cause:
@@ -83,7 +96,8 @@ def _torque(case: Case, change: Alternative, ratio: float) -> Cause:
     factor = correction.number / stated
     if factor == -1.0:
         clause = Clause("wrong-sign/torques", ratio=ratio, joint=joint, channel=correction.entry)
-        return Cause("wrong-sign", (place,), clause, (correction,), factor=-1.0)
+        places = (_place(change, channel=correction.entry),)
+        return _of_records(change, Cause("wrong-sign", places, clause, (correction,), factor=-1.0))
     is_unit = abs(abs(np.log10(factor)) - 3.0) < _UNIT_TOLERANCE
     code = "wrong-unit" if is_unit else "wrong-torque-constant"
     clause = Clause(f"{code}/torques", ratio=ratio, joint=joint, factor=factor)
@@ -103,12 +117,61 @@ def _coupling(_: Case, change: Alternative, ratio: float) -> Cause:
     return Cause("wrong-geometry", (Place(key="coupling"),), clause, change.corrections)
 
 
+def _exchange(_: Case, change: Alternative, ratio: float) -> Cause:
+    """Exchanged channels of two joints, in all records or in one."""
+    joints = change.joint or 0, change.other or 0
+    pairs = tuple((f"{kind}{joints[0]}", f"{kind}{joints[1]}") for kind in change.exchanged)
+    places = tuple(_place(change, channel=name) for pair in pairs for name in pair)
+    clause = Clause("swapped-channels", pairs=pairs, joints=joints)
+    return _of_records(change, Cause("swapped-channels", places, clause, change.corrections))
+
+
+def _of_records(change: Alternative, cause: Cause) -> Cause:
+    """The cause, or that of one record, which is then left out."""
+    if not change.record:
+        return cause
+    clause = Clause("record", record=change.record, fault=cause.clause)
+    remedy = Clause("remedy/record", record=change.record)
+    excluded = (change.record,)
+    return replace(cause, clause=clause, corrections=(), remedy=remedy, excluded=excluded)
+
+
+def _place(change: Alternative, **place: Any) -> Place:
+    return Place(experiments=(change.record,) if change.record else (), **place)
+
+
+def _delay(case: Case, change: Alternative, ratio: float) -> Cause:
+    """Torques that are late or early relative to the motor angles."""
+    names = tuple(each.entry for each in change.corrections)
+    delay = float(f"{change.corrections[0].number:.3g}")
+    side = "later" if delay > 0.0 else "earlier"
+    clause = Clause("misaligned/motors", ratio=ratio, channels=names, delay=abs(delay), side=side)
+    changes = tuple(replace(each, value=delay) for each in change.corrections)
+    places, remedy = tuple(Place(channel=name) for name in names), Clause("remedy/command")
+    return Cause("misaligned", places, clause, changes, remedy, delay_s=delay)
+
+
+def _without_gravity(_: Case, change: Alternative, ratio: float) -> Cause:
+    """Efforts from which the drivers subtract gravity."""
+    places = tuple(Place(channel=each.entry) for each in change.corrections)
+    clause = Clause("effort-without-gravity", ratio=ratio)
+    return Cause("effort-without-gravity", places, clause, change.corrections)
+
+
+def _payload(_: Case, change: Alternative, ratio: float) -> Cause:
+    """A load on the last link in one record only."""
+    clause = Clause("unstated-payload", ratio=ratio, record=change.record)
+    remedy = Clause("remedy/payload", record=change.record)
+    places, excluded = (_place(change, key="payload"),), (change.record,)
+    return Cause("unstated-payload", places, clause, (), remedy, excluded=excluded)
+
+
 def _zero(case: Case, change: Alternative, ratio: float) -> Cause:
     joint, (offset,) = change.joint or 0, change.corrections
     moved = float(f"{offset.value}") - case.evidence.channel(offset.entry).offset
     angle = abs(moved * case.evidence.study.arm.joints[joint - 1].gear_ratio)
     clause = Clause("wrong-geometry/zero", ratio=ratio, joint=joint, angle=angle)
-    return Cause("wrong-geometry", (Place(channel=offset.entry),), clause, (offset,))
+    return Cause("wrong-zero", (Place(channel=offset.entry),), clause, (offset,))
 
 
 def _frame(case: Case, change: Alternative, ratio: float) -> Cause:
@@ -127,8 +190,23 @@ def _robot(case: Case, change: Alternative, ratio: float) -> Cause:
     return Cause("wrong-geometry", (place,), clause, change.corrections, remedy)
 
 
+def _unit(case: Case, change: Alternative, _: float) -> Cause:
+    """All motor angles in another unit."""
+    names = tuple(each.entry for each in change.corrections)
+    factor = change.corrections[0].number / case.evidence.channel(names[0]).scale
+    unit = "degrees" if factor < 1.0 else "turns"
+    clause = Clause("wrong-unit/angles", channels=names, unit=unit)
+    places = tuple(Place(channel=name) for name in names)
+    return Cause("wrong-unit", places, clause, change.corrections, factor=1.0 / factor)
+
+
 _CAUSES: Mapping[ChangeKind, Callable[[Case, Alternative, float], Cause]] = {
+    "unit": _unit,
     "axis": _axis,
+    "without-gravity": _without_gravity,
+    "exchange": _exchange,
+    "payload": _payload,
+    "delay": _delay,
     "ratio": _gear_ratio,
     "torque": _torque,
     "coupling": _coupling,
@@ -138,6 +216,10 @@ _CAUSES: Mapping[ChangeKind, Callable[[Case, Alternative, float], Cause]] = {
     "robot": _robot,
 }
 """Causes by kind of change, simple ones first; of equal fit, the simplest is the likely cause."""
+
+
+_ESTIMATED = ("ratio", "torque", "gravity", "zero", "frame", "robot")
+"""Kinds of change with coordinates that are estimated from the torques."""
 
 
 def _moved(case: Case, change: Alternative) -> tuple[float, float]:
