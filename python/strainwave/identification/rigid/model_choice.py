@@ -251,9 +251,7 @@ class Choice:
 
     def noise_share(self) -> FloatArray:
         """Share (n_parameters,) of the trial's variances that does not repeat with the motion."""
-        noise = self.models.noise_variance(self.with_shapes(range(len(self.trial.candidates))))
-        variance = np.maximum(np.diag(self.trial.covariance), np.finfo(float).tiny)
-        return np.minimum(noise / variance, 1.0)
+        return self.models.noise_share(self.with_shapes(range(len(self.trial.candidates))))
 
     def _families(self, chosen: list[int]) -> Iterator[list[list[int]]]:
         """Rivals of a model that explain the same: terms of one joint, or torque constants."""

@@ -169,8 +169,8 @@ class Submodels:
         unknowns = np.array([one.unknowns(terms) for one in self._without])
         return np.asarray((unknowns - self._whole.unknowns(terms)) @ self._back.T)
 
-    def noise_variance(self, terms: Sequence[int]) -> FloatArray:
-        """Variances (n_parameters,) of errors that differ between repetitions of the motion.
+    def noise_share(self, terms: Sequence[int]) -> FloatArray:
+        """Share (n_parameters,) of the variances that differs between repetitions of the motion.
 
         What repeats with the motion is model error. The errors of the periods are taken as a whole,
         and part by part, which has more degrees of freedom; the larger variance counts. Blocks that
@@ -206,7 +206,10 @@ class Submodels:
         single = ~is_repeated[number.ravel()]
         together = _scatter(whole[is_repeated], periods[is_repeated, 0])
         together += _scatter(change[single], block[single])
-        return np.maximum(parts, together)
+        of_blocks = np.zeros((block.max() + 1, change.shape[1]))
+        np.add.at(of_blocks, block, change)
+        total = np.maximum(np.sum(of_blocks**2, axis=0), np.finfo(float).tiny)
+        return np.minimum(np.maximum(parts, together) / total, 1.0)
 
 
 def _scatter(changes: FloatArray, label: IntArray) -> FloatArray:
