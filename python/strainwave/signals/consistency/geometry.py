@@ -125,7 +125,11 @@ def _predict(
     system = torque_system(changed, loaded)
     if system is None or (loaded and _load_inertia(system) < 0.0):
         return None
-    if fit.cost - fit_torques(system).cost < _MIN_DECREASE_TO_PREDICT * fit.n_all:
+    decrease = fit.cost - fit_torques(system).cost
+    if decrease < _MIN_DECREASE_TO_PREDICT * fit.n_all:
+        return None
+    # the others may not determine the links of a record that moves in another way
+    if alternative.record and fit_ratio(decrease, 0.0, fit.n_all) < MIN_FIT_RATIO:
         return None
     return _if_better(alternative, stated, predict_stretches(system))
 
