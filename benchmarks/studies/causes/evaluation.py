@@ -11,7 +11,6 @@ import numpy as np
 
 from benchmarks.studies.causes.runs import Run, can_be_named, draw_run
 from strainwave.domain import FloatArray, Identification, Study
-from strainwave.domain.effects import all_effects
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
@@ -162,12 +161,13 @@ def _identify(study: Study, logs: dict[str, dict[str, FloatArray]], run: Run) ->
 
 
 def _named_effect(result: Identification) -> list[Any] | None:
-    """Effect and joint of the first warning of an effect or a sensor mount."""
-    effects = {effect.warning_code: effect.name for effect in all_effects()}
-    effects |= {"sensor-mount": "sensor-mount"}
+    """Effect and joint of the first cause, included or likely, or of a sensor mount."""
+    criticism = result.whole_arm.criticism if result.whole_arm else None
+    for cause in criticism.causes if criticism is not None else ():
+        return [cause.effect, cause.joint]
     for warning in result.warnings:
-        if warning.code in effects:
-            return [effects[warning.code], int(warning.where.rsplit(" ", 1)[-1])]
+        if warning.code == "sensor-mount":
+            return ["sensor-mount", int(warning.where.rsplit(" ", 1)[-1])]
     return None
 
 
