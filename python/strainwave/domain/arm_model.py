@@ -258,12 +258,12 @@ class SensorGain(Keyed):
     @property
     def percent(self) -> float:
         """Relative half-width of the 95 % confidence interval without the sensor."""
-        return 196.0 * self.std / abs(self.value)
+        return 196.0 * self.std / abs(self.value) if self.value else math.inf
 
     @property
     def predicted_percent(self) -> float:
         """Relative half-width of the 95 % confidence interval with the sensor."""
-        return 196.0 * self.predicted_std / abs(self.value)
+        return 196.0 * self.predicted_std / abs(self.value) if self.value else math.inf
 
 
 @dataclass(frozen=True, slots=True)

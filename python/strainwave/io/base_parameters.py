@@ -20,9 +20,9 @@ from strainwave.errors import NumericalFailure
 
 _PREFIXES = {"link_mass": "m", "link_first_moment_": "m", "link_inertia_": "I"}
 _REGROUPED = "R"  # suffix of a combination, as in the literature
-# Weight of a torque in the choice of links, relative to the torque of the joint. It is far above
-# the resulting error, its square; with smaller ones the search takes longer.
-_TORQUE_ERROR = 0.03
+# Weight of a torque in the choice of links, relative to the torque of the joint: bodies have the
+# base parameters if any bodies do; with smaller ones the search takes longer.
+_TORQUE_ERROR = 1e-4
 
 
 def standard_name(key: Key) -> str:

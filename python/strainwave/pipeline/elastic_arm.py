@@ -179,7 +179,7 @@ def _fit_whole_arm(
                 others=start.alternatives,
                 progress=count,
             )
-        except (NotIdentifiable, NumericalFailure) as failure:
+        except NotIdentifiable as failure:
             return Diagnostic("not-tuned", inputs.place, reason=str(failure))
 
 

@@ -43,6 +43,7 @@ from strainwave.identification.rigid.friction_terms import (
     MAX_POWER_RATIO,
     estimated_terms,
     fit_with_terms,
+    insignificant_corrections,
     refit,
     term_warning,
     with_coarse_zeros,
@@ -97,14 +98,21 @@ def _fit(
         trials = [fit_trial(arm, prepare_all(arm, motions, chosen.bandwidth_hz), None)]
     else:
         trials = search_bandwidths(motions, arm)
+    undelayed = trials
     best = plain = select_bandwidth(trials)
     nearby = neighbours(trials, best)
     candidates = with_delay(best, motions, candidates_of(arm, best.stretches))
-    values = [(c.effect, c.joint, c.corrected) for c in candidates if c.corrected]
-    if values and chosen.bandwidth_hz is None:
+    delays = [c for c in candidates if c.corrected]
+    if delays and chosen.bandwidth_hz is None:
+        values = [(c.effect, c.joint, c.corrected) for c in delays]
         trials = search_bandwidths([(correct(s, arm, values), n) for s, n in motions], arm)
         best = plain = select_bandwidth(trials)
         nearby = neighbours(trials, best)
+        at_delay = [refit(trial, motions, delays) for trial in (best, *nearby)]
+        if insignificant_corrections(at_delay, [replace(c, corrected=0.0) for c in delays]):
+            trials, candidates = undelayed, candidates_of(arm, undelayed[0].stretches)
+            best = plain = select_bandwidth(trials)
+            nearby = neighbours(trials, best)
     doubt, noise_share, changes = (
         np.zeros_like(best.covariance),
         np.ones(1),
@@ -145,11 +153,18 @@ def _fit(
 def _with_terms(
     best: Trial, nearby: list[Trial], motions: Sequence[Motion], candidates: Sequence[Candidate]
 ) -> tuple[Trial, list[Trial], list[Candidate]]:
-    """Fits with the terms that the records support, and the candidates that remain plausible."""
+    """Fits with the terms that the records support, and the candidates that remain plausible.
+
+    Corrections of the signals that prove insignificant are left out.
+    """
     terms, rest = choose(best, nearby, candidates)
-    if terms:
-        best = fit_with_terms(best, motions, terms)
-        nearby = [refit(trial, motions, best.candidates) for trial in nearby]
+    while terms:
+        fit = fit_with_terms(best, motions, terms)
+        others = [refit(trial, motions, fit.candidates) for trial in nearby]
+        doubtful = insignificant_corrections([fit, *others], terms)
+        if not doubtful:
+            return fit, others, rest
+        terms, rest = ([c for c in each if c not in doubtful] for each in (terms, rest))
     return best, nearby, rest
 
 

@@ -20,7 +20,7 @@ from strainwave.identification.rigid.bandwidth import (
     prepare_all,
 )
 from strainwave.identification.rigid.equations import Candidate
-from strainwave.identification.rigid.model_choice import STRIBECK, is_selected
+from strainwave.identification.rigid.model_choice import MIN_STDS, STRIBECK, is_selected
 from strainwave.identification.rigid.trial import Trial, fit_trial
 
 LOAD = "load-friction"
@@ -98,19 +98,19 @@ def _can_be_negative(candidate: Candidate) -> bool:
 def with_delay(
     trial: Trial, motions: Sequence[Motion], candidates: Sequence[Candidate]
 ) -> list[Candidate]:
-    """Candidates with the torque delay of least residuals, if they halve with it.
+    """Candidates with the torque delay of least residuals, if it is significant and halves them.
 
     A smaller delay is a candidate as others.
     """
     k = next((k for k, c in enumerate(candidates) if c.effect == DELAY), None)
     if k is None:
         return list(candidates)
-    delay, powers = 0.0, {0.0: trial.residual_power}
+    delay, powers, stds = 0.0, {0.0: trial.residual_power}, {0.0: 0.0}
 
     def power(value: float) -> float:
         if value not in powers:
-            moved = replace(candidates[k], corrected=value)
-            powers[value] = refit(trial, motions, [moved]).residual_power
+            fit = refit(trial, motions, [replace(candidates[k], corrected=value)])
+            powers[value], stds[value] = fit.residual_power, float(fit.common_deviation[0])
         return powers[value]
 
     step = _FIRST_DELAY
@@ -127,7 +127,8 @@ def with_delay(
             break
         step = max(_DELAY_TOLERANCE, min(step, abs(delay - last)))
     best = min(powers, key=lambda value: powers[value])
-    corrected = best if powers[best] < MAX_POWER_RATIO * powers[0.0] else 0.0
+    is_shown = powers[best] < MAX_POWER_RATIO * powers[0.0] and abs(best) > MIN_STDS * stds[best]
+    corrected = best if is_shown else 0.0
     return [replace(c, corrected=corrected) if c.effect == DELAY else c for c in candidates]
 
 
@@ -201,6 +202,25 @@ def estimated_terms(
         law = candidate.effect, joint, size, candidate.shape
         terms.append(FrictionTerm(*law, shape, changes[k]))
     return tuple(terms)
+
+
+def insignificant_corrections(
+    trials: Sequence[Trial], terms: Sequence[Candidate]
+) -> list[Candidate]:
+    """Those of the terms that correct signals, if the data decide and their fit does not show them.
+
+    `trials` are the fit and its neighbours.
+    """
+    estimated = estimated_terms(trials, trials[0], [{}] * len(trials[0].candidates))
+    sizes = {(term.effect, (term.joint or 0) - 1): term.size for term in estimated}
+    return [
+        c
+        for c in terms
+        if c.effect in CORRECTIONS
+        and is_selected(trials[0].arm, c)
+        and (size := sizes.get((c.effect, c.joint))) is not None
+        and abs(size.value or 0.0) < MIN_STDS * (size.std or 0.0)
+    ]
 
 
 def term_warning(term: FrictionTerm) -> Diagnostic:

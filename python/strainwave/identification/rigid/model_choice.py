@@ -30,8 +30,9 @@ STRIBECK, POWER = "stribeck", "power-friction"
 GAIN = "drive-gain"
 """Error of a torque constant. It only adds to intervals: the records show ratios of constants."""
 
-# standard deviations, with the change between bandwidths, from which a correction counts as shown
-_MIN_STDS = 4.0
+MIN_STDS = 4.0
+"""Standard deviations, with the change between bandwidths, from which a correction is shown."""
+
 _MAX_ROUNDS = 4  # of the selection; each adds at most one term per joint
 # Stribeck velocities over the largest velocity of the joint; below, the encoder hides the effect
 _STRIBECK_VELOCITIES = (0.03, 0.06, 0.12, 0.25)
@@ -88,7 +89,7 @@ def choose(
         every = list(range(len(chosen)))
         models = [Choice.of(trial, chosen).models for trial in (best, *nearby)]
         (value, variance), *others = [(m.sizes(every), m.size_stds(every) ** 2) for m in models]
-        limit = _MIN_STDS * np.sqrt(variance + excess_variance(value, others))
+        limit = MIN_STDS * np.sqrt(variance + excess_variance(value, others))
         changing = [
             c for c, v, x in zip(chosen, value, limit, strict=True) if abs(c.corrected + v) < x
         ]

@@ -55,7 +55,9 @@ def _kappa(scores: FloatArray, errors: FloatArray, fold: IntArray) -> FloatArray
     for k, score in enumerate(scores):
         held, n = errors[fold == k] ** 2, np.sum(fold == k)
         variance = np.mean(errors[fold != k] ** 2)
-        kappas.append(-0.5 * n * (np.log(variance) + np.mean(held) / variance) / score)
+        ratio = np.sum(held) / np.sum(errors[fold != k] ** 2)
+        density = n * np.log(variance) + len(errors) * np.log1p(ratio)  # Student's t
+        kappas.append(-0.5 * density / score)
     return np.array(kappas)
 
 

@@ -82,7 +82,7 @@ def _describe(poor: Sequence[Parameter], at_bounds: Sequence[Key]) -> tuple[Clau
         description = Clause("poor/not-identified", label=p.label)
         if p.key in at_bounds:
             description = Clause("poor/at-bound", label=p.label)
-        elif p.value is not None and p.std is not None:
+        elif p.value and p.std is not None:
             half = CI95_STDS * p.std / abs(p.value)
             description = Clause("poor/wide", label=p.label, half=half)
         descriptions.append(description)
