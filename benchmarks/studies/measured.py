@@ -148,7 +148,7 @@ def _machines(folder: Path, kinova: Path, copy: Path) -> Iterator[Table]:
                 f"{p.value:.4g}",
                 f"{0.5 * (p.ci95[1] - p.ci95[0]):.2g}",
                 f"{other:.4g}",
-                f"{100.0 * abs(p.value / other - 1.0):.2f} %",
+                f"{100.0 * abs(p.value / other - 1.0):.2f} %" if other else "",
             )
         fits = _held_out(study, cutoff_hz) if isinstance(study, Path) and cutoff_hz else ("", "")
         verdict = result.verdict
