@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from strainwave.domain import FloatArray, RigidModel
 from strainwave.domain.base_parameters import MOTOR_INERTIA
@@ -179,6 +178,8 @@ def _nearest(torque: FloatArray, laws: FloatArray, parts: FloatArray) -> tuple[F
 
     They are a sum of rows of `parts` with positive weights, apart from the offset.
     """
+    from scipy.optimize import lsq_linear  # takes half a second
+
     A = laws @ parts.T
     sizes, low = np.linalg.norm(A, axis=0), np.where(parts[:, 2], -np.inf, 0.0)
     shares = lsq_linear(A / sizes, torque, (low, np.inf)).x
