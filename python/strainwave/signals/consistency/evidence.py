@@ -12,7 +12,6 @@ from functools import partial
 from typing import Any, Literal, TypeVar
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from strainwave.domain import (
     BoolArray,
@@ -245,6 +244,8 @@ def _shift_channel(record: SlowRecord, name: str, delay: float, drift: float) ->
     """
     if name not in record.channels:
         return record
+    from scipy.interpolate import CubicSpline  # takes half a second
+
     time = record.sample_time * np.arange(len(record.inside))
     moved = CubicSpline(time, record.channels[name])(
         np.clip(time + delay + drift * time, time[0], time[-1])
