@@ -17,6 +17,7 @@ from strainwave.domain.base_parameters import MOTOR_INERTIA
 from strainwave.domain.combinations import LINK_INERTIA, rigid_columns
 from strainwave.domain.effects import all_effects
 from strainwave.domain.keys import Key, Values, label_of
+from strainwave.domain.parameter_table import family_of
 from strainwave.domain.ranges import is_physical
 from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
@@ -107,7 +108,7 @@ def _needed(arm: IdentifiedArm) -> Iterator[Key]:
         for name in (*FRICTION, "link_viscous_friction", *["gear_damping"] * joint.elastic):
             yield name, number
     if description.gravity:
-        yield from (key for key in Arm.of(description).base_names if key[0].startswith("gravity"))
+        yield from (key for key in Arm.of(description).base_names if family_of(key[0]) == "gravity")
 
 
 def _projected_friction(
