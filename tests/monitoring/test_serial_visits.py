@@ -73,7 +73,8 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
         command = ("simulate", folder / "plan.toml", "--parameters", folder / "p.json")
         assert run_here(*command, "--out", out, *seed).returncode == 0
     done = run_here("campaign", folder / "robot", "--out", folder / "store", "--stages", "rigid")
-    assert done.returncode == 0, done.stdout + done.stderr
+    # a first moment of nearly zero is known to more than 2 % of the torque
+    assert done.returncode == 3, done.stdout + done.stderr
     return folder / "store"
 
 

@@ -30,9 +30,11 @@ def log_density(
     independent errors in both. With many others it is - n / 2 (ln s^2 + mean square / s^2); with
     few, their variance is uncertain, and no single fold decides (Student's t).
     """
-    variance = np.maximum(variance, np.finfo(float).tiny)
-    ratio = np.log1p(count * mean_square / (np.maximum(others, 1e-9) * variance))
-    return np.asarray(-0.5 * (count * np.log(variance) + (count + others) * ratio))
+    tiny = np.finfo(float).tiny
+    log_variance = np.log(np.maximum(variance, tiny))
+    log_ratio = np.log(np.maximum(count * mean_square, tiny)) - log_variance
+    ratio = np.logaddexp(0.0, log_ratio - np.log(np.maximum(others, tiny)))
+    return np.asarray(-0.5 * (count * log_variance + (count + others) * ratio))
 
 
 def model_weights(scores: FloatArray, rng: np.random.Generator) -> FloatArray:
