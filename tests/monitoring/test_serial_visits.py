@@ -82,7 +82,7 @@ def test_a_payload_is_a_step_of_the_base_parameters(store: Path) -> None:
     arm = "(?P<arm>robot)/(?P<time>[0-9-]+)/"
     done = run_here("trend", store, "--arm", arm, "--out", store.parent / "trend")
     assert done.returncode == 4, done.stderr
-    assert "link_first_moment_x 2" in done.stdout
+    assert "link_first_moment_x" in done.stdout
     assert "step at 2026-04-05" in done.stdout
     assert "friction" not in done.stdout
 
