@@ -209,7 +209,7 @@ class Submodels:
         of_blocks = np.zeros((block.max() + 1, change.shape[1]))
         np.add.at(of_blocks, block, change)
         total = np.maximum(np.sum(of_blocks**2, axis=0), np.finfo(float).tiny)
-        return np.minimum(np.maximum(parts, together) / total, 1.0)
+        return np.asarray(np.minimum(np.maximum(parts, together) / total, 1.0))
 
 
 def _scatter(changes: FloatArray, label: IntArray) -> FloatArray:
