@@ -73,8 +73,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
         command = ("simulate", folder / "plan.toml", "--parameters", folder / "p.json")
         assert run_here(*command, "--out", out, *seed).returncode == 0
     done = run_here("campaign", folder / "robot", "--out", folder / "store", "--stages", "rigid")
-    # a first moment of nearly zero is known to more than 2 % of the torque
-    assert done.returncode == 3, done.stdout + done.stderr
+    assert done.returncode == 0, done.stdout + done.stderr
     return folder / "store"
 
 
@@ -82,7 +81,7 @@ def test_a_payload_is_a_step_of_the_base_parameters(store: Path) -> None:
     arm = "(?P<arm>robot)/(?P<time>[0-9-]+)/"
     done = run_here("trend", store, "--arm", arm, "--out", store.parent / "trend")
     assert done.returncode == 4, done.stderr
-    assert "link_first_moment_x" in done.stdout
+    assert "link_first_moment_x 2" in done.stdout
     assert "step at 2026-04-05" in done.stdout
     assert "friction" not in done.stdout
 

@@ -272,12 +272,16 @@ class Choice:
             yield [[*self.with_shapes(chosen), first + joint] for joint in range(n_joints)]
 
     def _rivals(self, chosen: Sequence[int]) -> list[list[int]]:
-        """Candidates that a model lacks, those of one effect and joint together."""
+        """Candidates that a model lacks, those of one effect and joint together.
+
+        Without those that the data cannot show, unless the study names them.
+        """
         key = [(c.effect, c.joint) for c in self.candidates]
         taken = {key[k] for k in chosen}
         groups: dict[tuple[str, int], list[int]] = {}
         for k, each in enumerate(key):
-            if each not in taken:
+            is_named = not is_selected(self.trial.arm, self.candidates[k])
+            if each not in taken and (self.models.is_visible[k] or is_named):
                 groups.setdefault(each, []).append(k)
         return list(groups.values())
 

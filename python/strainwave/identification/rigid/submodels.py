@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from strainwave.domain import FloatArray, IntArray
+from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.identification.rigid.trial import Trial
 from strainwave.numerics import least_squares as ls
 from strainwave.numerics.correlations import estimate_rows_per_error
@@ -23,6 +23,9 @@ from strainwave.numerics.linalg import triangular_factor
 # to the information of all blocks
 _RIDGE = 3e-5
 _MIN_FOLDS = 2  # the other folds estimate the variance of a joint
+# share of the torque of a term that the parameters of the arm must leave unexplained; the zero of
+# the last joint of a chain, which turns the centre of mass, leaves rounding
+_MIN_UNEXPLAINED_SHARE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,15 @@ class Submodels:
         resolved = factor.is_resolved
         basis = factor.directions[resolved].T / factor.scale[:, None] / factor.singular[resolved]
         return np.asarray(basis)
+
+    @cached_property
+    def is_visible(self) -> BoolArray:
+        """Whether each term has a torque that the parameters do not have as well, (m,)."""
+        k = self._back.shape[1]
+        own, terms = self._rows[:, :k], self._rows[:, k:-1]
+        left = terms - own @ (own.T @ terms)
+        sizes = np.linalg.norm(terms, axis=0)
+        return np.asarray(np.linalg.norm(left, axis=0) > _MIN_UNEXPLAINED_SHARE * sizes)
 
     @cached_property
     def _of_row(self) -> tuple[IntArray, IntArray]:
