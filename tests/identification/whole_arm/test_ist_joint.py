@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.studies.measured import whole_arm_parameter, with_and_without_torsion
+from benchmarks.studies.measured import IST, whole_arm_parameter, with_and_without_torsion
 
 from strainwave.domain import Identification
 
@@ -17,10 +18,26 @@ def both(shared_data: Path) -> tuple[Identification, ...]:
     return tuple(with_and_without_torsion(shared_data / "real" / "ist-flexible-arm"))
 
 
+@pytest.mark.xfail(strict=True, reason="without torsion, effects enter that shift friction")
+def test_the_motor_encoder_alone_gives_the_friction_of_both_sensors(
+    both: tuple[Identification, ...],
+) -> None:
+    compare(both, IST)
+
+
 def test_the_motor_encoder_alone_gives_the_estimates_of_both_sensors(
     both: tuple[Identification, ...],
 ) -> None:
-    for name in ("motor_inertia", "link_inertia", "gear_stiffness"):  # not friction
+    compare(both, ("motor_inertia", "link_inertia", "gear_stiffness"))
+    stiffness = whole_arm_parameter(both[1], "gear_stiffness")
+    assert stiffness.value is not None
+    assert stiffness.std is not None
+    assert stiffness.std < 0.15 * stiffness.value
+
+
+def compare(both: tuple[Identification, ...], names: Sequence[str]) -> None:
+    """Check that the two results agree within three standard deviations."""
+    for name in names:
         full, alone = (whole_arm_parameter(result, name) for result in both)
         if alone.value is None or full.value is None:
             continue
@@ -28,10 +45,6 @@ def test_the_motor_encoder_alone_gives_the_estimates_of_both_sensors(
         assert full.std is not None
         difference = abs(alone.value - full.value) / np.hypot(alone.std, full.std)
         assert difference < 3.0, name
-    stiffness = whole_arm_parameter(both[1], "gear_stiffness")
-    assert stiffness.value is not None
-    assert stiffness.std is not None
-    assert stiffness.std < 0.15 * stiffness.value
 
 
 def test_its_anti_resonance_is_where_the_dip_was_measured(
