@@ -163,8 +163,8 @@ def _identify(study: Study, logs: dict[str, dict[str, FloatArray]], run: Run) ->
 def _named_effect(result: Identification) -> list[Any] | None:
     """Effect and joint of the first cause, included or likely, or of a sensor mount."""
     criticism = result.whole_arm.criticism if result.whole_arm else None
-    for cause in criticism.causes if criticism is not None else ():
-        return [cause.effect, cause.joint]
+    if criticism is not None and criticism.causes:
+        return [criticism.causes[0].effect, criticism.causes[0].joint]
     for warning in result.warnings:
         if warning.code == "sensor-mount":
             return ["sensor-mount", int(warning.where.rsplit(" ", 1)[-1])]

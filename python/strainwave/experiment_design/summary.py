@@ -18,7 +18,7 @@ from strainwave.experiment_design.command_table import table_name
 from strainwave.experiment_design.joint_trajectory import trajectory_name
 from strainwave.experiment_design.plan import LIMITED, Design, Limits, PredictedMotion, clock_of
 from strainwave.experiment_design.written import HEADER_FILE, PRECISION_FILE
-from strainwave.io.base_parameters import base_parameter_entries
+from strainwave.io.results import base_parameter_entries
 from strainwave.presentation.report.blocks import number
 from strainwave.presentation.terminal import printed_table
 

@@ -13,8 +13,7 @@ from strainwave.experiment_design.joint_trajectory import trajectory_name, traje
 from strainwave.experiment_design.plan import Design, Planned
 from strainwave.experiment_design.rigid_precision import torque_errors_of
 from strainwave.io.atomic_files import write_whole
-from strainwave.io.base_parameters import base_parameter_entries
-from strainwave.io.results import parameter_entry, to_json
+from strainwave.io.results import base_parameter_entries, parameter_entry, to_json
 from strainwave.io.study import copy_to, write_study
 from strainwave.io.templates import fill_text
 

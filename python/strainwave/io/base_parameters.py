@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -79,25 +78,6 @@ def base_parameter_list(
         )
         for column, at in zip(base.columns, base.independent, strict=True)
         if column.key in final
-    ]
-
-
-def base_parameter_entries(
-    arm: ArmDescription, parameters: Iterable[Parameter]
-) -> list[dict[str, Any]]:
-    """The entry `base_parameters`."""
-    keys = ("value", "std", "ci95", "unit", "stage", "model_std")
-    return [
-        {
-            "name": one.name,
-            "combination": dict(one.combination),
-            **{
-                key: getattr(one.estimate, key)
-                for key in keys
-                if key != "model_std" or one.estimate.model_std is not None
-            },
-        }
-        for one in base_parameter_list(arm, parameters)
     ]
 
 

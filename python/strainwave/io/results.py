@@ -48,7 +48,7 @@ from strainwave.domain.keys import Key, Values, label_of
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
 from strainwave.io.base_parameters import (
-    base_parameter_entries,
+    base_parameter_list,
     standard_name,
     standard_parameter_entries,
 )
@@ -732,6 +732,18 @@ def parameter_entry(parameter: Parameter) -> dict[str, Any]:
     if parameter.model_std is None:
         del entry["model_std"]
     return entry
+
+
+def base_parameter_entries(
+    arm: ArmDescription, parameters: Iterable[Parameter]
+) -> list[dict[str, Any]]:
+    """The entry `base_parameters`: estimates under their names in the literature."""
+    entries = []
+    for one in base_parameter_list(arm, parameters):
+        estimate = parameter_entry(one.estimate)
+        del estimate["joint"]
+        entries.append({**estimate, "name": one.name, "combination": dict(one.combination)})
+    return entries
 
 
 def warning_entry(warning: Diagnostic) -> dict[str, Any]:

@@ -25,7 +25,6 @@ from strainwave.domain import (
     Signals,
 )
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.friction_terms import correct
 from strainwave.dynamics.rigid_prediction import band_fit
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.bandwidth import (
@@ -41,6 +40,7 @@ from strainwave.identification.rigid.drive_gains import estimate_drive_gains, ga
 from strainwave.identification.rigid.equations import Candidate, MotorShares, anti_resonances
 from strainwave.identification.rigid.friction_terms import (
     MAX_POWER_RATIO,
+    corrected_motions,
     estimated_terms,
     fit_with_terms,
     insignificant_corrections,
@@ -94,30 +94,11 @@ def _fit(
     signals: Sequence[Signals], arm: Arm, chosen: RigidOptions, gains: DriveGains | None
 ) -> RigidModel:
     motions = [(s, period_of(s)) for s in signals]
-    if chosen.bandwidth_hz is not None:
-        trials = [fit_trial(arm, prepare_all(arm, motions, chosen.bandwidth_hz), None)]
-    else:
-        trials = search_bandwidths(motions, arm)
-    undelayed = trials
+    trials, candidates = _search(motions, arm, chosen)
     best = plain = select_bandwidth(trials)
     nearby = neighbours(trials, best)
-    candidates = with_delay(best, motions, candidates_of(arm, best.stretches))
-    delays = [c for c in candidates if c.corrected]
-    if delays and chosen.bandwidth_hz is None:
-        values = [(c.effect, c.joint, c.corrected) for c in delays]
-        trials = search_bandwidths([(correct(s, arm, values), n) for s, n in motions], arm)
-        best = plain = select_bandwidth(trials)
-        nearby = neighbours(trials, best)
-        at_delay = [refit(trial, motions, delays) for trial in (best, *nearby)]
-        if insignificant_corrections(at_delay, [replace(c, corrected=0.0) for c in delays]):
-            trials, candidates = undelayed, candidates_of(arm, undelayed[0].stretches)
-            best = plain = select_bandwidth(trials)
-            nearby = neighbours(trials, best)
-    doubt, noise_share, changes = (
-        np.zeros_like(best.covariance),
-        np.ones(1),
-        list[dict[str, float]](),
-    )
+    doubt, noise_share = np.zeros_like(best.covariance), np.ones(1)
+    changes: list[dict[str, float]] = []
     if candidates:
         best, nearby, rest = _with_terms(best, nearby, motions, candidates)
         start, moved = with_coarse_zeros(plain, motions, candidates)
@@ -148,6 +129,28 @@ def _fit(
     ratios = torque_ratios(trials, fit.trial, plain)
     fits = {s.experiment.name: _fits(fit.trial, s, further) for s in signals}
     return _model(fit, noise, further, ratios, fits)
+
+
+def _search(
+    motions: Sequence[Motion], arm: Arm, chosen: RigidOptions
+) -> tuple[list[Trial], list[Candidate]]:
+    """Fits at increasing bandwidths, without a delay of the torques that they show; candidates."""
+    if chosen.bandwidth_hz is not None:
+        trials = [fit_trial(arm, prepare_all(arm, motions, chosen.bandwidth_hz), None)]
+    else:
+        trials = search_bandwidths(motions, arm)
+    best = select_bandwidth(trials)
+    plain = candidates_of(arm, best.stretches)
+    candidates = with_delay(best, motions, plain)
+    delays = [c for c in candidates if c.corrected]
+    if not delays or chosen.bandwidth_hz is not None:
+        return trials, candidates
+    undelayed = search_bandwidths(corrected_motions(arm, motions, delays), arm)
+    best = select_bandwidth(undelayed)
+    at_delay = [refit(trial, motions, delays) for trial in (best, *neighbours(undelayed, best))]
+    if insignificant_corrections(at_delay, [replace(c, corrected=0.0) for c in delays]):
+        return trials, plain
+    return undelayed, candidates
 
 
 def _with_terms(

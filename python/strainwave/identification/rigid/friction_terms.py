@@ -12,6 +12,7 @@ from strainwave.domain import Diagnostic, FrictionTerm, Parameter, Place
 from strainwave.domain.effects import effect_named
 from strainwave.domain.ranges import physical_range
 from strainwave.domain.units import unit_in
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.friction_terms import CORRECTIONS, DELAY, ZERO, correct
 from strainwave.identification.rigid.bandwidth import (
     Motion,
@@ -82,13 +83,16 @@ def fit_with_terms(trial: Trial, motions: Sequence[Motion], terms: Sequence[Cand
 
 def _hanging_down(trial: Trial, c: Candidate) -> Candidate:
     """A zero of a planar arm half a turn away if gravity pulls its link up there."""
-    key = (f"gravity_torque_{c.joint + 1}", None)
-    values = {
-        column.key: x for column, x in zip(trial.arm.rigid_columns, trial.solution, strict=True)
-    }
-    if c.effect != ZERO or values.get(key, 0.0) >= 0.0:
+    if c.effect != ZERO or _gravity_torque(trial, c.joint) >= 0.0:
         return c
     return replace(c, corrected=c.corrected - math.copysign(math.pi, c.corrected))
+
+
+def _gravity_torque(trial: Trial, joint: int) -> float:
+    """Gravity torque of the link of a planar arm, its joint from 0; zero for chains."""
+    key = (f"gravity_torque_{joint + 1}", None)
+    keys = [column.key for column in trial.arm.rigid_columns]
+    return dict(zip(keys, trial.solution.tolist(), strict=True)).get(key, 0.0)
 
 
 def _can_be_negative(candidate: Candidate) -> bool:
@@ -150,17 +154,11 @@ def with_coarse_zeros(
             continue
         for eighth in (-3, -2, -1, 1, 2, 3):
             moved = [*result[:k], replace(c, corrected=eighth * math.pi / 4.0), *result[k + 1 :]]
-            values = [(each.effect, each.joint, each.corrected) for each in moved]
-            corrected = [
-                (correct(s, trial.arm, [v for v in values if v[2]]), period)
-                for s, period in motions
-            ]
+            corrected = corrected_motions(trial.arm, motions, moved)
             stretches = prepare_all(trial.arm, corrected, trial.bandwidth_hz)
             other = fit_trial(trial.arm, stretches, None)
-            names = [column.name for column in trial.arm.rigid_columns]
-            gravity = dict(zip(names, other.solution, strict=True))[f"gravity_torque_{c.joint + 1}"]
             is_better = other.residual_power < MAX_POWER_RATIO * trial.residual_power
-            if gravity > 0.0 and is_better:  # otherwise half a turn further
+            if _gravity_torque(other, c.joint) > 0.0 and is_better:  # otherwise half a turn further
                 trial, result = other, moved
     return trial, result
 
@@ -168,11 +166,18 @@ def with_coarse_zeros(
 def refit(trial: Trial, motions: Sequence[Motion], terms: Sequence[Candidate]) -> Trial:
     """Fit at the bandwidth of a trial with terms as they are."""
     stretches = trial.stretches
-    values = [(c.effect, c.joint, c.corrected) for c in terms if c.effect in CORRECTIONS]
-    if any(value for *_, value in values):
-        corrected = [(correct(signals, trial.arm, values), period) for signals, period in motions]
+    if any(c.corrected for c in terms):
+        corrected = corrected_motions(trial.arm, motions, terms)
         stretches = prepare_all(trial.arm, corrected, trial.bandwidth_hz)
     return fit_trial(trial.arm, stretches, trial.estimate, candidates=terms)
+
+
+def corrected_motions(
+    arm: Arm, motions: Sequence[Motion], terms: Sequence[Candidate]
+) -> list[Motion]:
+    """Motions without the encoder zeros and delays by which terms correct the signals."""
+    values = [(c.effect, c.joint, c.corrected) for c in terms if c.corrected]
+    return [(correct(signals, arm, values), period) for signals, period in motions]
 
 
 def estimated_terms(

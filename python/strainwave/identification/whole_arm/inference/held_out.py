@@ -1,8 +1,4 @@
-"""Held-out prediction: the scores by which fits of the same records are compared.
-
-In-sample costs favour the model with more parameters, and their chi squares assume that the
-residuals are noise. Folds are stretches longer than ten correlation times of the residuals.
-"""
+"""Held-out scores of whole-arm fits of the same records; see `numerics.held_out`."""
 
 from __future__ import annotations
 
@@ -27,9 +23,8 @@ def held_out_scores(fits: Sequence[Fit]) -> FloatArray:
 
     The density of `log_density` is summed over the channels of the fold; the number of independent
     errors is that of the rows over kappa, the rows per independent residual, the largest of the
-    fits. The parameters without a fold are one Gauss-Newton step from
-    the fit: the least squares solution of the factors of the other folds, stacked. Unknowns at a
-    bound stay there.
+    fits. The parameters without a fold are one Gauss-Newton step from the fit: the least squares
+    solution of the factors of the other folds, stacked. Unknowns at a bound stay there.
     """
     rows = [fit.objective.rows(fit.z) for fit in fits]
     # long integrator steps may end a row earlier
