@@ -92,7 +92,7 @@ def _gravity_torque(trial: Trial, joint: int) -> float:
     """Gravity torque of the link of a planar arm, its joint from 0; zero for chains."""
     key = (f"gravity_torque_{joint + 1}", None)
     keys = [column.key for column in trial.arm.rigid_columns]
-    return dict(zip(keys, trial.solution.tolist(), strict=True)).get(key, 0.0)
+    return float(dict(zip(keys, trial.solution, strict=True)).get(key, 0.0))
 
 
 def _can_be_negative(candidate: Candidate) -> bool:
