@@ -6,7 +6,7 @@ from typing import Any
 
 from strainwave import __version__
 from strainwave.domain import InputCheck
-from strainwave.io.results import finite_values, suspicion_entries, warning_entry
+from strainwave.io.results import plain, suspicion_entries
 
 
 def check_document(check: InputCheck) -> dict[str, Any]:
@@ -31,9 +31,9 @@ def check_document(check: InputCheck) -> dict[str, Any]:
         "status": check.status,
         "relations": relations,
         "suspected": suspicion_entries(check.suspected),
-        "unchecked": list(check.unchecked),
-        "warnings": [warning_entry(warning) for warning in check.warnings],
+        "unchecked": check.unchecked,
+        "warnings": check.warnings,
         "seconds": check.seconds,
     }
-    finite: dict[str, Any] = finite_values(document)
-    return finite
+    values: dict[str, Any] = plain(document)
+    return values

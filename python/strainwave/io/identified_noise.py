@@ -22,8 +22,11 @@ class IdentifiedNoise:
     torque_band_hz: float | None = None  # of `torques`
 
 
-def noise_of(document: Mapping[str, Any]) -> IdentifiedNoise:
-    """The noise of a result document: of each channel the median over the records."""
+def noise_of(document: Mapping[str, Any], source: str = "the result") -> IdentifiedNoise:
+    """The noise of a result document: of each channel the median over the records.
+
+    `source` names the document in messages.
+    """
     stages = document.get("stages") or {}
     rigid, tuned = stages.get("rigid") or {}, stages.get("tuned") or {}
     samples: dict[str, list[float]] = {}
@@ -33,6 +36,10 @@ def noise_of(document: Mapping[str, Any]) -> IdentifiedNoise:
                 samples.setdefault(str(test["channel"]), []).append(float(test["sample_noise"]))
         torques = {int(one["joint"]): float(one["value"]) for one in rigid.get("torque_errors", [])}
     except (KeyError, TypeError, ValueError) as error:
-        raise InvalidInput("the noise of a channel is incomplete", where="the result") from error
+        raise InvalidInput(
+            "an entry of torque_errors or of the residuals lacks joint, channel or value",
+            where=source,
+            remedy="use a result.json as identify writes it",
+        ) from error
     medians = {channel: float(np.median(values)) for channel, values in samples.items()}
     return IdentifiedNoise(medians, torques, rigid.get("bandwidth_hz"))

@@ -63,17 +63,6 @@ def joint_covariance(identification: Identification) -> JointCovariance | None:
     return JointCovariance(stage, names, matrix)
 
 
-def covariance_document(covariance: JointCovariance | None) -> dict[str, Any] | None:
-    """The entry `covariance` of result.json."""
-    if covariance is None:
-        return None
-    return {
-        "stage": covariance.stage,
-        "names": list(covariance.names),
-        "matrix": covariance.matrix.tolist(),
-    }
-
-
 def covariance_of(document: Mapping[str, Any]) -> JointCovariance | None:
     """The joint covariance of a result document; None if it has none, as in earlier versions."""
     table = document.get("covariance")

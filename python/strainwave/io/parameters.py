@@ -13,6 +13,7 @@ from strainwave.domain.keys import Values
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
 from strainwave.io.base_parameters import standard_key
+from strainwave.io.identified_noise import noise_of
 
 
 def read_parameters(path: Path) -> Values:
@@ -47,19 +48,8 @@ def read_torque_errors(path: Path) -> dict[int, float]:
 
     Empty for other parameter files and for results of earlier versions.
     """
-    entry: Any = _document(path)
-    for key in ("stages", "rigid", "torque_errors"):
-        entry = entry.get(key) if isinstance(entry, dict) else None
-    if not isinstance(entry, list):
-        return {}
-    place, errors = f"{path}: stages.rigid.torque_errors", dict[int, float]()
-    for each in entry:
-        if not isinstance(each, dict) or not isinstance(each.get("joint"), int):
-            raise InvalidInput(
-                "has no joint", where=place, remedy='write {"joint": ..., "value": ...}'
-            )
-        errors[each["joint"]] = _number(each.get("value"), place)
-    return errors
+    document = _document(path)
+    return dict(noise_of(document, str(path)).torques) if isinstance(document, dict) else {}
 
 
 def _document(path: Path) -> Any:

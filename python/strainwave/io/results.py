@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import cache
 from itertools import starmap
 from pathlib import Path
@@ -27,7 +27,6 @@ from strainwave.domain import (
     Identification,
     JointModel,
     Mode,
-    ModelCheck,
     Modes,
     MotorResponse,
     Parameter,
@@ -39,7 +38,6 @@ from strainwave.domain import (
     Status,
     Study,
     Suspicion,
-    TorsionFit,
     Validation,
     Verdict,
 )
@@ -52,7 +50,7 @@ from strainwave.io.base_parameters import (
     standard_name,
     standard_parameter_entries,
 )
-from strainwave.io.joint_covariance import covariance_document, joint_covariance
+from strainwave.io.joint_covariance import joint_covariance
 from strainwave.io.study import document_of
 from strainwave.io.study.reader import Reader
 
@@ -84,9 +82,12 @@ def to_document(identification: Identification) -> dict[str, Any]:
         stages["decoupled"] = [_record(record) for record in identification.records]
         stages["decoupled"] += _motor_response_entries(identification.joints)
         stages["joints"] = [_joint(joint) for joint in identification.joints]
-        stages["torsions"] = [_torsion(torsion) for torsion in identification.torsions]
-        stages["sweeps"] = [asdict(sweep) for sweep in identification.sweeps]
-        stages["links"] = [asdict(link) for link in identification.links]
+        stages["torsions"] = [
+            _entry(each, "joint experiments fit_percent") | {"parameters": [each.stiffness]}
+            for each in identification.torsions
+        ]
+        stages["sweeps"] = identification.sweeps
+        stages["links"] = identification.links
         stages["responses"] = _responses(identification)
     if identification.whole_arm is not None:
         stages["tuned"] = _whole_arm(identification.whole_arm)
@@ -99,23 +100,23 @@ def to_document(identification: Identification) -> dict[str, Any]:
         "version": identification.version,
         "study": _study(identification.study),
         "created": identification.created,
-        "options": asdict(identification.study.options),
+        "options": identification.study.options,
         "status": verdict.status,
         "reason": "; ".join(verdict.reasons) or None,
         "verdict": _verdict(verdict),
-        "parameters": [parameter_entry(p) for p in identification.parameters],
-        "covariance": covariance_document(covariance),
+        "parameters": identification.parameters,
+        "covariance": covariance and _entry(covariance, "stage names matrix"),
         **_base_parameters(identification),
         "stages": stages,
         "checks": [
             {"experiment": name, "fit_percent": fits}
             for name, fits in _check_fits(identification).items()
         ],
-        "warnings": [warning_entry(w) for w in identification.warnings],
-        "timing_s": dict(identification.timing_s),
+        "warnings": identification.warnings,
+        "timing_s": identification.timing_s,
     }
-    finite: dict[str, Any] = finite_values(document)
-    return finite
+    values: dict[str, Any] = plain(document)
+    return values
 
 
 def _base_parameters(identification: Identification) -> dict[str, Any]:
@@ -413,15 +414,6 @@ def _study(study: Study) -> dict[str, Any]:
     return entry | ({"urdf": {"file": urdf.file, "held": urdf.held}} if urdf else {})
 
 
-def _torsion(torsion: TorsionFit) -> dict[str, Any]:
-    return {
-        "joint": torsion.joint,
-        "experiments": list(torsion.experiments),
-        "fit_percent": torsion.fit_percent,
-        "parameters": [parameter_entry(torsion.stiffness)],
-    }
-
-
 def _responses(identification: Identification) -> list[dict[str, Any]]:
     """Nonparametric responses of each joint at full amplitude, then of each record."""
     responses = [
@@ -471,19 +463,15 @@ def _response(
 
 
 def _motor_response(response: MotorResponse) -> dict[str, Any]:
-    return {
-        "experiment": response.experiment,
-        "joint": response.joint,
-        "condition": response.condition,
-        "frequency_hz": _short(response.frequencies_hz),
-        "measured_re": _short(response.measured.real),
-        "measured_im": _short(response.measured.imag),
-        "fitted_re": _short(response.fitted.real),
-        "fitted_im": _short(response.fitted.imag),
-        "coherence": _short(response.coherence),
-        "anti_resonance_hz": list(response.anti_resonances_hz),
-        "resonance_hz": list(response.resonances_hz),
-    }
+    entry: dict[str, Any] = _entry(response, "experiment joint condition coherence")
+    entry["frequency_hz"] = response.frequencies_hz
+    for name in ("measured", "fitted"):
+        values = getattr(response, name)
+        entry |= {f"{name}_re": values.real, f"{name}_im": values.imag}
+    entry = {k: _short(v) if isinstance(v, np.ndarray) else v for k, v in entry.items()}
+    entry["anti_resonance_hz"] = response.anti_resonances_hz
+    entry["resonance_hz"] = response.resonances_hz
+    return entry
 
 
 def _short(values: FloatArray) -> list[float]:
@@ -506,28 +494,21 @@ def suspicion_entries(suspicions: Iterable[Suspicion]) -> list[dict[str, Any]]:
 
 
 def _verdict(verdict: Verdict) -> dict[str, Any]:
-    return {
-        "identified": [*starmap(label_of, verdict.identified)],
-        "not_identified": [*starmap(label_of, verdict.not_identified)],
-        "rejected": [*starmap(label_of, verdict.rejected)],
-        "validated": {"rigid": verdict.validated.rigid, "elastic": verdict.validated.elastic},
-        "suspected": suspicion_entries(verdict.suspected),
+    labels = {
+        name: [*starmap(label_of, getattr(verdict, name))]
+        for name in ("identified", "not_identified", "rejected")
     }
+    suspected = suspicion_entries(verdict.suspected)
+    return labels | {"validated": verdict.validated, "suspected": suspected}
 
 
 def _rigid(model: RigidModel) -> dict[str, Any]:
     pairs = model.torque_ratios.items()
     ratios = [{"joint": joint, "value": value, "std": std} for joint, (value, std) in pairs]
-    return {
-        "status": model.status,
-        "parameters": [parameter_entry(p) for p in model.parameters],
-        "fit_percent": {name: dict(fits) for name, fits in model.fit_percent.items()},
-        "condition_number": model.condition_number,
-        "bandwidth_hz": model.bandwidth_hz,
-        "decimation": model.decimation,
-        "n_rows": model.n_rows,
+    names = "status parameters fit_percent condition_number bandwidth_hz decimation n_rows"
+    return _entry(model, names) | {
         "friction_terms": [
-            parameter_entry(p) | {"effect": term.effect, "changes": dict(term.changes)}
+            parameter_entry(p) | _entry(term, "effect changes")
             for term in model.friction_terms
             for p in term.parameters
         ],
@@ -537,7 +518,7 @@ def _rigid(model: RigidModel) -> dict[str, Any]:
             {"joint": joint, "value": value} for joint, value in model.torque_errors.items()
         ],
         "prediction": {
-            "solution": model.solution.tolist(),
+            "solution": model.solution,
             "friction_terms": [asdict(term) for term in model.friction_terms],
             "motion": [[_short(sample) for sample in part] for part in model.motion],
         },
@@ -562,20 +543,12 @@ def _record(record: RecordModel) -> dict[str, Any]:
     entry["state_space"] = None
     if record.state_space is not None:
         entry["state_space"] = _state_space(record.state_space, record.modes)
-        entry["state_space"]["held_out"] = None if record.check is None else _check(record.check)
+        names = "fit_percent prediction_fit_percent tests"
+        entry["state_space"]["held_out"] = record.check and _entry(record.check, names)
     entry["transfer_function"] = None if record.transfer is None else _joint(record.transfer)
     entry["checks"] = [asdict(check) for check in record.signals.checks]
-    entry["warnings"] += [warning_entry(w) for w in record.warnings]
+    entry["warnings"] += record.warnings
     return entry
-
-
-def _check(check: ModelCheck) -> dict[str, Any]:
-    """Fits and residual tests on validation data."""
-    return {
-        "fit_percent": check.fit_percent,
-        "prediction_fit_percent": check.prediction_fit_percent,
-        "tests": [asdict(test) for test in check.tests],
-    }
 
 
 def _motor_response_entries(joints: Sequence[JointModel]) -> list[dict[str, Any]]:
@@ -593,40 +566,27 @@ def _motor_response_entries(joints: Sequence[JointModel]) -> list[dict[str, Any]
 
 def _without_joint_model(record: RecordModel) -> dict[str, Any]:
     """A record without physical parameters; its state-space model gives the resonances."""
-    modes = record.modes
     return {
         "joint": record.signals.joint,
         "method": None if record.state_space is None else record.state_space.method,
         "order": None if record.state_space is None else record.state_space.order,
         "status": "not-identifiable",
-        **_frequencies(
-            None if modes is None else modes.anti_resonance,
-            None if modes is None else modes.resonance,
-        ),
+        **_frequencies(record.modes),
         "fit_percent": None,
-        "parameters": [],
-        "warnings": [],
+        "parameters": (),
+        "warnings": (),
     }
 
 
 def _joint(joint: JointModel) -> dict[str, Any]:
-    return {
-        "experiments": joint.experiments,
-        "joint": joint.joint,
-        "method": joint.method,
-        "order": 3,
-        "status": joint.status,
-        **_frequencies(joint.anti_resonance, joint.resonance),
-        "band_hz": joint.band_hz,
-        "fit_percent": dict(joint.fit_percent),
-        "parameters": [parameter_entry(p) for p in joint.parameters],
-        "warnings": [warning_entry(w) for w in joint.warnings],
-    }
+    names = "experiments joint method status band_hz fit_percent parameters warnings"
+    return _entry(joint, names) | _frequencies(joint) | {"order": 3}
 
 
-def _frequencies(anti_resonance: Mode | None, resonance: Mode | None) -> dict[str, Any]:
+def _frequencies(model: JointModel | Modes | None) -> dict[str, Any]:
     entry: dict[str, Any] = {}
-    for name, mode in (("anti_resonance", anti_resonance), ("resonance", resonance)):
+    for name in ("anti_resonance", "resonance"):
+        mode: Mode | None = getattr(model, name, None)
         entry[f"{name}_hz"] = mode and mode.frequency_hz
         entry[f"{name}_std_hz"] = mode and mode.frequency_std_hz
         entry[f"{name}_damping"] = mode and mode.damping
@@ -634,24 +594,9 @@ def _frequencies(anti_resonance: Mode | None, resonance: Mode | None) -> dict[st
 
 
 def _state_space(model: StateSpace, modes: Modes | None) -> dict[str, Any]:
-    matrices = {name: getattr(model, name).tolist() for name in ("A", "B", "C", "D", "K")}
-    return {
-        **matrices,
-        "sample_time": model.sample_time,
-        "method": model.method,
-        "order": model.order,
-        "status": model.status,
-        "hold": model.hold,
-        "input_names": model.input_names,
-        "output_names": model.output_names,
-        "fit_percent": _simulated_fit(model),
-        "prediction_fit_percent": model.prediction_fit_percent,
-        "warnings": [warning_entry(w) for w in model.warnings],
-        **_frequencies(
-            None if modes is None else modes.anti_resonance,
-            None if modes is None else modes.resonance,
-        ),
-    }
+    names = "A B C D K sample_time method order status hold input_names output_names"
+    entry = _entry(model, f"{names} prediction_fit_percent warnings")
+    return entry | {"fit_percent": _simulated_fit(model)} | _frequencies(modes)
 
 
 def _simulated_fit(model: StateSpace) -> tuple[float, ...] | None:
@@ -661,58 +606,25 @@ def _simulated_fit(model: StateSpace) -> tuple[float, ...] | None:
 
 
 def _whole_arm(model: ArmModel) -> dict[str, Any]:
-    return {
-        "status": model.status,
-        "end": model.end,
-        "iterations": model.iterations,
-        "parameters": [parameter_entry(p) for p in model.parameters],
+    names = "status end iterations parameters fit_percent initial_fit_percent warnings"
+    return _entry(model, names) | {
         "correlations": _correlations(model),
-        "fit_percent": {name: dict(fits) for name, fits in model.fit_percent.items()},
-        "initial_fit_percent": {
-            name: dict(fits) for name, fits in model.initial_fit_percent.items()
-        },
         "gear_laws": [asdict(choice) for choice in model.gear_laws],
         "sensor_gains": [asdict(gain) for gain in model.sensor_gains],
         "criticism": model.criticism and _criticism(model.criticism),
-        "warnings": [warning_entry(w) for w in model.warnings],
     }
 
 
 def _criticism(criticism: Criticism) -> dict[str, Any]:
-    plain = ("experiment", "channel", "deviation", "noise", "sample_noise", "worst_hz", "whiteness")
-    inputs = ("input_joint", "input_correlation", "input_delay", "input_probability")
+    """Residuals without their spectra, tests without their limits, and causes."""
+    residual = "experiment channel deviation noise sample_noise worst_hz whiteness"
+    residual += " input_joint input_correlation input_delay input_probability"
+    score_test = "joint effect sizes stds gain share evident shifts"
+    cause = "joint effect parameters gain share shifts weight is_included is_linearised"
     return {
-        "residuals": [
-            {name: getattr(test, name) for name in (*plain, *inputs)}
-            for test in criticism.residuals
-        ],
-        "score_tests": [
-            {
-                "joint": one.joint,
-                "effect": one.effect,
-                "sizes": dict(one.sizes),
-                "stds": dict(one.stds),
-                "gain": one.gain,
-                "share": one.share,
-                "evident": one.evident,
-                "shifts": [asdict(shift) for shift in one.shifts],
-            }
-            for one in criticism.score_tests
-        ],
-        "causes": [
-            {
-                "joint": cause.joint,
-                "effect": cause.effect,
-                "parameters": [parameter_entry(p) for p in cause.parameters],
-                "gain": cause.gain,
-                "share": cause.share,
-                "shifts": [asdict(shift) for shift in cause.shifts],
-                "weight": cause.weight,
-                "is_included": cause.is_included,
-                "is_linearised": cause.is_linearised,
-            }
-            for cause in criticism.causes
-        ],
+        "residuals": [_entry(each, residual) for each in criticism.residuals],
+        "score_tests": [_entry(each, score_test) for each in criticism.score_tests],
+        "causes": [_entry(each, cause) for each in criticism.causes],
     }
 
 
@@ -752,12 +664,25 @@ def warning_entry(warning: Diagnostic) -> dict[str, Any]:
     return entry | ({"experiments": warning.experiments} if warning.experiments else {})
 
 
-def finite_values(value: Any) -> Any:
-    """A value that JSON can hold; numbers that are not finite become null."""
-    if isinstance(value, dict):
-        return {key: finite_values(entry) for key, entry in value.items()}
+def plain(value: Any) -> Any:
+    """A record as JSON values; numbers that are not finite become null."""
+    if isinstance(value, Parameter):
+        value = parameter_entry(value)
+    elif isinstance(value, Diagnostic):
+        value = warning_entry(value)
+    elif isinstance(value, np.ndarray):
+        value = value.tolist()
+    elif is_dataclass(value):
+        value = {each.name: getattr(value, each.name) for each in fields(value)}
+    if isinstance(value, Mapping):
+        return {key: plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [finite_values(entry) for entry in value]
+        return [plain(entry) for entry in value]
     if isinstance(value, float):  # also NumPy's float64
         return float(value) if math.isfinite(value) else None
     return value
+
+
+def _entry(record: Any, names: str) -> dict[str, Any]:
+    """Attributes of a record, by names that spaces separate."""
+    return {name: getattr(record, name) for name in names.split()}
