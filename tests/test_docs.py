@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -18,7 +19,7 @@ import pytest
 from command_line import run_here
 from strainwave import cli
 from strainwave.domain.effects import possible_causes
-from strainwave.domain.messages import TEMPLATES
+from strainwave.domain.messages import catalogue
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
 from strainwave.virtual import experiments as virtual
@@ -182,9 +183,8 @@ def test_every_equation_number_is_unique() -> None:
 
 
 def codes_of_warnings() -> set[str]:
-    """Return all warning codes: those of templates and of likely effects."""
-    likely = {effect.warning_code for effect in possible_causes()}
-    return {template.split("/")[0] for template in TEMPLATES} - {"effect-likely"} | likely
+    """Return all warning codes: those of the catalogue and of likely effects."""
+    return {*catalogue(), *(effect.warning_code for effect in possible_causes())}
 
 
 def test_every_warning_has_a_section_in_troubleshooting() -> None:
@@ -195,6 +195,13 @@ def test_every_warning_has_a_section_in_troubleshooting() -> None:
         text = " ".join(section.split())
         for part in ("*Observed.*", "*Meaning.*", "*What to do.*"):
             assert part in text, text[:40]
+
+
+def test_what_pages_take_from_the_package_is_current() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "generated.py"))
+    for path, renew in script["PAGES"].items():
+        page = path.read_text(encoding="utf-8")
+        assert renew(page) == page, "run python docs/generated.py"
 
 
 def test_every_exit_code_is_explained() -> None:

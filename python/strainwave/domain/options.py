@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
+from functools import cache
+from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Ge, Gt, Le
@@ -160,3 +163,9 @@ def changed_options(options: Options) -> list[str]:
         for key, value in table.items()
         if value != defaults[stage][key]
     ]
+
+
+@cache
+def option_texts() -> dict[str, dict[str, Any]]:
+    """By stage its `title` and its `options`: by key `meaning`, `default` and `reason`."""
+    return tomllib.loads(Path(__file__).with_name("options.toml").read_text(encoding="utf-8"))

@@ -25,11 +25,11 @@ from strainwave.domain.consistency import RELATION_TEXTS
 from strainwave.domain.formatting import percent, plus_minus
 from strainwave.domain.keys import Key
 from strainwave.presentation.report import (
-    NOTES,
     advice,
     by_severity,
     drive_note,
     gain_sentences,
+    is_note,
     scale_note,
     sentence,
 )
@@ -128,10 +128,8 @@ def _print_warnings(warnings: Sequence[Diagnostic], console: Console) -> None:
         groups.setdefault(warning.code, []).append(warning)
     for code, same in groups.items():
         console.print()
-        is_note = code in NOTES
-        console.print(
-            Text(f"{'note' if is_note else 'warning'} [{code}]"), style="" if is_note else "yellow"
-        )
+        kind, style = ("note", "") if is_note(code) else ("warning", "yellow")
+        console.print(Text(f"{kind} [{code}]"), style=style)
         console.print(_warning_table(same))
 
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from strainwave.domain.options import Options
+from strainwave.domain.options import Options, option_texts
 from strainwave.errors import InvalidInput
 from strainwave.io.study import with_options
-from strainwave.workbench.option_texts import OPTION_TEXTS, STAGE_TITLES, OptionText
 from strainwave.workbench.records import study_at
-
-_NAMES = frozenset(OPTION_TEXTS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +17,7 @@ class OptionRow:
     """One option of the form."""
 
     name: str  # "links.order"
-    text: OptionText
+    text: Mapping[str, str]  # `meaning`, `default` and `reason`
     choices: tuple[str, ...]  # TOML values to choose from; empty: any value
     value: str  # of the study, if it differs from the default
 
@@ -37,16 +34,16 @@ def option_groups(options: Options) -> list[OptionGroup]:
     """The form of all options, with the values of a study."""
     defaults = asdict(Options())
     groups = []
-    for stage in (each for each in fields(Options) if each.name != "accept"):
-        record = getattr(options, stage.name)
+    for stage, texts in option_texts().items():
+        record = getattr(options, stage)
         hints = get_type_hints(type(record), include_extras=False)
         rows = []
-        for each in fields(record):
-            name, value = f"{stage.name}.{each.name}", getattr(record, each.name)
-            is_default = asdict(options)[stage.name][each.name] == defaults[stage.name][each.name]
-            shown = "" if is_default else _toml(value)
-            rows.append(OptionRow(name, OPTION_TEXTS[name], _choices(hints[each.name]), shown))
-        groups.append(OptionGroup(STAGE_TITLES[stage.name], tuple(rows)))
+        for key, text in texts["options"].items():
+            is_default = asdict(options)[stage][key] == defaults[stage][key]
+            shown = "" if is_default else _toml(getattr(record, key))
+            plain = {kind: words.replace("`", "") for kind, words in text.items()}
+            rows.append(OptionRow(f"{stage}.{key}", plain, _choices(hints[key]), shown))
+        groups.append(OptionGroup(texts["title"], tuple(rows)))
     return groups
 
 
@@ -56,8 +53,9 @@ def option_arguments(values: Mapping[str, Any], study_path: Any) -> list[str]:
     Raises InvalidInput if an option is unknown or its value invalid.
     """
     flags = []
+    names = {f"{stage}.{key}" for stage, each in option_texts().items() for key in each["options"]}
     for name, value in values.items():
-        if name not in _NAMES or not isinstance(value, str):
+        if name not in names or not isinstance(value, str):
             raise InvalidInput(f"there is no option {name!r}", where="options")
         if value.strip():
             flags.append(f"{name}={value.strip()}")

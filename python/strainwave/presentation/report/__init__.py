@@ -3,13 +3,12 @@
 from strainwave.presentation.report.blocks import FIGURE_KINDS, FigureKind, FigureName, slug
 from strainwave.presentation.report.comparisons import render_comparisons
 from strainwave.presentation.report.page import figures_of, find_figure, render
-from strainwave.presentation.report.remedies import NOTES, advice, by_severity, sentence
+from strainwave.presentation.report.remedies import advice, by_severity, is_note, sentence
 from strainwave.presentation.report.sensor_gains import gain_sentences
 from strainwave.presentation.report.verdict import drive_note, scale_note
 
 __all__ = [
     "FIGURE_KINDS",
-    "NOTES",
     "FigureKind",
     "FigureName",
     "advice",
@@ -18,6 +17,7 @@ __all__ = [
     "figures_of",
     "find_figure",
     "gain_sentences",
+    "is_note",
     "render",
     "render_comparisons",
     "scale_note",

@@ -1,0 +1,63 @@
+"""Write what pages take from the package's data: `python docs/generated.py`.
+
+These are the sections of warnings in troubleshooting.md and the table of options in study.md.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from textwrap import fill
+
+from strainwave.domain.messages import catalogue
+from strainwave.domain.options import option_texts
+
+HERE = Path(__file__).parent
+_WIDTH = 120  # columns
+
+
+def with_warnings(page: str) -> str:
+    """The page with what the catalogue says of the warnings of each section."""
+    sections = map(_renewed_section, re.split(r"(?m)^(?=## )", page))
+    return "".join(sections).rstrip() + "\n"
+
+
+def _renewed_section(text: str) -> str:
+    """Text of a section, its warnings, the most serious first, and those of likely effects."""
+    heading = text.split("\n", 1)[0].removeprefix("## ")
+    entries = {code: e for code, e in catalogue().items() if e["section"] == heading}
+    if not entries:
+        return text
+    head, *written = re.split(r"(?m)^(?=### )", text)
+    parts = [head.rstrip()]
+    for code, entry in entries.items():
+        sentences = (
+            f"*Observed.* {entry['observed']} *Meaning.* {entry['meaning']}"
+            f" *What to do.* {entry['remedy']}"
+        )
+        body = fill(sentences, _WIDTH, break_long_words=False, break_on_hyphens=False)
+        parts.append(f"### `{code}`\n{body}")
+        parts += [entry["detail"]] if "detail" in entry else []
+    parts += [part.rstrip() for part in written if "-likely`\n" in part]
+    return "\n\n".join(parts) + "\n\n"
+
+
+def with_options(page: str) -> str:
+    """The page with the table of all options."""
+    head, heading, rest = page.partition(
+        "| stage, key | default | meaning, and reason of the default |\n|---|---|---|\n"
+    )
+    rows = [
+        f"| `{stage}.{key}` | {text['default']} | {text['meaning']} {text['reason']} |\n"
+        for stage, each in option_texts().items()
+        for key, text in each["options"].items()
+    ]
+    return head + heading + "".join(rows) + "\n" + rest.partition("\n\n")[2]
+
+
+PAGES = {HERE / "troubleshooting.md": with_warnings, HERE / "study.md": with_options}
+"""Pages, and the function that renews the text of each."""
+
+if __name__ == "__main__":
+    for path, renew in PAGES.items():
+        path.write_text(renew(path.read_text(encoding="utf-8")), encoding="utf-8")
