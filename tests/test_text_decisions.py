@@ -17,7 +17,6 @@ READERS = (
     "monitoring/visits.py",
     "export/source.py",
     "workbench/study_edit.py",
-    "workbench/report_figures.py",
     "workbench/workspace.py",
     "workbench/take_away.py",
     "workbench/pages/by_hand.py",

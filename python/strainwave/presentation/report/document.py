@@ -34,7 +34,11 @@ def document(
         sections=filled,
         key_of=lambda plot: keys[id(plot)],
         style=Markup(read_template("report/page.css")),
-        figures=Markup(_inline_json({key: plotly(plot.figure) for key, plot in plots.items()})),
+        figures=Markup(
+            _inline_json(
+                {key: plotly(plot.figure) | {"title": plot.label} for key, plot in plots.items()}
+            )
+        ),
         scripts=[Markup(script) for script in page_scripts()] if plots else [],
     )
 

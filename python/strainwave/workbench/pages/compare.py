@@ -104,8 +104,8 @@ def report_figure(request: Request, body: Body) -> object:
     key = body.get("key")
     shown = []
     for one in _chosen(request, body.get("paths")):
-        found = report_figures(one.path.parent / "report.html").get(str(key))
-        shown.append({"name": one.name, "figure": found.figure if found else None})
+        figure = report_figures(one.path.parent / "report.html").get(str(key))
+        shown.append({"name": one.name, "figure": figure})
     return shown
 
 
@@ -123,7 +123,7 @@ def save_comparison(request: Request, body: Body) -> object:
 def _common_figures(results: list[comparison.NamedResult]) -> list[dict[str, str]]:
     """Figures of the first report, which the others may have as well."""
     first = report_figures(results[0].path.parent / "report.html")
-    return [{"key": key, "title": figure.title} for key, figure in first.items()]
+    return [{"key": key, "title": figure["title"]} for key, figure in first.items()]
 
 
 def _chosen(request: Request, paths: object) -> list[comparison.NamedResult]:
