@@ -29,7 +29,7 @@ WRITERS = (
     "paper/page.py",
     "export/flat.py",
     "experiment_design/written.py",
-    "experiment_design/summary.py",
+    "experiment_design/written.py",
     "virtual/experiments.py",
 )
 """Typeset names and sentences, and make file names."""

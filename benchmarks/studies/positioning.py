@@ -23,10 +23,9 @@ from strainwave.domain import ArmDescription, Joint, Servo, Study
 from strainwave.domain.keys import Values
 from strainwave.export.source import IdentifiedArm
 from strainwave.servo_design.cascade_tuning import Loops, tune_cascades
-from strainwave.servo_design.closed_loop import Steps, close, sample
+from strainwave.servo_design.closed_loop import Clock, Steps, close, sample
 from strainwave.servo_design.margins import Margins, Requirements
 from strainwave.servo_design.plants import Condition, plants_of
-from strainwave.servo_design.sampling import Clock
 
 REQUIRED_SECONDS = 0.5
 """Settling time of the published example."""

@@ -28,8 +28,7 @@ from benchmarks.peers.rigid_chain import fit_plain
 from strainwave.domain import FloatArray, FrictionTerm, RigidModel, RigidOptions, Signals
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.friction_terms import additional_friction
-from strainwave.dynamics.rigid_prediction import predict_torque
+from strainwave.dynamics.rigid_prediction import additional_friction, predict_torque
 from strainwave.identification import rigid
 from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study

@@ -19,7 +19,7 @@ from strainwave.dynamics.simulation import simulate
 from strainwave.io.logs import read_logs
 from strainwave.signals.consistency import check_consistency
 from strainwave.virtual.families import catalogue
-from strainwave.virtual.families.short_records import plans, with_short_records
+from strainwave.virtual.families.catalogue import plans, with_short_records
 from strainwave.virtual.records import record_experiment
 
 _SERIES = 7500  # of the catalogue

@@ -26,8 +26,8 @@ from strainwave.monitoring.comparison import DIFFERS, compare
 from strainwave.monitoring.result_estimates import ResultEstimates, estimates_of
 from strainwave.pipeline import identify
 from strainwave.virtual.families import catalogue
+from strainwave.virtual.families.catalogue import plans, with_short_records
 from strainwave.virtual.families.rigs import Rig
-from strainwave.virtual.families.short_records import plans, with_short_records
 from strainwave.virtual.records import record_experiment
 
 _SERIES = 9000  # of the catalogue

@@ -43,7 +43,7 @@ from strainwave.io import results
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.joint_covariance import JointCovariance, covariance_of
 from strainwave.io.logs import read_log
-from strainwave.io.logs.in_memory import Data
+from strainwave.io.logs.arrow import Data
 from strainwave.io.study import check_study
 from strainwave.io.study import read_study as _read_study
 from strainwave.monitoring import comparison, result_estimates

@@ -418,7 +418,7 @@ def excite(
             progress=report,
         )
     if not quiet:
-        from strainwave.experiment_design.summary import print_design
+        from strainwave.experiment_design.written import print_design
 
         print_design(planned, out)
 

@@ -19,8 +19,8 @@ from benchmarks.studies.causes.tables import tables
 
 from strainwave.domain import FloatArray
 from strainwave.dynamics.arm import Arm
+from strainwave.virtual.families.catalogue import plans
 from strainwave.virtual.families.causes import NO_CAUSE, OwnPlant
-from strainwave.virtual.families.short_records import plans
 from strainwave.virtual.plans import Plan
 from strainwave.virtual.records import Simulator
 

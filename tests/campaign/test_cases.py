@@ -15,9 +15,9 @@ import pytest
 import strainwave as sw
 from campaign_rigs import inertia_of, log, rig
 from strainwave.campaign import tasks, worker
-from strainwave.campaign.cases import Hashes, Opened
-from strainwave.campaign.plan import Plan
+from strainwave.campaign.runner import Plan
 from strainwave.campaign.store import Store
+from strainwave.campaign.study_files import Hashes, Opened
 from strainwave.campaign.tasks import Task
 from strainwave.domain.kinds import single_joint
 

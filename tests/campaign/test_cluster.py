@@ -20,7 +20,7 @@ import strainwave as sw
 from campaign_commands import COUNT, PATIENCE, campaign, records_by_study, running, wait_for
 from campaign_rigs import rig, rigs
 from strainwave.campaign import cluster
-from strainwave.campaign.plan import Plan
+from strainwave.campaign.runner import Plan
 from strainwave.campaign.store import Store
 from strainwave.campaign.studies import find
 from strainwave.campaign.tasks import Limits, Task

@@ -9,10 +9,10 @@ import pytest
 
 import strainwave as sw
 from strainwave.campaign import worker
-from strainwave.campaign.cases import Case
-from strainwave.campaign.plan import Plan
+from strainwave.campaign.runner import Plan
 from strainwave.campaign.store import Store
 from strainwave.campaign.studies import find
+from strainwave.campaign.study_files import Case
 from strainwave.campaign.tasks import Task
 from strainwave.errors import InvalidInput
 

@@ -14,8 +14,7 @@ import pytest
 
 from campaign_rigs import inertia_of, rig, rigs
 from strainwave.campaign import local, worker
-from strainwave.campaign.plan import Plan
-from strainwave.campaign.runner import Runner
+from strainwave.campaign.runner import Plan, Runner
 from strainwave.campaign.store import Store, read_parameters, read_runs
 from strainwave.campaign.studies import find
 from strainwave.campaign.tasks import Limits, Outcome, Task

@@ -26,8 +26,7 @@ from hypothesis import strategies as st
 import strainwave as sw
 from campaign_records import DAY, record, write_many
 from strainwave.campaign.places import Folder
-from strainwave.campaign.schema import PARAMETERS_SCHEMA, RUNS_SCHEMA
-from strainwave.campaign.store import Record, Store
+from strainwave.campaign.store import PARAMETERS_SCHEMA, RUNS_SCHEMA, Record, Store
 
 
 def runs(store: Path | str) -> list[str]:

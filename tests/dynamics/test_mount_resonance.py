@@ -9,8 +9,7 @@ from scipy.signal import lsim
 from strainwave.domain import FloatArray, Joint
 from strainwave.domain.kinds import planar_two_link
 from strainwave.domain.link_sensors import compared_axes
-from strainwave.dynamics.link_sensors import apply_sensor_model, mount_resonance
-from strainwave.dynamics.mount_resonance import MountResonance
+from strainwave.dynamics.link_sensors import MountResonance, apply_sensor_model, mount_resonance
 
 T = 1e-3
 JOINT = Joint("linear", 0.01, accelerometer_distance=0.3)

@@ -12,10 +12,12 @@ from strainwave.domain import FloatArray, Imu, Study
 from strainwave.domain.kinds import change_arm_keys
 from strainwave.domain.link_sensors import Axis, mounted_axes, unknowns_of
 from strainwave.domain.link_sensors.imu import ImuAccelerometers
-from strainwave.domain.link_sensors.link_signals import (
+from strainwave.domain.link_sensors.link_space import (
     accelerometer_weights,
+    angles,
+    attitude,
+    rotation,
 )
-from strainwave.domain.link_sensors.rotations import angles, attitude, rotation
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate

@@ -18,16 +18,19 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design import rigid_motion
-from strainwave.experiment_design.motions import motion_records
+from strainwave.experiment_design.motions import motion_records, run
 from strainwave.experiment_design.plan import Limits, limits_of
-from strainwave.experiment_design.predicted_motion import run
-from strainwave.experiment_design.rigid_motion import Fourier, Search, full_regressor
+from strainwave.experiment_design.rigid_motion import (
+    Fourier,
+    Search,
+    full_regressor,
+    smallest_distance,
+)
 from strainwave.experiment_design.rigid_precision import (
     ASSUMED_TORQUE_ERROR,
     standard_deviations,
     torque_errors_of,
 )
-from strainwave.experiment_design.self_distance import smallest_distance
 from strainwave.experiment_design.written import PRECISION_FILE, write
 from strainwave.io.study import read_study
 from strainwave.virtual.experiments import simulate_study

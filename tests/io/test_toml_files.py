@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from strainwave.errors import InvalidInput
-from strainwave.io.toml_files import check_keys, parse_toml
+from strainwave.io.atomic_files import check_keys, parse_toml
 
 PATH = Path("some.toml")
 

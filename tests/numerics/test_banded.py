@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.numerics.banded import Banded
+from strainwave.numerics.linalg import Banded
 
 
 def test_products_rows_and_scales_are_those_of_the_dense_matrix() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from strainwave.numerics.correlations import (
+from strainwave.numerics.spectra import (
     MAX_LAGS,
     correlate_residuals,
     expected_autocorrelation,

@@ -8,7 +8,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.numerics import least_squares as ls
-from strainwave.numerics.banded import Banded
+from strainwave.numerics.linalg import Banded
 
 N_ROWS, N_LOCAL, N_COMMON = 60, 20, 2
 

@@ -24,8 +24,7 @@ from strainwave.paper import (
     to_json,
 )
 from strainwave.paper.joint_estimates import LINES_HZ, distance_db, response_of
-from strainwave.paper.rig import Rig, WholeArmEstimate
-from strainwave.paper.settings import CLASSICAL_METHOD
+from strainwave.paper.rig import CLASSICAL_METHOD, Rig, WholeArmEstimate
 from strainwave.paper.truth import joint_with
 from strainwave.virtual import scara
 

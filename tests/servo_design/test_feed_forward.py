@@ -24,8 +24,7 @@ from strainwave.export import IdentifiedArm
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
 from strainwave.servo_design.feed_forward import FeedForward, feed_forward
-from strainwave.servo_design.link_motion import LinkMotion, point_to_point
-from strainwave.servo_design.payload_motion import payload_torques
+from strainwave.servo_design.link_motion import LinkMotion, payload_torques, point_to_point
 from strainwave.virtual import scara
 
 PERIOD = 1e-3

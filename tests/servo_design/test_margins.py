@@ -10,12 +10,18 @@ from scipy.optimize import minimize_scalar
 
 from servo_arms import rig
 from strainwave.domain import ComplexArray, FloatArray
-from strainwave.servo_design.closed_loop import SampledPlants, Steps, close, sample
+from strainwave.servo_design.closed_loop import (
+    Clock,
+    SampledPlants,
+    Steps,
+    close,
+    frequency_grid,
+    sample,
+    sampled_responses,
+)
 from strainwave.servo_design.control_law import Gains
-from strainwave.servo_design.loop_bands import LoopBand
-from strainwave.servo_design.margins import Requirements, effective_plants, margins_of
+from strainwave.servo_design.margins import LoopBand, Requirements, effective_plants, margins_of
 from strainwave.servo_design.plants import Condition, Plants, drawn_values, plants_of
-from strainwave.servo_design.sampling import Clock, frequency_grid, sampled_responses
 
 OMEGA = np.geomspace(0.1, 1e3, 4000)
 # linear interpolation between 4000 frequencies of four decades: about the square of a step

@@ -13,11 +13,11 @@ import exports
 from servo_arms import rig
 from strainwave.domain.arm import Imu
 from strainwave.export import IdentifiedArm
-from strainwave.io.identified_noise import IdentifiedNoise, noise_of
+from strainwave.io.joint_covariance import IdentifiedNoise, noise_of
+from strainwave.servo_design.closed_loop import Clock
 from strainwave.servo_design.design import ServoDesign, ServoOptions, design_servo
 from strainwave.servo_design.observer import Observer, design_observers
 from strainwave.servo_design.plants import Condition
-from strainwave.servo_design.sampling import Clock
 
 CLOCK = Clock(1e-3, 4e-4)
 NOISE = IdentifiedNoise(

@@ -10,11 +10,11 @@ from scipy.linalg import expm
 
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
-from strainwave.servo_design.extra_insensitive import design_zeros_and_maxima
 from strainwave.servo_design.shapers import (
     Impulses,
     ShaperKind,
     design_shaper,
+    design_zeros_and_maxima,
     has_design,
 )
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import FloatArray
-from strainwave.signals.held_commands import held_commands
+from strainwave.signals.drive_law import held_commands
 
 T, PERIOD, LOOP = 5e-4, 1e-3, 1000.0
 FINE = 50  # parts of a sample

@@ -19,10 +19,11 @@ from strainwave.domain import FloatArray, Log, Prbs
 from strainwave.dynamics import excitation
 from strainwave.errors import InvalidInput
 from strainwave.io.logs import read_log, read_logs, write_log
-from strainwave.io.logs.in_memory import open_memory_table
+from strainwave.io.logs.arrow import open_memory_table
 from strainwave.io.study import read_study
 from strainwave.signals.drive_law import DriveLaw
 from strainwave.study_draft import start_study
+from strainwave.study_draft.inspection import find_time
 from strainwave.study_draft.signal_features import (
     quantum,
     relation,
@@ -30,7 +31,6 @@ from strainwave.study_draft.signal_features import (
     usual_counts,
     wrap_modulus,
 )
-from strainwave.study_draft.time_column import find_time
 
 DEG, RPM, G = np.pi / 180.0, np.pi / 30.0, 9.80665
 ANSWERS = {

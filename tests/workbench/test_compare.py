@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import strainwave as sw
-from strainwave.workbench.report_figures import report_figures
+from strainwave.workbench.comparison import report_figures
 
 pytest.importorskip("starlette")
 

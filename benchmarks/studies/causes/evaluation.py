@@ -17,8 +17,8 @@ from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.problem.effect_unknowns import effects_among
 from strainwave.pipeline import identify
 from strainwave.virtual.experiments import derived
+from strainwave.virtual.families.catalogue import plans
 from strainwave.virtual.families.causes import NO_CAUSE, Cause, OwnPlant
-from strainwave.virtual.families.short_records import plans
 from strainwave.virtual.records import Simulator, record_experiment
 
 Engine = Literal["own", "mujoco"]

@@ -9,9 +9,9 @@ import numpy as np
 
 from strainwave.domain.effects import names
 from strainwave.virtual.families import catalogue
+from strainwave.virtual.families.catalogue import with_short_records
 from strainwave.virtual.families.causes import Cause, cause_names, joint_of, sizes_of
 from strainwave.virtual.families.rigs import Rig
-from strainwave.virtual.families.short_records import with_short_records
 
 _SEEDS = 1_000_000  # even, so that an arm that is drawn again has the same kind of spring
 _SERIES = 7000  # first series of the catalogue

@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.studies.faults.inputs import Case, Input, clean_variants, faults
 from strainwave.domain import Suspicion, channel_parts
 from strainwave.errors import InvalidInput
-from strainwave.pipeline.input_check import check_input
+from strainwave.pipeline.inputs import check_input
 
 
 def outcome_of(case: Case, suspected: tuple[Suspicion, ...]) -> str:

@@ -23,11 +23,11 @@ from strainwave.presentation.report.blocks import (
     Plot,
     Row,
     Section,
+    document,
     number,
     paragraph,
     table,
 )
-from strainwave.presentation.report.document import document
 
 MOVE_HEADS: Row = (
     "joint",

@@ -16,8 +16,7 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise
 from strainwave.export.source import arm_of
-from strainwave.io.identified_noise import noise_of
-from strainwave.io.joint_covariance import covariance_of
+from strainwave.io.joint_covariance import covariance_of, noise_of
 from strainwave.io.results import read_document, result_path
 from strainwave.pipeline import identify, write
 from strainwave.servo_design.design import ServoDesign, ServoOptions, design_servo

@@ -18,15 +18,15 @@ from pathlib import Path
 from strainwave import pipeline
 from strainwave.campaign import cluster, local
 from strainwave.campaign.places import Folder, is_url
-from strainwave.campaign.plan import Plan
 from strainwave.campaign.progress import Tally, live, reason
+from strainwave.campaign.runner import Plan
 from strainwave.campaign.store import MERGE_AFTER, Store
 from strainwave.campaign.studies import Selection, find
 from strainwave.campaign.tasks import Limits, Outcome, merged
 from strainwave.domain import Options
 from strainwave.errors import InvalidInput
 from strainwave.io import atomic_files
-from strainwave.io.study.flags import Flag, parse_flag
+from strainwave.io.study.reader import Flag, parse_flag
 
 __all__ = ["Limits", "Settings", "Summary", "run"]
 

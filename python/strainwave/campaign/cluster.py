@@ -20,15 +20,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from strainwave.campaign.cases import Case
-from strainwave.campaign.plan import Plan
-from strainwave.campaign.rows import now
-from strainwave.campaign.runner import Runner, failed
-from strainwave.campaign.store import Store
+from strainwave.campaign.runner import Plan, Runner, failed
+from strainwave.campaign.store import Store, now
+from strainwave.campaign.study_files import Case
 from strainwave.campaign.tasks import FAILED_STATUS, Limits, Outcome, Task
 from strainwave.errors import InvalidInput, StrainwaveError, import_optional
-from strainwave.io.atomic_files import decode, read_bytes
-from strainwave.io.toml_files import check_keys, parse_toml
+from strainwave.io.atomic_files import check_keys, decode, parse_toml, read_bytes
 
 _CONNECT_TIMEOUT_S = 10.0  # of the scheduler
 _POLL_S = 0.5  # between two checks of the scheduler

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
 
-from strainwave.campaign.cases import Hashes, Opened
+from strainwave.campaign.study_files import Hashes, Opened
 from strainwave.virtual.families import Family, draw, family_of, fields_of, record
 
 

@@ -6,9 +6,8 @@ import queue
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
-from strainwave.campaign.cases import Case
-from strainwave.campaign.plan import Plan
-from strainwave.campaign.runner import Runner
+from strainwave.campaign.runner import Plan, Runner
+from strainwave.campaign.study_files import Case
 from strainwave.campaign.tasks import Limits, Outcome
 
 

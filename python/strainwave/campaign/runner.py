@@ -1,4 +1,7 @@
-"""A worker process as its parent sees it: one task at a time, with limits."""
+"""A worker process as its parent sees it: one task at a time, with limits.
+
+The cases that still have to run: those without a recorded run with the same hashes.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +14,16 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from datetime import datetime
 from typing import IO, Any
 
-from strainwave.campaign.rows import failure_of, now, worker_name
-from strainwave.campaign.store import Store
-from strainwave.campaign.tasks import Limits, Outcome, Task
+from strainwave.campaign.store import Store, failure_of, now, worker_name
+from strainwave.campaign.study_files import Case
+from strainwave.campaign.tasks import FAILED_STATUS, Limits, Outcome, Task, merged
+from strainwave.domain import Stage
 from strainwave.errors import InvalidInput
 
 TIMEOUT_EXIT_CODE = 124
@@ -243,3 +248,31 @@ def _kill(child: subprocess.Popen[bytes]) -> None:
 def _path() -> str:
     """PYTHONPATH with which the worker imports the same modules as this process."""
     return os.pathsep.join(folder for folder in sys.path if folder)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Stages and options of a campaign, and its store."""
+
+    store: Store
+    campaign: str  # its name in the rows of the runs
+    stages: tuple[Stage, ...]
+    options: Mapping[str, Mapping[str, Any]]
+    retry_failed: bool = False
+
+    def next(self, case: Case) -> Task | Outcome:
+        """The task of a case, or its outcome if that is recorded."""
+        hashes = case.hashes()
+        task = Task(
+            case=case,
+            study_sha256=hashes.study_sha256,
+            inputs_sha256=hashes.inputs_sha256,
+            stages=self.stages,
+            options=merged([self.options, case.options]),
+            store=str(self.store.place),
+            campaign=self.campaign,
+        )
+        recorded = self.store.recorded(task.run)
+        if recorded is None or (self.retry_failed and recorded.status == FAILED_STATUS):
+            return task
+        return Outcome.of(recorded._asdict(), skipped=True)

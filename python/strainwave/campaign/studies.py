@@ -10,13 +10,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from strainwave.campaign.cases import Case
 from strainwave.campaign.drawn_arms import arms_of
 from strainwave.campaign.places import file_system, is_url, resolved
-from strainwave.campaign.study_files import StudyFile
+from strainwave.campaign.study_files import Case, StudyFile
 from strainwave.errors import InvalidInput, suggest_name
-from strainwave.io.atomic_files import decode, read_bytes
-from strainwave.io.toml_files import check_keys, parse_toml
+from strainwave.io.atomic_files import check_keys, decode, parse_toml, read_bytes
 from strainwave.virtual.families import family_of
 
 _STUDY = "study.toml"

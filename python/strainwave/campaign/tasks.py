@@ -9,9 +9,8 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from strainwave import __version__
-from strainwave.campaign.cases import Case
 from strainwave.campaign.drawn_arms import DrawnArm
-from strainwave.campaign.study_files import StudyFile
+from strainwave.campaign.study_files import Case, StudyFile
 from strainwave.domain import Stage
 
 KINDS: dict[str, type] = {kind.kind: kind for kind in (StudyFile, DrawnArm)}

@@ -1,15 +1,82 @@
-"""Model of a link sensor over time: its delay, its scale and the resonance of its mount."""
+"""Model of a link sensor over time: its delay, its scale and the resonance of its mount.
+
+Resonance of a link sensor's mount, (S31).
+
+    H(s) = w^2 / (s^2 + 2 zeta w s + w^2)
+
+The frequency response is applied to the spectrum of the samples, which is exact if the samples
+resolve the motion. A recursive filter would assume straight lines between samples.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import FloatArray
+from strainwave.domain import ComplexArray, FloatArray
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import Axis, ConstantKind
-from strainwave.dynamics.mount_resonance import MountResonance
+from strainwave.numerics.filters import fast_length
+
+_DECAY_TIME_CONSTANTS = 7.0  # the response has then decayed to 1/1000
+_MAX_PADDING = 10.0  # [s] after a record
+
+
+@dataclass(frozen=True, slots=True)
+class MountResonance:
+    """Natural frequency and damping ratio of a sensor's mount."""
+
+    frequency: float  # [Hz], above zero
+    damping: float  # above zero
+
+    def response(self, hz: FloatArray) -> ComplexArray:
+        """H at frequencies [Hz]: (n_frequencies,)."""
+        w, s = math.tau * self.frequency, 2j * np.pi * hz
+        return np.asarray(w**2 / (s**2 + 2.0 * self.damping * w * s + w**2))
+
+    def response_slopes(self, hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Derivatives of H with respect to frequency [1/Hz] and damping ratio.
+
+        d ln H / d ln w = 2 - (2 zeta s / w + 2) H,   d ln H / d zeta = -2 (s / w) H
+        """
+        ratio, H = 1j * hz / self.frequency, self.response(hz)
+        by_frequency = (2.0 - 2.0 * (self.damping * ratio + 1.0) * H) * H / self.frequency
+        return np.asarray(by_frequency), np.asarray(-2.0 * ratio * H**2)
+
+    def read(self, motion: FloatArray, sample_time: float) -> FloatArray:
+        """Sensor reading of a motion (n_samples, ...) that is at rest before its first sample."""
+        (reading,) = self._filtered(motion, sample_time, lambda hz: (self.response(hz),))
+        return np.asarray(reading + motion[:1])
+
+    def slopes(self, motion: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of the reading with respect to frequency [1/Hz] and damping ratio."""
+        by_frequency, by_damping = self._filtered(motion, sample_time, self.response_slopes)
+        return by_frequency, by_damping
+
+    def _filtered(
+        self,
+        motion: FloatArray,
+        sample_time: float,
+        responses: Callable[[FloatArray], tuple[ComplexArray, ...]],
+    ) -> list[FloatArray]:
+        """Change since the first sample after each response: (n_samples, ...) each.
+
+        A discrete spectrum implies a periodic signal. The motion is therefore extended by a return
+        to its start and a pause in which the response decays.
+        """
+        decay = _DECAY_TIME_CONSTANTS / (math.tau * self.frequency * self.damping)
+        n, padding = len(motion), math.ceil(min(decay, _MAX_PADDING) / sample_time)
+        shape = (-1, *(1 for _ in motion.shape[1:]))
+        change = motion - motion[:1]
+        back = 0.5 + 0.5 * np.cos(np.pi * np.arange(1, padding + 1) / padding).reshape(shape)
+        size = fast_length(n + 2 * padding)
+        spectrum = np.fft.rfft(np.concatenate([change, change[-1:] * back]), size, axis=0)
+        factors = responses(np.asarray(np.fft.rfftfreq(size, sample_time)))
+        return [np.fft.irfft(spectrum * H.reshape(shape), size, axis=0)[:n] for H in factors]
+
 
 MAX_SENSOR_DELAY = 5e-3
 """Largest delay [s] of a sensor: logger, bus and internal filter."""

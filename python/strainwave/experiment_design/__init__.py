@@ -22,7 +22,6 @@ from strainwave.domain.parameters import complete_values, with_known_constants
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design.duration import fit_duration
-from strainwave.experiment_design.excitation_band import ExcitationBand, band_of
 from strainwave.experiment_design.motions import motion_records
 from strainwave.experiment_design.plan import (
     ADD_SERVO,
@@ -34,10 +33,15 @@ from strainwave.experiment_design.plan import (
     follows_angles,
     limits_of,
 )
-from strainwave.experiment_design.precision import predicted_precision
-from strainwave.experiment_design.rigid_precision import torque_errors_of
+from strainwave.experiment_design.rigid_precision import predicted_precision, torque_errors_of
 from strainwave.experiment_design.steps import step_records
-from strainwave.experiment_design.voltages import Kind, sweep_records, voltage_record
+from strainwave.experiment_design.voltages import (
+    ExcitationBand,
+    Kind,
+    band_of,
+    sweep_records,
+    voltage_record,
+)
 from strainwave.experiment_design.written import write
 from strainwave.io.parameters import read_parameters, read_torque_errors
 from strainwave.io.study import read_study

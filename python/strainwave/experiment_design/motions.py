@@ -1,30 +1,33 @@
-"""Record of the rigid motion: lead-in from standstill, periodic motion, lead-out."""
+"""Record of the rigid motion: lead-in from standstill, periodic motion, lead-out.
+
+Motions as trajectory_msgs/JointTrajectory, which ros2_control's controllers execute.
+
+Simulation of a planned drive on the guessed arm.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from strainwave.domain import Experiment, FloatArray, Parameter, Use
 from strainwave.domain.keys import Values
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import Drive
+from strainwave.dynamics.simulation import Drive, Trajectory, simulate
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design.plan import (
     HELD_CONTROL,
     LimitBroken,
     Limits,
     Planned,
+    PredictedMotion,
     Waypoints,
     clock_of,
-)
-from strainwave.experiment_design.predicted_motion import (
-    followed_motion,
-    predicted_motion,
-    servo_drive,
 )
 from strainwave.experiment_design.rigid_motion import (
     N_HARMONICS,
@@ -33,13 +36,90 @@ from strainwave.experiment_design.rigid_motion import (
     Search,
     condition_number,
     optimise,
+    smallest_distance,
 )
 from strainwave.experiment_design.rigid_precision import (
     predicted_rigid_parameters,
     reference_sizes,
     standard_deviations,
 )
-from strainwave.experiment_design.self_distance import smallest_distance
+
+_DISTANCE_INTERVAL = 0.01  # [s] between compared postures; links move by millimetres in it
+
+_QUANTITIES: tuple[Quantity, ...] = (
+    "link_angle",
+    "motor_velocity",
+    "voltage",
+    "gear_torque",
+    "sliding",
+    "accelerometer",
+)
+
+
+def start_of(arm: Arm, limits: Limits) -> tuple[float, ...]:
+    """Motor angles [rad] at which records begin: the posture in the middle of the limits."""
+    return tuple(arm.motor_accelerations(limits.centre).tolist())
+
+
+def servo_drive(arm: Arm, values: Values, limits: Limits, reference: FloatArray) -> Drive:
+    """Drive of servos that follow references (n_ticks, n_joints), from rest."""
+    start = start_of(arm, limits)
+    return Drive(
+        tick=clock_of(arm),
+        voltage=np.zeros_like(reference),
+        reference=reference,
+        servo=(True,) * arm.n_joints,
+        motor_angle=start,
+        initial_voltage=arm.holding_voltage(values, start),
+    )
+
+
+def run(arm: Arm, values: Values, drive: Drive) -> Trajectory:
+    """Response of the guessed arm to a drive: limited quantities and accelerometers."""
+    clock = clock_of(arm)
+    samples = round(len(drive.voltage) * drive.tick / clock)
+    return simulate(arm, values, drive, sample_time=clock, samples=samples, record=_QUANTITIES)
+
+
+def followed_motion(
+    arm: Arm, values: Values, motion: tuple[FloatArray, FloatArray, FloatArray], limits: Limits
+) -> PredictedMotion:
+    """Peak values of a motion of the links that a controller follows without error.
+
+    `motion` has angles, velocities and accelerations (n_ticks, n_joints). The gears transmit what
+    the motors give.
+    """
+    torque = arm.inverse_dynamics(arm.parameter_vector(values), *motion)
+    ratios = np.abs([joint.gear_ratio for joint in arm.joints])
+    compared = motion[0][:: max(1, int(_DISTANCE_INTERVAL / clock_of(arm)))]
+    return PredictedMotion(
+        angle=np.asarray(np.abs(motion[0] - limits.centre).max(axis=0)),
+        velocity=np.asarray(np.abs(arm.motor_accelerations(motion[1])).max(axis=0)),
+        voltage=np.asarray(np.abs(torque / arm.torque_per_volt).max(axis=0)),
+        gear_torque=np.asarray(np.abs(torque / ratios).max(axis=0)),
+        rest_share=np.zeros(arm.n_joints),
+        distance=float(smallest_distance(arm, values, compared, limits.distance).min()),
+    )
+
+
+def predicted_motion(arm: Arm, values: Values, drive: Drive, limits: Limits) -> PredictedMotion:
+    """Peak values of the guessed arm's response, and the share of time in which motors stick."""
+    trajectory = run(arm, values, drive)
+
+    def peak(name: Quantity) -> FloatArray:
+        return np.asarray(np.abs(trajectory[name]).max(axis=0))
+
+    angle = trajectory["link_angle"]
+    compared = angle[:: max(1, int(_DISTANCE_INTERVAL / clock_of(arm)))]
+    return PredictedMotion(
+        angle=np.asarray(np.abs(angle - limits.centre).max(axis=0)),
+        velocity=peak("motor_velocity"),
+        voltage=peak("voltage"),
+        gear_torque=peak("gear_torque"),
+        rest_share=np.asarray((trajectory["sliding"] == 0.0).mean(axis=0)),
+        distance=float(smallest_distance(arm, values, compared, limits.distance).min()),
+    )
+
 
 _MAX_MOTION_HZ = 1.0  # highest frequency of the motion
 _MIN_RESONANCE_RATIO = 12.0  # anti-resonance over motion: the error of a rigid gear is 1/12^2
@@ -244,3 +324,43 @@ def quintic(start: Sequence[FloatArray], stop: Sequence[FloatArray], time: Float
     end = time[-1] + time[1] - time[0]
     angle = BPoly.from_derivatives([0.0, end], [np.array(start), np.array(stop)])
     return angle(time), angle.derivative()(time), angle.derivative(2)(time)
+
+
+_NANOSECONDS = 1_000_000_000
+_DIGITS = 9  # significant digits of a number
+
+
+def trajectory_name(experiment: Experiment) -> str:
+    """File name of the trajectory of an experiment."""
+    return f"trajectory-{experiment.name}.json"
+
+
+def trajectory_text(joint_names: Sequence[str], waypoints: Waypoints) -> str:
+    """The message as JSON, which is YAML as well, one point per line.
+
+    Positions, velocities and accelerations are those of the links.
+    """
+    points = ",\n".join(
+        f"    {json.dumps(_point(waypoints, k))}" for k in range(len(waypoints.time))
+    )
+    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
+    return (
+        f'{{\n  "header": {json.dumps(header)},\n'
+        f'  "joint_names": {json.dumps(list(joint_names))},\n'
+        f'  "points": [\n{points}\n  ]\n}}\n'
+    )
+
+
+def _point(waypoints: Waypoints, row: int) -> dict[str, Any]:
+    """One trajectory_msgs/JointTrajectoryPoint."""
+    seconds, nanoseconds = divmod(round(waypoints.time[row] * _NANOSECONDS), _NANOSECONDS)
+    values = {
+        "positions": waypoints.angle,
+        "velocities": waypoints.velocity,
+        "accelerations": waypoints.acceleration,
+    }
+    point: dict[str, Any] = {
+        name: [float(f"{value:.{_DIGITS}g}") for value in np.asarray(array[row]).tolist()]
+        for name, array in values.items()
+    }
+    return point | {"time_from_start": {"sec": int(seconds), "nanosec": int(nanoseconds)}}

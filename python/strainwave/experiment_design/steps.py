@@ -9,9 +9,9 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
-from strainwave.experiment_design.excitation_band import ExcitationBand
+from strainwave.experiment_design.motions import predicted_motion, servo_drive, start_of
 from strainwave.experiment_design.plan import HELD_CONTROL, LimitBroken, Limits, Planned, clock_of
-from strainwave.experiment_design.predicted_motion import predicted_motion, servo_drive, start_of
+from strainwave.experiment_design.voltages import ExcitationBand
 
 _HOLD_PERIODS = 6.0  # of the anti-resonance per level, in which the vibration decays
 _MIN_HOLD, _MAX_HOLD = 0.2, 2.0  # [s] per level

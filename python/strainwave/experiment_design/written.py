@@ -1,21 +1,41 @@
-"""Files of a design: tables, a C header, trajectories, predicted intervals, the study file."""
+"""Files of a design: tables, a C header, trajectories, predicted intervals, the study file.
+
+Terminal output of a design.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
 from strainwave.domain import FloatArray, Study
+from strainwave.domain.distributions import CI95_STDS
+from strainwave.domain.link_sensors import installed_axes
 from strainwave.dynamics.arm import Arm
 from strainwave.experiment_design.command_table import applied_columns, table_name
-from strainwave.experiment_design.joint_trajectory import trajectory_name, trajectory_text
-from strainwave.experiment_design.plan import Design, Planned
+from strainwave.experiment_design.motions import trajectory_name, trajectory_text
+from strainwave.experiment_design.plan import (
+    LIMITED,
+    Design,
+    Limits,
+    Planned,
+    PredictedMotion,
+    clock_of,
+)
 from strainwave.experiment_design.rigid_precision import torque_errors_of
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.results import base_parameter_entries, parameter_entry, to_json
 from strainwave.io.study import copy_to, write_study
 from strainwave.io.templates import fill_text
+from strainwave.presentation.report.blocks import number
+from strainwave.presentation.terminal import printed_table
 
 HEADER_FILE = "excitation.h"
 PRECISION_FILE = "predicted.json"
@@ -88,3 +108,97 @@ def _c_header(design: Design) -> str:
         for record in design.records
     ]
     return fill_text(Path(__file__).with_name("excitation.h.j2"), records=records, row=_row)
+
+
+_NAMES = ("gear_stiffness", "gear_damping", "motor_inertia", "link_inertia")
+
+
+def print_design(design: Design, folder: Path) -> None:
+    """Print the total duration, the records with motion, duration and reasons, and the warnings.
+
+    `folder` is where the design was written.
+    """
+    console = Console(highlight=False)
+    shortage = f"; omitted for the duration: {', '.join(design.omitted)}" if design.omitted else ""
+    total = f"{len(design.records)} records of {design.duration / 60.0:.1f} minutes together"
+    console.print(Text(total + shortage, style="bold"))
+    console.print(_table(design))
+    for record in design.records:
+        reasons = "; ".join(record.reasons)
+        console.print(Text(f"{record.experiment.name}: {record.duration:.1f} s. {reasons}."))
+    console.print(Text(f"log every {1e3 * clock_of(design.study.arm):g} ms or faster"))
+    for line in _precision(design):
+        console.print(Text(line))
+    for warning in design.warnings:
+        text = Text(f"warning [{warning.code}] {warning.where}: {warning.message}")
+        console.print(text, style="yellow")
+    trajectories = [trajectory_name(r.experiment) for r in design.records if r.waypoints]
+    tables = map(table_name, design.study.experiments)
+    for name in (*tables, *trajectories, HEADER_FILE, PRECISION_FILE, "study.toml"):
+        console.print(Text(f"written: {folder / name}"), soft_wrap=True)
+    logs = ", ".join(record.experiment.file for record in design.records)
+    console.print(Text(f"to be recorded, next to study.toml: {logs}"), soft_wrap=True)
+
+
+def _precision(design: Design) -> Iterator[str]:
+    """Planned sensors, and the predicted confidence intervals of gears and inertias."""
+    parameters = [p for p in design.precision if p.name.startswith(_NAMES) and p.value and p.std]
+    yield from _base_precision(design)
+    if not parameters:
+        return
+    yield (
+        f"sensors: {', '.join(_sensors(design.study))}; predicted half-widths of the 95 %"
+        " confidence intervals on the guessed arm:"
+    )
+    for joint in range(1, design.study.arm.n_joints + 1):
+        parts = [
+            f"{p.name} {100.0 * CI95_STDS * (p.std or 0.0) / abs(p.value or 1.0):.2g} %"
+            for p in parameters
+            if p.joint == joint
+        ]
+        yield f"joint {joint}: {', '.join(parts)}"
+
+
+def _base_precision(design: Design) -> Iterator[str]:
+    """Largest predicted half-width of the base parameters of a chain, by unit."""
+    entries = base_parameter_entries(design.study.arm, design.records[0].precision)
+    by_unit: dict[str, list[dict[str, Any]]] = {}
+    for entry in entries:
+        by_unit.setdefault(entry["unit"], []).append(entry)
+    if any(entry["std"] is None for entry in entries):
+        yield "the motion does not determine all base parameters"
+    elif entries:
+        texts = []
+        for unit, group in by_unit.items():
+            widest = max(group, key=lambda entry: float(entry["std"]))
+            largest = max(abs(entry["value"]) for entry in group)
+            width = CI95_STDS * widest["std"]
+            share = f" ({100.0 * width / largest:.2g} % of the largest)" if largest else ""
+            texts.append(f"{widest['name']} {width:.2g} {unit}{share}")
+        yield f"widest predicted half-widths of base parameters: {', '.join(texts)}"
+
+
+def _sensors(study: Study) -> Iterator[str]:
+    """Sensors of each joint."""
+    for i, joint in enumerate(study.arm.joints, start=1):
+        counts = joint.encoder_counts
+        axes = installed_axes(study.arm, i, study.channels)
+        nouns = dict.fromkeys(axis.sensor.noun for axis in axes) or ("no link sensor",)
+        encoder = f"encoder of {counts:g} counts" if counts else "encoder"
+        yield f"joint {i}'s {' and '.join((encoder, *nouns))}"
+
+
+def _table(design: Design) -> Table:
+    """One row per record and joint, followed by the limits."""
+    heads = ("joint", "angle", "motor speed", "voltage", "gear torque", "standstill")
+    table = printed_table("predicted, SI units", *map(number, heads))
+    table.columns[0].no_wrap = True
+    rows: list[tuple[str, PredictedMotion | Limits]]
+    rows = [(record.experiment.name, record.predicted) for record in design.records]
+    for name, row in (*rows, ("limit", design.limits)):
+        for i in range(design.study.arm.n_joints):
+            sizes = [getattr(row, key)[i] for key, *_ in LIMITED]
+            texts = [f"{size:.3g}" if np.isfinite(size) else "" for size in sizes]
+            rest = f"{100.0 * row.rest_share[i]:.0f} %" if isinstance(row, PredictedMotion) else ""
+            table.add_row(*map(Text, (name, str(i + 1), *texts, rest)))
+    return table

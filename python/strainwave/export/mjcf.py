@@ -23,8 +23,7 @@ from strainwave.domain.link_sensors import Axis, installed_axes
 from strainwave.domain.link_sensors.accelerometer import Accelerometer
 from strainwave.domain.link_sensors.gyro import Gyro
 from strainwave.domain.link_sensors.imu import IMU_ATTITUDE, IMU_POSITION
-from strainwave.domain.link_sensors.link_space import link_space
-from strainwave.domain.link_sensors.rotations import axes_about
+from strainwave.domain.link_sensors.link_space import axes_about, link_space
 from strainwave.export.bodies import (
     effective_gravity,
     gravity_warnings,

@@ -20,9 +20,8 @@ from strainwave.domain.parameter_table import base_name
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import apply_sensor_model
-from strainwave.dynamics.record_effects import record_inputs
 from strainwave.dynamics.rigid_prediction import fit_percent
-from strainwave.dynamics.simulation import Drive, simulate_arms
+from strainwave.dynamics.simulation import Drive, record_inputs, simulate_arms
 from strainwave.numerics.filters import differentiate, low_pass, noise_std
 from strainwave.signals.prepared_record import prepare_record
 from strainwave.signals.recorded_input import check_recorded_input, recorded_drive

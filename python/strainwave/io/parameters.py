@@ -13,7 +13,7 @@ from strainwave.domain.keys import Values
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
 from strainwave.io.base_parameters import standard_key
-from strainwave.io.identified_noise import noise_of
+from strainwave.io.joint_covariance import noise_of
 
 
 def read_parameters(path: Path) -> Values:

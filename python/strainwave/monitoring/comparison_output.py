@@ -19,11 +19,11 @@ from strainwave.monitoring import output
 from strainwave.monitoring.comparison import (
     AGREES,
     DIFFERS,
+    JointTest,
     Pair,
     ParameterDifference,
     ResultComparison,
 )
-from strainwave.monitoring.joint_tests import JointTest
 from strainwave.monitoring.output import format_p
 from strainwave.presentation.figures import Axis, Colour, Figure, Markers, Panel
 from strainwave.presentation.report.blocks import (
@@ -38,7 +38,7 @@ from strainwave.presentation.report.blocks import (
     prose,
     table,
 )
-from strainwave.presentation.report.document import document as page_of
+from strainwave.presentation.report.blocks import document as page_of
 from strainwave.presentation.terminal import printed_table
 
 SCHEMA = "strainwave/comparison/1"

@@ -8,8 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.monitoring.common_factor import CommonFactor, common_factor, is_torque_like
-from strainwave.monitoring.joint_tests import adjust_p_values
+from strainwave.monitoring.comparison import (
+    CommonFactor,
+    adjust_p_values,
+    common_factor,
+    is_torque_like,
+)
 from strainwave.monitoring.shapes import MIN_VISITS, Change, fit_change
 from strainwave.monitoring.visits import ArmHistory, Histories, ParameterHistory
 

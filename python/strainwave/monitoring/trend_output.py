@@ -31,7 +31,7 @@ from strainwave.presentation.report.blocks import (
     slug,
     table,
 )
-from strainwave.presentation.report.document import document as page_of
+from strainwave.presentation.report.blocks import document as page_of
 from strainwave.presentation.terminal import printed_table
 
 SCHEMA = "strainwave/trend/1"

@@ -10,8 +10,7 @@ import numpy as np
 from strainwave import _core
 from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.domain.distributions import STD_PER_MEDIAN
-from strainwave.numerics.banded import Banded
-from strainwave.numerics.linalg import singular_values
+from strainwave.numerics.linalg import Banded, singular_values
 
 HUBER_LIMIT_STDS = 4.0
 """Huber limit, in standard deviations. It reduces the influence of gross errors only. A lower limit

@@ -179,8 +179,6 @@ def full_step(at: Linearised, x: FloatArray, space: Space) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class _StepLimit:
-    """Limit of a step from x."""
-
     space: Space
     x: FloatArray
     share: float  # share of the range in which the problem is nearly linear

@@ -10,12 +10,10 @@ from strainwave.domain import ArmModel, Comparison, Protocol, Tally
 from strainwave.errors import StrainwaveError
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 from strainwave.paper import amplitude, decoupled, feedback, inputs, refinement, steps
-from strainwave.paper.claims import failed_comparison
-from strainwave.paper.document import document_of, to_json
+from strainwave.paper.document import document_of, failed_comparison, to_json
 from strainwave.paper.joint_estimates import evidence_of
 from strainwave.paper.page import to_markdown
-from strainwave.paper.rig import Rig, WholeArmEstimate
-from strainwave.paper.settings import OWN_SETTINGS, PUBLISHED_SETTINGS, Settings
+from strainwave.paper.rig import OWN_SETTINGS, PUBLISHED_SETTINGS, Rig, Settings, WholeArmEstimate
 from strainwave.virtual.scara import SOFT, BuiltInArm
 
 __all__ = [

@@ -15,7 +15,7 @@ import numpy as np
 from strainwave.domain import Comparison, Criterion, Evidence, FloatArray, JointModel, Mode
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, anti_resonance, jacobian, joint_of
 from strainwave.identification.joint_model.agreement import vector_of
-from strainwave.paper.claims import comparison_of, criterion_of
+from strainwave.paper.document import comparison_of, criterion_of
 from strainwave.paper.joint_estimates import (
     JointEstimate,
     curve,

@@ -8,7 +8,7 @@ import numpy as np
 
 from strainwave.domain import Comparison, Criterion, Evidence
 from strainwave.domain.options import Channels
-from strainwave.paper.claims import comparison_of, criterion_of
+from strainwave.paper.document import comparison_of, criterion_of
 from strainwave.paper.joint_estimates import (
     JointEstimate,
     curve,

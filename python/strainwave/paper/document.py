@@ -1,15 +1,23 @@
-"""Convert claims over several seeds to comparisons.json."""
+"""Convert claims over several seeds to comparisons.json.
+
+Comparisons with the figures of the source; claims.toml lists claims and criteria.
+"""
 
 from __future__ import annotations
 
 import json
 import math
+import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 from strainwave import __version__
-from strainwave.domain import Criterion, Tally
+from strainwave.domain import Comparison, Criterion, Evidence, Tally
+from strainwave.errors import StrainwaveError
+from strainwave.presentation.figures import Figure
 
 SCHEMA = "strainwave/comparisons/3"
 
@@ -91,3 +99,44 @@ def _model(tally: Tally, name: str) -> dict[str, Any]:
 
 def _number(value: float) -> float | None:
     return float(f"{value:.6g}") if math.isfinite(value) else None
+
+
+def comparison_of(
+    figure: int,
+    *,
+    criteria: Sequence[Criterion],
+    message: str,
+    evidence: Sequence[Evidence] = (),
+    values: Mapping[str, float] | None = None,
+    plots: Sequence[Figure] = (),
+) -> Comparison:
+    """Comparison of one figure with its title and claim."""
+    claim = _table()["figures"][str(figure)]
+    return Comparison(
+        figure=figure,
+        title=claim["title"],
+        claim=claim["claim"],
+        criteria=tuple(criteria),
+        evidence=tuple(evidence),
+        message=message,
+        plots=tuple(plots),
+        values=values or {},
+    )
+
+
+def failed_comparison(figure: int, error: StrainwaveError) -> Comparison:
+    """Comparison of a figure whose estimation failed: the claim is not shown."""
+    evidence = Evidence(str(error), "estimation", "failed")
+    return comparison_of(figure, criteria=(), message="the estimation failed", evidence=(evidence,))
+
+
+def criterion_of(key: str, value: float, otherwise: str = "", **names: Any) -> Criterion:
+    """Criterion of claims.toml; `names` fill its texts, `otherwise` explains a failure."""
+    entry = _table()["criteria"][key]
+    name, reason = entry["name"].format(**names), entry["reason"].format(**names)
+    return Criterion(name, value, entry["bound"], entry["limit"], reason, otherwise)
+
+
+@cache
+def _table() -> dict[str, dict[str, Any]]:
+    return tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from strainwave.domain import Comparison, Control, Evidence
 from strainwave.domain.options import EstimationMethod
-from strainwave.paper.claims import comparison_of, criterion_of
+from strainwave.paper.document import comparison_of, criterion_of
 from strainwave.paper.joint_estimates import (
     JointErrors,
     curve,
@@ -12,8 +12,7 @@ from strainwave.paper.joint_estimates import (
     estimated_curve,
     response_of,
 )
-from strainwave.paper.rig import Rig
-from strainwave.paper.settings import CLASSICAL_METHOD
+from strainwave.paper.rig import CLASSICAL_METHOD, Rig
 from strainwave.presentation.figures.curves import bode
 
 _DEFAULT_ORDER = 3  # torsion and two velocities

@@ -11,7 +11,7 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.two_inertia import TwoInertia, joint_of
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model.agreement import vector_of
-from strainwave.paper.claims import comparison_of, criterion_of
+from strainwave.paper.document import comparison_of, criterion_of
 from strainwave.paper.joint_estimates import (
     JointEstimate,
     curve,

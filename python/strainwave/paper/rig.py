@@ -1,9 +1,12 @@
-"""Experiments of the built-in arm as its sensors log them, decoupled, with the true values."""
+"""Experiments of the built-in arm as its sensors log them, decoupled, with the true values.
+
+Settings of recording and estimation for the comparisons.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
@@ -16,13 +19,17 @@ from strainwave.domain import (
     Experiment,
     FloatArray,
     JointModel,
+    LinearOptions,
+    LinkOptions,
     LinkSignals,
     Log,
     Prbs,
+    Protocol,
     RigidModel,
+    WholeArmOptions,
 )
 from strainwave.domain.keys import Values
-from strainwave.domain.options import Channels, EstimationMethod
+from strainwave.domain.options import PUBLISHED_OPTIONS, Channels, EstimationMethod
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
@@ -34,12 +41,43 @@ from strainwave.identification.decoupling import decouple
 from strainwave.identification.joint_model import from_state_space, identify_joint, rigid_knowledge
 from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.paper.joint_estimates import JointEstimate, estimate, evidence_of, growth_of
-from strainwave.paper.settings import OWN_SETTINGS, Settings
 from strainwave.paper.truth import equivalent, joint_with
 from strainwave.signals import motor as signals
 from strainwave.signals.link_motion import prepare_link_signals
 from strainwave.virtual.plans import STEP_HOLD, smooth_reference
 from strainwave.virtual.scara import SOFT, BuiltInArm
+
+CLASSICAL_METHOD: EstimationMethod = "moesp"
+"""One of the weightings of MATLAB's n4sid. Feedback biases it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Settings from an experiment to a model."""
+
+    protocol: Protocol
+    sample_time: float  # [s] of the logs
+    periods: int  # of the PRBS, 1023 clocks of 1 ms each
+    links: LinkOptions = field(default_factory=LinkOptions)
+    linear: LinearOptions = field(default_factory=LinearOptions)
+    tuning: WholeArmOptions = field(default_factory=WholeArmOptions)
+    records: int = 4  # of one period at each amplitude of Figs. 14 and 15
+
+
+OWN_SETTINGS = Settings("own", sample_time=2.5e-4, periods=4)
+"""Default settings of `identify`."""
+
+PUBLISHED_SETTINGS = Settings(
+    "as-published",
+    sample_time=2.5e-5,
+    periods=1,
+    links=PUBLISHED_OPTIONS.links,
+    linear=PUBLISHED_OPTIONS.statespace,
+    tuning=PUBLISHED_OPTIONS.tuning,
+    records=1,
+)
+"""Settings of the source: 0.025 ms, one period of 1.023 s, decimated to 2 ms, order 4."""
+
 
 Progress = Callable[[str], None]
 

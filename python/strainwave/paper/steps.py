@@ -10,7 +10,7 @@ from strainwave.domain import Comparison, FloatArray
 from strainwave.domain.keys import Values
 from strainwave.identification.closed_loop import restrict_to_values
 from strainwave.numerics.filters import band_pass, low_pass
-from strainwave.paper.claims import comparison_of, criterion_of
+from strainwave.paper.document import comparison_of, criterion_of
 from strainwave.paper.rig import Rig, WholeArmEstimate, ideal_log, run_steps
 from strainwave.presentation.figures import Figure
 from strainwave.presentation.figures.curves import Series, pair

@@ -34,16 +34,26 @@ from strainwave.identification import amplitude_sweep as sweep
 from strainwave.identification import whole_arm
 from strainwave.io import logs
 from strainwave.io.atomic_files import write_whole
-from strainwave.io.logs.in_memory import Data
+from strainwave.io.logs.arrow import Data
 from strainwave.io.results import to_document, to_json
 from strainwave.io.study import read_study, with_options
 from strainwave.numerics.parallel import limited, one_blas_thread
-from strainwave.pipeline.drives import DriveStage, estimate_drives
 from strainwave.pipeline.elastic_arm import ElasticStages, fit_elastic_arm
-from strainwave.pipeline.input_check import CheckedInputs, check_input, check_inputs
-from strainwave.pipeline.inputs import Inputs, read_start, with_sensed_torques
+from strainwave.pipeline.inputs import (
+    CheckedInputs,
+    Inputs,
+    check_input,
+    check_inputs,
+    read_start,
+    with_sensed_torques,
+)
 from strainwave.pipeline.reporter import Reporter, attempt
-from strainwave.pipeline.rigid_joints import RigidStage, fit_rigid_joints
+from strainwave.pipeline.rigid_joints import (
+    DriveStage,
+    RigidStage,
+    estimate_drives,
+    fit_rigid_joints,
+)
 from strainwave.presentation.matplotlib_backend import images
 from strainwave.signals import consistency
 from strainwave.signals.activity import activity_of

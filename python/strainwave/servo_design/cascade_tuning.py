@@ -16,12 +16,25 @@ import numpy as np
 from strainwave.domain import ComplexArray, FloatArray, IntArray
 from strainwave.domain.control_law import ControlLaw
 from strainwave.numerics.parallel import run_parallel
-from strainwave.servo_design.closed_loop import ClosedLoop, SampledPlants, Steps, close, sample
+from strainwave.servo_design.closed_loop import (
+    Clock,
+    ClosedLoop,
+    SampledPlants,
+    Steps,
+    close,
+    frequency_grid,
+    sample,
+    sampled_responses,
+)
 from strainwave.servo_design.control_law import Biquad, Gains, low_pass, notch
-from strainwave.servo_design.loop_bands import LoopBand
-from strainwave.servo_design.margins import Margins, Requirements, effective_plants, margins_of
+from strainwave.servo_design.margins import (
+    LoopBand,
+    Margins,
+    Requirements,
+    effective_plants,
+    margins_of,
+)
 from strainwave.servo_design.plants import Plants
-from strainwave.servo_design.sampling import Clock, frequency_grid, sampled_responses
 
 MAX_RIPPLE_SHARE = 0.05
 """Largest share of the voltage limit by which one count of the encoder changes the voltage."""

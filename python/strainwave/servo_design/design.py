@@ -14,19 +14,16 @@ from strainwave.domain.keys import Values, label_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.export.source import IdentifiedArm
-from strainwave.io.identified_noise import IdentifiedNoise
-from strainwave.io.joint_covariance import JointCovariance
+from strainwave.io.joint_covariance import IdentifiedNoise, JointCovariance
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 from strainwave.servo_design.cascade_tuning import Loops, TunedJoint, tune_cascades
-from strainwave.servo_design.closed_loop import SampledPlants, Steps, close, sample
+from strainwave.servo_design.closed_loop import Clock, SampledPlants, Steps, close, sample
 from strainwave.servo_design.control_law import Gains
 from strainwave.servo_design.damping import Damping, design_damping
 from strainwave.servo_design.link_estimation import EstimationError, errors_in_a_move
-from strainwave.servo_design.loop_bands import LoopBand
-from strainwave.servo_design.margins import Margins, Requirements
+from strainwave.servo_design.margins import LoopBand, Margins, Requirements
 from strainwave.servo_design.observer import Observer, design_observers
 from strainwave.servo_design.plants import Condition, Plants, drawn_values, plants_of
-from strainwave.servo_design.sampling import Clock
 from strainwave.servo_design.shaper_ranking import COVERAGE, RankedShaper, rank_shapers
 from strainwave.servo_design.verification import Comparison, compare_moves
 

@@ -33,8 +33,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
 from strainwave.servo_design.joint_effects import JointEffects, effects_of
-from strainwave.servo_design.link_motion import LinkMotion
-from strainwave.servo_design.payload_motion import payload_torques
+from strainwave.servo_design.link_motion import LinkMotion, payload_torques
 
 _DIFFERENCE_SHARE = 0.25  # of the period, step of differences in time: truncation and rounding 1e-9
 _FIRST = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0  # fourth-order central differences

@@ -20,13 +20,13 @@ from strainwave.domain.link_sensors.gyro import Gyro
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros
 from strainwave.domain.link_sensors.interface import LinkSensor
 from strainwave.domain.link_sensors.link_encoder import LinkEncoder
-from strainwave.domain.link_sensors.rotations import attitude, axes_about
+from strainwave.domain.link_sensors.link_space import attitude, axes_about
 from strainwave.domain.link_sensors.torque_sensor import TorqueSensor
 from strainwave.domain.link_sensors.torsion_sensor import TorsionSensor
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.export.source import IdentifiedArm
-from strainwave.io.identified_noise import IdentifiedNoise
+from strainwave.io.joint_covariance import IdentifiedNoise
 from strainwave.signals.link_readings import JointMotion, imu_parts, read_accelerometer, read_gyro
 
 _DEFAULT_COUNTS = 4096.0  # of an encoder without counts and without identified noise

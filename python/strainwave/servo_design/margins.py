@@ -1,8 +1,14 @@
-"""Stability margins of servo loops over many plants."""
+"""Stability margins of servo loops over many plants.
+
+Bands of open-loop responses over many plants.
+
+The smallest and the median margin of a loop over all plants, and where the smallest is.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -127,3 +133,81 @@ def effective_plants(plants: ComplexArray, controllers: ComplexArray, joint: int
     caused = np.linalg.solve(closed, plants[..., others, joint][..., None])[..., 0]
     back = plants[..., joint, others] * controllers[:, others]
     return np.asarray(own - (back * caused).sum(axis=-1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopBand:
+    """One loop: its response with the estimates, and the range over all plants.
+
+    The phase is continuous over the frequency and not positive at the first. `distance` is |1 + L|.
+    """
+
+    hz: FloatArray  # (n_omega,)
+    gain_db: FloatArray  # (n_omega, 3): smallest, of the estimates, largest
+    phase_deg: FloatArray  # (n_omega, 3)
+    distance: FloatArray  # (n_omega, 3)
+
+    @classmethod
+    def of(cls, loop: ComplexArray, omega: FloatArray) -> LoopBand:
+        """The band of responses (n_plants, n_omega); the first plant has the estimates."""
+        phase = np.unwrap(np.angle(loop), axis=1)
+        phase -= 2.0 * np.pi * (phase[0, 0] > 0.0)
+        # resonances turn the phase differently, but all plants are alike below them
+        phase -= 2.0 * np.pi * np.round((phase[:, :1] - phase[0, 0]) / (2.0 * np.pi))
+        return cls(
+            hz=omega / (2.0 * np.pi),
+            gain_db=_range(20.0 * np.log10(np.maximum(np.abs(loop), 1e-300))),
+            phase_deg=_range(np.degrees(phase)),
+            distance=_range(np.abs(1.0 + loop)),
+        )
+
+    @classmethod
+    def join(cls, parts: Sequence[LoopBand]) -> LoopBand:
+        """The band over all plants of bands that begin with the same plant."""
+
+        def widest(name: str) -> FloatArray:
+            low, first, high = np.moveaxis(np.array([getattr(part, name) for part in parts]), 2, 0)
+            return np.stack([low.min(axis=0), first[0], high.max(axis=0)], axis=1)
+
+        return cls(parts[0].hz, *map(widest, ("gain_db", "phase_deg", "distance")))
+
+
+def _range(values: FloatArray) -> FloatArray:
+    """Smallest, first and largest value of each column."""
+    return np.stack([values.min(axis=0), values[0], values.max(axis=0)], axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class MarginSummary:
+    """One margin of one loop."""
+
+    name: str
+    unit: str
+    required: float | None
+    least: float  # infinite for a loop without crossing
+    median: float
+    hz: float | None  # of the smallest margin
+    plant: int  # with the smallest margin
+
+    @property
+    def share(self) -> float:
+        """The smallest margin over the required one; infinite if none is required."""
+        return self.least / self.required if self.required else math.inf
+
+
+def margin_summaries(margins: Margins, required: Requirements) -> Iterator[MarginSummary]:
+    """Gain, phase and modulus margins, and the bandwidth."""
+    yield _summary("gain", "dB", required.gain_db, margins.gain_db, margins.gain_hz)
+    yield _summary("phase", "deg", required.phase_deg, margins.phase_deg, margins.phase_hz)
+    yield _summary("modulus", "1", required.modulus, margins.modulus, margins.modulus_hz)
+    yield _summary("bandwidth", "Hz", None, margins.bandwidth_hz, None)
+
+
+def _summary(
+    name: str, unit: str, required: float | None, values: FloatArray, hz: FloatArray | None
+) -> MarginSummary:
+    plant = int(np.argmin(values))
+    where = None if hz is None else float(hz[plant])
+    return MarginSummary(
+        name, unit, required, float(values[plant]), float(np.median(values)), where, plant
+    )

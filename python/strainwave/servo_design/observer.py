@@ -25,15 +25,15 @@ from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
-from strainwave.io.identified_noise import IdentifiedNoise
+from strainwave.io.joint_covariance import IdentifiedNoise
+from strainwave.servo_design.closed_loop import Clock
 from strainwave.servo_design.link_measurements import Measurement, measurements_of
-from strainwave.servo_design.plants import Condition
-from strainwave.servo_design.sampling import Clock
-from strainwave.servo_design.two_inertia import (
+from strainwave.servo_design.plants import (
     DISTURBANCE,
     DRIVE_TORQUE,
     LAST_INPUT,
     MOTION,
+    Condition,
     TwoInertia,
     link_inertias,
 )

@@ -11,8 +11,7 @@ from strainwave.domain import Payload
 from strainwave.errors import InvalidInput
 from strainwave.export.source import arm_of
 from strainwave.io.atomic_files import write_whole
-from strainwave.io.identified_noise import noise_of
-from strainwave.io.joint_covariance import covariance_of
+from strainwave.io.joint_covariance import covariance_of, noise_of
 from strainwave.io.results import read_document, result_path
 from strainwave.servo_design.design import ServoDesign, ServoOptions, design_servo
 

@@ -6,6 +6,17 @@ the motor torque x,
     tau_c dx/dt = e u - x,    tau_c = 1 / (2 pi current_loop_hz).
 
 e is `torque_per_volt` [N m/V]. Without `current_loop_hz` the lag is omitted.
+
+Torques sampled faster than a servo commands -> the held commands behind them.
+
+A drive samples its torque at a time of its own, d after the time stamp. Between the ticks of the
+servo the command is constant, so with the current loop's time constant tau_c a torque sampled s
+after a tick is
+
+    x = (1 - exp(-s / tau_c)) u_j + exp(-s / tau_c) u_(j-1).
+
+Each tick has at least two samples, which determine d and the commands by least squares. Without d,
+the commands of [`DriveLaw.voltage`] would begin up to a sample early, and spread over two.
 """
 
 from __future__ import annotations
@@ -69,3 +80,76 @@ class DriveLaw:
             return np.asarray(0.5 * (torque + following) / self.torque_per_volt)
         decay = np.exp(-2.0 * np.pi * self.current_loop_hz * sample_time)
         return np.asarray((following - decay * torque) / (1.0 - decay) / self.torque_per_volt)
+
+
+_OFFSETS_PER_PERIOD = 40  # of the grid for d; the misfit is smooth between its points
+# maximum misfit relative to the changes from sample to sample; smooth torques fit any offset
+_MAX_MISFIT_SHARE = 0.1
+_TICK_ROUNDING = 1e-9  # ticks by which a sample at a tick may seem early
+_MIN_WEIGHT = 1e-12  # of the diagonal, for ticks without samples
+
+
+@dataclass(frozen=True, slots=True)
+class _Clock:
+    """Samples of a torque, the ticks of the servo, and the lag between command and torque."""
+
+    sample_time: float  # [s]
+    period: float  # [s]
+    lag: float  # tau_c [s]
+
+    def commands(self, torque: FloatArray, offset: float) -> tuple[FloatArray, FloatArray]:
+        """Commands at the ticks, from the one before the record, and the misfit of the samples."""
+        from scipy.linalg import solveh_banded
+
+        time = self.sample_time * np.arange(len(torque)) + offset
+        tick = np.floor(time / self.period + _TICK_ROUNDING).astype(int)
+        new = -np.expm1(-(time - tick * self.period) / self.lag)
+        at = tick - tick[0] + 1
+        matrix, right = np.zeros((2, at[-1] + 1)), np.zeros(at[-1] + 1)
+        np.add.at(matrix[1], at, new**2)
+        np.add.at(matrix[1], at - 1, (1.0 - new) ** 2)
+        np.add.at(matrix[0], at, new * (1.0 - new))
+        np.add.at(right, at, new * torque)
+        np.add.at(right, at - 1, (1.0 - new) * torque)
+        matrix[1] += _MIN_WEIGHT
+        # tridiagonal and well conditioned: the last sample of a tick is nearly its command
+        commands = solveh_banded(matrix, right)
+        return commands, torque - (new * commands[at] + (1.0 - new) * commands[at - 1])
+
+    def held(self, torque: FloatArray, offset: float) -> FloatArray:
+        """Command in the period after each sample; ticks are at the nearest time stamps."""
+        commands, _ = self.commands(torque, offset)
+        first = np.floor(offset / self.period + _TICK_ROUNDING)
+        whole = round(offset / self.sample_time)
+        middle = (np.arange(len(torque)) + whole + 0.5) * self.sample_time
+        at = np.floor(middle / self.period).astype(int) - int(first) + 1
+        return np.asarray(commands[np.clip(at, 0, len(commands) - 1)])
+
+
+def held_commands(
+    torques: Sequence[FloatArray], sample_time: float, period: float, current_loops: Sequence[float]
+) -> list[FloatArray] | None:
+    """Commands [N m] in the period after each sample, one array per torque.
+
+    `period` [s] is that of the servo, a multiple of `sample_time`; `current_loops` are bandwidths
+    [Hz]. Returns None if the torques do not show when they were sampled, or are not those of held
+    commands.
+    """
+    from scipy.optimize import minimize_scalar
+
+    clocks = [_Clock(sample_time, period, 1.0 / (2.0 * np.pi * hz)) for hz in current_loops]
+    grid = period * (np.arange(_OFFSETS_PER_PERIOD) / _OFFSETS_PER_PERIOD - 0.5)
+    pairs = list(zip(clocks, torques, strict=True))
+    misfits = np.array([[np.std(c.commands(x, d)[1]) for d in grid] for c, x in pairs])
+    changes = np.array([np.std(np.diff(torque)) for torque in torques])
+    decisive = int(np.argmin(misfits.min(axis=1) / np.maximum(changes, 1e-300)))
+    clock, torque = pairs[decisive]
+    if misfits[decisive].min() >= _MAX_MISFIT_SHARE * changes[decisive]:
+        return None
+    near, step = grid[np.argmin(misfits[decisive])], grid[1] - grid[0]
+    offset = minimize_scalar(
+        lambda d: float(np.std(clock.commands(torque, d)[1])),
+        bounds=(near - step, near + step),
+        method="bounded",
+    ).x
+    return [clock.held(torque, offset) for clock, torque in pairs]

@@ -24,7 +24,7 @@ from strainwave.domain.link_sensors.imu import (
     IMU_START_ATTITUDE,
     attitude_of,
 )
-from strainwave.domain.link_sensors.rotations import angles, attitude
+from strainwave.domain.link_sensors.link_space import angles, attitude
 
 _MAX_SEARCHES = 16  # number of best starting values from which the search continues
 _MAX_ITERATIONS = 120  # maximum number of iterations of each search

@@ -17,13 +17,13 @@ from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import Axis, mounted_axes, unknowns_of
 from strainwave.domain.link_sensors.accelerometer import ACCELEROMETER_DISTANCE, Accelerometer
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros, ImuSensor
-from strainwave.domain.link_sensors.link_signals import (
+from strainwave.domain.link_sensors.link_space import (
     ACCELEROMETER_QUANTITIES,
     GYRO_QUANTITIES,
+    LinkSpace,
     accelerometer_weights,
+    axes_about,
 )
-from strainwave.domain.link_sensors.link_space import LinkSpace
-from strainwave.domain.link_sensors.rotations import axes_about
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import low_pass
 from strainwave.signals.channels import unmeasured

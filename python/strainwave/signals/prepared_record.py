@@ -21,8 +21,7 @@ from strainwave.signals.channels import (
     directions,
     unmeasured,
 )
-from strainwave.signals.drive_law import DriveLaw
-from strainwave.signals.held_commands import held_commands
+from strainwave.signals.drive_law import DriveLaw, held_commands
 
 _MAX_PERIOD_ERROR = 1e-6  # relative, of the servo's period as a multiple of the sample time
 _MIN_SAMPLES_PER_COMMAND = 2  # below it, torques do not show when they were sampled

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from strainwave.domain import BoolArray, FloatArray, IntArray
-from strainwave.numerics.banded import Banded
+from strainwave.numerics.linalg import Banded
 
 Value = TypeVar("Value", np.bool_, np.float64)
 

@@ -1,6 +1,11 @@
-"""Poles and zeros of state-space models: the resonances and anti-resonances of a joint."""
+"""Poles and zeros of state-space models: the resonances and anti-resonances of a joint.
+
+Poles on the negative real axis, which have no continuous-time equivalent.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,8 +18,7 @@ from strainwave.domain import (
     StateSpace,
 )
 from strainwave.errors import InvalidInput
-from strainwave.statespace.continuous import to_continuous
-from strainwave.statespace.propagation import propagate
+from strainwave.statespace.continuous import propagate, to_continuous
 
 # Zeros above this multiple of the fastest pole count as zeros at infinity, which rounding and noise
 # in D make finite.
@@ -130,3 +134,50 @@ def _shapes(values: ComplexArray) -> FloatArray:
 def _least_damped(candidates: tuple[Mode, ...]) -> Mode | None:
     pairs = [mode for mode in candidates if mode.oscillates]
     return min(pairs, key=lambda mode: abs(mode.damping)) if pairs else None
+
+
+def remove_alternating_poles(model: StateSpace) -> StateSpace:
+    """Remove poles on the negative real axis, which have no continuous-time equivalent.
+
+    Such a pole alternates in sign from sample to sample and models the edge of the band, at
+    Nyquist. Within the band it is a constant gain, which is added to D. The covariance is
+    propagated. Returns the model itself if it has no such pole.
+    """
+    values, vectors = np.linalg.eig(model.A)
+    alternating = np.flatnonzero((values.imag == 0.0) & (values.real <= 0.0))
+    if not len(alternating) or len(alternating) == model.order:
+        return model
+    z, w = float(values[alternating[0]].real), np.linalg.inv(vectors)[alternating[0]].real
+    # w'A = z w': `complement` is the invariant subspace
+    complement = np.linalg.svd(w[None])[2][1:].T
+    reduced = _without(z, complement, model)
+
+    def entries(near: StateSpace) -> FloatArray:
+        other = _without(z, complement, near)
+        return np.concatenate([np.ravel(m) for m in (other.A, other.B, other.C, other.D, other.K)])
+
+    if model.covariance is not None:
+        reduced = replace(reduced, covariance=propagate(model, entries)[1])
+    return remove_alternating_poles(reduced)
+
+
+def _without(z: float, others: FloatArray, model: StateSpace) -> StateSpace:
+    """Remove the pole nearest to z, in the basis `others` projected along that pole's eigenvector.
+
+    The basis is a smooth function of the model, as `propagate` requires.
+    """
+    values, vectors = np.linalg.eig(model.A)
+    index = int(np.argmin(np.abs(values - z)))
+    pole, v, w = values[index].real, vectors[:, index].real, np.linalg.inv(vectors)[index].real
+    basis = others - np.outer(v, w @ others)
+    projection = np.linalg.inv(np.column_stack([basis, v]))[:-1]
+    return replace(
+        model,
+        A=projection @ model.A @ basis,
+        B=projection @ model.B,
+        C=model.C @ basis,
+        D=model.D + np.outer(model.C @ v, w @ model.B) / (1.0 - pole),
+        K=projection @ model.K,
+        initial_states=model.initial_states @ projection.T,
+        covariance=None,
+    )

@@ -25,8 +25,13 @@ from strainwave.domain.options import Focus
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.statespace._entries import Matrices, balance, stabilise
 from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
-from strainwave.statespace._hankel import solve_upper, triangular_factor
-from strainwave.statespace._riccati import innovations_gain, is_stable, stabilising_gain
+from strainwave.statespace._riccati import (
+    innovations_gain,
+    is_stable,
+    solve_upper,
+    stabilising_gain,
+    triangular_factor,
+)
 from strainwave.statespace._stack import Data, Stack, stack
 
 Method = Literal["auto", "moesp", "n4sid", "predictor"]

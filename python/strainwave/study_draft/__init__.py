@@ -17,7 +17,6 @@ import numpy as np
 
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import write_whole
-from strainwave.study_draft.candidates import Guess, Mapping
 from strainwave.study_draft.channels import add_channels, map_channels
 from strainwave.study_draft.experiment_type import (
     ExperimentProposal,
@@ -25,6 +24,7 @@ from strainwave.study_draft.experiment_type import (
     unchecked_joints,
 )
 from strainwave.study_draft.inspection import Record, find_fullest_record, read_record
+from strainwave.study_draft.joint_columns import Guess, Mapping
 from strainwave.study_draft.joints import find_logged_joints
 from strainwave.study_draft.robot import Robot
 from strainwave.study_draft.study_text import (

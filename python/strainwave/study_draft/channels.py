@@ -8,9 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from strainwave.errors import InvalidInput
-from strainwave.study_draft.candidates import MIN_RELATED_CORRELATION, Guess, Mapping
 from strainwave.study_draft.inspection import Record
-from strainwave.study_draft.joint_columns import DEGREE, JointColumns
+from strainwave.study_draft.joint_columns import (
+    DEGREE,
+    MIN_RELATED_CORRELATION,
+    Guess,
+    JointColumns,
+    Mapping,
+)
 from strainwave.study_draft.joint_signals import map_input, map_sensors
 from strainwave.study_draft.joints import assign_columns
 from strainwave.study_draft.names import parse

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import Control, FloatArray, Prbs, Use
-from strainwave.study_draft.candidates import MIN_RANGE_SHARE, Mapping
 from strainwave.study_draft.inspection import Record
+from strainwave.study_draft.joint_columns import MIN_RANGE_SHARE, Mapping
 from strainwave.study_draft.signal_features import (
     levels,
     runs_alike,

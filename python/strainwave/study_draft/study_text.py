@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from strainwave.io.templates import fill_text
-from strainwave.study_draft.candidates import Mapping
 from strainwave.study_draft.experiment_type import ExperimentProposal
 from strainwave.study_draft.inspection import Record
+from strainwave.study_draft.joint_columns import Mapping
 
 TODO = "TODO"
 _WIDTH = 100  # [characters] maximum length of a line

@@ -14,8 +14,7 @@ from strainwave.domain.link_sensors import Axis, installed_axes
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros, ImuSensor
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.record_effects import record_inputs
-from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory, measure
+from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory, measure, record_inputs
 from strainwave.errors import InvalidInput
 from strainwave.virtual.plans import Plan
 

@@ -27,8 +27,7 @@ from strainwave.domain.effects.motor import Stribeck
 from strainwave.domain.gear_laws import RIGID
 from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.record_effects import record_inputs
-from strainwave.dynamics.simulation import Drive, simulate
+from strainwave.dynamics.simulation import Drive, record_inputs, simulate
 from strainwave.errors import InvalidInput
 from strainwave.identification.whole_arm.selection.causes import warn_likely_cause
 from strainwave.io.study import read_study

@@ -26,8 +26,7 @@ from strainwave.domain.base_parameters import base_parameters
 from strainwave.domain.combinations import value_of
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.record_effects import record_inputs
-from strainwave.dynamics.simulation import SensorNoise
+from strainwave.dynamics.simulation import SensorNoise, record_inputs
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import rigid
 from strainwave.io.study import write_study

@@ -24,7 +24,7 @@ from strainwave.domain.combinations import value_of
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import Fault, Kind, register, unregister
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.friction_terms import friction_per_size
+from strainwave.dynamics.rigid_prediction import friction_per_size
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification import rigid, validation
 from strainwave.virtual.experiments import simulate_study

@@ -25,7 +25,7 @@ from strainwave.domain import (
 )
 from strainwave.errors import InvalidInput
 from strainwave.io.logs import read_logs
-from strainwave.io.logs.stamps import time_of
+from strainwave.io.logs.clock_text import time_of
 from strainwave.io.logs.updates import find_updates
 from strainwave.io.study import read_study, write_study
 

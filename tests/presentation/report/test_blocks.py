@@ -20,12 +20,12 @@ from strainwave.presentation.report.blocks import (
     Row,
     Section,
     Span,
+    document,
     keyed,
     number,
     paragraph,
     table,
 )
-from strainwave.presentation.report.document import document
 
 EVIL = '</p><script>alert(1)</script>" onload="alert(1)'
 

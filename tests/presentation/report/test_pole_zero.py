@@ -12,8 +12,7 @@ from figure_parts import marks
 from strainwave.domain import Modes
 from strainwave.dynamics.two_inertia import coefficients
 from strainwave.presentation.figures import Figure, Line, Markers
-from strainwave.presentation.report.bode import JointFit
-from strainwave.presentation.report.pole_zero import pole_zero_map
+from strainwave.presentation.report.bode import JointFit, pole_zero_map
 from strainwave.statespace import modes
 
 RATIO = JOINT.gear_ratio

@@ -11,8 +11,7 @@ import pytest
 from strainwave.virtual.families import Family, Recorded, draw, record
 from strainwave.virtual.families.catalogue import GEAR_CATALOGUE, Friction
 from strainwave.virtual.families.causes import cause_names
-from strainwave.virtual.families.description import FAULTS, Sensors
-from strainwave.virtual.families.drawing import VirtualArm
+from strainwave.virtual.families.drawing import FAULTS, Sensors, VirtualArm
 
 BASE = Family(arms=6)
 CHANGED: dict[str, Any] = {

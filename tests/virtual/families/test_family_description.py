@@ -11,7 +11,7 @@ import pytest
 from strainwave.errors import InvalidInput
 from strainwave.virtual.families import Family, family_of, fields_of
 from strainwave.virtual.families.catalogue import Friction
-from strainwave.virtual.families.description import FAULTS, Sensors
+from strainwave.virtual.families.drawing import FAULTS, Sensors
 
 PATH = Path("campaign.toml")
 EXAMPLES = Path(__file__).parents[3] / "examples" / "campaigns"

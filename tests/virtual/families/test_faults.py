@@ -11,8 +11,7 @@ import pytest
 
 from strainwave.domain import FloatArray
 from strainwave.virtual.families import Family, Recorded, draw, record
-from strainwave.virtual.families.description import FAULTS, LinkSensors, Sensors
-from strainwave.virtual.families.drawing import VirtualArm
+from strainwave.virtual.families.drawing import FAULTS, LinkSensors, Sensors, VirtualArm
 
 BASE = Family(arms=1, sizes=(14,), sample_times=(1e-3,), springs=("linear",))
 Pair = tuple[FloatArray, FloatArray]  # without and with the fault

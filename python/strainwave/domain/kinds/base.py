@@ -14,7 +14,7 @@ from strainwave.domain.kinds.bodies import LINK_PARAMETERS, Body, ParameterLooku
 from strainwave.errors import NotIdentifiable
 
 if TYPE_CHECKING:
-    from strainwave.domain.kinds.starts import StageInertias
+    from strainwave.domain.kinds.bodies import StageInertias
 
 
 @dataclass(frozen=True, slots=True)

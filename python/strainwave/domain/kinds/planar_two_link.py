@@ -20,8 +20,15 @@ from strainwave.domain.kinds.base import (
     negative_ratios,
     wrong_number_of_joints,
 )
-from strainwave.domain.kinds.bodies import Body, ParameterLookup, about_axis
-from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positive, require_positive
+from strainwave.domain.kinds.bodies import (
+    MOTOR_SHARE,
+    Body,
+    ParameterLookup,
+    StageInertias,
+    about_axis,
+    is_positive,
+    require_positive,
+)
 from strainwave.errors import InvalidInput
 
 _ALPHA: Key = ("alpha", None)

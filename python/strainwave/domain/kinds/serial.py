@@ -11,8 +11,13 @@ from strainwave.domain.arm import ArmDescription, Joint, Servo, Vector
 from strainwave.domain.consistent_links import consistent_links, priors_of
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds.base import Fault, Kind
-from strainwave.domain.kinds.bodies import LINK_PARAMETERS
-from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positive, require_positive
+from strainwave.domain.kinds.bodies import (
+    LINK_PARAMETERS,
+    MOTOR_SHARE,
+    StageInertias,
+    is_positive,
+    require_positive,
+)
 from strainwave.domain.units import unit_in
 
 _MAX_JOINTS = 7  # of the compiled core

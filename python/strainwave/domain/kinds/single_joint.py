@@ -14,8 +14,16 @@ from strainwave.domain.kinds.base import (
     negative_ratios,
     wrong_number_of_joints,
 )
-from strainwave.domain.kinds.bodies import ASSUMED_LENGTH, Body, ParameterLookup, about_axis
-from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positive, require_positive
+from strainwave.domain.kinds.bodies import (
+    ASSUMED_LENGTH,
+    MOTOR_SHARE,
+    Body,
+    ParameterLookup,
+    StageInertias,
+    about_axis,
+    is_positive,
+    require_positive,
+)
 from strainwave.errors import InvalidInput
 
 _LINK: Key = ("link_inertia", 1)

@@ -18,7 +18,7 @@ from strainwave.domain.link_sensors.interface import (
     SensorConstant,
     TypicalSensor,
 )
-from strainwave.domain.link_sensors.link_signals import (
+from strainwave.domain.link_sensors.link_space import (
     ACCELEROMETER_QUANTITIES,
     accelerometer_weights,
 )

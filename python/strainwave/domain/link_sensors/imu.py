@@ -26,13 +26,15 @@ from strainwave.domain.link_sensors.interface import (
     LinkSensor,
     SensorConstant,
 )
-from strainwave.domain.link_sensors.link_signals import (
+from strainwave.domain.link_sensors.link_space import (
     ACCELEROMETER_QUANTITIES,
     GYRO_QUANTITIES,
+    LinkSpace,
     accelerometer_weights,
+    angles,
+    attitude,
+    rotation,
 )
-from strainwave.domain.link_sensors.link_space import LinkSpace
-from strainwave.domain.link_sensors.rotations import angles, attitude, rotation
 from strainwave.domain.quantities import Quantity
 
 if TYPE_CHECKING:

@@ -21,8 +21,7 @@ import numpy as np
 
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors.link_signals import LINK_SIGNALS
-from strainwave.domain.link_sensors.link_space import PLANE, LinkSpace
+from strainwave.domain.link_sensors.link_space import LINK_SIGNALS, PLANE, LinkSpace
 from strainwave.domain.parameter_table import of_record
 from strainwave.domain.quantities import Quantity
 

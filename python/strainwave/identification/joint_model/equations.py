@@ -17,8 +17,8 @@ from strainwave.dynamics.two_inertia import NAMES, TwoInertia, joint_of
 from strainwave.identification.joint_model.bands import Band
 from strainwave.identification.joint_model.rigid_knowledge import RigidKnowledge
 from strainwave.numerics import least_squares as ls
-from strainwave.numerics.banded import Banded
 from strainwave.numerics.filters import apply_lags_without_aliases, band_pass, band_passes
+from strainwave.numerics.linalg import Banded
 from strainwave.numerics.parallel import raise_if_stopped
 from strainwave.signals.standstill import free_friction, responses
 

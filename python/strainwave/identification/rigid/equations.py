@@ -15,14 +15,14 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.domain.combinations import FRICTION_COLUMNS
-from strainwave.domain.kinds.starts import MOTOR_SHARE
+from strainwave.domain.kinds.bodies import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.friction_terms import DELAY, SPRING, ZERO, friction_per_size
+from strainwave.dynamics.rigid_prediction import DELAY, SPRING, ZERO, friction_per_size
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.stretch import Stretch, motion_of, n_compliances
-from strainwave.numerics.banded import Banded
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.least_squares import Equations, Factor, Local
+from strainwave.numerics.linalg import Banded
 
 # prior standard deviation of the stiction torque in units of f: uniform distribution in [-f, f]
 _STICTION_STD = 0.58

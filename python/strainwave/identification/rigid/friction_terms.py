@@ -13,7 +13,7 @@ from strainwave.domain.effects import effect_named
 from strainwave.domain.ranges import physical_range
 from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.friction_terms import CORRECTIONS, DELAY, ZERO, correct
+from strainwave.dynamics.rigid_prediction import CORRECTIONS, DELAY, ZERO, correct
 from strainwave.identification.rigid.bandwidth import (
     Motion,
     excess_variance,

@@ -16,7 +16,7 @@ from strainwave.domain import BoolArray, FloatArray
 from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
 from strainwave.domain.parameter_table import parameter_table
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.friction_terms import CORRECTIONS, DELAY, ZERO
+from strainwave.dynamics.rigid_prediction import CORRECTIONS, DELAY, ZERO
 from strainwave.identification.rigid.bandwidth import excess_variance
 from strainwave.identification.rigid.bounds import MAX_NEGLIGIBLE_SHARE, has_zero_bound
 from strainwave.identification.rigid.equations import ALL_JOINTS, Candidate, Terms, assemble

@@ -12,8 +12,8 @@ from strainwave.domain import BoolArray, FloatArray, IntArray, Signals
 from strainwave.domain.combinations import FRICTION_COLUMNS
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import MAX_STICTION_SHARE
-from strainwave.numerics.banded import Banded
 from strainwave.numerics.filters import low_pass
+from strainwave.numerics.linalg import Banded
 from strainwave.signals.standstill import free_friction, responses, running
 
 Value = TypeVar("Value", np.bool_, np.float64)

@@ -26,13 +26,18 @@ from strainwave.domain.arm import UNKNOWN
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.errors import InvalidInput, suggest_name
+from strainwave.io.logs.arrow import Data, open_memory_table
 from strainwave.io.logs.bags import Bag, is_bag
+from strainwave.io.logs.clock_text import time_of
 from strainwave.io.logs.clocks import Track, resample_tracks
-from strainwave.io.logs.in_memory import Data, open_memory_table
-from strainwave.io.logs.segments import segment_table, segment_tracks
-from strainwave.io.logs.stamps import time_of
 from strainwave.io.logs.tables import Table, open_table, release_reader_memory, write_table
-from strainwave.io.logs.updates import Roles, drop_missing, fill_missing
+from strainwave.io.logs.updates import (
+    Roles,
+    drop_missing,
+    fill_missing,
+    segment_table,
+    segment_tracks,
+)
 from strainwave.numerics.parallel import run_parallel
 
 __all__ = ["read_log", "read_logs", "write_log"]
@@ -183,7 +188,6 @@ def _segments(
 
 
 def _command_columns(sources: dict[str, Channel], experiment: Experiment) -> set[str]:
-    """Return the columns of commanded channels."""
     columns = [(name, channel.column) for name, channel in sources.items()]
     columns += experiment.add.items()
     return {column for name, column in columns if name.startswith(_COMMAND_PREFIXES)}

@@ -17,7 +17,7 @@ from strainwave.domain import Channel, Options, Study
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.options import PUBLISHED_OPTIONS
 from strainwave.errors import InvalidInput
-from strainwave.io.atomic_files import decode, read_bytes, write_whole
+from strainwave.io.atomic_files import decode, parse_toml, read_bytes, write_whole
 from strainwave.io.study.checks import (
     check_consistency,
     check_files,
@@ -25,9 +25,7 @@ from strainwave.io.study.checks import (
     check_sizes,
     without_gravity,
 )
-from strainwave.io.study.flags import Flag, parse_flag
-from strainwave.io.study.reader import PLACED_BY_URDF, Reader
-from strainwave.io.toml_files import parse_toml
+from strainwave.io.study.reader import PLACED_BY_URDF, Flag, Reader, parse_flag
 
 __all__ = ["check_study", "copy_to", "document_of", "read_study", "with_options", "write_study"]
 

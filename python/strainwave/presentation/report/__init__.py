@@ -4,7 +4,7 @@ from strainwave.presentation.report.blocks import FIGURE_KINDS, FigureKind, Figu
 from strainwave.presentation.report.comparisons import render_comparisons
 from strainwave.presentation.report.page import figures_of, find_figure, render
 from strainwave.presentation.report.remedies import advice, by_severity, is_note, sentence
-from strainwave.presentation.report.sensor_gains import gain_sentences
+from strainwave.presentation.report.rig import gain_sentences
 from strainwave.presentation.report.verdict import drive_note, scale_note
 
 __all__ = [

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from strainwave.domain import ArmDescription, FloatArray
-from strainwave.domain.link_sensors.rotations import attitude
+from strainwave.domain.link_sensors.link_space import attitude
 from strainwave.presentation.figures import (
     SHORT_DASH,
     Axis,

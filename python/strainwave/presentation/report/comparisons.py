@@ -18,12 +18,12 @@ from strainwave.presentation.report.blocks import (
     Row,
     Section,
     Span,
+    document,
     number,
     paragraph,
     prose,
     table,
 )
-from strainwave.presentation.report.document import document
 
 SOURCE = (
     "Oaki and Adachi, “Decoupling Identification for Serial Two-link Robot Arm with Elastic "

@@ -46,24 +46,23 @@ from strainwave.presentation.report.blocks import (
     Plot,
     Row,
     Section,
+    document,
     keyed,
     number,
     paragraph,
     table,
 )
-from strainwave.presentation.report.document import document
+from strainwave.presentation.report.bode import pole_zero_map
 from strainwave.presentation.report.parameters import (
     base_parameter_table,
     descriptions_table,
     parameter_table,
 )
-from strainwave.presentation.report.pole_zero import pole_zero_map
 from strainwave.presentation.report.predictions import prediction_figure
 from strainwave.presentation.report.recordings import recordings
 from strainwave.presentation.report.remedies import warnings_table
 from strainwave.presentation.report.residuals import residual_correlations, residual_tests
-from strainwave.presentation.report.rig import rig_constants
-from strainwave.presentation.report.sensor_gains import gain_sentences
+from strainwave.presentation.report.rig import gain_sentences, rig_constants
 from strainwave.presentation.report.verdict import drive_note, verdict
 
 _MAX_PREDICTION_POINTS = 150_000  # of all lines over time: more make a page of many megabytes
@@ -227,7 +226,6 @@ def _pole_blocks(result: Identification) -> Iterator[Block]:
 
 
 def _full_amplitude(result: Identification, joint: JointModel) -> list[RecordModel]:
-    """Records of a joint at full amplitude."""
     return [
         record
         for record in result.records

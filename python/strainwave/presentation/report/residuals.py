@@ -27,7 +27,7 @@ from strainwave.identification.whole_arm.inference.score_tests import (
     MIN_COST_SHARE,
     RELEVANT_COST_SHARE,
 )
-from strainwave.numerics.correlations import correlate_residuals, expected_autocorrelation
+from strainwave.numerics.spectra import correlate_residuals, expected_autocorrelation
 from strainwave.presentation.figures import (
     DASHES,
     FREQUENCY_AXIS,

@@ -1,15 +1,18 @@
-"""All numbers of a servo design as JSON."""
+"""All numbers of a servo design as JSON.
+
+Units of a joint's servo: the input of the drive, and the coordinate of the motor.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from strainwave.domain import FloatArray
+from strainwave.domain import FloatArray, Joint
 from strainwave.domain.control_law import INPUTS, ControlLaw
 from strainwave.export.source import Export
 from strainwave.servo_design.closed_loop import Steps
@@ -17,13 +20,42 @@ from strainwave.servo_design.control_law import Gains
 from strainwave.servo_design.damping import Damping
 from strainwave.servo_design.design import JointServo, ServoDesign
 from strainwave.servo_design.handover.shaper_summary import ShaperSummary
-from strainwave.servo_design.handover.units import Units
 from strainwave.servo_design.link_measurements import Measurement
-from strainwave.servo_design.margin_summary import margin_summaries
-from strainwave.servo_design.margins import Margins
+from strainwave.servo_design.margins import Margins, margin_summaries
 from strainwave.servo_design.observer import OUTPUTS, Observer
 from strainwave.servo_design.plants import Condition
 from strainwave.servo_design.shaper_ranking import RankedShaper
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """Units of one joint."""
+
+    angle: str  # of the motor
+    input: str  # of the drive: a voltage, or a torque
+    torque: str  # at the motor
+
+    @classmethod
+    def of(cls, joint: Joint) -> Units:
+        """The units; without `torque_per_volt` the input is a torque."""
+        angle, torque = ("m", "N") if joint.motion == "prismatic" else ("rad", "N m")
+        return cls(angle, torque if joint.torque_per_volt is None else "V", torque)
+
+    @property
+    def velocity(self) -> str:
+        """Of the reference's velocity."""
+        return f"{self.angle}/s"
+
+    @property
+    def kp(self) -> str:
+        """Input per velocity."""
+        return f"{self.input} s/{self.angle}"
+
+    @property
+    def ki(self) -> str:
+        """Input per angle."""
+        return f"{self.input}/{self.angle}"
+
 
 SCHEMA = "strainwave/servo/1"
 

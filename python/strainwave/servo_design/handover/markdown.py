@@ -8,10 +8,10 @@ from strainwave.export.omissions import sentence_of
 from strainwave.export.source import Export
 from strainwave.io.templates import fill_text
 from strainwave.servo_design.design import ServoDesign
-from strainwave.servo_design.handover.difference_equations import HOLD, difference_equations
+from strainwave.servo_design.handover.c_header import HOLD, difference_equations
+from strainwave.servo_design.handover.json_document import Units
 from strainwave.servo_design.handover.shaper_summary import chosen_shaper
-from strainwave.servo_design.handover.units import Units
-from strainwave.servo_design.margin_summary import margin_summaries
+from strainwave.servo_design.margins import margin_summaries
 
 _LIMITS = {
     "margins": "the margins with period, delay and resonances limit the bandwidth",

@@ -24,7 +24,7 @@ from strainwave.export.source import Export
 from strainwave.io.templates import fill_text
 from strainwave.servo_design.control_law import Biquad, Gains
 from strainwave.servo_design.design import ServoDesign
-from strainwave.servo_design.handover.units import Units
+from strainwave.servo_design.handover.json_document import Units
 
 
 @dataclass(frozen=True, slots=True)

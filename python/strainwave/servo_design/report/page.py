@@ -12,11 +12,11 @@ from strainwave.presentation.report.blocks import (
     Row,
     Section,
     Span,
+    document,
     number,
     paragraph,
     table,
 )
-from strainwave.presentation.report.document import document
 from strainwave.servo_design.design import ServoDesign
 from strainwave.servo_design.report import figures, words
 

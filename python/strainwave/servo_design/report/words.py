@@ -12,8 +12,7 @@ from strainwave.presentation.report.blocks import Cell, Row, number, prose
 from strainwave.servo_design.cascade_tuning import MAX_RIPPLE_SHARE
 from strainwave.servo_design.control_law import Biquad, Gains
 from strainwave.servo_design.design import JointServo, LoopResults, ServoDesign
-from strainwave.servo_design.margin_summary import MarginSummary, margin_summaries
-from strainwave.servo_design.margins import Margins
+from strainwave.servo_design.margins import Margins, MarginSummary, margin_summaries
 from strainwave.servo_design.shaper_ranking import RankedShaper
 from strainwave.servo_design.verification import MOVE, Move
 

@@ -6,7 +6,14 @@ memory. Some arms have a fault in their input, or an effect that their study doe
 
 from __future__ import annotations
 
-from strainwave.virtual.families.description import Family, family_of, fields_of
-from strainwave.virtual.families.drawing import Recorded, VirtualArm, draw, record
+from strainwave.virtual.families.drawing import (
+    Family,
+    Recorded,
+    VirtualArm,
+    draw,
+    family_of,
+    fields_of,
+    record,
+)
 
 __all__ = ["Family", "Recorded", "VirtualArm", "draw", "family_of", "fields_of", "record"]

@@ -16,8 +16,8 @@ from strainwave.domain.keys import Values
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Trajectory, simulate
+from strainwave.virtual.families.catalogue import plans
 from strainwave.virtual.families.rigs import Rig, between
-from strainwave.virtual.families.short_records import plans
 
 NO_CAUSE = "none"
 _SIZE_FACTORS = (0.3, 3.0)  # over the typical sizes of an effect

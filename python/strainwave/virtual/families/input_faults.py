@@ -53,8 +53,6 @@ def _scale_time(logs: Logs, factor: float) -> Logs:
 
 
 def _of_study(kind: str, code: str, change: Callable[[Study, int], Study]) -> FaultInjector:
-    """Injector that changes the study."""
-
     def inject(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
         return Fault(kind, f"joint {joint}", (code,), logs, change(study, joint))
 

@@ -26,8 +26,8 @@ from strainwave.workbench import hand_simulation as hand
 from strainwave.workbench.gate import require_open
 from strainwave.workbench.pages.estimate import snapshot
 from strainwave.workbench.pages.runs import describe
-from strainwave.workbench.records import log_of, study_at
 from strainwave.workbench.runs import Runs
+from strainwave.workbench.signal_views import log_of, study_at
 from strainwave.workbench.web import (
     Body,
     get_page,

@@ -15,8 +15,8 @@ from strainwave.monitoring.comparison_output import to_document
 from strainwave.monitoring.result_estimates import read_estimates
 from strainwave.presentation.plotly_backend import plotly
 from strainwave.workbench import comparison
+from strainwave.workbench.comparison import report_figures
 from strainwave.workbench.pages.runs import describe
-from strainwave.workbench.report_figures import report_figures
 from strainwave.workbench.runs import Runs
 from strainwave.workbench.web import (
     Body,

@@ -17,7 +17,7 @@ from starlette.responses import FileResponse, HTMLResponse, Response, StreamingR
 from starlette.routing import Route
 
 from strainwave.errors import InvalidInput
-from strainwave.presentation.report.document import page_scripts
+from strainwave.presentation.report.blocks import page_scripts
 from strainwave.workbench.runs import LOG, Run, Runs
 from strainwave.workbench.security import report_policy
 from strainwave.workbench.web import (

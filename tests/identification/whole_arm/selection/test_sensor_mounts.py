@@ -13,7 +13,7 @@ from mount_runs import OnMount
 from strainwave.domain import ArmModel, EffectName, Log, Study, WholeArmOptions
 from strainwave.domain.keys import Key, Values
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.mount_resonance import MountResonance
+from strainwave.dynamics.link_sensors import MountResonance
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.identification.whole_arm.records.dataset import Dataset

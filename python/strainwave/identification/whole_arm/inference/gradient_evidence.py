@@ -12,7 +12,7 @@ from strainwave.identification.whole_arm.problem.error_correlation import noise_
 from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.numerics.correlations import spectrum_and_autocovariance
+from strainwave.numerics.spectra import spectrum_and_autocovariance
 
 _HERMITE_SHARES = {1: 0.927, 3: 0.056, 5: 0.017}
 """Hermite degree -> share of the variance of r (1 + r^2)^(-1/2) for standard normal r.

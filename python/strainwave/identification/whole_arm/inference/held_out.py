@@ -11,9 +11,9 @@ from strainwave.identification.whole_arm.inference.bounds import at_bounds, at_z
 from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.numerics.correlations import estimate_rows_per_error
 from strainwave.numerics.held_out import MIN_CORRELATION_TIMES, log_density
 from strainwave.numerics.linalg import triangular_factor
+from strainwave.numerics.spectra import estimate_rows_per_error
 
 _MIN_FOLDS = 2  # of a record; the other folds estimate the variance of a channel
 

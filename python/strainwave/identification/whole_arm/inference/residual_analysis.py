@@ -14,12 +14,12 @@ from strainwave.domain import BoolArray, Clause, Diagnostic, FloatArray, Place, 
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.numerics.correlations import (
+from strainwave.numerics.parallel import run_parallel
+from strainwave.numerics.spectra import (
     correlate_residuals,
+    cross_spectral_densities,
     spectrum_and_autocovariance,
 )
-from strainwave.numerics.parallel import run_parallel
-from strainwave.numerics.spectra import cross_spectral_densities
 
 _N_SEGMENTS = 8  # number of half-overlapping segments per record for averaged spectra
 _MIN_SEGMENT_ROWS = 64  # minimum segment length [rows]

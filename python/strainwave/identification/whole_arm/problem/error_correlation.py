@@ -6,7 +6,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.numerics.correlations import rows_per_error
+from strainwave.numerics.spectra import rows_per_error
 
 
 def white_noise_autocovariance(taps: FloatArray, step: int) -> FloatArray:

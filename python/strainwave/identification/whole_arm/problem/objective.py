@@ -22,9 +22,9 @@ from strainwave.identification.whole_arm.problem.parameter_space import Paramete
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation, Rows, Weights
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.preparation import lengthen_steps
-from strainwave.numerics.correlations import estimate_rows_per_error
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import run_parallel
+from strainwave.numerics.spectra import estimate_rows_per_error
 from strainwave.numerics.trust_region import Flat, Linearised, minimise
 
 MIN_ERROR_SHARE = 1e-3

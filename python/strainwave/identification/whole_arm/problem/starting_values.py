@@ -15,7 +15,7 @@ from strainwave.domain import Diagnostic, JointModel, Place, RigidModel
 from strainwave.domain.combinations import change_from, value_of
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds import kind_of
-from strainwave.domain.kinds.starts import StageInertias, is_positive
+from strainwave.domain.kinds.bodies import StageInertias, is_positive
 from strainwave.domain.parameter_table import COULOMB, OFFSET, VISCOUS
 from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm

@@ -22,13 +22,18 @@ from strainwave.domain.link_sensors import (
     is_kind,
     with_bandwidths,
 )
-from strainwave.domain.link_sensors.link_signals import LINK_SIGNALS
+from strainwave.domain.link_sensors.link_space import LINK_SIGNALS
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.link_sensors import differentiate_rows, mount_resonance
-from strainwave.dynamics.mount_resonance import MountResonance
-from strainwave.dynamics.record_effects import RecordInputs, record_inputs
-from strainwave.dynamics.simulation import Drive, LowPass, sensitivities, simulate_arms
+from strainwave.dynamics.link_sensors import MountResonance, differentiate_rows, mount_resonance
+from strainwave.dynamics.simulation import (
+    Drive,
+    LowPass,
+    RecordInputs,
+    record_inputs,
+    sensitivities,
+    simulate_arms,
+)
 from strainwave.identification.whole_arm.records.low_pass import Kernels, low_pass_kernels
 from strainwave.numerics.filters import noise_std
 from strainwave.signals.prepared_record import prepare_record

@@ -34,7 +34,7 @@ from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import refine, resumed_coarse_search
 from strainwave.identification.whole_arm.selection.candidate import Selection
-from strainwave.numerics.correlations import estimate_rows_per_error
+from strainwave.numerics.spectra import estimate_rows_per_error
 
 # standard deviations from which a constant joins: no false alarm in 8 candidates
 _MIN_SIGNIFICANCE = 4.0

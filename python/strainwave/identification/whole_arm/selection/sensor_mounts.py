@@ -15,7 +15,7 @@ import numpy as np
 from strainwave.domain import FloatArray
 from strainwave.domain.distributions import chi_square_limit
 from strainwave.domain.keys import Key
-from strainwave.dynamics.mount_resonance import MountResonance
+from strainwave.dynamics.link_sensors import MountResonance
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.inference.residual_analysis import channels_above_noise
 from strainwave.identification.whole_arm.problem.restrictions import is_held
