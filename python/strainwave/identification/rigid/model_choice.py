@@ -29,10 +29,10 @@ STRIBECK, POWER = "stribeck", "power-friction"
 GAIN = "drive-gain"
 """Error of a torque constant. It only adds to intervals: the records show ratios of constants."""
 
-MIN_STDS = 4.0
+MIN_STDS = 4.5
 """Standard deviations from which a term is shown.
 
-One of 80 candidates exceeds them by chance in less than 6 % of all fits with 20 blocks.
+One of 80 candidates exceeds them by chance in 2 % of all fits with 20 blocks (Student's t).
 """
 
 _MAX_ROUNDS = 4  # of the selection; each adds at most one term per joint
