@@ -7,6 +7,7 @@ the friction torque has any value in [-f, f] and is a separate unknown.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import TypeVar
 
 import numpy as np
@@ -116,17 +117,26 @@ def free_friction(direction: FloatArray, spacing: int) -> list[tuple[int, FloatA
 
 
 def _stretch_shapes(length: int, spacing: int) -> list[tuple[int, FloatArray]]:
-    """Shape functions, as (first sample, shape), of one stretch."""
+    """Shape functions, as (first sample, shape), of one stretch.
+
+    Centres are whole samples, so that few triangles differ.
+    """
     n_knots = max(1, round(length / spacing)) + (length > spacing)
     if n_knots == 1:
         return [(0, np.ones(length))]
-    shapes = []
-    position = np.arange(length) * ((n_knots - 1) / max(1, length - 1))
-    for knot in range(n_knots):
-        shape = np.clip(1.0 - np.abs(position - knot), 0.0, None)
-        inside = np.flatnonzero(shape)
-        shapes.append((int(inside[0]), shape[inside[0] : inside[-1] + 1]))
-    return shapes
+    knots = np.round(np.linspace(0, length - 1, n_knots)).astype(np.int64)
+    widths = [0, *np.diff(knots).tolist(), 0]
+    return [
+        (max(knot - rise + 1, 0), _triangle(rise, fall))
+        for knot, rise, fall in zip(knots.tolist(), widths, widths[1:], strict=False)
+    ]
+
+
+@cache
+def _triangle(rise: int, fall: int) -> FloatArray:
+    """A triangle of height one without its zeros, from the numbers of samples of its sides."""
+    sides = np.arange(1, rise) / max(rise, 1), np.arange(fall - 1, 0, -1) / max(fall, 1)
+    return np.concatenate([sides[0], [1.0], sides[1]])
 
 
 def responses(

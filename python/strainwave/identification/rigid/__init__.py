@@ -25,6 +25,7 @@ from strainwave.domain import (
     Signals,
 )
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.rigid_prediction import CORRECTIONS
 from strainwave.dynamics.rigid_prediction import band_fit
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.bandwidth import (
@@ -43,7 +44,7 @@ from strainwave.identification.rigid.friction_terms import (
     corrected_motions,
     estimated_terms,
     fit_with_terms,
-    insignificant_corrections,
+    insignificant,
     refit,
     term_warning,
     with_coarse_zeros,
@@ -52,7 +53,6 @@ from strainwave.identification.rigid.friction_terms import (
 from strainwave.identification.rigid.model_choice import (
     Choice,
     candidates_of,
-    choose,
 )
 from strainwave.identification.rigid.stretch import decimation, n_compliances
 from strainwave.identification.rigid.torque_constants import torque_ratios
@@ -148,7 +148,7 @@ def _search(
     undelayed = search_bandwidths(corrected_motions(arm, motions, delays), arm)
     best = select_bandwidth(undelayed)
     at_delay = [refit(trial, motions, delays) for trial in (best, *neighbours(undelayed, best))]
-    if insignificant_corrections(at_delay, [replace(c, corrected=0.0) for c in delays]):
+    if insignificant(at_delay, [replace(c, corrected=0.0) for c in delays]):
         return trials, plain
     return undelayed, candidates
 
@@ -158,16 +158,18 @@ def _with_terms(
 ) -> tuple[Trial, list[Trial], list[Candidate]]:
     """Fits with the terms that the records support, and the candidates that remain plausible.
 
-    Corrections of the signals that prove insignificant are left out.
+    An error of an angle or of a time is the same at all bandwidths. A correction of the signals
+    that changes with the bandwidth is another error that resembles it, and no rival.
     """
-    terms, rest = choose(best, nearby, candidates)
+    terms, rest = Choice.of(best, candidates).select(), list(candidates)
     while terms:
         fit = fit_with_terms(best, motions, terms)
         others = [refit(trial, motions, fit.candidates) for trial in nearby]
-        doubtful = insignificant_corrections([fit, *others], terms)
+        doubtful = insignificant([fit, *others], terms)
         if not doubtful:
             return fit, others, rest
-        terms, rest = ([c for c in each if c not in doubtful] for each in (terms, rest))
+        terms = [c for c in terms if c not in doubtful]
+        rest = [c for c in rest if c not in doubtful or c.effect not in CORRECTIONS]
     return best, nearby, rest
 
 

@@ -29,11 +29,6 @@ _MAX_ITERATIONS = 12
 MAX_POWER_RATIO = 0.5
 """Ratio of squared residuals from which a delay or a distant encoder zero corrects the signals."""
 
-_FIRST_DELAY = 2e-3  # [s] of the first parabola through the squared residuals
-_MAX_DELAY = 0.05  # [s]
-_DELAY_TOLERANCE = 2e-5  # [s] change at which the search ends; Gauss-Newton refines it
-_MAX_PARABOLAS = 6
-
 # change at convergence: of a shape's logarithm, of an angle [rad, m], of a delay [s]
 _TOLERANCES = {STRIBECK: 0.02, ZERO: 1e-4, DELAY: 1e-6}
 # in one iteration
@@ -106,34 +101,16 @@ def with_delay(
 
     A smaller delay is a candidate as others.
     """
-    k = next((k for k, c in enumerate(candidates) if c.effect == DELAY), None)
-    if k is None:
+    delays = [c for c in candidates if c.effect == DELAY]
+    limit = MAX_POWER_RATIO * trial.residual_power
+    if not delays or refit(trial, motions, delays).residual_power > limit:
         return list(candidates)
-    delay, powers, stds = 0.0, {0.0: trial.residual_power}, {0.0: 0.0}
-
-    def power(value: float) -> float:
-        if value not in powers:
-            fit = refit(trial, motions, [replace(candidates[k], corrected=value)])
-            powers[value], stds[value] = fit.residual_power, float(fit.common_deviation[0])
-        return powers[value]
-
-    step = _FIRST_DELAY
-    for _ in range(_MAX_PARABOLAS):
-        low, mid, high = (power(delay + x) for x in (-step, 0.0, step))
-        curvature = low + high - 2.0 * mid
-        change = 0.5 * step * (low - high) / curvature if curvature > 0.0 else math.inf
-        limit = 10.0 * step if curvature > 0.0 else 3.0 * step
-        change = math.copysign(min(abs(change), limit), low - high)
-        last, delay = delay, min(max(delay + change, -_MAX_DELAY), _MAX_DELAY)
-        if min(powers.values()) > MAX_POWER_RATIO * power(0.0) and power(delay) > 0.9 * mid:
-            break
-        if abs(delay - last) < _DELAY_TOLERANCE:
-            break
-        step = max(_DELAY_TOLERANCE, min(step, abs(delay - last)))
-    best = min(powers, key=lambda value: powers[value])
-    is_shown = powers[best] < MAX_POWER_RATIO * powers[0.0] and abs(best) > MIN_STDS * stds[best]
-    corrected = best if is_shown else 0.0
-    return [replace(c, corrected=corrected) if c.effect == DELAY else c for c in candidates]
+    fit = fit_with_terms(trial, motions, delays)
+    is_shown = fit.residual_power < limit and not insignificant([fit], delays)
+    return [
+        *(c for c in candidates if c.effect != DELAY),
+        *(fit.candidates if is_shown else delays),
+    ]
 
 
 def with_coarse_zeros(
@@ -209,10 +186,8 @@ def estimated_terms(
     return tuple(terms)
 
 
-def insignificant_corrections(
-    trials: Sequence[Trial], terms: Sequence[Candidate]
-) -> list[Candidate]:
-    """Those of the terms that correct signals, if the data decide and their fit does not show them.
+def insignificant(trials: Sequence[Trial], terms: Sequence[Candidate]) -> list[Candidate]:
+    """Those of the terms that the data selected, but whose fit does not show them.
 
     `trials` are the fit and its neighbours.
     """
@@ -221,8 +196,7 @@ def insignificant_corrections(
     return [
         c
         for c in terms
-        if c.effect in CORRECTIONS
-        and is_selected(trials[0].arm, c)
+        if is_selected(trials[0].arm, c)
         and (size := sizes.get((c.effect, c.joint))) is not None
         and abs(size.value or 0.0) < MIN_STDS * (size.std or 0.0)
     ]

@@ -14,30 +14,35 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray
 from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
-from strainwave.domain.parameter_table import parameter_table
+from strainwave.domain.ranges import physical_range
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.rigid_prediction import CORRECTIONS, DELAY, ZERO
-from strainwave.identification.rigid.bandwidth import excess_variance
+from strainwave.dynamics.rigid_prediction import DELAY, ZERO
 from strainwave.identification.rigid.bounds import MAX_NEGLIGIBLE_SHARE, has_zero_bound
 from strainwave.identification.rigid.equations import ALL_JOINTS, Candidate, Terms, assemble
 from strainwave.identification.rigid.stretch import Stretch, n_compliances
 from strainwave.identification.rigid.submodels import Submodels
 from strainwave.identification.rigid.trial import Trial
 from strainwave.numerics import least_squares as ls
-from strainwave.numerics.held_out import MIN_WEIGHT, model_weights, weight_over
+from strainwave.numerics.held_out import MIN_WEIGHT, model_weights
 
 STRIBECK, POWER = "stribeck", "power-friction"
 GAIN = "drive-gain"
 """Error of a torque constant. It only adds to intervals: the records show ratios of constants."""
 
-MIN_STDS = 4.0
-"""Standard deviations, with the change between bandwidths, from which a correction is shown."""
+MIN_STDS = 4.5
+"""Standard deviations from which a term is shown.
+
+One of 80 candidates exceeds them by chance in 2 % of all fits with 20 blocks (Student's t).
+"""
 
 _MAX_ROUNDS = 4  # of the selection; each adds at most one term per joint
 # Stribeck velocities over the largest velocity of the joint; below, the encoder hides the effect
 _STRIBECK_VELOCITIES = (0.03, 0.06, 0.12, 0.25)
 # largest speed [rad/s] of a motor below which (S16) is nearly viscous friction
 _MIN_POWER_SPEED = 3.0
+# by which a logged torque leads the motion: half a sample by its hold, one by the order of the log;
+# on measured arms, greater leads within a record mispredict faster motions
+_MAX_LEAD_SAMPLES = 1.5
 _GAIN_STD = 0.3  # prior standard deviation of the relative error of a torque constant
 
 
@@ -70,33 +75,6 @@ def candidates_of(arm: Arm, stretches: Sequence[Stretch]) -> list[Candidate]:
     ]
     is_delayed = any(DELAY in names for names in effects)
     return [*of_joints, Candidate(DELAY, ALL_JOINTS)] if is_delayed else of_joints
-
-
-def choose(
-    best: Trial, nearby: Sequence[Trial], candidates: Sequence[Candidate]
-) -> tuple[list[Candidate], list[Candidate]]:
-    """Terms that the records support, and the candidates that remain plausible.
-
-    An error of an angle or of a time is the same at all bandwidths. A correction of the signals
-    that changes with the bandwidth is another error that resembles it.
-    """
-    rest = list(candidates)
-    while True:
-        chosen = [rest[k] for k in Choice.of(best, rest).select()]
-        shown = [c for c in chosen if c.effect in CORRECTIONS and is_selected(best.arm, c)]
-        if not shown:
-            return chosen, rest
-        every = list(range(len(chosen)))
-        models = [Choice.of(trial, chosen).models for trial in (best, *nearby)]
-        (value, variance), *others = [(m.sizes(every), m.size_stds(every) ** 2) for m in models]
-        limit = MIN_STDS * np.sqrt(variance + excess_variance(value, others))
-        changing = [
-            c for c, v, x in zip(chosen, value, limit, strict=True) if abs(c.corrected + v) < x
-        ]
-        changing = [c for c in changing if c in shown]
-        if not changing:
-            return chosen, rest
-        rest = [c for c in rest if c not in changing]
 
 
 def is_selected(arm: Arm, candidate: Candidate) -> bool:
@@ -156,12 +134,16 @@ class Choice:
             own_upper = own + width * self.trial.standard_deviations
             if any(upper[k] < 0.0 < own_upper[k] for k in negative if self.trial.determined[k]):
                 return False
+        effects = (self.candidates[k].effect for k in terms)
         sizes = self.models.sizes(terms).tolist()
-        ranges = (
-            parameter_table()[effect_named(c.effect).sizes[0]].range
-            for c in (self.candidates[k] for k in terms)
-        )
-        return all(size > 0.0 or each == "any" for size, each in zip(sizes, ranges, strict=True))
+        return all(size > self._least(each) for size, each in zip(sizes, effects, strict=True))
+
+    def _least(self, effect: str) -> float:
+        """Lower limit of the size of an effect."""
+        if effect == DELAY:
+            sample_times = [s.signals.sample_time for s in self.trial.stretches]
+            return -_MAX_LEAD_SAMPLES * max(sample_times)
+        return -np.inf if physical_range(effect_named(effect).sizes[0]) == "any" else 0.0
 
     def covariance(self, terms: Sequence[int]) -> FloatArray:
         """Jackknife covariance of the parameters in a model."""
@@ -177,9 +159,8 @@ class Choice:
         is_narrow = half < np.abs(self.models.solution(terms))
         return np.asarray((is_narrow | is_negligible) & self.trial.determined)
 
-    def select(self) -> list[int]:
-        """Candidates that the study names, and those that improve the held-out prediction."""
-        rng = np.random.default_rng(0)
+    def select(self) -> list[Candidate]:
+        """Terms that the study names, and those that improve the held-out prediction."""
         chosen: list[int] = []
         for same in self._rivals(chosen):
             first = self.candidates[same[0]]
@@ -192,22 +173,19 @@ class Choice:
             extended: set[int] = set()  # joints
             for k in sorted(every, key=lambda k: -gains[k]):
                 joint = self.candidates[k].joint
-                if gains[k] > 0.0 and joint not in extended and self._improves(chosen, k, rng):
+                if gains[k] > 0.0 and joint not in extended and self._improves(chosen, k):
                     chosen = [*chosen, k]
                     extended.add(joint)
             if len(chosen) == n_before:
                 break
-        return chosen
+        return [self.candidates[k] for k in chosen]
 
-    def _improves(self, chosen: Sequence[int], k: int, rng: np.random.Generator) -> bool:
-        """Whether a term improves the prediction, and leaves all values possible and determined.
-
-        With many candidates, one of them improves it by chance (Bonferroni).
-        """
-        model, scores = [*chosen, k], self.models.scores(chosen)
-        limit = 1.0 - (1.0 - MIN_WEIGHT) / len(self._rivals([]))
+    def _improves(self, chosen: Sequence[int], k: int) -> bool:
+        """Whether a term is significant, and leaves all values possible and determined."""
+        model = [*chosen, k]
+        size, std = float(self.models.sizes(model)[-1]), float(self.models.size_stds(model)[-1])
         return (
-            weight_over(self.models.scores(model), scores, rng) > limit
+            abs(size) > MIN_STDS * std
             and self.is_possible(model)
             and not np.any(self.is_determined(chosen) & ~self.is_determined(model))
         )

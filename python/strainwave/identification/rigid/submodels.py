@@ -66,11 +66,15 @@ class Submodels:
         return np.asarray(np.linalg.norm(left, axis=0) > _MIN_UNEXPLAINED_SHARE * sizes)
 
     @cached_property
+    def _equation(self) -> IntArray:
+        """Equation of each row; priors belong to one in which their unknown occurs."""
+        equations = self.equations
+        return np.concatenate([np.arange(len(equations.target)), ls.rows_of_local(equations)])
+
+    @cached_property
     def _of_row(self) -> tuple[IntArray, IntArray]:
         """Fold and joint, from 0, of each row."""
-        equations = self.equations
-        at = np.concatenate([np.arange(len(equations.target)), ls.rows_of_local(equations)])
-        return self.folds[at], equations.group[at]
+        return self.folds[self._equation], self.equations.group[self._equation]
 
     @cached_property
     def rows_per_error(self) -> FloatArray:
@@ -106,10 +110,16 @@ class Submodels:
         return fold[block]
 
     @cached_property
-    def _without(self) -> list[_Reduced]:
-        """Solutions without each fold."""
-        fold, rows = self._of_row[0], self._rows
-        factors = [triangular_factor(rows[fold == j]) for j in range(int(fold.max()) + 1)]
+    def _without_folds(self) -> list[_Reduced]:
+        return self._without(self._of_row[0])
+
+    @cached_property
+    def _without_blocks(self) -> list[_Reduced]:
+        return self._without(self.equations.block[self._equation])
+
+    def _without(self, label: IntArray) -> list[_Reduced]:
+        """Solutions without the rows of each label."""
+        factors = [triangular_factor(self._rows[label == j]) for j in range(int(label.max()) + 1)]
         return [
             self._reduce(np.concatenate([*factors[:j], *factors[j + 1 :]]))
             for j in range(len(factors))
@@ -134,7 +144,7 @@ class Submodels:
         """Errors of rows held out without terms, and their change per term, by fold."""
         fold, rows, k = self._of_row[0], self._rows, self._back.shape[1]
         parts = []
-        for j, reduced in enumerate(self._without):
+        for j, reduced in enumerate(self._without_folds):
             own = rows[fold == j]
             mapped = np.column_stack([reduced.per_term, reduced.plain])
             parts.append(own[:, k:] - own[:, :k] @ mapped)
@@ -146,7 +156,7 @@ class Submodels:
         errors = np.concatenate(
             [
                 part[:, -1] - part[:, list(terms)] @ reduced.terms(terms)
-                for part, reduced in zip(parts, self._without, strict=True)
+                for part, reduced in zip(parts, self._without_folds, strict=True)
             ]
         )
         n_folds, n_joints = len(parts), self.trial.arm.n_joints
@@ -166,7 +176,8 @@ class Submodels:
 
     def size_stds(self, terms: Sequence[int]) -> FloatArray:
         """Jackknife standard deviations of these estimates."""
-        moved = np.array([one.terms(terms) for one in self._without]) - self._whole.terms(terms)
+        moved = np.array([one.terms(terms) for one in self._without_blocks])
+        moved -= self._whole.terms(terms)
         scale = (len(moved) - 1) / len(moved)
         return np.asarray(
             np.sqrt(scale * np.sum(moved**2, axis=0)) * self.equations.common_deviation[list(terms)]
@@ -177,8 +188,8 @@ class Submodels:
         return np.asarray(self._back @ self._whole.unknowns(terms))
 
     def shifts(self, terms: Sequence[int]) -> FloatArray:
-        """Changes of the parameters without each fold, (n_folds, n_parameters)."""
-        unknowns = np.array([one.unknowns(terms) for one in self._without])
+        """Changes of the parameters without each block, (n_blocks, n_parameters)."""
+        unknowns = np.array([one.unknowns(terms) for one in self._without_blocks])
         return np.asarray((unknowns - self._whole.unknowns(terms)) @ self._back.T)
 
     def noise_share(self, terms: Sequence[int]) -> FloatArray:
@@ -188,10 +199,8 @@ class Submodels:
         and part by part, which has more degrees of freedom; the larger variance counts. Blocks that
         are not repeated count entirely.
         """
-        at = np.concatenate(
-            [np.arange(len(self.equations.target)), ls.rows_of_local(self.equations)]
-        )
-        fold, rows = self.equations.block[at], self._rows
+        at, rows = self._equation, self._rows
+        fold = self.equations.block[at]
         k = self._back.shape[1]
         columns = [*range(k), *(k + term for term in terms)]
         priors = np.eye(len(terms), len(columns), k)
