@@ -268,11 +268,9 @@ TEMPLATES: Mapping[str, str] = {
     ' spring = "{law}"',
     "stages-disagree": "taken together, {subject} differ by {deviations:.1f} standard deviations"
     " (chi-square {chi_square:.4g} of {degrees} degrees), most in {largest}|; likely causes in this"
-    " order: {causes!o}",
-    "stages-disagree/no-suspect": "taken together, {subject} differ by {deviations:.1f} standard"
-    " deviations (chi-square {chi_square:.4g} of {degrees} degrees), most in {largest}|; likely"
-    " causes in this order: a motor constant that falls with current (record with less voltage), a"
-    " clock that is fast or slow, a dead zone of the drive, another law of friction",
+    " order: a motor constant that falls with current (record with less voltage), a clock that is"
+    " fast or slow, a dead zone of the drive, another law of friction, a payload or a temperature"
+    " that differs between slow and fast records",
     "torques-contradict": "{contradiction}|; the effect named in the warnings explains all records"
     " better",
     "friction-settles": "Coulomb friction reverses over {time!u:.3g} us instead of instantly|; the"
@@ -356,8 +354,6 @@ CLAUSES: Mapping[str, str] = {
     "subject/inertias": "inertias and gravity torques",
     "subject/friction": "joint {joint}'s friction",
     "suspect": "{subject}, which would explain {share!p:.3g} %: {experiment}",
-    "suspect/value": "{subject} (then {value:.4g} {unit}), which would explain {share!p:.3g} %:"
-    " {experiment}",
     "suspects": ", likely causes in this order: {causes!o}",
     "suspects/none": ", so check the constants in the study",
     "follows-input": ", and follow joint {joint}'s input by {delay!m:.3g} ms: the model lacks"

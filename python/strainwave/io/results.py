@@ -686,19 +686,6 @@ def _criticism(criticism: Criticism) -> dict[str, Any]:
             {name: getattr(test, name) for name in (*plain, *inputs)}
             for test in criticism.residuals
         ],
-        "score_tests": [
-            {
-                "joint": one.joint,
-                "effect": one.effect,
-                "sizes": dict(one.sizes),
-                "stds": dict(one.stds),
-                "gain": one.gain,
-                "share": one.share,
-                "evident": one.evident,
-                "shifts": [asdict(shift) for shift in one.shifts],
-            }
-            for one in criticism.score_tests
-        ],
         "causes": [
             {
                 "joint": cause.joint,

@@ -122,7 +122,7 @@ _RESULT = {
     "residual-not-noise": Advice(
         "The model lacks an effect, the study has a wrong constant, or a disturbance acted. The"
         " intervals are widened.",
-        "Read the score tests, then check torque_per_volt, distances and bandwidths in the study.",
+        "Read the table of effects, then check torque_per_volt, distances and bandwidths.",
     ),
     "no-rigid-model": Advice(
         "Friction and inertia are estimated from the PRBS records only.",

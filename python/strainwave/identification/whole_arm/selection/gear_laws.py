@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, LawChoice, LawMargin, Place, ScoreTest
+from strainwave.domain import Diagnostic, LawChoice, LawMargin, Place
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.effects import STIFFNESS_CURVE
 from strainwave.domain.gear_laws import AUTO, STIFFNESS, curved_laws, gear_law, stated_law
@@ -20,7 +20,7 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.whole_arm.inference.held_out import held_out_scores
-from strainwave.identification.whole_arm.inference.score_tests import curve_tests_of
+from strainwave.identification.whole_arm.inference.score_tests import TestedEffect, curve_tests_of
 from strainwave.identification.whole_arm.problem.arm_unknowns import replace_stiffness
 from strainwave.identification.whole_arm.problem.effect_unknowns import with_effects
 from strainwave.identification.whole_arm.problem.restrictions import limit_unknown
@@ -59,10 +59,10 @@ def select_gear_laws(fit: Fit, selection: Selection) -> Fit:
     while free and not selection.has_ended(fit):
         tested = curve_tests_of(fit, selection.arm, free)
         for one in tested:
-            joint, test = one.test.joint, one.test
+            joint = one.named_effect[0]
             choice = selection.law_choices[joint]
-            selection.law_choices[joint] = replace(choice, gain=test.gain, limit=test.limit)
-        curved = [one.test.joint for one in tested if one.is_promising]
+            selection.law_choices[joint] = replace(choice, gain=one.gain, limit=one.limit)
+        curved = [one.named_effect[0] for one in tested if one.is_promising]
         if not curved:
             break
         free.difference_update(curved)
@@ -184,23 +184,24 @@ def _select(joint: int, rivals: Mapping[str, Fit]) -> LawChoice:
 
 
 def equivalent_stiffnesses(
-    tests: Sequence[ScoreTest], fit: Fit, selection: Selection, largest_torque: Sequence[float]
+    tests: Sequence[TestedEffect], fit: Fit, selection: Selection, largest_torque: Sequence[float]
 ) -> Iterator[Diagnostic]:
     """Warn about a linear law that was selected although the records allow a considerable curve.
 
     `tests` are those of the effects that `fit` lacks, `largest_torque` [N m] is that of each gear.
     """
     for test in tests:
-        choice, joint = selection.law_choices.get(test.joint), selection.arm.joints[test.joint - 1]
-        if choice is None or choice.law != LINEAR or test.effect != STIFFNESS_CURVE.name:
+        number, effect = test.named_effect
+        choice, joint = selection.law_choices.get(number), selection.arm.joints[number - 1]
+        if choice is None or choice.law != LINEAR or effect != STIFFNESS_CURVE.name:
             continue
-        torque, stiffness = largest_torque[test.joint - 1], fit.values[STIFFNESS, test.joint]
+        torque, stiffness = largest_torque[number - 1], fit.values[STIFFNESS, number]
         cubic = abs(test.sizes[CUBIC]) + CI95_STDS * test.stds[CUBIC]
         change = 3.0 * cubic * (torque / stiffness) ** 2 / stiffness
         if change > MAX_HIDDEN_CHANGE:
             yield Diagnostic(
                 "equivalent-stiffness",
-                Place(joint=test.joint, parameter=STIFFNESS),
+                Place(joint=number, parameter=STIFFNESS),
                 "undecided",
                 torque=torque,
                 unit="N" if joint.motion == "prismatic" else "N m",
