@@ -32,10 +32,6 @@ _PREDICTED = (
 _RATIO = "n tau is {ratio:.3g} times u"
 _INERTIA = "the link's own inertia changes by {change!p:.2g} %"
 _SPECTRUM = "tau is above its noise in {share!p:.0f} % of the band"
-_STIFF = (
-    "the gear is very stiff: its resonance, {resonance_hz:.3g} Hz, lies WHERE the band of"
-    " {band_hz:.3g} Hz in which the motor's motion stands above its encoder's noise"
-)
 _SLIDING = "the motor slides in {share!p:.0f} % of the record"
 
 TEMPLATES: Mapping[str, str] = {
@@ -275,11 +271,6 @@ TEMPLATES: Mapping[str, str] = {
     " better",
     "friction-settles": "Coulomb friction reverses over {time!u:.3g} us instead of instantly|; the"
     " model includes this settling time",
-    "motor-side-limit": "{estimates}: {reasons!e}|; an accelerometer or an encoder on the link"
-    " would show it",
-    "motor-side-limit/viscous": "{estimates}: far below the anti-resonance, {anti_resonance_hz:.3g}"
-    " Hz, motor and link move as one and only the sum d_M + n^2 d_L acts at the motor|; use"
-    " total_viscous_friction",
     "only-together": "only a combination of these parameters is identified: they can change"
     " together by {spread!p:.2g} %|; use the combination, not the single values",
     "residual-not-noise": "the residuals of {channel} are {ratio:.2g} times its sensor's noise,"
@@ -361,15 +352,6 @@ CLAUSES: Mapping[str, str] = {
     "follows-no-input": ", without linear dependence on an input: friction or a gear that the model"
     " does not describe, a wrong constant in the study and an outside disturbance look so",
     "no-effect-explains": "; none of the effects that the program knows explains them",
-    "poor/not-identified": "{label} not identified",
-    "poor/at-bound": "{label} at the limit of its range",
-    "poor/wide": "{label} to {half!p:.2g} % only",
-    "stiff/beyond": _STIFF.replace("WHERE", "beyond"),
-    "stiff/near": _STIFF.replace("WHERE", "near the end of"),
-    "damped": "the gear is very damped: with a damping ratio of {damping_ratio:.2g} its resonance,"
-    " {resonance_hz:.3g} Hz, makes no peak in the motor's response",
-    "coarse": "the encoder is coarse: of the residuals of {channel}, {error:.2g} rad/s, {noise:.2g}"
-    " are the rounding of its {counts:g} counts per turn",
     "effect-size": "{name} {value:.2g} +- {std:.1g} {unit}",
     "effect-size/no-unit": "{name} {value:.2g} +- {std:.1g}",
     "changes": " and change {shifts}",

@@ -20,7 +20,6 @@ from strainwave.identification.whole_arm.inference.agreement import (
     stage_excess,
 )
 from strainwave.identification.whole_arm.inference.bounds import at_bounds, parameters_at_bounds
-from strainwave.identification.whole_arm.inference.motor_side_limits import motor_side_limits
 from strainwave.identification.whole_arm.inference.parameter_estimates import parameters_of
 from strainwave.identification.whole_arm.inference.parameter_warnings import warnings_of
 from strainwave.identification.whole_arm.inference.residual_analysis import (
@@ -82,7 +81,6 @@ def arm_model(fit: Fit, comparison: Comparison, start: Start, selection: Selecti
         warnings=(
             *start.rejected,
             *warnings_of(fit, at_bounds(fit), parameters),
-            *motor_side_limits(fit, arm, parameters, keys_at_bounds),
             *disagreement(differences, agreement),
             *warn_removed_effects(fit.space, arm),
             *effect_warnings(criticism.causes, comparison),

@@ -111,10 +111,6 @@ _RESULT = {
         "Only the combination of the two parameters is well determined.",
         "Record at another amplitude or posture, or hold one parameter at its data-sheet value.",
     ),
-    "motor-side-limit": Advice(
-        "The motor encoder alone cannot determine the parameter better.",
-        "Add an accelerometer or an encoder to that link.",
-    ),
     "causes-not-fitted": Advice(
         "These effects were linearised; their weight enters the intervals.",
         "Raise tuning.rival_effort, or name the effect in the joint's effects.",

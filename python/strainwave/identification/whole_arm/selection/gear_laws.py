@@ -14,12 +14,12 @@ import numpy as np
 from strainwave.domain import Diagnostic, LawChoice, LawMargin, Place
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.effects import STIFFNESS_CURVE
-from strainwave.domain.gear_laws import AUTO, STIFFNESS, curved_laws, gear_law, stated_law
+from strainwave.domain.gear_laws import AUTO, STIFFNESS, curved_laws, stated_law
 from strainwave.domain.gear_laws.cubic import CUBIC
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
-from strainwave.identification.whole_arm.inference.held_out import held_out_scores
+from strainwave.identification.whole_arm.inference.held_out import held_out_scores, simplest_model
 from strainwave.identification.whole_arm.inference.score_tests import TestedEffect, curve_tests_of
 from strainwave.identification.whole_arm.problem.arm_unknowns import replace_stiffness
 from strainwave.identification.whole_arm.problem.effect_unknowns import with_effects
@@ -33,7 +33,7 @@ from strainwave.identification.whole_arm.selection.candidate import (
     run_trial,
 )
 from strainwave.identification.whole_arm.selection.stiffness_curves import restart_coarse_fit
-from strainwave.numerics.held_out import MIN_WEIGHT, weight_over
+from strainwave.numerics.held_out import weight_over
 
 MAX_HIDDEN_CHANGE = 0.1
 """Relative change of the stiffness up to the largest torque, by its 95 % bound, from which one
@@ -167,7 +167,8 @@ class _Trials:
 
 def _select(joint: int, rivals: Mapping[str, Fit]) -> LawChoice:
     """The law with the fewest parameters unless one with more predicts better."""
-    names = sorted(rivals, key=lambda name: len(gear_law(name).parameters))
+    names = list(rivals)
+    chosen = simplest_model([rivals[name] for name in names])
     scores = held_out_scores([rivals[name] for name in names])
 
     def margin(k: int, other: int) -> LawMargin:
@@ -175,10 +176,6 @@ def _select(joint: int, rivals: Mapping[str, Fit]) -> LawChoice:
         weight = weight_over(scores[k], scores[other], np.random.default_rng(0))
         return LawMargin(names[other], difference, weight)
 
-    chosen = 0
-    for k in range(1, len(names)):
-        if margin(k, chosen).weight > MIN_WEIGHT:
-            chosen = k
     others = (k for k in range(len(names)) if k != chosen)
     return LawChoice(joint, names[chosen], tuple(margin(chosen, k) for k in others))
 
