@@ -6,6 +6,8 @@ the results, not whether real gears obey these laws.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -101,6 +103,19 @@ def test_the_unknowns_of_effects_start_small() -> None:
     reduced = remove_effects(space, {(1, "stribeck"), (1, "kinematic-error")}, Arm.of(study.arm))
     assert reduced.keys == [*base.keys, ("hysteresis_torque", 1), ("hysteresis_twist", 1)]
     assert reduced.prior.rows.shape == (1, 4)
+
+
+def test_slow_motion_shows_a_link_with_its_flexible_part() -> None:
+    arm = Arm.of(rig(("flexible-link",)).arm)
+    base = linear_search(2, Prior(np.array([[3.0, 5.0]]), np.ones(1), np.eye(1)))
+    alpha = replace(base.unknowns[0], name="alpha")
+    base = replace(base, unknowns=(alpha, base.unknowns[1]))
+    values: Values = {("alpha", None): 1.0, ("p1", None): 2.0, (COULOMB, 1): 0.05}
+    values[STIFFNESS, 1] = 2e4
+    space, _ = add_effects(base, named_effects(arm), arm, values, LOADS)
+    by_key = dict(zip(space.keys, space.prior.rows[0].tolist(), strict=True))
+    assert by_key["flexible_inertia", 1] == by_key["alpha", None] == 3.0
+    assert by_key["flexible_frequency", 1] == 0.0
 
 
 def test_an_effect_within_three_standard_deviations_of_zero_is_insignificant() -> None:
