@@ -18,7 +18,6 @@ from strainwave.domain import (
     ResidualCorrelation,
     ResidualTest,
     RigidModel,
-    ScoreTest,
     SearchEnd,
 )
 from virtual_arms import rigid_two_link
@@ -74,14 +73,10 @@ def criticism() -> Criticism:
             cross_std=np.array([0.05, 0.05]),
         ),
     )
-    sizes = {"hysteresis_torque": 2.1}
-    likely = ScoreTest(
-        1, "hysteresis", sizes, {"hysteresis_torque": 0.1}, 441.0, 0.3, True, limit=25.0
-    )
     moved = ParameterShift("gear_damping", 1, 40.0, -16.0, -30.0)
     torque = Parameter("hysteresis_torque", 1, 2.1, 0.1, "N m", "tuned", (1.9, 2.3))
     cause = Cause(1, "hysteresis", (torque,), 440.0, 0.3, (moved,))
-    return Criticism((left,), (likely,), (cause,))
+    return Criticism((left,), (cause,))
 
 
 def identification(name: str = "inertia") -> Identification:

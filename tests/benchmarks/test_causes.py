@@ -235,10 +235,7 @@ def test_tables_count_named_effects() -> None:
     ("cause", "number", "series", "outcome"),
     [
         ("load-friction", 0, 7070, "effect and joint"),
-        pytest.param(
-            *("drive-saturation", 0, 6060, "effect and joint"),
-            marks=pytest.mark.xfail(strict=True, reason="another effect is included first"),
-        ),
+        ("drive-saturation", 0, 6060, "effect and joint"),
         ("drive-gain", 0, 8080, "input fault"),
     ],
 )

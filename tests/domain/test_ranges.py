@@ -89,3 +89,9 @@ def test_prismatic_joints_are_not_checked() -> None:
 def test_physically_possible_signs(name: str, size: float, *, possible: bool) -> None:
     assert is_physical(name, size) == possible
     assert not is_physical(name, float("nan"))
+
+
+def test_a_value_at_its_bound_of_zero_has_no_size() -> None:
+    """An arm without rotor inertia is no fault of units."""
+    bounded = Parameter("motor_inertia", 1, 0.0, 1e-3, "kg m^2", "rigid", (0.0, 2e-3))
+    assert not list(implausible_joints(arm(), [bounded]))

@@ -226,9 +226,6 @@ def test_residual_analysis_is_reported_without_spectra() -> None:
         result.to_json(result.to_document(replace(identification(), whole_arm=whole_arm)))
     )
     criticism = document["stages"]["tuned"]["criticism"]
-    (residual,), (likely,) = criticism["residuals"], criticism["score_tests"]
+    (residual,) = criticism["residuals"]
     assert (residual["channel"], residual["noise"], residual["input_delay"]) == ("a1", 0.1, 0.006)
     assert "density" not in residual
-    assert likely["effect"] == "hysteresis"
-    assert likely["sizes"] == {"hysteresis_torque": 2.1}
-    assert likely["evident"] is True

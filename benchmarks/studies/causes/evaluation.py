@@ -34,7 +34,6 @@ PRIMARY = (
 )
 """Beginnings of the names of evaluated parameters."""
 
-_N_SCORE_TESTS = 5  # most significant score tests in a result
 _FAULTS = {"drive-gain": "wrong-torque-constant"}
 """Codes of causes that the input check names if two joints contradict each other."""
 
@@ -153,7 +152,6 @@ def _identify(study: Study, logs: dict[str, dict[str, FloatArray]], run: Run) ->
         "reason": result.reason,
         "suspected": [suspicion.code for suspicion in result.suspected],
         "named": _named_effect(result),
-        "score_tests": _score_tests(result),
         "fitted": _fitted_effects(result),
         "effects": _effects(result),
         "parameters": _parameters(result, true_values),
@@ -169,16 +167,6 @@ def _named_effect(result: Identification) -> list[Any] | None:
         if warning.code == "sensor-mount":
             return ["sensor-mount", int(warning.where.rsplit(" ", 1)[-1])]
     return None
-
-
-def _score_tests(result: Identification) -> list[list[Any]]:
-    criticism = result.whole_arm.criticism if result.whole_arm else None
-    if criticism is None:
-        return []
-    return [
-        [test.effect, test.joint, test.gain, test.share, test.evident]
-        for test in criticism.score_tests[:_N_SCORE_TESTS]
-    ]
 
 
 def _fitted_effects(result: Identification) -> list[list[Any]]:

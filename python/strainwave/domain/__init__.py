@@ -32,10 +32,8 @@ from strainwave.domain.arm_model import MotorResponse as MotorResponse
 from strainwave.domain.arm_model import ParameterShift as ParameterShift
 from strainwave.domain.arm_model import ResidualCorrelation as ResidualCorrelation
 from strainwave.domain.arm_model import ResidualTest as ResidualTest
-from strainwave.domain.arm_model import ScoreTest as ScoreTest
 from strainwave.domain.arm_model import SensorGain as SensorGain
 from strainwave.domain.arm_model import StageDifference as StageDifference
-from strainwave.domain.arm_model import SuspectConstant as SuspectConstant
 from strainwave.domain.arm_model import TorqueHistogram as TorqueHistogram
 from strainwave.domain.arrays import BoolArray as BoolArray
 from strainwave.domain.arrays import ComplexArray as ComplexArray

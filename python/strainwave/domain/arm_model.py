@@ -10,7 +10,7 @@ from typing import Literal
 from strainwave.display import Displayed
 from strainwave.domain.arm import EffectName
 from strainwave.domain.arrays import ComplexArray, FloatArray
-from strainwave.domain.clauses import Clause, Place
+from strainwave.domain.clauses import Clause
 from strainwave.domain.distributions import chi_square_tail
 from strainwave.domain.estimates import Diagnostic, Parameter, Prediction
 from strainwave.domain.keys import Key, Keyed
@@ -70,21 +70,6 @@ class ParameterShift(Keyed):
 
 
 @dataclass(frozen=True, slots=True)
-class ScoreTest:
-    """Score test of an effect that the model does not contain."""
-
-    joint: int  # from 1
-    effect: EffectName
-    sizes: Mapping[str, float]  # parameter -> value after one linear step
-    stds: Mapping[str, float]
-    gain: float  # decrease of the objective beyond the previous effects; 9 is 3 std
-    share: float  # gain relative to the objective
-    evident: bool
-    shifts: tuple[ParameterShift, ...] = ()  # by that step, most significant first
-    limit: float = math.inf  # chi-square limit of the gain
-
-
-@dataclass(frozen=True, slots=True)
 class Cause:
     """Effect that the model includes, or that a plausible model has in addition."""
 
@@ -101,10 +86,9 @@ class Cause:
 
 @dataclass(frozen=True, slots=True)
 class Criticism:
-    """Residual analysis of a fit: residual tests, score tests and likely effects."""
+    """Residual analysis of a fit: residual tests and likely effects."""
 
     residuals: tuple[ResidualTest, ...]
-    score_tests: tuple[ScoreTest, ...]  # most significant first
     causes: tuple[Cause, ...] = ()  # included, then plausible, most likely first
 
 
@@ -192,30 +176,6 @@ class AgreementTest:
         return Clause(f"subject/{self.scope}", joint=self.joint)
 
 
-@dataclass(frozen=True, slots=True)
-class SuspectConstant:
-    """Constant of the study, or change between records, that can explain a disagreement."""
-
-    name: str  # key of the study, "payload", "changed friction" or an effect
-    joint: int | None  # from 1; None for the whole arm
-    share: float  # of the objective that it explains, by one linear step
-    value: float | None = None  # best value, for a key of the study
-    unit: str = ""
-    experiment: str = ""  # experiment that tests this cause, as a clause
-
-    @property
-    def clause(self) -> Clause:
-        """Name, explained share and experiment."""
-        return Clause(
-            "suspect" if self.value is None else "suspect/value",
-            subject=Place(joint=self.joint, parameter=self.name),
-            value=self.value,
-            unit=self.unit,
-            share=self.share,
-            experiment=self.experiment,
-        )
-
-
 Condition = Literal["alone", "others-free", "others-servoed"]
 """State of the other joints while one is driven: no other joint, free, or servo-controlled."""
 
@@ -284,7 +244,6 @@ class ArmModel(Displayed):
     gear_loads: tuple[TorqueHistogram, ...] = ()  # one per joint with an elastic gear
     at_bounds: tuple[Key, ...] = ()  # at a bound, or derived from such a parameter
     agreement: tuple[AgreementTest, ...] = ()  # with the rigid model, all values and groups
-    suspects: tuple[SuspectConstant, ...] = ()  # if the stages disagree, most likely first
     sensor_gains: tuple[SensorGain, ...] = ()  # of link sensors that the rig does not have
     gear_laws: tuple[LawChoice, ...] = ()  # of joints whose law the fit selected
 

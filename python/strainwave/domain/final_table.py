@@ -6,6 +6,7 @@ value is rejected if the input contradicts it, or if it is impossible beyond its
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -297,7 +298,7 @@ def _decide_row(entry: _Entry, study: Study, levels: Mapping[int, Activity]) -> 
         # a parameter without a value is not identified instead of rejected
         rejected = reason if p.value is not None else None
         return Decision(without_value, identified=False, rejected=rejected, raw=p.value)
-    return Decision(p, identified=_is_identified(p, study, levels))
+    return Decision(p, identified=is_identified(p, study.arm, levels))
 
 
 def _is_impossible(p: Parameter) -> bool:
@@ -320,31 +321,33 @@ def half_width(p: Parameter) -> float | None:
     return width if p.value in p.ci95 else 0.5 * width
 
 
-def _is_identified(p: Parameter, study: Study, levels: Mapping[int, Activity]) -> bool:
+def is_identified(p: Parameter, arm: ArmDescription, levels: Mapping[int, Activity]) -> bool:
+    """Whether the half-width of the interval is below the value, or negligible.
+
+    It is negligible if it contributes less than 2 % to the torque of every joint. `levels` maps
+    joints to their rms motion.
+    """
     half = half_width(p)
-    if p.value is None or half is None or not half < float("inf"):
+    if p.value is None or half is None or not half < math.inf:
         return False
     if constant_of(p.key) is not None and p.unit in _MAX_PLACE_HALF_WIDTH:
         return half < _MAX_PLACE_HALF_WIDTH[p.unit]
-    return half < abs(p.value) or _is_negligible(p, study, levels)
+    return half < abs(p.value) or (
+        max(_torque_shares(p, arm, levels), default=math.inf) * half < _MAX_NEGLIGIBLE_SHARE
+    )
 
 
-def _is_negligible(p: Parameter, study: Study, levels: Mapping[int, Activity]) -> bool:
-    """Whether the interval's half-width contributes less than 2 % to the torque of every joint."""
-    half = half_width(p)
-    shares = list(_torque_shares(p, study, levels))
-    return half is not None and bool(shares) and max(shares) * half < _MAX_NEGLIGIBLE_SHARE
-
-
-def _torque_shares(p: Parameter, study: Study, levels: Mapping[int, Activity]) -> Iterator[float]:
+def _torque_shares(
+    p: Parameter, arm: ArmDescription, levels: Mapping[int, Activity]
+) -> Iterator[float]:
     """Motor torque per unit of a parameter, over the rms torque, for each joint it acts on."""
-    of_link = _motion_per_unit(p, study.arm)
-    of_chain = _torque_per_base_parameter(p, study.arm, levels)
+    of_link = _motion_per_unit(p, arm)
+    of_chain = _torque_per_base_parameter(p, arm, levels)
     for number in [p.joint] if p.joint and not of_chain else sorted(levels):
         level = levels.get(number)
         if level is None or level.torque <= 0.0:
             continue
-        ratio = abs(study.arm.joints[number - 1].gear_ratio)
+        ratio = abs(arm.joints[number - 1].gear_ratio)
         n2 = ratio**2
         per_unit = {
             "motor_coulomb_friction": 1.0,

@@ -148,9 +148,14 @@ def implausible_joints(
 ) -> Iterator[ImplausibleJoint]:
     """Yield joints with values outside `PLAUSIBLE_RANGES`, each with the unit that explains them.
 
-    Prismatic joints are omitted: micrometer stages and gantries have no common range.
+    Prismatic joints are omitted: micrometer stages and gantries have no common range. So are values
+    whose interval contains zero: their size is not determined.
     """
-    known = [p for p in parameters if p.value is not None]
+    known = [
+        p
+        for p in parameters
+        if p.value is not None and not (p.ci95 and p.ci95[0] <= 0.0 <= p.ci95[1])
+    ]
     for number, joint in enumerate(arm.joints, start=1):
         if joint.motion == "prismatic":
             continue

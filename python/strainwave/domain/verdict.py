@@ -11,6 +11,7 @@ from strainwave.domain.arm_model import ArmModel, ResidualTest
 from strainwave.domain.base_parameters import base_parameters
 from strainwave.domain.clauses import Clause, Place
 from strainwave.domain.combinations import is_uncoupled, viscous_friction
+from strainwave.domain.effects import effect_named
 from strainwave.domain.estimates import Diagnostic, Prediction, Suspicion
 from strainwave.domain.final_table import Decision
 from strainwave.domain.gear_laws import STIFFNESS
@@ -19,6 +20,8 @@ from strainwave.domain.messages import text_of
 from strainwave.domain.ranges import implausible_joints
 from strainwave.domain.stage_results import StageResults
 from strainwave.domain.stages import Stage
+
+_MAX_LISTED_CAUSES = 3  # in a reason
 
 Status = Literal["determined", "partly-determined", "not-determined", "inconsistent-input"]
 
@@ -160,8 +163,18 @@ def _contradiction_reasons(whole_arm: ArmModel) -> Iterator[Clause]:
 
 
 def _likely_causes(whole_arm: ArmModel | None) -> Clause:
-    """Likely causes of unexplained residuals, as the end of a sentence."""
-    causes = tuple(cause.clause for cause in whole_arm.suspects) if whole_arm else ()
+    """Plausible effects, the likeliest first, as the end of a sentence."""
+    criticism = whole_arm.criticism if whole_arm else None
+    causes = tuple(
+        Clause(
+            "suspect",
+            subject=Place(joint=cause.joint, parameter=cause.effect),
+            share=cause.share,
+            experiment=effect_named(cause.effect).experiment,
+        )
+        for cause in (criticism.causes if criticism else ())
+        if not cause.is_included
+    )[:_MAX_LISTED_CAUSES]
     return Clause("suspects", causes=causes) if causes else Clause("suspects/none")
 
 

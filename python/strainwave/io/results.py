@@ -616,14 +616,12 @@ def _whole_arm(model: ArmModel) -> dict[str, Any]:
 
 
 def _criticism(criticism: Criticism) -> dict[str, Any]:
-    """Residuals without their spectra, tests without their limits, and causes."""
+    """Residuals without their spectra, and causes."""
     residual = "experiment channel deviation noise sample_noise worst_hz whiteness"
     residual += " input_joint input_correlation input_delay input_probability"
-    score_test = "joint effect sizes stds gain share evident shifts"
     cause = "joint effect parameters gain share shifts weight is_included is_linearised"
     return {
         "residuals": [_entry(each, residual) for each in criticism.residuals],
-        "score_tests": [_entry(each, score_test) for each in criticism.score_tests],
         "causes": [_entry(each, cause) for each in criticism.causes],
     }
 

@@ -44,6 +44,21 @@ def test_a_knee_at_zero_is_removed() -> None:
     assert estimates == {K1: K2, K2: K3, K3: None, T1: T2, T2: None}
 
 
+def test_a_small_knee_that_the_data_determine_stays() -> None:
+    values = CURVE | {T1: 0.1}
+    each = 1e-3 * np.array([values[name] for name in LAW.names])
+    estimates = LAW.identified(values, np.diag(each**2), 30.0)
+    assert estimates == {name: name for name in LAW.names}
+
+
+def test_close_knees_are_one() -> None:
+    """A gear with one knee within the records: the slope beyond it is the second one."""
+    values = CURVE | {T2: 1.1 * CURVE[T1]}
+    each = 1e-3 * np.array([values[name] for name in LAW.names])
+    estimates = LAW.identified(values, np.diag(each**2), 30.0)
+    assert estimates == {K1: K1, K2: K3, K3: None, T1: T1, T2: None}
+
+
 def test_the_more_precise_of_equal_slopes_represents_both() -> None:
     values = CURVE | {K2: 1.002 * CURVE[K1]}
     each = np.array([values[name] for name in LAW.names]) * [5e-3, 1e-3, 1e-3, 1e-3, 1e-3]

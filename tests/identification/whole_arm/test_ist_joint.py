@@ -18,7 +18,6 @@ def both(shared_data: Path) -> tuple[Identification, ...]:
     return tuple(with_and_without_torsion(shared_data / "real" / "ist-flexible-arm"))
 
 
-@pytest.mark.xfail(strict=True, reason="without torsion, effects enter that shift friction")
 def test_the_motor_encoder_alone_gives_the_friction_of_both_sensors(
     both: tuple[Identification, ...],
 ) -> None:

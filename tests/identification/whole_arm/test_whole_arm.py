@@ -424,8 +424,6 @@ def test_too_few_iterations_are_reported() -> None:
     assert model.status == "iteration-limit"
     assert "iteration-limit" in [warning.code for warning in model.warnings]
     assert model.iterations < standard().iterations
-    assert model.criticism is not None
-    assert max(test.share for test in model.criticism.score_tests) > 0.0  # the cost is known
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Residual analysis: score-test verdicts follow their numbers; correlations of check records."""
+"""Residual analysis: correlations of check records."""
 
 from __future__ import annotations
 
@@ -9,44 +9,10 @@ import pytest
 
 from elastic_results import SAMPLE, elastic_identification, log, record_model
 from figure_parts import line, marks
-from results import criticism
-from strainwave.domain import Identification, ModelCheck, Prediction, ScoreTest
+from strainwave.domain import Identification, ModelCheck, Prediction
 from strainwave.presentation.figures import Area
 from strainwave.presentation.report import residuals
-from strainwave.presentation.report.blocks import FigureName, Fold, Plot, Table
-
-
-def verdict_of(test: ScoreTest) -> dict[str, str]:
-    """The cells of the one row of the table of score tests, by head."""
-    tests = replace(criticism(), score_tests=(test,), causes=())
-    (table,) = (
-        block
-        for block in residuals.residual_tests(tests)
-        if isinstance(block, Table) and block.label.endswith("(score tests)")
-    )
-    (row,) = table.rows
-    assert isinstance(row, tuple)
-    return {head.text: cell.text for head, cell in zip(table.heads, row, strict=True)}
-
-
-@pytest.mark.parametrize(
-    ("deviations", "limit", "evident", "verdict"),
-    [
-        (3.9, 4.8, False, "not significant"),
-        (3.9, 3.5, False, "negligible"),
-        (9.3, 4.8, False, "negligible"),
-        (9.3, 4.8, True, "likely"),
-    ],
-)
-def test_the_verdict_follows_from_the_number_and_its_limit(
-    deviations: float, limit: float, evident: bool, verdict: str
-) -> None:
-    (one,) = criticism().score_tests
-    test = replace(one, gain=deviations**2, limit=limit**2, evident=evident)
-    cells = verdict_of(test)
-    assert cells["verdict"] == verdict
-    assert cells["standard deviations"] == f"{deviations:.1f}"
-    assert cells["limit"] == f"{limit:.1f}"
+from strainwave.presentation.report.blocks import FigureName, Fold, Plot
 
 
 def checked(delay: int) -> Identification:

@@ -18,7 +18,6 @@ from strainwave.domain import (
     Identification,
     Parameter,
     Place,
-    SuspectConstant,
     Suspicion,
 )
 from strainwave.presentation.report import remedies
@@ -93,14 +92,6 @@ def test_identified_parameters_are_counted() -> None:
     assert "No parameter was estimated." in of()
     nothing = "|Not determined| No parameter was estimated.|Nothing moved.|Not identified: rigid_"
     assert nothing in of(failures=(Clause("text", text="nothing moved"),))
-
-
-def test_likely_causes_of_a_disagreement_have_their_experiment() -> None:
-    one = elastic_identification()
-    assert one.whole_arm is not None
-    suspect = SuspectConstant("torque_per_volt", 2, 0.42, 0.0321, "N m/V", "measure the current")
-    text = words_of(verdict(replace(one, whole_arm=replace(one.whole_arm, suspects=(suspect,)))))
-    assert "|torque_per_volt of joint 2|0.0321 N m/V|42 %|measure the current|" in text
 
 
 def test_a_value_near_zero_has_its_own_class() -> None:

@@ -123,6 +123,9 @@ class Effect:
     by_record: bool = False
     """Whether each record has its own sizes, named by `of_record`."""
 
+    is_part_of_link: bool = False
+    """Whether its size is an inertia of the link, which slow motion does not show apart."""
+
     misleads_inertias: bool = False
     """Whether a rigid step without it biases inertias and gravity, not only friction."""
 

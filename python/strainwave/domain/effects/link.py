@@ -55,7 +55,8 @@ class FlexibleLink(Effect):
     shapes: Mapping[str, float] = {"flexible_frequency": 30.0, "flexible_damping": 0.2}
     tested: Mapping[str, tuple[float, ...]] = {"flexible_frequency": (12.0, 18.0, 24.0, 45.0, 65.0)}
     starting_shapes: Mapping[str, float] = {"flexible_damping": 0.05}
-    misleads_inertias = True  # the rigid step adds it to the link's inertia
+    is_part_of_link = True
+    misleads_inertias = True
     description = "a vibration mode of a part of the link"
     consequence = "the mode biases the stiffness and damping of the gear"
     experiment = "hold the motor, hit the link and look for a second resonance"

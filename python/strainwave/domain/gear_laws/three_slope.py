@@ -32,7 +32,7 @@ _RESTART_KNEE_FACTORS = (0.75, 1.5)  # around the only knee
 
 # Degenerate curves.
 _MIN_SLOPE_DIFFERENCE = 0.01  # relative; a knee between closer slopes has no effect
-_MIN_KNEE_TORQUE = 0.02  # over the largest gear torque; a lower knee is at zero
+_MIN_KNEE_TORQUE = 0.02  # over the largest gear torque; a search seldom resolves a lower knee
 _MIN_KNEE_DISTANCE = 0.3  # relative; a search seldom separates closer knees
 
 # Distinction of slopes by their covariance.
@@ -132,22 +132,29 @@ class ThreeSlope(GearLaw):
     ) -> Mapping[str, str | None]:
         """Estimate that represents each slope and knee; None if no record determines it.
 
-        A knee at zero, beyond the largest torque, or between equal slopes is removed; the slopes
-        and knees above it move down by one, and the last of each is not identified. The more
-        precise of two equal slopes represents both. If two slopes are neither distinct nor equal,
+        A knee that is small and not significant, beyond the largest torque, or between equal slopes
+        is removed; the slopes and knees above it move down by one, and the last of each is not
+        identified. Two close knees are one, without a slope between them. The more precise of two
+        equal slopes represents both. If two slopes are neither distinct nor equal,
         the less precise of them and the knee between them are not identified.
         """
         index = {name: k for k, name in enumerate(self.names)}
         last = SLOPES[0]
         slopes, knees = list[str | None]([last]), list[str | None]()
-        for name, knee in zip(SLOPES[1:], KNEES, strict=True):
+        pairs = list(zip(SLOPES[1:], KNEES, strict=True))
+        if values[KNEES[1]] < (1.0 + _MIN_KNEE_DISTANCE) * values[KNEES[0]]:
+            pairs = [(SLOPES[2], KNEES[0])]
+        for name, knee in pairs:
             if values[knee] >= largest_torque:
                 continue
-            at_zero = values[knee] < _MIN_KNEE_TORQUE * largest_torque
-            a, b = index[last], index[name]
+            a, b, at = index[last], index[name], index[knee]
             difference = abs(values[name] - values[last])
             variance = covariance[a, a] + covariance[b, b] - 2 * covariance[a, b]
             margin = _MIN_DISTINCT_DIFFERENCE_STD * np.sqrt(variance)
+            is_certain = difference > margin and values[knee] ** 2 > (
+                _MIN_DISTINCT_DIFFERENCE_STD**2 * covariance[at, at]
+            )
+            at_zero = values[knee] < _MIN_KNEE_TORQUE * largest_torque and not is_certain
             is_more_precise = bool(covariance[b, b] < covariance[a, a])
             position = slopes.index(last)
             is_equal = difference + margin < _MAX_EQUAL_DIFFERENCE * values[last]

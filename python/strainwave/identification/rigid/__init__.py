@@ -25,8 +25,7 @@ from strainwave.domain import (
     Signals,
 )
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.rigid_prediction import CORRECTIONS
-from strainwave.dynamics.rigid_prediction import band_fit
+from strainwave.dynamics.rigid_prediction import CORRECTIONS, band_fit
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.bandwidth import (
     Motion,

@@ -18,10 +18,8 @@ from strainwave.identification.whole_arm.inference.agreement import (
     disagreement,
     stage_differences,
     stage_excess,
-    suspects_of,
 )
 from strainwave.identification.whole_arm.inference.bounds import at_bounds, parameters_at_bounds
-from strainwave.identification.whole_arm.inference.motor_side_limits import motor_side_limits
 from strainwave.identification.whole_arm.inference.parameter_estimates import parameters_of
 from strainwave.identification.whole_arm.inference.parameter_warnings import warnings_of
 from strainwave.identification.whole_arm.inference.residual_analysis import (
@@ -67,14 +65,7 @@ def arm_model(fit: Fit, comparison: Comparison, start: Start, selection: Selecti
     keys_at_bounds = tuple(parameters_at_bounds(fit, arm))
     criticism = Criticism(
         residual_tests(fit.objective, fit.z),
-        tuple(one.test for one in comparison.tests),
         tuple(list_causes(comparison, parameters)),
-    )
-    is_far_above_noise = any(test.is_far_above_noise for test in criticism.residuals)
-    suspects = (
-        suspects_of(fit, arm, criticism.causes)
-        if is_far_above_noise or any(test.disagrees for test in agreement)
-        else ()
     )
     public = [k for k, p in enumerate(parameters) if not is_hidden(p.key)]
     return ArmModel(
@@ -90,19 +81,17 @@ def arm_model(fit: Fit, comparison: Comparison, start: Start, selection: Selecti
         warnings=(
             *start.rejected,
             *warnings_of(fit, at_bounds(fit), parameters),
-            *motor_side_limits(fit, arm, parameters, keys_at_bounds),
-            *disagreement(differences, agreement, suspects),
+            *disagreement(differences, agreement),
             *warn_removed_effects(fit.space, arm),
             *effect_warnings(criticism.causes, comparison),
             *sensor_warnings(parameters),
             *residual_warnings(criticism.residuals, explained=bool(criticism.causes)),
-            *equivalent_stiffnesses(criticism.score_tests, fit, selection, largest_torque),
+            *equivalent_stiffnesses(comparison.tests, fit, selection, largest_torque),
         ),
         criticism=criticism,
         gear_loads=histograms_of(gear_loads),
         at_bounds=keys_at_bounds,
         agreement=agreement,
-        suspects=suspects,
         sensor_gains=tuple(sensor_gains(fit, arm, parameters)) if fit.end.is_minimum else (),
         gear_laws=tuple(
             replace(choice, largest_torque=largest_torque[joint - 1])

@@ -18,15 +18,10 @@ from strainwave.domain import (
     RecordModel,
     ResidualCorrelation,
     ResidualTest,
-    ScoreTest,
 )
 from strainwave.domain.distributions import CI99_STDS
 from strainwave.domain.effects import effect_named
 from strainwave.domain.formatting import plus_minus
-from strainwave.identification.whole_arm.inference.score_tests import (
-    MIN_COST_SHARE,
-    RELEVANT_COST_SHARE,
-)
 from strainwave.numerics.spectra import correlate_residuals, expected_autocorrelation
 from strainwave.presentation.figures import (
     DASHES,
@@ -59,7 +54,6 @@ from strainwave.presentation.report.blocks import (
 from strainwave.presentation.report.predictions import unit_of
 
 MIN_PROBABILITY = 1e-3  # smaller probabilities are shown as "< 0.001"
-_SHOWN_SCORE_TESTS = 6  # the others are folded
 _LISTED_SIZES = 3  # sizes of one effect in a cell
 _LISTED_SHIFTS = 4  # parameters moved by one effect in a cell
 _CORRELATION_HEIGHT = 0.7  # of a panel
@@ -70,7 +64,7 @@ _LIMITS = (
 
 
 def residual_tests(criticism: Criticism) -> Iterator[Block]:
-    """Tables of the residual tests and the score tests, and a spectrum for each channel."""
+    """Tables of the residual tests and the effects, and a spectrum for each channel."""
     tests = criticism.residuals
     channels = list(dict.fromkeys(test.channel for test in tests))
     worst = [max((t for t in tests if t.channel == name), key=_noise_ratio) for name in channels]
@@ -83,7 +77,6 @@ def residual_tests(criticism: Criticism) -> Iterator[Block]:
     title = "Effects that the model includes, and plausible ones that the intervals contain"
     yield from table(title, heads, map(_cause_row, criticism.causes))
     yield from map(_describe_effect, dict.fromkeys(cause.effect for cause in criticism.causes))
-    yield from _score_table(criticism.score_tests)
     for test in worst:
         label = f"{test.experiment}, {test.channel}: residual spectrum"
         caption = (
@@ -157,50 +150,6 @@ def _noise_ratio(test: ResidualTest) -> float:
 
 def _format_probability(p: float) -> str:
     return f"p = {p:.2g}" if p >= MIN_PROBABILITY else f"p < {MIN_PROBABILITY:g}"
-
-
-def _score_table(tests: Sequence[ScoreTest]) -> Iterator[Block]:
-    """The most significant tests with the limits behind the verdicts; the others are folded."""
-    title = "Effects that are not in the model (score tests)"
-    numbers = map(number, ("standard deviations", "limit", "share of the cost"))
-    heads: Row = ("effect", "joint", *numbers, "verdict", "estimated size")
-    rows = [_score_row(test) for test in tests]
-    yield from table(title, heads, rows[:_SHOWN_SCORE_TESTS])
-    if len(rows) > _SHOWN_SCORE_TESTS:
-        label = f"All {len(rows)} score tests"
-        yield Fold(label, tuple(table(label, heads, rows, heading=False)))
-    if rows:
-        yield paragraph(
-            "Significant: the standard deviations exceed the limit, which allows for the number of"
-            f" tests. Likely: significant, and explains over {100.0 * RELEVANT_COST_SHARE:g} % of"
-            f" the cost, or more than {100.0 * MIN_COST_SHARE:g} % while shifting a parameter out"
-            " of its 95 % interval."
-            " Negligible: significant, but below these shares."
-        )
-
-
-def _score_row(test: ScoreTest) -> Row:
-    prefix = test.effect.replace("-", "_") + "_"
-    sizes = [
-        f"{name.removeprefix(prefix)} {' ± '.join(plus_minus(size, test.stds[name]))}"
-        for name, size in test.sizes.items()
-    ]
-    deviations, limit = (two_digits(float(np.sqrt(max(v, 0.0)))) for v in (test.gain, test.limit))
-    numbers = (deviations, limit, f"{two_digits(100.0 * test.share)} %")
-    return (
-        test.effect,
-        str(test.joint),
-        *map(number, numbers),
-        _test_verdict(test),
-        prose(_list_sizes(sizes)),
-    )
-
-
-def _test_verdict(test: ScoreTest) -> str:
-    """Verdict of a score test; it follows from the printed number and its limit."""
-    if test.evident:
-        return "likely"
-    return "negligible" if test.gain > test.limit else "not significant"
 
 
 def _list_sizes(parts: Sequence[str]) -> str:

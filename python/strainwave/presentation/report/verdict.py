@@ -59,7 +59,6 @@ def verdict(identification: Identification) -> Callout:
         *(paragraph(sentence(reason)) for reason in reasons),
         *(paragraph(each) for each in [scale_note(identification)] if each),
         *_suspicion_blocks(identification),
-        *_cause_blocks(identification),
         *_validation_blocks(identification),
         *_warning_blocks(identification),
     ]
@@ -91,27 +90,6 @@ def _suspicion_blocks(identification: Identification) -> Iterator[Block]:
     ]
     heads = ("channel or key", "observed", "correction")
     yield from table("Faults of the input", heads, rows, heading=False)
-
-
-def _cause_blocks(identification: Identification) -> Iterator[Block]:
-    """If the stages disagree: likely causes, each with the experiment that separates it."""
-    whole_arm = identification.whole_arm
-    rows: list[Row] = [
-        (
-            cause.name if cause.joint is None else f"{cause.name} of joint {cause.joint}",
-            number("" if cause.value is None else f"{cause.value:.4g} {cause.unit}".rstrip()),
-            number(f"{100.0 * cause.share:.3g} %"),
-            prose(cause.experiment),
-        )
-        for cause in (whole_arm.suspects if whole_arm else ())
-    ]
-    heads: Row = (
-        "likely cause, most likely first",
-        number("would be"),
-        number("explains"),
-        "experiment that separates it",
-    )
-    yield from table("Likely causes of the disagreement", heads, rows, heading=False)
 
 
 def _certainty_groups(identification: Identification) -> Iterator[tuple[str, str]]:

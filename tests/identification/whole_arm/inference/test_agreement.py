@@ -18,7 +18,6 @@ from strainwave.domain import (
     Prbs,
     StageDifference,
     Study,
-    SuspectConstant,
 )
 from strainwave.domain.kinds import change_arm_keys
 from strainwave.dynamics.simulation import SensorNoise
@@ -201,18 +200,6 @@ def test_the_excess_of_a_difference_is_an_error_of_the_model() -> None:
     excess = stage_excess((difference, small), (failed,))
     assert excess["beta", None] == pytest.approx(0.05**2 - 0.03**2)
     assert excess["gamma", None] == 0.0
-
-
-def test_suspects_stand_in_order_with_their_experiments() -> None:
-    disagreeing = AgreementTest("inertias", None, 70.0, 4, 7.4)
-    suspects = (
-        SuspectConstant("link_length", None, 0.7, 0.35, "m", "measure it"),
-        SuspectConstant("payload", None, 0.4, experiment="repeat the motion"),
-    )
-    (warning,) = disagreement((), (disagreeing,), suspects)
-    expected = "link_length (then 0.35 m), which would explain 70 %: measure it, or payload"
-    assert expected in warning.message
-    assert "dead zone" not in warning.message
 
 
 def test_a_clock_that_is_fast_is_named(tmp_path: Path) -> None:

@@ -342,12 +342,13 @@ def test_errors_beyond_the_sensors_noise_raise_deviations() -> None:
         explained, records=(replace(explained.records[0], noise=np.ones(1) / 40.0),)
     )
     high_variance = confidence_at(unexplained, z)
-    raised = np.sqrt(np.diag(high_variance.combined) / np.diag(quiet.combined))
+    raised = np.sqrt(np.diag(high_variance.combined) / larger)
     # noise explains 1 / 40^2 of the variance; 0.8 of the unexplained share is added
     residual = (table @ z)[:, :, None] - (table @ TRUTH)[:, :, None] - error[..., None]
     share = 0.8 - 1.0 / 40.0**2 / (1.4826 * np.median(np.abs(residual))) ** 2
     # the spectrum of 600 rows is white to a few per cent of this share
-    np.testing.assert_allclose(raised, np.sqrt(1.0 + share), rtol=5e-3)
+    by_local = 1.0 + share * np.maximum(np.diag(quiet.local) / larger - 1.0, 0.0)
+    np.testing.assert_allclose(raised, np.sqrt(by_local * (1.0 + share)), rtol=5e-3)
 
 
 def test_an_error_below_the_noise_counts_in_the_band_of_a_parameter() -> None:
@@ -387,8 +388,10 @@ def test_a_common_error_of_all_records_is_not_reduced_by_averaging(n: int) -> No
         confidence_at(objective_of(tables, errors, 0.1, noise=noise), TRUTH)
         for noise in (0.0999, 1e-9)
     ]
-    raised = np.diag(confidences[1].combined) / np.diag(confidences[0].combined)
-    np.testing.assert_allclose(raised, 1.0 + 0.8 * n, rtol=1e-9)
+    within = np.diag(confidences[0].combined)
+    raised = within + 0.8 * np.maximum(np.diag(confidences[0].local) - within, 0.0)
+    expected = raised * (1.0 + 0.8 * n)
+    np.testing.assert_allclose(np.diag(confidences[1].combined), expected, rtol=1e-9)
 
 
 def test_a_parameter_without_information_has_a_large_variance() -> None:

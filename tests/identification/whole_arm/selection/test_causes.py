@@ -75,9 +75,6 @@ def test_a_significant_effect_is_added(name: str) -> None:
 def test_an_effect_of_unusual_shape_is_named(name: str, shape: str, value: float) -> None:
     model = whole_arm((name,), (), shapes=(((shape, 1), value),))
     assert model.criticism is not None
-    first = model.criticism.score_tests[0]
-    assert first.evident
-    assert (first.joint, first.effect) == (1, name)
     cause = model.criticism.causes[0]
     assert (cause.joint, cause.effect) == (1, name)
     true_values = EVERY | {(shape, 1): value}
@@ -135,7 +132,6 @@ def test_of_more_than_noise_each_is_tested_at_all_its_shapes_within_the_band(
     assert counts == {(joint, name): numbers[name] for joint, name in POSSIBLE}
 
 
-@pytest.mark.xfail(strict=True, reason="each alone leaves viscous friction undetermined")
 def test_two_effects_are_added_one_after_the_other() -> None:
     model = whole_arm(("hysteresis", "load-friction"), "auto")
     assert sorted(added_effects(model)) == ["hysteresis", "load-friction"]
@@ -145,13 +141,13 @@ def test_two_effects_are_added_one_after_the_other() -> None:
         )
 
 
-def test_effects_that_cost_a_value_widen_the_intervals() -> None:
-    """Each of two effects predicts better, but alone leaves viscous friction undetermined."""
-    model = whole_arm(("hysteresis", "load-friction"), "auto")
+def test_effects_that_do_not_enter_widen_the_intervals() -> None:
+    """The effect that explains most predicts better than the model that the study demands."""
+    model = whole_arm(("hysteresis", "load-friction"), ())
     assert added_effects(model) == []
     assert model.criticism is not None
     weights = {cause.effect: cause.weight for cause in model.criticism.causes}
-    assert min(weights["hysteresis"], weights["load-friction"]) > 0.95
+    assert weights["hysteresis"] > 0.95
     estimates = {p.key: p for p in model.parameters}
     for parameter in MENDED:
         low, high = estimates[parameter, 1].ci95 or (0.0, 0.0)

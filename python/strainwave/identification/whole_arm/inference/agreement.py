@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from statistics import NormalDist
 from typing import Literal
 
@@ -12,41 +10,25 @@ import numpy as np
 
 from strainwave.domain import (
     AgreementTest,
-    Cause,
     Clause,
     Diagnostic,
     FloatArray,
-    Origin,
     Place,
     StageDifference,
-    SuspectConstant,
 )
 from strainwave.domain.distributions import chi_square_tail
-from strainwave.domain.effects import effect_named
 from strainwave.domain.keys import Values
 from strainwave.domain.parameter_table import family_of
 from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
-from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import confidence_of, with_variances
-from strainwave.identification.whole_arm.problem.effect_unknowns import (
-    body_parameters,
-    friction_parameters,
-)
 from strainwave.identification.whole_arm.problem.prior import reference_sizes
-from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
 from strainwave.identification.whole_arm.search.fit import Fit
 
 Scope = Literal["all", "inertias", "friction"]
 
 RIGID_MODEL_ERROR = 5e-4
 """Relative error of the rigid model's values, because torsion moves the links by milliradians."""
-
-MIN_EXPLAINED_SHARE = 0.1
-"""Smallest share of the objective that a reported hypothesis explains."""
-
-MAX_SUSPECTS = 3  # maximum number of hypotheses in a message
-LENGTH_STEP = 1e-4  # relative step of a length for central differences
 
 # standard deviation of a difference, relative to the rigid step, below which the records add no
 # information
@@ -162,95 +144,10 @@ def stage_excess(differences: Sequence[StageDifference], tests: Sequence[Agreeme
     return {d.key: max(0.0, (d.whole_arm - d.rigid) ** 2 - d.std**2) for d in differences}
 
 
-def suspects_of(fit: Fit, arm: Arm, causes: Sequence[Cause]) -> tuple[SuspectConstant, ...]:
-    """Hypotheses that can explain a disagreement of the stages, most likely first.
-
-    Each hypothesis extends the Jacobian of the fit by columns: derivatives of the records with
-    respect to a constant of the study, or shifts of the rigid model for a payload or friction that
-    changed between slow and fast records. Its share is the decrease of the objective, including the
-    prior, in one linear step. Likely effects are included with the shares of their fits.
-    """
-    prior = fit.space.prior
-    joints = range(1, arm.n_joints + 1)
-    load, change = "with the load of fast records", "directly after the fast records"
-    hypotheses = [
-        ("payload", None, body_parameters(arm), f"repeat the motion {load}"),
-        *(
-            ("changed friction", j, friction_parameters(arm, j), f"repeat the motion {change}")
-            for j in joints
-        ),
-    ]
-    suspects = [
-        SuspectConstant(
-            name, joint, _shift_share(fit, shifted=prior.by_shifts(keys)), experiment=experiment
-        )
-        for name, joint, keys, experiment in hypotheses
-        if keys & set(prior.names)
-    ]
-    for number in joints[1:]:
-        suspects += _link_length(fit, arm, number)
-    for cause in causes:
-        experiment = effect_named(cause.effect).experiment
-        suspects.append(
-            SuspectConstant(cause.effect, cause.joint, cause.share, experiment=experiment)
-        )
-    likely = [one for one in suspects if one.share > MIN_EXPLAINED_SHARE]
-    return tuple(sorted(likely, key=lambda one: -one.share)[:MAX_SUSPECTS])
-
-
-def _link_length(fit: Fit, arm: Arm, number: int) -> Iterator[SuspectConstant]:
-    """Test the distance of a joint from the one before, on which its acceleration depends."""
-    values, objective = fit.values, fit.objective
-    origin = arm.joints[number - 1].origin
-
-    def scaled(factor: float) -> Origin:
-        x, y, z = origin.xyz
-        return replace(origin, xyz=(factor * x, factor * y, factor * z))
-
-    def column(k: int, evaluated: Evaluation) -> FloatArray:
-        """Derivative with respect to the logarithm of the length: (n_rows, n_channels, 1)."""
-        record = objective.records[k]
-        initial = evaluated.record_parameters[: len(record.initial_states)]
-        ends = [
-            replace(record, arm=record.arm.with_joint(number, origin=scaled(factor))).linearise(
-                values, initial, ()
-            )[0]
-            for factor in (1.0 + LENGTH_STEP, 1.0 - LENGTH_STEP)
-        ]
-        return np.asarray((ends[0] - ends[1])[..., None] / (2.0 * LENGTH_STEP))
-
-    try:
-        columns, target = objective.project_columns(fit.z, 1, column)
-    except (InvalidInput, NumericalFailure):
-        return
-    derivative = columns[:, 0]
-    square = float(derivative @ derivative)
-    if square > 0.0:
-        step = -float(derivative @ target) / square
-        share = step**2 * square / max(fit.cost, 1e-300)
-        value = math.hypot(*origin.xyz) * math.exp(step)
-        text = f"measure the distance between the axes of joints {number - 1} and {number}"
-        yield SuspectConstant("link_length", None, share, value, "m", text)
-
-
-def _shift_share(fit: Fit, shifted: FloatArray) -> float:
-    """Relative decrease of the objective by shifts of the prior rows, (n_prior, n_shifts)."""
-    width = shifted.shape[1]
-
-    def nothing(_: int, evaluated: Evaluation) -> FloatArray:
-        return np.zeros((*evaluated.difference.shape, width))
-
-    jacobian, target = fit.objective.project_columns(fit.z, width, nothing, shifted)
-    remaining = target - jacobian @ np.linalg.lstsq(jacobian, target)[0]
-    return float((target @ target - remaining @ remaining) / max(fit.cost, 1e-300))
-
-
 def disagreement(
-    differences: Sequence[StageDifference],
-    tests: Sequence[AgreementTest],
-    suspects: Sequence[SuspectConstant] = (),
+    differences: Sequence[StageDifference], tests: Sequence[AgreementTest]
 ) -> Iterator[Diagnostic]:
-    """Yield the warning that the stages disagree, with likely causes; at most one."""
+    """Yield the warning that the stages disagree; at most one."""
     failed = [test for test in tests if test.disagrees]
     if not failed:
         return
@@ -268,11 +165,9 @@ def disagreement(
     yield Diagnostic(
         "stages-disagree",
         Place(part="rigid and whole-arm fit"),
-        "" if suspects else "no-suspect",
         subject=worst.subject,
         deviations=worst.deviations,
         chi_square=worst.chi_square,
         degrees=worst.degrees,
         largest=largest,
-        causes=tuple(one.clause for one in suspects),
     )

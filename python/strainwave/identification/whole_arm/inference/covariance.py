@@ -26,7 +26,9 @@ sensor noise, and it does not average out over records. The share of a variance 
 explain is therefore counted once more for each record. This share depends on the parameter: it
 follows from the spectra of its derivatives, of the residuals and of the noise. The noise of a
 differentiated, quantised angle rises with the square of the frequency. At the resonances, a model
-error can thus exceed the noise many times although its share in the total power is small.
+error can thus exceed the noise many times although its share in the total power is small. A model
+error depends on the same motion as the derivatives, so neither spectra nor segments show how far it
+averages out: its share of the variance is at least that of the local one.
 """
 
 from __future__ import annotations
@@ -135,9 +137,11 @@ def confidence_at(objective: Objective, z: FloatArray) -> Confidence:
         )
     )
     variance = np.maximum(np.diag(sandwich), np.diag(steady))
-    model_error = n_records * _unexplained_share(slope @ answer, records) * variance
+    unexplained = _unexplained_share(slope @ answer, records)
+    raised = variance + unexplained * np.maximum(np.diag(local) - variance, 0.0)
+    model_error = raised - variance + n_records * unexplained * raised
     if n_records >= _MIN_RECORDS:
-        model_error = model_error + _scatter_excess(variance, np.diag(scatter), pooled, n_records)
+        model_error = model_error + _scatter_excess(raised, np.diag(scatter), pooled, n_records)
     by_segments, by_steady_errors = (
         residual_covariance(prior.errors, rows @ answer, rows, meat)
         for meat in (segment_meat, steady_meat)

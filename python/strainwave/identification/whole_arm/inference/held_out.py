@@ -11,7 +11,12 @@ from strainwave.identification.whole_arm.inference.bounds import at_bounds, at_z
 from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.numerics.held_out import MIN_CORRELATION_TIMES, log_density
+from strainwave.numerics.held_out import (
+    MIN_CORRELATION_TIMES,
+    MIN_WEIGHT,
+    log_density,
+    weight_over,
+)
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.spectra import estimate_rows_per_error
 
@@ -37,6 +42,18 @@ def held_out_scores(fits: Sequence[Fit]) -> FloatArray:
     return np.array(
         [_scores(fit, own, folds, correlation) for fit, own in zip(fits, rows, strict=True)]
     )
+
+
+def simplest_model(fits: Sequence[Fit]) -> int:
+    """Place of the fit with the fewest unknowns, unless one with more predicts better."""
+    scores = held_out_scores(fits)
+    chosen, *others = sorted(
+        range(len(fits)), key=lambda k: (len(fits[k].z), -float(np.sum(scores[k])))
+    )
+    for k in others:
+        if weight_over(scores[k], scores[chosen], np.random.default_rng(0)) > MIN_WEIGHT:
+            chosen = k
+    return chosen
 
 
 def _folds(n_rows: int, rows_per_error: float) -> IntArray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Parameter
 from strainwave.domain.distributions import CI95_STDS
+from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import is_by_load
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import constant_of
@@ -18,6 +19,10 @@ from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.inference.bounds import at_zero
 from strainwave.identification.whole_arm.inference.covariance import confidence_of, with_variances
+from strainwave.identification.whole_arm.problem.effect_unknowns import (
+    effects_in,
+    whole_inertia_of,
+)
 from strainwave.identification.whole_arm.problem.prior import combination
 from strainwave.identification.whole_arm.search.fit import Fit
 
@@ -123,9 +128,17 @@ def _unknowns(fit: Fit, arm: Arm, identified: Mapping[Key, Key | None]) -> Itera
 
 
 def _combinations(fit: Fit, arm: Arm) -> Iterator[_Quantity]:
-    """Reported combinations with at least one unknown."""
+    """Reported combinations with at least one unknown; those of slow motion have parts of links."""
     keys, values = fit.space.keys, fit.values
-    for (name, number), parts in arm.reported.items():
+    flexible: dict[Key, Key] = {
+        whole: (effect_named(one[1]).sizes[0], one[0])
+        for one in effects_in(fit.space, arm)
+        if (whole := whole_inertia_of(one, arm))
+    }
+    for (name, number), own in arm.reported.items():
+        parts = dict(own)
+        if (name, number) in arm.lumped_inertias:
+            parts |= {flexible[key]: weight for key, weight in own.items() if key in flexible}
         if number is not None and any(key in keys for key in parts):
             value = sum(weight * values.get(key, 0.0) for key, weight in parts.items())
             unit = unit_in(arm, (name, number))

@@ -10,21 +10,24 @@ from math import erfc, sqrt
 
 import numpy as np
 
-from strainwave.domain import BoolArray, Clause, Diagnostic, FloatArray, Place, ResidualTest
+from strainwave.domain import (
+    BoolArray,
+    Clause,
+    Diagnostic,
+    FloatArray,
+    Place,
+    ResidualCorrelation,
+    ResidualTest,
+)
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.numerics.parallel import run_parallel
-from strainwave.numerics.spectra import (
-    correlate_residuals,
-    cross_spectral_densities,
-    spectrum_and_autocovariance,
-)
+from strainwave.numerics.spectra import correlate_residuals, cross_spectral_densities
 
 _N_SEGMENTS = 8  # number of half-overlapping segments per record for averaged spectra
 _MIN_SEGMENT_ROWS = 64  # minimum segment length [rows]
 _MAX_BAND_SHARE = 0.8  # upper limit of the band for spectral comparison, relative to the cut-off
-_MAX_INPUT_DELAY = 0.1  # maximum delay between input and residual [s]
 MIN_WARNING_RATIO = 3.0  # ratio of residual to sensor noise above which a warning is issued
 _MIN_NOISE_RATIO = 1.5  # ratio above which more than half of the residual power is not noise
 _SIGNIFICANCE_LEVEL = 1e-3  # significance level of the input correlation
@@ -58,7 +61,8 @@ def _test_channel(
     noise_density = 2.0 * T * raw**2 * gain**2
     band = (frequency > 0.0) & (frequency < _MAX_BAND_SHARE * record.cutoff_hz)
     ratio = density[band] / np.maximum(noise_density[band], 1e-300)
-    by_input = correlate_with_inputs(residual, inputs, kernels.step * T)
+    correlation = correlate_residuals(residual, inputs, kernels.step * T)
+    by_input = strongest_input(correlation)
     return ResidualTest(
         experiment=record.log.name,
         channel=record.channel_names[k],
@@ -75,7 +79,7 @@ def _test_channel(
         input_correlation=by_input.correlation,
         input_delay=by_input.delay,
         input_probability=by_input.probability,
-        correlation=correlate_residuals(residual, inputs, kernels.step * T),
+        correlation=correlation,
         sample_noise=float(raw),
     )
 
@@ -131,34 +135,15 @@ class InputCorrelation:
     probability: float  # p-value: residual and input are independent
 
 
-def correlate_with_inputs(
-    residual: FloatArray, inputs: FloatArray, row_time: float
-) -> InputCorrelation:
-    """Find the input and delay with the most significant correlation with a residual.
-
-    For independent signals, the cross-correlation at one delay has the variance (1/n) times the sum
-    of the products of both autocorrelations (Bartlett).
-
-    `residual` is (n_rows,) and `inputs` is (n_rows, n_joints), both with period `row_time` [s].
-    """
-    n = len(residual)
-    delays = min(n // 4, max(1, round(_MAX_INPUT_DELAY / row_time)))
-    residual_spectrum, residual_products = spectrum_and_autocovariance(residual)
-    best = InputCorrelation(1, 0.0, 0.0, 1.0)
-    for j in range(inputs.shape[1]):
-        input_spectrum, input_products = spectrum_and_autocovariance(inputs[:, j])
-        if not (residual_products[0] > 0.0 and input_products[0] > 0.0):
-            continue
-        cross = np.fft.irfft(residual_spectrum * input_spectrum.conj(), 2 * n)[:delays]
-        correlation = cross / np.sqrt(residual_products[0] * input_products[0])
-        products = residual_products / residual_products[0] * input_products / input_products[0]
-        variance = max(1.0, 1.0 + 2.0 * float(np.sum(products[1 : n // 2]))) / n
-        lag = int(np.argmax(np.abs(correlation)))
-        z_score = abs(float(correlation[lag])) / sqrt(variance)
-        probability = min(1.0, delays * inputs.shape[1] * erfc(z_score / sqrt(2.0)))
-        if (-probability, abs(correlation[lag])) > (-best.probability, abs(best.correlation)):
-            best = InputCorrelation(j + 1, float(correlation[lag]), lag * row_time, probability)
-    return best
+def strongest_input(correlation: ResidualCorrelation) -> InputCorrelation:
+    """The input and delay with the most significant correlation with a residual."""
+    lags = len(correlation.autocorrelation)
+    delayed = correlation.cross_correlation[lags - 1 :]
+    z_scores = np.abs(delayed) / correlation.cross_std
+    lag, joint = divmod(int(np.argmax(z_scores)), delayed.shape[1])
+    probability = min(1.0, z_scores.size * erfc(float(z_scores[lag, joint]) / sqrt(2.0)))
+    delay = lag * correlation.lag_time
+    return InputCorrelation(joint + 1, float(delayed[lag, joint]), delay, probability)
 
 
 def has_excess_residuals(objective: Objective, z: FloatArray) -> bool:

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, ParameterShift, ScoreTest
-from strainwave.domain.distributions import CI95_STDS, chi_square_limit
+from strainwave.domain import BoolArray, FloatArray, ParameterShift
+from strainwave.domain.distributions import chi_square_limit
 from strainwave.domain.effects import (
     STIFFNESS_CURVE,
     Effect,
@@ -60,32 +60,29 @@ MIN_COST_SHARE = 0.01
 
 @dataclass(frozen=True, slots=True)
 class TestedEffect:
-    """A score test and the parameter values after its linear step."""
+    """Linear step by an effect that the model lacks."""
 
-    test: ScoreTest
-    chance: float  # false alarm probability of one test
-    alone: float  # cost reduction by this effect alone
+    named_effect: NamedEffect
+    gain: float  # cost reduction by the effect
+    share: float  # of the cost
+    limit: float  # chi-square limit of the gain
     rigid: float  # preceding cost reduction by the shifts of the rigid-step estimates
-    values: Values  # of unknowns, sizes and non-default shapes, after the step of this effect alone
-
-    @property
-    def named_effect(self) -> NamedEffect:
-        """The joint and the effect."""
-        return self.test.joint, self.test.effect
+    sizes: Mapping[str, float]
+    stds: Mapping[str, float]  # of the sizes
+    values: Values  # of unknowns, admissible sizes and non-default shapes, after the step
 
     @property
     def is_promising(self) -> bool:
         """Whether the effect is significant and explains enough to justify a fit."""
-        return bool(self.test.shifts)
+        return self.gain > self.limit and self.share > MIN_COST_SHARE
 
 
 def score_tests_of(fit: Fit, arm: Arm) -> list[TestedEffect]:
     """Test the effects that the model lacks, the most significant first.
 
     If residuals exceed the sensor noise, each effect is tested at all its sets of shapes, and the
-    set with the largest cost reduction is kept. Otherwise only the first set is tested. Each cost
-    reduction is in addition to those of the preceding significant effects. Returns an empty list if
-    the arm cannot be simulated with the effects.
+    set with the largest cost reduction is kept. Otherwise only the first set is tested. Returns an
+    empty list if the arm cannot be simulated with the effects.
     """
     candidates = _missing_effects(fit, arm)
     if not candidates:
@@ -109,9 +106,15 @@ def _tested(
 ) -> list[TestedEffect]:
     """Score tests of a fit by the derivatives of `steps`; none if these do not exist."""
     try:
-        return list(_select_forward(EffectColumns.of(steps, arm, hypotheses), fit))
+        columns = EffectColumns.of(steps, arm, hypotheses)
     except (InvalidInput, NumericalFailure):
         return []
+    best: dict[NamedEffect, TestedEffect] = {}
+    for hypothesis in columns.sizes:
+        tested = _test(columns, hypothesis, fit)
+        if hypothesis.named_effect not in best or tested.gain > best[hypothesis.named_effect].gain:
+            best[hypothesis.named_effect] = tested
+    return sorted(best.values(), key=lambda one: one.limit - one.gain)
 
 
 def lengthen_steps(fit: Fit) -> Fit:
@@ -167,98 +170,6 @@ def _highest(effect: Effect, shapes: Shapes) -> float:
     return max((shapes[name] for name in names), default=0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class _Step:
-    """Linear step of one effect: sizes and cost reduction."""
-
-    candidate: Hypothesis
-    names: tuple[str, ...]
-    gain: float
-    rigid: float  # preceding cost reduction by the shifts of the rigid-step estimates
-    size: FloatArray
-    std: FloatArray
-    shift: FloatArray  # of the rigid-step estimates
-
-    def beyond(self, chance: float) -> float:
-        """Cost reduction beyond the chi-square limit at a false alarm probability."""
-        return self.gain - chi_square_limit(chance, len(self.size))
-
-
-def _select_forward(columns: EffectColumns, fit: Fit) -> Iterator[TestedEffect]:
-    """Forward selection: each effect is tested given the significant effects before it."""
-    chance = FALSE_ALARMS / len(columns.sizes)
-    selected = np.zeros((len(columns.target), 0))
-    single_steps = _best_shapes(
-        [_step(columns, hypothesis, selected) for hypothesis in columns.sizes]
-    )
-    remaining, steps = list(single_steps), list(single_steps.values())
-    while remaining:
-        best = max(steps, key=lambda step: step.beyond(chance))
-        hypothesis, alone = best.candidate, single_steps[best.candidate]
-        score_test = _score_test(best, fit, _values_after_step(columns, best, fit), chance)
-        start = _fit_start(columns, alone, fit)
-        yield TestedEffect(score_test, chance, alone.gain, alone.rigid, start)
-        remaining.remove(hypothesis)
-        if score_test.evident:
-            selected = np.column_stack(
-                [selected, columns.effect_columns(hypothesis), columns.shifts(hypothesis)]
-            )
-            steps = [_step(columns, other, selected) for other in remaining]
-        else:
-            steps = [step for step in steps if step is not best]
-
-
-def _best_shapes(steps: Sequence[_Step]) -> dict[Hypothesis, _Step]:
-    """For each effect, the step at the shapes with the largest cost reduction."""
-    best: dict[NamedEffect, _Step] = {}
-    for step in steps:
-        one = step.candidate.named_effect
-        if one not in best or step.gain > best[one].gain:
-            best[one] = step
-    return {step.candidate: step for step in best.values()}
-
-
-def _values_after_step(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
-    """Values of the unknowns after the linear step of an effect."""
-    change = columns.change_of_unknowns(step.candidate, step.size, step.shift)
-    space = fit.space
-    return space.values(space.move(fit.z, space.limit_step(fit.z, change, 1.0)))
-
-
-def _fit_start(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
-    """Starting values of a fit: unknowns, admissible sizes and non-default shapes."""
-    one = step.candidate
-    joint, effect = one.joint, effect_named(one.effect)
-    usual = columns.shapes[replace(one, number=0)]
-    shapes: Values = {
-        (name, joint): value for name, value in columns.shapes[one].items() if value != usual[name]
-    }
-    sizes: Values = {
-        (name, joint): value
-        for name, value in zip(step.names, step.size.tolist(), strict=True)
-        if effect.is_signed(name) or value > 0.0
-    }
-    return _values_after_step(columns, step, fit) | sizes | shapes
-
-
-def _score_test(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTest:
-    """Score test by the parameters of the effect."""
-    share = step.gain / max(fit.cost, 1e-300)
-    significant = step.beyond(chance) > 0.0
-    parameter_shifts = tuple(shifts(fit, moved)) if significant and share > MIN_COST_SHARE else ()
-    return ScoreTest(
-        joint=step.candidate.joint,
-        effect=step.candidate.effect,
-        sizes=dict(zip(step.names, step.size.tolist(), strict=True)),
-        stds=dict(zip(step.names, step.std.tolist(), strict=True)),
-        gain=step.gain,
-        share=share,
-        evident=significant and is_relevant(share, parameter_shifts),
-        shifts=parameter_shifts,
-        limit=chi_square_limit(chance, len(step.size)),
-    )
-
-
 def min_relevant_share(objective: Objective, z: FloatArray) -> float:
     """Share of the cost from which an effect is relevant.
 
@@ -267,16 +178,6 @@ def min_relevant_share(objective: Objective, z: FloatArray) -> float:
     if any(bool(np.any(far)) for far in channels_above_noise(objective, z, MIN_WARNING_RATIO)):
         return MIN_COST_SHARE
     return RELEVANT_COST_SHARE
-
-
-def is_relevant(share: float, moves: Sequence[ParameterShift]) -> bool:
-    """Whether an effect is relevant.
-
-    An effect is relevant if its `share` of the cost exceeds `RELEVANT_COST_SHARE`, or if the share
-    exceeds `MIN_COST_SHARE` and another parameter leaves its 95 % confidence interval.
-    """
-    has_shift = any(abs(move.deviations) > CI95_STDS for move in moves)
-    return share > RELEVANT_COST_SHARE or (share > MIN_COST_SHARE and has_shift)
 
 
 def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
@@ -306,30 +207,43 @@ def is_primary(key: Key) -> bool:
     return not (name in excluded or name in of_effects or constant_of(key))
 
 
-def _step(columns: EffectColumns, one: Hypothesis, selected: FloatArray) -> _Step:
-    """Optimal sizes of one effect in addition to the columns `selected`.
+def _test(columns: EffectColumns, one: Hypothesis, fit: Fit) -> TestedEffect:
+    """Optimal sizes of one effect, and the values after the step.
 
     Sizes without sign are not negative. Errors of the rigid-step estimates due to the missing
     effect are free.
     """
-    parts = (columns.shifts(one), columns.effect_columns(one), columns.target)
-    shifts, columns_of_effect, target = _project_out(selected, *parts)
-    projected, remaining = _project_out(shifts, columns_of_effect, target)
-    names = tuple(name for name, _ in columns.sizes[one])
-    effect = effect_named(one.effect)
-    size = least_squares(projected, remaining, np.array([effect.is_signed(name) for name in names]))
-    gain = float(np.sum(remaining**2) - np.sum((remaining + projected @ size) ** 2))
+    joint, effect = one.joint, effect_named(one.effect)
+    names = [name for name, _ in columns.sizes[one]]
+    shifts, columns_of_effect, target = (
+        columns.shifts(one),
+        columns.effect_columns(one),
+        columns.target,
+    )
+    basis = np.linalg.qr(shifts)[0]
+    projected, remaining = (part - basis @ (basis.T @ part) for part in (columns_of_effect, target))
+    size = least_squares(projected, remaining, np.array([effect.is_signed(n) for n in names]))
     std = np.sqrt(np.diag(np.linalg.pinv(projected.T @ projected)))
     shift = np.asarray(np.linalg.lstsq(shifts, -(target + columns_of_effect @ size))[0])
-    rigid = float(np.sum(target**2) - np.sum(remaining**2))
-    return _Step(one, names, gain, rigid, size, std, shift)
-
-
-def _project_out(selected: FloatArray, *others: FloatArray) -> Iterator[FloatArray]:
-    """Project columns on the orthogonal complement of the columns `selected`."""
-    basis = np.linalg.qr(selected)[0]
-    for columns in others:
-        yield columns - basis @ (basis.T @ columns)
+    gain = float(np.sum(remaining**2) - np.sum((remaining + projected @ size) ** 2))
+    change = columns.change_of_unknowns(one, size, shift)
+    space = fit.space
+    values = space.values(space.move(fit.z, space.limit_step(fit.z, change, 1.0)))
+    usual = columns.shapes[replace(one, number=0)]
+    sizes = dict(zip(names, size.tolist(), strict=True))
+    starts = {name: v for name, v in sizes.items() if effect.is_signed(name) or v > 0.0}
+    starts |= {name: v for name, v in columns.shapes[one].items() if v != usual[name]}
+    n_tests = len({hypothesis.named_effect for hypothesis in columns.sizes})
+    return TestedEffect(
+        one.named_effect,
+        gain,
+        gain / max(fit.cost, 1e-300),
+        chi_square_limit(FALSE_ALARMS / n_tests, len(size)),
+        float(np.sum(target**2) - np.sum(remaining**2)),
+        sizes,
+        dict(zip(names, std.tolist(), strict=True)),
+        values | {(name, joint): value for name, value in starts.items()},
+    )
 
 
 def least_squares(columns: FloatArray, target: FloatArray, signed: BoolArray) -> FloatArray:

@@ -102,6 +102,12 @@ def known_joint(arm: Arm, joint: int, values: Values, loads: Loads) -> KnownJoin
     )
 
 
+def whole_inertia_of(one: NamedEffect, arm: Arm) -> Key | None:
+    """The inertia that includes the size of an effect in slow motion; None for other effects."""
+    joint, effect = one
+    return next(iter(arm.link_inertia(joint))) if effect_named(effect).is_part_of_link else None
+
+
 def biased_parameters(one: NamedEffect, arm: Arm) -> set[Key]:
     """Rigid-step parameters that are biased if the joint has the effect."""
     joint, effect = one
@@ -147,6 +153,10 @@ def _sizes_in_rigid_records(
     Empty if the effect changes no parameter of the rigid step.
     """
     number, effect = one[0], effect_named(one[1])
+    whole = whole_inertia_of(one, arm)
+    if whole in space.keys:
+        unknown = unknowns[effect.sizes[0], number]
+        yield unknown, space.prior.rows[:, space.keys.index(whole)]
     if not (effect.by_record and isinstance(effect, RecordEffect)):
         return
     indices = {key: k for k, key in enumerate(space.keys)}

@@ -24,8 +24,8 @@ from strainwave.domain import (
     Place,
     WholeArmOptions,
 )
-from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.effects import STIFFNESS_CURVE, effect_named
+from strainwave.domain.final_table import is_identified
 from strainwave.domain.gear_laws import STIFFNESS, gear_law
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import base_name
@@ -33,7 +33,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.whole_arm.inference.bounds import at_bounds
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
-from strainwave.identification.whole_arm.inference.held_out import held_out_scores
+from strainwave.identification.whole_arm.inference.held_out import held_out_scores, simplest_model
 from strainwave.identification.whole_arm.inference.parameter_estimates import (
     PlausibleModel,
     parameters_of,
@@ -64,6 +64,7 @@ from strainwave.identification.whole_arm.selection.sensor_constants import (
     remove_insignificant_sensor_constants,
 )
 from strainwave.numerics.held_out import MIN_WEIGHT, model_weights, weight_over
+from strainwave.signals.activity import activity_of
 
 MAX_RIVAL_EFFECTS = 3  # fitted effects of largest predicted gain
 MAX_OTHER_EFFECTS = 4  # fitted effects of the same joint if the rivals explain too little
@@ -125,9 +126,10 @@ class _Budget:
 def include_effects(fit: Fit, selection: Selection) -> tuple[Fit, Comparison]:
     """Include the effects that improve held-out prediction, for joints that select their effects.
 
-    Effects are included one at a time, the best first. An effect stays out if another primary value
-    is not determined with it. The other models enter the intervals by their weights. `fit` is at
-    its minimum.
+    Effects are included one at a time, the simplest first: an effect by record predicts each record
+    with parameters of its own. An effect stays out if another primary value is not determined with
+    it, or if the study excludes one of the joint that predicts better. The other models enter the
+    intervals by their weights. `fit` is at its minimum.
     """
     included: list[Rival] = []
     others: list[tuple[Fit, Arm]] = []  # the models without the included effects, and their rivals
@@ -136,11 +138,15 @@ def include_effects(fit: Fit, selection: Selection) -> tuple[Fit, Comparison]:
         budget = _Budget(fit, selection.options)
         rivals = _rivals_of(fit, tests, selection, budget)
         others += [(rival.fit, rival.arm) for rival in rivals]
-        candidates = [rival for rival in rivals if _may_enter(rival, fit, selection)]
-        if len(included) == MAX_INCLUDED_EFFECTS:
-            candidates = []
-        extensions = ((rival, _include(fit, rival, selection)) for rival in candidates)
-        best, extended = next((pair for pair in extensions if pair[1] is not None), (None, None))
+        supported = [rival for rival in rivals if _is_supported(rival, fit)]
+        best = extended = None
+        while supported and extended is None and len(included) < MAX_INCLUDED_EFFECTS:
+            best = supported.pop(simplest_model([one.fit for one in supported]))
+            if _may_enter(best, selection.arm):
+                extended = _include(fit, best, selection)
+            else:  # the other effects of the joint would imitate it
+                joint = best.named_effect[0]
+                supported = [one for one in supported if one.named_effect[0] != joint]
         if best is None or extended is None:
             break
         included.append(best)
@@ -161,16 +167,16 @@ def include_effects(fit: Fit, selection: Selection) -> tuple[Fit, Comparison]:
     )
 
 
-def _may_enter(rival: Rival, fit: Fit, selection: Selection) -> bool:
-    """Whether the data may include the effect: a study states gear laws and named effects."""
+def _is_supported(rival: Rival, fit: Fit) -> bool:
+    """Whether the data support the effect."""
+    min_share = min_relevant_share(fit.objective, fit.z)
+    return rival.weight > MIN_WEIGHT and rival.share > min_share and not rival.is_linearised
+
+
+def _may_enter(rival: Rival, arm: Arm) -> bool:
+    """Whether the study leaves the choice to the data: it may state gear laws and effects."""
     joint, effect = rival.named_effect
-    return (
-        rival.weight > MIN_WEIGHT
-        and rival.share > min_relevant_share(fit.objective, fit.z)
-        and not rival.is_linearised
-        and effect != STIFFNESS_CURVE.name
-        and selection.arm.joints[joint - 1].selects_effects
-    )
+    return effect != STIFFNESS_CURVE.name and arm.joints[joint - 1].selects_effects
 
 
 def _include(fit: Fit, rival: Rival, selection: Selection) -> Fit | None:
@@ -206,11 +212,13 @@ def _include(fit: Fit, rival: Rival, selection: Selection) -> Fit | None:
 
 def _primary_values(fit: Fit, arm: Arm) -> set[Key]:
     """The primary parameters that a fit determines."""
-    largest = gear_torques(fit.objective.records, fit.values).tolist()
+    records = fit.objective.records
+    largest = gear_torques(records, fit.values).tolist()
+    motion = {level.joint: level for level in activity_of([r.log for r in records], arm)}
     return {
         p.key
         for p in parameters_of(fit, arm, largest)[0]
-        if is_primary(p.key) and p.value and CI95_STDS * (p.std or 0.0) < abs(p.value)
+        if is_primary(p.key) and is_identified(p, arm, motion)
     }
 
 
@@ -226,12 +234,12 @@ def _rivals_of(
     excluded = {*named_effects(selection.arm), *decided}
     unnamed = [one for one in tested if one.named_effect not in excluded]
     min_share = min_relevant_share(fit.objective, fit.z)
-    promising = [one for one in unnamed if one.is_promising and one.test.share > min_share]
+    promising = [one for one in unnamed if one.is_promising and one.share > min_share]
     if not promising:
         return []
-    unnamed.sort(key=_predicted_gain, reverse=True)
-    min_gain = MIN_RIVAL_GAIN_SHARE * max(map(_predicted_gain, promising))
-    candidates = [one for one in unnamed if _predicted_gain(one) >= min_gain][:MAX_RIVAL_EFFECTS]
+    unnamed.sort(key=lambda one: -one.gain)
+    min_gain = MIN_RIVAL_GAIN_SHARE * max(one.gain for one in promising)
+    candidates = [one for one in unnamed if one.gain >= min_gain][:MAX_RIVAL_EFFECTS]
     starts = [fit]
     long = lengthen_steps(fit)
     if long is not fit:
@@ -246,8 +254,8 @@ def _rivals_of(
         or effect_named(best.named_effect[1]).by_record
     ):
         # a linear step underrates some effects; an effect by record can replace many others
-        joint = best.named_effect[0] if best else promising[0].test.joint
-        further = [one for one in unnamed if one.test.joint == joint and one not in candidates]
+        joint = (best or promising[0]).named_effect[0]
+        further = [one for one in unnamed if one.named_effect[0] == joint and one not in candidates]
         rivals += _fit_rivals(starts, further[:MAX_OTHER_EFFECTS], selection, budget)
     known = {rival.named_effect for rival in rivals}
     others = [one for one in promising if one.named_effect not in known]
@@ -287,11 +295,6 @@ def _fit_rivals(
     return rivals
 
 
-def _predicted_gain(tested: TestedEffect) -> float:
-    """Cost reduction by the linear step, alone or with the more significant effects included."""
-    return max(tested.alone, tested.test.gain if tested.is_promising else 0.0)
-
-
 def _refit(fit: Fit, tested: TestedEffect, selection: Selection, budget: _Budget) -> Rival | None:
     """Fit with one additional effect; None if no such arm can be simulated.
 
@@ -299,7 +302,7 @@ def _refit(fit: Fit, tested: TestedEffect, selection: Selection, budget: _Budget
     predicts, a second search starts from the fit without the effect and a typical size.
     """
     estimates = fit.values
-    sizes = set(tested.test.sizes)
+    sizes = set(tested.sizes)
     shapes = {
         key: value
         for key, value in tested.values.items()
@@ -310,7 +313,7 @@ def _refit(fit: Fit, tested: TestedEffect, selection: Selection, budget: _Budget
     gain = -math.inf
     for start in (tested.values, estimates | shapes):
         limit = budget.next_limit
-        if not limit or gain > MIN_ACHIEVED_GAIN_SHARE * tested.alone:
+        if not limit or gain > MIN_ACHIEVED_GAIN_SHARE * tested.gain:
             break
         limited = replace(selection.options, max_iterations=limit)
         other = _search_with_effect(fit, tested.named_effect, start, loads, selection.arm, limited)

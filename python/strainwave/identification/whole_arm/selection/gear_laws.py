@@ -11,16 +11,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, LawChoice, LawMargin, Place, ScoreTest
+from strainwave.domain import Diagnostic, LawChoice, LawMargin, Place
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.effects import STIFFNESS_CURVE
-from strainwave.domain.gear_laws import AUTO, STIFFNESS, curved_laws, gear_law, stated_law
+from strainwave.domain.gear_laws import AUTO, STIFFNESS, curved_laws, stated_law
 from strainwave.domain.gear_laws.cubic import CUBIC
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
-from strainwave.identification.whole_arm.inference.held_out import held_out_scores
-from strainwave.identification.whole_arm.inference.score_tests import curve_tests_of
+from strainwave.identification.whole_arm.inference.held_out import held_out_scores, simplest_model
+from strainwave.identification.whole_arm.inference.score_tests import TestedEffect, curve_tests_of
 from strainwave.identification.whole_arm.problem.arm_unknowns import replace_stiffness
 from strainwave.identification.whole_arm.problem.effect_unknowns import with_effects
 from strainwave.identification.whole_arm.problem.restrictions import limit_unknown
@@ -33,7 +33,7 @@ from strainwave.identification.whole_arm.selection.candidate import (
     run_trial,
 )
 from strainwave.identification.whole_arm.selection.stiffness_curves import restart_coarse_fit
-from strainwave.numerics.held_out import MIN_WEIGHT, weight_over
+from strainwave.numerics.held_out import weight_over
 
 MAX_HIDDEN_CHANGE = 0.1
 """Relative change of the stiffness up to the largest torque, by its 95 % bound, from which one
@@ -59,10 +59,10 @@ def select_gear_laws(fit: Fit, selection: Selection) -> Fit:
     while free and not selection.has_ended(fit):
         tested = curve_tests_of(fit, selection.arm, free)
         for one in tested:
-            joint, test = one.test.joint, one.test
+            joint = one.named_effect[0]
             choice = selection.law_choices[joint]
-            selection.law_choices[joint] = replace(choice, gain=test.gain, limit=test.limit)
-        curved = [one.test.joint for one in tested if one.is_promising]
+            selection.law_choices[joint] = replace(choice, gain=one.gain, limit=one.limit)
+        curved = [one.named_effect[0] for one in tested if one.is_promising]
         if not curved:
             break
         free.difference_update(curved)
@@ -167,7 +167,8 @@ class _Trials:
 
 def _select(joint: int, rivals: Mapping[str, Fit]) -> LawChoice:
     """The law with the fewest parameters unless one with more predicts better."""
-    names = sorted(rivals, key=lambda name: len(gear_law(name).parameters))
+    names = list(rivals)
+    chosen = simplest_model([rivals[name] for name in names])
     scores = held_out_scores([rivals[name] for name in names])
 
     def margin(k: int, other: int) -> LawMargin:
@@ -175,32 +176,29 @@ def _select(joint: int, rivals: Mapping[str, Fit]) -> LawChoice:
         weight = weight_over(scores[k], scores[other], np.random.default_rng(0))
         return LawMargin(names[other], difference, weight)
 
-    chosen = 0
-    for k in range(1, len(names)):
-        if margin(k, chosen).weight > MIN_WEIGHT:
-            chosen = k
     others = (k for k in range(len(names)) if k != chosen)
     return LawChoice(joint, names[chosen], tuple(margin(chosen, k) for k in others))
 
 
 def equivalent_stiffnesses(
-    tests: Sequence[ScoreTest], fit: Fit, selection: Selection, largest_torque: Sequence[float]
+    tests: Sequence[TestedEffect], fit: Fit, selection: Selection, largest_torque: Sequence[float]
 ) -> Iterator[Diagnostic]:
     """Warn about a linear law that was selected although the records allow a considerable curve.
 
     `tests` are those of the effects that `fit` lacks, `largest_torque` [N m] is that of each gear.
     """
     for test in tests:
-        choice, joint = selection.law_choices.get(test.joint), selection.arm.joints[test.joint - 1]
-        if choice is None or choice.law != LINEAR or test.effect != STIFFNESS_CURVE.name:
+        number, effect = test.named_effect
+        choice, joint = selection.law_choices.get(number), selection.arm.joints[number - 1]
+        if choice is None or choice.law != LINEAR or effect != STIFFNESS_CURVE.name:
             continue
-        torque, stiffness = largest_torque[test.joint - 1], fit.values[STIFFNESS, test.joint]
+        torque, stiffness = largest_torque[number - 1], fit.values[STIFFNESS, number]
         cubic = abs(test.sizes[CUBIC]) + CI95_STDS * test.stds[CUBIC]
         change = 3.0 * cubic * (torque / stiffness) ** 2 / stiffness
         if change > MAX_HIDDEN_CHANGE:
             yield Diagnostic(
                 "equivalent-stiffness",
-                Place(joint=test.joint, parameter=STIFFNESS),
+                Place(joint=number, parameter=STIFFNESS),
                 "undecided",
                 torque=torque,
                 unit="N" if joint.motion == "prismatic" else "N m",
