@@ -6,8 +6,8 @@ the friction torque has any value in [-f, f] and is a separate unknown.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from functools import cache
 from typing import TypeVar
 
 import numpy as np
@@ -117,26 +117,17 @@ def free_friction(direction: FloatArray, spacing: int) -> list[tuple[int, FloatA
 
 
 def _stretch_shapes(length: int, spacing: int) -> list[tuple[int, FloatArray]]:
-    """Shape functions, as (first sample, shape), of one stretch.
-
-    Centres are whole samples, so that few triangles differ.
-    """
+    """Shape functions, as (first sample, shape), of one stretch."""
     n_knots = max(1, round(length / spacing)) + (length > spacing)
     if n_knots == 1:
         return [(0, np.ones(length))]
-    knots = np.round(np.linspace(0, length - 1, n_knots)).astype(np.int64)
-    widths = [0, *np.diff(knots).tolist(), 0]
-    return [
-        (max(knot - rise + 1, 0), _triangle(rise, fall))
-        for knot, rise, fall in zip(knots.tolist(), widths, widths[1:], strict=False)
-    ]
-
-
-@cache
-def _triangle(rise: int, fall: int) -> FloatArray:
-    """A triangle of height one without its zeros, from the numbers of samples of its sides."""
-    sides = np.arange(1, rise) / max(rise, 1), np.arange(fall - 1, 0, -1) / max(fall, 1)
-    return np.concatenate([sides[0], [1.0], sides[1]])
+    distance = (length - 1) / (n_knots - 1)  # of two centres [samples]
+    shapes = []
+    for knot in range(n_knots):
+        first = max(math.floor((knot - 1) * distance) + 1, 0)
+        stop = min(math.ceil((knot + 1) * distance), length)
+        shapes.append((first, 1.0 - np.abs(np.arange(first, stop) / distance - knot)))
+    return shapes
 
 
 def responses(

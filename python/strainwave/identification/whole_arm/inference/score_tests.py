@@ -233,12 +233,11 @@ def _test(columns: EffectColumns, one: Hypothesis, fit: Fit) -> TestedEffect:
     sizes = dict(zip(names, size.tolist(), strict=True))
     starts = {name: v for name, v in sizes.items() if effect.is_signed(name) or v > 0.0}
     starts |= {name: v for name, v in columns.shapes[one].items() if v != usual[name]}
-    n_tests = len({hypothesis.named_effect for hypothesis in columns.sizes})
     return TestedEffect(
         one.named_effect,
         gain,
         gain / max(fit.cost, 1e-300),
-        chi_square_limit(FALSE_ALARMS / n_tests, len(size)),
+        chi_square_limit(FALSE_ALARMS / len(columns.sizes), len(size)),
         float(np.sum(target**2) - np.sum(remaining**2)),
         sizes,
         dict(zip(names, std.tolist(), strict=True)),
