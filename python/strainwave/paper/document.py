@@ -139,4 +139,4 @@ def criterion_of(key: str, value: float, otherwise: str = "", **names: Any) -> C
 
 @cache
 def _table() -> dict[str, dict[str, Any]]:
-    return tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
+    return tomllib.loads(Path(__file__).with_name("claims.toml").read_text("utf-8"))

@@ -265,7 +265,11 @@ def _regress_ratio(
 def _regress_torque(
     records: Sequence[tuple[SlowRecord, _Equations]], arm: Arm, i: int
 ) -> TorqueRegression | None:
-    """Regress the torque of joint i (from 0) over all records, with one constant per record."""
+    """Regress the torque of joint i (from 0) over all records, with one constant per record.
+
+    A spring to ground opposes the acceleration of an oscillation, as a wrong sign does. An inertia
+    is therefore negative only if it is so with a spring.
+    """
     targets, blocks, inertias = [], [], []
     for record, equation in records:
         used = equation.rows
@@ -274,7 +278,8 @@ def _regress_torque(
             continue
         rate = differentiate(record.channels[f"theta_m{i + 1}"], record.sample_time)[used]
         shared = equation.shared_friction[:, i]
-        parts = equation.regressor[:, i], shared, rate, record.direction[used, i]
+        angle = record.channels[f"theta_m{i + 1}"][used]
+        parts = equation.regressor[:, i], shared, rate, record.direction[used, i], angle
         torque = compute_motor_torque(record, arm, i)[used][rows]
         block = np.column_stack(parts)[rows]
         targets.append(torque - torque.mean())
@@ -284,13 +289,17 @@ def _regress_torque(
         return None
     columns = np.concatenate(blocks)
     norms = np.linalg.norm(columns, axis=0)
-    varying = np.flatnonzero(norms > _MIN_COLUMN_NORM * norms.max())
-    fit = regress(np.concatenate(targets), columns[:, varying], None, _MODEL_ERROR_SHARE)
+    with_spring = np.flatnonzero(norms > _MIN_COLUMN_NORM * norms[:-1].max())
+    varying = with_spring[with_spring < len(norms) - 1]
+    target = np.concatenate(targets)
+    fit = regress(target, columns[:, varying], None, _MODEL_ERROR_SHARE)
     if fit is None:
         return None
     base = varying[varying < arm.n_body]
     n = len(base)
     weights = np.concatenate(inertias).mean(axis=0)[base]
+    if weights @ fit.value[:n] < 0.0:
+        fit = regress(target, columns[:, with_spring], None, _MODEL_ERROR_SHARE) or fit
     return TorqueRegression(
         joint=i + 1,
         inertia=float(weights @ fit.value[:n]),
