@@ -7,7 +7,8 @@ held-out torque fits of strainwave and of a plain least squares with Pinocchio's
 `serial_rigid`. Tables of single values follow: EMPS beside the published values (A. Janot, M.
 Gautier, M. Brunot, nonlinearbenchmark.org, 2019); the torque fits of the DFKI double pendulum by
 our model, fitted to one record, and by the published model 2.0, in the same band; and the
-parameters of the IST joint with and without its torsion sensor.
+parameters of the IST joint with and without its torsion sensor. The overview has those from the
+motor alone, beside the values with torsion.
 """
 
 from __future__ import annotations
@@ -122,11 +123,11 @@ def _machines(folder: Path, kinova: Path, copy: Path) -> Iterator[Table]:
     )
     halves = write_tx40(folder / "staubli-tx40", copy, {"motion": FIRST, "check": SECOND})
     ist, ist_motor = with_and_without_torsion(folder / "ist-flexible-arm")
-    of_motor = {p.key: p.value for p in ist_motor.parameters if p.value is not None and p.std}
+    with_torsion = {p.key: p.value for p in ist.parameters if p.value is not None and p.std}
     emps, dfki = (folder / name for name in ("emps", "dfki-double-pendulum"))
     machines: tuple[tuple[str, Path | Identification, dict[Key, float], float | None], ...] = (
         ("EMPS", emps / "study.toml", {(name, 1): v for name, v in EMPS.items()}, 20.0),
-        ("IST", ist, {key: v for key, v in of_motor.items() if key[0] in IST}, None),
+        ("IST", ist_motor, {key: v for key, v in with_torsion.items() if key[0] in IST}, None),
         ("DFKI", dfki / "study.toml", published_parameters(dfki), 6.4),
         ("TX40", halves, published_by_key(folder / "staubli-tx40", halves), 10.0),
         ("Kinova", kinova / "study.toml", {}, 4.0),

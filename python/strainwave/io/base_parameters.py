@@ -22,6 +22,7 @@ _REGROUPED = "R"  # suffix of a combination, as in the literature
 # Weight of a torque in the choice of links, relative to the torque of the joint: bodies have the
 # base parameters if any bodies do; with smaller ones the search takes longer.
 _TORQUE_ERROR = 1e-4
+_WEIGHTS = (1.0, 0.1, 0.01)  # of the torques, until the search for links converges
 
 
 def standard_name(key: Key) -> str:
@@ -129,11 +130,8 @@ def standard_of_torques(
     while True:
         of_motors = rows[:, [n_links + i for i in free]]
         directions = np.linalg.svd(of_motors)[0][:, np.linalg.matrix_rank(of_motors) :].T
-        try:
-            links = consistent_links(
-                priors_of(arm), directions @ rows[:, :n_links], directions @ target
-            )
-        except NumericalFailure:
+        links = _links_of(arm, directions @ rows[:, :n_links], directions @ target)
+        if links is None:
             return None
         inertias[free] = np.linalg.lstsq(of_motors, target - rows[:, :n_links] @ links)[0]
         negative = [i for i in free if inertias[i] < 0.0]
@@ -142,6 +140,16 @@ def standard_of_torques(
         inertias[negative] = 0.0
         free = [i for i in free if i not in negative]
     return dict(zip([*links_of, *keys], [*links.tolist(), *inertias.tolist()], strict=True))
+
+
+def _links_of(arm: ArmDescription, rows: FloatArray, target: FloatArray) -> FloatArray | None:
+    """Consistent links with the largest of `_WEIGHTS` that converges; None if none does."""
+    for weight in _WEIGHTS:
+        try:
+            return consistent_links(priors_of(arm), weight * rows, weight * target)
+        except NumericalFailure:  # the torques lead along the border of the consistent sets
+            continue
+    return None
 
 
 def _motor_regressor(arm: ArmDescription, motion: FloatArray) -> FloatArray:
