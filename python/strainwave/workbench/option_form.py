@@ -1,24 +1,14 @@
-"""The options of all stages as a form, and its values as arguments of the command line.
-
-Singular values from which the order and the horizon of the state-space models are chosen.
-"""
+"""The options of all stages as a form, and its values as arguments of the command line."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-import numpy as np
-
-from strainwave import pipeline
-from strainwave.domain import RecordModel
 from strainwave.domain.options import Options, option_texts
-from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.errors import InvalidInput
 from strainwave.io.study import with_options
-from strainwave.presentation.figures import DOTTED, Axis, Colour, Figure, Line, Panel, Upright
-from strainwave.presentation.plotly_backend import plotly
 from strainwave.workbench.signal_views import study_at
 
 
@@ -89,40 +79,3 @@ def _toml(value: Any) -> str:
 
     item = tomlkit.item(list(value) if isinstance(value, tuple) else value)
     return str(item.as_string())
-
-
-_MAX_SHOWN = 24  # singular values; those of the noise follow
-
-
-def order_figures(path: Path) -> list[dict[str, Any]]:
-    """Singular values of the subspace step of each record, with the order and horizon selected.
-
-    Takes as long as the stages rigid and decoupled. Raises NotIdentifiable if no record excites a
-    joint with link motion as second output.
-    """
-    study = study_at(path)
-    options = replace(study.options.statespace, method="subspace")
-    study = replace(study, options=replace(study.options, statespace=options))
-    result = pipeline.identify(study, stages=("rigid", "decoupled"))
-    shown = [_entry(record) for record in result.records if record.state_space is not None]
-    if not shown:
-        raise NotIdentifiable("no record excites a joint such that a state-space model exists")
-    return shown
-
-
-def _entry(record: RecordModel) -> dict[str, Any]:
-    model = record.state_space
-    assert model is not None
-    values = np.asarray(model.singular_values, dtype=float)[:_MAX_SHOWN]
-    index = np.arange(1.0, len(values) + 1.0)
-    line = Line(index, values / values[0], "singular values", Colour.MEASURED, size=7.0)
-    order = Upright(model.order + 0.5, f"order {model.order}", dash=DOTTED)
-    axis = Axis("singular value / largest", log=True)
-    figure = Figure(Axis("number", step=1.0), (Panel(axis, (line,)),), uprights=(order,))
-    return {
-        "experiment": record.signals.experiment.name,
-        "joint": record.signals.joint,
-        "order": model.order,
-        "horizon": model.horizon,
-        "figure": plotly(figure),
-    }

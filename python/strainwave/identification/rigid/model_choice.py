@@ -26,8 +26,6 @@ from strainwave.numerics import least_squares as ls
 from strainwave.numerics.held_out import MIN_WEIGHT, model_weights
 
 STRIBECK, POWER = "stribeck", "power-friction"
-GAIN = "drive-gain"
-"""Error of a torque constant. It only adds to intervals: the records show ratios of constants."""
 
 MIN_STDS = 4.5
 """Standard deviations from which a term is shown.

@@ -13,7 +13,8 @@ from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, write_whole
 from strainwave.pipeline import check_stages
 from strainwave.workbench.gate import gate_of, require_open
-from strainwave.workbench.option_form import option_arguments, option_groups, order_figures
+from strainwave.workbench.option_form import option_arguments, option_groups
+from strainwave.workbench.order_choice import order_figures
 from strainwave.workbench.pages.runs import describe, runs_of
 from strainwave.workbench.runs import Run, Runs, status_of
 from strainwave.workbench.signal_views import study_at
