@@ -32,6 +32,7 @@ def test_channels_of_any_two_joints_may_be_exchanged() -> None:
         bandwidth_hz=1.0,
         channels=channels,
         noise=dict.fromkeys(channels, 0.0),
+        moves=np.ones(1, dtype=bool),
         direction=np.zeros((1, 3)),
         inside=np.ones(1, dtype=bool),
         start=0.0,

@@ -58,7 +58,8 @@ def test_each_stretch_is_predicted_by_the_links_fitted_to_the_others() -> None:
         ]
         error = system.torque[rows] - system.columns[rows] @ links
         expected = [float(np.sum(error[system.joint[rows] == i] ** 2)) for i in JOINTS]
-        np.testing.assert_allclose(predicted.squares[k], expected, rtol=1e-2)
+        total = [system.total[i] for i in JOINTS]
+        np.testing.assert_allclose(predicted.shares[k] * total, expected, rtol=1e-2)
 
 
 def test_a_record_with_other_torques_is_predicted_better_without_it() -> None:
@@ -66,7 +67,7 @@ def test_a_record_with_other_torques_is_predicted_better_without_it() -> None:
     wrong = replace(system, torque=np.where(system.fold == 1, -2.0, 1.0) * system.torque)
     # the first stretch is predicted by the second; without it, by the prior alone
     assert (
-        predict_stretches(wrong).squares[0].sum() > predict_stretches(wrong, ["b"]).squares[0].sum()
+        predict_stretches(wrong).shares[0].sum() > predict_stretches(wrong, ["b"]).shares[0].sum()
     )
 
 

@@ -18,7 +18,7 @@ from strainwave.numerics.parallel import one_blas_thread
 from strainwave.signals.consistency.causes import Cause, propose_causes
 from strainwave.signals.consistency.clipping import measure_clipping
 from strainwave.signals.consistency.evidence import Evidence, collect_evidence
-from strainwave.signals.consistency.geometry import search_geometry
+from strainwave.signals.consistency.geometry import search_explanations
 from strainwave.signals.consistency.motors import EFFORTS
 from strainwave.signals.consistency.observations import (
     Observation,
@@ -65,7 +65,7 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
         # the relations between torques and motion hold for the arm alone
         bare = [log for log in logs if log.experiment.payload is None]
         unclipped = collect_evidence(bare, study).without(clipped_channels)
-        unclipped = replace(unclipped, geometries=search_geometry(unclipped))
+        unclipped = replace(unclipped, explanations=search_explanations(unclipped))
         observations = tuple(compute_observations(unclipped))
         suspicions.extend(_explain_contradictions(unclipped, observations))
         warnings = tuple(report_impossible_links(study.arm))
@@ -142,7 +142,9 @@ def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:
         after = _contradiction_weight(observations, tested, limit)
         if after < limit:
             weights.append((after + _ESTIMATED_FACTOR_PENALTY * cause.has_estimated_factor, cause))
-            if evidence.geometries:  # Observations of chains take time; the best cause is enough.
+            if (
+                not evidence.arm.has_planar_program
+            ):  # Observations of chains take time; the best cause is enough.
                 limit = min(limit, after + _ESTIMATED_FACTOR_PENALTY)
         if after == 0.0 and not cause.moves_frames:  # any fault of the motors can look like frames
             break

@@ -49,6 +49,11 @@ _ROWS_PER_CYCLE = 20.0
 _MAX_SAMPLES = 2**18
 
 
+MIN_SHARE_OF_GAIN = 0.6
+"""Share of the best gain from which a simpler explanation is as good as the best one.
+
+Changes with many coordinates gain more, since they absorb model errors as well."""
+
 Result = TypeVar("Result")
 
 
@@ -84,6 +89,7 @@ class SlowRecord:
     channels: Mapping[str, FloatArray]  # (n_rows,)
     noise: Mapping[str, float]  # std of a row, extrapolated from the noise above the band
     direction: FloatArray  # (n_rows, n_joints) mean sign of the motor velocity
+    moves: BoolArray  # (n_joints,) motors that move; the others deflect at most
     inside: BoolArray  # (n_rows,) rows without end effects of the filter
     start: float  # [s] time of the first row, from the first sample of the log
     clocks: Clocks
@@ -105,18 +111,29 @@ ChangeKind = Literal[
     "without-gravity",
     "payload",
     "unit",
+    "angle",
 ]
 """What an alternative explanation of the torques changes."""
 
 
 @dataclass(frozen=True, slots=True)
+class Gain:
+    """How much better one explanation predicts held-out stretches than another."""
+
+    by_joint: FloatArray  # (n_joints,) logarithms of the ratios of the unexplained variances
+    mean: float  # the same, weighted by the independent rows
+    probability: float  # of stretches that gain as much on average if none gains (Student's t)
+
+
+@dataclass(frozen=True, slots=True)
 class Alternative:
-    """Another explanation of the torques, and the cost of its prediction of held-out stretches."""
+    """Another explanation of the torques, and its prediction of held-out stretches."""
 
     kind: ChangeKind
     joint: int | None  # from 1
     corrections: tuple[Correction, ...]
-    cost: float = np.inf
+    gain: Gain | None = None  # over the stated description
+    cost: float = np.inf  # half the mean logarithm of the unexplained shares
     record: str = ""  # the only record with the fault; empty: all records
     exchanged: tuple[str, ...] = ()  # kinds of channels that are exchanged with `other`
     other: int | None = None
@@ -130,8 +147,7 @@ class Evidence:
     records: tuple[SlowRecord, ...]
     counts: Mapping[int, float]  # joint -> encoder count of its motor angle, if quantised
     high_passes: Mapping[str, float] = field(default_factory=dict)  # channel -> cutoff [Hz]
-    # other geometries, the best first, and the stated one last; empty if no torques are compared
-    geometries: tuple[Alternative, ...] = ()
+    explanations: tuple[Alternative, ...] | None = None  # the best first; None without torques
     memory: Memory = field(default_factory=Memory)  # of all hypotheses about the same logs
 
     @property
@@ -265,7 +281,7 @@ def _remapped(
 ) -> SlowRecord:
     channels, noise = dict(record.channels), dict(record.noise)
     level, excited = dict(record.clocks.level), set(record.clocks.excited)
-    direction = record.direction.copy()
+    direction, moves = record.direction.copy(), record.moves.copy()
     for name in sources:
         for table in (channels, noise, level):
             table.pop(name, None)
@@ -281,8 +297,9 @@ def _remapped(
         if source in record.clocks.excited:
             excited.add(name)
         if kind == "theta_m":
-            column = record.direction[:, channel_parts(source)[1] - 1]
-            direction[:, joint - 1] = np.sign(factor) * column
+            origin = channel_parts(source)[1] - 1
+            direction[:, joint - 1] = np.sign(factor) * record.direction[:, origin]
+            moves[joint - 1] = record.moves[origin]
     clocks = replace(record.clocks, level=level, excited=frozenset(excited))
     delays = {}
     for joint in range(1, direction.shape[1] + 1):
@@ -291,7 +308,13 @@ def _remapped(
         if len(origins) == 1 and (profile := record.delays.get(origins.pop())) is not None:
             delays[joint] = profile
     return replace(
-        record, channels=channels, noise=noise, direction=direction, clocks=clocks, delays=delays
+        record,
+        channels=channels,
+        noise=noise,
+        direction=direction,
+        moves=moves,
+        clocks=clocks,
+        delays=delays,
     )
 
 
@@ -369,6 +392,7 @@ def _slow_record(log: Log, arm: Arm, moves: BoolArray, limit: float) -> SlowReco
         channels={name: slow[:, k] for k, name in enumerate(names)},
         noise={name: float(all_band_noise[k] * share) for k, name in enumerate(names)},
         direction=slow[:, len(names) :],
+        moves=moves,
         inside=inside,
         start=0.5 * (block - 1) * T,
         clocks=estimate_clocks(log, arm),
@@ -390,8 +414,11 @@ def _delay_profiles(log: Log, arm: Arm) -> dict[int, DelayProfile]:
 
 
 def is_slow(experiment: Experiment) -> bool:
-    """Whether an experiment moves all joints slowly, so that the rigid model applies."""
-    return experiment.joint is None and experiment.use in ("motion", "check")
+    """Whether an experiment moves joints slowly, so that the rigid model applies.
+
+    Checks of a single joint are steps, which excite its gear.
+    """
+    return experiment.use == "motion" or (experiment.use == "check" and experiment.joint is None)
 
 
 def _block_means(signal: FloatArray, block: int) -> FloatArray:

@@ -1,9 +1,10 @@
-"""Search for another geometry with which the torques of all joints agree with one arm.
+"""Search for other explanations of the torques of all joints, which compete on held-out stretches.
 
-The alternatives are single changes of the study: an axis, gravity, a gear ratio, a zero position,
-the frame of one joint, the coupling of the motors, or all frames. Changes of continuous quantities
-are found by Gauss-Newton steps of the fit of `torque_fit`, in which the parameters of the links are
-eliminated (Kaufman's variable projection).
+Each is a single change of the study or of the logs: an axis, gravity, a gear ratio, a zero, a
+frame, a sign, an exchange, a delay. Continuous changes are found by Gauss-Newton steps of the fit
+of `torque_fit`, in which the parameters of the links are eliminated (Kaufman's variable
+projection). An explanation is listed if it predicts stretches that it was not fitted to better than
+the stated description does.
 """
 
 from __future__ import annotations
@@ -15,19 +16,17 @@ from itertools import combinations
 
 import numpy as np
 
-from strainwave.domain import Correction, FloatArray, channel_parts
+from strainwave.domain import ArmDescription, Correction, FloatArray, channel_parts
+from strainwave.domain.arm import Vector
 from strainwave.domain.corrections import exchange_corrections
-from strainwave.domain.kinds import kind_of
+from strainwave.domain.kinds import arm_keys, kind_of
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.consistency.evidence import Alternative, ChangeKind, Evidence, is_slow
 from strainwave.signals.consistency.motors import EFFORTS, effort_channel
 from strainwave.signals.consistency.torque_fit import (
-    MIN_COST_DIFFERENCE,
-    MIN_FIT_RATIO,
     FitQuality,
     TorqueFit,
     TorqueSystem,
-    fit_ratio,
     fit_torques,
     predict_stretches,
     torque_system,
@@ -41,23 +40,27 @@ _DERIVATIVE_STEP = 1e-4
 # Largest Gauss-Newton step, in prior standard deviations.
 _MAX_STEP = 2.0
 _MAX_STEPS = 8
-# Mean unexplained share above which no search starts, or ends after the given number of steps.
+# Mean unexplained share above which a search ends after the given number of steps.
 _N_TRIAL_STEPS, _MAX_TRIAL_UNEXPLAINED = 3, 0.3
 # Unexplained share of one torque above which exchanges of joints are tried.
 _MAX_UNEXPLAINED = 0.25
-# Decrease of the cost per independent row of the fit below which a change is not used to predict.
-_MIN_DECREASE_TO_PREDICT = 0.03
-# Share of the stretches that a better explanation predicts better.
-_MIN_BETTER_FOLDS = 0.7
+# Decrease of the cost per independent row of the fit below which a change is not used to predict,
+# no search is started, and a search ends.
+_MIN_DECREASE_TO_PREDICT, _MIN_PREDICTED_DECREASE, _MIN_DECREASE = 0.03, 0.03, 2e-3
+# Probability of the gain by chance, for all explanations together.
+_MAX_CHANCE = 0.01
+# Log ratio of unexplained variances from which an explanation is listed: of a change with one
+# coordinate, whose size is tested as well; and of other changes.
+_MIN_GAIN_OF_COORDINATE, _MIN_GAIN = 0.1, float(np.log(1.3))
+_MEASURED = ("ratio", "zero", "torque")
+# Share of the largest gain of a joint that another joint may lose.
+_MAX_LOSS = 0.25
 # Scale of the delays in rows of the low-pass record, and the delay that is tolerated [s].
 _DELAY_ROWS, _TOLERATED_DELAY = 1.0, 4e-3
 # Reduction of a step that does not decrease the cost, and the shortest fraction that is tried.
 _STEP_REDUCTION, _MIN_STEP_FRACTION = 0.4, 0.1
 # Smallest predicted unexplained share, for the logarithm.
 _MIN_UNEXPLAINED = 1e-6
-# Decrease of the cost per independent row below which a search is not started, or ends.
-_MIN_PREDICTED_DECREASE = 0.03
-_MIN_DECREASE = 2e-3
 # Changes within which a description is accepted: relative, angles [rad], lengths [m], gravity
 # [m/s^2], torque constants. Drawings and calibrations of robots are more accurate.
 _TOLERATED_RATIO, _TOLERATED_ANGLE, _TOLERATED_LENGTH = 0.004, 0.03, 0.01
@@ -82,56 +85,137 @@ class _Family:
     tolerated: FloatArray  # (size,) coordinates of a change within which a study is accepted
 
 
-def search_geometry(evidence: Evidence) -> tuple[Alternative, ...]:
-    """Other explanations of the torques, the best first, and the stated one as the last.
+def search_explanations(evidence: Evidence) -> tuple[Alternative, ...] | None:
+    """Other explanations of the torques that predict held-out stretches better, the best first.
 
-    Each is fitted to all stretches but one and predicts that one. Listed are those that predict
-    better than the stated description, on most stretches. Empty for kinds that place the joints
-    and without torques.
+    None without torques.
     """
-    if kind_of(evidence.arm).places_joints:
-        return ()
     evidence.memory.stated_arm = evidence.arm
     slow = tuple(record for record in evidence.records if is_slow(record.experiment))
     evidence = replace(evidence, records=slow)
     system = torque_system(evidence)
     if system is None:
-        return ()
-    fit, stated = fit_torques(system), predict_stretches(system)
+        return None
+    search = _Search(evidence, fit_torques(system), predict_stretches(system))
     simple = [*_discrete(evidence), *_angle_units(evidence), *_efforts(evidence, "")]
-
-    def predict(candidates: Sequence[Alternative]) -> list[Alternative]:
-        jobs = [partial(_predict, evidence, fit, stated, each) for each in candidates]
-        return [each for each in run_parallel(jobs) if each is not None]
-
-    searches = [partial(_search, evidence, fit, stated, f) for f in _promising(evidence, fit)]
-    found = predict(simple) + [each for each in run_parallel(searches) if each is not None]
-    further = []
-    if found or max(fit.unexplained.values()) > _MAX_UNEXPLAINED:
-        further = [*_joint_exchanges(evidence, "")]
-    for record in _doubtful_records(system, stated):
-        further += [Alternative("payload", None, (), record=record)]
-        further += [*_efforts(evidence, record), *_joint_exchanges(evidence, record)]
-    found += predict(further)
-    return (*sorted(found, key=lambda a: a.cost), Alternative("robot", None, (), stated.cost))
+    if max(search.fit.unexplained.values()) > _MAX_UNEXPLAINED:
+        simple += [*_joint_exchanges(evidence, "")]
+    for record in search.doubtful_records(system):
+        simple += [Alternative("payload", None, (), record=record)]
+        simple += [*_efforts(evidence, record), *_joint_exchanges(evidence, record)]
+    jobs = [partial(search.discrete, each) for each in simple]
+    jobs += [partial(search.continuous, *each) for each in search.families()]
+    found = [each for each in run_parallel(jobs) if each is not None]
+    limit = _MAX_CHANCE / len(jobs)
+    good = [each for each in found if each.gain is not None and each.gain.probability < limit]
+    return tuple(sorted(good, key=lambda each: each.cost))
 
 
-def _predict(
-    evidence: Evidence, fit: TorqueFit, stated: FitQuality, alternative: Alternative
-) -> Alternative | None:
-    """The alternative with its cost; None if it does not predict better than the stated arm."""
-    changed = evidence.corrected_in(alternative.record, alternative.corrections)
-    loaded = alternative.record if alternative.kind == "payload" else ""
-    system = torque_system(changed, loaded)
-    if system is None or (loaded and _load_inertia(system) < 0.0):
-        return None
-    decrease = fit.cost - fit_torques(system).cost
-    if decrease < _MIN_DECREASE_TO_PREDICT * fit.n_all:
-        return None
-    # the others may not determine the links of a record that moves in another way
-    if alternative.record and fit_ratio(decrease, 0.0, fit.n_all) < MIN_FIT_RATIO:
-        return None
-    return _if_better(alternative, stated, predict_stretches(system))
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """The stated description and its fit, which explanations are compared with."""
+
+    evidence: Evidence
+    fit: TorqueFit
+    stated: FitQuality
+
+    def discrete(self, each: Alternative) -> Alternative | None:
+        """The alternative with its gain; None if it is no clear one."""
+        changed = self.evidence.corrected_in(each.record, each.corrections)
+        loaded = each.record if each.kind == "payload" else ""
+        system = torque_system(changed, loaded)
+        if system is None or (loaded and _load_inertia(system) < 0.0):
+            return None
+        if self.fit.cost - fit_torques(system).cost < _MIN_DECREASE_TO_PREDICT * self.fit.n_all:
+            return None
+        return self._gaining(each, predict_stretches(system), _MIN_GAIN, is_pooled=False)
+
+    def families(self) -> list[tuple[_Family, FloatArray]]:
+        """Families with their derivatives at the stated description, and that of all frames."""
+        families = [*_families(self.evidence)]
+        jobs = [partial(self._slope, f, np.zeros(f.size), self.fit) for f in families]
+        pairs = [*zip(families, run_parallel(jobs), strict=True)]
+        frames = [slope for family, slope in pairs if family.kind == "frame"]
+        if frames:
+            tolerated = np.tile(_TOLERATED_FRAME, len(frames))
+            change = partial(_robot, self.evidence)
+            pairs.append(
+                (_Family("robot", None, len(tolerated), change, tolerated), np.hstack(frames))
+            )
+        return pairs
+
+    def continuous(self, family: _Family, slope: FloatArray) -> Alternative | None:
+        """Gauss-Newton search of one family; None within tolerated changes or without clear gain.
+
+        The coordinates are fitted anew to the other stretches of each stretch, to first order.
+        `slope` has the derivatives at the stated description.
+        """
+        x, fit = np.zeros(family.size), self.fit
+        for k in range(_MAX_STEPS):
+            if k == _N_TRIAL_STEPS and np.exp(2.0 * fit.cost / fit.n_all) > _MAX_TRIAL_UNEXPLAINED:
+                return None
+            step, decrease = _gauss_newton(fit, fit.project(slope), x)
+            # the criterion of Akaike
+            if k == 0 and decrease - family.size / fit.n_all < _MIN_PREDICTED_DECREASE:
+                return None
+            fraction = min(1.0, _MAX_STEP / max(float(np.abs(step).max()), 1e-12))
+            before = fit.cost
+            while fraction > _MIN_STEP_FRACTION:
+                trial = _fit(self.evidence, family.corrections(x + fraction * step))
+                if trial is not None and trial.cost < fit.cost:
+                    x, fit = x + fraction * step, trial
+                    slope = self._slope(family, x, fit)
+                    break
+                fraction *= _STEP_REDUCTION
+            if before - fit.cost < _MIN_DECREASE * fit.n_all:
+                break
+        system = torque_system(self.evidence.corrected(family.corrections(x)))
+        if system is None or np.all(np.abs(x) < family.tolerated):
+            return None
+        # a scale changes the torque itself, not its explanation
+        quality = predict_stretches(system, fitted=None if family.kind == "torque" else (x, slope))
+        found = Alternative(family.kind, family.joint, family.corrections(x))
+        least = _MIN_GAIN_OF_COORDINATE if family.kind in _MEASURED else _MIN_GAIN
+        return self._gaining(found, quality, least, is_pooled=True)
+
+    def doubtful_records(self, system: TorqueSystem) -> list[str]:
+        """Records without which the stretches of the others are predicted clearly better."""
+        names, weights = np.array(system.records), self.stated.weights
+        doubtful = []
+        for name in dict.fromkeys(system.records) if len(set(system.records)) > 1 else ():
+            kept = names != name
+            others = predict_stretches(system, names[~kept].tolist())
+            floor = np.finfo(float).tiny
+            before, after = (q.shares[kept].sum(axis=0) + floor for q in (self.stated, others))
+            if weights @ np.log(before / after) > _MIN_GAIN_OF_COORDINATE:
+                doubtful.append(name)
+        return doubtful
+
+    def _gaining(
+        self, each: Alternative, quality: FitQuality, least: float, *, is_pooled: bool
+    ) -> Alternative | None:
+        """The alternative with its gain; None if it gains too little, or a joint loses.
+
+        All torques gain at least `least` together if `is_pooled`, otherwise one does.
+        """
+        gain = quality.gain(self.stated)
+        best, worst = float(gain.by_joint.max()), float(gain.by_joint.min())
+        if (gain.mean if is_pooled else best) < least or worst < -_MAX_LOSS * best:
+            return None
+        return replace(each, gain=gain, cost=quality.cost)
+
+    def _slope(self, family: _Family, x: FloatArray, fit: TorqueFit) -> FloatArray:
+        """Derivatives (n_rows, size) of the torques that the links of the fit at x leave, negated.
+
+        They are what the coordinates explain.
+        """
+
+        def leave(at: FloatArray) -> FloatArray:
+            return unexplained_torques(self.evidence.corrected(family.corrections(at)), fit.links)
+
+        here = fit.residual / fit.weight
+        changes = [here - leave(x + _DERIVATIVE_STEP * unit) for unit in np.eye(family.size)]
+        return np.column_stack(changes) / _DERIVATIVE_STEP
 
 
 def _load_inertia(system: TorqueSystem) -> float:
@@ -140,51 +224,12 @@ def _load_inertia(system: TorqueSystem) -> float:
     return float(load[[4, 6, 9]].sum())
 
 
-def _if_better(
-    alternative: Alternative, stated: FitQuality, predicted: FitQuality
-) -> Alternative | None:
-    gain = stated.cost - predicted.cost
-    is_better = fit_ratio(gain, 0.0, stated.n_all) > MIN_FIT_RATIO and gain > MIN_COST_DIFFERENCE
-    if not is_better or predicted.better_folds(stated) < _MIN_BETTER_FOLDS:
-        return None
-    return replace(alternative, cost=predicted.cost)
-
-
-def _promising(evidence: Evidence, fit: TorqueFit) -> Iterator[_Family]:
-    """Families of which the first Gauss-Newton step predicts a clear decrease of the cost."""
-    families = [*_families(evidence)]
-    slopes = run_parallel([partial(_slope, evidence, fit, f, np.zeros(f.size)) for f in families])
-    frames = [slope for slope, f in zip(slopes, families, strict=True) if f.kind == "frame"]
-    n = len(frames)
-    tolerated = np.tile(_TOLERATED_FRAME, n)
-    families.append(_Family("robot", None, 6 * n, partial(_robot, evidence), tolerated))
-    slopes.append(np.column_stack(frames))
-    for family, slope in zip(families, slopes, strict=True):
-        _, decrease = _gauss_newton(fit, slope, np.zeros(family.size))
-        if decrease - family.size / fit.n_all > _MIN_PREDICTED_DECREASE:  # the criterion of Akaike
-            yield family
-
-
-_TOLERATED_FRAME = np.repeat([_TOLERATED_LENGTH / _LENGTH_STD, _TOLERATED_ANGLE / _ANGLE_STD], 3)
-
-
 def _fit(evidence: Evidence, corrections: Sequence[Correction]) -> TorqueFit | None:
     system = torque_system(evidence.corrected(corrections))
     return None if system is None else fit_torques(system)
 
 
-def _doubtful_records(system: TorqueSystem, stated: FitQuality) -> list[str]:
-    """Records without which the stretches of the others are predicted clearly better."""
-    names = np.array(system.records)
-    doubtful = []
-    for name in dict.fromkeys(system.records) if len(set(system.records)) > 1 else ():
-        kept = names != name
-        others = predict_stretches(system, names[~kept].tolist())
-        before, after = (quality.squares[kept].sum(axis=0) for quality in (stated, others))
-        gain = 0.5 * stated.n_rows @ np.log(np.maximum(before, 1e-300) / np.maximum(after, 1e-300))
-        if fit_ratio(gain, 0.0, stated.n_all) > MIN_FIT_RATIO:
-            doubtful.append(name)
-    return doubtful
+_TOLERATED_FRAME = np.repeat([_TOLERATED_LENGTH / _LENGTH_STD, _TOLERATED_ANGLE / _ANGLE_STD], 3)
 
 
 def _efforts(evidence: Evidence, record: str) -> Iterator[Alternative]:
@@ -193,8 +238,7 @@ def _efforts(evidence: Evidence, record: str) -> Iterator[Alternative]:
     for i in joints:
         name = effort_channel(evidence.channels, i)
         if name is not None:
-            reverse = Correction("channels", name, "scale", -evidence.channel(name).scale)
-            yield Alternative("torque", i, (reverse,), record=record)
+            yield Alternative("torque", i, _scaled(evidence, [name], -1.0), record=record)
     for pair in combinations(joints, 2):
         yield from _exchange(evidence, EFFORTS, pair, record)
 
@@ -205,10 +249,7 @@ def _angle_units(evidence: Evidence) -> Iterator[Alternative]:
         return
     names = [n for n in sorted(evidence.channels) if channel_parts(n)[0] in _ROTATIONS]
     for factor in (_DEGREE, 2.0 * np.pi):
-        changes = [
-            Correction("channels", n, "scale", evidence.channel(n).scale * factor) for n in names
-        ]
-        yield Alternative("unit", None, tuple(changes))
+        yield Alternative("unit", None, _scaled(evidence, names, factor))
 
 
 def _joint_exchanges(evidence: Evidence, record: str) -> Iterator[Alternative]:
@@ -232,42 +273,64 @@ def _exchange(
 
 
 def _discrete(evidence: Evidence) -> Iterator[Alternative]:
-    """Other axes along the joint's frame, other directions of gravity, other couplings."""
+    """Other axes, directions of gravity, signs and units, couplings, and meanings of efforts."""
     arm = evidence.study.arm
-    units = [tuple(float(s * x) for x in e) for e in np.eye(3) for s in (1.0, -1.0)]
-    for i, joint in enumerate(arm.joints, start=1):
-        stated = np.array(joint.axis) / np.linalg.norm(joint.axis)
-        axes = [tuple(-x for x in joint.axis), *units]
-        for axis in dict.fromkeys(axes):
-            if axis @ stated < _EQUAL_DIRECTIONS:
-                yield Alternative("axis", i, (Correction("joint", str(i), "axis", axis),))
+    for i in range(1, arm.n_joints + 1):
+        names = [n for n in (f"theta_m{i}", f"omega_m{i}") if n in evidence.channels]
+        yield Alternative("angle", i, _scaled(evidence, names, -1.0))
         for factor in _TORQUE_UNITS:
             scaled = _torque(evidence, i, np.array([np.log(factor) / _RATIO_STD]))
             if scaled:
                 yield Alternative("torque", i, scaled)
-    size = arm.gravity_size or _STANDARD_GRAVITY
-    stated = np.array(arm.gravity or (0.0, 0.0, 0.0)) / size
-    for unit in units:
-        if unit @ stated < _EQUAL_DIRECTIONS:
-            gravity = tuple(size * x for x in unit)
-            change = Correction("arm", "", "gravity", gravity)
-            yield Alternative("gravity", None, (change,))
+    if not kind_of(arm).places_joints:
+        yield from _axes(arm)
+    yield from _gravities(arm)
     if arm.coupling is not None and arm.is_coupled:
         C = np.array(arm.coupling)
         for other in (np.eye(len(C)), C.T, 2.0 * np.diag(np.diag(C)) - C):
             matrix = tuple(tuple(map(float, row)) for row in other)
             change = Correction("transmission", "", "coupling", matrix)
             yield Alternative("coupling", None, (change,))
-    efforts = [f"torque{i}" for i in range(1, arm.n_joints + 1)]
-    efforts = [name for name in efforts if name in evidence.channels]
+    efforts = [n for i in range(1, arm.n_joints + 1) if (n := f"torque{i}") in evidence.channels]
     if efforts and arm.gravity:
         changes = tuple(Correction("channels", n, "meaning", "without-gravity") for n in efforts)
         yield Alternative("without-gravity", None, changes)
 
 
+_DIRECTIONS = [tuple(float(s * x) for x in e) for e in np.eye(3) for s in (1.0, -1.0)]
+
+
+def _axes(arm: ArmDescription) -> Iterator[Alternative]:
+    for i, joint in enumerate(arm.joints, start=1):
+        stated = np.array(joint.axis) / np.linalg.norm(joint.axis)
+        for axis in dict.fromkeys([tuple(-x for x in joint.axis), *_DIRECTIONS]):
+            if axis @ stated < _EQUAL_DIRECTIONS:
+                yield Alternative("axis", i, (Correction("joint", str(i), "axis", axis),))
+
+
+def _gravities(arm: ArmDescription) -> Iterator[Alternative]:
+    """Other directions of the gravity of chains; gravity of planes, where the study states none."""
+    if "gravity" not in arm_keys(arm):
+        return
+    size = arm.gravity_size or _STANDARD_GRAVITY
+    others: list[float | Vector | None] = [None if arm.gravity else size]
+    if not kind_of(arm).places_joints:
+        stated = np.array(arm.gravity or (0.0, 0.0, 0.0)) / size
+        turned = [unit for unit in _DIRECTIONS if unit @ stated < _EQUAL_DIRECTIONS]
+        others = [(size * x, size * y, size * z) for x, y, z in turned]
+    for other in others:
+        yield Alternative("gravity", None, (Correction("arm", "", "gravity", other),))
+
+
+def _scaled(evidence: Evidence, names: Sequence[str], factor: float) -> tuple[Correction, ...]:
+    scales = {name: evidence.channel(name).scale * factor for name in names}
+    return tuple(Correction("channels", name, "scale", scale) for name, scale in scales.items())
+
+
 def _families(evidence: Evidence) -> Iterator[_Family]:
     arm = evidence.study.arm
-    if arm.gravity:
+    is_chain = not kind_of(arm).places_joints
+    if arm.gravity and is_chain:
         tolerated = np.full(3, _TOLERATED_GRAVITY / _GRAVITY_STD)
         yield _Family("gravity", None, 3, partial(_gravity, evidence), tolerated)
     joints = range(1, arm.n_joints + 1)
@@ -276,7 +339,8 @@ def _families(evidence: Evidence) -> Iterator[_Family]:
         yield _Family("ratio", i, 1, partial(_ratio, evidence, i), tolerated)
         tolerated = np.array([_TOLERATED_ANGLE / _ANGLE_STD])
         yield _Family("zero", i, 1, partial(_zero, evidence, i), tolerated)
-        yield _Family("frame", i, 6, partial(_frame, evidence, i), _TOLERATED_FRAME)
+        if is_chain:
+            yield _Family("frame", i, 6, partial(_frame, evidence, i), _TOLERATED_FRAME)
         if _torque(evidence, i, np.zeros(1)):
             tolerated = np.array([_TOLERATED_TORQUE / _RATIO_STD])
             yield _Family("torque", i, 1, partial(_torque, evidence, i), tolerated)
@@ -340,51 +404,6 @@ def _frame(evidence: Evidence, i: int, x: FloatArray) -> tuple[Correction, ...]:
 def _robot(evidence: Evidence, x: FloatArray) -> tuple[Correction, ...]:
     frames = x.reshape(-1, 6)
     return tuple(c for i, row in enumerate(frames, start=1) for c in _frame(evidence, i, row))
-
-
-def _search(
-    evidence: Evidence, start: TorqueFit, stated: FitQuality, family: _Family
-) -> Alternative | None:
-    """Gauss-Newton search of one family; None within tolerated changes or if it is no better."""
-    x, fit = np.zeros(family.size), start
-    for k in range(_MAX_STEPS):
-        if k == _N_TRIAL_STEPS and fit_ratio(fit.cost, 0.0, fit.n_all) > _MAX_TRIAL_UNEXPLAINED:
-            return None
-        step, _ = _gauss_newton(fit, _slope(evidence, fit, family, x), x)
-        fraction = min(1.0, _MAX_STEP / max(float(np.abs(step).max()), 1e-12))
-        before = fit.cost
-        while fraction > _MIN_STEP_FRACTION:
-            trial = _fit(evidence, family.corrections(x + fraction * step))
-            if trial is not None and trial.cost < fit.cost:
-                x, fit = x + fraction * step, trial
-                break
-            fraction *= _STEP_REDUCTION
-        if before - fit.cost < _MIN_DECREASE * fit.n_all:
-            break
-    if np.all(np.abs(x) < family.tolerated):
-        return None
-    corrections = family.corrections(x)
-    system = torque_system(evidence.corrected(corrections))
-    if system is None:
-        return None
-    found = Alternative(family.kind, family.joint, corrections)
-    better = _if_better(found, stated, predict_stretches(system))
-    # the coordinates are fitted to all stretches: the criterion of Akaike
-    return None if better is None else replace(better, cost=better.cost + family.size)
-
-
-def _slope(evidence: Evidence, fit: TorqueFit, family: _Family, x: FloatArray) -> FloatArray:
-    """Derivatives of the weighted torques that the links do not explain: (n_rows, size).
-
-    `fit` is the fit at x.
-    """
-
-    def leave(at: FloatArray) -> FloatArray:
-        return unexplained_torques(evidence.corrected(family.corrections(at)), fit.links)
-
-    here = fit.residual / fit.weight
-    changes = [here - leave(x + _DERIVATIVE_STEP * unit) for unit in np.eye(family.size)]
-    return fit.project(np.column_stack(changes) / _DERIVATIVE_STEP)
 
 
 def _gauss_newton(fit: TorqueFit, slope: FloatArray, x: FloatArray) -> tuple[FloatArray, float]:

@@ -333,8 +333,11 @@ def _stretches(n_rows: int, count: int) -> list[slice]:
 def sliding_rows(record: SlowRecord, i: int) -> BoolArray:
     """Rows in which joint i (from 0) slides, (n_rows,); all inner rows if these are too few.
 
-    Near a velocity reversal, the Coulomb friction is undetermined between its two values.
+    Near a velocity reversal and at rest, the Coulomb friction is undetermined between its two
+    values.
     """
+    if not record.moves[i]:
+        return np.zeros_like(record.inside)
     rows = record.inside & (np.abs(record.direction[:, i]) > _MIN_MEAN_DIRECTION)
     return rows if rows.sum() > _MIN_SLIDING_ROWS else record.inside
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import Place, Relation, channel_parts
-from strainwave.signals.consistency.evidence import Evidence, is_slow
+from strainwave.signals.consistency.evidence import MIN_SHARE_OF_GAIN, Evidence, is_slow
 from strainwave.signals.consistency.input_delay import pool_delays
 from strainwave.signals.consistency.motors import (
     Ratio,
@@ -31,9 +31,6 @@ from strainwave.signals.consistency.sensors import (
     regress_readings,
 )
 from strainwave.signals.consistency.torque_fit import (
-    MIN_COST_DIFFERENCE,
-    MIN_FIT_RATIO,
-    fit_ratio,
     friction_shares,
     recall_quality,
 )
@@ -115,7 +112,7 @@ _TOLERANCE: dict[Kind, float] = {
     "limit": 1.0,  # a factor of two, because the stated limit can exclude an added PRBS
     "tilt": 0.3,  # of g; tables and brackets are level to 17 degrees
     "excited-joint": 0.0,
-    "torque-fit": MIN_FIT_RATIO - 1.0,
+    "torque-fit": 0.0,  # better explanations were tested
     "torque-prediction": _MIN_PREDICTED_SHARE,
     "presence": _MIN_PRESENCE,
     "torque-sensor": 4.0,  # friction and the rotor take a share; units differ by ten or more
@@ -355,14 +352,21 @@ def _observe_input_delays(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _observe_torque_fit(evidence: Evidence) -> Iterator[Observation]:
-    """Unexplained variance of all torques over that with the best geometry."""
-    fit = recall_quality(evidence) if evidence.geometries else None
-    if fit is not None:
-        ratio = fit_ratio(fit.cost, evidence.geometries[0].cost, fit.n_all)
-        least = fit_ratio(MIN_COST_DIFFERENCE, 0.0, fit.n_all) - 1.0
-        place = Place(part="arm")
-        yield Observation("torque-fit", place, max(ratio, 1.0), least / _MIN_SIGNIFICANCE)
-        yield from _observe_friction(evidence)
+    """Unexplained variance of all torques over that with the best explanation."""
+    fit = recall_quality(evidence) if evidence.explanations is not None else None
+    if fit is None or evidence.explanations is None:
+        return
+    place = Place(part="arm")
+    ratio, tolerance = 1.0, None
+    if evidence.explanations:
+        best = evidence.explanations[0]
+        ratio = max(float(np.exp(2.0 * (fit.cost - best.cost))), 1.0)
+        tolerance = (
+            float(np.exp((1.0 - MIN_SHARE_OF_GAIN) * (best.gain.mean if best.gain else 0.0))) - 1.0
+        )
+    yield Observation("torque-fit", place, ratio, 0.0, tolerance)
+    yield from _observe_friction(evidence)
+    if not evidence.arm.has_planar_program:
         yield Observation("torque-prediction", place, 1.0 - float(np.median(fit.unexplained)), 0.0)
 
 
@@ -472,7 +476,7 @@ def _observe_torques(evidence: Evidence) -> Iterator[Observation]:
                 name = effort_channel(evidence.channels, each.joint)
                 place = Place(channel=name, experiments=(record.experiment.name,))
                 yield Observation("inertia", place, each.inertia, each.inertia_std)
-    if evidence.geometries:
+    if not evidence.arm.has_planar_program:
         return  # the fit of one arm to all torques compares more than one pair of equations
     for joint, ratio in estimate_torque_ratios(estimates).items():
         yield Observation("torque-ratio", Place(joint=joint, key="torque_per_volt"), *ratio)

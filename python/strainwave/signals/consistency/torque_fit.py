@@ -17,9 +17,10 @@ from typing import TypeVar
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, IntArray
+from strainwave.domain.distributions import student_tail
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
-from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
+from strainwave.signals.consistency.evidence import Evidence, Gain, SlowRecord, is_slow
 from strainwave.signals.consistency.motors import (
     compute_motor_torque,
     effort_channel,
@@ -38,7 +39,7 @@ _ROW_STRIDE = 4
 # The same for the low-pass of the columns.
 _FILTER_STRIDE = 2
 # Rows of all records that are used; more do not change which of two geometries is likelier.
-_MAX_ROWS = 1200
+_MAX_ROWS = 2400
 # Relative singular value below which a combination of parameters is not excited.
 _MIN_SINGULAR_VALUE = 1e-6
 # Iterations of the weights, which are the residuals of the joints.
@@ -46,18 +47,9 @@ _N_ITERATIONS = 3
 # Standard parameters of a link.
 _N_LINK_PARAMETERS = 10
 # Stretches of each record; each is predicted by the links that are fitted to all others.
-_N_FOLDS = 2
+_N_FOLDS = 4
 # Smallest unexplained share, so that noise-free torques can be compared.
 _MIN_UNEXPLAINED = 1e-9
-
-
-MIN_FIT_RATIO = 1.3
-"""Ratio of unexplained variances above which another description contradicts the stated one.
-
-On held-out stretches of a measured arm other descriptions reached 1.08."""
-
-MIN_COST_DIFFERENCE = 20.0
-"""Minimum difference of the log likelihoods of two descriptions, on held-out stretches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,34 +69,36 @@ class TorqueSystem:
 class FitQuality:
     """How well one arm, fitted to the other stretches, predicts the torques of each stretch."""
 
-    squares: FloatArray  # (n_folds, n_joints) sums of squares of the prediction errors
-    total: FloatArray  # (n_joints,) sums of squares of the torques
+    shares: FloatArray  # (n_folds, n_joints) squared prediction errors over the squared torques
     n_rows: FloatArray  # (n_joints,) independent rows
     records: tuple[str, ...]  # of each fold
 
     @property
     def unexplained(self) -> FloatArray:
         """Share of each torque (n_joints,) that is not predicted."""
-        shares = self.squares.sum(axis=0) / self.total
-        return np.asarray(np.maximum(shares, _MIN_UNEXPLAINED))
+        return np.asarray(np.maximum(self.shares.sum(axis=0), _MIN_UNEXPLAINED))
+
+    @property
+    def weights(self) -> FloatArray:
+        """Shares of the independent rows of each joint, (n_joints,)."""
+        return np.asarray(self.n_rows / self.n_rows.sum())
 
     @property
     def cost(self) -> float:
-        """Negative log likelihood: sum of the logarithms of the unexplained shares."""
-        return float(0.5 * self.n_rows @ np.log(self.unexplained))
+        """Half the mean logarithm of the unexplained shares."""
+        return float(0.5 * self.weights @ np.log(self.unexplained))
 
-    @property
-    def n_all(self) -> float:
-        """Independent rows of all joints."""
-        return float(self.n_rows.sum())
-
-    def better_folds(self, other: FitQuality) -> float:
-        """Share of the stretches that this fit predicts better than another fit does."""
-        if self.squares.shape != other.squares.shape:
-            return 1.0
-        floor = _MIN_UNEXPLAINED * self.total
-        gains = np.log((other.squares + floor) / (self.squares + floor)) @ self.n_rows
-        return float(np.mean(gains > 0.0))
+    def gain(self, other: FitQuality) -> Gain:
+        """Gain of this fit over another of the same stretches and joints."""
+        by_joint = np.log(other.unexplained / self.unexplained)
+        probability = 1.0
+        if self.shares.shape == other.shares.shape and len(self.shares) > 1:
+            floor = _MIN_UNEXPLAINED
+            of_folds = np.log((other.shares + floor) / (self.shares + floor)) @ self.weights
+            mean, n = float(of_folds.mean()), len(of_folds)
+            std = max(float(of_folds.std(ddof=1)), 1e-300) / np.sqrt(n)
+            probability = 0.5 * student_tail(mean / std, n - 1) if mean > 0.0 else 1.0
+        return Gain(by_joint, float(self.weights @ by_joint), probability)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,11 +126,6 @@ class TorqueFit:
         """Weighted torques (n_rows, n) without the parts that the links explain."""
         weighted = self.weight[:, None] * torques
         return weighted - self.basis @ (self.basis.T @ weighted)
-
-
-def fit_ratio(cost: float, other_cost: float, n_rows: float) -> float:
-    """Ratio of the unexplained variances of two fits, from their costs."""
-    return float(np.exp(2.0 * (cost - other_cost) / n_rows))
 
 
 def recall_quality(evidence: Evidence) -> FitQuality | None:
@@ -211,10 +200,16 @@ def fit_torques(system: TorqueSystem) -> TorqueFit:
     return TorqueFit(links, basis, weight, residual, shares, n_rows)
 
 
-def predict_stretches(system: TorqueSystem, without: Collection[str] = ()) -> FitQuality:
+def predict_stretches(
+    system: TorqueSystem,
+    without: Collection[str] = (),
+    fitted: tuple[FloatArray, FloatArray] | None = None,
+) -> FitQuality:
     """Prediction of the torques of each stretch by the links fitted to all others.
 
-    The records `without` are not fitted.
+    The records `without` are not fitted. `fitted` are coordinates of the arm, (n,), in prior
+    standard deviations, and the derivatives of the torques by them, (n_rows, n): the coordinates
+    are fitted to the other stretches as well.
 
     The prior of a parameter of the links is that its torque is below the norm of all torques, so
     that combinations that one stretch alone excites are not extrapolated.
@@ -224,25 +219,31 @@ def predict_stretches(system: TorqueSystem, without: Collection[str] = ()) -> Fi
     size = np.linalg.norm(columns, axis=0)
     used = size > _MIN_SINGULAR_VALUE * size.max()
     columns = columns[:, used] / size[used]
+    precision = np.full(columns.shape[1], 1.0 / max(float(torque @ torque), 1e-300))
+    expected = np.zeros(columns.shape[1])
+    if fitted is not None:
+        at, slope = fitted
+        columns = np.column_stack([columns, fit.weight[:, None] * slope])
+        precision, expected = np.r_[precision, np.ones(len(at))], np.r_[expected, -at]
     excluded = np.isin(np.array(system.records)[system.fold], list(without))
     gram = columns[~excluded].T @ columns[~excluded]
     product = columns[~excluded].T @ torque[~excluded]
-    prior = np.eye(len(gram)) / max(float(torque @ torque), 1e-300)
+    product = product + precision * expected
     joints = sorted(system.total)
     squares = np.zeros((len(system.records), len(joints)))
     for k in range(len(system.records)):
         rows = system.fold == k
         block, target = columns[rows], torque[rows]
-        fitted = float(system.records[k] not in without)
-        left = gram - fitted * block.T @ block, product - fitted * block.T @ target
-        links = np.linalg.solve(left[0] + prior, left[1])
+        kept = float(system.records[k] not in without)
+        left = gram - kept * block.T @ block, product - kept * block.T @ target
+        links = np.linalg.solve(left[0] + np.diag(precision), left[1])
         errors = (target - block @ links) / fit.weight[rows]
         for j, joint in enumerate(joints):
             squares[k, j] = float(np.sum(errors[system.joint[rows] == joint] ** 2))
-    total = np.array([system.total[joint] for joint in joints])
+    shares = squares / np.array([system.total[joint] for joint in joints])
     counts = np.array([np.sum(system.joint == joint) for joint in joints])
     n_rows = counts * _ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW
-    return FitQuality(squares, total, n_rows, system.records)
+    return FitQuality(shares, n_rows, system.records)
 
 
 def _inverse_root(gram: FloatArray) -> FloatArray:

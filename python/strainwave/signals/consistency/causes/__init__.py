@@ -19,7 +19,7 @@ _OF_ARM = (
     channels.propose_effort_scales,
     channels.propose_record_signs,
     channels.propose_dead_channels,
-    geometry.propose_geometries,
+    geometry.propose_explanations,
     commands.propose_time_bases,
     commands.propose_record_clocks,
     commands.propose_input_delays,
@@ -45,7 +45,7 @@ def propose_causes(evidence: Evidence, contradictions: Sequence[Observation]) ->
     """Yield all candidate causes, structured causes first."""
     case = Case(evidence, tuple(contradictions))
     if {each.kind for each in contradictions} == {"torque-fit"}:
-        yield from geometry.propose_geometries(case)  # they competed on held-out stretches
+        yield from geometry.propose_explanations(case)  # they competed on held-out stretches
         return
     for propose in _OF_ARM:
         yield from propose(case)

@@ -55,7 +55,7 @@ class Cause:
         """
         after = evidence.corrected(self.corrections)
         if self.excluded:  # the explanations of the torques competed on all records
-            after = replace(after.without_records(self.excluded), geometries=())
+            after = replace(after.without_records(self.excluded), explanations=None)
         if not self.moves_frames:
             return after
         links = [name for name in after.channels if channel_parts(name)[0] in LINK_CHANNELS]

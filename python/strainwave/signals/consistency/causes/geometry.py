@@ -9,40 +9,37 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import Clause, Correction, Place
+from strainwave.domain.kinds import kind_of
 from strainwave.signals.consistency.causes.case import Case, Cause, as_rival
-from strainwave.signals.consistency.evidence import Alternative, ChangeKind
-from strainwave.signals.consistency.torque_fit import MIN_FIT_RATIO, fit_ratio, recall_quality
+from strainwave.signals.consistency.causes.channels import scale_cause
+from strainwave.signals.consistency.evidence import MIN_SHARE_OF_GAIN, Alternative, ChangeKind
 
-# Ratio of unexplained variances to the best one within which two causes cannot be told apart, and
-# the number of rivals that are named.
-_MAX_RIVAL_RATIO, _MAX_RIVALS = 1.1, 1
 # Log ratio within which an estimated reduction is the nearest whole number.
 _REDUCTION_TOLERANCE = 0.01
 # Decimal logarithm within which a factor is that of a unit.
 _UNIT_TOLERANCE = 0.01
 
 
-def propose_geometries(case: Case) -> Iterator[Cause]:
-    """Other geometries with which the torques agree about as well as with the best one."""
-    geometries = case.evidence.geometries
-    if not case.contradicts("torque-fit") or len(geometries) < 2:
+def propose_explanations(case: Case) -> Iterator[Cause]:
+    """Explanations of the torques about as good as the best one, simple ones first.
+
+    Each has another one as its rival, one that moves no frames if possible.
+    """
+    found = case.evidence.explanations
+    if not found or not case.contradicts("torque-fit"):
         return
-    fit = recall_quality(case.evidence)
-    n_rows = fit.n_all if fit is not None else 1.0
-    best, stated = geometries[0].cost, geometries[-1].cost
     order = {kind: k for k, kind in enumerate(_CAUSES)}
-
-    def is_rival(each: Alternative) -> bool:
-        return fit_ratio(each.cost, best, n_rows) < _MAX_RIVAL_RATIO
-
-    good = [a for a in geometries[:-1] if fit_ratio(a.cost, best, n_rows) < MIN_FIT_RATIO]
-    good.sort(key=lambda a: (not is_rival(a), order[a.kind] if is_rival(a) else 0, a.cost))
-    causes = [_cause(case, a, fit_ratio(stated, a.cost, n_rows)) for a in good]
-    rivals = [c for a, c in zip(good, causes, strict=True) if is_rival(a) and not c.moves_frames]
+    good = [a for a in found if _gain(a) >= MIN_SHARE_OF_GAIN * _gain(found[0])]
+    good.sort(key=lambda a: (order[a.kind], a.cost))
+    causes = [_cause(case, a, float(np.exp(_gain(a)))) for a in good]
     for cause in causes:
-        others = [each for each in rivals if each.places != cause.places][:_MAX_RIVALS]
-        is_one = cause in rivals
-        yield replace(cause, rivals=tuple(map(as_rival, others)) if is_one else ())
+        others = [other for other in causes if other.places != cause.places]
+        others.sort(key=lambda other: other.moves_frames)
+        yield replace(cause, rivals=tuple(map(as_rival, others[:1])))
+
+
+def _gain(each: Alternative) -> float:
+    return each.gain.mean if each.gain is not None else 0.0
 
 
 def _cause(case: Case, change: Alternative, ratio: float) -> Cause:
@@ -105,6 +102,13 @@ def _torque(case: Case, change: Alternative, ratio: float) -> Cause:
 
 
 def _gravity(case: Case, change: Alternative, ratio: float) -> Cause:
+    """Another direction of gravity, or a plane of motion with or without gravity."""
+    arm = case.evidence.study.arm
+    if kind_of(arm).places_joints:
+        clause = Clause("wrong-geometry/vertical")
+        if arm.gravity_size:
+            clause = Clause("wrong-geometry/horizontal", gravity=arm.gravity_size)
+        return Cause("wrong-geometry", (Place(key="gravity"),), clause, change.corrections)
     texts = {"corrected": _text(change.corrections[0].value)}
     texts["stated"] = _text(case.evidence.study.arm.gravity)
     clause = Clause("wrong-geometry/gravity", ratio=ratio, **texts)
@@ -200,8 +204,15 @@ def _unit(case: Case, change: Alternative, _: float) -> Cause:
     return Cause("wrong-unit", places, clause, change.corrections, factor=1.0 / factor)
 
 
+def _angle(case: Case, change: Alternative, _: float) -> Cause:
+    """A motor angle with another sign."""
+    name = change.corrections[0].entry
+    return replace(scale_cause(case, name, -1.0, None, "motion"), corrections=change.corrections)
+
+
 _CAUSES: Mapping[ChangeKind, Callable[[Case, Alternative, float], Cause]] = {
     "unit": _unit,
+    "angle": _angle,
     "axis": _axis,
     "without-gravity": _without_gravity,
     "exchange": _exchange,
