@@ -90,7 +90,7 @@ class Consistency:
     def suspecting(self, *further: Suspicion, accept: Collection[str]) -> Consistency:
         """With further suspicions; those with a code in `accept` are marked as accepted."""
         all_faults = (*self.suspected, *further)
-        marked = (replace(each, accepted=each.code in accept) for each in all_faults)
+        marked = (replace(f, accepted=f.accepted or f.code in accept) for f in all_faults)
         return replace(self, suspected=tuple(marked))
 
 

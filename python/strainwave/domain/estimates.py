@@ -94,7 +94,7 @@ class Suspicion:
     factor: float | None = None  # ratio of the data to the value that the study implies
     delay_s: float | None = None  # delay of the channel [s]
     corrections: tuple[Correction, ...] = ()  # machine-readable remedy; empty if unknown
-    accepted: bool = False  # by `accept`: it does not decide the status
+    accepted: bool = False  # by `accept`, or estimated by the fit: it does not decide the status
 
     @property
     def where(self) -> str:

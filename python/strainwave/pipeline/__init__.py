@@ -187,7 +187,7 @@ def _compare_torque_constants(check: CheckedInputs, model: RigidModel | None) ->
     """Add the ratios of torque constants that the rigid fit estimates to the consistency check."""
     ratios = model.torque_ratios if model is not None else {}
     torques = consistency.suspect_torque_constants(ratios, check.inputs.study)
-    if torques is None:
+    if torques is None or torques.code in {each.code for each in check.consistency.suspected}:
         return check
     accept = check.inputs.study.options.accept
     return replace(check, consistency=check.consistency.suspecting(torques, accept=accept))

@@ -30,7 +30,8 @@ def codes_of(folder: Path, *, stiffness: float, hanging: float, sign: float) -> 
         + '[[joint]]\nspring = "rigid"\ngear_ratio = 1.0\n'
         + '[[experiment]]\nname = "m"\nfile = "m.csv"\nuse = "motion"\ncontrol = ["open"]\n'
     )
-    return [s.code for s in check_input(sw.read_study(path), data={"m": log}).suspected]
+    suspected = check_input(sw.read_study(path), data={"m": log}).suspected
+    return [each.code for each in suspected if not each.accepted]  # the fit estimates zeros
 
 
 @pytest.mark.parametrize(("stiffness", "hanging"), [(0.0, 0.0), (0.5, 0.0), (0.0, 2.0)])

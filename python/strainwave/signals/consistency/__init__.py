@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -37,6 +38,8 @@ from strainwave.signals.consistency.urdf_masses import compare_urdf_masses, repo
 
 __all__ = ["check_consistency", "find_doubtful_torque_constant", "suspect_torque_constants"]
 
+# Rivals of a cause that are named with it.
+_MAX_RIVALS = 1
 # Maximum number of combined causes. More simultaneous faults require separate experiments.
 _MAX_CAUSES = 3
 # Kinds of observations that must remain available after a correction.
@@ -103,7 +106,8 @@ def _explain_contradictions(
             likely = [cause.code for cause in ranked if not cause.has_estimated_factor]
         if not ranked:
             break
-        chosen.extend(each.suspicion(evidence.study) for each in (ranked[0], *ranked[0].rivals))
+        rivals = _equal_rivals(evidence, observations, ranked[0])
+        chosen.extend(each.suspicion(evidence.study) for each in (ranked[0], *rivals))
         if not ranked[0].has_estimated_factor or ranked[0].moves_frames:
             structured.append(ranked[0].suspicion(evidence.study))
         evidence = ranked[0].corrected(evidence)
@@ -138,8 +142,7 @@ def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:
     weights: list[tuple[float, Cause]] = []
     for cause in propose_causes(evidence, [o for o in now if o.contradicts]):
         observations = compute_observations(cause.corrected(evidence))
-        tested = [o for o in now if not (cause.moves_frames and o.is_of_link)]
-        after = _contradiction_weight(observations, tested, limit)
+        after = _contradiction_weight(observations, _tested(now, cause), limit)
         if after < limit:
             weights.append((after + _ESTIMATED_FACTOR_PENALTY * cause.has_estimated_factor, cause))
             if (
@@ -149,6 +152,23 @@ def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:
         if after == 0.0 and not cause.moves_frames:  # any fault of the motors can look like frames
             break
     return [cause for _, cause in sorted(weights, key=lambda each: each[0])]
+
+
+def _equal_rivals(evidence: Evidence, now: Sequence[Observation], cause: Cause) -> list[Cause]:
+    """The first rival of a cause that leaves no more contradictions than the cause does."""
+
+    def left_by(each: Cause) -> float:
+        after = compute_observations(each.corrected(evidence))
+        return _contradiction_weight(after, _tested(now, each), np.inf)
+
+    least = left_by(cause) if cause.rivals else 0.0
+    equal = (each for each in cause.rivals if left_by(each) <= least)
+    return [*islice(equal, _MAX_RIVALS)]
+
+
+def _tested(now: Sequence[Observation], cause: Cause) -> list[Observation]:
+    """Observations that must remain available after a correction."""
+    return [o for o in now if not (cause.moves_frames and o.is_of_link)]
 
 
 def _contradiction_weight(

@@ -47,8 +47,9 @@ _MAX_UNEXPLAINED = 0.25
 # Decrease of the cost per independent row of the fit below which a change is not used to predict,
 # no search is started, and a search ends.
 _MIN_DECREASE_TO_PREDICT, _MIN_PREDICTED_DECREASE, _MIN_DECREASE = 0.03, 0.03, 2e-3
-# Probability of the gain by chance, for all explanations together.
-_MAX_CHANCE = 0.01
+# Probability of the gain by chance, for all explanations together; and the gain of half the
+# unexplained variance, which no explanation of a sound log reaches.
+_MAX_CHANCE, _LARGE_GAIN = 0.01, float(np.log(2.0))
 # Log ratio of unexplained variances from which an explanation is listed: of a change with one
 # coordinate, whose size is tested as well; and of other changes.
 _MIN_GAIN_OF_COORDINATE, _MIN_GAIN = 0.1, float(np.log(1.3))
@@ -67,6 +68,8 @@ _TOLERATED_RATIO, _TOLERATED_ANGLE, _TOLERATED_LENGTH = 0.004, 0.03, 0.01
 _TOLERATED_GRAVITY, _TOLERATED_TORQUE = 0.5, 0.1
 # Factors of the torque of one joint in another unit.
 _TORQUE_UNITS = (1e3, 1e-3)
+# Zeros that a search from the stated one does not reach [rad].
+_QUARTER_TURNS = (0.5 * np.pi, -0.5 * np.pi, np.pi)
 _DEGREE = np.pi / 180.0  # [rad]
 _ROTATIONS = ("theta_m", "omega_m", "ref")
 _STANDARD_GRAVITY = 9.81  # [m/s^2]
@@ -98,17 +101,32 @@ def search_explanations(evidence: Evidence) -> tuple[Alternative, ...] | None:
         return None
     search = _Search(evidence, fit_torques(system), predict_stretches(system))
     simple = [*_discrete(evidence), *_angle_units(evidence), *_efforts(evidence, "")]
-    if max(search.fit.unexplained.values()) > _MAX_UNEXPLAINED:
-        simple += [*_joint_exchanges(evidence, "")]
     for record in search.doubtful_records(system):
         simple += [Alternative("payload", None, (), record=record)]
         simple += [*_efforts(evidence, record), *_joint_exchanges(evidence, record)]
     jobs = [partial(search.discrete, each) for each in simple]
     jobs += [partial(search.continuous, *each) for each in search.families()]
+    n_tried = len(jobs)
     found = [each for each in run_parallel(jobs) if each is not None]
-    limit = _MAX_CHANCE / len(jobs)
-    good = [each for each in found if each.gain is not None and each.gain.probability < limit]
-    return tuple(sorted(good, key=lambda each: each.cost))
+    if found or max(search.fit.unexplained.values()) > _MAX_UNEXPLAINED:
+        jobs = [partial(search.discrete, each) for each in _joint_exchanges(evidence, "")]
+        found += [each for each in run_parallel(jobs) if each is not None]
+    if not any(_is_evident(each, _MAX_CHANCE / n_tried) for each in found):
+        return ()
+    rivals = [each for each in found if _is_evident(each, _MAX_CHANCE)]
+    return tuple(sorted(rivals, key=lambda each: each.cost))
+
+
+def _is_evident(each: Alternative, limit: float) -> bool:
+    """Whether the gain is not one of chance, of a probability below `limit`, or large.
+
+    The fault of one record is of no use in the stretches of the others. A load must be large as
+    well, since its many parameters follow the friction of a record.
+    """
+    if each.gain is None:
+        return False
+    is_large, is_likely = each.gain.mean > _LARGE_GAIN, each.gain.probability < limit
+    return (is_large and is_likely) if each.kind == "payload" else (is_large or is_likely)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +142,9 @@ class _Search:
         changed = self.evidence.corrected_in(each.record, each.corrections)
         loaded = each.record if each.kind == "payload" else ""
         system = torque_system(changed, loaded)
-        if system is None or (loaded and _load_inertia(system) < 0.0):
+        # of two records, either can be the one with the load
+        is_one = len({r.experiment.name for r in self.evidence.records}) > 2
+        if system is None or (loaded and is_one and _load_inertia(system) < 0.0):
             return None
         if self.fit.cost - fit_torques(system).cost < _MIN_DECREASE_TO_PREDICT * self.fit.n_all:
             return None
@@ -278,6 +298,9 @@ def _discrete(evidence: Evidence) -> Iterator[Alternative]:
     for i in range(1, arm.n_joints + 1):
         names = [n for n in (f"theta_m{i}", f"omega_m{i}") if n in evidence.channels]
         yield Alternative("angle", i, _scaled(evidence, names, -1.0))
+        if arm.joints[i - 1].motion == "revolute":
+            for angle in _QUARTER_TURNS:
+                yield Alternative("zero", i, _zero(evidence, i, np.array([angle / _ANGLE_STD])))
         for factor in _TORQUE_UNITS:
             scaled = _torque(evidence, i, np.array([np.log(factor) / _RATIO_STD]))
             if scaled:
@@ -310,8 +333,8 @@ def _axes(arm: ArmDescription) -> Iterator[Alternative]:
 
 def _gravities(arm: ArmDescription) -> Iterator[Alternative]:
     """Other directions of the gravity of chains; gravity of planes, where the study states none."""
-    if "gravity" not in arm_keys(arm):
-        return
+    if "gravity" not in arm_keys(arm) or (arm.n_joints == 1 and not arm.gravity):
+        return  # a torque that depends on the angle is not yet one of gravity
     size = arm.gravity_size or _STANDARD_GRAVITY
     others: list[float | Vector | None] = [None if arm.gravity else size]
     if not kind_of(arm).places_joints:
@@ -346,7 +369,7 @@ def _families(evidence: Evidence) -> Iterator[_Family]:
             yield _Family("torque", i, 1, partial(_torque, evidence, i), tolerated)
     step = max(r.sample_time for r in evidence.records) / _DELAY_ROWS
     efforts = [name for i in joints if (name := effort_channel(evidence.channels, i))]
-    angles = [[f"theta_m{i}", f"omega_m{i}"] for i in joints]
+    angles = [[n for n in (f"theta_m{i}", f"omega_m{i}") if n in evidence.channels] for i in joints]
     for names in (efforts, *([name] for name in efforts), *angles):
         joint = channel_parts(names[0])[1] if names is not efforts else None
         late = partial(_delay, names, step)

@@ -46,8 +46,8 @@ _MIN_SINGULAR_VALUE = 1e-6
 _N_ITERATIONS = 3
 # Standard parameters of a link.
 _N_LINK_PARAMETERS = 10
-# Stretches of each record; each is predicted by the links that are fitted to all others.
-_N_FOLDS = 4
+# Rows of a stretch that is predicted by the links fitted to all others: 5 are independent.
+_FOLD_ROWS = 12
 # Smallest unexplained share, so that noise-free torques can be compared.
 _MIN_UNEXPLAINED = 1e-9
 
@@ -272,9 +272,10 @@ def torque_system(evidence: Evidence, loaded: str = "") -> TorqueSystem | None:
     for each, of_links in _blocks(evidence, Arm.base_regressor, "regressor"):
         columns = each.remainder(of_links)
         i, torque = each.joint, each.torque
+        n_folds = max(2, each.n_rows // _FOLD_ROWS)
         if each.record not in records:
-            records += [each.record] * _N_FOLDS
-        parts = np.arange(len(torque)) * _N_FOLDS // len(torque)
+            records += [each.record] * n_folds
+        parts = each.at * n_folds // each.n_rows
         folds.append(records.index(each.record) + parts)
         if loaded:
             of_load = columns[:, -_N_LINK_PARAMETERS:] * (each.record == loaded)
@@ -323,6 +324,8 @@ class _Block:
     record: str
     joint: int  # from 1
     torque: FloatArray  # (n_rows,) [N m] about its mean
+    at: IntArray  # (n_rows,) numbers of the rows in the record, of `n_rows`
+    n_rows: int
     basis: FloatArray  # (n_rows, n) of what its own motor and friction explain
 
     def remainder(self, torques: FloatArray) -> FloatArray:
@@ -365,8 +368,11 @@ def _blocks(
             rows, basis = _recall_basis(evidence, record, i, stretches)
             torque = _strided(compute_motor_torque(record, arm, i), stretches)[rows]
             if basis is not None and np.ptp(torque) > 0.0:
-                block = _Block(record.experiment.name, i + 1, torque - torque.mean(), basis)
-                yield block, of_motors[rows, i]
+                at, place = np.flatnonzero(rows), record.experiment.name
+                yield (
+                    _Block(place, i + 1, torque - torque.mean(), at, len(rows), basis),
+                    of_motors[rows, i],
+                )
 
 
 def _motor_torques(

@@ -19,7 +19,6 @@ _OF_ARM = (
     channels.propose_effort_scales,
     channels.propose_record_signs,
     channels.propose_dead_channels,
-    geometry.propose_explanations,
     commands.propose_time_bases,
     commands.propose_record_clocks,
     commands.propose_input_delays,
@@ -47,6 +46,11 @@ def propose_causes(evidence: Evidence, contradictions: Sequence[Observation]) ->
     if {each.kind for each in contradictions} == {"torque-fit"}:
         yield from geometry.propose_explanations(case)  # they competed on held-out stretches
         return
+    # the factors of link sensors are more accurate than those of torques, but those of chains take
+    # time
+    is_plane = evidence.arm.has_planar_program
+    if not is_plane:
+        yield from geometry.propose_explanations(case)
     for propose in _OF_ARM:
         yield from propose(case)
     estimated_causes: list[Cause] = []
@@ -60,4 +64,6 @@ def propose_causes(evidence: Evidence, contradictions: Sequence[Observation]) ->
                     estimated_causes.append(cause)
                 else:
                     yield cause
+    if is_plane:
+        yield from geometry.propose_explanations(case)
     yield from estimated_causes

@@ -45,6 +45,7 @@ class Cause:
     has_estimated_factor: bool = False  # not a unit, a sign or an exchange
     moves_frames: bool = False
     rivals: tuple[Cause, ...] = ()  # that explain the contradictions equally well
+    is_fitted: bool = False  # the fit estimates it: no reason to stop
     excluded: tuple[str, ...] = ()  # records with the fault; the others do not have it
 
     def corrected(self, evidence: Evidence) -> Evidence:
@@ -75,6 +76,7 @@ class Cause:
             factor=self.factor,
             delay_s=self.delay_s,
             corrections=self.corrections,
+            accepted=self.is_fitted,
         )
 
 

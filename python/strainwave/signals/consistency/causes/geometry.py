@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from strainwave.domain import Clause, Correction, Place
+from strainwave.domain import Clause, Correction, Place, channel_parts
 from strainwave.domain.kinds import kind_of
 from strainwave.signals.consistency.causes.case import Case, Cause, as_rival
 from strainwave.signals.consistency.causes.channels import scale_cause
@@ -16,6 +16,10 @@ from strainwave.signals.consistency.evidence import MIN_SHARE_OF_GAIN, Alternati
 
 # Log ratio within which an estimated reduction is the nearest whole number.
 _REDUCTION_TOLERANCE = 0.01
+# Effects of a fit that estimate what these changes correct, and the largest zero of one of several
+# joints from which the fit finds the true one [rad].
+_ESTIMATED_BY_FIT: Mapping[ChangeKind, str] = {"zero": "encoder-zero", "delay": "torque-delay"}
+_MAX_FITTED_ZERO = 0.5
 # Decimal logarithm within which a factor is that of a unit.
 _UNIT_TOLERANCE = 0.01
 
@@ -23,7 +27,7 @@ _UNIT_TOLERANCE = 0.01
 def propose_explanations(case: Case) -> Iterator[Cause]:
     """Explanations of the torques about as good as the best one, simple ones first.
 
-    Each has another one as its rival, one that moves no frames if possible.
+    The others are its rivals, first those that move no frames.
     """
     found = case.evidence.explanations
     if not found or not case.contradicts("torque-fit"):
@@ -35,7 +39,7 @@ def propose_explanations(case: Case) -> Iterator[Cause]:
     for cause in causes:
         others = [other for other in causes if other.places != cause.places]
         others.sort(key=lambda other: other.moves_frames)
-        yield replace(cause, rivals=tuple(map(as_rival, others[:1])))
+        yield replace(cause, rivals=tuple(map(as_rival, others)))
 
 
 def _gain(each: Alternative) -> float:
@@ -44,11 +48,25 @@ def _gain(each: Alternative) -> float:
 
 def _cause(case: Case, change: Alternative, ratio: float) -> Cause:
     cause = _CAUSES[change.kind](case, change, ratio)
+    effect = _ESTIMATED_BY_FIT.get(change.kind)
     return replace(
         cause,
+        is_fitted=effect is not None and _estimates(case, cause, effect),
         has_estimated_factor=change.kind in _ESTIMATED and cause.factor != -1.0,
         moves_frames=change.kind in ("frame", "robot"),
     )
+
+
+def _estimates(case: Case, cause: Cause, effect: str) -> bool:
+    """Whether the fit estimates what a cause would correct: an effect that it selects.
+
+    It finds the zeros of several joints near the stated ones only.
+    """
+    arm = case.evidence.study.arm
+    joints = {channel_parts(place.channel)[1] for place in cause.places if place.channel}
+    angle = cause.clause.values.get("angle", 0.0)
+    is_near = arm.n_joints == 1 or (isinstance(angle, float) and angle < _MAX_FITTED_ZERO)
+    return is_near and all(effect in arm.joints[i - 1].possible_effects for i in joints)
 
 
 def _axis(case: Case, change: Alternative, ratio: float) -> Cause:
