@@ -64,7 +64,7 @@ def _estimates(case: Case, cause: Cause, effect: str) -> bool:
     """
     arm = case.evidence.study.arm
     joints = {channel_parts(place.channel)[1] for place in cause.places if place.channel}
-    angle = cause.clause.values.get("angle", 0.0)
+    angle = dict(cause.clause.values).get("angle", 0.0)
     is_near = arm.n_joints == 1 or (isinstance(angle, float) and angle < _MAX_FITTED_ZERO)
     return is_near and all(effect in arm.joints[i - 1].possible_effects for i in joints)
 
