@@ -14,6 +14,7 @@ from strainwave.domain.study import Meaning
 
 _DEGREES = 180.0 / np.pi
 _ANGLES = ("theta_m", "theta_l", "deflection", "omega_m", "ref", "gyro", "gx", "gy", "gz")
+_ACCELERATIONS = ("a", "ax", "ay", "az")
 _RATED = (39.0, 27.0, 31.0, 9.0, 13.0, 7.0, 11.0)  # torques [N m] that per cent refer to
 _TORQUE_CONSTANTS = (0.11, 0.087, 0.062, 0.05, 0.071, 0.043, 0.055)  # [N m/A] of the motors
 _GEAR = 100.0  # motor turns per turn of the joint, where the logs state torques at the joints
@@ -21,7 +22,7 @@ _GEAR = 100.0  # motor turns per turn of the joint, where the logs state torques
 
 def faults(given: Input, joint: int) -> Iterator[Case]:
     """Faults of the input; those of one joint in `joint`."""
-    for kind in (_signal_faults, _effort_faults, _record_faults, _sensor_faults, _study_faults):
+    for kind in (_signal_faults, _effort_faults, _record_faults, _study_faults, _sensor_faults):
         for case in kind(given, joint):
             yield case if case.truth is not None else replace(case, truth=given)
 
@@ -150,7 +151,6 @@ def _sensor_faults(given: Input, j: int) -> Iterator[Case]:
 
     constant = given.changed(lambda t: {**t, angle: np.full_like(t["t"], t[angle][0])})
     yield Case("encoder stands still", constant, dead, (j,))
-    yield Case("encoder dithers by a count", given.changed(standing), dead, (j,))
     if len(given.motions) > 1:
         first = given.motions[0]
         one = given.changed(standing, [first])
@@ -163,6 +163,7 @@ def _sensor_faults(given: Input, j: int) -> Iterator[Case]:
         if not given.of_kinds((kind,)):
             drifting = given.changed(lambda t: {**t, name: 30.0 + np.sin(0.7 * t["t"])})  # noqa: B023
             yield Case(f"unrelated {kind}", drifting, dead, (j,), unchecked=name)
+    yield Case("encoder dithers by a count", given.changed(standing), dead, (j,))
 
 
 def _study_faults(given: Input, j: int) -> Iterator[Case]:
@@ -179,10 +180,10 @@ def _study_faults(given: Input, j: int) -> Iterator[Case]:
             for i, each in enumerate(arm.joints, start=1)
         ]
         yield Case("lengths x 0.65", given.stated(*lengths), geometry)
-    else:
+    elif given.of_kinds(_ACCELERATIONS):  # the torques of a planar arm do not depend on its lengths
         short = Correction("arm", "", "link_length", 0.65 * arm.joints[1].origin.xyz[0])
         yield Case("lengths x 0.65", given.stated(short), geometry)
-        if arm.joints[j - 1].accelerometer_distance:
+        if given.of_kinds(("a",), j) and arm.joints[j - 1].accelerometer_distance:
             far = given.stated(_of_joint(given, j, "accelerometer_distance", 1.5))
             yield Case("distance x 1.5", far, geometry, (j,))
     doubled = [

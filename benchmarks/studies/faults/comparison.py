@@ -93,13 +93,13 @@ def _differing_constants(actual: Study, true: Study, tolerance: Tolerance) -> It
 
 
 def _differing_frames(actual: Study, true: Study, tolerance: Tolerance) -> Iterator[str]:
-    """Axes at zero angle, up to a shift of the whole arm and of each frame along its axis."""
+    """Axes as lines at zero angle, up to a shift of the whole arm; and gravity."""
     (p, d), (q, e) = (_axes(study) for study in (actual, true))
     turned = np.arccos(np.clip(np.sum(d * e, axis=1), -1.0, 1.0))
     projectors = np.eye(3) - e[:, :, None] * e[:, None, :]
-    moved = (projectors @ (p - q)[:, :, None])[:, :, 0]
-    shift = np.linalg.lstsq(projectors.reshape(-1, 3), moved.ravel(), rcond=None)[0]
-    moved -= projectors @ shift
+    moved = (projectors @ (p - p[0] - q + q[0])[:, :, None])[:, :, 0]
+    along = projectors @ e[0]
+    moved -= along * (np.vdot(along, moved) / max(np.vdot(along, along), 1e-12))
     reach = float(np.linalg.norm(np.ptp(q, axis=0)))
     for i in range(len(q)):
         if turned[i] > tolerance.angle or np.linalg.norm(moved[i]) > tolerance.length * reach:

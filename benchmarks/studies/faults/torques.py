@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from benchmarks.studies.faults.inputs import EFFORTS, Columns, Input
 from strainwave.domain import FloatArray, channel_parts
@@ -17,6 +18,7 @@ from strainwave.signals.consistency.torque_fit import fit_torques, torque_system
 from strainwave.signals.link_readings import JointMotion
 
 _TRACKING_LAG = 0.01  # [s] of the joints behind their set-point; the desired torque is that early
+_SMOOTHING = 0.01  # [s] of the angles, before they are differentiated
 _WIND_UP = 0.3  # range [rad] of a motor at a locked output, by the stiffness of its gear
 _LOAD_XYZ = (0.0, 0.05, 0.1)  # centre of mass [m] of a load, in the frame of the last link
 
@@ -188,7 +190,8 @@ def _motions(given: Input) -> Iterator[tuple[str, JointMotion, Columns]]:
     for name, table in given.tables.items():
         motors = np.column_stack([table[f"theta_m{i + 1}"] for i in range(arm.n_joints)])
         T = float(np.median(np.diff(table["t"])))
-        yield name, JointMotion.of_motors(motors, arm, T), table
+        smooth = gaussian_filter1d(motors, _SMOOTHING / T, axis=0)
+        yield name, JointMotion.of_motors(smooth, arm, T), table
 
 
 def _links(given: Input) -> FloatArray | None:
