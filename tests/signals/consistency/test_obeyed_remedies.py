@@ -1,0 +1,126 @@
+"""A correction that the check prints is right, or the check objects to the corrected input."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from benchmarks.studies.drawn_chains import draw_chain, simulate_chain
+from benchmarks.studies.faults.cases import faults
+from benchmarks.studies.faults.inputs import Case, Input
+from benchmarks.studies.faults.remedies import obey
+
+from consistency_inputs import Input as Records
+from strainwave.pipeline.inputs import check_input
+
+Cases = dict[str, dict[str, Case]]
+
+
+def in_memory(records: Records) -> Input:
+    logs, study = records
+    return Input(
+        replace(study, channels={}), {log.name: {"t": log.time, **log.channels} for log in logs}
+    )
+
+
+def serial_arm(folder: Path) -> Input:
+    """A drawn chain of three joints with IMUs under gravity: two motions and PRBS of joint 2."""
+    chain = draw_chain(2, (3,), ("imu",))
+    motion, prbs = chain.study.experiments[0], chain.study.experiments[3]
+    check = replace(motion, name="motion-check", file="motion-check.parquet", use="check")
+    study = replace(chain.study, experiments=(motion, check, prbs))
+    simulate_chain(replace(chain, study=study), folder, 2)
+    return Input.read(folder / "study.toml")
+
+
+@pytest.fixture(scope="module")
+def cases(
+    horizontal_arm: Records, vertical_arm: Records, tmp_path_factory: pytest.TempPathFactory
+) -> Cases:
+    """Faults of joint 2 by kind of study and name."""
+    planar = in_memory(horizontal_arm)
+    arms = {
+        "horizontal": planar,
+        "vertical": in_memory(vertical_arm),
+        "serial": serial_arm(tmp_path_factory.mktemp("serial")),
+        "motors only": planar.motors_only(),
+    }
+    return {kind: {case.name: case for case in faults(arm, 2)} for kind, arm in arms.items()}
+
+
+MET = (
+    ("horizontal", "torque reversed"),
+    ("horizontal", "torques exchanged"),
+    ("horizontal", "torque 20 ms late"),
+    ("horizontal", "lengths x 0.65"),
+    ("horizontal", "PRBS clock x 2"),
+    ("horizontal", "dead accelerometer"),
+    ("vertical", "gear ratio 20 %"),
+    ("vertical", "angle reversed"),
+    ("vertical", "joints exchanged"),
+    ("vertical", "all torques in mN m"),
+    ("vertical", "hanging zero pi"),
+    ("vertical", "torque reversed in one record"),
+    ("serial", "all torques reversed"),
+    ("serial", "effort without gravity"),
+    ("serial", "exchanged in one record"),
+    ("motors only", "everything in degrees"),
+    ("motors only", "all torques 20 ms late"),
+    ("motors only", "torques exchanged"),
+)
+
+MISSED = "the check does not see the fault"
+ASTRAY = "the check accepts the input after a correction of another value"
+UNMET = {
+    ("horizontal", "gear ratio 20 %"): "the check accepts a ratio that is 2 % off",
+    ("horizontal", "angle 20 ms late"): ASTRAY,
+    ("horizontal", "effort without friction"): ASTRAY,
+    ("horizontal", "t of PRBS records x 1.05"): ASTRAY,
+    ("horizontal", "zero 1.6 rad"): MISSED,
+    ("horizontal", "torque x 0.8"): MISSED,
+    ("horizontal", "current loop ten times too slow"): MISSED,
+    ("vertical", "angle 20 ms late"): ASTRAY,
+    ("vertical", "exchanged in one record"): ASTRAY,
+    ("vertical", "effort without gravity"): MISSED,
+    ("vertical", "payload in one record"): MISSED,
+    ("vertical", "torque 20 ms late"): MISSED,
+    ("vertical", "encoder stands still"): MISSED,
+    ("serial", "gear ratio x 1.25, motors only"): ASTRAY,
+    ("serial", "zero 1.6 rad"): ASTRAY,
+    ("serial", "torques in A"): ASTRAY,
+    ("serial", "effort without friction"): MISSED,
+    ("serial", "payload in one record"): MISSED,
+    ("serial", "files exchanged"): MISSED,
+    ("motors only", "exchanged in one record"): ASTRAY,
+    ("motors only", "files exchanged"): ASTRAY,
+    ("motors only", "gear ratio x 1.25, motors only"): MISSED,
+    ("motors only", "torques in A"): MISSED,
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "fault"),
+    [
+        *MET,
+        *(
+            pytest.param(*names, marks=pytest.mark.xfail(strict=True, reason=reason))
+            for names, reason in UNMET.items()
+        ),
+    ],
+)
+def test_obeyed_remedies_are_right_or_the_check_objects(
+    cases: Cases, kind: str, fault: str
+) -> None:
+    case = cases[kind][fault]
+    suspected = check_input(case.given.study, data=case.given.tables).suspected
+    assert suspected
+    obedience = obey(case, suspected)
+    assert obedience.remedy in ("right", "objects", "none"), obedience.differing
+
+
+def test_the_inputs_without_a_fault_are_consistent(cases: Cases) -> None:
+    for kind in cases:
+        truth = cases[kind]["torque reversed"].truth
+        assert truth is not None
+        assert check_input(truth.study, data=truth.tables).suspected == ()
