@@ -1,10 +1,10 @@
-"""Text of warnings and places: a template for each code, or for each variant of a code.
+"""Text of warnings, suspected faults and places: a template for each code or variant of a code.
 
-`warnings.toml` has all that a reader learns of a warning: messages, meaning and remedy. A template
-is a format string. Conversions: `!p` per cent, `!m` thousandths, `!u` millionths, `!a` a list with
-commas and "and", `!o` with ", or ", `!e` with ", and ", and `!s` with semicolons. `|` ends the
-observation of a warning and is not part of the text. `domain.fault_messages` has the templates of
-suspected faults.
+`warnings.toml` has all that a reader learns of a warning: messages, meaning and remedy;
+`faults.toml` has that of a suspected fault. A template is a format string, whose fields are values
+or `[parts]` that templates share. Conversions: `!p` per cent, `!m` thousandths, `!u` millionths,
+`!a` a list with commas and "and", `!o` with ", or ", `!e` with ", and ", and `!s` with semicolons.
+`|` ends the observation of a warning and is not part of the text.
 """
 
 from __future__ import annotations
@@ -18,14 +18,19 @@ from string import Formatter
 from typing import Any
 
 from strainwave.domain.clauses import Clause, Place, Span, Value
-from strainwave.domain.fault_messages import FAULTS
 
 
 @cache
 def catalogue() -> dict[str, dict[str, Any]]:
     """Every warning by its code, as `warnings.toml` has it, the most serious first."""
-    warnings: dict[str, dict[str, Any]] = _catalogue_file()["warnings"]
+    warnings: dict[str, dict[str, Any]] = _tables("warnings")["warnings"]
     return warnings
+
+
+@cache
+def fault_codes() -> tuple[str, ...]:
+    """Codes of suspected faults of the input."""
+    return tuple(_tables("faults")["codes"])
 
 
 @cache
@@ -36,12 +41,12 @@ def templates() -> dict[str, str]:
         for code, entry in catalogue().items()
         for variant, template in entry["message"].items()
     }
-    return {**of_warnings, **_catalogue_file()["clauses"], **FAULTS}
+    return {**of_warnings, **_tables("warnings")["clauses"], **_tables("faults")["templates"]}
 
 
 @cache
-def _catalogue_file() -> dict[str, Any]:
-    return tomllib.loads(Path(__file__).with_name("warnings.toml").read_text(encoding="utf-8"))
+def _tables(name: str) -> dict[str, Any]:
+    return tomllib.loads(Path(__file__).with_name(f"{name}.toml").read_text(encoding="utf-8"))
 
 
 _LINKS = {"a": (", ", " and "), "o": (", or ",) * 2, "e": (", and ",) * 2, "s": ("; ",) * 2}
@@ -94,6 +99,10 @@ def _render(template: str, values: Mapping[str, Value]) -> str:
 
 class _Rendering(Formatter):
     """Format strings whose values are clauses, places and lists of these."""
+
+    def get_value(self, key: int | str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
+        part = _tables("faults")["parts"].get(key)
+        return _render(part, kwargs) if part else super().get_value(key, args, kwargs)
 
     def convert_field(self, value: Value, conversion: str | None) -> Value | _List:
         if conversion in _LINKS:

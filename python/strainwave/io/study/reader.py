@@ -32,8 +32,8 @@ from strainwave.domain import (
     gear_laws,
 )
 from strainwave.domain.arm import Matrix, Positive
-from strainwave.domain.fault_messages import FAULT_CODES
 from strainwave.domain.kinds import Kind, all_kinds, kind_named
+from strainwave.domain.messages import fault_codes
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.urdf import UrdfJoint, read_urdf
 
@@ -124,11 +124,11 @@ class Reader:
     def _accepted(self, codes: Any) -> tuple[str, ...]:
         """Codes of suspected faults that are accepted."""
         for code in codes if isinstance(codes, list | tuple) else [codes]:
-            if code not in FAULT_CODES:
+            if code not in fault_codes():
                 raise InvalidInput(
                     f"'accept' has the code {code!r}, which no suspected fault has",
                     where=self.place("options", None, "accept"),
-                    remedy=f"write a list of codes: {', '.join(FAULT_CODES)}",
+                    remedy=f"write a list of codes: {', '.join(fault_codes())}",
                 )
         return tuple(codes)
 
