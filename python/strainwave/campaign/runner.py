@@ -82,7 +82,10 @@ class Runner:
             code, message = self._death()
         else:
             self._done += 1
-            self._replace_if_due(float(answer.pop("resident_mib")))
+            limit = self._limits.memory_mib
+            allowed = _MAX_RESIDENT_MIB if limit is None else 0.5 * limit
+            if self._done >= self._limits.tasks or float(answer.pop("resident_mib")) > allowed:
+                self.close()
             return Outcome(**answer)
         if self._stopped:
             raise Stopping
@@ -195,12 +198,6 @@ class Runner:
         fatal = [line for line in printed if line.startswith(_FATAL_PREFIXES)]
         candidates = [*printed[-1:], *fatal[-1:]]
         return f": {candidates[-1]}" if candidates else ""
-
-    def _replace_if_due(self, resident_mib: float) -> None:
-        limit = self._limits.memory_mib
-        allowed = _MAX_RESIDENT_MIB if limit is None else 0.5 * limit
-        if self._done >= self._limits.tasks or resident_mib > allowed:
-            self.close()
 
     def _end(self) -> None:
         with self._mutex:

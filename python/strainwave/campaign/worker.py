@@ -43,7 +43,11 @@ def perform(task: Task) -> Record:
         )
 
     try:
-        _check_version(task)
+        if task.version != __version__:
+            raise InvalidInput(
+                f"the worker has strainwave {__version__}, the campaign {task.version}",
+                remedy="install the same version where the workers run",
+            )
         with task.case.opened() as opened:
             classes = opened.classes
             identification = pipeline.identify(
@@ -62,14 +66,6 @@ def perform(task: Task) -> Record:
         return failed("the run needs more memory than its limit", 1)
     except Exception as error:  # a bug fails this study, not the campaign
         return failed(_sentence(error), 1)
-
-
-def _check_version(task: Task) -> None:
-    if task.version != __version__:
-        raise InvalidInput(
-            f"the worker has strainwave {__version__}, the campaign {task.version}",
-            remedy="install the same version where the workers run",
-        )
 
 
 def _sentence(error: Exception) -> str:

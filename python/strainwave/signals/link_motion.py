@@ -306,7 +306,8 @@ def _compute_link_motion(view: _FilteredLog, motor_velocity: FloatArray) -> _Lin
             motion.angle[:, i], motion.velocity[:, i] = angle, slow
             motion.acceleration[:, i] = differentiate(slow, T)
             continue
-        acceleration = _acceleration(arm, read, i, motion)
+        still = replace(motion, acceleration=motion.without(i).acceleration)
+        acceleration = (read - read_accelerometer(arm, still, i)) / acceleration_gain(arm.joints[i])
         links.bias[i] = bias_of(acceleration, slow, T, view.edge)
         acceleration = acceleration - links.bias[i]
         fusion = Fusion(view.options.time_constant, view.options.order)
@@ -330,12 +331,6 @@ def _low_frequency_motion(
     elif f"deflection{i + 1}" in channels:
         motor_side = motor_side + view.through(channels[f"deflection{i + 1}"])
     return motor_side, differentiate(motor_side, view.log.sample_time)
-
-
-def _acceleration(arm: Arm, read: FloatArray, i: int, motion: JointMotion) -> FloatArray:
-    """Relative link acceleration from an accelerometer signal: (8), (9) with gravity."""
-    still = replace(motion, acceleration=motion.without(i).acceleration)
-    return (read - read_accelerometer(arm, still, i)) / acceleration_gain(arm.joints[i])
 
 
 def _find_valid_samples(view: _FilteredLog) -> tuple[BoolArray, list[Diagnostic]]:

@@ -75,7 +75,14 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
             )
         if joint.imu is not None:
             _check_imu(arm, index, joint.imu, reader.place("joint", index, "imu"))
-        _check_limits(joint.limits or JointLimits(), reader.place("joint", index, "limits"))
+        limits = joint.limits or JointLimits()
+        lower, upper = limits.lower, limits.upper
+        if lower is not None and upper is not None and lower >= upper:
+            raise InvalidInput(
+                f"the lower limit of the joint, {lower:g}, is not below the upper, {upper:g}",
+                where=reader.place("joint", index, "limits"),
+                remedy="correct the limits",
+            )
         _check_effects(index, joint, reader.place("joint", index, "effects"))
     if arm.coupling is not None:
         _check_coupling(arm.coupling, arm, reader.place("transmission", None, "coupling"))
@@ -126,16 +133,6 @@ def _check_imu(arm: ArmDescription, index: int, imu: Imu, place: str) -> None:
             "the link of this joint only slides, so that readings do not show the IMU's mounting",
             where=place,
             remedy=f"give xyz and rpy; or {along}",
-        )
-
-
-def _check_limits(limits: JointLimits, place: str) -> None:
-    lower, upper = limits.lower, limits.upper
-    if lower is not None and upper is not None and lower >= upper:
-        raise InvalidInput(
-            f"the lower limit of the joint, {lower:g}, is not below the upper, {upper:g}",
-            where=place,
-            remedy="correct the limits",
         )
 
 
