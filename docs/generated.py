@@ -1,7 +1,7 @@
 """Write what pages take from the package's data: `python docs/generated.py`.
 
-These are the sections of warnings in troubleshooting.md and the tables of options in study.md,
-tune.md and excite.md.
+These are the sections of warnings in troubleshooting.md, the tables of keys and options in
+study.md, and those of options in tune.md and excite.md.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from textwrap import fill
 from strainwave.commands import command_texts
 from strainwave.domain.messages import catalogue
 from strainwave.domain.options import option_texts
+from strainwave.domain.study_keys import study_keys
 
 HERE = Path(__file__).parent
 _WIDTH = 120  # columns
@@ -45,8 +46,20 @@ def _renewed_section(text: str) -> str:
     return "\n\n".join(parts) + "\n\n"
 
 
-def with_options(page: str) -> str:
-    """The page with the table of all options of a study."""
+def with_study_keys(page: str) -> str:
+    """The page with the tables of the keys of a study, and of its options."""
+    for table in ("arm", "joint", "servo"):
+        title = next(line for line in page.splitlines() if re.match(rf"## \[+{table}\]", line))
+        head, title, rest = page.partition(f"{title}\n")
+        rows = [
+            f"| `{each.key}` | {each.unit} | {each.default} | {each.meaning} |"
+            for each in study_keys()[table]
+        ]
+        page = head + title + _with_table(rest, "key | unit | default | meaning", rows)
+    return _with_options(page)
+
+
+def _with_options(page: str) -> str:
     rows = [
         f"| `{stage}.{key}` | {text['default']} | {text['meaning']} {text['reason']} |"
         for stage, each in option_texts().items()
@@ -72,7 +85,7 @@ def _with_table(page: str, heads: str, rows: list[str]) -> str:
 
 PAGES = {
     HERE / "troubleshooting.md": with_warnings,
-    HERE / "study.md": with_options,
+    HERE / "study.md": with_study_keys,
     HERE / "tune.md": partial(with_command, "tune"),
     HERE / "excite.md": partial(with_command, "excite"),
 }

@@ -132,7 +132,6 @@ from strainwave.domain.study import Use as Use
 from strainwave.domain.study import channel_kinds as channel_kinds
 from strainwave.domain.study import channel_names as channel_names
 from strainwave.domain.study import channel_parts as channel_parts
-from strainwave.domain.study_limits import SizeLimit as SizeLimit
 from strainwave.domain.verdict import Status as Status
 from strainwave.domain.verdict import Validation as Validation
 from strainwave.domain.verdict import Verdict as Verdict
