@@ -6,10 +6,9 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from strainwave.domain.clauses import Clause, Place
 from strainwave.domain.estimates import Diagnostic, Suspicion
 from strainwave.domain.link_sensors import link_channel_kinds
-from strainwave.domain.messages import places_text, text_of
+from strainwave.domain.messages import Clause, Place, places_text, text_of
 from strainwave.domain.study import Study, channel_parts
 
 _LINK_GEOMETRY = ("accelerometer_distance", "link_length")

@@ -11,9 +11,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from strainwave.domain.arm import ArmDescription, Joint
-from strainwave.domain.clauses import Clause, Place
 from strainwave.domain.estimates import Diagnostic, Parameter
 from strainwave.domain.gear_laws import is_slope
+from strainwave.domain.messages import Clause, Place
 from strainwave.domain.parameter_table import Range, base_name, parameter_table
 
 

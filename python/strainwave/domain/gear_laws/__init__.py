@@ -10,12 +10,10 @@ from collections.abc import Collection, Mapping
 from functools import cache
 from types import MappingProxyType
 
-from strainwave.domain.gear_laws.cubic import Cubic
 from strainwave.domain.gear_laws.interface import STIFFNESS as STIFFNESS
 from strainwave.domain.gear_laws.interface import GearLaw as GearLaw
 from strainwave.domain.gear_laws.interface import GearParameter as GearParameter
-from strainwave.domain.gear_laws.linear import Linear
-from strainwave.domain.gear_laws.rigid import Rigid
+from strainwave.domain.gear_laws.smooth import Cubic, Linear, Rigid
 from strainwave.domain.gear_laws.three_slope import ThreeSlope
 from strainwave.domain.parameter_table import parameter_table
 from strainwave.domain.registry import Registry

@@ -15,6 +15,8 @@ import numpy as np
 
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors.accelerometer import Accelerometer
+from strainwave.domain.link_sensors.encoders import LinkEncoder, MotorEncoder
+from strainwave.domain.link_sensors.gear_sensors import TorqueSensor, TorsionSensor
 from strainwave.domain.link_sensors.gyro import Gyro
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros
 from strainwave.domain.link_sensors.interface import (
@@ -25,11 +27,7 @@ from strainwave.domain.link_sensors.interface import (
     SensorConstant,
     TypicalSensor,
 )
-from strainwave.domain.link_sensors.link_encoder import LinkEncoder
 from strainwave.domain.link_sensors.link_space import link_space
-from strainwave.domain.link_sensors.motor_encoder import MotorEncoder
-from strainwave.domain.link_sensors.torque_sensor import TorqueSensor
-from strainwave.domain.link_sensors.torsion_sensor import TorsionSensor
 from strainwave.domain.parameter_table import base_name
 from strainwave.domain.registry import Registry
 from strainwave.errors import InvalidInput
