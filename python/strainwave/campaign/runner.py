@@ -20,7 +20,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import IO, Any
 
-from strainwave.campaign.store import Store, failure_of, now, worker_name
+from strainwave.campaign.records import failure_of, now, worker_name
+from strainwave.campaign.store import Store
 from strainwave.campaign.study_files import Case
 from strainwave.campaign.tasks import FAILED_STATUS, Limits, Outcome, Task, merged
 from strainwave.domain import Stage

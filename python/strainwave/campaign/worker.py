@@ -18,7 +18,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, TextIO
 
 from strainwave import __version__
-from strainwave.campaign.store import Record, Store, failure_of, now, record_of
+from strainwave.campaign.records import Record, failure_of, now, record_of
+from strainwave.campaign.store import Store
 from strainwave.campaign.tasks import FAILED_STATUS, Outcome, Task
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 

@@ -132,6 +132,7 @@ from strainwave.domain.study import Use as Use
 from strainwave.domain.study import channel_kinds as channel_kinds
 from strainwave.domain.study import channel_names as channel_names
 from strainwave.domain.study import channel_parts as channel_parts
+from strainwave.domain.study_keys import StudyKey as StudyKey
 from strainwave.domain.verdict import Status as Status
 from strainwave.domain.verdict import Validation as Validation
 from strainwave.domain.verdict import Verdict as Verdict

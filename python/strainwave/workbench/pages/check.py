@@ -17,8 +17,8 @@ from strainwave.io.atomic_files import decode
 from strainwave.presentation.figures import Axis, Colour, Figure, Line, Panel, decimate
 from strainwave.presentation.plotly_backend import plotly
 from strainwave.presentation.report.predictions import unit_of
+from strainwave.workbench.cached_files import log_of, study_at
 from strainwave.workbench.gate import Gate, gate_of, override_check, run_check
-from strainwave.workbench.signal_views import log_of, study_at
 from strainwave.workbench.study_edit import correction_changes, edit_study
 from strainwave.workbench.web import Body, get_json, get_page, message_of, page, post_json, study_of
 

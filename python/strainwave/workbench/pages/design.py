@@ -15,9 +15,9 @@ from strainwave.commands import command_texts
 from strainwave.errors import InvalidInput
 from strainwave.presentation.figures import Axis, Colour, Figure, Line, Panel, decimate
 from strainwave.presentation.plotly_backend import plotly
+from strainwave.workbench.cached_files import study_at
 from strainwave.workbench.pages.runs import describe, log_lines
 from strainwave.workbench.runs import RUN_FILES, Run, Runs
-from strainwave.workbench.signal_views import study_at
 from strainwave.workbench.web import (
     Body,
     get_json,

@@ -18,11 +18,11 @@ from strainwave.io.atomic_files import decode, write_whole
 from strainwave.pipeline import check_stages
 from strainwave.presentation.figures import DOTTED, Axis, Colour, Figure, Line, Panel, Upright
 from strainwave.presentation.plotly_backend import plotly
+from strainwave.workbench.cached_files import study_at
 from strainwave.workbench.gate import gate_of, require_open
 from strainwave.workbench.option_form import option_arguments, option_groups
 from strainwave.workbench.pages.runs import describe, runs_of
 from strainwave.workbench.runs import Run, Runs, status_of
-from strainwave.workbench.signal_views import study_at
 from strainwave.workbench.web import (
     Body,
     get_json,
