@@ -52,7 +52,8 @@ def client(folder: Path) -> TestClient:
     pytest.importorskip("starlette")
     from starlette.testclient import TestClient
 
-    from strainwave.workbench.server import ServerOptions, create_app
+    from strainwave.workbench.app import create_app
+    from strainwave.workbench.server import ServerOptions
 
     app = create_app(ServerOptions(folder), 8765)
     return TestClient(app, base_url="http://127.0.0.1:8765", raise_server_exceptions=True)

@@ -20,10 +20,11 @@ from starlette.routing import Route
 from starlette.testclient import TestClient
 
 import strainwave as sw
+from strainwave.workbench.app import create_app
 from strainwave.workbench.gate import run_check
 from strainwave.workbench.pages import ROUTES
 from strainwave.workbench.runs import Run, Runs
-from strainwave.workbench.server import ServerOptions, create_app
+from strainwave.workbench.server import ServerOptions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

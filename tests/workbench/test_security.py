@@ -81,7 +81,7 @@ def test_an_address_for_other_machines_needs_a_token(tmp_path: Path, host: str) 
 def test_a_client_needs_the_token(folder: Path) -> None:
     from starlette.testclient import TestClient
 
-    from strainwave.workbench.server import create_app
+    from strainwave.workbench.app import create_app
 
     app = create_app(ServerOptions(folder, "0.0.0.0", token="secret"), 8765)
     client = TestClient(app, base_url="http://rig.example:8765")

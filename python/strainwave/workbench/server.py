@@ -1,4 +1,4 @@
-"""The web application: its pages, files and protection, and the server that starts it."""
+"""Start the workbench."""
 
 from __future__ import annotations
 
@@ -6,21 +6,9 @@ import ipaddress
 import os
 import socket
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 
-from starlette.applications import Starlette
-from starlette.middleware import Middleware
-from starlette.requests import Request
-from starlette.responses import FileResponse, Response
-from starlette.routing import Mount, Route
-from starlette.staticfiles import StaticFiles
-
 from strainwave.errors import InvalidInput, import_optional
-from strainwave.workbench.pages import ROUTES
-from strainwave.workbench.security import Guard, allowed_hosts
-from strainwave.workbench.web import HANDLED, HERE, error_response
-from strainwave.workbench.workspace import Workspace
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +60,7 @@ def serve(options: ServerOptions) -> None:
     uvicorn = import_optional("uvicorn", "the workbench", "strainwave[serve]")
     for module in ("starlette", "tomlkit"):
         import_optional(module, "the workbench", "strainwave[serve]")
-    from strainwave.workbench.server import create_app
+    from strainwave.workbench.app import create_app
 
     listener = _listen(options)
     port = listener.getsockname()[1]
@@ -101,31 +89,3 @@ def _listen(options: ServerOptions) -> socket.socket:
             remedy="choose another port, or 0 for any free one",
         ) from error
     return listener
-
-
-_DAY = "max-age=86400"
-
-
-def create_app(options: ServerOptions, port: int) -> Starlette:
-    """The application that serves a folder on a port."""
-    hosts = allowed_hosts(options.host, port) if options.is_local else None
-    app = Starlette(
-        routes=[
-            *ROUTES,
-            Route("/plotly.js", _plotly),
-            Mount("/static", StaticFiles(directory=HERE / "static")),
-        ],
-        middleware=[Middleware(Guard, hosts=hosts, token=options.token)],
-        exception_handlers=dict.fromkeys(HANDLED, error_response),
-    )
-    app.state.workspace = Workspace(options.folder.resolve(), options.max_upload_mib << 20)
-    return app
-
-
-def _plotly(_request: Request) -> Response:
-    """The script of the installed plotly package, which reports contain as well."""
-    spec = find_spec("plotly")
-    if spec is None or spec.origin is None:
-        raise ModuleNotFoundError("plotly")
-    script = Path(spec.origin).parent / "package_data" / "plotly.min.js"
-    return FileResponse(script, media_type="text/javascript", headers={"cache-control": _DAY})

@@ -1,6 +1,6 @@
-"""Elastic laws of gears: one file for each value of `spring` in a study's `[[joint]]` table.
+"""Elastic laws of gears: a class for each value of `spring` in a study's `[[joint]]` table.
 
-A new law needs a file in this package, an entry in `_LAWS`, and its equations in
+A new law needs a class in this package, an entry in `_LAWS`, and its equations in
 `rust/core/src/joint`. All other code asks the law of a joint.
 """
 

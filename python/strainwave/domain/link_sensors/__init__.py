@@ -1,6 +1,6 @@
-"""Link sensors: one file per type.
+"""Link sensors: a class per type.
 
-A new type needs a file in this package and an entry in `_TYPES`, and simulated quantities of the
+A new type needs a class in this package and an entry in `_TYPES`, and simulated quantities of the
 core. All other code loops over the sensors of a joint.
 """
 
