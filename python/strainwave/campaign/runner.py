@@ -83,9 +83,9 @@ class Runner:
             code, message = self._death()
         else:
             self._done += 1
-            limit = self._limits.memory_mib
+            limit, resident = self._limits.memory_mib, float(answer.pop("resident_mib"))
             allowed = _MAX_RESIDENT_MIB if limit is None else 0.5 * limit
-            if self._done >= self._limits.tasks or float(answer.pop("resident_mib")) > allowed:
+            if self._done >= self._limits.tasks or resident > allowed:
                 self.close()
             return Outcome(**answer)
         if self._stopped:
