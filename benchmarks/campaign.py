@@ -27,7 +27,8 @@ from rich.table import Table
 from benchmarks.console import Console
 from strainwave import pipeline
 from strainwave.campaign import Settings, run
-from strainwave.campaign.store import PARAMETERS_SCHEMA, RUNS_SCHEMA, Record, Store
+from strainwave.campaign.records import PARAMETERS_SCHEMA, RUNS_SCHEMA, Record
+from strainwave.campaign.store import Store
 from strainwave.numerics.parallel import configure_process
 
 SMALL_ARM = Path(__file__).resolve().parents[1] / "tests" / "data" / "small-arm"

@@ -1,16 +1,20 @@
 """Write what pages take from the package's data: `python docs/generated.py`.
 
-These are the sections of warnings in troubleshooting.md and the table of options in study.md.
+These are the sections of warnings in troubleshooting.md, the tables of keys and options in
+study.md, and those of options in tune.md and excite.md.
 """
 
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 from textwrap import fill
 
+from strainwave.commands import command_texts
 from strainwave.domain.messages import catalogue
 from strainwave.domain.options import option_texts
+from strainwave.domain.study_keys import study_keys
 
 HERE = Path(__file__).parent
 _WIDTH = 120  # columns
@@ -42,20 +46,49 @@ def _renewed_section(text: str) -> str:
     return "\n\n".join(parts) + "\n\n"
 
 
-def with_options(page: str) -> str:
-    """The page with the table of all options."""
-    head, heading, rest = page.partition(
-        "| stage, key | default | meaning, and reason of the default |\n|---|---|---|\n"
-    )
+def with_study_keys(page: str) -> str:
+    """The page with the tables of the keys of a study, and of its options."""
+    for table in ("arm", "joint", "servo"):
+        title = next(line for line in page.splitlines() if re.match(rf"## \[+{table}\]", line))
+        head, title, rest = page.partition(f"{title}\n")
+        rows = [
+            f"| `{each.key}` | {each.unit} | {each.default} | {each.meaning} |"
+            for each in study_keys()[table]
+        ]
+        page = head + title + _with_table(rest, "key | unit | default | meaning", rows)
+    return _with_options(page)
+
+
+def _with_options(page: str) -> str:
     rows = [
-        f"| `{stage}.{key}` | {text['default']} | {text['meaning']} {text['reason']} |\n"
+        f"| `{stage}.{key}` | {text['default']} | {text['meaning']} {text['reason']} |"
         for stage, each in option_texts().items()
         for key, text in each["options"].items()
     ]
-    return head + heading + "".join(rows) + "\n" + rest.partition("\n\n")[2]
+    return _with_table(page, "stage, key | default | meaning, and reason of the default", rows)
 
 
-PAGES = {HERE / "troubleshooting.md": with_warnings, HERE / "study.md": with_options}
+def with_command(command: str, page: str) -> str:
+    """The page with the table of the options of a command."""
+    rows = [
+        f"| `--{name}` | {text.get('unit', '')} | {text.get('value') or text.get('default', '')} |"
+        f" {text['help']} |"
+        for name, text in command_texts()[command].items()
+    ]
+    return _with_table(page, "option | unit | default | meaning", rows)
+
+
+def _with_table(page: str, heads: str, rows: list[str]) -> str:
+    head, heading, rest = page.partition(f"| {heads} |\n{'|---' * (heads.count('|') + 1)}|\n")
+    return head + heading + "".join(f"{row}\n" for row in rows) + "\n" + rest.partition("\n\n")[2]
+
+
+PAGES = {
+    HERE / "troubleshooting.md": with_warnings,
+    HERE / "study.md": with_study_keys,
+    HERE / "tune.md": partial(with_command, "tune"),
+    HERE / "excite.md": partial(with_command, "excite"),
+}
 """Pages, and the function that renews the text of each."""
 
 if __name__ == "__main__":

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
-from strainwave.campaign.store import Record, Store
+from strainwave.campaign.records import Record
+from strainwave.campaign.store import Store
 
 DAY = datetime(2026, 1, 1)
 

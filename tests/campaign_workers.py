@@ -10,7 +10,7 @@ import signal
 import time
 
 from strainwave.campaign import worker
-from strainwave.campaign.store import Record
+from strainwave.campaign.records import Record
 from strainwave.campaign.study_files import StudyFile
 from strainwave.campaign.tasks import Task
 

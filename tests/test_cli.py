@@ -18,6 +18,7 @@ import studies
 import visited_arms
 from command_line import run_here
 from strainwave import cli
+from strainwave.commands import command_texts
 from strainwave.io.study import write_study
 from strainwave.virtual import experiments as virtual
 from strainwave.virtual import scara
@@ -294,6 +295,19 @@ def test_help_shows_the_unit_or_the_form_of_each_value() -> None:
     ]
     assert plain == []
     assert "--bandwidth HZ" in run_here("tune", "--help").stdout
+
+
+def test_the_commands_and_their_texts_have_the_same_options_and_defaults() -> None:
+    commands = getattr(typer.main.get_command(cli.app), "commands")  # noqa: B009 - as above
+    used = set()
+    for name, texts in command_texts().items():
+        for option in commands[name].params if name in commands else []:
+            key = option.name.replace("_", "-")
+            used.add((name, key))
+            if key in texts and "value" in texts[key]:
+                assert str(option.default) == texts[key]["value"], (name, key)
+    own = {(name, key) for name in commands for key in command_texts().get(name, ())}
+    assert own <= used
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import strainwave as sw
 from strainwave.cli import app
 from strainwave.domain import Channel, Clause, Consistency, InputCheck, Place, Suspicion
-from strainwave.domain.consistency import RELATION_TEXTS
+from strainwave.domain.messages import templates
 from strainwave.io.check_document import check_document
 from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import identify
@@ -44,7 +44,8 @@ def printed(check: InputCheck) -> str:
 
 
 def test_every_kind_of_relation_has_a_text() -> None:
-    assert set(RELATION_TEXTS) == {"clipped", *get_args(Kind)}
+    kinds = {key.partition("/")[2] for key in templates() if key.startswith("relation/")}
+    assert kinds == {"clipped", *get_args(Kind)}
 
 
 def test_consistent_input() -> None:

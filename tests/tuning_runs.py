@@ -24,7 +24,7 @@ from strainwave.domain import (
 from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import Axis
 from strainwave.domain.link_sensors.accelerometer import Accelerometer
-from strainwave.domain.link_sensors.link_encoder import LinkEncoder
+from strainwave.domain.link_sensors.encoders import LinkEncoder
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, simulate

@@ -13,11 +13,12 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from textwrap import shorten
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
 from strainwave import __version__
+from strainwave.commands import command_texts
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 
 app = typer.Typer(
@@ -29,44 +30,32 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-Out = Annotated[Path, typer.Option(help="Directory for the results.", metavar="DIR")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
-StudyFile = Annotated[Path, typer.Argument(help="The study file.", metavar="STUDY.toml")]
-ResultFile = Annotated[
-    Path, typer.Argument(help="A result.json, or a directory with one.", metavar="RESULT")
-]
-ChangedStudy = Annotated[
-    Path | None,
-    typer.Option(
-        help="Study file with other gear ratios, lengths, servo or limits.", metavar="STUDY.toml"
-    ),
-]
-Figures = Annotated[
-    bool, typer.Option("--figures", help="Also write every figure as SVG and PNG to DIR/figures.")
-]
-Stages = Annotated[
-    str | None,
-    typer.Option(
-        help="Run only the first of the stages rigid,decoupled,tuned.", metavar="STAGE,..."
-    ),
-]
-Overrides = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        help="An option of a stage, which overrides the study: links.order=1; repeat for more.",
-        metavar="STAGE.KEY=VALUE",
-    ),
-]
-Accepted = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--accept",
-        help="Code of a suspected fault that does not decide the status; repeat for more.",
-        metavar="CODE",
-    ),
-]
-Seed = Annotated[int, typer.Option(help="Seed of all random numbers.", metavar="INTEGER")]
+
+def _option(name: str, *flags: str, **limits: Any) -> Any:
+    """An option with the texts of `commands.toml` under its command and name."""
+    command, _, option = name.partition(".")
+    texts = command_texts()[command][option]
+    shown = texts.get("default", True)
+    return typer.Option(
+        *flags, help=texts["help"], metavar=texts.get("metavar"), show_default=shown, **limits
+    )
+
+
+def _argument(name: str) -> Any:
+    command, _, argument = name.partition(".")
+    return typer.Argument(**command_texts()[command][argument])
+
+
+Out = Annotated[Path, _option("shared.out")]
+Quiet = Annotated[bool, _option("shared.quiet", "--quiet", "-q")]
+StudyFile = Annotated[Path, _argument("shared.study")]
+ResultFile = Annotated[Path, _argument("shared.result")]
+ChangedStudy = Annotated[Path | None, _option("shared.changed-study")]
+Figures = Annotated[bool, _option("shared.figures", "--figures")]
+Stages = Annotated[str | None, _option("shared.stages")]
+Overrides = Annotated[list[str] | None, _option("shared.set", "--set")]
+Accepted = Annotated[list[str] | None, _option("shared.accept", "--accept")]
+Seed = Annotated[int, _option("shared.seed")]
 
 DONE, INPUT_AT_FAULT, NOT_DETERMINED, CHANGED = 0, 2, 3, 4
 
@@ -75,11 +64,8 @@ _prints_progress_as_json = ContextVar("prints_progress_as_json", default=False)
 
 @app.callback(invoke_without_command=True)
 def _root(
-    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
-    progress_json: Annotated[
-        bool,
-        typer.Option("--progress-json", help="Print the progress on stderr, a line of JSON each."),
-    ] = False,
+    version: Annotated[bool, _option("strainwave.version", "--version")] = False,
+    progress_json: Annotated[bool, _option("strainwave.progress-json", "--progress-json")] = False,
 ) -> None:
     _prints_progress_as_json.set(progress_json)
     if version:
@@ -89,16 +75,9 @@ def _root(
 
 @app.command(epilog="Example: strainwave init --urdf robot.urdf run1.csv run2.csv --out study.toml")
 def init(
-    logs: Annotated[
-        list[Path], typer.Argument(help="Logs of one rig: files or bags.", metavar="LOG")
-    ],
-    out: Annotated[
-        Path, typer.Option(help="The study file to write.", metavar="STUDY.toml")
-    ] = Path("study.toml"),
-    urdf: Annotated[
-        Path | None,
-        typer.Option(help="URDF of a serial arm, which places its joints.", metavar="FILE"),
-    ] = None,
+    logs: Annotated[list[Path], _argument("init.logs")],
+    out: Annotated[Path, _option("init.out")] = Path("study.toml"),
+    urdf: Annotated[Path | None, _option("init.urdf")] = None,
     quiet: Quiet = False,
 ) -> None:
     """Write a draft of a study file from logs. Guesses have reasons; unknown values are TODO."""
@@ -149,21 +128,8 @@ def identify(
     stages: Stages = None,
     options: Overrides = None,
     accept: Accepted = None,
-    as_published: Annotated[
-        bool,
-        typer.Option(
-            "--as-published",
-            help="Use the settings of the paper: one stiffness, order 4, decimation to 2 ms, "
-            "tuning in closed loop; --set and the study override them.",
-        ),
-    ] = False,
-    start: Annotated[
-        Path | None,
-        typer.Option(
-            help="Parameters at which the whole-arm fit starts: a result.json or a parameter file.",
-            metavar="P.json",
-        ),
-    ] = None,
+    as_published: Annotated[bool, _option("identify.as-published", "--as-published")] = False,
+    start: Annotated[Path | None, _option("identify.start")] = None,
     figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
@@ -208,9 +174,7 @@ def _accepted(codes: list[str] | None) -> list[str]:
 def check(
     study: StudyFile,
     accept: Accepted = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the check as JSON, and nothing else.")
-    ] = False,
+    as_json: Annotated[bool, _option("check.as-json", "--json")] = False,
     quiet: Quiet = False,
 ) -> None:
     """Check whether logs and study agree. The exit code is 3 if a fault is suspected, else 0."""
@@ -234,14 +198,10 @@ def check(
 @app.command(epilog="Example: strainwave simulate study.toml --parameters arm.json --out virtual")
 def simulate(
     study: StudyFile,
-    parameters: Annotated[
-        Path, typer.Option(help="A result.json, or another file of parameters.", metavar="P.json")
-    ],
+    parameters: Annotated[Path, _option("simulate.parameters")],
     out: Out,
     seed: Seed = 0,
-    ideal: Annotated[
-        bool, typer.Option("--ideal", help="Simulate sensors without noise, bias and rounding.")
-    ] = False,
+    ideal: Annotated[bool, _option("simulate.ideal", "--ideal")] = False,
     quiet: Quiet = False,
 ) -> None:
     """Simulate a study on a virtual arm. Writes its logs and a study.toml."""
@@ -258,15 +218,8 @@ def simulate(
 @app.command(epilog="Example: strainwave export results/result.json --out arm.xml")
 def export(
     result: ResultFile,
-    out: Annotated[Path, typer.Option(help="The file to write.", metavar="FILE")],
-    form: Annotated[
-        str | None,
-        typer.Option(
-            "--format",
-            help="mjcf, urdf, state-space, matlab, c or json; default: by the ending of FILE.",
-            metavar="FORMAT",
-        ),
-    ] = None,
+    out: Annotated[Path, _option("export.out")],
+    form: Annotated[str | None, _option("export.form", "--format")] = None,
     study: ChangedStudy = None,
     quiet: Quiet = False,
 ) -> None:
@@ -289,47 +242,16 @@ def export(
 def tune(
     result: ResultFile,
     out: Out,
-    posture: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Link angles [rad] for which the servos must hold: 0,1.2; repeat for more. "
-            "Default: zero and four drawn postures.",
-            metavar="ANGLES",
-        ),
-    ] = None,
-    payload: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Mass [kg] and centre of mass [m] in the last link's frame: 2,0.1,0,0; repeat "
-            "for more. The arm without a payload is always included.",
-            metavar="MASS,X,Y,Z",
-        ),
-    ] = None,
-    draws: Annotated[
-        int, typer.Option(help="Number of draws of the uncertain parameters.", metavar="INTEGER")
-    ] = 1000,
-    seed: Seed = 0,
-    period: Annotated[
-        float | None,
-        typer.Option(help="Period of the servo; default: that of the study.", metavar="SECONDS"),
-    ] = None,
-    delay: Annotated[
-        float | None,
-        typer.Option(
-            help="Time from an encoder reading to its voltage; default: half of the period.",
-            metavar="SECONDS",
-        ),
-    ] = None,
-    bandwidth: Annotated[
-        float | None, typer.Option(help="Smallest bandwidth of each velocity loop.", metavar="HZ")
-    ] = None,
-    gain_margin: Annotated[float, typer.Option(help="Smallest gain margin.", metavar="DB")] = 6.0,
-    phase_margin: Annotated[
-        float, typer.Option(help="Smallest phase margin.", metavar="DEG")
-    ] = 30.0,
-    modulus_margin: Annotated[
-        float, typer.Option(help="Smallest distance of the open loop from -1.", metavar="FLOAT")
-    ] = 0.5,
+    posture: Annotated[list[str] | None, _option("tune.posture")] = None,
+    payload: Annotated[list[str] | None, _option("tune.payload")] = None,
+    draws: Annotated[int, _option("tune.draws")] = 1000,
+    seed: Annotated[int, _option("tune.seed")] = 0,
+    period: Annotated[float | None, _option("tune.period")] = None,
+    delay: Annotated[float | None, _option("tune.delay")] = None,
+    bandwidth: Annotated[float | None, _option("tune.bandwidth")] = None,
+    gain_margin: Annotated[float, _option("tune.gain-margin")] = 6.0,
+    phase_margin: Annotated[float, _option("tune.phase-margin")] = 30.0,
+    modulus_margin: Annotated[float, _option("tune.modulus-margin")] = 0.5,
     study: ChangedStudy = None,
     quiet: Quiet = False,
 ) -> None:
@@ -362,41 +284,15 @@ def tune(
 def excite(
     study: StudyFile,
     out: Out,
-    limit_angle: Annotated[
-        str | None,
-        typer.Option(
-            help="Largest link angle on either side of zero; one for all joints, or, as for"
-            " velocity, voltage and torque, one per joint: 1.2,0.8.",
-            metavar="RAD",
-        ),
-    ] = None,
-    limit_velocity: Annotated[
-        str | None, typer.Option(help="Largest motor velocity.", metavar="RAD/S")
-    ] = None,
-    parameters: Annotated[
-        Path | None,
-        typer.Option(help="Assumed parameters, or an earlier result.json.", metavar="P.json"),
-    ] = None,
-    limit_voltage: Annotated[
-        str | None,
-        typer.Option(help="Largest voltage; default: the limit of the servo.", metavar="V"),
-    ] = None,
-    limit_torque: Annotated[
-        str | None,
-        typer.Option(help="Largest gear torque at the link; default: no limit.", metavar="NM"),
-    ] = None,
-    limit_distance: Annotated[
-        str | None,
-        typer.Option(help="Smallest distance of the links' centre lines; default: 0.", metavar="M"),
-    ] = None,
-    kind: Annotated[
-        str, typer.Option(help="Kind of excitation.", metavar="prbs|multisine")
-    ] = "prbs",
-    minutes: Annotated[
-        float | None,
-        typer.Option(help="Longest duration of all records; default: no limit.", metavar="MIN"),
-    ] = None,
-    seed: Seed = 0,
+    limit_angle: Annotated[str | None, _option("excite.limit-angle")] = None,
+    limit_velocity: Annotated[str | None, _option("excite.limit-velocity")] = None,
+    parameters: Annotated[Path | None, _option("excite.parameters")] = None,
+    limit_voltage: Annotated[str | None, _option("excite.limit-voltage")] = None,
+    limit_torque: Annotated[str | None, _option("excite.limit-torque")] = None,
+    limit_distance: Annotated[str | None, _option("excite.limit-distance")] = None,
+    kind: Annotated[str, _option("excite.kind")] = "prbs",
+    minutes: Annotated[float | None, _option("excite.minutes")] = None,
+    seed: Annotated[int, _option("excite.seed")] = 0,
     quiet: Quiet = False,
 ) -> None:
     """Design the experiments to record. Writes signals, durations and the expected motion."""
@@ -427,24 +323,9 @@ def excite(
     epilog="Example: strainwave compare january/result.json june/result.json --out compared"
 )
 def compare(
-    results: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Two or more result.json of one arm, or directories that contain one.",
-            metavar="RESULT",
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Directory for comparison.json and comparison.html.", metavar="DIR"),
-    ] = None,
-    level: Annotated[
-        float,
-        typer.Option(
-            help="Probability of a false alarm between results of an unchanged arm.",
-            metavar="FLOAT",
-        ),
-    ] = 0.05,
+    results: Annotated[list[Path], _argument("compare.results")],
+    out: Annotated[Path | None, _option("compare.out")] = None,
+    level: Annotated[float, _option("compare.level")] = 0.05,
     quiet: Quiet = False,
 ) -> None:
     """Compare results of one arm. The exit code is 0 if they agree and 4 if they differ."""
@@ -462,27 +343,11 @@ def compare(
 
 @app.command(epilog="Example: strainwave trend store --arm 'fleet/([^/]+)/' --out trend")
 def trend(
-    store: Annotated[str, typer.Argument(help="A store of strainwave campaign.", metavar="STORE")],
-    out: Annotated[
-        Path | None, typer.Option(help="Directory for trend.json and trend.html.", metavar="DIR")
-    ] = None,
-    arm: Annotated[
-        str | None,
-        typer.Option(
-            help="Name of the arm: a column of the runs, or a regular expression with a group, "
-            "searched for in the path of the study. Default: the folder of the study.",
-            metavar="COLUMN|REGEX",
-        ),
-    ] = None,
-    covariates: Annotated[
-        Path | None,
-        typer.Option(
-            help="CSV table with the columns study, time, and covariates.", metavar="FILE.csv"
-        ),
-    ] = None,
-    level: Annotated[
-        float, typer.Option(help="Probability of a false alarm per arm.", metavar="FLOAT")
-    ] = 0.01,
+    store: Annotated[str, _argument("trend.store")],
+    out: Annotated[Path | None, _option("trend.out")] = None,
+    arm: Annotated[str | None, _option("trend.arm")] = None,
+    covariates: Annotated[Path | None, _option("trend.covariates")] = None,
+    level: Annotated[float, _option("trend.level")] = 0.01,
     quiet: Quiet = False,
 ) -> None:
     """Detect changes of arms over their visits. The exit code is 4 if an arm changes, else 0."""
@@ -506,28 +371,10 @@ def trend(
 def demo(
     out: Out,
     seed: Seed = 0,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Skip the comparison with the published figures.")
-    ] = False,
-    seeds: Annotated[
-        int,
-        typer.Option(min=1, help="Number of seeds for the published figures.", metavar="INTEGER"),
-    ] = 1,
-    as_published: Annotated[
-        bool,
-        typer.Option(
-            "--as-published",
-            help="Also compare the published figures with the settings of the paper.",
-        ),
-    ] = False,
-    arm: Annotated[
-        Literal["soft", "stiff"],
-        typer.Option(
-            "--arm",
-            help="Built-in arm: soft gears, or stiff ones, which are loaded less.",
-            metavar="soft|stiff",
-        ),
-    ] = "soft",
+    quick: Annotated[bool, _option("demo.quick", "--quick")] = False,
+    seeds: Annotated[int, _option("demo.seeds", min=1)] = 1,
+    as_published: Annotated[bool, _option("demo.as-published", "--as-published")] = False,
+    arm: Annotated[Literal["soft", "stiff"], _option("demo.arm", "--arm")] = "soft",
     figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
@@ -565,43 +412,17 @@ def demo(
 
 @app.command(epilog="Example: strainwave campaign rigs/ --out store --workers 4")
 def campaign(
-    studies: Annotated[
-        list[str],
-        typer.Argument(
-            help="Study files, folders, globs, tables of paths, URLs, or one campaign.toml.",
-            metavar="STUDIES",
-        ),
-    ],
-    out: Annotated[str, typer.Option(help="The store: a folder, or a URL.", metavar="STORE")],
+    studies: Annotated[list[str], _argument("campaign.studies")],
+    out: Annotated[str, _option("campaign.out")],
     stages: Stages = None,
     options: Overrides = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            min=1, help="Number of worker processes; default: one per core.", metavar="INTEGER"
-        ),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            help="Address of a running Dask scheduler: tcp://host:8786.", metavar="ADDRESS"
-        ),
-    ] = None,
-    cluster: Annotated[
-        Path | None, typer.Option(help="TOML file of a Dask cluster to start.", metavar="FILE")
-    ] = None,
-    time_limit: Annotated[
-        float, typer.Option(min=1.0, help="Time limit of one study.", metavar="SECONDS")
-    ] = 600.0,
-    memory_limit: Annotated[
-        int | None, typer.Option(min=1, help="Memory limit of one worker.", metavar="MIB")
-    ] = None,
-    retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Repeat runs that are recorded as failed.")
-    ] = False,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Print one line at the end, and errors.")
-    ] = False,
+    workers: Annotated[int | None, _option("campaign.workers", min=1)] = None,
+    scheduler: Annotated[str | None, _option("campaign.scheduler")] = None,
+    cluster: Annotated[Path | None, _option("campaign.cluster")] = None,
+    time_limit: Annotated[float, _option("campaign.time-limit", min=1.0)] = 600.0,
+    memory_limit: Annotated[int | None, _option("campaign.memory-limit", min=1)] = None,
+    retry_failed: Annotated[bool, _option("campaign.retry-failed", "--retry-failed")] = False,
+    quiet: Annotated[bool, _option("campaign.quiet", "--quiet", "-q")] = False,
 ) -> None:
     """Identify many studies, on one machine or a cluster. Recorded runs are not repeated."""
     from strainwave import campaign as campaigns
@@ -636,23 +457,11 @@ def campaign(
 
 @app.command(epilog="Example: strainwave serve rigs")
 def serve(
-    folder: Annotated[
-        Path, typer.Argument(help="Folder of the studies.", metavar="FOLDER")
-    ] = Path(),
-    port: Annotated[
-        int,
-        typer.Option(min=0, max=65535, help="The port; 0 chooses a free one.", metavar="INTEGER"),
-    ] = 8765,
-    host: Annotated[
-        str,
-        typer.Option(
-            help="Address to listen on; others than 127.0.0.1 need --token.", metavar="ADDRESS"
-        ),
-    ] = "127.0.0.1",
-    token: Annotated[str, typer.Option(help="Secret that a browser needs.", metavar="TEXT")] = "",
-    max_upload: Annotated[
-        int, typer.Option(min=1, help="Limit of one uploaded file.", metavar="MIB")
-    ] = 2048,
+    folder: Annotated[Path, _argument("serve.folder")] = Path(),
+    port: Annotated[int, _option("serve.port", min=0, max=65535)] = 8765,
+    host: Annotated[str, _option("serve.host")] = "127.0.0.1",
+    token: Annotated[str, _option("serve.token")] = "",
+    max_upload: Annotated[int, _option("serve.max-upload", min=1)] = 2048,
 ) -> None:
     """Serve the workbench, the whole method in a browser. Ctrl-C ends it."""
     from strainwave.workbench.server import ServerOptions, serve

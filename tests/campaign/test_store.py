@@ -26,7 +26,8 @@ from hypothesis import strategies as st
 import strainwave as sw
 from campaign_records import DAY, record, write_many
 from strainwave.campaign.places import Folder
-from strainwave.campaign.store import PARAMETERS_SCHEMA, RUNS_SCHEMA, Record, Store
+from strainwave.campaign.records import PARAMETERS_SCHEMA, RUNS_SCHEMA, Record
+from strainwave.campaign.store import Store
 
 
 def runs(store: Path | str) -> list[str]:

@@ -10,7 +10,7 @@ import pytest
 from strainwave.domain.effects import all_effects
 from strainwave.domain.link_sensors import optional_constants
 from strainwave.domain.parameter_table import family_of
-from strainwave.domain.parameter_words import parameter_descriptions
+from strainwave.domain.parameters import parameter_descriptions
 
 NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
 

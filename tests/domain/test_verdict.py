@@ -33,8 +33,8 @@ from strainwave.domain import (
     half_width,
     is_physical,
 )
-from strainwave.domain.clauses import Clause
 from strainwave.domain.diagnostics import merge_by_cause
+from strainwave.domain.messages import Clause
 from strainwave.domain.units import unit_of
 from strainwave.domain.verdict import model_defects
 from strainwave.virtual import scara

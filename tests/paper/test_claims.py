@@ -17,15 +17,13 @@ from strainwave.paper import (
     ComparisonOptions,
     amplitude,
     compare,
+    decoupled,
     document_of,
-    feedback,
     refinement,
-    steps,
     to_json,
 )
 from strainwave.paper.joint_estimates import LINES_HZ, distance_db, response_of
-from strainwave.paper.rig import CLASSICAL_METHOD, Rig, WholeArmEstimate
-from strainwave.paper.truth import joint_with
+from strainwave.paper.rig import CLASSICAL_METHOD, Rig, WholeArmEstimate, joint_with
 from strainwave.virtual import scara
 
 ByFigure = dict[int, Comparison]
@@ -128,10 +126,10 @@ def test_claims_of_tuning_can_fail() -> None:
     missed = refinement.responses(rig, 1, stiff)
     assert missed.outcome == "does-not-hold"
     assert "stiffness" in missed.reasons[0]
-    assert steps.tuning(rig, truth, stiff).outcome == "does-not-hold"
+    assert refinement.tuning(rig, truth, stiff).outcome == "does-not-hold"
     heavy = WholeArmEstimate(scara.SOFT.parameters() | {("motor_inertia", 1): 3e-4}, sound())
-    assert steps.validation(rig, truth).outcome == "shown"
-    assert steps.validation(rig, heavy).outcome == "does-not-hold"
+    assert refinement.validation(rig, truth).outcome == "shown"
+    assert refinement.validation(rig, heavy).outcome == "does-not-hold"
 
 
 @pytest.mark.parametrize("status", ["iteration-limit", "stalled", "at-bounds", "failed"])
@@ -139,7 +137,7 @@ def test_models_that_did_not_converge_show_nothing(status: str) -> None:
     doubtful = WholeArmEstimate(
         scara.SOFT.parameters(), (Evidence("whole arm", "whole-arm fit", status),)
     )
-    result = steps.validation(Rig(1), doubtful)
+    result = refinement.validation(Rig(1), doubtful)
     assert result.outcome == "not-shown"
     assert result.reasons == (f"whole arm: {status}",)
 
@@ -187,7 +185,7 @@ def test_a_failed_estimation_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> No
     def fail(*_: object) -> None:
         raise NotIdentifiable("no stretch is long enough")
 
-    monkeypatch.setattr(feedback, "methods", fail)
+    monkeypatch.setattr(decoupled, "methods", fail)
     (result,) = compare(seed=1, options=ComparisonOptions(figures=(13,)))
     assert result.outcome == "not-shown"
     assert "no stretch" in result.reasons[0]
@@ -217,9 +215,9 @@ def test_the_published_settings_match_the_source() -> None:
 
 def test_the_published_claims_can_be_shown_and_fail() -> None:
     options = ComparisonOptions(figures=(2, 10), amplitudes=(10.0,))
-    stiffest, decoupled = compare(seed=1, settings=PUBLISHED_SETTINGS, options=options)
-    assert decoupled.outcome == stiffest.outcome == "shown"
-    assert decoupled.protocol == stiffest.protocol == "as-published"
+    stiffest, inputs = compare(seed=1, settings=PUBLISHED_SETTINGS, options=options)
+    assert inputs.outcome == stiffest.outcome == "shown"
+    assert inputs.protocol == stiffest.protocol == "as-published"
     assert {e.method for e in stiffest.evidence} == {"pem"}
 
 

@@ -26,7 +26,7 @@ from strainwave.numerics.filters import (
     differentiate,
 )
 from strainwave.signals import link_motion as links
-from strainwave.signals.fusion import bias_of, complement, fuse
+from strainwave.signals.link_motion import bias_of, complement, fuse
 
 INNER = slice(400, -400)  # samples without filter transients
 SHARED = (Lag(2, 300.0),)  # low-pass of both accelerometers

@@ -9,8 +9,7 @@ import pytest
 
 from strainwave.dynamics.two_inertia import anti_resonance
 from strainwave.errors import InvalidInput
-from strainwave.paper.rig import Rig, run_steps
-from strainwave.paper.truth import equivalent
+from strainwave.paper.rig import Rig, equivalent, run_steps
 from strainwave.virtual import scara
 
 

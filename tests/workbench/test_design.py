@@ -14,7 +14,7 @@ from strainwave.virtual import scara
 pytest.importorskip("starlette")
 
 from strainwave.workbench.hand_simulation import parameter_document
-from strainwave.workbench.pages.design import EXCITE, TUNE, option_flags
+from strainwave.workbench.pages.design import option_flags
 from strainwave.workbench.runs import Runs
 
 if TYPE_CHECKING:
@@ -25,9 +25,9 @@ STUDY = "arm/study.toml"
 
 def test_values_become_arguments() -> None:
     values = {"limit-angle": "1.2", "limit-velocity": "180, 150", "limit-torque": ""}
-    assert option_flags(EXCITE, values) == ["--limit-angle=1.2", "--limit-velocity=180,150"]
+    assert option_flags("excite", values) == ["--limit-angle=1.2", "--limit-velocity=180,150"]
     values = {"posture": "0, 1.2; -0.5, 1", "payload": "2,0.1,0,0"}
-    assert option_flags(TUNE, values) == [
+    assert option_flags("tune", values) == [
         "--posture=0,1.2",
         "--posture=-0.5,1",
         "--payload=2,0.1,0,0",
@@ -35,10 +35,10 @@ def test_values_become_arguments() -> None:
 
 
 def test_a_value_cannot_become_another_option() -> None:
-    assert option_flags(EXCITE, {"seed": "--out /tmp"}) == ["--seed=--out/tmp"]
+    assert option_flags("excite", {"seed": "--out /tmp"}) == ["--seed=--out/tmp"]
     for values in ({"out": "/tmp"}, {"seed": 3}):
         with pytest.raises(InvalidInput):
-            option_flags(EXCITE, values)
+            option_flags("excite", values)
 
 
 def test_a_plan_is_made_shown_and_downloaded(client: TestClient, folder: Path) -> None:

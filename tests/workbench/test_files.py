@@ -14,8 +14,8 @@ import pytest
 
 pytest.importorskip("starlette")
 
+from strainwave.workbench.pages.files import EXPORT_FILES, python_script
 from strainwave.workbench.runs import Run
-from strainwave.workbench.take_away import EXPORT_FILES, python_script
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient

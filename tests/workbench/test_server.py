@@ -80,7 +80,7 @@ def test_clients_on_different_studies_do_not_mix(server: Any) -> None:
     def length(study: str) -> str:
         state = json.loads(get(f"{server.url}/api/study/{study}/study.toml"))
         (arm,) = [group for group in state["groups"] if group["title"] == "Arm"]
-        return next(str(f["value"]) for f in arm["fields"] if f["text"]["key"] == "link_length")
+        return next(str(f["value"]) for f in arm["fields"] if f["key"]["key"] == "link_length")
 
     with ThreadPoolExecutor(8) as pool:
         seen = list(pool.map(length, ["arm", "other"] * 10))

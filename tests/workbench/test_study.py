@@ -63,9 +63,9 @@ def test_a_file_of_the_command_line_is_shown(client: TestClient, folder: Path) -
     edit_study(folder / "arm" / "study.toml", [Change(("joint", 1, "gear_ratio"), 0.0125)])
     groups = client.get(API).json()["groups"]
     (joint,) = [group for group in groups if group["title"] == "Joint 2"]
-    (field,) = [f for f in joint["fields"] if f["text"]["key"] == "gear_ratio"]
+    (field,) = [f for f in joint["fields"] if f["key"]["key"] == "gear_ratio"]
     assert field["value"] == "0.0125"
-    assert (field["minimum"], field["maximum"]) == (1e-4, 1.0)
+    assert field["key"]["range"] == [1e-4, 1.0]
 
 
 def test_a_file_that_changed_in_the_meantime_is_not_overwritten(
@@ -118,7 +118,7 @@ def test_todo_values_are_marked_and_survive_other_changes() -> None:
     groups = field_groups(document)
     missing = [f.place for group in groups for f in group.fields if f.is_todo]
     assert missing == [("arm", "link_length"), ("joint", 0, "gear_ratio"), ("servo", "kp")]
-    reasons = {f.text.key: f.reason for f in groups[0].fields}
+    reasons = {f.key.key: f.reason for f in groups[0].fields}
     assert reasons["link_length"] == "[m] measured"
     text = changed_text(DRAFT, [Change(("arm", "link_length"), 0.35)], Path("study.toml"))
     assert text == DRAFT.replace("link_length = TODO", "link_length = 0.35")

@@ -20,8 +20,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from strainwave.campaign.records import now
 from strainwave.campaign.runner import Plan, Runner, failed
-from strainwave.campaign.store import Store, now
+from strainwave.campaign.store import Store
 from strainwave.campaign.study_files import Case
 from strainwave.campaign.tasks import FAILED_STATUS, Limits, Outcome, Task
 from strainwave.errors import InvalidInput, StrainwaveError, import_optional

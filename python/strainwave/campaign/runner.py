@@ -20,7 +20,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import IO, Any
 
-from strainwave.campaign.store import Store, failure_of, now, worker_name
+from strainwave.campaign.records import failure_of, now, worker_name
+from strainwave.campaign.store import Store
 from strainwave.campaign.study_files import Case
 from strainwave.campaign.tasks import FAILED_STATUS, Limits, Outcome, Task, merged
 from strainwave.domain import Stage
@@ -82,7 +83,10 @@ class Runner:
             code, message = self._death()
         else:
             self._done += 1
-            self._replace_if_due(float(answer.pop("resident_mib")))
+            limit, resident = self._limits.memory_mib, float(answer.pop("resident_mib"))
+            allowed = _MAX_RESIDENT_MIB if limit is None else 0.5 * limit
+            if self._done >= self._limits.tasks or resident > allowed:
+                self.close()
             return Outcome(**answer)
         if self._stopped:
             raise Stopping
@@ -195,12 +199,6 @@ class Runner:
         fatal = [line for line in printed if line.startswith(_FATAL_PREFIXES)]
         candidates = [*printed[-1:], *fatal[-1:]]
         return f": {candidates[-1]}" if candidates else ""
-
-    def _replace_if_due(self, resident_mib: float) -> None:
-        limit = self._limits.memory_mib
-        allowed = _MAX_RESIDENT_MIB if limit is None else 0.5 * limit
-        if self._done >= self._limits.tasks or resident_mib > allowed:
-            self.close()
 
     def _end(self) -> None:
         with self._mutex:

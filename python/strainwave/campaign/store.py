@@ -8,25 +8,17 @@
 `run` is a hash of the task, so repeating it, by two campaigns or after a crash, gives one name and
 one row. A merge writes the part before it deletes the small files; rows that are in both are read
 once.
-
-Runs as rows of the tables of a store.
-
-Columns of the tables of a store, with types that do not depend on the values.
 """
 
 from __future__ import annotations
 
 import hashlib
 import io
-import json
-import os
-import socket
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
-from itertools import starmap
+from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,74 +27,21 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from strainwave.campaign.places import Folder, Place, place_of
-from strainwave.campaign.study_files import Opened
-from strainwave.campaign.tasks import FAILED_STATUS, Task
-from strainwave.domain import Identification, Parameter
-from strainwave.domain.keys import Key, label_of
+from strainwave.campaign.records import PARAMETERS_SCHEMA, RUNS_SCHEMA, Record, Row
 from strainwave.errors import InvalidInput
-from strainwave.io.results import to_document, to_json
-
-TIMED_PARTS = ("read", "consistency", "rigid", "decoupled", "tuned", "checks")
-"""Parts of a run whose time has a column, `read_s` and so on."""
-
-RUNS_SCHEMA = pa.schema(
-    [
-        ("run", pa.string()),  # hash of case, inputs, options and version
-        ("study", pa.string()),  # path or URL
-        ("study_sha256", pa.string()),
-        ("inputs_sha256", pa.string()),  # of the logs that the study names
-        ("options_sha256", pa.string()),  # of stages and options
-        ("version", pa.string()),
-        ("campaign", pa.string()),
-        ("stages", pa.string()),  # rigid,decoupled,tuned
-        ("status", pa.string()),
-        ("exit_code", pa.int32()),
-        ("message", pa.string()),  # why it is not determined
-        ("started", pa.timestamp("us")),  # UTC
-        ("seconds", pa.float64()),
-        ("worker", pa.string()),  # host:process
-        ("result", pa.string()),  # path of result.json in the store
-        ("identified", pa.list_(pa.string())),
-        ("not_identified", pa.list_(pa.string())),
-        ("rejected", pa.list_(pa.string())),
-        ("validated_rigid", pa.bool_()),
-        ("validated_elastic", pa.bool_()),
-        ("suspected", pa.list_(pa.string())),  # codes
-        ("warnings", pa.list_(pa.string())),  # codes
-        *((f"{part}_s", pa.float64()) for part in TIMED_PARTS),
-        ("classes", pa.string()),  # JSON: properties of a virtual arm
-    ]
-)
-"""One row per run."""
-
-PARAMETERS_SCHEMA = pa.schema(
-    [
-        ("run", pa.string()),
-        ("study", pa.string()),
-        ("name", pa.string()),
-        ("joint", pa.int32()),  # null: of the arm
-        ("value", pa.float64()),  # null: not identified
-        ("std", pa.float64()),
-        ("ci95_low", pa.float64()),
-        ("ci95_high", pa.float64()),
-        ("unit", pa.string()),
-        ("stage", pa.string()),
-        ("true_value", pa.float64()),  # of virtual arms
-        ("error_percent", pa.float64()),  # 100 (value - true_value) / |true_value|
-    ]
-)
-"""One row per parameter of a run."""
-
 
 MERGE_AFTER = 1000
 """Number of runs after which a campaign merges small files."""
-_MAX_MERGED_ROWS = {"runs": 20_000, "parameters": 500_000}  # larger parts are not rewritten
-_MAX_TRIES = 50  # to read a store that other processes merge
-_N_READERS = 8  # threads that read small files; more do not speed up a local disk
-_SCHEMAS = {"runs": RUNS_SCHEMA, "parameters": PARAMETERS_SCHEMA}
-_ORDER = {"runs": ["run", "started"], "parameters": ["run", "name", "joint"]}
 
-Row = Mapping[str, Any]
+_MAX_MERGED_ROWS = {"runs": 20_000, "parameters": 500_000}  # larger parts are not rewritten
+
+_MAX_TRIES = 50  # to read a store that other processes merge
+
+_N_READERS = 8  # threads that read small files; more do not speed up a local disk
+
+_SCHEMAS = {"runs": RUNS_SCHEMA, "parameters": PARAMETERS_SCHEMA}
+
+_ORDER = {"runs": ["run", "started"], "parameters": ["run", "name", "joint"]}
 
 
 class Recorded(NamedTuple):
@@ -115,20 +54,6 @@ class Recorded(NamedTuple):
     message: str
     seconds: float
     started: datetime
-
-
-@dataclass(frozen=True)
-class Record:
-    """Row, parameters and result of a run."""
-
-    row: Row
-    parameters: Sequence[Row] = ()
-    result: bytes | None = None
-
-    @property
-    def run(self) -> str:
-        """Name of the run."""
-        return str(self.row["run"])
 
 
 @dataclass(frozen=True)
@@ -376,87 +301,3 @@ def _drop_duplicates(table: pa.Table, kind: str) -> pa.Table:
         return table
     values = rows.combine_chunks()
     return table.take(values.take(pc.sort_indices(values)))
-
-
-def now() -> datetime:
-    """The present time as in the column `started`: UTC, without a zone."""
-    return datetime.now(UTC).replace(tzinfo=None)
-
-
-def worker_name(process: int | None = None) -> str:
-    """Value of the column `worker`: host and process, by default this one."""
-    return f"{socket.gethostname()}:{os.getpid() if process is None else process}"
-
-
-def record_of(
-    task: Task, opened: Opened, identification: Identification, *, started: datetime
-) -> Record:
-    """Record of a run with a verdict; `opened` has the true values of a virtual arm."""
-    verdict = identification.verdict
-    task_row = task.row()
-    row = task_row | {
-        "status": verdict.status,
-        "exit_code": verdict.exit_code,
-        "message": "; ".join(verdict.reasons),
-        "started": started,
-        "seconds": (now() - started).total_seconds(),
-        "worker": worker_name(),
-        "result": f"results/{task.run}/result.json",
-        "identified": [*starmap(label_of, verdict.identified)],
-        "not_identified": [*starmap(label_of, verdict.not_identified)],
-        "rejected": [*starmap(label_of, verdict.rejected)],
-        "validated_rigid": verdict.validated.rigid,
-        "validated_elastic": verdict.validated.elastic,
-        "suspected": [entry.code for entry in verdict.suspected],
-        "warnings": [entry.code for entry in identification.warnings],
-        "classes": json.dumps(dict(opened.classes)) if opened.classes else None,
-    }
-    row |= {f"{part}_s": identification.timing_s.get(part) for part in TIMED_PARTS}
-    keys = {"run": task_row["run"], "study": task_row["study"]}
-    parameters = [keys | _parameter_row(entry, opened.truth) for entry in identification.parameters]
-    return Record(row, parameters, to_json(to_document(identification)))
-
-
-def failure_of(
-    task: Task,
-    message: str,
-    *,
-    exit_code: int,
-    started: datetime,
-    status: str = FAILED_STATUS,
-    worker: str = "",
-    classes: Mapping[str, Any] | None = None,
-) -> Record:
-    """Record of a run without a verdict; `message` is one sentence, `started` in UTC."""
-    return Record(
-        task.row()
-        | {
-            "status": status,
-            "exit_code": exit_code,
-            "message": message,
-            "started": started,
-            "seconds": (now() - started).total_seconds(),
-            "worker": worker or worker_name(),
-            "classes": json.dumps(dict(classes)) if classes else None,
-        }
-    )
-
-
-def _parameter_row(p: Parameter, truth: Mapping[Key, float]) -> dict[str, Any]:
-    low, high = p.ci95 or (None, None)
-    true = truth.get(p.key)
-    error = None
-    if true and p.value is not None:
-        error = 100.0 * (p.value - true) / abs(true)
-    return {
-        "name": p.name,
-        "joint": p.joint,
-        "value": p.value,
-        "std": p.std,
-        "ci95_low": low,
-        "ci95_high": high,
-        "unit": p.unit,
-        "stage": p.stage,
-        "true_value": true,
-        "error_percent": error,
-    }

@@ -18,7 +18,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, TextIO
 
 from strainwave import __version__
-from strainwave.campaign.store import Record, Store, failure_of, now, record_of
+from strainwave.campaign.records import Record, failure_of, now, record_of
+from strainwave.campaign.store import Store
 from strainwave.campaign.tasks import FAILED_STATUS, Outcome, Task
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 
@@ -43,7 +44,11 @@ def perform(task: Task) -> Record:
         )
 
     try:
-        _check_version(task)
+        if task.version != __version__:
+            raise InvalidInput(
+                f"the worker has strainwave {__version__}, the campaign {task.version}",
+                remedy="install the same version where the workers run",
+            )
         with task.case.opened() as opened:
             classes = opened.classes
             identification = pipeline.identify(
@@ -62,14 +67,6 @@ def perform(task: Task) -> Record:
         return failed("the run needs more memory than its limit", 1)
     except Exception as error:  # a bug fails this study, not the campaign
         return failed(_sentence(error), 1)
-
-
-def _check_version(task: Task) -> None:
-    if task.version != __version__:
-        raise InvalidInput(
-            f"the worker has strainwave {__version__}, the campaign {task.version}",
-            remedy="install the same version where the workers run",
-        )
 
 
 def _sentence(error: Exception) -> str:

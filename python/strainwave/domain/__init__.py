@@ -40,12 +40,6 @@ from strainwave.domain.arrays import ComplexArray as ComplexArray
 from strainwave.domain.arrays import FloatArray as FloatArray
 from strainwave.domain.arrays import IntArray as IntArray
 from strainwave.domain.base_parameters import BaseParameters as BaseParameters
-from strainwave.domain.clauses import STATE_SPACE_MODEL as STATE_SPACE_MODEL
-from strainwave.domain.clauses import WHOLE_ARM_FIT as WHOLE_ARM_FIT
-from strainwave.domain.clauses import Clause as Clause
-from strainwave.domain.clauses import Place as Place
-from strainwave.domain.clauses import Span as Span
-from strainwave.domain.clauses import Value as Value
 from strainwave.domain.combinations import SharedViscousFriction as SharedViscousFriction
 from strainwave.domain.comparison import OUTCOME_TEXTS as OUTCOME_TEXTS
 from strainwave.domain.comparison import Comparison as Comparison
@@ -88,6 +82,12 @@ from strainwave.domain.linear_models import ModelCheck as ModelCheck
 from strainwave.domain.linear_models import Modes as Modes
 from strainwave.domain.linear_models import OrderSelection as OrderSelection
 from strainwave.domain.linear_models import StateSpace as StateSpace
+from strainwave.domain.messages import STATE_SPACE_MODEL as STATE_SPACE_MODEL
+from strainwave.domain.messages import WHOLE_ARM_FIT as WHOLE_ARM_FIT
+from strainwave.domain.messages import Clause as Clause
+from strainwave.domain.messages import Place as Place
+from strainwave.domain.messages import Span as Span
+from strainwave.domain.messages import Value as Value
 from strainwave.domain.options import FrequencyOptions as FrequencyOptions
 from strainwave.domain.options import LinearOptions as LinearOptions
 from strainwave.domain.options import LinkOptions as LinkOptions
@@ -97,9 +97,11 @@ from strainwave.domain.options import RigidOptions as RigidOptions
 from strainwave.domain.options import WholeArmOptions as WholeArmOptions
 from strainwave.domain.parameter_table import ParameterDescription as ParameterDescription
 from strainwave.domain.parameter_table import parameter_table as parameter_table
-from strainwave.domain.parameter_words import parameter_descriptions as parameter_descriptions
+from strainwave.domain.parameters import parameter_descriptions as parameter_descriptions
+from strainwave.domain.progress import STAGES as STAGES
 from strainwave.domain.progress import Progress as Progress
 from strainwave.domain.progress import ProgressEvent as ProgressEvent
+from strainwave.domain.progress import Stage as Stage
 from strainwave.domain.ranges import ImplausibleJoint as ImplausibleJoint
 from strainwave.domain.ranges import PlausibleRange as PlausibleRange
 from strainwave.domain.ranges import SizedValue as SizedValue
@@ -119,8 +121,6 @@ from strainwave.domain.signals import LinkSummary as LinkSummary
 from strainwave.domain.signals import Log as Log
 from strainwave.domain.signals import Signals as Signals
 from strainwave.domain.stage_results import StageResults as StageResults
-from strainwave.domain.stages import STAGES as STAGES
-from strainwave.domain.stages import Stage as Stage
 from strainwave.domain.study import Channel as Channel
 from strainwave.domain.study import Control as Control
 from strainwave.domain.study import Experiment as Experiment
@@ -132,7 +132,7 @@ from strainwave.domain.study import Use as Use
 from strainwave.domain.study import channel_kinds as channel_kinds
 from strainwave.domain.study import channel_names as channel_names
 from strainwave.domain.study import channel_parts as channel_parts
-from strainwave.domain.study_limits import SizeLimit as SizeLimit
+from strainwave.domain.study_keys import StudyKey as StudyKey
 from strainwave.domain.verdict import Status as Status
 from strainwave.domain.verdict import Validation as Validation
 from strainwave.domain.verdict import Verdict as Verdict

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from strainwave.domain.arm import ArmDescription, Joint, Vector
+from strainwave.domain.arm import ArmDescription, Joint
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.core_arm import core_arm, transmission
 from strainwave.domain.keys import Key, Row
@@ -265,20 +265,15 @@ def _preference(links: tuple[Key, ...], arm: ArmDescription) -> list[tuple[int, 
     def rank(k: int) -> tuple[bool, int, int]:
         name, joint = links[k]
         number = (joint or 1) - 1
-        grouped = _grouped_names(arm.joints[number].axis)
+        along = int(np.argmax(np.abs(arm.joints[number].axis)))
+        across = "xyz"[(along + 2) % 3]
+        grouped = "link_mass", f"link_first_moment_{'xyz'[along]}", f"link_inertia_{2 * across}"
         return name in grouped, -number, k
 
     of_links = sorted(range(len(links)), key=rank)
     of_motors = range(len(links), len(links) + arm.n_joints)
     clearly = [(k, _CLEARLY_INDEPENDENT_PART) for k in of_links]
     return [*clearly, *((k, _MIN_INDEPENDENT_PART) for k in (*of_links, *of_motors))]
-
-
-def _grouped_names(axis: Vector) -> tuple[str, str, str]:
-    """Names of the standard parameters of a link that are grouped with those of others."""
-    along = int(np.argmax(np.abs(axis)))
-    across = "xyz"[(along + 2) % 3]
-    return "link_mass", f"link_first_moment_{'xyz'[along]}", f"link_inertia_{2 * across}"
 
 
 def _named_column(

@@ -2,58 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from strainwave.domain.clauses import Place
 from strainwave.domain.estimates import Diagnostic, Suspicion
 from strainwave.domain.link_sensors import link_channel_kinds
-from strainwave.domain.messages import places_text
+from strainwave.domain.messages import Clause, Place, places_text, text_of
 from strainwave.domain.study import Study, channel_parts
 
 _LINK_GEOMETRY = ("accelerometer_distance", "link_length")
 """Keys of the study that affect only predictions of link sensors."""
-
-RELATION_TEXTS: Mapping[str, str] = {
-    "clipped": "share of clipped samples",
-    "count": "encoder step / study",
-    "prbs-clock": "command period / prbs clock",
-    "servo-clock": "command period / servo period",
-    "level": "PRBS amplitude / study",
-    "limit": "largest voltage / servo limit",
-    "excited-joint": "PRBS in the stated joint",
-    "reference": "motor velocity / reference",
-    "servo": "voltage / servo output",
-    "velocity": "motor velocity / angle's slope",
-    "scale": "reading / motor motion",
-    "own-joint": "reading / own joint's motion",
-    "origin-motion": "reading / motion of the axis",
-    "gravity": "reading / gravity",
-    "tilt": "gravity left out [g]",
-    "rotation-ratio": "rotation / joints before",
-    "delay": "sensor delay [s]",
-    "drift": "sensor clock drift [s/s]",
-    "input-delay": "command delay [s]",
-    "inertia": "inertia by the torque [kg m^2]",
-    "torque-fit": "unexplained torque / best explanation",
-    "torque-prediction": "predicted share of held-out torques",
-    "presence": "range / range of the prediction",
-    "torque-sensor": "torque sensor / motor torque",
-    "friction": "share of friction in the torque",
-    "mass": "implied mass / largest plausible",
-    "speed": "joint speed / largest plausible",
-    "torque-ratio": "torque of joint 1 / this joint",
-    "explained-share": "explained share",
-}
-"""Kinds of relations, as the terminal names them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Relation:
     """A number that the channels and the study determine, and its value for consistent input."""
 
-    kind: str  # a key of `RELATION_TEXTS`
+    kind: str
     place: Place
     measured: float
     std: float  # standard deviation; 0: not estimated
@@ -61,6 +27,11 @@ class Relation:
     is_consistent: bool
     accuracy: float  # largest difference from the expected value of consistent input
     bound: Literal["equal", "least", "most"] = "equal"  # what the expected value is
+
+    @property
+    def text(self) -> str:
+        """The kind of the relation, as the terminal names it."""
+        return text_of(Clause(f"relation/{self.kind}"))
 
     @property
     def where(self) -> str:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from strainwave.domain.arm import ArmDescription, Matrix
-from strainwave.domain.clauses import Clause
 from strainwave.domain.kinds import change_arm_keys
+from strainwave.domain.messages import Clause
 from strainwave.domain.study import Channel, Experiment, Study
 
 

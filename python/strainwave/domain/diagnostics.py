@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 
-from strainwave.domain.clauses import Clause, Place, merge_clauses
 from strainwave.domain.estimates import Diagnostic, Parameter, Prediction
 from strainwave.domain.final_table import Decision
 from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.messages import Clause, Place, merge_clauses
 from strainwave.domain.ranges import implausible_joints
 from strainwave.domain.stage_results import StageResults
 from strainwave.domain.verdict import (

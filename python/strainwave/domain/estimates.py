@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 
 from strainwave.display import Displayed
 from strainwave.domain.arrays import FloatArray
-from strainwave.domain.clauses import Clause, Place, Value
 from strainwave.domain.corrections import Correction
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.keys import Key, Keyed
-from strainwave.domain.messages import observation_of, places_text, text_of
-from strainwave.domain.stages import Stage
+from strainwave.domain.messages import Clause, Place, Value, observation_of, places_text, text_of
+from strainwave.domain.progress import Stage
 from strainwave.domain.study import channel_parts
 
 

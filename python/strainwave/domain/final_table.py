@@ -17,7 +17,6 @@ from strainwave.domain.base_parameters import (
     link_inertia,
     torque_per_parameter,
 )
-from strainwave.domain.clauses import Clause
 from strainwave.domain.combinations import (
     LINK_INERTIA,
     change_from,
@@ -30,6 +29,7 @@ from strainwave.domain.joint_models import JointModel
 from strainwave.domain.keys import Key, Row
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.link_sensors import constant_of, link_channel_kinds, link_keys
+from strainwave.domain.messages import Clause
 from strainwave.domain.parameter_table import VISCOUS, base_name, family_of, parameter_table
 from strainwave.domain.ranges import is_physical, physical_range
 from strainwave.domain.signals import Activity

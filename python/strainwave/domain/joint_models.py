@@ -8,10 +8,9 @@ from typing import Literal
 
 from strainwave.display import Displayed
 from strainwave.domain.arrays import BoolArray, FloatArray
-from strainwave.domain.clauses import Clause, Value
 from strainwave.domain.estimates import Diagnostic, Parameter
 from strainwave.domain.linear_models import FrequencyResponse, Mode, ModelCheck, Modes, StateSpace
-from strainwave.domain.messages import text_of
+from strainwave.domain.messages import Clause, Value, text_of
 from strainwave.domain.signals import Fusion, Lag
 from strainwave.domain.study import Experiment
 

@@ -1,10 +1,10 @@
-"""Text of warnings and places: a template for each code, or for each variant of a code.
+"""Messages: clauses with their values and places, and their text by the template of a code.
 
-`warnings.toml` has all that a reader learns of a warning: messages, meaning and remedy. A template
-is a format string. Conversions: `!p` per cent, `!m` thousandths, `!u` millionths, `!a` a list with
-commas and "and", `!o` with ", or ", `!e` with ", and ", and `!s` with semicolons. `|` ends the
-observation of a warning and is not part of the text. `domain.fault_messages` has the templates of
-suspected faults.
+`warnings.toml` has all that a reader learns of a warning: messages, meaning and remedy;
+`faults.toml` has that of a suspected fault. A template is a format string, whose fields are values
+or `[parts]` that templates share. Conversions: `!p` per cent, `!m` thousandths, `!u` millionths,
+`!a` a list with commas and "and", `!o` with ", or ", `!e` with ", and ", and `!s` with semicolons.
+`|` ends the observation of a warning and is not part of the text.
 """
 
 from __future__ import annotations
@@ -17,15 +17,110 @@ from pathlib import Path, PurePath
 from string import Formatter
 from typing import Any
 
-from strainwave.domain.clauses import Clause, Place, Span, Value
-from strainwave.domain.fault_messages import FAULTS
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Place that a warning or a suspected fault concerns; decisions read its fields."""
+
+    experiments: tuple[str, ...] = ()
+    channel: str | None = None
+    joint: int | None = None  # from 1
+    parameter: str | None = None  # name of an estimated parameter
+    key: str | None = None  # key of the study file
+    file: str | None = None  # path or name of a file
+    part: str | None = None  # "arm", "tuning" or a model, if nothing above applies
+
+    @classmethod
+    def in_records(cls, *experiments: str, joint: int | None = None) -> Place:
+        """Place of one or more records, or of one joint in them."""
+        return cls(experiments=experiments, joint=joint)
+
+    @property
+    def is_one_record(self) -> bool:
+        """Whether the place is one record, or one joint in one record."""
+        return len(self.experiments) == 1 and self == Place(self.experiments, joint=self.joint)
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Smallest and largest value of one number in merged warnings."""
+
+    low: float
+    high: float
+
+    def __format__(self, spec: str) -> str:
+        """The number, or "a to b" if the two differ in this format."""
+        low, high = format(self.low, spec), format(self.high, spec)
+        return low if low == high else f"{low} to {high}"
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Clause:
+    """A clause or a message: its template, and the values in it.
+
+    A float is a measurement; an int is a number of a joint or a count. A clause as a value is
+    rendered in place, a tuple as a list, and None as nothing.
+    """
+
+    template: str
+    values: tuple[tuple[str, Value], ...]
+
+    def __init__(self, template: str, /, **values: Value) -> None:
+        object.__setattr__(self, "template", template)
+        object.__setattr__(self, "values", tuple(values.items()))
+
+    @property
+    def shape(self) -> Clause:
+        """The clause without its measurements; clauses of equal shape can be merged."""
+        return Clause(self.template, **{k: _shape_of(v) for k, v in self.values})
+
+
+Value = float | int | str | Place | Span | Clause | tuple["Value", ...] | None
+
+
+def _shape_of(value: Value) -> Value:
+    if isinstance(value, float):
+        return None
+    if isinstance(value, Clause):
+        return value.shape
+    return tuple(map(_shape_of, value)) if isinstance(value, tuple) else value
+
+
+def merge_clauses(clauses: Sequence[Clause]) -> Clause:
+    """Merge clauses of one shape: each measurement becomes its span."""
+    columns = zip(*(clause.values for clause in clauses), strict=True)
+    merged = {column[0][0]: _merge([value for _, value in column]) for column in columns}
+    return Clause(clauses[0].template, **merged)
+
+
+def _merge(values: Sequence[Value]) -> Value:
+    first = values[0]
+    if isinstance(first, float):
+        numbers = [value for value in values if isinstance(value, float)]
+        return Span(min(numbers), max(numbers))
+    if isinstance(first, tuple):
+        rows = [value for value in values if isinstance(value, tuple)]
+        return tuple(map(_merge, zip(*rows, strict=True)))
+    if isinstance(first, Clause):
+        return merge_clauses([value for value in values if isinstance(value, Clause)])
+    return first
+
+
+STATE_SPACE_MODEL = Place(part="state-space model")
+WHOLE_ARM_FIT = Place(part="tuning")
 
 
 @cache
 def catalogue() -> dict[str, dict[str, Any]]:
     """Every warning by its code, as `warnings.toml` has it, the most serious first."""
-    warnings: dict[str, dict[str, Any]] = _catalogue_file()["warnings"]
+    warnings: dict[str, dict[str, Any]] = _tables("warnings")["warnings"]
     return warnings
+
+
+@cache
+def fault_codes() -> tuple[str, ...]:
+    """Codes of suspected faults of the input."""
+    return tuple(_tables("faults")["codes"])
 
 
 @cache
@@ -36,12 +131,12 @@ def templates() -> dict[str, str]:
         for code, entry in catalogue().items()
         for variant, template in entry["message"].items()
     }
-    return {**of_warnings, **_catalogue_file()["clauses"], **FAULTS}
+    return {**of_warnings, **_tables("warnings")["clauses"], **_tables("faults")["templates"]}
 
 
 @cache
-def _catalogue_file() -> dict[str, Any]:
-    return tomllib.loads(Path(__file__).with_name("warnings.toml").read_text(encoding="utf-8"))
+def _tables(name: str) -> dict[str, Any]:
+    return tomllib.loads(Path(__file__).with_name(f"{name}.toml").read_text(encoding="utf-8"))
 
 
 _LINKS = {"a": (", ", " and "), "o": (", or ",) * 2, "e": (", and ",) * 2, "s": ("; ",) * 2}
@@ -94,6 +189,10 @@ def _render(template: str, values: Mapping[str, Value]) -> str:
 
 class _Rendering(Formatter):
     """Format strings whose values are clauses, places and lists of these."""
+
+    def get_value(self, key: int | str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
+        part = _tables("faults")["parts"].get(key)
+        return _render(part, kwargs) if part else super().get_value(key, args, kwargs)
 
     def convert_field(self, value: Value, conversion: str | None) -> Value | _List:
         if conversion in _LINKS:

@@ -1,14 +1,16 @@
 """Prior knowledge of every parameter: symbol, description, units and range.
 
-The core declares the parameters of its equations of motion. This module adds combinations of them
-and the parameters of effects that the core does not simulate.
+The core declares the parameters of its equations of motion. `parameter_table.toml` adds
+combinations of them and the parameters of effects that the core does not simulate.
 """
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
@@ -56,79 +58,6 @@ _TORQUES: Mapping[str, Family] = {
     "single-joint": "gravity",
     "drive": "dry friction",
 }
-_INERTIA = ("kg m^2", "kg")
-
-_DERIVED = (
-    ParameterDescription(
-        "torque_per_volt",
-        "e",
-        "torque of the drive per volt, motor side",
-        ("N m/V", "N/V"),
-        "positive",
-    ),
-    ParameterDescription(
-        "rigid_inertia",
-        "",
-        "alpha + m_M1/n1²: inertia of joint 1 with its motor, link side",
-        _INERTIA,
-        "positive",
-    ),
-    ParameterDescription(
-        "inertia",
-        "c_1",
-        "m_M + n² m_L: inertia of motor and link, motor side",
-        _INERTIA,
-        "positive",
-    ),
-    ParameterDescription(
-        "total_viscous_friction",
-        "c_0",
-        "d_M + n² d_L: viscous friction of the joint, motor side",
-        ("N m s/rad", "N s/m"),
-        "non-negative",
-    ),
-)
-"""Combinations of the core's parameters that results report by name."""
-
-_EFFECT_PARAMETERS = (
-    ParameterDescription(
-        FRICTION_CHANGE,
-        "phi",
-        "relative change of a joint's Coulomb friction in one record",
-        ("1", "1"),
-        "any",
-    ),
-    ParameterDescription(
-        "drive_gain_change",
-        "g_r",
-        "relative change of a joint's torque per volt in one record",
-        ("1", "1"),
-        "any",
-    ),
-    ParameterDescription(
-        "encoder_zero", "q_0", "joint angle minus encoder reading", ("rad", "m"), "any"
-    ),
-    ParameterDescription(
-        "load_speed_friction",
-        "mu_v",
-        "viscous friction per torque of the links, both motor side",
-        ("s/rad", "s/m"),
-        "non-negative",
-    ),
-    ParameterDescription(
-        "direction_friction",
-        "d_a",
-        "half the difference of the viscous frictions of both directions, motor side",
-        ("N m s/rad", "N s/m"),
-        "any",
-    ),
-    ParameterDescription(
-        "torque_delay", "T_d", "delay of the logged torque behind the motion", ("s", "s"), "any"
-    ),
-)
-"""Parameters of effects that the core does not simulate."""
-
-
 # of links that several motors turn, where rigid motion does not separate all of them
 _GROUPED_FRICTION = ("link_viscous_friction", "total_viscous_friction")
 _CHAIN = "serial"  # owner of the standard parameters of links
@@ -172,8 +101,13 @@ def parameter_table() -> Mapping[str, ParameterDescription]:
         table.setdefault(name, declared)
         if owner == _CHAIN:
             table[grouped_name(name)] = _grouped(declared)
-    for parameter in (*_DERIVED, *_EFFECT_PARAMETERS):
-        table[parameter.name] = parameter
+    added = tomllib.loads(
+        Path(__file__).with_name("parameter_table.toml").read_text(encoding="utf-8")
+    )
+    for group in added.values():
+        for name, texts in group.items():
+            more = {"symbol": texts.get("symbol", ""), "units": tuple(texts["units"])}
+            table[name] = ParameterDescription(name, **texts | more)
     for name in _GROUPED_FRICTION:
         table[grouped_name(name)] = _grouped(table[name])
     return MappingProxyType(table)

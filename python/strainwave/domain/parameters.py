@@ -1,12 +1,16 @@
-"""Names of parameters in options, and values that follow from other values."""
+"""Names of parameters in options, values that follow from others, symbols and descriptions."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 from strainwave.domain.arm import ArmDescription, Joint
 from strainwave.domain.base_parameters import base_parameters
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import kind_of
+from strainwave.domain.link_sensors import SensorConstant, sensor_constants
+from strainwave.domain.parameter_table import ParameterDescription, parameter_table
 from strainwave.errors import InvalidInput
 
 
@@ -75,3 +79,11 @@ def _complete_joint(known: Values, number: int, joint: Joint) -> None:
     if (STIFFNESS, number) in known:
         for name, value in joint.law.straight(known[STIFFNESS, number]).items():
             known.setdefault((name, number), value)
+
+
+def parameter_descriptions() -> Mapping[str, ParameterDescription | SensorConstant]:
+    """Parameters and sensor constants in results by name, with symbol and description."""
+    return {
+        **parameter_table(),
+        **{name: c for name, c in sensor_constants().items() if c.description},
+    }

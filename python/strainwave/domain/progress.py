@@ -1,9 +1,10 @@
-"""Progress of a run."""
+"""The stages of an identification, and the progress of a run."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,3 +27,8 @@ Progress = Callable[[ProgressEvent], None]
 
 def ignore_progress(_event: ProgressEvent) -> None:
     """Ignore progress events."""
+
+
+Stage = Literal["rigid", "decoupled", "tuned"]
+STAGES: tuple[Stage, ...] = get_args(Stage)
+"""All stages in order; a run executes a prefix of them."""

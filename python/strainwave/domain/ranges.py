@@ -7,13 +7,15 @@ motors of robots cover a known range, and a value outside it indicates a wrong u
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from strainwave.domain.arm import ArmDescription, Joint
-from strainwave.domain.clauses import Clause, Place
 from strainwave.domain.estimates import Diagnostic, Parameter
 from strainwave.domain.gear_laws import is_slope
+from strainwave.domain.messages import Clause, Place
 from strainwave.domain.parameter_table import Range, base_name, parameter_table
 
 
@@ -45,46 +47,10 @@ class PlausibleRange:
 MAX_GEARED_RATIO = 0.1
 """Largest gear ratio at which the ranges of geared motors apply: 10 to 1."""
 
-PLAUSIBLE_RANGES = (
-    # a finger of 1 g; axis 1 of a robot that carries 2 t at 3 m
-    PlausibleRange("link inertia", 1e-7, 3e4),
-    PlausibleRange("motor inertia", 1e-7, 1e4, power=2),
-    # rotors of 5 mm to 300 mm in diameter
-    PlausibleRange("motor inertia", 1e-10, 0.2, geared=True),
-    # a torsion spring of the laboratory; cycloidal gears of 3 kN m per arc minute
-    PlausibleRange("stiffness", 0.5, 1e7),
-    # a tenth of a gear of size 8, the smallest of docs/theory.md, with ratio 50
-    PlausibleRange("stiffness", 40.0, 1e7, geared=True),
-    PlausibleRange("Coulomb friction", 0.0, 5e3, power=1),
-    PlausibleRange("Coulomb friction", 0.0, 20.0, geared=True),
-    PlausibleRange("viscous friction", 0.0, 1e5, power=2),
-    # 1 mN m to 50 kN m at the joint for 10 V
-    PlausibleRange("torque per volt", 1e-4, 5e3, power=1),
-    # 0.1 mN m to 200 N m of a motor for 10 V
-    PlausibleRange("torque per volt", 1e-5, 20.0, geared=True),
-)
-"""From desktop arms to the largest industrial axes, with a margin of at least a factor of two."""
-
-_QUANTITIES: Mapping[str, str] = {
-    "link_inertia": "link inertia",
-    "rigid_inertia": "link inertia",
-    "motor_inertia": "motor inertia",
-    "inertia": "motor inertia",
-    "motor_coulomb_friction": "Coulomb friction",
-    "motor_viscous_friction": "viscous friction",
-    "total_viscous_friction": "viscous friction",
-}
-"""Quantities of parameters; slopes of a gear are stiffnesses."""
-
-_TORQUE_UNITS: Mapping[str, float] = {
-    "mN m": 1e-3,
-    "N cm": 1e-2,
-    "oz in": 7.0616e-3,
-    "kgf cm": 9.80665e-2,
-    "lbf in": 0.112985,
-    "kN m": 1e3,
-}
-"""Units of torque [N m] that are mistaken for N m, the most frequent first."""
+_TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+PLAUSIBLE_RANGES = tuple(PlausibleRange(**table) for table in _TABLES["range"])
+_QUANTITIES: Mapping[str, str] = _TABLES["quantities"]
+_TORQUE_UNITS: Mapping[str, float] = _TABLES["units"]
 
 _PER_ANGLE = ("link inertia", "motor inertia", "stiffness", "viscous friction")
 _ANGLE_UNITS: Mapping[str, float] = {"turns": 2.0 * math.pi, "degrees": math.pi / 180.0}

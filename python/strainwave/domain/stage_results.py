@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from strainwave.domain.arm_model import ArmModel, MotorResponse
-from strainwave.domain.clauses import Clause
 from strainwave.domain.estimates import Diagnostic, Parameter, Prediction, Suspicion
 from strainwave.domain.joint_models import JointModel, RecordModel, Sweep, TorsionFit
 from strainwave.domain.linear_models import FrequencyResponse
+from strainwave.domain.messages import Clause
+from strainwave.domain.progress import Stage
 from strainwave.domain.rigid_model import RigidModel
 from strainwave.domain.signals import Activity, LinkSummary, Log
-from strainwave.domain.stages import Stage
 from strainwave.domain.study import Study
 
 

@@ -9,17 +9,16 @@ from typing import Literal
 
 from strainwave.domain.arm_model import ArmModel, ResidualTest
 from strainwave.domain.base_parameters import base_parameters
-from strainwave.domain.clauses import Clause, Place
 from strainwave.domain.combinations import is_uncoupled, viscous_friction
 from strainwave.domain.effects import effect_named
 from strainwave.domain.estimates import Diagnostic, Prediction, Suspicion
 from strainwave.domain.final_table import Decision
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.keys import Key, grouped_labels
-from strainwave.domain.messages import text_of
+from strainwave.domain.messages import Clause, Place, text_of
+from strainwave.domain.progress import Stage
 from strainwave.domain.ranges import implausible_joints
 from strainwave.domain.stage_results import StageResults
-from strainwave.domain.stages import Stage
 
 _MAX_LISTED_CAUSES = 3  # in a reason
 

@@ -141,11 +141,6 @@ class Arm(ArmDescription):
         stop = self.n_body + FRICTION_COLUMNS * self.n_joints
         return solution[self.n_body : stop].reshape(self.n_joints, FRICTION_COLUMNS)
 
-    @cached_property
-    def _shared_friction(self) -> FloatArray:
-        """Motor torques per motor velocity of the last rigid columns: (n, n_joints, n_joints)."""
-        return shared_viscous_friction(self).matrices
-
     @property
     def n_shared(self) -> int:
         """Number of the last `rigid_columns`, viscous frictions of links that motors share."""
@@ -158,7 +153,7 @@ class Arm(ArmDescription):
 
     def shared_friction_regressor(self, motor_velocity: FloatArray) -> FloatArray:
         """Motor torques per viscous friction of links that motors share: (..., n_joints, n)."""
-        torques = motor_velocity[..., None, None, :] @ self._shared_friction
+        torques = motor_velocity[..., None, None, :] @ shared_viscous_friction(self).matrices
         return np.asarray(np.swapaxes(torques[..., 0, :], -1, -2))
 
     @cached_property

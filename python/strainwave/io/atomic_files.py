@@ -44,7 +44,9 @@ def _write_whole(folder: Path, contents: Mapping[str, bytes]) -> None:
             pending.append((Path(temporary), final))
             with os.fdopen(handle, "wb") as file:
                 file.write(data)
-            Path(temporary).chmod(0o666 & ~_umask())
+            mask = os.umask(0)
+            os.umask(mask)
+            Path(temporary).chmod(0o666 & ~mask)
         for temporary_path, final in pending:
             temporary_path.replace(final)
     except OSError as error:
@@ -56,13 +58,6 @@ def _write_whole(folder: Path, contents: Mapping[str, bytes]) -> None:
     finally:
         for temporary_path, _ in pending:
             temporary_path.unlink(missing_ok=True)
-
-
-def _umask() -> int:
-    """The process's file mode mask, which can only be read by setting it."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def read_bytes(path: Path, description: str) -> bytes:

@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from typing import TypeVar, cast
 
 Result = TypeVar("Result")
@@ -24,12 +24,13 @@ _COLLECTOR_THRESHOLD = 100_000  # allocations between two runs of the garbage co
 _SWITCH_INTERVAL = 1e-3
 
 
-def one_blas_thread() -> AbstractContextManager[object]:
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
     """Limit BLAS to one thread: for small products, synchronisation costs more than it saves."""
     from threadpoolctl import threadpool_limits
 
-    limit: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
-    return limit
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
 
 
 def configure_process() -> None:

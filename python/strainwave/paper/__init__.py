@@ -9,10 +9,9 @@ from functools import partial
 from strainwave.domain import ArmModel, Comparison, Protocol, Tally
 from strainwave.errors import StrainwaveError
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
-from strainwave.paper import amplitude, decoupled, feedback, inputs, refinement, steps
-from strainwave.paper.document import document_of, failed_comparison, to_json
+from strainwave.paper import amplitude, decoupled, inputs, refinement
+from strainwave.paper.document import document_of, failed_comparison, to_json, to_markdown
 from strainwave.paper.joint_estimates import evidence_of
-from strainwave.paper.page import to_markdown
 from strainwave.paper.rig import OWN_SETTINGS, PUBLISHED_SETTINGS, Rig, Settings, WholeArmEstimate
 from strainwave.virtual.scara import SOFT, BuiltInArm
 
@@ -132,13 +131,13 @@ def _jobs(
         4: partial(inputs.prbs, rig),
         5: partial(inputs.free, rig),
         6: lambda: refinement.responses(rig, 1, tuned_arm()),
-        7: lambda: steps.tuning(rig, refinement.modified_values(rig), tuned_arm()),
-        8: lambda: steps.validation(rig, tuned_arm()),
+        7: lambda: refinement.tuning(rig, refinement.modified_values(rig), tuned_arm()),
+        8: lambda: refinement.validation(rig, tuned_arm()),
         9: lambda: refinement.responses(rig, 2, tuned_arm()),
         10: partial(decoupled.inputs, rig),
         11: partial(decoupled.outputs, rig, options.payloads),
         12: partial(inputs.servoed, rig),
-        13: partial(feedback.methods, rig),
+        13: partial(decoupled.methods, rig),
         14: partial(over_amplitudes, amplitude.responses),
         15: partial(over_amplitudes, amplitude.squares),
     }

@@ -23,8 +23,7 @@ from strainwave.paper.joint_estimates import (
     evidence_of,
     response_of,
 )
-from strainwave.paper.rig import Rig, Run
-from strainwave.paper.truth import gear_torque, slopes
+from strainwave.paper.rig import Rig, Run, gear_torque, slopes
 from strainwave.presentation.figures import Figure
 from strainwave.presentation.figures.curves import Series, bode, scatter
 

@@ -27,7 +27,12 @@ class Reporter:
 
     def __init__(self, stages: Sequence[Stage], progress: Progress) -> None:
         self.timing_s: dict[str, float] = {}
-        self._planned = _planned_parts(stages)
+        planned = ["read", "consistency", "rigid", "checks"]
+        if "decoupled" in stages:
+            planned.append("decoupled")
+        if "tuned" in stages:
+            planned += ["tuned", "checks"]
+        self._planned = [*planned, "report"]
         self._progress = progress
         self._n_started = 0  # parts started or skipped
         self._fraction = 0.0  # completed part of the run, from 0 to 1
@@ -57,13 +62,3 @@ class Reporter:
         fraction = (self._n_started - 1 + min(within, 1.0)) / parts
         self._fraction = max(self._fraction, fraction)  # never decreases if a part takes longer
         self._progress(ProgressEvent(part, self._fraction, activity, self._n_started, parts))
-
-
-def _planned_parts(stages: Sequence[Stage]) -> list[str]:
-    """The timed parts of a run, in order; "checks" occurs twice with the last stage."""
-    planned = ["read", "consistency", "rigid", "checks"]
-    if "decoupled" in stages:
-        planned.append("decoupled")
-    if "tuned" in stages:
-        planned += ["tuned", "checks"]
-    return [*planned, "report"]

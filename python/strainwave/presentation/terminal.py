@@ -21,7 +21,6 @@ from strainwave.domain import (
     Tally,
     Verdict,
 )
-from strainwave.domain.consistency import RELATION_TEXTS
 from strainwave.domain.formatting import percent, plus_minus
 from strainwave.domain.keys import Key
 from strainwave.presentation.report import (
@@ -104,7 +103,7 @@ def print_check(check: InputCheck, *, console: Console | None = None) -> None:
         expected = "> 0" if relation.expected is None else f"{sign}{relation.expected:g}"
         measured = f"{relation.measured:.4g}"
         accuracy = f"{relation.accuracy:.2g}" if relation.accuracy else ""
-        row = RELATION_TEXTS[relation.kind], measured, expected, accuracy, verdict
+        row = relation.text, measured, expected, accuracy, verdict
         places.setdefault(row, []).append(relation.where)
     for (text, *values), names in places.items():
         style = "" if values[-1] == "consistent" else _FAULT_STYLE

@@ -106,6 +106,7 @@ class ServoDesign:
         return [joint.tuned.gains for joint in self.joints]
 
 
+@one_blas_thread()  # thousands of small matrices
 def design_servo(
     arm: IdentifiedArm,
     covariance: JointCovariance | None,
@@ -126,29 +127,7 @@ def design_servo(
     _check_parameters(arm)
     conditions = _conditions(arm, options)
     clock, limits = _drives(arm, options)
-    with one_blas_thread():  # thousands of small matrices
-        return _design(
-            arm,
-            covariance,
-            options,
-            clock,
-            limits,
-            conditions,
-            noise or IdentifiedNoise(),
-            progress,
-        )
-
-
-def _design(
-    arm: IdentifiedArm,
-    covariance: JointCovariance | None,
-    options: ServoOptions,
-    clock: Clock,
-    limits: FloatArray,
-    conditions: tuple[Condition, ...],
-    noise: IdentifiedNoise,
-    progress: Callable[[str], None],
-) -> ServoDesign:
+    noise = noise or IdentifiedNoise()
     progress("drawing plants")
     rng = np.random.default_rng(options.seed)
     draws = drawn_values(arm, covariance, options.draws, rng)

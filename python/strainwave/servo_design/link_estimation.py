@@ -120,11 +120,13 @@ def estimation_errors(
         known = inputs.known_readings(observer)
         readings = read_runs(runs, observer.measurements, i, rng) - known
         torque, voltage = inputs.interaction(observer), simulated.inputs(runs["voltage"])[..., i]
+        angle = model.links_of(runs["motor_angle"])[..., i]
+        velocity = np.diff(angle, axis=1, prepend=angle[:, :1]) / drive.tick
         estimates = [
             estimate_link(observer, voltage, readings, torque),
             estimate_link(by_encoder, voltage, readings[..., :1], torque),
             estimate_link(observer, voltage, readings, np.zeros_like(torque)),
-            _by_motor(model, runs["motor_angle"], i, drive.tick),
+            np.stack([angle, velocity], axis=-1),
         ]
         link = np.stack([runs["link_angle"][..., i], runs["link_velocity"][..., i]], axis=-1)
         own, encoder, without, motor = (_rms(each - link) for each in estimates)
@@ -151,13 +153,6 @@ def _rms(errors: FloatArray) -> tuple[float, float]:
     """The largest of all runs of errors (n_runs, n_samples, 2) of angle and velocity."""
     angle, velocity = np.sqrt(np.mean(errors**2, axis=1)).max(axis=0).tolist()
     return angle, velocity
-
-
-def _by_motor(model: Arm, motors: FloatArray, i: int, period: float) -> FloatArray:
-    """Link angle and velocity behind a rigid gear: (n_runs, n_samples, 2)."""
-    angle = model.links_of(motors)[..., i]
-    velocity = np.diff(angle, axis=1, prepend=angle[:, :1]) / period
-    return np.stack([angle, velocity], axis=-1)
 
 
 def planned_inputs(arm: IdentifiedArm, planned: FloatArray, period: float) -> PlannedInputs:

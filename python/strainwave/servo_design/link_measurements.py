@@ -16,13 +16,12 @@ from strainwave.domain import FloatArray, Joint
 from strainwave.domain.arm import Imu
 from strainwave.domain.link_sensors import Axis, axes_of, with_estimates
 from strainwave.domain.link_sensors.accelerometer import Accelerometer
+from strainwave.domain.link_sensors.encoders import LinkEncoder
+from strainwave.domain.link_sensors.gear_sensors import TorqueSensor, TorsionSensor
 from strainwave.domain.link_sensors.gyro import Gyro
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros
 from strainwave.domain.link_sensors.interface import LinkSensor
-from strainwave.domain.link_sensors.link_encoder import LinkEncoder
 from strainwave.domain.link_sensors.link_space import attitude, axes_about
-from strainwave.domain.link_sensors.torque_sensor import TorqueSensor
-from strainwave.domain.link_sensors.torsion_sensor import TorsionSensor
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.export.source import IdentifiedArm

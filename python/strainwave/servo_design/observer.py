@@ -27,16 +27,15 @@ from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise
 from strainwave.servo_design.closed_loop import Clock
-from strainwave.servo_design.link_measurements import Measurement, measurements_of
-from strainwave.servo_design.plants import (
+from strainwave.servo_design.joint_plant import (
     DISTURBANCE,
     DRIVE_TORQUE,
     LAST_INPUT,
     MOTION,
-    Condition,
     TwoInertia,
-    link_inertias,
 )
+from strainwave.servo_design.link_measurements import Measurement, measurements_of
+from strainwave.servo_design.plants import Condition, link_inertias
 
 _DEFAULT_BAND_HZ = 5.0  # of torque errors, if the result has none
 _DEFAULT_ERROR_SHARE = 0.02  # of the torque at one volt: torque error, if the result has none

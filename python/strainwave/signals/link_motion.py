@@ -25,17 +25,23 @@ from strainwave.domain import (
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import MAX_SENSOR_DELAY, shift_samples
 from strainwave.errors import InvalidInput
-from strainwave.numerics.filters import Between, apply_lags_without_aliases, differentiate, low_pass
+from strainwave.numerics.filters import (
+    Between,
+    apply_lags,
+    apply_lags_without_aliases,
+    differentiate,
+    low_pass,
+)
 from strainwave.numerics.parallel import run_parallel
-from strainwave.signals.alignment import estimate_drive_delay, estimate_sensor_delay
 from strainwave.signals.channels import check_length, sensor_lags, unmeasured
 from strainwave.signals.delays import (
     build_delay_warnings,
     build_misalignment_warnings,
+    estimate_drive_delay,
+    estimate_sensor_delay,
     estimate_sensor_delays,
     list_removed_delays,
 )
-from strainwave.signals.fusion import bias_of, complement, fuse
 from strainwave.signals.link_readings import (
     JointMotion,
     acceleration_gain,
@@ -43,6 +49,49 @@ from strainwave.signals.link_readings import (
     read_gyro,
 )
 from strainwave.signals.prepared_record import PreparedRecord, prepare_record
+
+
+def fuse(rate: FloatArray, slow: FloatArray, fusion: Fusion, sample_time: float) -> FloatArray:
+    """Sum of the high-pass filtered integral of a rate and the low-pass filtered slow signal, (10).
+
+    y = (1 - F) (1/s) rate + F slow, with T = T_V:
+
+        order 1: F = 1 / (1 + T s),
+                 y = (T rate + slow) / (1 + T s);
+        order 2: F = 1 / (1 + sqrt(2) T s + T^2 s^2),
+                 y = (T^2 s rate + sqrt(2) T rate + slow) / (1 + sqrt(2) T s + T^2 s^2).
+
+    The two filters sum to one: if `rate` is the derivative of `slow`, y = slow. All signals are
+    (n_samples,).
+    """
+    # Only the high-pass filtered difference is added to slow, which avoids an initial transient.
+    integral = np.r_[0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]))] * sample_time
+    difference = integral - (slow - slow[0])
+    return np.asarray(slow + difference - complement(difference, fusion, sample_time))
+
+
+def complement(signal: FloatArray, fusion: Fusion, sample_time: float) -> FloatArray:
+    """Low-pass F of the fusion, (n_samples,); its initial state is rest at the first sample."""
+    low_pass = Lag(fusion.order, 1.0 / (2.0 * np.pi * fusion.time_constant))
+    return apply_lags(signal, [low_pass], sample_time)
+
+
+def bias_of(acceleration: FloatArray, velocity: FloatArray, sample_time: float, edge: int) -> float:
+    """Bias of an acceleration [rad/s^2] relative to an encoder velocity [rad/s].
+
+    The weighted mean of (acceleration - velocity') over the record, integrated by parts,
+
+        sum(w a + w' v) / sum(w),    w = sin^4.
+
+    The weight and its slope vanish at both ends, so a vibration of the spring between the two
+    sensors does not contribute. `edge` samples at each end are excluded.
+    """
+    a, v = acceleration[edge:-edge], velocity[edge:-edge]
+    phase = np.pi * (np.arange(len(a)) + 0.5) / len(a)
+    weight = np.sin(phase) ** 4
+    slope = 4.0 * np.sin(phase) ** 3 * np.cos(phase) * np.pi / (len(a) * sample_time)
+    return float((weight @ a + slope @ v) / weight.sum())
+
 
 __all__ = [
     "LinkOptions",
@@ -71,7 +120,7 @@ def compute_link_signals(
     """Compute motor-side and link-side motion of several records, corrected for sensor delays.
 
     A delay belongs to a sensor and is the same in all records. It is estimated from all of them,
-    see `strainwave.signals.alignment`. The channel is shifted by the delay if it exceeds four
+    see `strainwave.signals.delays`. The channel is shifted by the delay if it exceeds four
     standard deviations and if no delay exceeds `MAX_SENSOR_DELAY`.
 
     Also returns the removed delay of each joint; its value is zero if nothing was removed. Raises
@@ -306,7 +355,8 @@ def _compute_link_motion(view: _FilteredLog, motor_velocity: FloatArray) -> _Lin
             motion.angle[:, i], motion.velocity[:, i] = angle, slow
             motion.acceleration[:, i] = differentiate(slow, T)
             continue
-        acceleration = _acceleration(arm, read, i, motion)
+        still = replace(motion, acceleration=motion.without(i).acceleration)
+        acceleration = (read - read_accelerometer(arm, still, i)) / acceleration_gain(arm.joints[i])
         links.bias[i] = bias_of(acceleration, slow, T, view.edge)
         acceleration = acceleration - links.bias[i]
         fusion = Fusion(view.options.time_constant, view.options.order)
@@ -330,12 +380,6 @@ def _low_frequency_motion(
     elif f"deflection{i + 1}" in channels:
         motor_side = motor_side + view.through(channels[f"deflection{i + 1}"])
     return motor_side, differentiate(motor_side, view.log.sample_time)
-
-
-def _acceleration(arm: Arm, read: FloatArray, i: int, motion: JointMotion) -> FloatArray:
-    """Relative link acceleration from an accelerometer signal: (8), (9) with gravity."""
-    still = replace(motion, acceleration=motion.without(i).acceleration)
-    return (read - read_accelerometer(arm, still, i)) / acceleration_gain(arm.joints[i])
 
 
 def _find_valid_samples(view: _FilteredLog) -> tuple[BoolArray, list[Diagnostic]]:

@@ -103,7 +103,8 @@ def _axis_tables(logs: Sequence[Log], arm: Arm, axes: Sequence[Axis]) -> list[Fl
                 continue
             reading = low_pass(log.channels[axis.channel], _cutoff_hz(log), log.sample_time)
             rows = np.column_stack([link_quantities(axis, arm, motion), reading])
-            rows = rows[_inner_samples(log)]
+            edge = min(round(_EDGE_PERIODS / (_cutoff_hz(log) * log.sample_time)), len(log) // 4)
+            rows = rows[edge : len(log) - edge]
             table.append(rows - rows.mean(axis=0))
     return [np.concatenate(table) for table in tables]
 
@@ -117,12 +118,6 @@ def _motion_from_motors(log: Log, arm: Arm) -> JointMotion:
     """Motion of the joints at low frequencies, from the motors."""
     motors = low_pass(prepare_record(log, arm).motor_angle, _cutoff_hz(log), log.sample_time)
     return JointMotion.of_motors(motors, arm, log.sample_time)
-
-
-def _inner_samples(log: Log) -> slice:
-    """Samples without the transient of the low-pass at both ends."""
-    edge = min(round(_EDGE_PERIODS / (_cutoff_hz(log) * log.sample_time)), len(log) // 4)
-    return slice(edge, len(log) - edge)
 
 
 def _fit_factors(axis: Axis, rows: FloatArray) -> FloatArray:

@@ -1,105 +1,22 @@
-"""Conversion of sampled state-space models to continuous time.
-
-Frequency responses of state-space models with their uncertainty.
-
-Propagation of a model's covariance to derived quantities.
-"""
+"""Conversion of sampled state-space models to continuous time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from math import factorial
-from typing import TypeVar
 
 import numpy as np
 
 from strainwave.domain import (
     STATE_SPACE_MODEL,
-    ComplexArray,
     ContinuousStateSpace,
     Diagnostic,
     FloatArray,
-    FrequencyResponse,
     StateSpace,
 )
-from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.errors import NotIdentifiable
 from strainwave.numerics.linalg import exponential
-
-Model = TypeVar("Model", StateSpace, ContinuousStateSpace)
-
-# Step of the central differences, in standard deviations. Their relative error is about the square
-# of the step, and the step is far above rounding for data with noise.
-DIFFERENCE_STEP_STDS = 0.01
-
-# Relative eigenvalue of the correlation matrix below which a direction is rounding error.
-MIN_EIGENVALUE_RATIO = 1e-13
-
-
-def propagate(
-    model: Model, function: Callable[[Model], FloatArray], *, stacked: bool = False
-) -> tuple[FloatArray, FloatArray | None]:
-    """Value of a function of a model, and its covariance by the delta method.
-
-    P_f = J P J', where J is the derivative of f. Central differences along the principal directions
-    of P give J P^(1/2). The covariance has no component along changes of state coordinates, so
-    these are not evaluated.
-
-    `function`: Smooth near the model and invariant to changes of state coordinates; returns
-        (n_values,).
-    `stacked`: The function accepts a stack of models, whose matrices have a leading axis of length
-        n_models, and returns (n_models, n_values).
-
-    Returns values (n_values,) and their covariance (n_values, n_values), or None if the model has
-    no covariance.
-    """
-    n_entries = sum(getattr(model, name).size for name in _names(model))
-    steps = np.zeros((0, n_entries))
-    if model.covariance is not None:
-        steps = DIFFERENCE_STEP_STDS * _directions(model.covariance).T
-    changes = np.concatenate([np.zeros((1, n_entries)), steps, -steps])
-    if stacked:
-        values = function(_with_changes(model, changes))
-    else:
-        values = np.stack([np.atleast_1d(function(_with_changes(model, c))) for c in changes])
-    if model.covariance is None:
-        return values[0], None
-    J = (values[1 : len(steps) + 1] - values[len(steps) + 1 :]).T / (2.0 * DIFFERENCE_STEP_STDS)
-    return values[0], J @ J.T
-
-
-def _directions(covariance: FloatArray) -> FloatArray:
-    """Factor S with S S' = covariance, from the eigenvalues of the correlation matrix.
-
-    The correlation matrix is used because the entries have different units.
-    """
-    std = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    nonzero = np.flatnonzero(std > 0.0)
-    if not len(nonzero):
-        return np.zeros((len(covariance), 0))
-    correlation = covariance[np.ix_(nonzero, nonzero)] / np.outer(std[nonzero], std[nonzero])
-    values, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
-    is_significant = values > MIN_EIGENVALUE_RATIO * values[-1]
-    factor = np.zeros((len(covariance), int(is_significant.sum())))
-    roots = np.sqrt(values[is_significant])
-    factor[nonzero] = std[nonzero, None] * vectors[:, is_significant] * roots
-    return factor
-
-
-def _names(model: Model) -> tuple[str, ...]:
-    return ("A", "B", "C", "D", "K") if isinstance(model, StateSpace) else ("A", "B", "C", "D")
-
-
-def _with_changes(model: Model, change: FloatArray) -> Model:
-    """Model with one change, or a stack of changes, added to its entries; without covariance."""
-    entries, start = {}, 0
-    for name in _names(model):
-        matrix = getattr(model, name)
-        part = change[..., start : start + matrix.size]
-        entries[name] = matrix + part.reshape(*change.shape[:-1], *matrix.shape)
-        start += matrix.size
-    return replace(model, covariance=None, **entries)
-
+from strainwave.statespace.propagation import propagate
 
 # Fraction of the Nyquist frequency above which a pole may be an alias of a faster pole.
 MAX_NYQUIST_SHARE = 0.8
@@ -111,6 +28,7 @@ MAX_EIGENVECTOR_CONDITION = 1e6
 # Coefficients of (e^x - 1 - x)/x^2 = sum of x^k / (k + 2)!, highest power first. The truncation
 # error is below rounding for |x| < _SMALL.
 _HOLD_SERIES = [1.0 / factorial(k + 2) for k in range(14, -1, -1)]
+
 _MAX_SERIES_ARGUMENT = 0.5
 
 
@@ -206,67 +124,3 @@ def _alias_warnings(A: FloatArray, T: float) -> tuple[Diagnostic, ...]:
         return ()
     place, rate_hz = STATE_SPACE_MODEL, 1.0 / T
     return (Diagnostic("pole-near-nyquist", place, frequency_hz=hz, rate_hz=rate_hz),)
-
-
-def frequency_response(
-    model: StateSpace | ContinuousStateSpace, frequencies_hz: FloatArray
-) -> FrequencyResponse:
-    """Frequency response C (z I - A)^-1 B + D of a model.
-
-    z = exp(j w T) for a sampled model and z = j w for a continuous-time model. The response of a
-    sampled model includes the hold of its inputs. If the model has a covariance, the result has the
-    covariance of real and imaginary parts by the delta method.
-
-    `frequencies_hz` (n_frequencies,) [Hz]: At most the Nyquist frequency for a sampled model.
-
-    Raises `InvalidInput` if the frequencies have a wrong shape, are negative or not finite, or
-    exceed the Nyquist frequency.
-    """
-    frequencies = np.asarray(frequencies_hz, dtype=np.float64)
-    _check(frequencies, model)
-    z = 2j * np.pi * frequencies
-    if isinstance(model, StateSpace):
-        z = np.exp(z * model.sample_time)
-    n = model.order
-    resolvent = np.linalg.inv(z[:, None, None] * np.eye(n) - model.A)
-    input_to_state = resolvent @ model.B  # (n_frequencies, n, m)
-    state_to_output = model.C @ resolvent  # (n_frequencies, p, n)
-    covariance = None
-    if model.covariance is not None:
-        covariance = _covariance(input_to_state, state_to_output, model.covariance)
-    return FrequencyResponse(frequencies, model.C @ input_to_state + model.D, covariance)
-
-
-def _covariance(states: ComplexArray, outputs: ComplexArray, covariance: FloatArray) -> FloatArray:
-    """Covariance of real and imaginary parts: (n_frequencies, p, m, 2, 2).
-
-    dG = outputs (dA states + dB) + dC states + dD, entry by entry.
-    """
-    count, n, m = states.shape
-    p = outputs.shape[1]
-    J = np.zeros((count, p, m, len(covariance)), dtype=np.complex128)  # the columns of K stay zero
-    of_A = np.einsum("foj,fki->foijk", outputs, states)
-    J[..., : n * n] = of_A.reshape(count, p, m, n * n)
-    start_c = n * (n + m)
-    for i in range(m):
-        J[:, :, i, n * n + i : start_c : m] = outputs
-        for o in range(p):
-            J[:, o, i, start_c + o * n : start_c + (o + 1) * n] = states[:, :, i]
-            J[:, o, i, start_c + p * n + o * m + i] = 1.0
-    parts = np.stack([J.real, J.imag], axis=-2)
-    return np.asarray(parts @ covariance @ np.swapaxes(parts, -1, -2))
-
-
-def _check(frequencies: FloatArray, model: StateSpace | ContinuousStateSpace) -> None:
-    if frequencies.ndim != 1:
-        raise InvalidInput(f"expected frequencies of shape (n,), got {frequencies.shape}")
-    if not (np.isfinite(frequencies).all() and (frequencies >= 0.0).all()):
-        raise InvalidInput("expected finite frequencies from 0 Hz up")
-    if isinstance(model, StateSpace):
-        nyquist = 0.5 / model.sample_time
-        highest = float(frequencies.max(initial=0.0))
-        if highest > nyquist * (1.0 + 1e-9):
-            raise InvalidInput(
-                f"expected frequencies up to {nyquist:.6g} Hz, half the sample rate, "
-                f"got {highest:.6g} Hz"
-            )

@@ -18,7 +18,8 @@ from strainwave.domain import (
     StateSpace,
 )
 from strainwave.errors import InvalidInput
-from strainwave.statespace.continuous import propagate, to_continuous
+from strainwave.statespace.continuous import to_continuous
+from strainwave.statespace.propagation import propagate
 
 # Zeros above this multiple of the fastest pole count as zeros at infinity, which rounding and noise
 # in D make finite.

@@ -8,9 +8,11 @@ about up to it.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from strainwave.domain import Control, Experiment, Joint, Prbs, Servo, Spring, Study, Use
 from strainwave.domain.gear_laws import gear_law
@@ -103,62 +105,26 @@ class BuiltInArm:
         )
 
 
-SOFT = BuiltInArm(
-    description="a simulated SCARA-type arm with gears of sizes 17 and 11 and noisy sensors",
-    link_length=(0.30, 0.20),
-    link_mass=(12.0, 2.0),
-    centroid=(0.20, 0.10),
-    link_inertia=(0.18, 0.012),
-    gear_ratio=(0.01, 0.02),
-    gears={
-        "gear_stiffness_k1": (10000.0, 2200.0),
-        "gear_stiffness_k2": (14000.0, 3000.0),
-        "gear_stiffness_k3": (16000.0, 3200.0),
-        "gear_knee_t1": (3.9, 0.8),
-        "gear_knee_t2": (12.0, 2.0),
-    },
-    drives={
-        "motor_inertia": (0.8e-4, 1.2e-4),
-        "motor_viscous_friction": (2e-4, 2e-4),
-        "motor_coulomb_friction": (0.060, 0.100),
-        "friction_offset": (0.0, 0.0),
-        "link_viscous_friction": (0.3, 0.1),
-        "gear_damping": (18.0, 3.0),
-    },
-    torque_per_volt=(0.115, 0.10),
-    accelerometer_distance=(0.28, 0.18),
-    servo=Servo("pi-velocity", period=1e-3, kp=(0.04, 0.04), ki=(0.5, 0.5), limit=10.0),
-    step_speed=(150.0, 150.0),
-)
-STIFF = BuiltInArm(
-    description="a simulated SCARA-type arm with gears of sizes 20 and 14 and noisy sensors",
-    link_length=(0.35, 0.30),
-    link_mass=(8.0, 3.0),
-    centroid=(0.22, 0.15),
-    link_inertia=(0.12, 0.030),
-    gear_ratio=(0.01, 0.01),
-    gears={
-        "gear_stiffness_k1": (16000.0, 4700.0),
-        "gear_stiffness_k2": (25000.0, 6100.0),
-        "gear_stiffness_k3": (29000.0, 7100.0),
-        "gear_knee_t1": (7.0, 2.0),
-        "gear_knee_t2": (25.0, 6.9),
-    },
-    drives={
-        "motor_inertia": (1.5e-4, 0.5e-4),
-        "motor_viscous_friction": (2e-4, 0.8e-4),
-        "motor_coulomb_friction": (0.060, 0.030),
-        "friction_offset": (0.0, 0.0),
-        "link_viscous_friction": (0.5, 0.15),
-        "gear_damping": (20.0, 4.0),
-    },
-    torque_per_volt=(0.08, 0.03),
-    accelerometer_distance=(0.33, 0.27),
-    servo=Servo("pi-velocity", period=1e-3, kp=(0.12, 0.10), ki=(1.5, 1.5), limit=10.0),
-    step_speed=(40.0, 40.0),
-)
-ARMS = {"soft": SOFT, "stiff": STIFF}
+def _built_in() -> dict[str, BuiltInArm]:
+    tables = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+    arms = {}
+    for name, table in tables.items():
+        parts = {key: _pairs(part) for key, part in table.items() if isinstance(part, dict)}
+        servo = Servo(**parts.pop("servo"))
+        arms[name] = BuiltInArm(**_pairs(table) | parts, servo=servo)
+    return arms
+
+
+def _pairs(table: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of a table other than tables, with tuples for lists."""
+    plain = {key: value for key, value in table.items() if not isinstance(value, dict)}
+    return {key: tuple(v) if isinstance(v, list) else v for key, v in plain.items()}
+
+
+ARMS = _built_in()
 """Built-in arms by name, the default first."""
+
+SOFT, STIFF = ARMS["soft"], ARMS["stiff"]
 
 
 def _experiments() -> tuple[Experiment, ...]:

@@ -16,7 +16,7 @@ from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.check_document import check_document
 from strainwave.io.results import to_json
-from strainwave.workbench.signal_views import fingerprint, study_at
+from strainwave.workbench.cached_files import fingerprint, study_at
 from strainwave.workbench.workspace import runs_folder
 
 GateState = Literal["unchecked", "consistent", "suspected", "overridden", "invalid"]

@@ -30,7 +30,7 @@ from strainwave.identification.whole_arm.records.preparation import (
 )
 from strainwave.presentation.figures import Axis, Colour, Figure, Line, Panel, decimate
 from strainwave.presentation.report.predictions import unit_of
-from strainwave.workbench.signal_views import fingerprint, log_of, study_at
+from strainwave.workbench.cached_files import fingerprint, log_of, study_at
 
 _DASH = (6.0, 4.0)  # of simulated lines, behind which the measured ones stay visible
 _RESIDUAL_HEIGHT = 0.45  # of a panel with residuals

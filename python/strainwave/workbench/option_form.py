@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 from strainwave.domain.options import Options, option_texts
 from strainwave.errors import InvalidInput
 from strainwave.io.study import with_options
-from strainwave.workbench.signal_views import study_at
+from strainwave.workbench.cached_files import study_at
 
 
 @dataclass(frozen=True, slots=True)

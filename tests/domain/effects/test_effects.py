@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +23,6 @@ from strainwave.domain import (
 )
 from strainwave.domain.effects import Effect, KnownJoint, RecordEffect, effect_named
 from strainwave.domain.effects.interface import Values
-from strainwave.domain.effects.motor import Stribeck
 from strainwave.domain.gear_laws import RIGID
 from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
@@ -262,16 +261,8 @@ def test_effects_must_be_a_list(tmp_path: Path) -> None:
         read_study(study(tmp_path, '"stribeck"'), logs_exist=False)
 
 
-class Breakaway(Stribeck):
+class Breakaway(Effect):
     """Stribeck friction with other typical values."""
-
-    name = "breakaway"
-    shapes: Mapping[str, float] = {"stribeck_velocity": 2.0}
-    description = "friction that a motor at standstill has"
-
-    @property
-    def core_name(self) -> str:
-        return "stribeck"
 
     def typical_sizes(self, joint: KnownJoint) -> Values:
         return {"stribeck_friction": 0.5 * joint.coulomb_friction}
@@ -279,7 +270,16 @@ class Breakaway(Stribeck):
 
 @pytest.fixture
 def registered() -> Iterator[Effect]:
-    effect = Breakaway()
+    effect = Breakaway(
+        name="breakaway",
+        core_name="stribeck",
+        sizes=("stribeck_friction",),
+        shapes={"stribeck_velocity": 2.0},
+        description="friction that a motor at standstill has",
+        consequence="Coulomb friction is biased",
+        experiment="turn the motor slowly",
+        record="a record of slow motion",
+    )
     effects.register(effect)
     yield effect
     effects.unregister(effect.name)
@@ -319,24 +319,14 @@ def test_conflicting_effects_are_not_registered(registered: Effect) -> None:
     with pytest.raises(InvalidInput, match="exists already"):
         effects.register(registered)
 
-    class Unknown(Stribeck):
-        name = "unknown"
-        sizes = ("creep_torque",)
-
-    class Other(Stribeck):
-        name = "other"
-        sizes = ("hysteresis_torque",)
-        shapes: Mapping[str, float] = {"stribeck_friction": 0.1}
-
-    class NeverZero(Stribeck):
-        name = "never-zero"
-        sizes = ("hysteresis_twist",)
-        shapes: Mapping[str, float] = {}
-
+    unknown = replace(registered, name="unknown", sizes=("creep_torque",))
+    shapes = {"stribeck_friction": 0.1}
+    other = replace(registered, name="other", sizes=("hysteresis_torque",), shapes=shapes)
+    never_zero = replace(registered, name="never-zero", sizes=("hysteresis_twist",), shapes={})
     for effect, problem in (
-        (Unknown(), "not a parameter of the compiled core"),
-        (Other(), "different role in another effect"),
-        (NeverZero(), "cannot be zero"),
+        (unknown, "not a parameter of the compiled core"),
+        (other, "different role in another effect"),
+        (never_zero, "cannot be zero"),
     ):
         with pytest.raises(InvalidInput, match=problem):
             effects.register(effect)

@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 from strainwave import _core
 from strainwave.domain import FloatArray, Joint, gear_laws, is_physical
 from strainwave.domain.gear_laws import STIFFNESS, GearLaw, GearParameter, gear_law
-from strainwave.domain.gear_laws.linear import Linear
+from strainwave.domain.gear_laws.smooth import Linear
 from strainwave.domain.kinds import single_joint
-from strainwave.domain.parameter_words import parameter_descriptions
-from strainwave.domain.parameters import whole_arm_parameter_names
+from strainwave.domain.parameters import parameter_descriptions, whole_arm_parameter_names
 from strainwave.domain.quantities import Quantity
 from strainwave.domain.units import unit_of
 from strainwave.dynamics.arm import Arm

@@ -12,7 +12,7 @@ import pytest
 from strainwave.domain import ArmModel, Channel, Joint, Log, link_sensors
 from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import LinkSensor, optional_constants
-from strainwave.domain.parameter_words import parameter_descriptions
+from strainwave.domain.parameters import parameter_descriptions
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise

@@ -16,7 +16,7 @@ import pytest
 from elastic_results import elastic_identification
 from results import arm_model, identification, prediction
 from strainwave.domain import Diagnostic, Identification, Parameter, Place
-from strainwave.domain.parameter_words import parameter_descriptions
+from strainwave.domain.parameters import parameter_descriptions
 from strainwave.presentation.html import read_template
 from strainwave.presentation.report import figures_of, remedies, render
 from strainwave.presentation.terminal import print_summary

@@ -14,7 +14,7 @@ from figure_parts import line, names
 from strainwave.domain import ArmDescription, Imu, Joint
 from strainwave.domain.kinds import planar_two_link
 from strainwave.presentation.report.blocks import Block, Facts, Fold, Plot, Table
-from strainwave.presentation.report.recordings import recording_figure, recordings
+from strainwave.presentation.report.predictions import recording_figure, recordings
 from strainwave.presentation.report.rig import rig_constants
 from virtual_arms import rigid_drive
 

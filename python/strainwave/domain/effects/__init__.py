@@ -1,67 +1,55 @@
-"""Effects: optional terms of the joint model, grouped by the part of the joint that they act on.
+"""Effects: optional terms of the joint model.
 
-A new effect needs a class in one of these files, an entry in `_EFFECTS`, and its equations in
-`rust/core/src/joint`. A `RecordEffect` needs no equations: it states how parameters and initial
-states of the core change in a record. All other code loops over the registered effects.
+A new effect needs an entry in `effects.toml`, and its equations in `rust/core/src/joint`. One that
+changes parameters and initial states of the core in a record needs no equations, but a
+`RecordEffect` in `subclasses.py`. All other code loops over the registered effects.
 """
 
 from __future__ import annotations
 
-from strainwave.domain.effects.by_record import DriveGainByRecord, EncoderZero, FrictionByRecord
-from strainwave.domain.effects.drive import (
-    DeadZone,
-    DriveGain,
-    DriveLag,
-    DriveLimit,
-    DriveSaturation,
-)
-from strainwave.domain.effects.gear import (
-    Backlash,
-    Hysteresis,
-    KinematicError,
-    StiffnessCurve,
-)
+import tomllib
+from pathlib import Path
+
 from strainwave.domain.effects.interface import Effect as Effect
 from strainwave.domain.effects.interface import Input as Input
 from strainwave.domain.effects.interface import KnownJoint as KnownJoint
 from strainwave.domain.effects.interface import RecordEffect as RecordEffect
-from strainwave.domain.effects.link import FlexibleLink, GroundSpring, SoftBase, Tilt
-from strainwave.domain.effects.motor import LoadFriction, PowerFriction, Stribeck, TorqueRipple
-from strainwave.domain.effects.rigid import OF_RIGID_JOINTS as OF_RIGID_JOINTS
-from strainwave.domain.effects.rigid import RIGID_ONLY
+from strainwave.domain.effects.subclasses import SUBCLASSES
 from strainwave.domain.parameter_table import parameter_table
 from strainwave.domain.registry import Registry
 from strainwave.errors import InvalidInput
 
-_EFFECTS = Registry[Effect](
-    "effect",
-    "an",
-    "effects",
-    (
-        Stribeck(),
-        Hysteresis(),
-        KinematicError(),
-        LoadFriction(),
-        PowerFriction(),
-        TorqueRipple(),
-        Backlash(),
-        GroundSpring(),
-        DeadZone(),
-        DriveGain(),
-        DriveSaturation(),
-        DriveLimit(),
-        DriveLag(),
-        Tilt(),
-        FlexibleLink(),
-        SoftBase(),
-        FrictionByRecord(),
-        DriveGainByRecord(),
-        EncoderZero(),
-    ),
+_TABLES = tomllib.loads(Path(__file__).with_name("effects.toml").read_text(encoding="utf-8"))
+
+
+def _effects(group: str) -> tuple[Effect, ...]:
+    """Effects of a group of `effects.toml`."""
+    effects = []
+    for name, table in _TABLES[group].items():
+        core_name = name if group == "core" else table.pop("core_name", None)
+        kind, sizes = SUBCLASSES.get(name, Effect), tuple(table.pop("sizes"))
+        effects.append(kind(name=name, core_name=core_name, sizes=sizes, **table))
+    return tuple(effects)
+
+
+_EFFECTS = Registry[Effect]("effect", "an", "effects", (*_effects("core"), *_effects("record")))
+
+RIGID_ONLY = _effects("rigid")
+"""Effects that studies can name for rigid joints only."""
+
+OF_RIGID_JOINTS = (
+    "stribeck",
+    "power-friction",
+    "load-friction",
+    "load-speed-friction",
+    "direction-friction",
+    "ground-spring",
+    "encoder-zero",
+    "torque-delay",
 )
+"""Names of the effects of which the rigid step has equations."""
 
-
-STIFFNESS_CURVE = StiffnessCurve()
+(STIFFNESS_CURVE,) = _effects("gear-law")
 """The rival of all effects of an elastic gear with one stiffness. A study cannot name it."""
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from strainwave.domain.parameter_table import (
@@ -58,96 +58,49 @@ class KnownJoint:
         return inertia if math.isfinite(inertia) else _LINK_INERTIA_OF_RIGID_GEAR
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Effect:
     """An optional term of the joint model, in addition to spring and dry friction.
 
-    Effects are stateless. Values are passed by name, without the joint's number.
+    `effects.toml` has the effects. Values are passed by name, without the joint's number.
     """
 
-    name: str
-    """Name in `effects` of a study."""
-
+    name: str  # in `effects` of a study
+    core_name: str | None  # of the core's effect that simulates it; None: the core has no such one
+    # parameters that are zero if the effect is absent; they come first in the core
     sizes: tuple[str, ...]
-    """Parameters that are zero if the effect is absent; they come first in the core."""
-
-    typical_size: float
-    """Typical positive size by order of magnitude, as a multiple of `relative_to`.
-
-    A fit starts unsigned sizes at this value. It starts signed sizes at zero and uses this value
-    as the scale.
-    """
-
-    relative_to: Scale | None = None
-    """Property of the joint to which the size is proportional; None: the same in every joint."""
-
-    shapes: Mapping[str, float] = {}
-    """Other parameters of the core with their usual values."""
-
-    tested: Mapping[str, tuple[float, ...]] = {}
-    """Values of a shape that the score test tries in addition to the usual one.
-
-    An effect of one shape must not correlate with that of another shape.
-    """
-
-    starting_shapes: Mapping[str, float] = {}
-    """Shapes from which a fit starts, if not from the usual ones that the score test needs.
-
-    A fit converges to a mode from a lightly damped one.
-    """
-
-    defaults: Mapping[str, float] = {}
-    """Values of parameters that may be omitted."""
-
+    # Typical positive size by order of magnitude, as a multiple of `relative_to`. A fit starts
+    # unsigned sizes at this value. It starts signed sizes at zero and uses this value as the scale.
+    typical_size: float = math.nan
+    relative_to: Scale | None = None  # to which a size is proportional; None: equal in all joints
+    shapes: Mapping[str, float] = field(default_factory=dict)  # other parameters, usual values
+    # Values of a shape that the score test tries in addition to the usual one. An effect of one
+    # shape must not correlate with that of another shape.
+    tested: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    # Shapes from which a fit starts, if not from the usual ones that the score test needs. A fit
+    # converges to a mode from a lightly damped one.
+    starting_shapes: Mapping[str, float] = field(default_factory=dict)
+    defaults: Mapping[str, float] = field(default_factory=dict)  # of parameters that may be omitted
+    # gear law in place of the linear one whose parameters are the sizes; None: an effect adds to
+    # any law
     tested_law: str | None = None
-    """Gear law in place of the linear one whose parameters are the sizes; None: an effect adds to
-    any law."""
-
-    fitted_law: str | None = None
-    """Gear law in place of the linear one in a fit with the effect; None: the law stays."""
-
-    needs_elastic_gear: bool = False
-    """Whether only elastic gears can have the effect."""
-
+    fitted_law: str | None = None  # gear law in a fit with the effect; None: the law stays
+    needs_elastic_gear: bool = False  # whether only elastic gears can have the effect
+    # Whether it moves the output of the gear, and with it all joints behind a transmission. The
+    # core then differentiates over dual numbers, which takes longer.
     moves_output: bool = False
-    """Whether it moves the output of the gear, and with it all joints behind a transmission.
-
-    The core then differentiates over dual numbers, which takes longer.
-    """
-
-    first_joint_only: bool = False
-    """Whether only the first joint can have the effect."""
-
-    moves_link_encoder: bool = False
-    """Whether the effect moves a link encoder's zero, so that it measures no absolute angle."""
-
-    by_record: bool = False
-    """Whether each record has its own sizes, named by `of_record`."""
-
-    is_part_of_link: bool = False
-    """Whether its size is an inertia of the link, which slow motion does not show apart."""
-
+    first_joint_only: bool = False  # whether only the first joint can have the effect
+    moves_link_encoder: bool = False  # moves its zero, so that it measures no absolute angle
+    by_record: bool = False  # whether each record has its own sizes, named by `of_record`
+    is_part_of_link: bool = False  # size is an inertia that slow motion does not show apart
+    # whether a rigid step without it biases inertias and gravity, not only friction
     misleads_inertias: bool = False
-    """Whether a rigid step without it biases inertias and gravity, not only friction."""
-
-    prior_std: float | None = None
-    """Prior standard deviation of a size around zero; None: no prior."""
-
-    description: str
-    """Noun phrase that describes the effect."""
-
-    consequence: str
-    """Clause on the error of a model without the effect."""
-
-    experiment: str
-    """Imperative clause: the experiment that confirms the effect."""
-
-    record: str
-    """Noun phrase: the record that a fit of the effect needs."""
-
-    @property
-    def core_name(self) -> str | None:
-        """Name of the effect in the core that simulates it; None if the core has no such effect."""
-        return self.name
+    prior_std: float | None = None  # of a size around zero; None: no prior
+    description: str  # noun phrase that describes the effect
+    consequence: str  # clause on the error of a model without the effect
+    experiment: str  # imperative clause: the experiment that confirms the effect
+    record: str  # noun phrase: the record that a fit of the effect needs
+    stated_by: str = ""  # setting of a joint's table; "": its entry in `effects`
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -173,7 +126,7 @@ class Effect:
     @property
     def setting(self) -> str:
         """Setting of the joint in a study with which a fit has the effect."""
-        return f'effects = ["{self.name}"] or "auto"'
+        return self.stated_by or f'effects = ["{self.name}"] or "auto"'
 
     @property
     def remedy(self) -> str:
@@ -223,12 +176,8 @@ class RecordEffect(Effect, ABC):
     """An effect that changes parameters or initial states of the core, separately in each record.
 
     The core's derivatives give the derivatives with respect to its sizes by the chain rule.
+    `core_name` is the core's effect that it acts through, if any.
     """
-
-    prior_std: float | None = 0.3
-
-    core_name: str | None = None
-    """Name of the core's effect that it acts through; None if it acts through no effect."""
 
     @abstractmethod
     def inputs(self, values: Values, gear_ratio: float) -> tuple[Input, ...]:

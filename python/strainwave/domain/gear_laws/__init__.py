@@ -1,6 +1,6 @@
-"""Elastic laws of gears: one file for each value of `spring` in a study's `[[joint]]` table.
+"""Elastic laws of gears: a class for each value of `spring` in a study's `[[joint]]` table.
 
-A new law needs a file in this package, an entry in `_LAWS`, and its equations in
+A new law needs a class in this package, an entry in `_LAWS`, and its equations in
 `rust/core/src/joint`. All other code asks the law of a joint.
 """
 
@@ -10,12 +10,10 @@ from collections.abc import Collection, Mapping
 from functools import cache
 from types import MappingProxyType
 
-from strainwave.domain.gear_laws.cubic import Cubic
 from strainwave.domain.gear_laws.interface import STIFFNESS as STIFFNESS
 from strainwave.domain.gear_laws.interface import GearLaw as GearLaw
 from strainwave.domain.gear_laws.interface import GearParameter as GearParameter
-from strainwave.domain.gear_laws.linear import Linear
-from strainwave.domain.gear_laws.rigid import Rigid
+from strainwave.domain.gear_laws.smooth import Cubic, Linear, Rigid
 from strainwave.domain.gear_laws.three_slope import ThreeSlope
 from strainwave.domain.parameter_table import parameter_table
 from strainwave.domain.registry import Registry

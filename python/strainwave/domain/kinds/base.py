@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from strainwave.domain.arm import ArmDescription, Joint, Servo, Vector
-from strainwave.domain.clauses import Clause
 from strainwave.domain.keys import Key, Keyed, Row, Values
 from strainwave.domain.kinds.bodies import LINK_PARAMETERS, Body, ParameterLookup
+from strainwave.domain.messages import Clause
 from strainwave.errors import NotIdentifiable
 
 if TYPE_CHECKING:

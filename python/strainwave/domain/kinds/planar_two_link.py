@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain.arm import ArmDescription, Joint, NonNegative, Origin, Positive, Servo
-from strainwave.domain.clauses import Clause
 from strainwave.domain.keys import Key, Row, Values
 from strainwave.domain.kinds.base import (
     Fault,
@@ -29,6 +28,7 @@ from strainwave.domain.kinds.bodies import (
     is_positive,
     require_positive,
 )
+from strainwave.domain.messages import Clause
 from strainwave.errors import InvalidInput
 
 _ALPHA: Key = ("alpha", None)

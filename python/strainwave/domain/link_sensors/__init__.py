@@ -1,6 +1,6 @@
-"""Link sensors: one file per type.
+"""Link sensors: a class per type.
 
-A new type needs a file in this package and an entry in `_TYPES`, and simulated quantities of the
+A new type needs a class in this package and an entry in `_TYPES`, and simulated quantities of the
 core. All other code loops over the sensors of a joint.
 """
 
@@ -15,58 +15,23 @@ import numpy as np
 
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors.accelerometer import Accelerometer
+from strainwave.domain.link_sensors.encoders import LinkEncoder, MotorEncoder
+from strainwave.domain.link_sensors.gear_sensors import TorqueSensor, TorsionSensor
 from strainwave.domain.link_sensors.gyro import Gyro
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros
-from strainwave.domain.link_sensors.interface import (
-    Axis,
-    ConstantKind,
-    Group,
-    LinkSensor,
-    SensorConstant,
-    TypicalSensor,
-)
-from strainwave.domain.link_sensors.link_encoder import LinkEncoder
+from strainwave.domain.link_sensors.interface import Axis as Axis
+from strainwave.domain.link_sensors.interface import ConstantKind as ConstantKind
+from strainwave.domain.link_sensors.interface import Group as Group
+from strainwave.domain.link_sensors.interface import LinkSensor as LinkSensor
+from strainwave.domain.link_sensors.interface import SensorConstant as SensorConstant
+from strainwave.domain.link_sensors.interface import TypicalSensor as TypicalSensor
 from strainwave.domain.link_sensors.link_space import link_space
-from strainwave.domain.link_sensors.motor_encoder import MotorEncoder
-from strainwave.domain.link_sensors.torque_sensor import TorqueSensor
-from strainwave.domain.link_sensors.torsion_sensor import TorsionSensor
 from strainwave.domain.parameter_table import base_name
 from strainwave.domain.registry import Registry
 from strainwave.errors import InvalidInput
 
 if TYPE_CHECKING:
     from strainwave.domain.arm import ArmDescription, Joint
-
-__all__ = [
-    "Axis",
-    "ConstantKind",
-    "Group",
-    "LinkSensor",
-    "SensorConstant",
-    "TypicalSensor",
-    "all_types",
-    "axes_of",
-    "compared_axes",
-    "constant_of",
-    "installed_axes",
-    "is_hidden",
-    "is_kind",
-    "key_texts",
-    "link_channel_kinds",
-    "link_keys",
-    "low_passes",
-    "mounted_axes",
-    "nominal",
-    "optional_constants",
-    "register",
-    "sensor_constants",
-    "sensor_of",
-    "sensors_of",
-    "unknowns_of",
-    "unregister",
-    "with_bandwidths",
-    "with_estimates",
-]
 
 _TYPES = Registry[type[LinkSensor]](
     "link sensor",

@@ -6,9 +6,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,15 +27,7 @@ from strainwave.domain.effects import names as effect_names
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.link_sensors import optional_constants, sensor_of
 from strainwave.domain.parameters import whole_arm_parameter_names
-from strainwave.domain.study_limits import (
-    ARM_LIMITS,
-    IMU_LIMITS,
-    JOINT_LIMITS,
-    PAYLOAD_LIMITS,
-    PRBS_LIMITS,
-    SERVO_LIMITS,
-    SizeLimit,
-)
+from strainwave.domain.study_keys import study_keys
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.study.reader import Reader
 
@@ -75,7 +66,14 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
             )
         if joint.imu is not None:
             _check_imu(arm, index, joint.imu, reader.place("joint", index, "imu"))
-        _check_limits(joint.limits or JointLimits(), reader.place("joint", index, "limits"))
+        limits = joint.limits or JointLimits()
+        lower, upper = limits.lower, limits.upper
+        if lower is not None and upper is not None and lower >= upper:
+            raise InvalidInput(
+                f"the lower limit of the joint, {lower:g}, is not below the upper, {upper:g}",
+                where=reader.place("joint", index, "limits"),
+                remedy="correct the limits",
+            )
         _check_effects(index, joint, reader.place("joint", index, "effects"))
     if arm.coupling is not None:
         _check_coupling(arm.coupling, arm, reader.place("transmission", None, "coupling"))
@@ -126,16 +124,6 @@ def _check_imu(arm: ArmDescription, index: int, imu: Imu, place: str) -> None:
             "the link of this joint only slides, so that readings do not show the IMU's mounting",
             where=place,
             remedy=f"give xyz and rpy; or {along}",
-        )
-
-
-def _check_limits(limits: JointLimits, place: str) -> None:
-    lower, upper = limits.lower, limits.upper
-    if lower is not None and upper is not None and lower >= upper:
-        raise InvalidInput(
-            f"the lower limit of the joint, {lower:g}, is not below the upper, {upper:g}",
-            where=place,
-            remedy="correct the limits",
         )
 
 
@@ -351,44 +339,34 @@ def check_files(study: Study, reader: Reader) -> None:
 
 def check_sizes(study: Study, reader: Reader) -> None:
     """Raise InvalidInput if a number is so large or small that its unit must be wrong."""
-    sizes = partial(_check_record_sizes, reader)
-    sizes(kind_of(study.arm).table_of(study.arm), ARM_LIMITS, "arm")
+    _check_record_sizes(reader, kind_of(study.arm).table_of(study.arm), "arm")
     for index, joint in enumerate(study.arm.joints):
-        sizes(joint, JOINT_LIMITS, "joint", index)
-        if joint.imu is not None:
-            sizes(joint.imu, IMU_LIMITS, "joint", index, "imu")
+        _check_record_sizes(reader, joint, "joint", index)
     if study.arm.servo is not None:
-        sizes(study.arm.servo, SERVO_LIMITS, "servo")
+        _check_record_sizes(reader, study.arm.servo, "servo")
     for index, experiment in enumerate(study.experiments):
-        if experiment.prbs is not None:
-            sizes(experiment.prbs, PRBS_LIMITS, "experiment", index, "prbs")
-        if experiment.payload is not None:
-            sizes(experiment.payload, PAYLOAD_LIMITS, "experiment", index, "payload")
+        _check_record_sizes(reader, experiment, "experiment", index)
 
 
-def _check_record_sizes(
-    reader: Reader,
-    record: Any,
-    limits: Sequence[SizeLimit],
-    table: str,
-    index: int | None = None,
-    key: str | None = None,
-) -> None:
-    for limit in limits:
-        value = getattr(record, limit.key, None)
-        if isinstance(value, tuple):
-            value = math.hypot(*value)
-        if value is None or isinstance(value, str) or limit.minimum <= abs(value) <= limit.maximum:
+def _check_record_sizes(reader: Reader, record: Any, table: str, index: int | None = None) -> None:
+    for key in study_keys()[table]:
+        owner, _, name = key.key.rpartition(".")
+        value = getattr(getattr(record, owner, None) if owner else record, name, None)
+        if key.range is None or value is None or isinstance(value, str):
             continue
-        remedy = f"set a value from {limit.minimum:g} to {limit.maximum:g}"
-        if limit.key == "gear_ratio" and abs(value) > limit.maximum:
-            remedy = f"the value is probably inverted: set {1.0 / value:g} {limit.unit}"
-        elif limit.other_scale is not None:
-            other = value * limit.other_scale
-            if other <= limit.maximum and (limit.minimum <= other or limit.other_scale > 1.0):
-                remedy = f"if {value:g} is in {limit.other_unit}, set {other:g}"
+        minimum, maximum = key.range
+        value = math.hypot(*value) if isinstance(value, tuple) else value
+        if minimum <= abs(value) <= maximum:
+            continue
+        remedy = f"set a value from {minimum:g} to {maximum:g}"
+        if name == "gear_ratio" and abs(value) > maximum:
+            remedy = f"the value is probably inverted: set {1.0 / value:g} {key.unit}"
+        elif key.other_scale is not None:
+            other = value * key.other_scale
+            if other <= maximum and (minimum <= other or key.other_scale > 1.0):
+                remedy = f"if {value:g} is in {key.other_unit}, set {other:g}"
         raise InvalidInput(
-            f"'{limit.key}' is {value:g} {limit.unit}, which is outside the range of any rig",
-            where=reader.place(table, index, key or limit.key),
+            f"'{name}' is {value:g} {key.unit}, which is outside the range of any rig",
+            where=reader.place(table, index, owner or name),
             remedy=remedy,
         )

@@ -32,8 +32,8 @@ from strainwave.domain import (
     gear_laws,
 )
 from strainwave.domain.arm import Matrix, Positive
-from strainwave.domain.fault_messages import FAULT_CODES
 from strainwave.domain.kinds import Kind, all_kinds, kind_named
+from strainwave.domain.messages import fault_codes
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.urdf import UrdfJoint, read_urdf
 
@@ -124,11 +124,11 @@ class Reader:
     def _accepted(self, codes: Any) -> tuple[str, ...]:
         """Codes of suspected faults that are accepted."""
         for code in codes if isinstance(codes, list | tuple) else [codes]:
-            if code not in FAULT_CODES:
+            if code not in fault_codes():
                 raise InvalidInput(
                     f"'accept' has the code {code!r}, which no suspected fault has",
                     where=self.place("options", None, "accept"),
-                    remedy=f"write a list of codes: {', '.join(FAULT_CODES)}",
+                    remedy=f"write a list of codes: {', '.join(fault_codes())}",
                 )
         return tuple(codes)
 
@@ -174,7 +174,11 @@ class Reader:
         document: Mapping[str, Any],
     ) -> ArmDescription:
         """The arm from `[arm]`, its `[[joint]]` tables, `[transmission]` and `[servo]`."""
-        kind = self._kind(arm)
+        if "kind" not in arm:
+            raise self._missing("kind", "arm")
+        name, known = arm["kind"], [kind.name for kind in all_kinds()]
+        self._check_registered([name], known, name, "arm", None, "kind")
+        kind = kind_named(name)
         table = self.record(kind.table, {k: v for k, v in arm.items() if k != "kind"}, "arm")
         file: str = getattr(table, "urdf", None) or ""
         held: tuple[str, ...] = getattr(table, "held", ())
@@ -267,14 +271,6 @@ class Reader:
                 "zero",
             )
         return joints
-
-    def _kind(self, arm: Mapping[str, Any]) -> Kind[Any]:
-        """The kind of the arm. Raises InvalidInput if it is missing or unknown."""
-        if "kind" not in arm:
-            raise self._missing("kind", "arm")
-        kind, known = arm["kind"], [kind.name for kind in all_kinds()]
-        self._check_registered([kind], known, kind, "arm", None, "kind")
-        return kind_named(kind)
 
     def _joint(self, table: Mapping[str, Any], index: int, placed: Mapping[str, Any]) -> Joint:
         """One `[[joint]]` whose spring and effects are registered.

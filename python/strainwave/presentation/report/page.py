@@ -58,8 +58,7 @@ from strainwave.presentation.report.parameters import (
     descriptions_table,
     parameter_table,
 )
-from strainwave.presentation.report.predictions import prediction_figure
-from strainwave.presentation.report.recordings import recordings
+from strainwave.presentation.report.predictions import prediction_figure, recordings
 from strainwave.presentation.report.remedies import warnings_table
 from strainwave.presentation.report.residuals import residual_correlations, residual_tests
 from strainwave.presentation.report.rig import gain_sentences, rig_constants

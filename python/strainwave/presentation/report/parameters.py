@@ -8,7 +8,7 @@ from strainwave.domain import Clause, Decision, Parameter
 from strainwave.domain.formatting import plus_minus
 from strainwave.domain.messages import text_of
 from strainwave.domain.parameter_table import base_name
-from strainwave.domain.parameter_words import parameter_descriptions
+from strainwave.domain.parameters import parameter_descriptions
 from strainwave.io.base_parameters import BaseParameter
 from strainwave.presentation.report.blocks import (
     Cell,

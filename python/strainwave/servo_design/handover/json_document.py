@@ -6,8 +6,10 @@ Units of a joint's servo: the input of the drive, and the coordinate of the moto
 from __future__ import annotations
 
 import json
+import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -59,13 +61,7 @@ class Units:
 
 SCHEMA = "strainwave/servo/1"
 
-_EQUATIONS = (
-    "v[k] = C x[k] + D (r[k], w[k], y[k])",
-    "u[k] = v[k] + feed_forward[k], limited to -limit ... limit",
-    "x[k+1] = A x[k] + B (r[k], w[k], y[k]) + E (u[k] - feed_forward[k])",
-    "a state that holds keeps its value while u is limited",
-    "at rest: x = rest (y, u)",
-)
+_TEXTS = tomllib.loads(Path(__file__).with_name("servo.toml").read_text(encoding="utf-8"))
 _ERRORS = (
     "by_motor",
     "by_encoder",
@@ -75,33 +71,6 @@ _ERRORS = (
     "velocity_by_encoder",
     "velocity_by_observer",
 )
-_OBSERVER_EQUATIONS = (
-    "v[k] = (u[k], t_int[k], readings[k])",
-    "(q, dq)[k] = C x[k] + D v[k]; D is zero for u, which follows the readings",
-    "x[k+1] = A x[k] + B v[k]",
-    "t_int is the torque of the link's planned motion without the acceleration of its own joint",
-    "a reading is the sum of weights times channels, less its part by other joints and gravity",
-    "without noise it is factor times quantity plus a bias",
-)
-_UNITS = {
-    "period": "s",
-    "delay": "s",
-    "posture": "rad, or m of a prismatic joint",
-    "mass": "kg",
-    "xyz": "m",
-    "hz": "Hz",
-    "modes_hz": "Hz",
-    "times": "s",
-    "duration": "s",
-    "position_gain": "1/s",
-    "torsion_gain": "1/s, of the motor's velocity reference per torsion",
-    "torsion_rate_gain": "1",
-    "link_inertia": "kg m^2, or kg of a prismatic joint",
-    "rms_errors": "rad and rad/s, or m and m/s of a prismatic joint",
-    "settling": "s",
-    "overshoot": "1",
-    "vibration": "1",
-}
 
 
 def to_json(design: ServoDesign) -> Export:
@@ -113,8 +82,8 @@ def to_json(design: ServoDesign) -> Export:
     document = {
         "schema": SCHEMA,
         "source": design.arm.source,
-        "units": _UNITS,
-        "equations": _EQUATIONS,
+        "units": _TEXTS["units"],
+        "equations": _TEXTS["equations"],
         "inputs": INPUTS,
         "period": design.clock.period,
         "delay": design.clock.delay,
@@ -127,7 +96,7 @@ def to_json(design: ServoDesign) -> Export:
         "joints": [_joint(design, joint) for joint in design.joints],
         "modes_hz": design.modes_hz.tolist(),
         "shapers": [_shaper(shaper) for shaper in design.shapers],
-        "observer_equations": _OBSERVER_EQUATIONS,
+        "observer_equations": _TEXTS["observer_equations"],
         "observers": [_observer(design, one) for one in design.observers],
         "damping": [_damping(design, one) for one in design.dampings],
     }

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
 
 from strainwave.presentation.report.blocks import (
     Block,
@@ -19,6 +22,9 @@ from strainwave.presentation.report.blocks import (
 )
 from strainwave.servo_design.design import ServoDesign
 from strainwave.servo_design.report import figures, words
+
+_TEXTS: dict[str, str] = tomllib.loads(Path(__file__).with_name("page.toml").read_text("utf-8"))
+"""Paragraphs and captions; fields in braces are numbers of the design."""
 
 
 def render(design: ServoDesign) -> str:
@@ -44,11 +50,7 @@ def render(design: ServoDesign) -> str:
 
 def _headline(design: ServoDesign) -> Callout:
     required = design.options.required
-    lead = (
-        f"The designed servos keep a gain margin of {required.gain_db:g} dB, a phase margin of "
-        f"{required.phase_deg:g} degrees and a modulus margin of {required.modulus:g} for all "
-        f"{design.n_plants} plants."
-    )
+    lead = _TEXTS["headline"].format(**asdict(required), plants=design.n_plants)
     limits = [words.limit_sentence(design, joint) for joint in design.joints]
     return Callout(
         "good",
@@ -98,9 +100,7 @@ def _unit(design: ServoDesign, joint: int) -> str:
 def _current(design: ServoDesign) -> Iterator[Block]:
     sentences = list(words.current_sentences(design))
     if not sentences:
-        yield paragraph(
-            "The study has no servo. Add a [servo] table, or give --study, to compare it."
-        )
+        yield paragraph(_TEXTS["no-servo"])
     for sentence in sentences:
         yield paragraph(f"{sentence[0].upper()}{sentence[1:]}.")
 
@@ -110,19 +110,12 @@ def _designed(design: ServoDesign) -> Iterator[Block]:
     yield from table(
         "Behaviour, worst over all plants", words.BEHAVIOUR_HEADS, words.behaviour_rows(design)
     )
-    yield paragraph(
-        "u = F (kp e + ki integral(e)), e = velocity reference + position gain (angle reference - "
-        "angle) - velocity, at the motor; F are the filters. Overshoot and settling are those of a "
-        "linear step."
-    )
+    yield paragraph(_TEXTS["law"])
     yield from table("Worst margins", words.MARGIN_HEADS, words.margin_rows(design))
 
 
 def _loops(design: ServoDesign) -> Iterator[Block]:
-    caption = (
-        "Lines: the estimates in the first posture. Bands: smallest and largest value over all "
-        "plants. The other joints' loops are closed. The smallest |1 + L| is the modulus margin."
-    )
+    caption = _TEXTS["loop-caption"]
     for joint in design.joints:
         title = f"Joint {joint.joint}: open loop"
         yield Plot(
@@ -138,10 +131,7 @@ def _steps(design: ServoDesign) -> Iterator[Block]:
     for joint in design.joints:
         text = caption
         if joint.current is not None and not joint.current.position_gain:
-            text += (
-                " The current servo has no position loop: its velocity reference is one pulse of "
-                "the same angle."
-            )
+            text += f" {_TEXTS['pulse-step']}"
         title = f"Joint {joint.joint}: step of the link"
         yield Plot(f"step {joint.joint}", title, figures.steps_of(joint), text)
 
@@ -154,32 +144,21 @@ def _shapers(design: ServoDesign) -> Iterator[Block]:
         f"mode {k}: {words.mode_words(interval)}"
         for k, interval in enumerate(design.modes_hz, start=1)
     )
-    yield paragraph(
-        "A shaper replaces the reference by delayed shares of it, so that the links do not vibrate "
-        f"after a move. Central 95 % of the frequencies with held motors: {modes}."
-    )
+    yield paragraph(_TEXTS["shapers"].format(modes=modes))
     yield from table("Shapers, best first", words.SHAPER_HEADS, words.shaper_rows(design))
     yield Plot(
         "shapers",
         "Residual vibration over the frequency",
         figures.shapers_of(design),
-        "Vibration after a shaped step, as a share of that after an unshaped one. Grey: the "
-        "central 95 % of each mode over all plants.",
+        _TEXTS["shaper-caption"],
     )
 
 
 def _observers(design: ServoDesign) -> Iterator[Block]:
     if not design.observers:
-        yield paragraph(
-            "There are no observers: no gear is elastic, or transmissions couple the joints."
-        )
+        yield paragraph(_TEXTS["no-observers"])
         return
-    yield paragraph(
-        "A Kalman filter of each joint estimates the angle and velocity of its link. The "
-        "interaction torque of the planned motion is a known input: inertia of the other joints, "
-        "velocities and gravity. Readings of sensors on links enter without their part that the "
-        "planned motion of the other joints and gravity cause."
-    )
+    yield paragraph(_TEXTS["observers"])
     yield from table("Readings", words.READING_HEADS, words.reading_rows(design))
     for sentence in words.observer_gaps(design):
         yield paragraph(f"{sentence[0].upper()}{sentence[1:]}.")
@@ -189,15 +168,8 @@ def _observers(design: ServoDesign) -> Iterator[Block]:
     yield from table(
         words.estimation_title(), words.ESTIMATION_HEADS, words.estimation_rows(design)
     )
-    yield paragraph(
-        "Errors are the largest over the estimates and a few draws of the parameters; the "
-        "observers have the estimates. The last row has an interaction torque of zero. The motor "
-        "angle is multiplied by the gear ratio."
-    )
-    caption = (
-        "Errors with the estimates as the plant, which has friction, the curve of the gear, "
-        "encoder counts, and noise and bandwidth of the sensors."
-    )
+    yield paragraph(_TEXTS["estimation"])
+    caption = _TEXTS["estimation-caption"]
     for one in design.estimation:
         title = f"Joint {one.joint}: error of the estimated link angle"
         yield Plot(f"observer {one.joint}", title, figures.estimation_of(one), caption)
@@ -207,13 +179,7 @@ def _damping(design: ServoDesign) -> Iterator[Block]:
     if not design.dampings:
         yield paragraph("There is no feedback of torsions without observers.")
         return
-    yield paragraph(
-        "With this feedback the velocity reference of the motor yields to the torsion that an "
-        "observer estimates from the motor encoder alone. The servo without it is the designed "
-        "one; the control law with it is in the files as an alternative. Damping ratios are those "
-        "of the least damped mode of the links, with the loops of all joints closed; the margins "
-        "are the worst of all plants."
-    )
+    yield paragraph(_TEXTS["damping"])
     title = "Least damping of the links over all plants"
     yield from table(title, words.DAMPING_HEADS, words.damping_rows(design))
     for sentence in words.damping_sentences(design):
@@ -224,18 +190,10 @@ def _moves(design: ServoDesign) -> Iterator[Block]:
     if design.refusal:
         yield paragraph(f"No moves are compared: {design.refusal}.")
         return
-    yield paragraph(
-        "Steps of the reference angle with the current and the designed gains, and a smooth "
-        "planned move with the designed gains and the feed-forward of the elastic arm. The "
-        "simulation has Coulomb friction, the whole curve of the gear, encoder counts and the "
-        "voltage limit."
-    )
+    yield paragraph(_TEXTS["moves"])
     yield from table(words.move_title(), words.move_heads(design), words.move_rows(design))
     if any(joint.current and not joint.current.position_gain for joint in design.joints):
-        yield paragraph(
-            "The current servo has no position loop: its step is a pulse of the velocity "
-            "reference, of which the voltage limit and friction lose a part."
-        )
+        yield paragraph(_TEXTS["pulse-move"])
     for move in design.moves:
         title = f"Joint {move.joint}: step and planned move"
         yield Plot(f"move {move.joint}", title, figures.moves_of(move))
@@ -244,35 +202,21 @@ def _moves(design: ServoDesign) -> Iterator[Block]:
 def _meaning(design: ServoDesign) -> Iterator[Block]:
     required = design.options.required
     yield paragraph(
-        f"The gain margin is the change of the loop gain that makes the loop unstable: "
-        f"{required.gain_db:g} dB allow a factor of {10.0 ** (required.gain_db / 20.0):.2g}. "
-        f"The phase margin is the additional phase lag that does so, for example from a longer "
-        f"delay. The modulus margin is the smallest distance of the loop from -1: disturbances "
-        f"are amplified by at most {1.0 / required.modulus:.2g} at any frequency."
+        _TEXTS["margins"].format(
+            gain_db=required.gain_db,
+            factor=10.0 ** (required.gain_db / 20.0),
+            amplification=1.0 / required.modulus,
+        )
     )
 
 
 def _trial(design: ServoDesign) -> Iterator[Block]:
-    yield paragraph(
-        "1. Keep the emergency stop within reach, clear the workspace of people, and set the "
-        "voltage limit and the limits of angle and velocity in the drive."
-    )
+    yield paragraph(_TEXTS["trial-1"])
     share = 100.0 * design.first_share
-    yield paragraph(
-        f"2. Start with the gains of the table, which have {share:.0f} % of the designed "
-        "bandwidth and stabilise all plants, and with all filters, at the first posture "
-        "without a payload."
-    )
+    yield paragraph(_TEXTS["trial-2"].format(share=share))
     heads: Row = ("joint", *words.gain_heads(design))
     firsts = [gains.slowed(design.first_share) for gains in design.gains]
     rows: list[Row] = [(str(i), *words.gain_cells(each)) for i, each in enumerate(firsts, start=1)]
     yield from table("First gains", heads, rows)
-    yield paragraph(
-        "3. Move each joint by 0.05 rad. Stop if the motor hums, if the voltage alternates at its "
-        "limit, or if the motion does not decay."
-    )
-    yield paragraph(
-        "4. Raise kp and the position gain by at most a factor of 1.5 at a time, and ki by its "
-        "square, up to the designed values. Repeat the moves in all postures, then with the "
-        "payloads."
-    )
+    yield paragraph(_TEXTS["trial-3"])
+    yield paragraph(_TEXTS["trial-4"])

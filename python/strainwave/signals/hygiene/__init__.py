@@ -14,9 +14,14 @@ from strainwave.domain import Diagnostic, Log
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.hygiene import encoder_steps, flat_tops, frozen, mains_hum, spikes
-from strainwave.signals.hygiene.defects import Defect, Detector, Kind
+from strainwave.signals.hygiene.defects import (
+    Defect,
+    Detector,
+    Kind,
+    build_defect_warnings,
+    build_hum_warnings,
+)
 from strainwave.signals.hygiene.repair import repair_record
-from strainwave.signals.hygiene.warning_text import build_defect_warnings, build_hum_warnings
 
 __all__ = ["DETECTORS", "Defect", "Kind", "detect_defects", "repair_records"]
 

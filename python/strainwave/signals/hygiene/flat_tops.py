@@ -74,7 +74,10 @@ def find_saturated_runs(values: FloatArray, *, rests: bool) -> list[IntArray]:
         if at_standstill or abs(extreme) < 1e-9 * span:
             continue
         at_extreme = np.abs(values - extreme) <= 1e-9 * span
-        adjacent = _count_adjacent(values, extreme, 1e-9 * span)
+        tolerance = 1e-9 * span
+        inside = np.abs(values - extreme)
+        inside = inside[inside > tolerance]
+        adjacent = int(np.count_nonzero(inside <= inside.min() + tolerance))
         is_reversal = at_extreme.sum() < _MIN_EXTREME_COUNT_RATIO * adjacent
         if rests and is_reversal:
             continue
@@ -82,10 +85,3 @@ def find_saturated_runs(values: FloatArray, *, rests: bool) -> list[IntArray]:
         runs = runs[runs[:, 1] - runs[:, 0] >= MIN_REPEATED_SAMPLES]
         flat_tops.append(select_abrupt_runs(values, runs) if is_reversal else runs)
     return flat_tops
-
-
-def _count_adjacent(values: FloatArray, extreme: float, tolerance: float) -> int:
-    """Number of samples at the value adjacent to an extreme, such as the next encoder count."""
-    inside = np.abs(values - extreme)
-    inside = inside[inside > tolerance]
-    return int(np.count_nonzero(inside <= inside.min() + tolerance))

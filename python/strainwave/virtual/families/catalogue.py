@@ -262,17 +262,15 @@ def plans(rig: Rig, seed: int) -> list[Plan]:
         rng = np.random.default_rng([seed, number])
         plan = default_plan(rig.study.path, arm, experiment, rig.values, rng, rig.sample_time)
         if experiment.use == "motion":
-            plan = _shorten(plan, _MOTION_DURATION)
+            ticks = round(_MOTION_DURATION / plan.drive.tick)
+            drive = replace(
+                plan.drive,
+                voltage=plan.drive.voltage[:ticks],
+                reference=plan.drive.reference[:ticks],
+            )
+            plan = replace(plan, drive=drive, samples=round(_MOTION_DURATION / plan.sample_time))
         plans.append(plan)
     return plans
-
-
-def _shorten(plan: Plan, seconds: float) -> Plan:
-    ticks = round(seconds / plan.drive.tick)
-    drive = replace(
-        plan.drive, voltage=plan.drive.voltage[:ticks], reference=plan.drive.reference[:ticks]
-    )
-    return replace(plan, drive=drive, samples=round(seconds / plan.sample_time))
 
 
 def with_short_records(rig: Rig, *, upright: bool, rng: np.random.Generator) -> Rig:

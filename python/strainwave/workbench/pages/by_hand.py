@@ -23,11 +23,11 @@ from strainwave.presentation.figures.curves import Curve, bode
 from strainwave.presentation.plotly_backend import plotly
 from strainwave.signals.recorded_input import missing_motor_signal
 from strainwave.workbench import hand_simulation as hand
+from strainwave.workbench.cached_files import log_of, study_at
 from strainwave.workbench.gate import require_open
 from strainwave.workbench.pages.estimate import snapshot
 from strainwave.workbench.pages.runs import describe
 from strainwave.workbench.runs import Runs
-from strainwave.workbench.signal_views import log_of, study_at
 from strainwave.workbench.web import (
     Body,
     get_page,

@@ -9,15 +9,16 @@ import numpy as np
 from starlette.requests import Request
 from starlette.responses import Response
 
-from strainwave.domain.consistency import RELATION_TEXTS
+from strainwave.domain import Clause
 from strainwave.domain.corrections import Correction
+from strainwave.domain.messages import text_of as message_text
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode
 from strainwave.presentation.figures import Axis, Colour, Figure, Line, Panel, decimate
 from strainwave.presentation.plotly_backend import plotly
 from strainwave.presentation.report.predictions import unit_of
+from strainwave.workbench.cached_files import log_of, study_at
 from strainwave.workbench.gate import Gate, gate_of, override_check, run_check
-from strainwave.workbench.signal_views import log_of, study_at
 from strainwave.workbench.study_edit import correction_changes, edit_study
 from strainwave.workbench.web import Body, get_json, get_page, message_of, page, post_json, study_of
 
@@ -96,7 +97,8 @@ def _merged(relations: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Relations with equal numbers as one row, contradictions first."""
     rows: dict[tuple[object, ...], dict[str, Any]] = {}
     for each in sorted(relations, key=lambda each: each["consistent"]):
-        text, measured = RELATION_TEXTS[each["relation"]], _number(each["measured"])
+        text = message_text(Clause(f"relation/{each['relation']}"))
+        measured = _number(each["measured"])
         expected = "> 0" if each["expected"] is None else f"{each['expected']:g}"
         key = text, measured, expected, each["consistent"]
         row: dict[str, Any] = {"text": text, "measured": measured, "expected": expected}

@@ -75,6 +75,7 @@ def compare(request: Request, body: Body) -> object:
         document = to_document(monitoring.compare(estimates))
     except InvalidInput as error:
         note = message_of(request, error)
+    first = report_figures(results[0].path.parent / "report.html")
     return {
         "names": [one.name for one in results],
         "rows": comparison.parameter_rows(results),
@@ -83,7 +84,7 @@ def compare(request: Request, body: Body) -> object:
         "note": note,
         "joints": comparison.joints_of(results),
         "checks": comparison.check_fits(results),
-        "figures": _common_figures(results),
+        "figures": [{"key": key, "title": figure["title"]} for key, figure in first.items()],
     }
 
 
@@ -118,12 +119,6 @@ def save_comparison(request: Request, body: Body) -> object:
     paths = (os.path.relpath(one.path, folder) for one in results)
     command = ("compare", *paths, "--out", ".")
     return describe(runs.start(name, "compare", [command]))
-
-
-def _common_figures(results: list[comparison.NamedResult]) -> list[dict[str, str]]:
-    """Figures of the first report, which the others may have as well."""
-    first = report_figures(results[0].path.parent / "report.html")
-    return [{"key": key, "title": figure["title"]} for key, figure in first.items()]
 
 
 def _chosen(request: Request, paths: object) -> list[comparison.NamedResult]:

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import pyarrow.csv
 from starlette.requests import Request
 from starlette.responses import Response
 
+from strainwave.commands import command_texts
 from strainwave.errors import InvalidInput
 from strainwave.presentation.figures import Axis, Colour, Figure, Line, Panel, decimate
 from strainwave.presentation.plotly_backend import plotly
+from strainwave.workbench.cached_files import study_at
 from strainwave.workbench.pages.runs import describe, log_lines
 from strainwave.workbench.runs import RUN_FILES, Run, Runs
-from strainwave.workbench.signal_views import study_at
 from strainwave.workbench.web import (
     Body,
     get_json,
@@ -31,57 +30,12 @@ from strainwave.workbench.web import (
 )
 
 Command = Literal["excite", "tune"]
+COMMANDS: tuple[Command, ...] = get_args(Command)
 
 
-@dataclass(frozen=True, slots=True)
-class Option:
-    """One option of a command."""
-
-    flag: str
-    title: str
-    unit: str
-    hint: str
-    default: str = ""
-    choices: tuple[str, ...] = ()
-    is_repeated: bool = False  # whether the values are separated by semicolons
-
-
-EXCITE = (
-    Option("limit-angle", "Largest link angle", "rad", "On either side of zero.", "required"),
-    Option("limit-velocity", "Largest motor velocity", "rad/s", "One, or one per joint: 180, 150."),
-    Option("limit-voltage", "Largest voltage", "V", "", "limit of the servo"),
-    Option("limit-torque", "Largest gear torque", "N m", "At the link; data sheet.", "no limit"),
-    Option("limit-distance", "Smallest distance of the links", "m", "Of centre lines.", "0"),
-    Option("kind", "Excitation", "", "", "prbs", ("prbs", "multisine")),
-    Option("seed", "Seed", "", "Of the search and the phases.", "0"),
-)
-TUNE = (
-    Option(
-        "posture",
-        "Link angles",
-        "rad",
-        "For which the servos must hold: 0, 1.2; 0.5, -1",
-        "zero and four drawn postures",
-        is_repeated=True,
-    ),
-    Option(
-        "payload",
-        "Payloads",
-        "kg, m",
-        "Mass and centre of mass in the last link's frame: 2, 0.1, 0, 0",
-        "none",
-        is_repeated=True,
-    ),
-    Option("bandwidth", "Smallest bandwidth", "Hz", "Of each velocity loop.", "none"),
-    Option("gain-margin", "Smallest gain margin", "dB", "", "6"),
-    Option("phase-margin", "Smallest phase margin", "degree", "", "30"),
-    Option("modulus-margin", "Smallest modulus margin", "", "Distance from -1.", "0.5"),
-    Option("period", "Period of the servo", "s", "", "that of the study"),
-    Option("delay", "Delay", "s", "From encoder reading to voltage.", "half of the period"),
-    Option("draws", "Draws of the parameters", "", "From their joint distribution.", "1000"),
-    Option("seed", "Seed", "", "Of draws and postures.", "0"),
-)
-OPTIONS: Mapping[Command, tuple[Option, ...]] = {"excite": EXCITE, "tune": TUNE}
+def options_of(command: Command) -> dict[str, dict[str, Any]]:
+    """Texts of the options of a command that the form has, by flag."""
+    return {flag: texts for flag, texts in command_texts()[command].items() if "title" in texts}
 
 
 def show_design(request: Request) -> Response:
@@ -89,7 +43,8 @@ def show_design(request: Request) -> Response:
     path = study_of(request)
     workspace = workspace_of(request)
     results = [workspace.relative(p) for p in _parameter_files(path)]
-    return page(request, "design", "Design", options=OPTIONS, results=results)
+    options = {command: options_of(command) for command in COMMANDS}
+    return page(request, "design", "Design", options=options, results=results)
 
 
 def _parameter_files(path: Path) -> list[Path]:
@@ -105,7 +60,7 @@ def start(request: Request, body: Body) -> object:
     command: Command = kind
     chosen = text_of(body, "parameters", "")
     source = workspace_of(request).resolve(chosen) if chosen else None
-    flags = option_flags(OPTIONS[command], body.get("options"))
+    flags = option_flags(command, body.get("options"))
     study_at(path)
     if source is None:
         raise InvalidInput("a design needs parameters", remedy="choose a finished run")
@@ -121,17 +76,16 @@ def start(request: Request, body: Body) -> object:
     return describe(runs.start(name, command, [arguments]))
 
 
-def option_flags(options: tuple[Option, ...], values: object) -> list[str]:
-    """Arguments of the command line; a value cannot become a flag of its own.
+def option_flags(command: Command, values: object) -> list[str]:
+    """Arguments of a command line; a value cannot become a flag of its own.
 
     Raises InvalidInput for an unknown option or a value that is no text.
     """
-    flags = []
-    known = {option.flag: option for option in options}
+    flags, known = [], options_of(command)
     for name, value in (values if isinstance(values, dict) else {}).items():
         if name not in known or not isinstance(value, str):
             raise InvalidInput(f"there is no option {name!r}", where="options")
-        parts = value.split(";") if known[name].is_repeated else [value]
+        parts = value.split(";") if known[name].get("repeated") else [value]
         flags += [f"--{name}={part.strip().replace(' ', '')}" for part in parts if part.strip()]
     return flags
 
@@ -139,7 +93,7 @@ def option_flags(options: tuple[Option, ...], values: object) -> list[str]:
 def list_designs(request: Request) -> object:
     """Designs of the study, the newest first."""
     runs = Runs(study_of(request))
-    designs = [run for run in runs.all() if run.kind in OPTIONS]
+    designs = [run for run in runs.all() if run.kind in COMMANDS]
     return [_shown(runs, run) for run in reversed(designs)]
 
 

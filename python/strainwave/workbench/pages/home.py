@@ -9,8 +9,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from strainwave.errors import InvalidInput
+from strainwave.workbench.cached_files import study_at
 from strainwave.workbench.runs import Runs, status_of
-from strainwave.workbench.signal_views import study_at
 from strainwave.workbench.web import get_page, page, workspace_of
 
 

@@ -17,14 +17,12 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.presentation.plotly_backend import plotly
 from strainwave.presentation.report import torques
+from strainwave.workbench.cached_files import fingerprint, log_of, study_at
 from strainwave.workbench.signal_views import (
     coherence_figure,
-    fingerprint,
-    log_of,
     marks_of,
     sequences_of,
     spectrum_figure,
-    study_at,
     time_figure,
 )
 from strainwave.workbench.study_edit import Change, edit_study

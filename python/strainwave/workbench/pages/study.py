@@ -6,12 +6,13 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from starlette.requests import Request
 from starlette.responses import Response
 
-from strainwave.domain import FloatArray, channel_names
+from strainwave.domain import FloatArray, Use, channel_names
+from strainwave.domain.study_keys import KeyKind
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
 from strainwave.io.logs.bags import Bag, is_bag
@@ -21,13 +22,7 @@ from strainwave.presentation.figures import Axis, Colour, Figure, Line, Panel, d
 from strainwave.presentation.plotly_backend import plotly
 from strainwave.presentation.report.arm_picture import arm_picture
 from strainwave.presentation.report.predictions import unit_of
-from strainwave.workbench.rig_form import (
-    FieldKind,
-    FieldText,
-    comments_of,
-    field_groups,
-    value_of,
-)
+from strainwave.workbench.rig_form import comments_of, field_groups, value_of
 from strainwave.workbench.study_edit import (
     Change,
     changed_text,
@@ -46,22 +41,15 @@ from strainwave.workbench.web import (
     text_of,
 )
 
-_USES = ("motion", "frequency", "sweep", "tuning", "check")
-_EXPERIMENT: tuple[tuple[FieldText, bool], ...] = (  # and whether the value is a list of texts
-    (FieldText("name", "Name", "", "text"), False),
-    (FieldText("file", "File", "", "text"), False),
-    (FieldText("use", "Use", "", "choice", "", _USES), False),
-    (FieldText("joint", "Joint", "excited joint"), False),
-    (FieldText("control", "Control", "open or servo, per joint", "text"), True),
-    (FieldText("start", "Start [s]", ""), False),
-    (FieldText("stop", "Stop [s]", ""), False),
+_EXPERIMENT = (  # key, title, kind, choices, and whether the value is a list of texts
+    ("name", "Name", "text", (), False),
+    ("file", "File", "text", (), False),
+    ("use", "Use", "choice", get_args(Use), False),
+    ("joint", "Joint", "number", (), False),
+    ("control", "Control", "text", (), True),
+    ("start", "Start [s]", "number", (), False),
+    ("stop", "Stop [s]", "number", (), False),
 )
-_KINDS: Mapping[str, FieldKind] = {
-    "number": "number",
-    "numbers": "numbers",
-    "text": "text",
-    "choice": "choice",
-}
 
 
 def show_study(request: Request) -> Response:
@@ -101,8 +89,9 @@ def _changes(entries: object) -> list[Change]:
     for entry in entries:
         if not isinstance(entry, dict):
             raise InvalidInput("the request has no changes", where="request")
-        place, kind = entry.get("place"), _KINDS.get(str(entry.get("kind")))
-        if kind is None or not isinstance(place, list) or not place:
+        place: Any = entry.get("place")
+        kind: Any = entry.get("kind")
+        if kind not in get_args(KeyKind) or not isinstance(place, list) or not place:
             raise InvalidInput("the request has no place", where="request")
         value = value_of(text_of(entry, "value"), kind)
         if entry.get("is_list") and isinstance(value, str):
@@ -134,15 +123,15 @@ def _experiments(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     rows = []
     for index, experiment in enumerate(tables_of(document, "experiment")):
         cells = []
-        for text, is_list in _EXPERIMENT:
-            value = experiment.get(text.key)
+        for key, title, kind, choices, is_list in _EXPERIMENT:
+            value = experiment.get(key)
             shown = ", ".join(map(str, value)) if isinstance(value, list) else value
             cells.append(
                 {
-                    "place": ["experiment", index, text.key],
-                    "title": text.title,
-                    "kind": text.kind,
-                    "choices": text.choices,
+                    "place": ["experiment", index, key],
+                    "title": title,
+                    "kind": kind,
+                    "choices": choices,
                     "value": "" if shown is None else str(shown),
                     "is_list": is_list,
                 }

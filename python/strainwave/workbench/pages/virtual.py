@@ -14,13 +14,13 @@ from strainwave.io.atomic_files import write_whole
 from strainwave.io.study import write_study
 from strainwave.workbench.hand_simulation import parameter_document
 from strainwave.workbench.pages.runs import describe
-from strainwave.workbench.rig_form import (
+from strainwave.workbench.runs import Runs
+from strainwave.workbench.virtual_rig import (
     SENSORS,
     SETTINGS,
     estimates_against_truth,
     virtual_rig,
 )
-from strainwave.workbench.runs import Runs
 from strainwave.workbench.web import (
     Body,
     get_json,

@@ -25,17 +25,17 @@ function fieldControl(id, entry, attributes = {}) {
 
 function isImplausible(field) {
   const size = Math.abs(Number(field.value));
-  return field.value !== "" && !Number.isNaN(size) && field.minimum != null && (size < field.minimum || size > field.maximum);
+  return field.value !== "" && !Number.isNaN(size) && field.key.range != null && (size < field.key.range[0] || size > field.key.range[1]);
 }
 
 function rigField(field) {
   const id = `field-${field.place.join("-")}`;
-  const range = field.minimum == null ? "" : ` Plausible: ${field.minimum} to ${field.maximum}.`;
-  const entry = { place: field.place, kind: field.text.kind, choices: field.text.choices, value: field.value };
+  const range = field.key.range == null ? "" : ` Plausible: ${field.key.range[0]} to ${field.key.range[1]}.`;
+  const entry = { place: field.place, kind: field.key.kind, choices: field.choices, value: field.value };
   const control = fieldControl(id, entry, { "aria-describedby": `${id}-hint`, "aria-invalid": isImplausible(field) ? "true" : null });
   return make("div", { class: field.is_todo ? "rig-field todo" : "rig-field" },
-    make("label", { for: id }, field.text.title), control, make("span", { class: "unit" }, field.unit),
-    make("p", { class: "hint", id: `${id}-hint` }, (field.is_todo ? "Missing. " : "") + field.text.meaning + range,
+    make("label", { for: id }, field.key.title), control, make("span", { class: "unit" }, field.key.unit),
+    make("p", { class: "hint", id: `${id}-hint` }, (field.is_todo ? "Missing. " : "") + `${field.meaning}.${range}`,
       ...(field.reason ? [make("span", { class: "reason" }, ` In the file: ${field.reason}`)] : [])));
 }
 

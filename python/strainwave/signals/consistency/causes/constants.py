@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from strainwave.domain import Clause, Correction, Place
 from strainwave.domain.kinds import arm_keys
-from strainwave.domain.study_limits import accepted_range
+from strainwave.domain.study_keys import accepted_range
 from strainwave.signals.consistency.causes.case import MAX_FACTOR_DIFFERENCE, Case, Cause
 from strainwave.signals.consistency.causes.channels import scale_cause
 

@@ -1,4 +1,4 @@
-"""Second encoder, on the link's side of the gear."""
+"""Encoders: of the motor, and a second one on the link's side of the gear."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
-from strainwave.domain.link_sensors.interface import ConstantKind, LinkSensor, TypicalSensor
+from strainwave.domain.link_sensors.interface import ConstantKind, Group, LinkSensor, TypicalSensor
 from strainwave.domain.quantities import Quantity
 
 if TYPE_CHECKING:
     from strainwave.domain.arm import Joint
-
 
 _TYPICAL_COUNTS = 2**17  # per turn, of a typical link encoder
 
@@ -54,3 +53,31 @@ class LinkEncoder(LinkSensor):
             return None
         counts = joint.link_encoder_counts or _TYPICAL_COUNTS
         return TypicalSensor(joint, f"{counts:g} counts per turn", resolution=math.tau / counts)
+
+
+@dataclass(frozen=True)
+class MotorEncoder(LinkSensor):
+    """Encoder `theta_m{i}`, to which the delays of link sensors are relative.
+
+    Its own delay is relative to the logged torque of the motor: drives sample and filter it at
+    unknown times. A logged voltage has none, because the model contains the current loop.
+    """
+
+    resolution: float = 0.0
+
+    name, noun = "motor_encoder", "motor encoder"
+    time_reference = "logged torque"
+    channel_kinds = ("theta_m",)
+    unit = "rad"
+    measurand = "motor angle"
+    group = Group.MOTOR
+    reads_angle = True
+    has_bias = False
+    common, per_axis = (ConstantKind.DELAY,), ()
+
+    @classmethod
+    def of_joint(cls, joint: Joint) -> Self:
+        return cls(joint.encoder_resolution)
+
+    def quantities(self) -> tuple[Quantity, ...]:
+        return ("motor_angle",)

@@ -1,7 +1,7 @@
-"""Cubic law T = k_G delta + k_3 delta^3: the stiffness grows with the square of the torsion.
+"""Laws without knees: rigid, linear T = K delta, and cubic T = k_G delta + k_3 delta^3.
 
-These are the first two terms of any odd smooth law (Tuttle and Seering, IEEE Transactions on
-Robotics and Automation 12(3), 1996).
+The terms of the cubic law are the first two of any odd smooth law (Tuttle and Seering, IEEE
+Transactions on Robotics and Automation 12(3), 1996).
 """
 
 from __future__ import annotations
@@ -12,7 +12,27 @@ import numpy as np
 
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.gear_laws.interface import STIFFNESS, GearLaw, GearParameter, Values
-from strainwave.domain.gear_laws.linear import Linear
+
+
+class Linear(GearLaw):
+    """One stiffness at all torsions."""
+
+    name = "linear"
+    parameters = (GearParameter(STIFFNESS, is_slope=True),)
+    lists: Mapping[str, tuple[str, ...]] = {STIFFNESS: (STIFFNESS,)}
+
+    def torque(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        """K delta."""
+        return values[STIFFNESS] * torsion
+
+    def stiffness(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        """K."""
+        return np.full_like(torsion, values[STIFFNESS])
+
+    def jacobian(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        """Delta."""
+        return torsion[:, None]
+
 
 CUBIC = "gear_stiffness_cubic"
 
@@ -47,3 +67,26 @@ class Cubic(GearLaw):
         initial = _STARTING_STIFFNESS_SHARE * stiffness
         cubic = _STARTING_CUBIC_SHARE * initial / (largest_torque / initial) ** 2
         return {STIFFNESS: initial, CUBIC: cubic}
+
+
+class Rigid(GearLaw):
+    """Motor and link move as one body. The law has no parameters."""
+
+    name = "rigid"
+    elastic = False
+
+    def torque(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        """Zero without torsion, otherwise infinite."""
+        return np.where(torsion == 0.0, 0.0, np.copysign(np.inf, torsion))
+
+    def stiffness(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        """Infinite."""
+        return np.full_like(torsion, np.inf)
+
+    def jacobian(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        """No columns."""
+        return np.zeros((len(torsion), 0))
+
+    def torsion(self, values: Mapping[str, float], torque: FloatArray) -> FloatArray:
+        """Zero."""
+        return np.zeros_like(torque)

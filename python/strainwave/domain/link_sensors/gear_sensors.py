@@ -1,4 +1,4 @@
-"""Sensor of a gear's torsion."""
+"""Sensors of a gear: its torsion, and the joint torque between gear and link."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors.interface import Axis, LinkSensor
+from strainwave.domain.link_sensors.interface import Axis, ConstantKind, Group, LinkSensor
 from strainwave.domain.quantities import Quantity
 
 if TYPE_CHECKING:
@@ -42,3 +42,25 @@ class TorsionSensor(LinkSensor):
 
     def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:
         return np.array([-1.0])
+
+
+@dataclass(frozen=True)
+class TorqueSensor(LinkSensor):
+    """Sensor `tau_l{i}` of the gear's torque at the link, T + D_G ddelta."""
+
+    name = "torque_sensor"
+    noun = "joint torque sensor"
+    channel_kinds = ("tau_l",)
+    unit = "N m"
+    measurand = "joint torque"
+    prismatic_unit = "N"
+    by_channel = True
+    group = Group.TORQUE
+    common = (ConstantKind.DELAY,)
+
+    @classmethod
+    def of_joint(cls, joint: Joint) -> Self | None:
+        return cls() if joint.elastic else None  # the core computes no torque of a rigid gear
+
+    def quantities(self) -> tuple[Quantity, ...]:
+        return ("gear_torque",)
