@@ -14,8 +14,7 @@ from benchmarks.studies.faults.remedies import obey
 from benchmarks.studies.faults.shared import contradicts_itself, outcome_of
 from benchmarks.studies.faults.torques import locked, stating
 
-from strainwave.domain import Correction, InputCheck, Place, Relation, Suspicion
-from strainwave.domain.clauses import Clause
+from strainwave.domain import Clause, Correction, InputCheck, Place, Relation, Suspicion
 
 NOTHING: Any = None  # what the tested function does not read
 

@@ -168,7 +168,13 @@ def _equal_rivals(evidence: Evidence, now: Sequence[Observation], cause: Cause) 
 
 def _tested(now: Sequence[Observation], cause: Cause) -> list[Observation]:
     """Observations that must remain available after a correction."""
-    return [o for o in now if not (cause.moves_frames and o.is_of_link)]
+    left_out = set(cause.excluded)
+    return [
+        o
+        for o in now
+        if not (cause.moves_frames and o.is_of_link)
+        and not (left_out and (left_out & set(o.place.experiments) or not o.contradicts))
+    ]
 
 
 def _contradiction_weight(

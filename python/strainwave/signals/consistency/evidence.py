@@ -421,6 +421,21 @@ def is_slow(experiment: Experiment) -> bool:
     return experiment.use == "motion" or (experiment.use == "check" and experiment.joint is None)
 
 
+def exchanged_tests(evidence: Evidence) -> tuple[list[str], list[str]]:
+    """Records with a stated PRBS that no command contains, and motions whose commands contain one.
+
+    Their files can be exchanged.
+    """
+    silent, signalling = [], []
+    for record in evidence.records:
+        experiment, has_signal = record.experiment, bool(record.clocks.excited)
+        if experiment.prbs is not None and not has_signal:
+            silent.append(experiment.name)
+        if is_slow(experiment) and has_signal:
+            signalling.append(experiment.name)
+    return silent, signalling
+
+
 def _block_means(signal: FloatArray, block: int) -> FloatArray:
     means: FloatArray = signal.reshape(len(signal) // block, block, -1).mean(axis=1)
     return means

@@ -9,7 +9,12 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import Place, Relation, channel_parts
-from strainwave.signals.consistency.evidence import MIN_SHARE_OF_GAIN, Evidence, is_slow
+from strainwave.signals.consistency.evidence import (
+    MIN_SHARE_OF_GAIN,
+    Evidence,
+    exchanged_tests,
+    is_slow,
+)
 from strainwave.signals.consistency.input_delay import pool_delays
 from strainwave.signals.consistency.motors import (
     Ratio,
@@ -318,7 +323,13 @@ def _observe_clocks(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _observe_test_signals(evidence: Evidence) -> Iterator[Observation]:
-    """Compare the stated excited joint and the servo limit with the commands."""
+    """Compare the stated excited joint and the servo limit with the commands.
+
+    A stated PRBS that is in no command contradicts if the command of a motion contains one.
+    """
+    silent, signalling = exchanged_tests(evidence)
+    for name in silent if signalling else ():
+        yield Observation("excited-joint", Place.in_records(name), -1.0, 0.0)
     for record in evidence.records:
         experiment, excited = record.experiment, record.clocks.excited
         joint = experiment.joint

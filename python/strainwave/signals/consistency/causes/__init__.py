@@ -16,6 +16,7 @@ from strainwave.signals.consistency.observations import Observation
 __all__ = ["Cause", "propose_causes"]
 
 _OF_ARM = (
+    commands.propose_exchanged_files,
     channels.propose_effort_scales,
     channels.propose_record_signs,
     channels.propose_dead_channels,

@@ -19,6 +19,7 @@ from strainwave.signals.consistency.causes.case import (
     match_known_factor,
     places_of,
 )
+from strainwave.signals.consistency.evidence import exchanged_tests
 
 # Maximum difference between the delays of channels with a common cause [s].
 _MAX_DELAY_DIFFERENCE = 5e-4
@@ -124,7 +125,7 @@ def propose_excited_joints(case: Case) -> Iterator[Cause]:
     """Records whose excited joint differs from the study."""
     joints = set(range(1, case.evidence.arm.n_joints + 1))
     for each in case.contradictions:
-        if each.kind != "excited-joint":
+        if each.kind != "excited-joint" or each.joint is None:
             continue
         (record,) = each.place.experiments
         place = Place(experiments=(record,), key="joint")
@@ -137,6 +138,16 @@ def propose_excited_joints(case: Case) -> Iterator[Cause]:
             )
             change = Correction("experiment", record, "joint", excited)
             yield Cause("swapped-channels", (place,), clause, (change,))
+
+
+def propose_exchanged_files(case: Case) -> Iterator[Cause]:
+    """Exchanged files of records with a test signal and records of motion."""
+    silent, signalling = exchanged_tests(case.evidence)
+    if silent and signalling:
+        names = (*silent, *signalling)
+        clause = Clause("swapped-channels/files", records=tuple(silent), others=tuple(signalling))
+        remedy, place = Clause("remedy/files", records=names), Place(experiments=names, key="file")
+        yield Cause("swapped-channels", (place,), clause, (), remedy, excluded=names)
 
 
 def propose_voltage_scales(case: Case) -> Iterator[Cause]:
