@@ -34,12 +34,17 @@ def propose_explanations(case: Case) -> Iterator[Cause]:
         return
     order = {kind: k for k, kind in enumerate(_CAUSES)}
     good = [a for a in found if _gain(a) >= MIN_SHARE_OF_GAIN * _gain(found[0])]
-    good.sort(key=lambda a: (order[a.kind], a.cost))
+    good.sort(key=lambda a: (order[a.kind], _enlarges(a), a.cost))
     causes = [_cause(case, a, float(np.exp(_gain(a)))) for a in good]
     for cause in causes:
         others = [other for other in causes if other.places != cause.places]
         others.sort(key=lambda other: other.moves_frames)
         yield replace(cause, rivals=tuple(map(as_rival, others)))
+
+
+def _enlarges(each: Alternative) -> bool:
+    """Whether a scale is larger than that of SI units; small units are the common fault."""
+    return each.kind == "torque" and abs(each.corrections[0].number) > 1.0
 
 
 def _gain(each: Alternative) -> float:
