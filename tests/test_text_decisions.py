@@ -18,7 +18,7 @@ READERS = (
     "export/source.py",
     "workbench/study_edit.py",
     "workbench/workspace.py",
-    "workbench/take_away.py",
+    "workbench/pages/files.py",
     "workbench/pages/by_hand.py",
     "workbench/pages/imports.py",
 )
@@ -26,13 +26,13 @@ READERS = (
 WRITERS = (
     "presentation/html.py",
     "presentation/report/",
-    "paper/page.py",
+    "paper/document.py",
     "export/flat.py",
     "experiment_design/written.py",
-    "experiment_design/written.py",
     "virtual/experiments.py",
+    "workbench/rig_form.py",
 )
-"""Typeset names and sentences, and make file names."""
+"""Typeset names and sentences, make plain text of Markdown, and make file names."""
 SENDERS = (
     "cli.py",
     "presentation/",
