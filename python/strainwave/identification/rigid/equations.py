@@ -280,14 +280,17 @@ def _parts(
             X[:, friction + 2] *= is_two_way[i]
             X[:, friction] -= body.own_lag[:, i]
             X[:, len(arm.rigid_columns) - arm.n_shared :] = shared[:, i] - body.shared_lag[:, i]
-            coulomb = around.solution[friction + 1] if around else np.std(stretch.torque[:, i])
             keep = np.flatnonzero(stretch.keep[:, i])
+            if around is not None:
+                coulomb = float(around.solution[friction + 1])
+            else:  # a record at an edge throughout has no rows
+                coulomb = float(np.std(stretch.torque[:, i])) if len(stretch.rows) else 0.0
             yield _Part(
                 i,
                 X[keep],
                 common[keep, i],
                 free if len(keep) == len(stretch.rows) else free.rows(keep),
-                max(_STICTION_STD * abs(float(coulomb)), 1e-300),
+                max(_STICTION_STD * abs(coulomb), 1e-300),
                 body.torque[keep, i],
                 block[keep],
                 stretch.repetition[keep],
