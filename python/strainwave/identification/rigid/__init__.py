@@ -164,7 +164,8 @@ def _with_terms(
     """Fits with the terms that the records support, and the choice between them and others.
 
     A term changes what is left for others: the choice is made again around each fit. A term that a
-    fit does not show stays out until a fit has more terms.
+    fit does not show, or that another replaces, stays out until a fit has more terms, so the
+    iteration ends.
 
     An error of an angle or of a time is the same at all bandwidths. A correction of the signals
     that changes with the bandwidth is another error that resembles it, and no rival.
@@ -181,11 +182,12 @@ def _with_terms(
         corrected = {c.key for c in doubtful if c.effect in CORRECTIONS}
         rest = [c for c in rest if c.key not in corrected]
         terms = [c for c in fit.candidates if c not in doubtful]
-        left_out |= {c.key for c in doubtful}
         if not doubtful:
             terms = choice.select(left_out)
-        if {c.key for c in terms} == {c.key for c in fit.candidates}:
+        before, after = {c.key for c in fit.candidates}, {c.key for c in terms}
+        if after == before:
             return fit, others, choice
+        left_out |= before - after
         if terms:
             fit = fit_with_terms(_started(best, fit), motions, terms)
             others = [
@@ -194,7 +196,7 @@ def _with_terms(
             ]
         else:
             fit, others = best, nearby
-        left_out |= {c.key for c in terms} - {c.key for c in fit.candidates}
+        left_out |= after - {c.key for c in fit.candidates}
 
 
 def _started(trial: Trial, start: Trial) -> Trial:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from operator import itemgetter
 
 import numpy as np
 
@@ -202,11 +201,11 @@ def insignificant(trials: Sequence[Trial], stds: FloatArray) -> list[Candidate]:
         [(t.factor.common[:n], t.common_deviation[:n] ** 2) for t in others],
     )
     z = np.abs(values) / np.sqrt(stds[:n] ** 2 + excess + np.finfo(float).tiny)
-    least = {c.joint: c for _, c in sorted(zip(-z, fit.candidates, strict=True), key=itemgetter(0))}
+    joints = np.array([c.joint for c in fit.candidates])
     return [
         c
-        for c, each in zip(fit.candidates, z, strict=True)
-        if least[c.joint] is c and each < MIN_STDS
+        for c, own in zip(fit.candidates, z, strict=True)
+        if own < MIN_STDS and own == z[joints == c.joint].min()
     ]
 
 
