@@ -28,7 +28,7 @@ from benchmarks.peers.rigid_chain import fit_plain
 from strainwave.domain import FloatArray, FrictionTerm, RigidModel, RigidOptions, Signals
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.rigid_prediction import additional_friction, predict_torque
+from strainwave.dynamics.rigid_prediction import predict_torque, torque_parts
 from strainwave.identification import rigid
 from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study
@@ -159,11 +159,10 @@ def frictions_at_half_speed(
 ) -> list[tuple[float, float]]:
     """Mean friction [N m] of axes 1 to 4 at the link, of the model and of the published law."""
     motion = record.motor_angle, record.motor_velocity, record.motor_acceleration
-    load = arm.rigid_regressor(*map(arm.links_of, motion)) @ model.solution[: arm.n_body]
     speed = np.abs(record.motor_velocity)
-    viscous, coulomb, _ = arm.joint_friction(model.solution).T
-    friction = coulomb + viscous * speed
-    friction += additional_friction(model.friction_terms, record.motor_velocity, load)
+    viscous = arm.joint_friction(model.solution)[:, 0]
+    parts = torque_parts(arm, model.solution, motion, model.friction_terms)
+    friction = parts.dry_friction + viscous * speed
     low, high = (share * speed.max(axis=0) for share in _HALF_SPEED)
     rows = []
     for i in range(4):

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, FrictionTerm, Payload, RigidModel, Signals
+from strainwave.domain.kinds.bodies import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import low_pass
 
@@ -65,9 +66,30 @@ def friction_per_size(
 ) -> FloatArray:
     """Friction of an effect per unit of its size, against the motion: (n_samples,).
 
-    `velocity` [rad/s] is that of the motor, `load` [N m] the torque of the bodies at the motor.
+    `velocity` [rad/s] is that of the motor, `load` [N m] the torque of the gear at the motor.
     """
     return _LAWS[effect](velocity, load, shape)
+
+
+LOAD_TERMS = "load-friction", "load-speed-friction"
+"""Friction that grows with the load of the gear."""
+
+
+def gear_load(
+    arm: Arm,
+    solution: FloatArray,
+    links: Sequence[FloatArray],
+    payload: Payload | None = None,
+    motor_share: float = MOTOR_SHARE,
+) -> FloatArray:
+    """Torque that the gears transmit, at the motor: (n_samples, n_joints) [N m].
+
+    That of the bodies without the rotors, which accelerate on the motor's side of the gear.
+    `motor_share` is the rotors' share of inertias that rigid motion does not separate from
+    theirs; `links` are angle, velocity and acceleration of the links.
+    """
+    base = arm.links_of_rigid(motor_share) @ solution[: arm.n_body] + arm.payload_vector(payload)
+    return arm.motors_of(arm.link_torques(base, *links))
 
 
 def additional_friction(
@@ -276,7 +298,8 @@ def torque_parts(
     smooth = viscous * velocity + offset
     if arm.n_shared:
         smooth += arm.shared_friction_regressor(velocity) @ solution[-arm.n_shared :]
-    dry = coulomb + additional_friction(friction_terms, velocity, body)
+    load = gear_load(arm, solution, links, payload)
+    dry = coulomb + additional_friction(friction_terms, velocity, load)
     return TorqueParts(body + spring_torque(arm, friction_terms, links[0]), smooth, dry)
 
 

@@ -5,9 +5,11 @@ Motion records with and without a payload -> torques per volt of the drives.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+
+import numpy as np
 
 from strainwave.domain import (
     Clause,
@@ -22,6 +24,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.combinations import is_uncoupled
 from strainwave.domain.effects import OF_RIGID_JOINTS
+from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, RecordTooShort
 from strainwave.identification import rigid, validation
@@ -71,7 +74,7 @@ def fit_rigid_joints(
                 warning = Diagnostic("no-rigid-model", inputs.place, reason=str(failure))
                 return RigidStage(warnings=(*warnings, warning))
             return RigidStage(warnings=warnings, failures=(Clause("text", text=str(failure)),))
-        warnings += model.warnings
+        warnings += (*model.warnings, *_assumed_units(inputs, motion_logs))
     if model.status == "not-identifiable":
         return RigidStage(model, warnings=warnings)
     with reporter.time_part("checks", "predicting the check records"):
@@ -79,6 +82,28 @@ def fit_rigid_joints(
         checked, warnings_of_checks = _predict(model, checks, arm, fitted)
     warnings += warnings_of_fit + warnings_of_checks
     return RigidStage(model, fitted, checked, warnings)
+
+
+def _assumed_units(inputs: Inputs, logs: Sequence[Log]) -> Iterator[Diagnostic]:
+    """Warn of joints of which no relation between channels, masses or gravity shows the units."""
+    arm, channels = inputs.study.arm, inputs.study.channels
+    has_weight = arm.gravity_size > 0.0 or arm.urdf is not None
+    if has_weight or any(log.experiment.payload for log in logs):
+        return
+    for number, joint in enumerate(arm.joints, start=1):
+        names = [f"theta_m{number}", f"torque{number}"]
+        others = [f"{kind}{number}" for kind in ("omega_m", "ref", *link_channel_kinds())]
+        is_stated = joint.encoder_counts or any(
+            name in channels and channels[name].scale != 1.0 for name in names
+        )
+        own = [log.channels for log in logs if all(name in log.channels for name in names)]
+        if joint.elastic or is_stated or not own or any(o in log for log in own for o in others):
+            continue
+        angles = np.concatenate([log[names[0]] for log in own])
+        is_whole = bool(np.all(angles == np.round(angles)) and np.ptp(angles) > 1.0)
+        variant = ["counts"] if is_whole else []
+        place, span = Place(joint=number), float(np.ptp(angles))
+        yield Diagnostic("units-assumed", place, *variant, joint=number, span=span)
 
 
 def _check_effects(arm: Arm) -> None:

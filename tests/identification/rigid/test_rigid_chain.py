@@ -36,6 +36,7 @@ BODY = {"mass": 3.0, "first_moment_x": 0.3, "first_moment_y": 0.05, "first_momen
 BODY |= {"inertia_xx": 0.1, "inertia_yy": 0.16, "inertia_zz": 0.14, "inertia_xy": 0.01}
 FRICTION = (2e-4, 0.03, 0.002)  # viscous, Coulomb, offset of each motor
 FRICTION_NAMES = ("motor_viscous_friction", "motor_coulomb_friction", "friction_offset")
+ROTOR_INERTIA = 1e-4  # [kg m^2] of each motor
 LINK_FRICTION = 0.4  # [N m s/rad] of each link
 
 
@@ -85,7 +86,7 @@ def rigid_values(arm: Arm) -> FloatArray:
     values: Values = dict.fromkeys(arm.parameter_names, 0.0)
     for joint in (1, 2, 3):
         values |= {(f"link_{name}", joint): value for name, value in BODY.items()}
-        values["motor_inertia", joint] = 1e-4
+        values["motor_inertia", joint] = ROTOR_INERTIA
         values["link_viscous_friction", joint] = LINK_FRICTION
         for name, value in zip(FRICTION_NAMES, FRICTION, strict=True):
             values[name, joint] = value
@@ -177,6 +178,7 @@ def with_term(effect: str | None, seed: int) -> Signals:
         size, shape = LAWS[effect]
         motion = exact.motor_angle, exact.motor_velocity, exact.motor_acceleration
         load = arm.rigid_regressor(*map(arm.links_of, motion)) @ rigid_values(arm)[: arm.n_body]
+        load -= ROTOR_INERTIA * exact.motor_acceleration
         velocity = exact.motor_velocity[:, 1]
         law = friction_per_size(effect, shape, velocity, load[:, 1])
         torque[:, 1] += size * law * np.sign(velocity)

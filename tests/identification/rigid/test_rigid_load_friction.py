@@ -18,7 +18,8 @@ SHARES = np.array([0.08, 0.0])
 def loaded(shares: FloatArray, seed: int = 1, arm: int = 1) -> tuple[Study, FloatArray, Signals]:
     """Arm under gravity with load-dependent friction, and a record with torque noise."""
     study = virtual_arms.rigid_two_link(9.81)
-    truth = virtual_arms.rigid_truth(study, virtual_arms.values_of(study, arm))
+    of_arm = virtual_arms.values_of(study, arm)
+    truth = virtual_arms.rigid_truth(study, of_arm)
     motion = virtual_arms.exact_motion(2, seed, duration=20.0)
     _, angle, velocity, acceleration = motion
     model = Arm.of(study.arm)
@@ -27,7 +28,8 @@ def loaded(shares: FloatArray, seed: int = 1, arm: int = 1) -> tuple[Study, Floa
     phi = model.rigid_regressor(angle * n, velocity * n, acceleration * n)
     body = phi @ values[: model.n_body]
     viscous, coulomb, offset = values[model.n_body :].reshape(2, 3).T
-    coulomb_friction = coulomb + shares * np.abs(body)
+    rotors = np.array([of_arm["motor_inertia", joint] for joint in (1, 2)])
+    coulomb_friction = coulomb + shares * np.abs(body - rotors * acceleration)
     torque = body + viscous * velocity + coulomb_friction * np.sign(velocity) + offset
     noise = np.random.default_rng(seed).normal(0.0, 2e-3, torque.shape)
     return study, values, virtual_arms.exact_signals(motion, torque + noise)
@@ -44,7 +46,8 @@ def test_the_load_friction_is_recovered() -> None:
     model = rigid.fit_rigid([signals], Arm.of(study.arm))
     (share,) = [term.size for term in model.friction_terms]
     assert (share.name, share.joint, share.unit) == ("load_friction", 1, "1")
-    assert share.value == pytest.approx(SHARES[0], rel=0.02)
+    # rigid motion does not show which part of the inertia of axis 1 the gear accelerates
+    assert share.value == pytest.approx(SHARES[0], rel=0.2)
     assert share.ci95 is not None
     assert share.ci95[0] < SHARES[0] < share.ci95[1]
     assert [w.where for w in model.warnings if w.code == "load-friction"] == ["joint 1"]
@@ -60,7 +63,7 @@ def test_the_load_friction_improves_the_prediction() -> None:
         for m in models
     ]
     assert models[1].friction_terms == ()
-    assert fits[0] > 97.0 > fits[1]
+    assert fits[0] > 99.0 > fits[1]
     expected = validation.predict_rigid(models[0], signals, Arm.of(study.arm)).fit_percent
     assert models[0].fit_percent["motion"] == expected
 

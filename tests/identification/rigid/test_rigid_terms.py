@@ -188,3 +188,31 @@ def test_a_sensor_behind_the_gear_shows_the_link(tmp_path: Path) -> None:
     assert result["link_inertia", 1].value == pytest.approx(0.5, rel=0.01)
     assert result.run is not None
     assert "torque-at-link" in {w.code for w in result.run.warnings}
+
+
+def codes_of(study: sw.Study, log: Mapping[str, FloatArray]) -> dict[str, str]:
+    run = sw.identify(study, data={"m": log}).run
+    assert run is not None
+    return {w.code: w.message for w in run.warnings}
+
+
+@pytest.mark.parametrize(
+    ("scale", "text"), [(0.5 / np.pi, "covers"), (4096.0 / (2.0 * np.pi), "as encoder counts are")]
+)
+def test_units_that_no_channel_shows_are_said_to_be_assumed(
+    tmp_path: Path, scale: float, text: str
+) -> None:
+    log = Pendulum(gravity=0.0).log()
+    reading = scale * log["theta_m1"]
+    log["theta_m1"] = np.round(reading) if scale > 1.0 else reading
+    assert text in codes_of(study_of(tmp_path, gravity=False), log)["units-assumed"]
+    log["omega_m1"] = np.gradient(log["theta_m1"], SAMPLE_TIME)
+    assert "units-assumed" not in codes_of(study_of(tmp_path, gravity=False), log)
+
+
+def test_an_offset_that_gravity_cancels_is_implausible(tmp_path: Path) -> None:
+    """Angles in turns cover a small part of a turn, in which gravity is nearly constant."""
+    log = Pendulum().log()
+    assert "implausible" not in codes_of(study_of(tmp_path), log)
+    log["theta_m1"] = log["theta_m1"] / (2.0 * np.pi)
+    assert "exceeds every torque" in codes_of(study_of(tmp_path), log)["implausible"]

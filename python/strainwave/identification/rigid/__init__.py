@@ -25,7 +25,7 @@ from strainwave.domain import (
     Signals,
 )
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.rigid_prediction import CORRECTIONS, band_fit
+from strainwave.dynamics.rigid_prediction import CORRECTIONS, LOAD_TERMS, band_fit
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.bandwidth import (
     Motion,
@@ -52,6 +52,7 @@ from strainwave.identification.rigid.friction_terms import (
 from strainwave.identification.rigid.model_choice import (
     Choice,
     candidates_of,
+    is_selected,
 )
 from strainwave.identification.rigid.stretch import decimation, n_compliances
 from strainwave.identification.rigid.torque_constants import torque_ratios
@@ -99,16 +100,21 @@ def _fit(
     doubt, noise_share = np.zeros_like(best.covariance), np.ones(1)
     changes: list[dict[str, float]] = []
     if candidates:
-        best, nearby, rest = _with_terms(best, nearby, motions, candidates)
+        best, nearby, choice = _with_terms(best, nearby, motions, candidates)
         start, moved = with_coarse_zeros(plain, motions, candidates)
         if start is not plain:
             zeros = [c for c in moved if c.corrected]
             others = [refit(trial, motions, zeros) for trial in neighbours(trials, plain)]
             distant = _with_terms(start, others, motions, moved)
             if distant[0].residual_power < MAX_POWER_RATIO * best.residual_power:
-                best, nearby, rest = distant
-        choice = Choice.of(best, rest)
+                best, nearby, choice = distant
         doubt, noise_share, changes = choice.model_error(), choice.noise_share(), choice.changes()
+        if any(c.effect in LOAD_TERMS for c in best.candidates):
+            other = _with_other_shares(best)
+            change = other.solution - best.solution
+            doubt += np.outer(change, change)
+            of_terms = other.factor.common - best.factor.common
+            best = replace(best, common_deviation=np.hypot(best.common_deviation, of_terms))
     excess = excess_variance(best.solution, [(t.solution, np.diag(t.covariance)) for t in nearby])
     # rivals and bandwidths partly show the same error
     excess = np.clip(excess - np.diag(doubt), 0.0, None)
@@ -147,29 +153,63 @@ def _search(
     undelayed = search_bandwidths(corrected_motions(arm, motions, delays), arm)
     best = select_bandwidth(undelayed)
     at_delay = [refit(trial, motions, delays) for trial in (best, *neighbours(undelayed, best))]
-    if insignificant(at_delay, [replace(c, corrected=0.0) for c in delays]):
+    if insignificant(at_delay, at_delay[0].common_deviation):
         return trials, plain
     return undelayed, candidates
 
 
 def _with_terms(
     best: Trial, nearby: list[Trial], motions: Sequence[Motion], candidates: Sequence[Candidate]
-) -> tuple[Trial, list[Trial], list[Candidate]]:
-    """Fits with the terms that the records support, and the candidates that remain plausible.
+) -> tuple[Trial, list[Trial], Choice]:
+    """Fits with the terms that the records support, and the choice between them and others.
+
+    A term changes what is left for others: the choice is made again around each fit. A term that a
+    fit does not show, or that another replaces, stays out until a fit has more terms, so the
+    iteration ends.
 
     An error of an angle or of a time is the same at all bandwidths. A correction of the signals
     that changes with the bandwidth is another error that resembles it, and no rival.
     """
-    terms, rest = Choice.of(best, candidates).select(), list(candidates)
-    while terms:
-        fit = fit_with_terms(best, motions, terms)
-        others = [refit(trial, motions, fit.candidates) for trial in nearby]
-        doubtful = insignificant([fit, *others], terms)
+    fit, others, rest, left_out = best, nearby, list(candidates), set[tuple[str, int]]()
+    tested, largest = {c.key for c in candidates if is_selected(best.arm, c)}, 0
+    while True:
+        choice = Choice.of(fit, rest)
+        stds = choice.models.size_stds(range(len(fit.candidates)))
+        doubtful = [c for c in insignificant([fit, *others], stds) if c.key in tested]
+        if not doubtful and len(fit.candidates) > largest:
+            largest = len(fit.candidates)
+            left_out.clear()
+        corrected = {c.key for c in doubtful if c.effect in CORRECTIONS}
+        rest = [c for c in rest if c.key not in corrected]
+        terms = [c for c in fit.candidates if c not in doubtful]
         if not doubtful:
-            return fit, others, rest
-        terms = [c for c in terms if c not in doubtful]
-        rest = [c for c in rest if c not in doubtful or c.effect not in CORRECTIONS]
-    return best, nearby, rest
+            terms = choice.select(left_out)
+        before, after = {c.key for c in fit.candidates}, {c.key for c in terms}
+        if after == before:
+            return fit, others, choice
+        left_out |= before - after
+        if terms:
+            fit = fit_with_terms(_started(best, fit), motions, terms)
+            others = [
+                refit(_started(plain, each), motions, fit.candidates)
+                for plain, each in zip(nearby, others, strict=True)
+            ]
+        else:
+            fit, others = best, nearby
+        left_out |= after - {c.key for c in fit.candidates}
+
+
+def _started(trial: Trial, start: Trial) -> Trial:
+    """The trial with the estimate and the weights of another fit of its stretches."""
+    return replace(trial, estimate=start.estimate, factor=start.factor)
+
+
+def _with_other_shares(best: Trial) -> Trial:
+    """The fit with other shares of the rotors in inertias, on which the gears' loads depend."""
+    shares = replace(best.estimate.shares, inertia=_ALTERNATIVE_INERTIA_SHARE)
+    return fit_trial(
+        best.arm, best.stretches, best.estimate, shares, best.candidates, best.factor.root
+    )
 
 
 def _elastic_model_error(best: Trial) -> FloatArray:

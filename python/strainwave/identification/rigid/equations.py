@@ -17,7 +17,13 @@ from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.domain.combinations import FRICTION_COLUMNS
 from strainwave.domain.kinds.bodies import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.rigid_prediction import DELAY, SPRING, ZERO, friction_per_size
+from strainwave.dynamics.rigid_prediction import (
+    DELAY,
+    SPRING,
+    ZERO,
+    friction_per_size,
+    gear_load,
+)
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.stretch import Stretch, motion_of, n_compliances
 from strainwave.numerics.filters import differentiate, low_pass
@@ -97,6 +103,11 @@ class Candidate:
     size: float | None = None  # around which the shape is estimated; None: the shape is given
     corrected: float = 0.0  # part of the size by which the signals are corrected
 
+    @property
+    def key(self) -> tuple[str, int]:
+        """Effect and joint."""
+        return self.effect, self.joint
+
 
 @dataclass(frozen=True, slots=True)
 class Terms:
@@ -139,16 +150,13 @@ class Terms:
     def columns(self, arm: Arm, stretch: Stretch, record: int, around: Estimate) -> FloatArray:
         """Regressors in the order of `deviations`, (n_rows, n_joints, n_columns).
 
-        The load is the body torque of the estimate, without friction.
+        The load is that of the gears by the estimate, without friction.
         """
         q, dq, ddq = map(arm.links_of, stretch.motion)
-        base = arm.links_of_rigid() @ around.solution[: arm.n_body]
-        payload = stretch.signals.experiment.payload
-        if payload is not None:
-            base = base + arm.payload_vector(payload)
-        body = arm.rigid_regressor(q, dq, ddq) @ around.solution[: arm.n_body]
-        if payload is not None:
-            body += arm.payload_torques(payload, q, dq, ddq)
+        solution, payload = around.solution, stretch.signals.experiment.payload
+        share = around.shares.inertia
+        load = gear_load(arm, solution, (q, dq, ddq), payload, share)
+        base = arm.links_of_rigid() @ solution[: arm.n_body] + arm.payload_vector(payload)
         velocity, direction = stretch.motion[1], self.direction[record]
         interval = stretch.motion_step * stretch.signals.sample_time
 
@@ -164,10 +172,12 @@ class Terms:
                 )
                 return arm.motors_of((ahead - behind) / (2.0 * _ZERO_STEP))
             if c.effect == DELAY:
-                viscous, coulomb, _ = arm.joint_friction(around.solution).T
+                viscous, coulomb, _ = arm.joint_friction(solution).T
+                rotors = arm.motors_of_rigid(share) @ solution[: arm.n_body]
+                body = load + rotors * stretch.motion[2]
                 torque = body + viscous * velocity + coulomb * direction
                 return -differentiate(torque, interval)
-            law = friction_per_size(c.effect, factor * c.shape, velocity[:, i], body[:, i])
+            law = friction_per_size(c.effect, factor * c.shape, velocity[:, i], load[:, i])
             return np.asarray(law * direction[:, i])
 
         step = np.exp(_SHAPE_STEP)
@@ -270,14 +280,17 @@ def _parts(
             X[:, friction + 2] *= is_two_way[i]
             X[:, friction] -= body.own_lag[:, i]
             X[:, len(arm.rigid_columns) - arm.n_shared :] = shared[:, i] - body.shared_lag[:, i]
-            coulomb = around.solution[friction + 1] if around else np.std(stretch.torque[:, i])
             keep = np.flatnonzero(stretch.keep[:, i])
+            if around is not None:
+                coulomb = float(around.solution[friction + 1])
+            else:  # a record at an edge throughout has no rows
+                coulomb = float(np.std(stretch.torque[:, i])) if len(stretch.rows) else 0.0
             yield _Part(
                 i,
                 X[keep],
                 common[keep, i],
                 free if len(keep) == len(stretch.rows) else free.rows(keep),
-                max(_STICTION_STD * abs(float(coulomb)), 1e-300),
+                max(_STICTION_STD * abs(coulomb), 1e-300),
                 body.torque[keep, i],
                 block[keep],
                 stretch.repetition[keep],

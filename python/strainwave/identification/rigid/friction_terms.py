@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FrictionTerm, Parameter, Place
+from strainwave.domain import Diagnostic, FloatArray, FrictionTerm, Parameter, Place
 from strainwave.domain.effects import effect_named
 from strainwave.domain.ranges import physical_range
 from strainwave.domain.units import unit_in
@@ -106,7 +106,7 @@ def with_delay(
     if not delays or refit(trial, motions, delays).residual_power > limit:
         return list(candidates)
     fit = fit_with_terms(trial, motions, delays)
-    is_shown = fit.residual_power < limit and not insignificant([fit], delays)
+    is_shown = fit.residual_power < limit and not insignificant([fit], fit.common_deviation)
     return [
         *(c for c in candidates if c.effect != DELAY),
         *(fit.candidates if is_shown else delays),
@@ -146,7 +146,8 @@ def refit(trial: Trial, motions: Sequence[Motion], terms: Sequence[Candidate]) -
     if any(c.corrected for c in terms):
         corrected = corrected_motions(trial.arm, motions, terms)
         stretches = prepare_all(trial.arm, corrected, trial.bandwidth_hz)
-    return fit_trial(trial.arm, stretches, trial.estimate, candidates=terms)
+    weights = trial.factor.root
+    return fit_trial(trial.arm, stretches, trial.estimate, candidates=terms, weights=weights)
 
 
 def corrected_motions(
@@ -186,19 +187,25 @@ def estimated_terms(
     return tuple(terms)
 
 
-def insignificant(trials: Sequence[Trial], terms: Sequence[Candidate]) -> list[Candidate]:
-    """Those of the terms that the data selected, but whose fit does not show them.
+def insignificant(trials: Sequence[Trial], stds: FloatArray) -> list[Candidate]:
+    """Terms of a fit, the first trial, that it and its neighbours do not show, at most one a joint.
 
-    `trials` are the fit and its neighbours.
+    `stds` (n_terms, ...) are the standard deviations of the sizes. They are those at the estimated
+    shapes: the size of a term is uncertain if its shape is, even if the term is certain.
     """
-    estimated = estimated_terms(trials, trials[0], [{}] * len(trials[0].candidates))
-    sizes = {(term.effect, (term.joint or 0) - 1): term.size for term in estimated}
+    fit, *others = trials
+    n = len(fit.candidates)
+    values = np.array([c.corrected for c in fit.candidates]) + fit.factor.common[:n]
+    excess = excess_variance(
+        fit.factor.common[:n],
+        [(t.factor.common[:n], t.common_deviation[:n] ** 2) for t in others],
+    )
+    z = np.abs(values) / np.sqrt(stds[:n] ** 2 + excess + np.finfo(float).tiny)
+    joints = np.array([c.joint for c in fit.candidates])
     return [
         c
-        for c in terms
-        if is_selected(trials[0].arm, c)
-        and (size := sizes.get((c.effect, c.joint))) is not None
-        and abs(size.value or 0.0) < MIN_STDS * (size.std or 0.0)
+        for c, own in zip(fit.candidates, z, strict=True)
+        if own < MIN_STDS and own == z[joints == c.joint].min()
     ]
 
 

@@ -7,7 +7,8 @@ error, as far as it exceeds what the same data explain.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,7 +34,6 @@ MIN_STDS = 4.5
 One of 80 candidates exceeds them by chance in 2 % of all fits with 20 blocks (Student's t).
 """
 
-_MAX_ROUNDS = 4  # of the selection; each adds at most one term per joint
 # Stribeck velocities over the largest velocity of the joint; below, the encoder hides the effect
 _STRIBECK_VELOCITIES = (0.03, 0.06, 0.12, 0.25)
 # largest speed [rad/s] of a motor below which (S16) is nearly viscous friction
@@ -102,8 +102,8 @@ class Choice:
         The terms of the trial precede the candidates.
         """
         arm = trial.arm
-        taken = {(c.effect, c.joint) for c in trial.candidates}
-        rest = [c for c in candidates if (c.effect, c.joint) not in taken]
+        taken = {c.key for c in trial.candidates}
+        rest = [c for c in candidates if c.key not in taken]
         candidates = [*trial.candidates, *rest]
         terms = Terms.of(candidates, trial.stretches)
         equations = assemble(arm, trial.stretches, trial.estimate, terms)
@@ -157,33 +157,50 @@ class Choice:
         is_narrow = half < np.abs(self.models.solution(terms))
         return np.asarray((is_narrow | is_negligible) & self.trial.determined)
 
-    def select(self) -> list[Candidate]:
-        """Terms that the study names, and those that improve the held-out prediction."""
-        chosen: list[int] = []
+    def select(self, left_out: Collection[tuple[str, int]] = ()) -> list[Candidate]:
+        """Terms of the trial, those that the study names, and those that improve the prediction.
+
+        A term enters in addition to those of its joint, or in place of one: a term that resembles
+        a missing one would keep it out. `left_out` are effects and joints that do not enter.
+        """
+        chosen = list(range(len(self.trial.candidates)))
         for same in self._rivals(chosen):
             first = self.candidates[same[0]]
             if first.corrected or not is_selected(self.trial.arm, first):
                 chosen.append(max(same, key=lambda k: self._total([*chosen, k])))
-        for _ in range(_MAX_ROUNDS):
-            total, n_before = self._total(chosen), len(chosen)
-            every = [k for same in self._rivals(chosen) for k in same]
-            gains = {k: self._total([*chosen, k]) - total for k in every}
-            extended: set[int] = set()  # joints
-            for k in sorted(every, key=lambda k: -gains[k]):
-                joint = self.candidates[k].joint
-                if gains[k] > 0.0 and joint not in extended and self._improves(chosen, k):
-                    chosen = [*chosen, k]
-                    extended.add(joint)
-            if len(chosen) == n_before:
-                break
+        has_changed = True
+        while has_changed:
+            has_changed, changed_joints, total = False, set[int](), self._total(chosen)
+            moves = self._moves(chosen, left_out)
+            totals = {move: self._total(_moved(chosen, *move)) for move in moves}
+            better = (move for move in totals if totals[move] > total)
+            for move in sorted(better, key=lambda move: -totals[move]):
+                model, joint = _moved(chosen, *move), self.candidates[move[1]].joint
+                if joint not in changed_joints and self._improves(chosen, model):
+                    chosen, has_changed = model, True
+                    changed_joints.add(joint)
         return [self.candidates[k] for k in chosen]
 
-    def _improves(self, chosen: Sequence[int], k: int) -> bool:
-        """Whether a term is significant, and leaves all values possible and determined."""
-        model = [*chosen, k]
+    def _moves(
+        self, chosen: Sequence[int], left_out: Collection[tuple[str, int]]
+    ) -> Iterator[tuple[int | None, int]]:
+        """Terms that may enter a model, each alone and with a term that it replaces."""
+        for same in self._rivals(chosen):
+            new = self.candidates[same[0]]
+            if new.key not in left_out:
+                others = (k for k in chosen if self.candidates[k].joint == new.joint)
+                replaced = [k for k in others if is_selected(self.trial.arm, self.candidates[k])]
+                yield from itertools.product([None, *replaced], same)
+
+    def _improves(self, chosen: Sequence[int], model: Sequence[int]) -> bool:
+        """Whether the last term of a model is significant, and the model the better one.
+
+        It predicts held-out stretches better, and leaves all values possible and determined.
+        """
         size, std = float(self.models.sizes(model)[-1]), float(self.models.size_stds(model)[-1])
         return (
             abs(size) > MIN_STDS * std
+            and self._total(model) > self._total(chosen)
             and self.is_possible(model)
             and not np.any(self.is_determined(chosen) & ~self.is_determined(model))
         )
@@ -252,17 +269,20 @@ class Choice:
 
         Without those that the data cannot show, unless the study names them.
         """
-        key = [(c.effect, c.joint) for c in self.candidates]
-        taken = {key[k] for k in chosen}
+        taken = {self.candidates[k].key for k in chosen}
         groups: dict[tuple[str, int], list[int]] = {}
-        for k, each in enumerate(key):
-            is_named = not is_selected(self.trial.arm, self.candidates[k])
-            if each not in taken and (self.models.is_visible[k] or is_named):
-                groups.setdefault(each, []).append(k)
+        for k, c in enumerate(self.candidates):
+            is_named = not is_selected(self.trial.arm, c)
+            if c.key not in taken and (self.models.is_visible[k] or is_named):
+                groups.setdefault(c.key, []).append(k)
         return list(groups.values())
 
     def _total(self, terms: Sequence[int]) -> float:
         return float(np.sum(self.models.scores(terms)))
+
+
+def _moved(terms: Sequence[int], left: int | None, entering: int) -> list[int]:
+    return [*(k for k in terms if k != left), entering]
 
 
 def _with_gains(equations: ls.Equations, trial: Trial, n_terms: int) -> ls.Equations:

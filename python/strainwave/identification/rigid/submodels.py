@@ -39,7 +39,7 @@ class Submodels:
     def _rows(self) -> FloatArray:
         """Rows over parameters, terms and target: (n, k + m + 1), with those of local priors.
 
-        The k columns of the parameters are orthonormal.
+        The k columns of the parameters are orthonormal if the trial has no terms.
         """
         equations, factor = self.equations, self.trial.factor
         rows = ls.rows_of(equations, factor.root, equations.target[:, None], leverage=False)
@@ -60,7 +60,7 @@ class Submodels:
     def is_visible(self) -> BoolArray:
         """Whether each term has a torque that the parameters do not have as well, (m,)."""
         k = self._back.shape[1]
-        own, terms = self._rows[:, :k], self._rows[:, k:-1]
+        own, terms = np.linalg.qr(self._rows[:, :k])[0], self._rows[:, k:-1]
         left = terms - own @ (own.T @ terms)
         sizes = np.linalg.norm(terms, axis=0)
         return np.asarray(np.linalg.norm(left, axis=0) > _MIN_UNEXPLAINED_SHARE * sizes)

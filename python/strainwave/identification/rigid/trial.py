@@ -151,14 +151,20 @@ def fit_trial(
     around: Estimate | None,
     shares: MotorShares | None = None,
     candidates: Sequence[Candidate] = (),
+    weights: FloatArray | None = None,
 ) -> Trial:
-    """Fit at one bandwidth: iterate parameters, compliances and weights to convergence."""
+    """Fit at one bandwidth: iterate parameters, compliances and weights to convergence.
+
+    `weights` (n_rows,) are square roots of weights to start from, if the rows are the same.
+    """
     shares = shares or MotorShares.usual(arm)
     terms = Terms.of(candidates, stretches) if candidates else None
     equations = assemble(arm, stretches, around, terms)
     if not len(equations.target):
         raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
     root = ls.initial_weights(equations.target, equations.group)
+    if weights is not None and weights.shape == root.shape:
+        root = weights
     last_step = np.zeros(len(arm.rigid_columns))
     for iteration in range(MAX_ITERATIONS):
         factor = ls.factorise(equations, root)

@@ -42,6 +42,7 @@ def warnings_of(best: Trial, variances: FloatArray) -> Iterator[Diagnostic]:
         place = Place(joint=columns[k].joint, parameter=columns[k].name)
         value = float(best.solution[k])
         yield Diagnostic("implausible", place, "rigid", value=value, unit=columns[k].unit)
+    yield from _cancelling_offsets(best, variances)
     if best.last_move > _MAX_LAST_CHANGE:
         change = best.last_move
         yield Diagnostic("not-settled", records, iterations=MAX_ITERATIONS, change=change)
@@ -53,6 +54,20 @@ def warnings_of(best: Trial, variances: FloatArray) -> Iterator[Diagnostic]:
             anti_resonance_hz=RESONANCE_RATIO * limit,
             bandwidth_hz=best.bandwidth_hz,
         )
+
+
+def _cancelling_offsets(best: Trial, variances: FloatArray) -> Iterator[Diagnostic]:
+    """Warn of offsets that only an equal gravity torque can balance."""
+    torques = np.array([np.abs(s.signals.motor_torque).max(axis=0) for s in best.stretches])
+    width = best.interval_half_width
+    for k, column in enumerate(best.arm.rigid_columns):
+        if column.name == "friction_offset" and column.joint is not None and best.determined[k]:
+            value, largest = float(best.solution[k]), float(torques[:, column.joint - 1].max())
+            if abs(value) - width * float(np.sqrt(variances[k])) > largest:
+                place, unit = Place(joint=column.joint, parameter=column.name), column.unit
+                yield Diagnostic(
+                    "implausible", place, "offset", value=value, unit=unit, largest=largest
+                )
 
 
 def _not_identifiable(best: Trial, unknown: int, place: Place) -> Diagnostic:
