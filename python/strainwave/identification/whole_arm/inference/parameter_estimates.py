@@ -97,7 +97,7 @@ class _Quantity:
 
 
 def _quantities(fit: Fit, arm: Arm, largest_torque: Sequence[float]) -> list[_Quantity]:
-    curves = _identified_curves(fit, confidence_of(fit).combined, arm, largest_torque)
+    curves = identified_curves(fit, confidence_of(fit).combined, arm, largest_torque)
     return [
         *_unknowns(fit, arm, curves),
         *_combinations(fit, arm),
@@ -182,7 +182,7 @@ def vanished_parameters(fit: Fit, arm: Arm) -> Iterator[tuple[str, int]]:
                 yield name, number
 
 
-def _identified_curves(
+def identified_curves(
     fit: Fit, covariance: FloatArray, arm: Arm, largest_torque: Sequence[float]
 ) -> dict[Key, Key | None]:
     """Map each curve parameter to its unknown, or to None if no record reaches its torque."""

@@ -28,6 +28,7 @@ from strainwave.domain.link_sensors.motor_encoder import MotorEncoder
 from strainwave.domain.parameter_table import record_of
 from strainwave.dynamics.link_sensors import MAX_SCALE_ERROR, MAX_SENSOR_DELAY
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
+from strainwave.identification.whole_arm.problem.effect_unknowns import update_prior_trust
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
 from strainwave.identification.whole_arm.problem.restrictions import is_held
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
@@ -50,6 +51,8 @@ _MIN_START_DISTANCE = 1e-3  # [m] minimum starting distance from the axis
 _MOUNTING_RANGE = 30.0  # range of mounting coordinates, in units of their scale
 # range of the logarithm of a distance, bandwidth or mount constant
 _LOG_RANGE = float(np.log(30.0))
+# of a torque: 1 for a command; -10 behind a filter of a tenth of the sampling rate
+_MAX_HOLD = 10.0
 # scale of each constant that starts at its nominal value, and its range in units of the scale:
 # those of drifts [m/s^3 or rad/s^2] and of tilts [rad] hardly limit them
 _SCALES = {
@@ -57,10 +60,12 @@ _SCALES = {
     ConstantKind.SCALE: (MAX_SCALE_ERROR, 1.0),
     ConstantKind.TILT: (0.5, 1.0),
     ConstantKind.DRIFT: (1.0, 1e4),
+    ConstantKind.HOLD: (1.0, _MAX_HOLD),
 }
 _MIN_LOW_PASS_DELAY = 3e-5  # [s] minimum delay that a low-pass may explain, of 7.5 kHz
 _LOW_PASS_DELAY_SHARE = 0.5  # share of a delay that the starting bandwidth explains
 _MIN_REPORTED_DELAY = 1e-4  # [s] minimum delay of a warning: half a sample of a typical logger
+_MIN_REPORTED_HOLD = 0.5  # of a warning: nearer to a command than to a smooth torque
 # minimum scale error of a warning: typical tolerance of a data sheet
 _MIN_REPORTED_SCALE_ERROR = 0.01
 
@@ -144,6 +149,7 @@ def add_significant_sensor_constants(fit: Fit, selection: Selection, *, coarse: 
         if not estimates:
             break
         space = add_sensor_constants(fit.space, list(estimates))
+        space = update_prior_trust(space, selection.arm)
         search = resumed_coarse_search if coarse else refine
         fit = search(fit.with_unknowns(space, estimates), options)
     return fit
@@ -152,7 +158,8 @@ def add_significant_sensor_constants(fit: Fit, selection: Selection, *, coarse: 
 def remove_insignificant_sensor_constants(fit: Fit, selection: Selection) -> Fit:
     """Remove sensor constants that are not significant, one by one."""
     while insignificant := _least_significant(fit):
-        fit = refine(fit.with_unknowns(fit.space.fix_values(insignificant)), selection.options)
+        space = update_prior_trust(fit.space.fix_values(insignificant), selection.arm)
+        fit = refine(fit.with_unknowns(space), selection.options)
     return fit
 
 
@@ -319,6 +326,8 @@ def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
                 of_motor = constant.owner == MotorEncoder.name
                 detail = "torque" if of_motor else "fitted"
                 yield warn("sensor-delay", place, detail, delay=abs(error), side=side)
+            case ConstantKind.HOLD if p.value > _MIN_REPORTED_HOLD:
+                yield Diagnostic("torque-hold", place, share=p.value, half=half, joint=p.joint)
             case ConstantKind.SCALE if abs(error) >= _MIN_REPORTED_SCALE_ERROR:
                 yield warn("sensor-scale", place, scale=p.value)
             case ConstantKind.MOUNT_FREQUENCY:
