@@ -80,7 +80,7 @@ def parameters_of(
     covariance = with_variances(covariance, variance) + shifts
     total = np.diag(covariance)
     stds = np.sqrt(np.where(total >= 0.0, total, np.inf))  # negative only by rounding
-    model_stds = np.sqrt(np.clip(model_error, 0.0, total))
+    model_stds = np.sqrt(np.clip(model_error, 0.0, np.maximum(total, 0.0)))
     zeros = {key for key, at in zip(fit.space.keys, at_zero(fit), strict=True) if at}
     rows = zip(quantities, stds.tolist(), model_stds.tolist(), strict=True)
     return tuple(_parameter(q, std, model, q.key in zeros) for q, std, model in rows), covariance
