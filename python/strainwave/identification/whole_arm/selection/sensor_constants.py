@@ -39,6 +39,8 @@ from strainwave.numerics.spectra import estimate_rows_per_error
 
 # standard deviations from which a constant joins: no false alarm in 8 candidates
 _MIN_SIGNIFICANCE = 4.0
+# the same of a torque hold: it has no usual value, and intervals without it would be too narrow
+_MIN_HOLD_SIGNIFICANCE = 2.0
 # minimum cost reduction in long steps, relative: these have step errors
 _MIN_COARSE_COST_SHARE = 0.1
 # minimum drift at the ends of a record, in standard deviations of the residual
@@ -185,7 +187,11 @@ def _least_significant(fit: Fit) -> dict[Key, float]:
         for key, value, std, within in rows
         if key in ideal and (within or not np.isfinite(ideal[key]))
     }
-    weak = {key for key, distance in distances.items() if distance < _MIN_KEPT_SIGNIFICANCE}
+    weak = {
+        key
+        for key, distance in distances.items()
+        if distance < min(_MIN_KEPT_SIGNIFICANCE, _min_significance(key))
+    }
     # a delay and a low-pass that cannot be separated both stay; their intervals show it
     inseparable = {key for key in weak if _counterpart(key) in weak}
     weak -= {key for key in inseparable if not _is_at_upper_bound(fit, key)}
@@ -237,9 +243,14 @@ def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) 
     cost = float(target @ target)
     while remaining := set(range(len(candidates))) - set(selected):
         costs = {k: _residual_cost(columns[:, [*selected, k]], target) for k in sorted(remaining)}
-        best = min(costs, key=costs.__getitem__)
-        if cost - costs[best] < max(_MIN_SIGNIFICANCE**2, min_gain):
+        enough = [
+            k
+            for k, value in costs.items()
+            if cost - value >= max(_min_significance(candidates[k]) ** 2, min_gain)
+        ]
+        if not enough:
             break
+        best = min(enough, key=costs.__getitem__)
         selected.append(best)
         cost = costs[best]
     estimates = np.linalg.lstsq(columns[:, selected], -target)[0]
@@ -247,6 +258,11 @@ def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) 
         candidates[k]: nominal(candidates[k]) + float(size)
         for k, size in zip(selected, estimates, strict=True)
     }
+
+
+def _min_significance(key: Key) -> float:
+    """Standard deviations from which a constant joins."""
+    return _MIN_HOLD_SIGNIFICANCE if is_kind(key, ConstantKind.HOLD) else _MIN_SIGNIFICANCE
 
 
 def _significant_drifts(fit: Fit, options: WholeArmOptions) -> dict[Key, float]:
