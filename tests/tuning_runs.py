@@ -279,5 +279,6 @@ def linear_record(
         begins_in_motion=False,
         max_time_step=1e-3,
         step_error_correction=np.zeros(measured.shape),
+        hold_change=still,
         table=table,
     )

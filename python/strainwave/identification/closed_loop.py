@@ -16,6 +16,7 @@ from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import determined_law
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.link_sensors import Axis, compared_axes
+from strainwave.domain.link_sensors.encoders import MotorEncoder
 from strainwave.domain.parameter_table import base_name
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
@@ -24,11 +25,15 @@ from strainwave.dynamics.rigid_prediction import fit_percent
 from strainwave.dynamics.simulation import Drive, record_inputs, simulate_arms
 from strainwave.numerics.filters import differentiate, low_pass, noise_std
 from strainwave.signals.prepared_record import prepare_record
-from strainwave.signals.recorded_input import check_recorded_input, recorded_drive
+from strainwave.signals.recorded_input import (
+    check_recorded_input,
+    hold_torques,
+    recorded_drive,
+)
 
 MIN_SIGNAL_TO_NOISE = 10.0
 """Minimum ratio of signal to noise; below it, a fit measures the sensor instead of the model."""
-_READS = ("accelerometer",)  # quantities of the compared sensors
+_READ: Quantity = "accelerometer"  # quantity of the compared sensors
 
 
 def keep_known_effects(arm: Arm, known: Collection[Key]) -> Arm:
@@ -88,13 +93,13 @@ class Observation:
         """Simulated channels (n_rows, n_channels) of an arm in the same experiment.
 
         The bias of an accelerometer is unknown, so the simulated mean is set to the measured one.
-        Delay and scale of an accelerometer are applied if they are among the values. The arm has
+        Torque holds, delays and scales are applied if they are among the values. The arm has
         the springs and effects of `values`, which maps (name, joint) to a value.
         """
         arm = restrict_to_values(arm, values)
         record: list[Quantity] = ["encoder"]
         if self.axes:
-            record.append("accelerometer")
+            record.append(_READ)
         is_hanging = self.drive.link_angle is None
         inputs = record_inputs(
             arm,
@@ -103,17 +108,22 @@ class Observation:
             hanging=is_hanging,
             payload=self.log.experiment.payload,
         )
+        change = prepare_record(self.log, arm).hold_change * np.logical_not(self.drive.servo)
         runs = simulate_arms(
             arm,
             [inputs.values],
-            inputs.shift_start(self.drive),
+            hold_torques(inputs.shift_start(self.drive), change, values),
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=record,
         )
-        columns = [runs["encoder"][0]]
-        for axis in self.axes:
-            ideal = runs["accelerometer"][0, :, axis.joint - 1]
+        motors = [Axis(MotorEncoder.of_joint(joint), i) for i, joint in enumerate(arm.joints, 1)]
+        read: list[tuple[Quantity, Axis]] = [("encoder", axis) for axis in motors] + [
+            (_READ, axis) for axis in self.axes
+        ]
+        columns = []
+        for name, axis in read:
+            ideal = runs[name][0, :, axis.joint - 1]
             columns.append(apply_sensor_model(ideal, self.log.sample_time, axis, values)[:, None])
         filtered = _filter(np.hstack(columns), arm.n_joints, self.log, self.cutoff_hz)
         shift = self.measured.mean(axis=0) - filtered.mean(axis=0)
@@ -131,7 +141,7 @@ def observe(log: Log, arm: Arm, cutoff_hz: float | None = None) -> Observation:
     cutoff = cutoff_hz or velocity_band(log, arm)
     numbers = range(1, arm.n_joints + 1)
     compared = (compared_axes(arm, i, log.channels) for i in numbers)
-    axes = tuple(axis for one in compared for axis in one if axis.quantities == _READS)
+    axes = tuple(axis for one in compared for axis in one if axis.quantities == (_READ,))
     record = prepare_record(log, arm)
     readings = [log.channels[axis.channel] for axis in axes]
     raw = np.column_stack([record.motor_angle, *readings])

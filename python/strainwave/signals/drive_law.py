@@ -73,14 +73,38 @@ class DriveLaw:
         """Held commands that produce motor torques at the time stamps.
 
         With a = exp(-T / tau_c), e u_k = (x_(k+1) - a x_k) / (1 - a). Without a current loop, the
-        held value is the mean of both torques.
+        torque is smooth between samples: `smooth_commands`.
         """
-        following = np.append(torque[1:], torque[-1])
         if self.current_loop_hz is None:
-            return np.asarray(0.5 * (torque + following) / self.torque_per_volt)
+            return smooth_commands(torque) / self.torque_per_volt
+        following = np.append(torque[1:], torque[-1])
         decay = np.exp(-2.0 * np.pi * self.current_loop_hz * sample_time)
         return np.asarray((following - decay * torque) / (1.0 - decay) / self.torque_per_volt)
 
+    def hold_change(self, torque: FloatArray) -> FloatArray:
+        """Change of `voltage` if each torque is a command, held until the next sample.
+
+        Zero with a current loop, which lets no torque jump.
+        """
+        if self.current_loop_hz is not None:
+            return np.zeros(len(torque))
+        return (torque - smooth_commands(torque)) / self.torque_per_volt
+
+
+def smooth_commands(torque: FloatArray) -> FloatArray:
+    """Held torques that move an inertia as a smooth torque does which passes through the samples.
+
+    At the samples, the angle of an inertia under held torques is (z + 1) / (z - 1)^2 T^2 / 2 of
+    them. The filter divides this by -1 / w^2, half a sample ahead: with x = w T / 2 its gain is
+    sin^2 x / (x^2 cos x), up to x^8. Straight lines between samples lose (w T)^2 / 6.
+    """
+    reach = len(_SMOOTH_TAPS)
+    around = np.pad(torque, (reach - 1, reach), mode="edge")
+    return np.convolve(around, (*_SMOOTH_TAPS[::-1], *_SMOOTH_TAPS), mode="valid")
+
+
+# of the samples on one side of the middle of a period; those of the other side are equal
+_SMOOTH_TAPS = (4861.0 / 7560.0, -201.0 / 1120.0, 1237.0 / 30240.0, -67.0 / 15120.0)
 
 _OFFSETS_PER_PERIOD = 40  # of the grid for d; the misfit is smooth between its points
 # maximum misfit relative to the changes from sample to sample; smooth torques fit any offset

@@ -102,6 +102,17 @@ class PreparedRecord:
 
         return _read_only(list(map(voltage, self.driving_inputs, self.arm.joints)))
 
+    @cached_property
+    def hold_change(self) -> FloatArray:
+        """Change of `voltage` if logged torques are commands, (n_samples, n_joints) [V]."""
+        laws = map(DriveLaw.of, self.arm.joints)
+        return _read_only(
+            [
+                np.zeros(len(self.log)) if each.is_voltage else law.hold_change(each.values)
+                for each, law in zip(self.driving_inputs, laws, strict=True)
+            ]
+        )
+
     def _held_commands(self) -> dict[int, FloatArray]:
         """Commands [N m] of a servo by joint, where they follow from logged torques."""
         T, servo, joints = self.log.sample_time, self.arm.servo, self.arm.joints

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from strainwave.domain import FloatArray, Log, Prbs
+from strainwave.domain.keys import Key
+from strainwave.domain.link_sensors.interface import TORQUE_HOLD
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, common_step
@@ -59,6 +62,15 @@ def driven_by_voltage(arm: Arm, log: Log) -> tuple[Arm, Drive]:
         recorded, voltage=record.voltage, servo=open_loop, initial_voltage=tuple(initial_voltage)
     )
     return arm.with_joints(joints), drive
+
+
+def hold_torques(drive: Drive, change: FloatArray, values: Mapping[Key, float]) -> Drive:
+    """Drive with the torque holds of `values`, (S32).
+
+    `change` (n_ticks, n_joints) is that of the voltage for a hold of one.
+    """
+    holds = [values.get((TORQUE_HOLD, i), 0.0) for i in range(1, change.shape[1] + 1)]
+    return replace(drive, voltage=drive.voltage + holds * change) if any(holds) else drive
 
 
 def missing_recorded_input(arm: Arm, log: Log) -> str | None:

@@ -135,7 +135,7 @@ def test_a_line_that_hides_a_curve_is_an_equivalent_stiffness(std: float, *, war
     study = with_spring(scara.STIFF.study(Path("nowhere"), "linear"), "linear")
     selection = Selection(Arm.of(study.arm), WholeArmOptions())
     selection.law_choices = {1: LawChoice(1, "linear")}
-    step = 0.0, 0.0, 1.0, 0.0, {CUBIC: 0.0}, {CUBIC: std}, Values()
+    step = 0.0, 0.0, 1.0, 0.0, {CUBIC: 0.0}, {CUBIC: std}, Values(), Values()
     test = score_tests.TestedEffect((1, "stiffness-curve"), *step)
     fit = cast(Fit, SimpleNamespace(values={("gear_stiffness", 1): 1e4}))
     warnings = list(equivalent_stiffnesses([test], fit, selection, [10.0, 10.0]))

@@ -28,6 +28,10 @@ from strainwave.domain.quantities import Quantity
 if TYPE_CHECKING:
     from strainwave.domain.arm import Joint
 
+MOTOR_ENCODER_DELAY = "motor_encoder_delay"
+TORQUE_HOLD = "torque_hold"
+"""Sensor constants of a motor: what is unknown of its logged torque."""
+
 _DIFFERENCE_STEP = 1e-6  # of central differences: weights are smooth, of the order of one
 
 
@@ -37,6 +41,7 @@ class ConstantKind(Enum):
     DELAY = "delay"
     SCALE = "scale"
     DRIFT = "drift"
+    HOLD = "hold"
     BANDWIDTH = "bandwidth"
     MOUNT_FREQUENCY = "mount_frequency"
     MOUNT_DAMPING = "mount_damping"
@@ -66,7 +71,16 @@ class ConstantKind(Enum):
 K = ConstantKind
 Kinds = tuple[ConstantKind, ...]
 _OPTIONAL = frozenset(
-    {K.DELAY, K.SCALE, K.DRIFT, K.BANDWIDTH, K.MOUNT_FREQUENCY, K.MOUNT_DAMPING, K.TILT}
+    {
+        K.DELAY,
+        K.SCALE,
+        K.DRIFT,
+        K.HOLD,
+        K.BANDWIDTH,
+        K.MOUNT_FREQUENCY,
+        K.MOUNT_DAMPING,
+        K.TILT,
+    }
 )
 _HIDDEN = frozenset({K.BEARING, K.ROTATION_X, K.ROTATION_Y, K.ROTATION_Z, K.SHARE})
 _MOUNTING = _HIDDEN | {K.DISTANCE, K.TILT, K.POSITION_X, K.POSITION_Y, K.POSITION_Z}
@@ -75,6 +89,7 @@ _PER_SECOND = {"m/s^2": "m/s^3", "rad/s": "rad/s^2", "N m": "N m/s"}
 # unit, symbol and description of the constants of every sensor
 _COMMON_TEXTS = {
     K.DELAY: ("s", "D", "delay of the {} relative to the {}"),
+    K.HOLD: ("1", "h", "share of the {} that is held between samples"),
     K.BANDWIDTH: ("Hz", "", "bandwidth of the {}"),
     K.MOUNT_FREQUENCY: ("Hz", "f_h", "natural frequency of the mount of the {}"),
     K.MOUNT_DAMPING: ("1", "zeta_h", "damping ratio of the mount of the {}"),
@@ -358,6 +373,20 @@ class Axis:
         """Value of one of its constants; that of an ideal sensor if it is not in `values`."""
         key = self.key(kind, record)
         return values.get(key, kind.nominal) if key else kind.nominal
+
+    @property
+    def delays(self) -> tuple[Key, ...]:
+        """Keys of the delays whose sum is the delay to the motor's input.
+
+        The delay of a link sensor is relative to the motor encoder of its joint.
+        """
+        own = self.key(K.DELAY)
+        keys = ((MOTOR_ENCODER_DELAY, self.joint), own)
+        return tuple(dict.fromkeys(key for key in keys if key is not None))
+
+    def delay(self, values: Mapping[Key, float]) -> float:
+        """Delay [s] of the reading to the motor's input."""
+        return sum(values.get(key, 0.0) for key in self.delays)
 
     @property
     def mount(self) -> tuple[Key, Key] | None:

@@ -32,11 +32,13 @@ _MIN_UPDATES = 20  # of a column that can be recognised as held
 # maximum share of values that a held column keeps for one row; motion above one count per row
 # gives far more
 _MAX_SHORT_SHARE = 0.1
-# minimum share of changes above 1.5 times the smallest one. A slow or quantised signal and a
+# minimum share of changes above 1.5 times a small one. A slow or quantised signal and a
 # command of two levels change by one quantum at a time (at most 5 % of the changes in the measured
 # records are larger), a held one by the motion during the hold (at least 40 %)
 _MIN_LARGE_SHARE = 0.25
 _QUANTUM_MARGIN = 1.5  # changes of at least two quanta exceed it
+# of the changes below the small one: a command of two levels starts with a smaller one, from zero
+_SMALLEST_SHARE = 0.1
 _MIN_SUBSET_SHARE = 0.95  # minimum share of updates that columns of one source have in common
 _LONG_RUN = 2.0  # times the 90 % quantile of the holds: updates without a change lie within
 # minimum share of values in a column whose missing cells are interpolated; below, it is slow
@@ -137,7 +139,8 @@ def find_updates(values: FloatArray) -> BoolArray | None:
     if len(changes) < _MIN_UPDATES:
         return None
     sizes = steps[changes - 1]
-    if np.mean(sizes > _QUANTUM_MARGIN * sizes.min()) < _MIN_LARGE_SHARE:
+    small = np.quantile(sizes, _SMALLEST_SHARE)
+    if np.mean(sizes > _QUANTUM_MARGIN * small) < _MIN_LARGE_SHARE:
         return None
     updates = np.zeros(len(values), dtype=bool)
     updates[changes] = updates[0] = True

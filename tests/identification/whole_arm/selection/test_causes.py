@@ -20,6 +20,7 @@ from strainwave.identification.whole_arm.inference.effect_columns import (
 )
 from strainwave.identification.whole_arm.problem.effect_unknowns import NamedEffect
 from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.selection.causes import with_large_part
 from tuning_runs import truth
 
 MENDED = ("motor_inertia", "motor_coulomb_friction", STIFFNESS, "gear_damping")
@@ -184,3 +185,18 @@ def test_rivals_are_fitted_within_their_budget() -> None:
     assert "hysteresis of joint 1" in warning.message
     assert "rival_effort" in warning.message
     assert unfitted.values == named.values
+
+
+def test_a_large_part_of_a_link_starts_with_the_compliance_and_inertia_of_slow_torsion() -> None:
+    study, values = truth()
+    arm, hz = Arm.of(study.arm), 20.0
+    (whole,) = arm.link_inertia(2)
+    start = with_large_part(values | {("flexible_frequency", 2): hz}, (2, "flexible-link"), arm)
+    part = start["flexible_inertia", 2]
+    assert start[whole] + part == pytest.approx(values[whole])
+    own = part * (2.0 * np.pi * hz) ** 2
+    compliance = 1.0 / start[STIFFNESS, 2] + (part / values[whole]) ** 2 / own
+    assert compliance == pytest.approx(1.0 / values[STIFFNESS, 2])
+    # the spring of a slow part would be softer than the gear: the start keeps the gear
+    slow = with_large_part(values | {("flexible_frequency", 2): 1.0}, (2, "flexible-link"), arm)
+    assert slow[STIFFNESS, 2] == values[STIFFNESS, 2]

@@ -80,7 +80,7 @@ def parameters_of(
     covariance = with_variances(covariance, variance) + shifts
     total = np.diag(covariance)
     stds = np.sqrt(np.where(total >= 0.0, total, np.inf))  # negative only by rounding
-    model_stds = np.sqrt(np.clip(model_error, 0.0, total))
+    model_stds = np.sqrt(np.clip(model_error, 0.0, np.maximum(total, 0.0)))
     zeros = {key for key, at in zip(fit.space.keys, at_zero(fit), strict=True) if at}
     rows = zip(quantities, stds.tolist(), model_stds.tolist(), strict=True)
     return tuple(_parameter(q, std, model, q.key in zeros) for q, std, model in rows), covariance
@@ -97,7 +97,7 @@ class _Quantity:
 
 
 def _quantities(fit: Fit, arm: Arm, largest_torque: Sequence[float]) -> list[_Quantity]:
-    curves = _identified_curves(fit, confidence_of(fit).combined, arm, largest_torque)
+    curves = identified_curves(fit, confidence_of(fit).combined, arm, largest_torque)
     return [
         *_unknowns(fit, arm, curves),
         *_combinations(fit, arm),
@@ -182,7 +182,7 @@ def vanished_parameters(fit: Fit, arm: Arm) -> Iterator[tuple[str, int]]:
                 yield name, number
 
 
-def _identified_curves(
+def identified_curves(
     fit: Fit, covariance: FloatArray, arm: Arm, largest_torque: Sequence[float]
 ) -> dict[Key, Key | None]:
     """Map each curve parameter to its unknown, or to None if no record reaches its torque."""

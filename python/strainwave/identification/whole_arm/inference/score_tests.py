@@ -70,6 +70,8 @@ class TestedEffect:
     sizes: Mapping[str, float]
     stds: Mapping[str, float]  # of the sizes
     values: Values  # of unknowns, admissible sizes and non-default shapes, after the step
+    shapes: Values  # non-default ones
+    other_shapes: tuple[Values, ...] = ()  # of less significant tests, the most significant first
 
     @property
     def is_promising(self) -> bool:
@@ -109,12 +111,15 @@ def _tested(
         columns = EffectColumns.of(steps, arm, hypotheses)
     except (InvalidInput, NumericalFailure):
         return []
-    best: dict[NamedEffect, TestedEffect] = {}
+    tested: dict[NamedEffect, list[TestedEffect]] = {}
     for hypothesis in columns.sizes:
-        tested = _test(columns, hypothesis, fit)
-        if hypothesis.named_effect not in best or tested.gain > best[hypothesis.named_effect].gain:
-            best[hypothesis.named_effect] = tested
-    return sorted(best.values(), key=lambda one: one.limit - one.gain)
+        test = _test(columns, hypothesis, fit)
+        tested.setdefault(hypothesis.named_effect, []).append(test)
+    best = []
+    for tests in tested.values():
+        first, *others = sorted(tests, key=lambda one: -one.gain)
+        best.append(replace(first, other_shapes=tuple(one.shapes for one in others)))
+    return sorted(best, key=lambda one: one.limit - one.gain)
 
 
 def lengthen_steps(fit: Fit) -> Fit:
@@ -231,8 +236,10 @@ def _test(columns: EffectColumns, one: Hypothesis, fit: Fit) -> TestedEffect:
     values = space.values(space.move(fit.z, space.limit_step(fit.z, change, 1.0)))
     usual = columns.shapes[replace(one, number=0)]
     sizes = dict(zip(names, size.tolist(), strict=True))
-    starts = {name: v for name, v in sizes.items() if effect.is_signed(name) or v > 0.0}
-    starts |= {name: v for name, v in columns.shapes[one].items() if v != usual[name]}
+    admissible = {name: v for name, v in sizes.items() if effect.is_signed(name) or v > 0.0}
+    shapes: Values = {
+        (name, joint): v for name, v in columns.shapes[one].items() if v != usual[name]
+    }
     return TestedEffect(
         one.named_effect,
         gain,
@@ -241,7 +248,8 @@ def _test(columns: EffectColumns, one: Hypothesis, fit: Fit) -> TestedEffect:
         float(np.sum(target**2) - np.sum(remaining**2)),
         sizes,
         dict(zip(names, std.tolist(), strict=True)),
-        values | {(name, joint): value for name, value in starts.items()},
+        values | {(name, joint): value for name, value in admissible.items()} | shapes,
+        shapes,
     )
 
 

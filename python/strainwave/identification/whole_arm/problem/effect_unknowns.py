@@ -11,6 +11,7 @@ from strainwave.domain import Diagnostic, EffectName, FloatArray, Place
 from strainwave.domain.distributions import chi_square_limit
 from strainwave.domain.effects import KnownJoint, RecordEffect, all_effects, effect_named
 from strainwave.domain.keys import Key, Values
+from strainwave.domain.link_sensors.interface import MOTOR_ENCODER_DELAY, TORQUE_HOLD
 from strainwave.domain.parameter_table import COULOMB, base_name, of_record
 from strainwave.domain.units import unit_of
 from strainwave.dynamics.arm import Arm
@@ -78,14 +79,20 @@ def add_effects(
     for one in effects:
         for unknown, column in _sizes_in_rigid_records(one, arm, space, values, additions):
             additions[unknown.key], columns[unknown.key] = unknown, column
-    extended = _update_prior_trust(space.add(additions.values(), columns.values()), arm)
+    extended = update_prior_trust(space.add(additions.values(), columns.values()), arm)
     starts: Values = {key: unknown.start for key, unknown in additions.items()}
     return extended, extended.coordinates(starts | values)
 
 
-def _update_prior_trust(space: ParameterSpace, arm: Arm) -> ParameterSpace:
-    """Trust the rigid-step estimates as far as the effects of the space allow."""
+def update_prior_trust(space: ParameterSpace, arm: Arm) -> ParameterSpace:
+    """Trust the rigid-step estimates as far as the effects of the space allow.
+
+    The rigid step does not know how logged torques continue between samples, and when they act.
+    """
     biased = {key for one in effects_in(space, arm) for key in biased_parameters(one, arm)}
+    for name, joint in space.keys:
+        if joint is not None and name in (MOTOR_ENCODER_DELAY, TORQUE_HOLD):
+            biased |= friction_parameters(arm, joint)
     return replace(space, prior=space.prior.restore().relax(biased))
 
 
@@ -182,7 +189,7 @@ def remove_effects(
     """Remove effects from a parameter space."""
     removed = {(name, j) for j, effect in effects for name in effect_named(effect).names}
     kept = [k for k, (name, j) in enumerate(space.keys) if (base_name(name), j) not in removed]
-    return _update_prior_trust(space.select(kept), arm)
+    return update_prior_trust(space.select(kept), arm)
 
 
 def insignificant_effects(

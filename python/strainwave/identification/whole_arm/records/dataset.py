@@ -37,6 +37,7 @@ from strainwave.dynamics.simulation import (
 from strainwave.identification.whole_arm.records.low_pass import Kernels, low_pass_kernels
 from strainwave.numerics.filters import noise_std
 from strainwave.signals.prepared_record import prepare_record
+from strainwave.signals.recorded_input import hold_torques
 
 INITIAL_STATES = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocity")
 """Unknown initial states of a record that begins in motion, one of each per joint."""
@@ -48,6 +49,8 @@ _REFINEMENT_FACTOR = 4.0  # factor of shorter steps with negligible step error
 # steps per period of the cut-off (600 per resonance period): negligible error
 _REFINED_STEPS_PER_PERIOD = 120.0
 _RELATIVE_BANDWIDTH_STEP = 1e-3  # relative change of a bandwidth for its numerical derivative
+# of a torque hold for its numerical derivative; a step of one shifts reversals by half a sample
+_HOLD_STEP = 0.01
 _POSTURES = 4  # of a record, for which the stable time step is computed
 _MAX_SHORTENING = 10.0  # of the time step; values with even faster modes cannot be simulated
 
@@ -72,6 +75,8 @@ class Dataset:
     max_time_step: float  # [s] of the integrator
     # (n_rows, n_channels) correction of the integrator step error
     step_error_correction: FloatArray
+    # (n_ticks, n_joints) change of the voltage for a torque hold of one
+    hold_change: FloatArray = field(kw_only=True)
     # (n_rows, n_channels) False where a row contains masked samples; None if none does
     is_counted: BoolArray | None = field(default=None, kw_only=True)
     # (n_rows, n_channels) step error at the last correction; None if there was none
@@ -107,7 +112,7 @@ class Dataset:
         runs = simulate_arms(
             self._arm_at(values),
             [inputs.values],
-            inputs.shift_start(self._start_at(initial)),
+            inputs.shift_start(self._drive_at(values, initial)),
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=record,
@@ -134,7 +139,7 @@ class Dataset:
         runs = sensitivities(
             self._arm_at(values),
             inputs.values,
-            inputs.shift_start(self._start_at(initial)),
+            inputs.shift_start(self._drive_at(values, initial)),
             [*core_directions, *self.initial_states],
             sample_time=self.log.sample_time,
             samples=len(self.log),
@@ -194,7 +199,7 @@ class Dataset:
 
         The first and the last sample extend the record.
         """
-        delays = [channel.value(ConstantKind.DELAY, values) for channel in self.channels]
+        delays = [channel.delay(values) for channel in self.channels]
         if not any(delays):
             return self.measured
         T, channels = self.log.sample_time, self.measured.copy()
@@ -231,14 +236,14 @@ class Dataset:
         row_time = self.kernels.step * self.log.sample_time
         mounting = [k for k, one in enumerate(constants) if one and one.is_mounting]
         for k, channel in enumerate(self.channels):
-            scale, delay = channel.key(ConstantKind.SCALE), channel.key(ConstantKind.DELAY)
+            scale = channel.key(ConstantKind.SCALE)
             drift = channel.key(ConstantKind.DRIFT, self.log.name)
             for at, key in enumerate(keys):
                 if key == scale:
                     tangent[:, k, at] = simulated[:, k]
                 elif key == drift:
                     tangent[:, k, at] = self.since_middle
-                elif key == delay:
+                elif key in channel.delays:
                     tangent[:, k, at] = -scales[k] * differentiate_rows(simulated[:, k], row_time)
             for key, slope in self._mount_slopes(channel, motion, values, keys).items():
                 tangent[:, k, keys.index(key)] = scales[k] * slope
@@ -254,7 +259,19 @@ class Dataset:
                 tangent[:, k, mounting] += scales[k] * quantities @ by
         for (k, at), slope in self._bandwidth_slopes(values, initial, keys).items():
             tangent[:, k, at] = scales[k] * slope
+        for at, key in enumerate(keys):
+            if is_kind(key, ConstantKind.HOLD):
+                tangent[..., at] = scales * self._hold_slopes(values, initial, key)
         return tangent
+
+    def _hold_slopes(
+        self, values: Mapping[Key, float], initial: FloatArray, key: Key
+    ) -> FloatArray:
+        """Derivatives (n_rows, n_channels) by a torque hold, without scale factors."""
+        held = {**values, key: values.get(key, 0.0) + _HOLD_STEP}
+        runs = (self.run(at, initial, self.quantities()) for at in (held, values))
+        changed, nominal = (self.filtered_channels(run, values) for run in runs)
+        return np.asarray((changed - nominal) / _HOLD_STEP)
 
     def _bandwidth_slopes(
         self, values: Mapping[Key, float], initial: FloatArray, keys: Sequence[Key]
@@ -302,6 +319,8 @@ class Dataset:
             axes = [one for one in self.channels if one.joint == axis.joint]
             is_separate = axis.sensor.is_scale_identifiable(axis, axes)
             constants |= dict.fromkeys(axis.key(kind) for kind in kinds[: 1 + is_separate])
+            if axis.sensor.group is Group.MOTOR and self.hold_change[:, axis.joint - 1].any():
+                constants[axis.key(ConstantKind.HOLD)] = None
             if axis.is_mounted:
                 constants[axis.key(ConstantKind.TILT)] = None
         drifts = (axis.key(ConstantKind.DRIFT, self.log.name) for axis in self.channels)
@@ -385,15 +404,14 @@ class Dataset:
         ]
         return noise_behind(self.channels, residuals, self.kernels, self.counts)
 
-    def _start_at(self, initial: FloatArray) -> Drive:
-        """Inputs of the simulation with initial states (n_initial,)."""
+    def _drive_at(self, values: Mapping[Key, float], initial: FloatArray) -> Drive:
+        """Inputs of the simulation with torque holds and initial states (n_initial,)."""
+        drive = hold_torques(self.drive, self.hold_change, values)
         if not self.begins_in_motion:
-            return self.drive
+            return drive
         parts = initial.reshape(len(INITIAL_STATES), -1).tolist()
         velocity, link, link_velocity = (tuple(part) for part in parts)
-        return replace(
-            self.drive, motor_velocity=velocity, link_angle=link, link_velocity=link_velocity
-        )
+        return replace(drive, motor_velocity=velocity, link_angle=link, link_velocity=link_velocity)
 
     def quantities(self) -> list[Quantity]:
         """Simulated quantities that the channels require."""

@@ -64,9 +64,8 @@ def low_pass_kernels(cutoff_hz: float, sample_time: float, ahead: float = 0.0) -
     half = 0.5 * (n_taps - 1)
     offset = np.arange(n_taps) - half - ahead
     window = np.i0(_KAISER_BETA * np.sqrt(np.clip(1.0 - (offset / half) ** 2, 0.0, None)))
-    smooth = np.sinc(2.0 * cutoff_hz * sample_time * offset) * np.where(
-        np.abs(offset) > half, 0.0, window
-    )
+    # a tap that the advance moves beyond the window keeps its weight, so that rows are continuous
+    smooth = np.sinc(2.0 * cutoff_hz * sample_time * offset) * window
     smooth /= smooth.sum()
     # derivative by convolution with -d(taps)/dt; a constant gives exactly zero, a unit ramp one
     slope = -np.gradient(smooth)

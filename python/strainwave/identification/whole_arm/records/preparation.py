@@ -81,12 +81,14 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
     raw = [log.channels[channel.channel] for channel in channels]
     rows = [kernels.rows(x, rate=c.rate) for x, c in zip(raw, channels, strict=True)]
     counts = tuple(channel.sensor.resolution for channel in channels)
+    drive = _drive(log, arm, closed_loop=closed_loop)
     half_length = 0.5 * (n_taps - 1) * T
     return Dataset(
         log=log,
         arm=_simulated_arm(log, arm),
         cutoff_hz=cutoff_hz,
-        drive=_drive(log, arm, closed_loop=closed_loop),
+        drive=drive,
+        hold_change=prepare_record(log, arm).hold_change * np.logical_not(drive.servo),
         channels=channels,
         kernels=kernels,
         time=log.time[0] + half_length + kernels.step * T * np.arange(len(rows[0])),
@@ -152,10 +154,14 @@ def _decimate(record: Dataset, every: int) -> Dataset:
         channels=channels,
     )
     coarse = dataset_of(thinned, record.arm, record.cutoff_hz, closed_loop=any(record.drive.servo))
-    voltage = record.drive.voltage[: n * every].reshape(n, every, -1).mean(axis=1)
+    voltage, change = (
+        x[: n * every].reshape(n, every, -1).mean(axis=1)
+        for x in (record.drive.voltage, record.hold_change)
+    )
     return replace(
         coarse,
         drive=replace(coarse.drive, voltage=voltage),
+        hold_change=change,
         noise=record.noise,
         begins_in_motion=record.begins_in_motion,
     )

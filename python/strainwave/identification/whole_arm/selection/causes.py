@@ -52,6 +52,7 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     add_effects,
     insignificant_effects,
     named_effects,
+    whole_inertia_of,
     with_effects,
 )
 from strainwave.identification.whole_arm.records.loads import Loads, gear_torques, loads_of
@@ -78,6 +79,8 @@ RIVAL_ROWS = 1_200_000
 of 9,700 rows, about a minute of one core."""
 REFIT_GAIN_TOLERANCE = 0.1  # predicted cost reduction at which a search ends
 MIN_ACHIEVED_GAIN_SHARE = 0.5  # share of the linear gain below which a second start is tried
+LARGE_PART = 1.0 / 3.0  # of a link's inertia, of a vibrating part of it
+MIN_REMAINING_COMPLIANCE = 0.3  # share of the gear; a slower part moves with its own spring only
 MAX_INCLUDED_EFFECTS = 4  # that the data select
 MAX_NAMED_PARAMETERS = 3  # in a warning, of the effect and of the arm
 
@@ -298,20 +301,19 @@ def _fit_rivals(
 def _refit(fit: Fit, tested: TestedEffect, selection: Selection, budget: _Budget) -> Rival | None:
     """Fit with one additional effect; None if no such arm can be simulated.
 
-    The search starts at the result of the linear step. If it gains much less than the linear step
-    predicts, a second search starts from the fit without the effect and a typical size.
+    The search starts at the result of the linear step. While it gains much less than the linear
+    step predicts, others start from the fit without the effect and a typical size, then from a
+    large part of the link at each tested shape: it moves resonances beyond the reach of a step.
     """
-    estimates = fit.values
-    sizes = set(tested.sizes)
-    shapes = {
-        key: value
-        for key, value in tested.values.items()
-        if key not in estimates and base_name(key[0]) not in sizes
-    }
+    one, estimates = tested.named_effect, fit.values
+    starts = [tested.values, estimates | tested.shapes]
+    if effect_named(one[1]).is_part_of_link:
+        shapes = (tested.shapes, *tested.other_shapes)
+        starts += [with_large_part(estimates | each, one, selection.arm) for each in shapes]
     loads = loads_of(fit.objective.records, estimates)
     best: Fit | None = None
     gain = -math.inf
-    for start in (tested.values, estimates | shapes):
+    for start in starts:
         limit = budget.next_limit
         if not limit or gain > MIN_ACHIEVED_GAIN_SHARE * tested.gain:
             break
@@ -321,6 +323,24 @@ def _refit(fit: Fit, tested: TestedEffect, selection: Selection, budget: _Budget
         if other is not None and (best is None or other.cost < best.cost):
             best, gain = other, fit.cost - tested.rigid - other.cost
     return None if best is None else _rival(fit, tested, best, selection.arm)
+
+
+def with_large_part(values: Values, one: NamedEffect, arm: Arm) -> Values:
+    """Values of a link a large part of which vibrates, with the compliance of slow torsion.
+
+    A fit without the part has the compliance 1 / k + s^2 / (J_f w^2), with the share s = J_f / J
+    of the part, its own stiffness J_f w^2 and the stiffness k of the gear.
+    """
+    (joint, name), whole = one, whole_inertia_of(one, arm)
+    assert whole is not None
+    effect, part = effect_named(name), LARGE_PART * values[whole]
+    frequency = "flexible_frequency"
+    own = part * (math.tau * values.get((frequency, joint), effect.shapes[frequency])) ** 2
+    scale = 1.0 - values.get((STIFFNESS, joint), 0.0) * LARGE_PART**2 / own
+    changed = {whole: values[whole] - part, (effect.sizes[0], joint): part}
+    if (STIFFNESS, joint) in values and scale > MIN_REMAINING_COMPLIANCE:
+        changed[STIFFNESS, joint] = values[STIFFNESS, joint] / scale
+    return values | changed
 
 
 def _linearise(fit: Fit, tested: TestedEffect, arm: Arm, options: WholeArmOptions) -> Rival | None:

@@ -38,6 +38,7 @@ from strainwave.identification.whole_arm.selection.stiffness_curves import (
     remove_insignificant_stiffness_terms,
     restart_coarse_fit,
     restart_fine_fit,
+    straighten_curves,
 )
 
 COARSE: tuple[Candidate, ...] = (
@@ -63,6 +64,7 @@ FINE: tuple[Candidate, ...] = (
     add_significant_tilts,
     remove_insignificant_sensor_constants,
     remove_insignificant_settling_times,
+    straighten_curves,
 )
 """Candidates of the fine fit, in the order of their trials."""
 

@@ -28,6 +28,7 @@ from strainwave.domain.link_sensors.imu import (
 from strainwave.domain.parameter_table import record_of
 from strainwave.dynamics.link_sensors import MAX_SCALE_ERROR, MAX_SENSOR_DELAY
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
+from strainwave.identification.whole_arm.problem.effect_unknowns import update_prior_trust
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
 from strainwave.identification.whole_arm.problem.restrictions import is_held
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
@@ -38,6 +39,8 @@ from strainwave.numerics.spectra import estimate_rows_per_error
 
 # standard deviations from which a constant joins: no false alarm in 8 candidates
 _MIN_SIGNIFICANCE = 4.0
+# the same of a torque hold: it has no usual value, and intervals without it would be too narrow
+_MIN_HOLD_SIGNIFICANCE = 2.0
 # minimum cost reduction in long steps, relative: these have step errors
 _MIN_COARSE_COST_SHARE = 0.1
 # minimum drift at the ends of a record, in standard deviations of the residual
@@ -50,6 +53,8 @@ _MIN_START_DISTANCE = 1e-3  # [m] minimum starting distance from the axis
 _MOUNTING_RANGE = 30.0  # range of mounting coordinates, in units of their scale
 # range of the logarithm of a distance, bandwidth or mount constant
 _LOG_RANGE = float(np.log(30.0))
+# of a torque: 1 for a command; -10 behind a filter of a tenth of the sampling rate
+_MAX_HOLD = 10.0
 # scale of each constant that starts at its nominal value, and its range in units of the scale:
 # those of drifts [m/s^3 or rad/s^2] and of tilts [rad] hardly limit them
 _SCALES = {
@@ -57,10 +62,12 @@ _SCALES = {
     ConstantKind.SCALE: (MAX_SCALE_ERROR, 1.0),
     ConstantKind.TILT: (0.5, 1.0),
     ConstantKind.DRIFT: (1.0, 1e4),
+    ConstantKind.HOLD: (1.0, _MAX_HOLD),
 }
 _MIN_LOW_PASS_DELAY = 3e-5  # [s] minimum delay that a low-pass may explain, of 7.5 kHz
 _LOW_PASS_DELAY_SHARE = 0.5  # share of a delay that the starting bandwidth explains
 _MIN_REPORTED_DELAY = 1e-4  # [s] minimum delay of a warning: half a sample of a typical logger
+_MIN_REPORTED_HOLD = 0.5  # of a warning: nearer to a command than to a smooth torque
 # minimum scale error of a warning: typical tolerance of a data sheet
 _MIN_REPORTED_SCALE_ERROR = 0.01
 
@@ -144,6 +151,7 @@ def add_significant_sensor_constants(fit: Fit, selection: Selection, *, coarse: 
         if not estimates:
             break
         space = add_sensor_constants(fit.space, list(estimates))
+        space = update_prior_trust(space, selection.arm)
         search = resumed_coarse_search if coarse else refine
         fit = search(fit.with_unknowns(space, estimates), options)
     return fit
@@ -152,7 +160,8 @@ def add_significant_sensor_constants(fit: Fit, selection: Selection, *, coarse: 
 def remove_insignificant_sensor_constants(fit: Fit, selection: Selection) -> Fit:
     """Remove sensor constants that are not significant, one by one."""
     while insignificant := _least_significant(fit):
-        fit = refine(fit.with_unknowns(fit.space.fix_values(insignificant)), selection.options)
+        space = update_prior_trust(fit.space.fix_values(insignificant), selection.arm)
+        fit = refine(fit.with_unknowns(space), selection.options)
     return fit
 
 
@@ -178,7 +187,11 @@ def _least_significant(fit: Fit) -> dict[Key, float]:
         for key, value, std, within in rows
         if key in ideal and (within or not np.isfinite(ideal[key]))
     }
-    weak = {key for key, distance in distances.items() if distance < _MIN_KEPT_SIGNIFICANCE}
+    weak = {
+        key
+        for key, distance in distances.items()
+        if distance < min(_MIN_KEPT_SIGNIFICANCE, _min_significance(key))
+    }
     # a delay and a low-pass that cannot be separated both stay; their intervals show it
     inseparable = {key for key in weak if _counterpart(key) in weak}
     weak -= {key for key in inseparable if not _is_at_upper_bound(fit, key)}
@@ -230,9 +243,14 @@ def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) 
     cost = float(target @ target)
     while remaining := set(range(len(candidates))) - set(selected):
         costs = {k: _residual_cost(columns[:, [*selected, k]], target) for k in sorted(remaining)}
-        best = min(costs, key=costs.__getitem__)
-        if cost - costs[best] < max(_MIN_SIGNIFICANCE**2, min_gain):
+        enough = [
+            k
+            for k, value in costs.items()
+            if cost - value >= max(_min_significance(candidates[k]) ** 2, min_gain)
+        ]
+        if not enough:
             break
+        best = min(enough, key=costs.__getitem__)
         selected.append(best)
         cost = costs[best]
     estimates = np.linalg.lstsq(columns[:, selected], -target)[0]
@@ -240,6 +258,11 @@ def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) 
         candidates[k]: nominal(candidates[k]) + float(size)
         for k, size in zip(selected, estimates, strict=True)
     }
+
+
+def _min_significance(key: Key) -> float:
+    """Standard deviations from which a constant joins."""
+    return _MIN_HOLD_SIGNIFICANCE if is_kind(key, ConstantKind.HOLD) else _MIN_SIGNIFICANCE
 
 
 def _significant_drifts(fit: Fit, options: WholeArmOptions) -> dict[Key, float]:
@@ -319,6 +342,8 @@ def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
                 of_motor = constant.owner == MotorEncoder.name
                 detail = "torque" if of_motor else "fitted"
                 yield warn("sensor-delay", place, detail, delay=abs(error), side=side)
+            case ConstantKind.HOLD if p.value > _MIN_REPORTED_HOLD:
+                yield Diagnostic("torque-hold", place, share=p.value, half=half, joint=p.joint)
             case ConstantKind.SCALE if abs(error) >= _MIN_REPORTED_SCALE_ERROR:
                 yield warn("sensor-scale", place, scale=p.value)
             case ConstantKind.MOUNT_FREQUENCY:

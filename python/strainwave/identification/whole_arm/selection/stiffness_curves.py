@@ -8,10 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import LawChoice, SearchEnd
-from strainwave.domain.gear_laws import AUTO, GearLaw, stated_law
+from strainwave.domain.gear_laws import AUTO, STIFFNESS, GearLaw, stated_law
 from strainwave.domain.keys import Key, Values
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
+from strainwave.identification.whole_arm.inference.held_out import simplest_model
+from strainwave.identification.whole_arm.inference.parameter_estimates import identified_curves
 from strainwave.identification.whole_arm.problem.effect_unknowns import with_effects
 from strainwave.identification.whole_arm.records.loads import gear_torques
 from strainwave.identification.whole_arm.search.fit import Fit
@@ -104,10 +106,40 @@ def remove_insignificant_stiffness_terms(fit: Fit, selection: Selection) -> Fit:
     if not straight:
         return fit
     for number in straight:
-        linear = stated_law(AUTO).name
-        selection.arm = selection.arm.with_joint(number, spring=linear)
-        selection.law_choices[number] = LawChoice(number, linear)
+        _select_line(number, selection)
     removed = {key for key in insignificant if key[1] in straight}
     fixed = {key: value for key, value in fit.space.fixed.items() if key not in removed}
     space = replace(fit.space, fixed=fixed)
     return replace(fit, objective=with_effects(fit.objective, space, selection.arm))
+
+
+def straighten_curves(fit: Fit, selection: Selection) -> Fit:
+    """Make gears linear whose curve has one identified slope and does not predict better."""
+    largest = gear_torques(fit.objective.records, fit.values).tolist()
+    for number in selection.law_choices:
+        law, keys = selection.arm.joints[number - 1].law, fit.space.keys
+        known = identified_curves(fit, confidence_of(fit).combined, selection.arm, largest)
+        slopes = {known.get((name, number), (name, number)) for name in law.names} - {None}
+        if not law.is_curved or len(slopes) > 1:
+            continue
+        kept = [
+            k
+            for k, key in enumerate(keys)
+            if key in slopes or key not in {(name, number) for name in law.names}
+        ]
+        space = fit.space.select(kept)
+        unknowns = (replace(u, name=STIFFNESS) if u.key in slopes else u for u in space.unknowns)
+        space, line = replace(space, unknowns=tuple(unknowns)), replace(selection)
+        _select_line(number, line)
+        start = fit.restart(with_effects(fit.objective, space, line.arm), fit.z[kept])
+        straight = fine_search(start, selection.options)
+        if simplest_model([straight, fit]) == 0:
+            fit = straight
+            _select_line(number, selection)
+    return fit
+
+
+def _select_line(number: int, selection: Selection) -> None:
+    linear = stated_law(AUTO).name
+    selection.arm = selection.arm.with_joint(number, spring=linear)
+    selection.law_choices = selection.law_choices | {number: LawChoice(number, linear)}
