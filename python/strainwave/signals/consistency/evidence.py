@@ -134,9 +134,17 @@ class Alternative:
     corrections: tuple[Correction, ...]
     gain: Gain | None = None  # over the stated description
     cost: float = np.inf  # half the mean logarithm of the unexplained shares
+    is_tolerated: bool = False  # of a size within which a study is accepted
     record: str = ""  # the only record with the fault; empty: all records
     exchanged: tuple[str, ...] = ()  # kinds of channels that are exchanged with `other`
     other: int | None = None
+
+
+def is_as_good(each: Alternative, best: Alternative) -> bool:
+    """Whether an explanation gains most of what the best one gains."""
+    if each.gain is None or best.gain is None:
+        return False
+    return each.gain.mean >= MIN_SHARE_OF_GAIN * best.gain.mean
 
 
 @dataclass(frozen=True, slots=True)

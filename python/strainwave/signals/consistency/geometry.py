@@ -21,7 +21,13 @@ from strainwave.domain.arm import Vector
 from strainwave.domain.corrections import exchange_corrections
 from strainwave.domain.kinds import arm_keys, kind_of
 from strainwave.numerics.parallel import run_parallel
-from strainwave.signals.consistency.evidence import Alternative, ChangeKind, Evidence, is_slow
+from strainwave.signals.consistency.evidence import (
+    Alternative,
+    ChangeKind,
+    Evidence,
+    is_as_good,
+    is_slow,
+)
 from strainwave.signals.consistency.motors import EFFORTS, effort_channel
 from strainwave.signals.consistency.torque_fit import (
     FitQuality,
@@ -91,7 +97,7 @@ class _Family:
 def search_explanations(evidence: Evidence) -> tuple[Alternative, ...] | None:
     """Other explanations of the torques that predict held-out stretches better, the best first.
 
-    None without torques.
+    None without torques; empty if a change of a tolerated size explains them as well.
     """
     evidence.memory.stated_arm = evidence.arm
     slow = tuple(record for record in evidence.records if is_slow(record.experiment))
@@ -113,8 +119,10 @@ def search_explanations(evidence: Evidence) -> tuple[Alternative, ...] | None:
         found += [each for each in run_parallel(jobs) if each is not None]
     if not any(_is_evident(each, _MAX_CHANCE / n_tried) for each in found):
         return ()
-    rivals = [each for each in found if _is_evident(each, _MAX_CHANCE)]
-    return tuple(sorted(rivals, key=lambda each: each.cost))
+    rivals = sorted((a for a in found if _is_evident(a, _MAX_CHANCE)), key=lambda a: a.cost)
+    if any(each.is_tolerated and is_as_good(each, rivals[0]) for each in rivals):
+        return ()
+    return tuple(each for each in rivals if not each.is_tolerated)
 
 
 def _is_evident(each: Alternative, limit: float) -> bool:
@@ -165,7 +173,7 @@ class _Search:
         return pairs
 
     def continuous(self, family: _Family, slope: FloatArray) -> Alternative | None:
-        """Gauss-Newton search of one family; None within tolerated changes or without clear gain.
+        """Gauss-Newton search of one family; None without clear gain.
 
         The coordinates are fitted anew to the other stretches of each stretch, to first order.
         `slope` has the derivatives at the stated description.
@@ -190,11 +198,14 @@ class _Search:
             if before - fit.cost < _MIN_DECREASE * fit.n_all:
                 break
         system = torque_system(self.evidence.corrected(family.corrections(x)))
-        if system is None or np.all(np.abs(x) < family.tolerated):
+        if system is None:
             return None
         # a scale changes the torque itself, not its explanation
         quality = predict_stretches(system, fitted=None if family.kind == "torque" else (x, slope))
-        found = Alternative(family.kind, family.joint, family.corrections(x))
+        is_tolerated = bool(np.all(np.abs(x) < family.tolerated))
+        found = Alternative(
+            family.kind, family.joint, family.corrections(x), is_tolerated=is_tolerated
+        )
         least = _MIN_GAIN_OF_COORDINATE if family.kind in _MEASURED else _MIN_GAIN
         return self._gaining(found, quality, least, is_pooled=True)
 

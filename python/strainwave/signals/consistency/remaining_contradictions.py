@@ -40,6 +40,8 @@ _CODES: dict[Kind, str] = {
 }
 # Minimum explained share of a link sensor's variance; short records of fault-free arms reach 0.8.
 _MIN_EXPLAINED_SHARE = 0.5
+# Ratio of unexplained variances from which torques contradict the arm without a cause.
+_LARGE_RATIO = 2.0
 # Causes listed after the likely causes.
 _GENERAL_CODES = ("swapped-channels", "wrong-unit", "wrong-sign")
 # Kinds of observations whose value is a factor without unit.
@@ -54,6 +56,8 @@ def is_reported(each: Observation) -> bool:
     """
     if each.kind == "torque-prediction":
         return False  # friction and slow motion can hide the torques of the links
+    if each.kind == "torque-fit":  # other relations exclude all better explanations
+        return each.value > _LARGE_RATIO
     if each.kind != "explained-share":
         return True
     return each.is_of_link and each.value < _MIN_EXPLAINED_SHARE

@@ -12,7 +12,7 @@ from strainwave.domain import Clause, Correction, Place, channel_parts
 from strainwave.domain.kinds import kind_of
 from strainwave.signals.consistency.causes.case import Case, Cause, as_rival
 from strainwave.signals.consistency.causes.channels import scale_cause
-from strainwave.signals.consistency.evidence import MIN_SHARE_OF_GAIN, Alternative, ChangeKind
+from strainwave.signals.consistency.evidence import Alternative, ChangeKind, is_as_good
 
 # Log ratio within which an estimated reduction is the nearest whole number.
 _REDUCTION_TOLERANCE = 0.01
@@ -33,9 +33,9 @@ def propose_explanations(case: Case) -> Iterator[Cause]:
     if not found or not case.contradicts("torque-fit"):
         return
     order = {kind: k for k, kind in enumerate(_CAUSES)}
-    good = [a for a in found if _gain(a) >= MIN_SHARE_OF_GAIN * _gain(found[0])]
+    good = [each for each in found if is_as_good(each, found[0])]
     good.sort(key=lambda a: (order[a.kind], _enlarges(a), a.cost))
-    causes = [_cause(case, a, float(np.exp(_gain(a)))) for a in good]
+    causes = [_cause(case, a, float(np.exp(a.gain.mean if a.gain else 0.0))) for a in good]
     for cause in causes:
         others = [other for other in causes if other.places != cause.places]
         others.sort(key=lambda other: other.moves_frames)
@@ -45,10 +45,6 @@ def propose_explanations(case: Case) -> Iterator[Cause]:
 def _enlarges(each: Alternative) -> bool:
     """Whether a scale is larger than that of SI units; small units are the common fault."""
     return each.kind == "torque" and abs(each.corrections[0].number) > 1.0
-
-
-def _gain(each: Alternative) -> float:
-    return each.gain.mean if each.gain is not None else 0.0
 
 
 def _cause(case: Case, change: Alternative, ratio: float) -> Cause:
