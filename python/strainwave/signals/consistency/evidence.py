@@ -122,6 +122,7 @@ class Gain:
 
     by_joint: FloatArray  # (n_joints,) logarithms of the ratios of the unexplained variances
     mean: float  # the same, weighted by the independent rows
+    log_likelihood: float  # difference of the log likelihoods of independent rows
     probability: float  # of stretches that gain as much on average if none gains (Student's t)
 
 

@@ -384,7 +384,8 @@ def _observe_torque_fit(evidence: Evidence) -> Iterator[Observation]:
 def _observe_friction(evidence: Evidence) -> Iterator[Observation]:
     """Largest share of friction in a motor's torque; sensors behind the gears measure none."""
     shares = friction_shares(evidence)
-    names = [f"torque{i}" for i in shares if f"torque{i}" in evidence.channels]
+    joints = [i for i in shares if not evidence.arm.joints[i - 1].torque_at_link]
+    names = [f"torque{i}" for i in joints if f"torque{i}" in evidence.channels]
     meanings = {evidence.channel(name).meaning for name in names}
     if names and meanings <= {"motor", "without-gravity"}:
         std = max(each for _, each in shares.values())

@@ -95,10 +95,12 @@ class FitQuality:
         if self.shares.shape == other.shares.shape and len(self.shares) > 1:
             floor = _MIN_UNEXPLAINED
             of_folds = np.log((other.shares + floor) / (self.shares + floor)) @ self.weights
-            mean, n = float(of_folds.mean()), len(of_folds)
+            n = len(of_folds)
             std = max(float(of_folds.std(ddof=1)), 1e-300) / np.sqrt(n)
-            probability = 0.5 * student_tail(mean / std, n - 1) if mean > 0.0 else 1.0
-        return Gain(by_joint, float(self.weights @ by_joint), probability)
+            t = float(of_folds.mean() / std)
+            probability = 0.5 * student_tail(t, n - 1) if t > 0.0 else 1.0
+        mean, half = float(self.weights @ by_joint), 0.5 * float(self.n_rows.sum())
+        return Gain(by_joint, mean, half * mean, probability)
 
 
 @dataclass(frozen=True, slots=True)

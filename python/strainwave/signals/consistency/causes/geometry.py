@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import Clause, Correction, Place, channel_parts
+from strainwave.domain.effects import OF_RIGID_JOINTS
 from strainwave.domain.kinds import kind_of
 from strainwave.signals.consistency.causes.case import Case, Cause, as_rival
 from strainwave.signals.consistency.causes.channels import scale_cause
@@ -67,7 +68,13 @@ def _estimates(case: Case, cause: Cause, effect: str) -> bool:
     joints = {channel_parts(place.channel)[1] for place in cause.places if place.channel}
     angle = dict(cause.clause.values).get("angle", 0.0)
     is_near = arm.n_joints == 1 or (isinstance(angle, float) and angle < _MAX_FITTED_ZERO)
-    return is_near and all(effect in arm.joints[i - 1].possible_effects for i in joints)
+    fitted = [arm.joints[i - 1] for i in joints]
+    return is_near and all(
+        joint.selects_effects
+        if not joint.elastic and effect in OF_RIGID_JOINTS
+        else effect in joint.possible_effects
+        for joint in fitted
+    )
 
 
 def _axis(case: Case, change: Alternative, ratio: float) -> Cause:
