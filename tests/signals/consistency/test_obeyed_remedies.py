@@ -51,6 +51,7 @@ def cases(
 
 MET = (
     ("horizontal", "torque reversed"),
+    ("horizontal", "gear ratio 20 %"),
     ("horizontal", "torques exchanged"),
     ("horizontal", "torque 20 ms late"),
     ("horizontal", "lengths x 0.65"),
@@ -63,37 +64,36 @@ MET = (
     ("vertical", "hanging zero pi"),
     ("vertical", "torque reversed in one record"),
     ("serial", "all torques reversed"),
-    ("serial", "effort without gravity"),
     ("serial", "exchanged in one record"),
     ("motors only", "everything in degrees"),
     ("motors only", "all torques 20 ms late"),
+    ("horizontal", "zero 1.6 rad"),
+    ("vertical", "exchanged in one record"),
+    ("vertical", "payload in one record"),
+    ("serial", "zero 1.6 rad"),
+    ("serial", "files exchanged"),
+    ("motors only", "files exchanged"),
     ("motors only", "torques exchanged"),
 )
 
 MISSED = "the check does not see the fault"
 ASTRAY = "the check accepts the input after a correction of another value"
 UNMET = {
-    ("horizontal", "gear ratio 20 %"): "the check accepts a ratio that is 2 % off",
     ("horizontal", "angle 20 ms late"): ASTRAY,
     ("horizontal", "effort without friction"): ASTRAY,
     ("horizontal", "t of PRBS records x 1.05"): ASTRAY,
-    ("horizontal", "zero 1.6 rad"): MISSED,
     ("horizontal", "torque x 0.8"): MISSED,
     ("horizontal", "current loop ten times too slow"): MISSED,
     ("vertical", "angle 20 ms late"): ASTRAY,
-    ("vertical", "exchanged in one record"): ASTRAY,
     ("vertical", "effort without gravity"): MISSED,
-    ("vertical", "payload in one record"): MISSED,
     ("vertical", "torque 20 ms late"): MISSED,
     ("vertical", "encoder stands still"): MISSED,
     ("serial", "gear ratio x 1.25, motors only"): ASTRAY,
-    ("serial", "zero 1.6 rad"): ASTRAY,
     ("serial", "torques in A"): ASTRAY,
     ("serial", "effort without friction"): MISSED,
     ("serial", "payload in one record"): MISSED,
-    ("serial", "files exchanged"): MISSED,
+    ("serial", "effort without gravity"): "the records are short: the gain is one of chance",
     ("motors only", "exchanged in one record"): ASTRAY,
-    ("motors only", "files exchanged"): ASTRAY,
     ("motors only", "gear ratio x 1.25, motors only"): MISSED,
     ("motors only", "torques in A"): MISSED,
 }

@@ -15,6 +15,9 @@ from strainwave.signals.consistency.causes.channels import scale_cause
 _REDUCTION_TOLERANCE = 0.01
 # Largest reduction for which the estimate distinguishes neighbouring whole numbers.
 _MAX_DISTINCT_REDUCTION = 30
+# Reductions of strain-wave gears, and the log ratio within which an estimate is one of them.
+_REDUCTIONS = (30, 50, 51, 80, 81, 100, 101, 120, 121, 160, 161)
+_USUAL_TOLERANCE = 0.03
 # Maximum difference of distances that count as equal, over the distance between the axes.
 _DISTANCE_TOLERANCE = 0.1
 
@@ -46,8 +49,9 @@ def propose_encoder_counts(case: Case, joint: int) -> Iterator[Cause]:
 def propose_gear_ratios(case: Case, joint: int) -> Iterator[Cause]:
     """A wrong gear ratio in the study."""
     n = case.evidence.arm.joints[joint - 1].gear_ratio
-    known = [0.5 * n, 2.0 * n, 1.0 / n]
     estimates = [scale * n for scale in case.rotation_factors(joint) if scale > 0.0]
+    usual = [r for r in map(usual_ratio, estimates) if r is not None]
+    known = [0.5 * n, 2.0 * n, 1.0 / n, *usual]
     for candidate in estimates + known:
         reduction = round(1.0 / candidate)
         is_whole = reduction >= 1 and abs(reduction * candidate - 1.0) < _REDUCTION_TOLERANCE
@@ -64,6 +68,13 @@ def propose_gear_ratios(case: Case, joint: int) -> Iterator[Cause]:
             factor=n / ratio,
             has_estimated_factor=candidate not in known and not is_distinct,
         )
+
+
+def usual_ratio(estimate: float) -> float | None:
+    """Ratio of a strain-wave gear of the catalogues near an estimate, which springs bias."""
+    near = min(_REDUCTIONS, key=lambda reduction: abs(math.log(reduction * abs(estimate))))
+    is_near = abs(math.log(near * abs(estimate))) < _USUAL_TOLERANCE
+    return math.copysign(1.0 / near, estimate) if is_near else None
 
 
 def propose_geometry(case: Case, joint: int) -> Iterator[Cause]:
