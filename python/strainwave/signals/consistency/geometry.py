@@ -56,11 +56,13 @@ _MIN_DECREASE_TO_PREDICT, _MIN_PREDICTED_DECREASE, _MIN_DECREASE = 0.03, 0.03, 2
 # Probability of the gain by chance, for all explanations together; and the gain of half the
 # unexplained variance, which no explanation of a sound log reaches, with the difference of the log
 # likelihoods that it needs in a short log.
-_MAX_CHANCE, _LARGE_GAIN, _MIN_LOG_LIKELIHOOD = 0.01, float(np.log(2.0)), 20.0
+_MAX_CHANCE, _LARGE_GAIN, _MIN_LOG_LIKELIHOOD = 1e-3, float(np.log(2.0)), 20.0
 # Log ratio of unexplained variances from which an explanation is listed: of a change with one
 # coordinate, whose size is tested as well; and of other changes.
 _MIN_GAIN_OF_COORDINATE, _MIN_GAIN = 0.1, float(np.log(1.3))
 _MEASURED = ("ratio", "zero", "torque")
+# Probability by chance of the gain of a load, which must be large as well.
+_MAX_CHANCE_OF_LOAD = 0.01
 # Share of the largest gain of a joint that another joint may lose.
 _MAX_LOSS = 0.25
 # Scale of the delays in rows of the low-pass record, and the delay that is tolerated [s].
@@ -135,8 +137,9 @@ def _is_evident(each: Alternative, limit: float) -> bool:
     if each.gain is None:
         return False
     is_large = each.gain.mean > _LARGE_GAIN and each.gain.log_likelihood > _MIN_LOG_LIKELIHOOD
-    is_likely = each.gain.probability < limit
-    return (is_large and is_likely) if each.kind == "payload" else (is_large or is_likely)
+    if each.kind == "payload":
+        return is_large and each.gain.probability < _MAX_CHANCE_OF_LOAD
+    return is_large or each.gain.probability < limit
 
 
 @dataclass(frozen=True, slots=True)
