@@ -423,11 +423,8 @@ def _delay_profiles(log: Log, arm: Arm) -> dict[int, DelayProfile]:
 
 
 def is_slow(experiment: Experiment) -> bool:
-    """Whether an experiment moves joints slowly, so that the rigid model applies.
-
-    Checks of a single joint are steps, which excite its gear.
-    """
-    return experiment.use == "motion" or (experiment.use == "check" and experiment.joint is None)
+    """Whether an experiment moves all joints slowly, so that the rigid model applies."""
+    return experiment.joint is None and experiment.use in ("motion", "check")
 
 
 def exchanged_tests(evidence: Evidence) -> tuple[list[str], list[str]]:

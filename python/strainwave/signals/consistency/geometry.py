@@ -61,8 +61,8 @@ _MAX_CHANCE, _LARGE_GAIN, _MIN_LOG_LIKELIHOOD = 1e-3, float(np.log(2.0)), 20.0
 # coordinate, whose size is tested as well; and of other changes.
 _MIN_GAIN_OF_COORDINATE, _MIN_GAIN = 0.1, float(np.log(1.3))
 _MEASURED = ("ratio", "zero", "torque")
-# Probability by chance of the gain of a load, which must be large as well.
-_MAX_CHANCE_OF_LOAD = 0.01
+# Probability by chance of a large gain.
+_MAX_CHANCE_OF_LARGE = 0.01
 # Share of the largest gain of a joint that another joint may lose.
 _MAX_LOSS = 0.25
 # Scale of the delays in rows of the low-pass record, and the delay that is tolerated [s].
@@ -136,10 +136,12 @@ def _is_evident(each: Alternative, limit: float) -> bool:
     """
     if each.gain is None:
         return False
-    is_large = each.gain.mean > _LARGE_GAIN and each.gain.log_likelihood > _MIN_LOG_LIKELIHOOD
-    if each.kind == "payload":
-        return is_large and each.gain.probability < _MAX_CHANCE_OF_LOAD
-    return is_large or each.gain.probability < limit
+    is_large = (
+        each.gain.mean > _LARGE_GAIN
+        and each.gain.log_likelihood > _MIN_LOG_LIKELIHOOD
+        and each.gain.probability < _MAX_CHANCE_OF_LARGE
+    )
+    return is_large or (each.gain.probability < limit and each.kind != "payload")
 
 
 @dataclass(frozen=True, slots=True)
