@@ -145,9 +145,8 @@ def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:
         after = _contradiction_weight(observations, _tested(now, cause), limit)
         if after < limit:
             weights.append((after + _ESTIMATED_FACTOR_PENALTY * cause.has_estimated_factor, cause))
-            if (
-                not evidence.arm.has_planar_program
-            ):  # Observations of chains take time; the best cause is enough.
+            # observations of chains take time; the best cause is enough
+            if not evidence.arm.has_planar_program:
                 limit = min(limit, after + _ESTIMATED_FACTOR_PENALTY)
         if after == 0.0 and not cause.moves_frames:  # any fault of the motors can look like frames
             break

@@ -50,7 +50,7 @@ def propose_gear_ratios(case: Case, joint: int) -> Iterator[Cause]:
     """A wrong gear ratio in the study."""
     n = case.evidence.arm.joints[joint - 1].gear_ratio
     estimates = [scale * n for scale in case.rotation_factors(joint) if scale > 0.0]
-    usual = [r for r in map(usual_ratio, estimates) if r is not None]
+    usual = [r for r in map(_usual_ratio, estimates) if r is not None]
     known = [0.5 * n, 2.0 * n, 1.0 / n, *usual]
     for candidate in estimates + known:
         reduction = round(1.0 / candidate)
@@ -70,7 +70,7 @@ def propose_gear_ratios(case: Case, joint: int) -> Iterator[Cause]:
         )
 
 
-def usual_ratio(estimate: float) -> float | None:
+def _usual_ratio(estimate: float) -> float | None:
     """Ratio of a strain-wave gear of the catalogues near an estimate, which springs bias."""
     near = min(_REDUCTIONS, key=lambda reduction: abs(math.log(reduction * abs(estimate))))
     is_near = abs(math.log(near * abs(estimate))) < _USUAL_TOLERANCE

@@ -53,21 +53,22 @@ def _cause(case: Case, change: Alternative, ratio: float) -> Cause:
     effect = _ESTIMATED_BY_FIT.get(change.kind)
     return replace(
         cause,
-        is_fitted=effect is not None and _estimates(case, cause, effect),
+        is_fitted=effect is not None and _estimates(case, change, cause, effect),
         has_estimated_factor=change.kind in _ESTIMATED and cause.factor != -1.0,
         moves_frames=change.kind in ("frame", "robot"),
     )
 
 
-def _estimates(case: Case, cause: Cause, effect: str) -> bool:
+def _estimates(case: Case, change: Alternative, cause: Cause, effect: str) -> bool:
     """Whether the fit estimates what a cause would correct: an effect that it selects.
 
     It finds the zeros of several joints near the stated ones only.
     """
     arm = case.evidence.study.arm
     joints = {channel_parts(place.channel)[1] for place in cause.places if place.channel}
-    angle = dict(cause.clause.values).get("angle", 0.0)
-    is_near = arm.n_joints == 1 or (isinstance(angle, float) and angle < _MAX_FITTED_ZERO)
+    is_near = (
+        change.kind != "zero" or arm.n_joints == 1 or _zero_angle(case, change) < _MAX_FITTED_ZERO
+    )
     fitted = [arm.joints[i - 1] for i in joints]
     return is_near and all(
         joint.selects_effects
@@ -198,10 +199,16 @@ def _payload(_: Case, change: Alternative, ratio: float) -> Cause:
 
 def _zero(case: Case, change: Alternative, ratio: float) -> Cause:
     joint, (offset,) = change.joint or 0, change.corrections
-    moved = float(f"{offset.value}") - case.evidence.channel(offset.entry).offset
-    angle = abs(moved * case.evidence.study.arm.joints[joint - 1].gear_ratio)
+    angle = _zero_angle(case, change)
     clause = Clause("wrong-geometry/zero", ratio=ratio, joint=joint, angle=angle)
     return Cause("wrong-zero", (Place(channel=offset.entry),), clause, (offset,))
+
+
+def _zero_angle(case: Case, change: Alternative) -> float:
+    """Angle of the joint between the stated zero and the corrected one [rad]."""
+    (offset,) = change.corrections
+    moved = offset.number - case.evidence.channel(offset.entry).offset
+    return abs(moved * case.evidence.study.arm.joints[(change.joint or 1) - 1].gear_ratio)
 
 
 def _frame(case: Case, change: Alternative, ratio: float) -> Cause:
