@@ -3,7 +3,8 @@
 Each RESULT is a directory that `strainwave identify` has written, with its study and logs in place.
 Printed are the fits [%] of every motor's torque in the check records, over the samples at which the
 motor slides and within the bandwidth of the rigid model: by the identified model, and by the
-inverse dynamics of the exported arm in MuJoCo (MJCF) and Pinocchio (URDF).
+inverse dynamics of the exported arm in MuJoCo (MJCF) and Pinocchio
+(URDF, whose links include the rotors, and SRDF, which has them apart).
 """
 
 from __future__ import annotations
@@ -59,6 +60,8 @@ def by_pinocchio(path: Path, arm: Arm) -> Torques:
     import pinocchio
 
     model = pinocchio.buildModelFromUrdf(str(path))
+    if path.suffix == ".srdf":
+        pinocchio.loadRotorParameters(model, str(path))
     model.gravity.linear = np.array(arm.gravity or (0.0, 0.0, 0.0))
     data, joints = model.createData(), [model.joints[model.getJointId(n)] for n in arm.joint_names]
     places = [joint.idx_v for joint in joints]
@@ -107,12 +110,13 @@ def held_out_fits(arm: Arm, record: Signals, torques: Torques, band_hz: float) -
 def compare(result: sw.Result, folder: Path) -> Iterator[tuple[str, str, FloatArray]]:
     """Record, model and fits of the identified and the exported models."""
     arm, records = check_records(result)
-    for name in ("arm.xml", "arm.urdf"):
+    for name in ("arm.xml", "arm.urdf", "arm.srdf"):
         result.export(folder / name)
     models: dict[str, Torques] = {
         "identified": result.inverse_dynamics,
         "MJCF, MuJoCo": by_mujoco(folder / "arm.xml", arm),
         "URDF, Pinocchio": by_pinocchio(folder / "arm.urdf", arm),
+        "SRDF, Pinocchio": by_pinocchio(folder / "arm.srdf", arm),
     }
     band_hz = result.document["stages"]["rigid"]["bandwidth_hz"]
     for record in records:

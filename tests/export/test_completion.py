@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.studies.exported import by_mujoco
+from benchmarks.studies.exported import by_mujoco, by_pinocchio
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,7 +19,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import inverse_dynamics
 from strainwave.export import IdentifiedArm, export_arm, export_file
 from strainwave.export.completion import completed, project_friction
-from strainwave.export.urdf import to_urdf
+from strainwave.export.urdf import to_srdf, to_urdf
 
 SPEEDS = np.concatenate([np.linspace(-80.0, -1.0, 60), np.linspace(1.0, 80.0, 60)])
 coefficient = st.floats(0.01, 10.0)
@@ -159,4 +159,21 @@ def test_rotors_in_links_have_the_nearest_torques(tmp_path: Path) -> None:
     base = np.array([values[key] for key in links.base_names])
     expected = links.inertia_matrix(base, np.zeros(3))[0, 0] + 2e-4 / 0.01**2
     assert M[0, 0] == pytest.approx(expected, rel=0.05)
-    assert "joint 1: 2 kg m^2 at the joint, torque differs by" in export.notes[0]
+    assert "joint 1: 2 kg m^2" in export.notes[0]
+
+
+def test_srdf_has_the_rotors_apart_from_the_links(tmp_path: Path) -> None:
+    """Inverse dynamics of the one file, as URDF with its `rotor_params`, are those of the model."""
+    pytest.importorskip("pinocchio", reason="Pinocchio is not installed (extra: bench)")
+    arm, values = rigid_arm(tmp_path)
+    values |= {("friction_offset", i): 0.0 for i in (1, 2, 3)}  # URDF has none
+    study = arm.study
+    arm = replace(exports.arm_of(study, values), rigid=model_of(study, values))
+    export_arm(arm, tmp_path / "arm.srdf")
+    assert arm.rigid is not None
+    dynamics = Arm.of(arm.study.arm)
+    expected = dynamics.joints_of(inverse_dynamics(dynamics, arm.rigid, arm.rigid.motion))
+    motion = [dynamics.links_of(part) for part in arm.rigid.motion]
+    found = by_pinocchio(tmp_path / "arm.srdf", dynamics)(*motion)
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+    assert not any("rotors" in note for note in to_srdf(arm).notes)

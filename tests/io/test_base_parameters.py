@@ -19,8 +19,6 @@ from strainwave.domain.consistent_links import is_consistent
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds.bodies import LINK_PARAMETERS
 from strainwave.dynamics.arm import Arm
-from strainwave.errors import NumericalFailure
-from strainwave.io import base_parameters as module
 from strainwave.io.base_parameters import standard_name, standard_of_torques
 
 ARM = exports.chain(Path("nowhere"), ("rigid",) * 3)[0].arm
@@ -130,22 +128,3 @@ def test_a_prior_that_is_too_heavy_leaves_no_motor() -> None:
     base = base_parameters(arm)
     residual = weights @ (base.rows @ vector(base, found) - exact)
     assert np.sqrt(np.mean(residual**2)) < 0.05 / 0.03  # 5 % of the torques
-
-
-@pytest.mark.parametrize(("n_failures", "expected"), [(0, 1.0), (1, 0.1), (2, 0.01), (3, None)])
-def test_torques_weigh_less_until_the_search_for_links_converges(
-    monkeypatch: pytest.MonkeyPatch, n_failures: int, expected: float | None
-) -> None:
-    weights: list[float] = []
-
-    def search(priors: object, rows: np.ndarray, target: np.ndarray) -> np.ndarray:
-        weights.append(float(rows[0, 0]))
-        assert target[0] == pytest.approx(2.0 * rows[0, 0])
-        if len(weights) <= n_failures:
-            raise NumericalFailure("along the border")
-        return np.asarray(rows[0])
-
-    monkeypatch.setattr(module, "consistent_links", search)
-    links = module._links_of(ARM, np.eye(1), np.array([2.0]))
-    assert (None if links is None else links[0]) == expected
-    assert weights == [1.0, 0.1, 0.01][: n_failures + 1]

@@ -13,7 +13,7 @@ from strainwave.export.matlab import to_mat, to_script
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import Export, IdentifiedArm, arm_of, read_arm
 from strainwave.export.state_space import state_space, to_state_space
-from strainwave.export.urdf import to_urdf
+from strainwave.export.urdf import to_srdf, to_urdf
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.results import result_path
 
@@ -30,12 +30,13 @@ __all__ = [
     "state_space",
 ]
 
-FORMATS = ("mjcf", "urdf", "state-space", "matlab", "c", "json")
+FORMATS = ("mjcf", "urdf", "srdf", "state-space", "matlab", "c", "json")
 
 _FORMAT_BY_ENDING = {
     ".xml": "mjcf",
     ".mjcf": "mjcf",
     ".urdf": "urdf",
+    ".srdf": "srdf",
     ".mat": "matlab",
     ".m": "matlab",
     ".h": "c",
@@ -44,6 +45,7 @@ _FORMAT_BY_ENDING = {
 _RENDERERS: dict[str, Callable[[IdentifiedArm], Export]] = {
     "mjcf": to_mjcf,
     "urdf": to_urdf,
+    "srdf": to_srdf,
     "state-space": to_state_space,
     "c": to_c_header,
     "json": to_json,

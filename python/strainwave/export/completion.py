@@ -7,13 +7,13 @@ Without these, friction is zero, the gear is rigid and the links are those neare
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from strainwave.domain import FloatArray, RigidModel
-from strainwave.domain.base_parameters import MOTOR_INERTIA
+from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters
 from strainwave.domain.combinations import LINK_INERTIA, rigid_columns
 from strainwave.domain.effects import all_effects
 from strainwave.domain.keys import Key, Values, label_of
@@ -25,7 +25,7 @@ from strainwave.dynamics.rigid_prediction import torque_parts
 from strainwave.errors import InvalidInput
 from strainwave.export.bodies import effective_gravity, link_bodies
 from strainwave.export.source import IdentifiedArm
-from strainwave.io.base_parameters import standard_of_torques
+from strainwave.io.base_parameters import motor_regressor, standard_of_torques
 
 FRICTION = ("motor_viscous_friction", "motor_coulomb_friction", "friction_offset")
 DAMPING = ("motor_damping_2", "motor_damping_3")
@@ -33,6 +33,8 @@ DAMPING = ("motor_damping_2", "motor_damping_3")
 # of damping with powers, over that of viscous friction: powers that follow a law of the velocity,
 # not a dependence on load, leave almost nothing; others are wrong at higher speeds
 _MAX_CUBIC_ERROR = 0.5
+_MAX_ERROR = 1e-3  # of friction that is held as identified, relative to the torque of the joint
+_POINT = 0.01  # of a fit; smaller differences of torques are not noted
 _N_SAMPLES = 100  # of a motion in place of a recorded one, in each direction
 _ACCELERATION = 10.0  # [rad/s^2] of its joints; their velocity is 1 rad/s
 
@@ -59,9 +61,7 @@ def completed(arm: IdentifiedArm, *, is_polynomial: bool = False) -> IdentifiedA
             description = description.with_joint(number, spring="rigid", effects=())
             notes.append(f"assumed: joint {number} is rigid: {', '.join(missing)} not identified")
     arm = replace(arm, study=replace(arm.study, arm=description))
-    values = arm.complete(identified)
-    if arm.rigid is not None:
-        values |= dict(_projected_friction(arm, values, notes, is_polynomial))
+    original, values = arm, arm.complete(identified)
     for key in _needed(arm):
         values.setdefault(key, 0.0)
     arm = replace(arm, completion=values)
@@ -72,6 +72,7 @@ def completed(arm: IdentifiedArm, *, is_polynomial: bool = False) -> IdentifiedA
             arm, note = _as_chain(arm, arm.rigid, error)
             notes.append(note)
             values |= arm.standard
+        values |= dict(_projected_friction(original, arm.standard, values, notes, is_polynomial))
     law_keys = [(name, i + 1) for i, j in enumerate(description.joints) for name in j.law.names]
     listed = [
         f"{label_of(*key)} = {values[key]:.4g} {unit_in(description, key)}"
@@ -112,31 +113,42 @@ def _needed(arm: IdentifiedArm) -> Iterator[Key]:
 
 
 def _projected_friction(
-    arm: IdentifiedArm, values: Values, notes: list[str], is_polynomial: bool
+    arm: IdentifiedArm, standard: Values, values: Values, notes: list[str], is_polynomial: bool
 ) -> Iterator[tuple[Key, float]]:
     """Friction of the motors whose law no format has, or that is not identified.
 
-    It has the nearest torque to that of the rigid model over the recorded motion.
+    With the bodies, it has the nearest torque to that of the rigid model over the recorded motion.
     """
     model, description = arm.rigid, Arm.of(arm.study.arm)
     assert model is not None
     _, velocity, _ = model.motion
-    friction = torque_parts(description, model.solution, model.motion, model.friction_terms)
-    torque = friction.friction(np.sign(velocity))
+    parts = torque_parts(description, model.solution, model.motion, model.friction_terms)
+    torque = parts.friction(np.sign(velocity))
+    total = parts.body + torque
+    if standard:  # not all arms have bodies with the torques of the model
+        chain = replace(arm.study.arm, kind="serial")
+        motors = ((MOTOR_INERTIA, i + 1) for i in range(chain.n_joints))
+        bodies = [standard.get(key, 0.0) for key in (*base_parameters(chain).links, *motors)]
+        is_rigid = [not joint.elastic for joint in chain.joints]
+        torque += (parts.body - motor_regressor(chain, model.motion) @ bodies) * is_rigid
     of_links = [values.get(("link_viscous_friction", i + 1), 0.0) for i in range(len(velocity.T))]
     torque -= description.motors_of(np.array(of_links) * description.links_of(velocity))
+    lost = []
     for number in range(1, description.n_joints + 1):
         keys: list[Key] = [(name, number) for name in (*FRICTION, *DAMPING)]
         known = {p.name for p in arm.parameters if p.joint == number and p.value}
         laws = {term.effect for term in model.friction_terms if term.joint == number}
         laws |= {effect.name for effect in all_effects() if known.intersection(effect.names)}
-        if not laws and arm.values.keys() >= set(keys[: len(FRICTION)]):
+        v, wanted = velocity[:, number - 1], torque[:, number - 1]
+        slides = v != 0.0
+        size = np.std(total[slides, number - 1])
+        torques_of = _laws(v)[slides]
+        error = np.std(wanted[slides] - torques_of @ [values.get(key, 0.0) for key in keys])
+        is_held = not laws and arm.values.keys() >= set(keys[: len(FRICTION)])
+        if is_held and (arm.study.arm.joints[number - 1].elastic or error < _MAX_ERROR * size):
             continue
         projection = project_friction(
-            torque[:, number - 1],
-            velocity[:, number - 1],
-            has_offset=True,
-            is_polynomial=is_polynomial and bool(laws),
+            wanted, v, has_offset=True, is_polynomial=is_polynomial and bool(laws)
         )
         if laws:
             powers = ", and damping with powers, read by MuJoCo 4" if projection[3:].any() else ""
@@ -144,7 +156,20 @@ def _projected_friction(
                 f"projected: {', '.join(sorted(laws))} (joint {number}): friction has viscous, "
                 f"Coulomb and constant torque{powers}, nearest over the recorded motion"
             )
+        lost.append((number, np.std(wanted[slides] - torques_of @ projection) / size))
         yield from zip(keys, projection.tolist(), strict=True)
+    notes += lost_note("bodies and friction that a format has", lost)
+
+
+def lost_note(cause: str, shares: Iterable[tuple[int, float]]) -> list[str]:
+    """Note on joints whose torque differs by shares of its standard deviation, from one point."""
+    listed = [f"{100.0 * share:.2g} (joint {i})" for i, share in shares if share >= _POINT]
+    if not listed:
+        return []
+    return [
+        f"{cause} lower the fits of the torques over the recorded motion by at most "
+        f"{', '.join(listed)} points"
+    ]
 
 
 def project_friction(
@@ -161,7 +186,7 @@ def project_friction(
     v = velocity[slides]
     if not v.size:
         return np.zeros(len(FRICTION + DAMPING))
-    laws = np.column_stack([v, np.sign(v), np.ones_like(v), v * np.abs(v), v**3])
+    laws = _laws(v)
     plain, top = np.eye(5)[: 2 + has_offset], np.abs(v).max()
     projection, error = _nearest(torque[slides], laws, plain)
     if is_polynomial:  # powers, and laws whose slope (1 - |v|/w)^2 falls up to w
@@ -172,6 +197,11 @@ def project_friction(
         if cubic_error < _MAX_CUBIC_ERROR * error:
             return cubic
     return projection
+
+
+def _laws(v: FloatArray) -> FloatArray:
+    """Torques (n_samples, 5) of unit coefficients in the order of `FRICTION` and `DAMPING`."""
+    return np.column_stack([v, np.sign(v), np.ones_like(v), v * np.abs(v), v**3])
 
 
 def _nearest(torque: FloatArray, laws: FloatArray, parts: FloatArray) -> tuple[FloatArray, float]:

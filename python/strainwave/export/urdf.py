@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Joint, JointLimits, LinkPrior
-from strainwave.domain.consistent_links import consistent_links, standard_parameters
+from strainwave.domain import Joint, JointLimits, LinkPrior
+from strainwave.domain.base_parameters import MOTOR_INERTIA
+from strainwave.domain.consistent_links import standard_parameters
 from strainwave.domain.kinds.bodies import Body
 from strainwave.dynamics.arm import Arm
+from strainwave.errors import NumericalFailure
 from strainwave.export.bodies import gravity_warnings, holds_motor, link_bodies
-from strainwave.export.completion import motion_of, project_friction
+from strainwave.export.completion import FRICTION, lost_note, motion_of
 from strainwave.export.markup import comment_text, numbers
 from strainwave.export.omissions import omission_note, sentence_of
 from strainwave.export.source import Export, IdentifiedArm
+from strainwave.io.base_parameters import friction_laws, links_of_torques, motor_regressor
 from strainwave.io.templates import fill_text
 from strainwave.io.urdf import patch_urdf
 
@@ -24,9 +27,6 @@ _HELD = (
     *("motor_inertia", "motor_viscous_friction", "link_viscous_friction"),
     *("motor_coulomb_friction", "friction_offset"),
 )
-_ERROR_SHARE = 0.03  # of a joint's torque: its weight in the choice of links with rotors
-
-
 _NO_LIMIT = 1e6  # of a joint without limits, where URDF requires numbers
 
 
@@ -52,39 +52,50 @@ def _limits(joint: Joint) -> dict[str, float]:
     return limits
 
 
-def to_urdf(arm: IdentifiedArm) -> Export:
+def to_srdf(arm: IdentifiedArm) -> Export:
+    """URDF of links without rotors, which follow as `rotor_params`, read by Pinocchio."""
+    return to_urdf(arm, has_rotors=True)
+
+
+def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
     """URDF of the arm behind rigid gears (5); `InvalidInput` if a needed parameter is missing.
 
     If a URDF places the joints of the study, it is that file with other inertial values and
-    friction.
+    friction. The links include the rotors, unless the file `has_rotors`.
     """
-    links = [_standard(body) for body in link_bodies(arm, arm.study.arm.gravity_size)]
-    motors = motion_of(arm)
-    links, rotor_notes = _with_rotors(arm, links, motors)
-    friction = _friction(arm, motors)
-    notes = (*arm.assumptions, *rotor_notes, *omission_note(arm, _HELD))
+    bodies = [_standard(body) for body in link_bodies(arm, arm.study.arm.gravity_size)]
+    model = _projected(arm, bodies, has_rotors)
+    notes = (*arm.assumptions, *model.notes, *omission_note(arm, _HELD))
     warnings = arm.warnings + arm.assumed() + arm.assumed_bodies() + gravity_warnings(arm)
-    urdf = arm.study.arm.urdf
+    urdf, names = arm.study.arm.urdf, arm.study.arm.joint_names
     if urdf is not None:
         texts = map(sentence_of, notes)
         comments = ["Inertial values and friction identified by strainwave.", *texts]
         path = arm.study.path.parent / urdf.file
-        return Export(patch_urdf(path, urdf.held, links, friction, comments), warnings, notes)
-    joints = arm.study.arm.joints
-    bodies = [Body.of_standard(link) for link in links]
-    text = fill_text(
-        Path(__file__).with_name("arm.urdf.j2"),
-        notes=notes,
-        links=list(zip(bodies, joints, arm.study.arm.joint_names, strict=True)),
-        friction=friction,
-        kind_of=_kind,
-        limits_of=_limits,
-        comment_text=comment_text,
-        numbers=numbers,
-        quoted=quoteattr,
-        sentence_of=sentence_of,
-    )
-    return Export(text.encode(), warnings, notes)
+        data = patch_urdf(path, urdf.held, model.links, model.friction, comments)
+    else:
+        links = map(Body.of_standard, model.links)
+        data = fill_text(
+            Path(__file__).with_name("arm.urdf.j2"),
+            notes=notes,
+            links=list(zip(links, arm.study.arm.joints, names, strict=True)),
+            friction=model.friction,
+            kind_of=_kind,
+            limits_of=_limits,
+            comment_text=comment_text,
+            numbers=numbers,
+            quoted=quoteattr,
+            sentence_of=sentence_of,
+        ).encode()
+    if has_rotors:
+        joints = "".join(
+            f'    <joint name={quoteattr(name)} mass="{numbers(rotor)}" gear_ratio="1.0" />\n'
+            for name, rotor in zip(names, model.rotors, strict=True)
+        )
+        start, end, rest = data.rpartition(b"</robot>")
+        element = f"  <rotor_params>\n{joints}  </rotor_params>\n".encode()
+        data = start + element + end + rest
+    return Export(data, warnings, notes)
 
 
 def _standard(body: Body) -> LinkPrior:
@@ -93,54 +104,55 @@ def _standard(body: Body) -> LinkPrior:
     return standard_parameters(body.mass, np.array(body.centre), inertia)
 
 
-def _with_rotors(
-    arm: IdentifiedArm, links: list[LinkPrior], motors: FloatArray
-) -> tuple[list[LinkPrior], tuple[str, ...]]:
-    """Links that include the rotors, for which URDF has no place, and a note on them.
+@dataclass(frozen=True, slots=True)
+class _Model:
+    """What a URDF has of an arm."""
 
-    They are the bodies nearest to the links whose torques are nearest to those of links and rotors,
-    over a motion (3, n_samples, n_joints) of the motors.
+    links: list[LinkPrior]
+    rotors: list[float]  # inertias at the joints that the links do not include
+    friction: list[tuple[float, float]]  # damping and friction of the joints
+    notes: tuple[str, ...]
+
+
+def _projected(arm: IdentifiedArm, links: list[LinkPrior], has_rotors: bool) -> _Model:
+    """The model whose torques at the motors over the recorded motion are nearest to the arm's.
+
+    URDF has friction of single joints, and no place for rotors. What of them it does not hold is
+    in the links: the nearest consistent bodies.
     """
-    description = Arm.of(arm.study.arm)
-    rotors = np.diag([arm.need("motor_inertia", i + 1) for i in range(description.n_joints)])
-    if holds_motor(arm) or not rotors.any():
-        return links, ()
-    chain = replace(description, kind="serial")
-    regressor = chain.base_regressor(*map(chain.links_of, motors))
-    values = np.concatenate(links)
-    target = regressor @ values + chain.joints_of(motors[2] @ rotors)
-    size = np.std(target, axis=0) + np.finfo(float).tiny
-    rows = (regressor / (_ERROR_SHARE * size[:, None])).reshape(-1, len(values))
-    Q, R = np.linalg.qr(rows)
-    merged = consistent_links(links, R, Q.T @ (target / (_ERROR_SHARE * size)).ravel())
-    errors = 100.0 * np.sqrt(np.mean((target - regressor @ merged) ** 2, axis=0)) / size
-    at_joints = np.diag(chain.joints_of(chain.joints_of(rotors).T))
-    listed = ", ".join(
-        f"joint {i}: {inertia:.4g} kg m^2 at the joint, torque differs by {error:.2g} %"
-        for i, (inertia, error) in enumerate(zip(at_joints, errors, strict=True), start=1)
-    )
-    note = f"the links include the rotors ({listed}); MJCF holds rotors exactly, as armature"
-    return [tuple(link) for link in merged.reshape(-1, 10).tolist()], (note,)
+    from scipy.optimize import nnls  # takes half a second
 
-
-def _friction(arm: IdentifiedArm, motors: FloatArray) -> list[tuple[float, float]]:
-    """Damping and friction of each joint: nearest to all friction that acts on it, over a motion.
-
-    Exact if a joint has a motor of its own without offset.
-    """
-    description = Arm.of(arm.study.arm)
-    numbers = range(1, description.n_joints + 1)
-    viscous, coulomb, of_links = (
-        np.array([arm.need(name, i) for i in numbers])
-        for name in ("motor_viscous_friction", "motor_coulomb_friction", "link_viscous_friction")
+    description, chain = Arm.of(arm.study.arm), replace(arm.study.arm, kind="serial")
+    n, motion = description.n_joints, motion_of(arm)
+    regressor, notes = motor_regressor(chain, motion), list[str]()
+    inertias = [0.0 if holds_motor(arm) else arm.need(MOTOR_INERTIA, i + 1) for i in range(n)]
+    body = regressor @ np.concatenate([*links, inertias])
+    speeds, accelerations = description.links_of(motion[1]), description.links_of(motion[2])
+    of_motors = [[arm.values.get((name, i + 1), 0.0) for name in FRICTION] for i in range(n)]
+    of_links = [arm.need("link_viscous_friction", i + 1) for i in range(n)]
+    friction = np.sum(friction_laws(motion[1]) * of_motors, axis=2)
+    friction += description.motors_of(speeds * of_links)
+    size = np.std(body + friction, axis=0) + np.finfo(float).tiny
+    columns = [description.motors_of(x * e) for x in (speeds, np.sign(speeds)) for e in np.eye(n)]
+    laws = (np.stack(columns, axis=2) / size[:, None]).reshape(body.size, -1)
+    scale = np.linalg.norm(laws, axis=0) + np.finfo(float).tiny
+    shares, _ = nnls(laws / scale, (friction / size).ravel())
+    lost = friction / size - (laws / scale @ shares).reshape(body.shape)
+    rotors = np.diag(description.joints_of(description.joints_of(np.diag(inertias)).T))
+    listed = ", ".join(f"joint {i}: {x:.4g} kg m^2" for i, x in enumerate(rotors, start=1))
+    held = rotors * has_rotors
+    body -= description.motors_of(held * accelerations)
+    if any(inertias) and (description.coupling is not None or not has_rotors):
+        no_friction = np.zeros((*body.shape, 0))
+        merged = links_of_torques(chain, motion, body, size, no_friction, [0.0] * n)
+        if merged is None:
+            raise NumericalFailure("no consistent links include the rotors")
+        lost += (body - regressor @ merged) / size
+        links = [tuple(link) for link in merged[: 10 * n].reshape(-1, 10).tolist()]
+        if not has_rotors:
+            notes.append(f"the links include the rotors ({listed}); SRDF and MJCF hold them apart")
+    notes += lost_note(
+        "rotors and friction without a place", enumerate(np.std(lost, axis=0).tolist(), start=1)
     )
-    offset = [arm.values.get(("friction_offset", i), 0.0) for i in numbers]
-    speed = motors[1]
-    links = description.links_of(speed)
-    torque = description.joints_of(viscous * speed + coulomb * np.sign(speed) + offset)
-    torque += of_links * links
-    fits = (
-        project_friction(torque[:, i], links[:, i], has_offset=False)
-        for i in range(description.n_joints)
-    )
-    return [(float(damping), float(dry)) for damping, dry, *_ in fits]
+    pairs = (shares / scale).reshape(2, n).T.tolist()
+    return _Model(links, held.tolist(), pairs, tuple(notes))

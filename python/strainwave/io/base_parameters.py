@@ -22,6 +22,7 @@ _REGROUPED = "R"  # suffix of a combination, as in the literature
 # Weight of a torque in the choice of links, relative to the torque of the joint: bodies have the
 # base parameters if any bodies do; with smaller ones the search takes longer.
 _TORQUE_ERROR = 1e-4
+_MAX_ERROR = 10.0  # of bodies that have the torques, in units of `_TORQUE_ERROR`
 _WEIGHTS = (1.0, 0.1, 0.01)  # of the torques, until the search for links converges
 
 
@@ -110,49 +111,77 @@ def standard_of_torques(
     """Consistent links and motor inertias with the torques of a rigid model over its motion.
 
     `motors` are known motor inertias; the others are what the bodies leave, and not negative.
-    Differences of torques count relative to the torque of the joint, friction included. None if no
-    set is found.
+    None if no set is found.
     """
-    n, base, chain = arm.n_joints, base_parameters(arm), replace(arm, kind="serial")
-    friction, velocity = model.solution[len(base.columns) :], model.motion[1]
-    viscous, coulomb, offset = friction[: 3 * n].reshape(-1, 3).T
-    torque = _motor_regressor(arm, model.motion) @ base.particular()
+    n, base = arm.n_joints, base_parameters(arm)
+    viscous, coulomb, offset = model.solution[len(base.columns) :][: 3 * n].reshape(-1, 3).T
+    torque = motor_regressor(arm, model.motion) @ base.particular()
     torque = torque @ model.solution[: len(base.columns)]
-    size = torque + viscous * velocity + coulomb * np.sign(velocity) + offset
-    scale = _TORQUE_ERROR * np.std(size, axis=0)[:, None] + np.finfo(float).tiny
+    laws = friction_laws(model.motion[1])
+    size = torque + viscous * laws[..., 0] + coulomb * laws[..., 1] + offset
+    columns = laws[:, :, None] * np.eye(n)[:, :, None]
+    chain = replace(arm, kind="serial")
+    values = links_of_torques(chain, model.motion, torque, np.std(size, axis=0), columns, motors)
+    if values is None:
+        return None
+    keys = [*base_parameters(chain).links, *((MOTOR_INERTIA, i + 1) for i in range(n))]
+    return dict(zip(keys, values.tolist(), strict=True))
+
+
+def friction_laws(velocity: FloatArray) -> FloatArray:
+    """Viscous, Coulomb and constant friction of unit size, as the last axis."""
+    return np.stack([velocity, np.sign(velocity), np.ones_like(velocity)], axis=-1)
+
+
+def links_of_torques(
+    chain: ArmDescription,
+    motion: FloatArray,
+    torque: FloatArray,
+    size: FloatArray,
+    friction: FloatArray,
+    motors: Sequence[float | None],
+) -> FloatArray | None:
+    """Links and motor inertias (11 n_joints,) nearest to torques over a motion; None if none are.
+
+    `torque` (n_samples, n_joints) is that of the motors without friction; differences count
+    relative to `size` (n_joints,). If no bodies have these torques, differences that friction with
+    the columns (n_samples, n_joints, ...) makes up for do not count. `motors` are as in
+    `standard_of_torques`.
+    """
+    n, scale = chain.n_joints, _TORQUE_ERROR * size[:, None] + np.finfo(float).tiny
+    known = np.array([motor or 0.0 for motor in motors])
+    columns = motor_regressor(chain, motion)
+    columns = np.concatenate([columns, friction.reshape(*torque.shape, -1)], axis=2) / scale
+    target = (torque[:, :, None] / scale).ravel()
+    target -= columns[:, :, 10 * n : 11 * n].reshape(target.size, -1) @ known
     # orthogonal columns: the number of samples does not matter
-    Q, R = np.linalg.qr((_motor_regressor(chain, model.motion) / scale).reshape(torque.size, -1))
-    rows, target = R, Q.T @ (torque[:, :, None] / scale).ravel()
-    links_of, keys = base_parameters(chain).links, [(MOTOR_INERTIA, i + 1) for i in range(n)]
-    inertias, n_links = np.array([motor or 0.0 for motor in motors]), len(links_of)
-    target -= rows[:, n_links:] @ inertias
-    free = [i for i, motor in enumerate(motors) if motor is None]
-    while True:
-        of_motors = rows[:, [n_links + i for i in free]]
-        directions = np.linalg.svd(of_motors)[0][:, np.linalg.matrix_rank(of_motors) :].T
-        links = _links_of(arm, directions @ rows[:, :n_links], directions @ target)
-        if links is None:
-            return None
-        inertias[free] = np.linalg.lstsq(of_motors, target - rows[:, :n_links] @ links)[0]
-        negative = [i for i in free if inertias[i] < 0.0]
-        if not negative:
-            break
-        inertias[negative] = 0.0
-        free = [i for i in free if i not in negative]
-    return dict(zip([*links_of, *keys], [*links.tolist(), *inertias.tolist()], strict=True))
-
-
-def _links_of(arm: ArmDescription, rows: FloatArray, target: FloatArray) -> FloatArray | None:
-    """Consistent links with the largest of `_WEIGHTS` that converges; None if none does."""
-    for weight in _WEIGHTS:
-        try:
-            return consistent_links(priors_of(arm), weight * rows, weight * target)
-        except NumericalFailure:  # the torques lead along the border of the consistent sets
-            continue
+    Q, rows = np.linalg.qr(columns.reshape(target.size, -1))
+    right, limit = Q.T @ target, _MAX_ERROR * np.sqrt(target.size)
+    of_friction = list(range(11 * n, rows.shape[1]))
+    attempts = [(1.0, list[int](), limit), *((weight, of_friction, np.inf) for weight in _WEIGHTS)]
+    for weight, ignored, max_error in attempts:
+        inertias, free = known.copy(), [i for i, motor in enumerate(motors) if motor is None]
+        while True:
+            others = rows[:, [10 * n + i for i in free] + ignored]
+            directions = np.linalg.svd(others)[0][:, np.linalg.matrix_rank(others) :].T
+            A, b = directions @ rows[:, : 10 * n], directions @ right
+            try:
+                links = consistent_links(priors_of(chain), weight * A, weight * b)
+            except NumericalFailure:  # the torques lead along the border of the consistent sets
+                break
+            rest = np.linalg.lstsq(others, right - rows[:, : 10 * n] @ links)[0]
+            inertias[free] = rest[: len(free)]
+            negative = [i for i in free if inertias[i] < 0.0]
+            if not negative:
+                if np.linalg.norm(A @ links - b) <= max_error:
+                    return np.concatenate([links, inertias])
+                break
+            inertias[negative] = 0.0
+            free = [i for i in free if i not in negative]
     return None
 
 
-def _motor_regressor(arm: ArmDescription, motion: FloatArray) -> FloatArray:
+def motor_regressor(arm: ArmDescription, motion: FloatArray) -> FloatArray:
     """Motor torques per parameter of the links and motor inertia: (n_samples, n_joints, n)."""
     core, to_links = core_arm(arm, ["rigid"] * arm.n_joints), transmission(arm)
     links = (np.ascontiguousarray(x @ to_links.T) for x in motion)
