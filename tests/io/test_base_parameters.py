@@ -12,13 +12,15 @@ from hypothesis import strategies as st
 
 import exports
 from serial_chains import parameters_of, random_body
-from strainwave.domain import RigidModel
-from strainwave.domain.arm import ArmDescription, Urdf
+from strainwave.domain import FloatArray, RigidModel
+from strainwave.domain.arm import ArmDescription, LinkPrior, Urdf
 from strainwave.domain.base_parameters import BaseParameters, base_parameters
-from strainwave.domain.consistent_links import is_consistent
+from strainwave.domain.consistent_links import consistent_links, is_consistent
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds.bodies import LINK_PARAMETERS
 from strainwave.dynamics.arm import Arm
+from strainwave.errors import NumericalFailure
+from strainwave.io import base_parameters as module
 from strainwave.io.base_parameters import standard_name, standard_of_torques
 
 ARM = exports.chain(Path("nowhere"), ("rigid",) * 3)[0].arm
@@ -128,3 +130,48 @@ def test_a_prior_that_is_too_heavy_leaves_no_motor() -> None:
     base = base_parameters(arm)
     residual = weights @ (base.rows @ vector(base, found) - exact)
     assert np.sqrt(np.mean(residual**2)) < 0.05 / 0.03  # 5 % of the torques
+
+
+def torque_over_motion() -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A random motion, the torque of drawn bodies with friction [N m], and velocity columns."""
+    links = np.random.default_rng(4).normal(size=(3, 120, 3)) * [[[1.5]], [[1.0]], [[5.0]]]
+    motion = np.stack([Arm.of(ARM).motor_accelerations(part) for part in links])
+    values = drawn_values(3)
+    inertias = [values[motor] for motor in MOTORS]
+    bodies = np.concatenate([*links_of(values), inertias])
+    columns = motion[1][:, :, None] * np.eye(ARM.n_joints)
+    return motion, module.motor_regressor(ARM, motion) @ bodies, columns
+
+
+def test_torques_that_friction_explains_do_not_count() -> None:
+    """No bodies have a damping torque: with columns of friction the rest is exact."""
+    motion, torque, columns = torque_over_motion()
+    friction = 0.2 * np.std(torque, axis=0) / np.std(motion[1], axis=0) * motion[1]
+    damped = torque + friction
+    size = np.std(damped, axis=0)
+    found = module.links_of_torques(ARM, motion, damped, size, columns, [None] * ARM.n_joints)
+    assert found is not None
+    rest = damped - module.motor_regressor(ARM, motion) @ found
+    np.testing.assert_allclose(rest / size, friction / size, atol=5e-3)
+
+
+@pytest.mark.parametrize("n_failures", [0, 1, 3, 4])
+def test_torques_weigh_less_until_the_search_for_links_converges(
+    monkeypatch: pytest.MonkeyPatch, n_failures: int
+) -> None:
+    """Exact torques first, then with friction at weights of 1, 0.1 and 0.01; then no bodies."""
+    motion, torque, columns = torque_over_motion()
+    sizes, search = list[float](), consistent_links
+
+    def failing(priors: list[LinkPrior], rows: FloatArray, target: FloatArray) -> FloatArray:
+        sizes.append(float(np.linalg.norm(rows)))
+        if len(sizes) <= n_failures:
+            raise NumericalFailure("along the border")
+        return search(priors, rows, target)
+
+    monkeypatch.setattr(module, "consistent_links", failing)
+    size, known = np.std(torque, axis=0), [drawn_values(3)[motor] for motor in MOTORS]
+    found = module.links_of_torques(ARM, motion, torque, size, columns, known)
+    assert (found is None) == (n_failures == 4)
+    ratios = np.array(sizes[2:]) / sizes[1] if n_failures > 1 else np.zeros(0)
+    np.testing.assert_allclose(ratios, [0.1, 0.01][: len(ratios)])
