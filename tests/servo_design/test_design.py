@@ -11,6 +11,7 @@ import pytest
 
 from servo_arms import rig, vertical_rig
 from strainwave.domain import JointLimits, Payload
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.errors import InvalidInput, NotIdentifiable
@@ -22,7 +23,7 @@ from strainwave.servo_design.closed_loop import close, sample
 from strainwave.servo_design.control_law import Gains
 from strainwave.servo_design.design import ServoDesign, ServoOptions, design_servo
 from strainwave.servo_design.margins import Requirements, effective_plants
-from strainwave.servo_design.plants import Plants, drawn_values, plants_of
+from strainwave.servo_design.plants import Plants, drawn_values, plants_of, without_impossible
 
 POSTURES = ((0.0, 0.0), (0.4, 1.9))
 LOAD = Payload(2.0, (0.3, 0.0, 0.0))
@@ -69,6 +70,18 @@ def test_every_plant_is_a_draw_in_a_condition() -> None:
     postures = {tuple(each.posture.tolist()) for each in design.conditions}
     assert postures == set(POSTURES)
     assert [each.payload for each in design.conditions] == [None, LOAD] * 2
+
+
+def test_draws_without_a_definite_inertia_matrix_are_left_out() -> None:
+    plants = plants_behind(designed())
+    draws: list[Values] = [{("draw", i): float(i)} for i in range(5)]
+    mass = plants.mass.copy()
+    mass[(plants.draw == 2) & (plants.condition == 1)] *= -1.0
+    kept, rest = without_impossible(replace(plants, mass=mass), draws)
+    assert rest == (*draws[:2], *draws[3:])
+    assert set(kept.draw.tolist()) == {0, 1, 3, 4}
+    with pytest.raises(NotIdentifiable, match="no positive definite inertia matrix"):
+        without_impossible(replace(plants, mass=-plants.mass), draws)
 
 
 def test_all_plants_keep_the_required_margins() -> None:

@@ -185,9 +185,10 @@ class ClosedLoop:
             rows[:, k] = (rows[:, k - 1, None] @ system)[:, 0]
         over_block = np.linalg.matrix_power(system, size)
         blocks = [np.zeros((count, 1))]
-        for _ in range(size):
-            blocks.append((rows @ state)[..., 0])
-            state = over_block @ state
+        with np.errstate(over="ignore", invalid="ignore"):  # unstable loops diverge
+            for _ in range(size):
+                blocks.append((rows @ state)[..., 0])
+                state = over_block @ state
         return np.concatenate(blocks, axis=1)[:, :n_samples]
 
 

@@ -23,7 +23,13 @@ from strainwave.servo_design.damping import Damping, design_damping
 from strainwave.servo_design.link_estimation import EstimationError, errors_in_a_move
 from strainwave.servo_design.margins import LoopBand, Margins, Requirements
 from strainwave.servo_design.observer import Observer, design_observers
-from strainwave.servo_design.plants import Condition, Plants, drawn_values, plants_of
+from strainwave.servo_design.plants import (
+    Condition,
+    Plants,
+    drawn_values,
+    plants_of,
+    without_impossible,
+)
 from strainwave.servo_design.shaper_ranking import COVERAGE, RankedShaper, rank_shapers
 from strainwave.servo_design.verification import Comparison, compare_moves
 
@@ -130,8 +136,8 @@ def design_servo(
     noise = noise or IdentifiedNoise()
     progress("drawing plants")
     rng = np.random.default_rng(options.seed)
-    draws = drawn_values(arm, covariance, options.draws, rng)
-    plants = plants_of(arm, draws, conditions)
+    drawn = drawn_values(arm, covariance, options.draws, rng)
+    plants, draws = without_impossible(plants_of(arm, drawn, conditions), drawn)
     loops = Loops.of(plants, clock)
     progress("tuning the loops")
     resolutions = np.array([joint.encoder_resolution for joint in arm.study.arm.joints])

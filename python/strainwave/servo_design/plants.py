@@ -20,6 +20,7 @@ import numpy as np
 from strainwave.domain import ComplexArray, FloatArray, IntArray, Payload
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
+from strainwave.errors import NotIdentifiable
 from strainwave.export.coordinates import coordinates_of
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import JointCovariance
@@ -176,6 +177,24 @@ def plants_of(
         draw=draw,
         condition=condition_index,
     )
+
+
+def without_impossible(
+    plants: Plants, draws: Sequence[Values]
+) -> tuple[Plants, tuple[Values, ...]]:
+    """Plants and draws without those whose inertia matrix no arm has.
+
+    Raises `NotIdentifiable` if the estimates, the first draw, are among them.
+    """
+    is_possible = np.linalg.eigvalsh(plants.mass)[:, 0] > 0.0
+    impossible = set(plants.draw[~is_possible].tolist())
+    if 0 in impossible:
+        raise NotIdentifiable(
+            "the estimates have no positive definite inertia matrix at a posture of the design; "
+            "record more motion of the joints whose inertia has no value"
+        )
+    kept = np.flatnonzero(~np.isin(plants.draw, list(impossible)))
+    return plants.part(kept), tuple(d for i, d in enumerate(draws) if i not in impossible)
 
 
 def base_vector(model: Arm, values: Values) -> FloatArray:
