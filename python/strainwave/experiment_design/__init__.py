@@ -262,7 +262,6 @@ def _servo_warnings(study: Study) -> tuple[Diagnostic, ...]:
 
 
 def _record_warnings(arm: Arm, known: Values, record: Planned) -> tuple[Diagnostic, ...]:
-    """Warnings about one planned record."""
     place, motion = Place.in_records(record.experiment.name), record.predicted
     warnings = []
     condition = record.condition_number

@@ -294,7 +294,6 @@ class Search:
         return feasible.shape.scaled(feasible.scale)
 
     def _feasible(self, points: FloatArray) -> _Feasible:
-        """Feasible series of points."""
         n = self.arm.n_joints
         table = points.reshape(*points.shape[:-1], -1, n)
         limit = _ANGLE_SHARE * np.array(self.limits.angle)
