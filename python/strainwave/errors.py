@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib import import_module
-from typing import Any
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 
 class StrainwaveError(Exception):
@@ -66,6 +68,15 @@ def suggest_name(name: str, known: Iterable[str]) -> str:
     spellings = {spelling.casefold(): spelling for spelling in known}
     matches = difflib.get_close_matches(name.casefold(), list(spellings), n=1, cutoff=0.6)
     return f"; did you mean '{spellings[matches[0]]}'?" if matches else ""
+
+
+def entry_of(entries: Mapping[str, T], name: str, kind: str, where: str) -> T:
+    """The entry with a name. Raises InvalidInput, which names the key `where`, if there is none."""
+    if name not in entries:
+        raise InvalidInput(
+            f"there is no {kind} {name!r}", where=where, remedy=f"use one of {', '.join(entries)}"
+        )
+    return entries[name]
 
 
 def import_optional(module: str, purpose: str, requirement: str, where: str | None = None) -> Any:

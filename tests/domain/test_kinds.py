@@ -17,7 +17,7 @@ from strainwave.domain.combinations import (
     value_of,
 )
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import all_kinds, planar_two_link, single_joint
+from strainwave.domain.kinds import KINDS, planar_two_link, single_joint
 
 RATIOS = (0.02, 0.01)
 
@@ -39,7 +39,7 @@ def random_values(arm: ArmDescription, seed: int) -> Values:
     return {key: float(rng.uniform(0.5, 2.0)) for key in keys}
 
 
-@pytest.mark.parametrize("kind", [kind.name for kind in all_kinds()])
+@pytest.mark.parametrize("kind", KINDS)
 def test_inertias_follow_from_link_inertias(kind: str) -> None:
     arm = description(kind)
     values = random_values(arm, 1)
@@ -53,7 +53,7 @@ def test_inertias_follow_from_link_inertias(kind: str) -> None:
     assert inverted == pytest.approx(values)
 
 
-@pytest.mark.parametrize("kind", [kind.name for kind in all_kinds()])
+@pytest.mark.parametrize("kind", KINDS)
 def test_the_total_inertia_follows_from_the_rigid_unknowns(kind: str) -> None:
     """c_1 = m_M + n^2 m_L, (18)."""
     arm = description(kind)
@@ -65,7 +65,7 @@ def test_the_total_inertia_follows_from_the_rigid_unknowns(kind: str) -> None:
         assert value_of(total_inertia(arm, number), rigid) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("kind", [kind.name for kind in all_kinds()])
+@pytest.mark.parametrize("kind", KINDS)
 def test_reported_combinations_are_not_parameters(kind: str) -> None:
     arm = description(kind)
     rows = reported(arm)

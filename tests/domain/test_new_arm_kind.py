@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from extensions import added
 from strainwave import identify
 from strainwave.domain import ArmDescription, Joint, Origin, Servo
 from strainwave.domain.combinations import value_of
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import Fault, Kind, register, unregister
+from strainwave.domain.kinds import KINDS, Fault, Kind
 from strainwave.dynamics.arm import Arm
 from strainwave.io.study import read_study
 from strainwave.virtual.experiments import simulate_study
@@ -78,9 +79,8 @@ class PanTilt(Kind[PanTiltTable]):
 
 @pytest.fixture
 def registered() -> Iterator[None]:
-    register(PanTilt())
-    yield
-    unregister(PanTilt.name)
+    with added(KINDS, PanTilt()):
+        yield
 
 
 @pytest.mark.usefixtures("registered")

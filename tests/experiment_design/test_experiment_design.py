@@ -25,7 +25,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design import command_table, motions, rigid_motion, voltages
 from strainwave.experiment_design.duration import fit_duration
-from strainwave.experiment_design.plan import LimitBroken, Limits, Planned, limits_of
+from strainwave.experiment_design.plan import GuessedArm, LimitBroken, Limits, Planned, limits_of
 from strainwave.experiment_design.steps import step_records
 from strainwave.experiment_design.voltages import MIN_RESONANCE_LINES, band_of, voltage_record
 from strainwave.experiment_design.written import HEADER_FILE, print_design, write
@@ -107,7 +107,7 @@ def worst_use(study: Study, values: Values, limits: Limits, record: design.Plann
 
 
 def test_the_gradient_of_the_search_is_that_of_the_cost() -> None:
-    search = rigid_motion.Search(Arm.of(STUDY.arm), GUESS, LIMITS, 8.0)
+    search = rigid_motion.Search(GuessedArm(Arm.of(STUDY.arm), GUESS, LIMITS), 8.0)
     point = np.random.default_rng(3).normal(size=search.n_unknowns)
     cost, gradient = search.with_gradient(point)
     assert cost == pytest.approx(float(search.cost(point[None])[0]), rel=1e-12)
@@ -177,7 +177,7 @@ def test_a_lead_in_connects_both_states() -> None:
 @pytest.mark.parametrize("volts", [40.0, 2.0])
 def test_every_point_of_the_search_is_feasible(volts: float) -> None:
     limits = replace(LIMITS, voltage=(volts, volts))
-    search = rigid_motion.Search(Arm.of(STUDY.arm), GUESS, limits, 5.0)
+    search = rigid_motion.Search(GuessedArm(Arm.of(STUDY.arm), GUESS, limits), 5.0)
     rng = np.random.default_rng(0)
     limited = 0
     for point in 3.0 * rng.normal(size=(30, search.n_unknowns)):
@@ -229,7 +229,9 @@ def test_a_multisine_is_flat_in_the_band_and_zero_outside() -> None:
     limits = Limits((1.5,), (200.0,), (10.0,), ANY[:1])
     band = band_of(Arm.of(study.arm), values, 1)
     assert band is not None
-    record = voltage_record(Arm.of(study.arm), values, limits, band, 1, kind="multisine", seed=0)
+    record = voltage_record(
+        GuessedArm(Arm.of(study.arm), values, limits), band, 1, kind="multisine", seed=0
+    )
     assert record.experiment.prbs is None
     u = record.drive.voltage[:, 0]
     samples = int(np.ceil(band.period / record.drive.tick))
@@ -252,7 +254,7 @@ def test_coarse_sensors_need_more_periods() -> None:
         study, arm=replace(study.arm, joints=(replace(study.arm.joints[0], encoder_counts=200),))
     )
     fine, rough = (
-        voltage_record(Arm.of(s.arm), values, limits, band, 1, kind="multisine", seed=0)
+        voltage_record(GuessedArm(Arm.of(s.arm), values, limits), band, 1, kind="multisine", seed=0)
         for s in (study, coarse)
     )
     assert rough.duration > 2.0 * fine.duration
@@ -264,11 +266,15 @@ def test_under_gravity_servos_hold_the_arm() -> None:
     limits = replace(LIMITS, gear_torque=ANY)
     band = band_of(Arm.of(study.arm), values, 2)
     assert band is not None
-    record = voltage_record(Arm.of(study.arm), values, limits, band, 2, kind="prbs", seed=0)
+    record = voltage_record(
+        GuessedArm(Arm.of(study.arm), values, limits), band, 2, kind="prbs", seed=0
+    )
     assert record.experiment.control == ("servo", "servo")
     assert worst_use(study, values, limits, record) < 1.005
     with pytest.raises(InvalidInput, match="multisine"):
-        voltage_record(Arm.of(study.arm), values, limits, band, 2, kind="multisine", seed=0)
+        voltage_record(
+            GuessedArm(Arm.of(study.arm), values, limits), band, 2, kind="multisine", seed=0
+        )
 
 
 # --- the whole design ---------------------------------------------------------------------------
@@ -329,16 +335,14 @@ def test_steps_are_reduced_to_the_limits_or_omitted() -> None:
     study, values = drive()
     band = band_of(Arm.of(study.arm), values, 1)
     assert band is not None
-    wide, narrow = (
-        step_records(
-            Arm.of(study.arm), values, Limits((1.5,), (200.0,), (10.0,), (torque,)), band, 1
-        )
-        for torque in (ANY[0], 8.0)
+    wide, narrow, closed = (
+        GuessedArm(Arm.of(study.arm), values, Limits((1.5,), (200.0,), (10.0,), (torque,)))
+        for torque in (ANY[0], 8.0, 0.1)
     )
-    assert wide[0].predicted.gear_torque[0] > 8.0
-    assert 4.0 < narrow[0].predicted.gear_torque[0] <= 8.0
+    assert step_records(wide, band, 1)[0].predicted.gear_torque[0] > 8.0
+    assert 4.0 < step_records(narrow, band, 1)[0].predicted.gear_torque[0] <= 8.0
     with pytest.raises(LimitBroken, match=r"no step of joint 1 keeps .* gear torque of joint 1"):
-        step_records(Arm.of(study.arm), values, Limits((1.5,), (200.0,), (10.0,), (0.1,)), band, 1)
+        step_records(closed, band, 1)
 
 
 @pytest.mark.usefixtures("quick")

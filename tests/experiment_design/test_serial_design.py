@@ -19,7 +19,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design import rigid_motion
 from strainwave.experiment_design.motions import motion_records, run
-from strainwave.experiment_design.plan import Limits, limits_of
+from strainwave.experiment_design.plan import GuessedArm, Limits, limits_of
 from strainwave.experiment_design.rigid_motion import (
     Fourier,
     Search,
@@ -148,7 +148,7 @@ def test_a_designed_motion_satisfies_all_limits(study: Study, tmp_path: Path) ->
     assert [r.experiment.name for r in plan.records] == ["motion", "motion-check"]
     arm, uses = Arm.of(study.arm), []
     for record in plan.records:
-        motion = run(arm, values, record.drive)
+        motion = run(GuessedArm(arm, values, allowed), record.drive)
         angle = motion["link_angle"]
         moved = np.abs(angle - allowed.centre).max(axis=0) / allowed.angle
         speed = np.abs(motion["motor_velocity"]).max(axis=0) / allowed.velocity
@@ -201,7 +201,7 @@ def test_predicted_intervals_are_those_of_noisy_torques(study: Study) -> None:
     """Least squares of torques with white errors, assumed or measured, scatter as predicted."""
     bare = study.arm.with_joints(replace(j, encoder_counts=None) for j in study.arm.joints)
     arm, values, allowed = Arm.of(bare), values_of(study), limits(study)
-    search = Search(arm, values, allowed, 8.0)
+    search = Search(GuessedArm(arm, values, allowed), 8.0)
     series = Fourier(8.0, *np.split(np.random.default_rng(1).normal(size=(17, 3)), [1, 9]))
     motion = series.at(search.time)
     std = standard_deviations(search, motion, 1.0, torque_errors_of(arm, {2: 0.03}))
@@ -267,9 +267,7 @@ def test_a_trajectory_needs_limits_of_the_torques(study: Study) -> None:
 def far_apart(study: Study) -> None:
     allowed = replace(limits(study), posture=(0.0, -0.4, 2.5), distance=0.35)
     motion_records(
-        Arm.of(study.arm),
-        values_of(study),
-        allowed,
+        GuessedArm(Arm.of(study.arm), values_of(study), allowed),
         anti_resonance_hz=None,
         starts=1,
         seed=0,

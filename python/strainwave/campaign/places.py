@@ -118,7 +118,8 @@ class Bucket:
     def put(self, name: str, data: bytes) -> None:
         """Write a whole object; on a local file system as `Folder` does."""
         system, path = self._at(name)
-        if "file" not in _protocols(system):
+        protocol = system.protocol
+        if "file" not in ((protocol,) if isinstance(protocol, str) else tuple(protocol)):
             system.pipe_file(path, data)
             return
         Folder(Path(path).parent).put(Path(path).name, data)
@@ -176,8 +177,3 @@ def file_system(url: str) -> tuple[Any, str]:
             remedy="install the package that fsspec names for it, or check the URL",
         ) from error
     return system, str(path)
-
-
-def _protocols(system: Any) -> tuple[str, ...]:
-    protocol = system.protocol
-    return (protocol,) if isinstance(protocol, str) else tuple(protocol)

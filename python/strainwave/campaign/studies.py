@@ -199,7 +199,12 @@ def _read_campaign(path: Path) -> Selection:
 def _collect_cases(document: Mapping[str, Any], path: Path, text: str) -> Sequence[Case]:
     """Cases of `[studies]`, or the arms of `[family]`."""
     if "family" not in document:
-        return _list_studies(document.get("studies"), path)
+        table = document.get("studies")
+        if not isinstance(table, dict) or set(table) != {"paths"} or not table["paths"]:
+            raise _invalid_key(path, "studies", '[studies] with paths = ["rigs/*/study.toml", ...]')
+        if not _is_list_of_text(table["paths"]):
+            raise _invalid_key(path, "studies.paths", "a list of paths, folders, globs or URLs")
+        return _collect_studies([resolved(item, str(path)) for item in table["paths"]])
     if "studies" in document or not isinstance(document["family"], dict):
         raise InvalidInput(
             "has both [family] and [studies], or [family] is not a table",
@@ -207,15 +212,6 @@ def _collect_cases(document: Mapping[str, Any], path: Path, text: str) -> Sequen
             remedy="give one of the two tables",
         )
     return arms_of(family_of(document["family"], path, text), path)
-
-
-def _list_studies(table: Any, path: Path) -> list[Case]:
-    """The cases of `[studies]`; relative paths refer to the folder of the campaign.toml."""
-    if not isinstance(table, dict) or set(table) != {"paths"} or not table["paths"]:
-        raise _invalid_key(path, "studies", '[studies] with paths = ["rigs/*/study.toml", ...]')
-    if not _is_list_of_text(table["paths"]):
-        raise _invalid_key(path, "studies.paths", "a list of paths, folders, globs or URLs")
-    return _collect_studies([resolved(item, str(path)) for item in table["paths"]])
 
 
 def _is_list_of_text(value: Any) -> bool:

@@ -106,7 +106,6 @@ def _send(answers: TextIO, line: str) -> None:
 
 
 def _resident_mib() -> float:
-    """Resident memory of this process [MiB]."""
     try:
         with open("/proc/self/statm") as file:
             return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20

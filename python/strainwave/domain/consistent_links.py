@@ -45,7 +45,9 @@ def consistent_links(
     Each prior must belong to a body. Raises NumericalFailure if the search does not converge.
     """
     inverses = [np.asarray(np.linalg.inv(_pseudo_inertia(np.array(p)))) for p in priors]
-    pull = np.concatenate([_basis_products(inverse) for inverse in inverses])
+    pull = np.concatenate(
+        [np.asarray(np.einsum("ij,kji->k", inverse, _basis())) for inverse in inverses]
+    )
     values = np.concatenate([np.array(prior) for prior in priors])
     reached, factor = _FIRST_WEIGHT / _FACTOR, _FACTOR
     while reached < 1.0:
@@ -95,7 +97,7 @@ def guessed_priors(arm: ArmDescription) -> tuple[LinkPrior, ...]:
     """Priors of links without inertial values: a body along the line to the next joint."""
     ends = [np.array(joint.origin.xyz) for joint in arm.joints[1:]]
     ends.append(np.zeros(3))
-    radii = [_GUESSED_RADIUS * _length(end) for end in ends]
+    radii = [_GUESSED_RADIUS * (float(np.linalg.norm(end)) or _GUESSED_LENGTH) for end in ends]
     return tuple(
         standard_parameters(_GUESSED_MASS, 0.5 * end, _GUESSED_MASS * radius**2 * np.eye(3))
         for end, radius in zip(ends, radii, strict=True)
@@ -126,10 +128,6 @@ def principal_moments(link: LinkPrior) -> FloatArray:
     if mass > 0.0:
         about -= (first @ first * np.eye(3) - np.outer(first, first)) / mass
     return np.asarray(np.linalg.eigvalsh(about))
-
-
-def _length(end: FloatArray) -> float:
-    return float(np.linalg.norm(end)) or _GUESSED_LENGTH
 
 
 def standard_parameters(mass: float, centre: FloatArray, inertia: FloatArray) -> LinkPrior:
@@ -163,11 +161,6 @@ def _basis() -> FloatArray:
 
 def _pseudo_inertia(link: FloatArray) -> FloatArray:
     return np.asarray(np.tensordot(link, _basis(), axes=1))
-
-
-def _basis_products(matrix: FloatArray) -> FloatArray:
-    """trace(matrix B_k) for each basis matrix: (10,)."""
-    return np.asarray(np.einsum("ij,kji->k", matrix, _basis()))
 
 
 def _barrier(values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -60,6 +60,8 @@ class Arm(ArmDescription):
     def core(self) -> _core.Arm:
         """The compiled arm: kind, gears and effects, electronics, sensors."""
         joints = self.joints
+        passes = [low_passes(joint) for joint in joints]
+        names = {name for one in passes for name in one}
         return core_arm(
             self,
             [joint.law.core_name for joint in joints],
@@ -68,14 +70,8 @@ class Arm(ArmDescription):
             encoder_counts=[joint.encoder_counts for joint in joints],
             accelerometer_distance=[joint.accelerometer_distance or 1.0 for joint in joints],
             effects=[_core_effects(joint) for joint in joints],
-            **self._low_passes(),
+            **{name: [one.get(name) for one in passes] for name in names},
         )
-
-    def _low_passes(self) -> dict[str, Any]:
-        """Low-passes [Hz] of the sensors as arguments of the core."""
-        passes = [low_passes(joint) for joint in self.joints]
-        names = {name for one in passes for name in one}
-        return {name: [one.get(name) for one in passes] for name in names}
 
     @cached_property
     def gear_ratios(self) -> FloatArray:
@@ -459,7 +455,6 @@ def _constant(values: list[Any]) -> FloatArray:
 
 
 def _is_zero_by_default(key: Key) -> bool:
-    """Whether a parameter is zero if it is not given."""
     return key[0] in _ZERO_BY_DEFAULT or family_of(key[0]) == "gravity"
 
 

@@ -26,39 +26,17 @@ CORRECTIONS = (ZERO, DELAY)
 _POWER_VELOCITY, _POWER_OFFSET = 100.0, 0.01
 
 
-def _load_friction(velocity: FloatArray, load: FloatArray, shape: float) -> FloatArray:
-    """Magnitude of the load, (S15)."""
-    return np.abs(load)
-
-
-def _load_speed_friction(velocity: FloatArray, load: FloatArray, shape: float) -> FloatArray:
-    """|load dq|."""
-    return np.abs(load * velocity)
-
-
-def _direction_friction(velocity: FloatArray, load: FloatArray, shape: float) -> FloatArray:
-    """|dq| - w_a without the direction of motion: the offset is that at the speed w_a."""
-    return np.asarray(velocity - shape * np.sign(velocity))
-
-
-def _stribeck(velocity: FloatArray, load: FloatArray, shape: float) -> FloatArray:
-    """exp(-(dq / w_s)^2), (S10)."""
-    return np.asarray(np.exp(-((velocity / shape) ** 2)))
-
-
-def _power_friction(velocity: FloatArray, load: FloatArray, shape: float) -> FloatArray:
-    """(|dq| / w + s)^p - s^p, (S16)."""
-    speed = np.abs(velocity) / _POWER_VELOCITY + _POWER_OFFSET
-    return np.asarray(speed**shape - _POWER_OFFSET**shape)
-
-
 _LAWS: Mapping[str, Callable[[FloatArray, FloatArray, float], FloatArray]] = {
-    "load-friction": _load_friction,
-    "load-speed-friction": _load_speed_friction,
-    "direction-friction": _direction_friction,
-    "stribeck": _stribeck,
-    "power-friction": _power_friction,
+    "load-friction": lambda velocity, load, shape: np.abs(load),  # (S15)
+    "load-speed-friction": lambda velocity, load, shape: np.abs(load * velocity),
+    # without the direction of motion: the offset is that at the speed of the shape
+    "direction-friction": lambda velocity, load, shape: velocity - shape * np.sign(velocity),
+    "stribeck": lambda velocity, load, shape: np.exp(-((velocity / shape) ** 2)),  # (S10)
+    "power-friction": lambda velocity, load, shape: (  # (S16)
+        (np.abs(velocity) / _POWER_VELOCITY + _POWER_OFFSET) ** shape - _POWER_OFFSET**shape
+    ),
 }
+"""Friction over velocity, load and shape, without the direction of motion, per unit of its size."""
 
 
 def friction_per_size(

@@ -296,7 +296,8 @@ class RecordInputs:
 
     def directions(self, parameters: Sequence[Key]) -> list[Key]:
         """Directions in which the core must differentiate to give derivatives by the parameters."""
-        sizes, requested = _sizes(), set(parameters)
+        effects = (effect for effect in all_effects() if isinstance(effect, RecordEffect))
+        sizes, requested = {name for effect in effects for name in effect.sizes}, set(parameters)
         directions = [key for key in parameters if base_name(key[0]) not in sizes]
         slopes = self.slopes.items()
         return directions + [
@@ -360,9 +361,3 @@ def _inputs_of(
     known |= {name: values.get((record_name, number), 0.0) for name, record_name in names.items()}
     for change in effect.inputs(known, gear_ratio):
         yield change, names
-
-
-def _sizes() -> set[str]:
-    """Names of the sizes of all record effects."""
-    effects = (effect for effect in all_effects() if isinstance(effect, RecordEffect))
-    return {name for effect in effects for name in effect.sizes}

@@ -26,6 +26,7 @@ from strainwave.experiment_design.motions import motion_records
 from strainwave.experiment_design.plan import (
     ADD_SERVO,
     Design,
+    GuessedArm,
     LimitBroken,
     Limits,
     Planned,
@@ -147,6 +148,7 @@ def design(
     stated = study.arm.joints
     study = replace(study, arm=with_known_constants(study.arm, values))
     arm = Arm.of(study.arm)
+    guess = GuessedArm(arm, values, limits)
     arm.parameter_vector(values)  # raises InvalidInput if a parameter is missing
     bands = {j: band_of(arm, values, j, limits.centre) for j in range(1, arm.n_joints + 1)}
     warnings, has_motions = _servo_warnings(study), can_move(study.arm)
@@ -166,9 +168,7 @@ def design(
         progress("optimising the rigid motion")
         with collecting():
             records = motion_records(
-                arm,
-                values,
-                limits,
+                guess,
                 anti_resonance_hz=lowest,
                 starts=_N_STARTS,
                 seed=seed,
@@ -180,10 +180,10 @@ def design(
             continue
         progress(f"sizing the excitation of joint {joint}")
         with collecting():
-            record = voltage_record(arm, values, limits, band, joint, kind=kind, seed=seed)
+            record = voltage_record(guess, band, joint, kind=kind, seed=seed)
             records += (record,)
             if stated[joint - 1].spring != "linear":  # whose stiffness amplitudes do not change
-                sweep, omissions = sweep_records(arm, values, limits, band, record, seed=seed)
+                sweep, omissions = sweep_records(guess, band, record, seed=seed)
                 records += sweep
                 place = Place(part="sweep", joint=joint)
                 warnings += tuple(
@@ -193,7 +193,7 @@ def design(
         if arm.servo is not None:
             progress(f"sizing the steps of joint {joint}")
             with collecting():
-                records += step_records(arm, values, limits, band, joint)
+                records += step_records(guess, band, joint)
     if not records:
         raise failures[0]
     warnings += tuple(
@@ -262,7 +262,6 @@ def _servo_warnings(study: Study) -> tuple[Diagnostic, ...]:
 
 
 def _record_warnings(arm: Arm, known: Values, record: Planned) -> tuple[Diagnostic, ...]:
-    """Warnings about one planned record."""
     place, motion = Place.in_records(record.experiment.name), record.predicted
     warnings = []
     condition = record.condition_number

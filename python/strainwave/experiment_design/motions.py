@@ -15,15 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from strainwave.domain import Experiment, FloatArray, Parameter, Use
-from strainwave.domain.keys import Values
 from strainwave.domain.quantities import Quantity
-from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Trajectory, simulate
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design.plan import (
     HELD_CONTROL,
+    GuessedArm,
     LimitBroken,
-    Limits,
     Planned,
     PredictedMotion,
     Waypoints,
@@ -56,69 +54,61 @@ _QUANTITIES: tuple[Quantity, ...] = (
 )
 
 
-def start_of(arm: Arm, limits: Limits) -> tuple[float, ...]:
-    """Motor angles [rad] at which records begin: the posture in the middle of the limits."""
-    return tuple(arm.motor_accelerations(limits.centre).tolist())
-
-
-def servo_drive(arm: Arm, values: Values, limits: Limits, reference: FloatArray) -> Drive:
+def servo_drive(guess: GuessedArm, reference: FloatArray) -> Drive:
     """Drive of servos that follow references (n_ticks, n_joints), from rest."""
-    start = start_of(arm, limits)
-    return Drive(
-        tick=clock_of(arm),
-        voltage=np.zeros_like(reference),
-        reference=reference,
-        servo=(True,) * arm.n_joints,
-        motor_angle=start,
-        initial_voltage=arm.holding_voltage(values, start),
+    control = (HELD_CONTROL,) * guess.arm.n_joints
+    return guess.drive(clock_of(guess.arm), control, np.zeros_like(reference), reference)
+
+
+def run(guess: GuessedArm, drive: Drive) -> Trajectory:
+    """Response of the guessed arm to a drive: limited quantities and accelerometers."""
+    clock = clock_of(guess.arm)
+    samples = round(len(drive.voltage) * drive.tick / clock)
+    return simulate(
+        guess.arm, guess.values, drive, sample_time=clock, samples=samples, record=_QUANTITIES
     )
 
 
-def run(arm: Arm, values: Values, drive: Drive) -> Trajectory:
-    """Response of the guessed arm to a drive: limited quantities and accelerometers."""
-    clock = clock_of(arm)
-    samples = round(len(drive.voltage) * drive.tick / clock)
-    return simulate(arm, values, drive, sample_time=clock, samples=samples, record=_QUANTITIES)
-
-
-def followed_motion(
-    arm: Arm, values: Values, motion: tuple[FloatArray, FloatArray, FloatArray], limits: Limits
-) -> PredictedMotion:
+def followed_motion(guess: GuessedArm, motion: Motion) -> PredictedMotion:
     """Peak values of a motion of the links that a controller follows without error.
 
-    `motion` has angles, velocities and accelerations (n_ticks, n_joints). The gears transmit what
-    the motors give.
+    The gears transmit what the motors give.
     """
-    torque = arm.inverse_dynamics(arm.parameter_vector(values), *motion)
+    arm = guess.arm
+    torque = arm.inverse_dynamics(arm.parameter_vector(guess.values), *motion)
     ratios = np.abs([joint.gear_ratio for joint in arm.joints])
-    compared = motion[0][:: max(1, int(_DISTANCE_INTERVAL / clock_of(arm)))]
     return PredictedMotion(
-        angle=np.asarray(np.abs(motion[0] - limits.centre).max(axis=0)),
+        **_reach(guess, motion[0]),
         velocity=np.asarray(np.abs(arm.motor_accelerations(motion[1])).max(axis=0)),
         voltage=np.asarray(np.abs(torque / arm.torque_per_volt).max(axis=0)),
         gear_torque=np.asarray(np.abs(torque / ratios).max(axis=0)),
         rest_share=np.zeros(arm.n_joints),
-        distance=float(smallest_distance(arm, values, compared, limits.distance).min()),
     )
 
 
-def predicted_motion(arm: Arm, values: Values, drive: Drive, limits: Limits) -> PredictedMotion:
+def predicted_motion(guess: GuessedArm, drive: Drive) -> PredictedMotion:
     """Peak values of the guessed arm's response, and the share of time in which motors stick."""
-    trajectory = run(arm, values, drive)
+    trajectory = run(guess, drive)
 
     def peak(name: Quantity) -> FloatArray:
         return np.asarray(np.abs(trajectory[name]).max(axis=0))
 
-    angle = trajectory["link_angle"]
-    compared = angle[:: max(1, int(_DISTANCE_INTERVAL / clock_of(arm)))]
     return PredictedMotion(
-        angle=np.asarray(np.abs(angle - limits.centre).max(axis=0)),
+        **_reach(guess, trajectory["link_angle"]),
         velocity=peak("motor_velocity"),
         voltage=peak("voltage"),
         gear_torque=peak("gear_torque"),
         rest_share=np.asarray((trajectory["sliding"] == 0.0).mean(axis=0)),
-        distance=float(smallest_distance(arm, values, compared, limits.distance).min()),
     )
+
+
+def _reach(guess: GuessedArm, angle: FloatArray) -> dict[str, Any]:
+    """Largest angles from the middle of the limits, and smallest distance of two links."""
+    limits = guess.limits
+    compared = angle[:: max(1, int(_DISTANCE_INTERVAL / clock_of(guess.arm)))]
+    distance = smallest_distance(guess.arm, guess.values, compared, limits.distance)
+    largest = np.asarray(np.abs(angle - limits.centre).max(axis=0))
+    return {"angle": largest, "distance": float(distance.min())}
 
 
 _MAX_MOTION_HZ = 1.0  # highest frequency of the motion
@@ -132,9 +122,7 @@ _MAX_ATTEMPTS = 20  # reduce the motion to 1/4
 
 
 def motion_records(
-    arm: Arm,
-    values: Values,
-    limits: Limits,
+    guess: GuessedArm,
     *,
     anti_resonance_hz: float | None,
     starts: int,
@@ -152,11 +140,11 @@ def motion_records(
     top = _MAX_MOTION_HZ
     if anti_resonance_hz:
         top = min(top, anti_resonance_hz / _MIN_RESONANCE_RATIO)
-    tick = clock_of(arm)
-    period = tick * round(N_HARMONICS / top / tick)
-    search = Search(arm, values, limits, period)
-    rest, posture = np.zeros((1, arm.n_joints)), limits.centre[None]
-    distance = float(smallest_distance(arm, values, posture, limits.distance)[0])
+    tick, limits = clock_of(guess.arm), guess.limits
+    search = Search(guess, tick * round(N_HARMONICS / top / tick))
+    posture = limits.centre[None]
+    rest = np.zeros_like(posture)
+    distance = float(smallest_distance(guess.arm, guess.values, posture, limits.distance)[0])
     if distance < limits.distance:
         raise InvalidInput(
             f"two links are {distance:.3g} m apart in the posture in which records begin",
@@ -171,17 +159,16 @@ def motion_records(
             where="--limit-voltage",
             remedy="check torque_per_volt, the gravity torques and the voltage limit",
         )
-    motions = optimise(arm, values, limits, period=period, starts=starts, seed=seed)
+    motions = optimise(search, starts, seed)
     uses: tuple[tuple[str, Use], ...] = (("motion", "motion"), ("motion-check", "check"))
     return tuple(
-        _record(search, values, series, *use, torque_errors, longest)
+        _record(search, series, *use, torque_errors, longest)
         for series, use in zip(motions, uses, strict=False)
     )
 
 
 def _record(
     search: Search,
-    values: Values,
     series: Fourier,
     name: str,
     use: Use,
@@ -191,14 +178,14 @@ def _record(
     """Record of one series, reduced until the simulated arm satisfies all limits."""
     arm, limits = search.arm, search.limits
     allowed = (longest - 2.0 * _LEAD_TIMES[-1]) / series.period
-    periods, reason = _periods(search, values, series, int(np.clip(allowed, 1, _MAX_PERIODS)))
+    periods, reason = _periods(search, series, int(np.clip(allowed, 1, _MAX_PERIODS)))
     for _ in range(_MAX_ATTEMPTS):
-        planned = _drive(search, values, series, periods)
+        planned = _drive(search, series, periods)
         drive = planned.drive
         if arm.servo is None:
-            motion = followed_motion(arm, values, planned.links, limits)
+            motion = followed_motion(search.guess, planned.links)
         else:
-            motion = predicted_motion(arm, values, drive, limits)
+            motion = predicted_motion(search.guess, drive)
         if motion.use_of(limits) <= 1.0:
             break
         centre = limits.centre
@@ -226,18 +213,18 @@ def _record(
             f"{planned.lead:g} s of lead-in and of lead-out",
         ),
         condition_number=condition,
-        precision=_precision(search, values, series, periods, torque_errors),
+        precision=_precision(search, series, periods, torque_errors),
         waypoints=planned.waypoints,
     )
 
 
 def _precision(
-    search: Search, values: Values, series: Fourier, periods: int, torque_errors: FloatArray
+    search: Search, series: Fourier, periods: int, torque_errors: FloatArray
 ) -> tuple[Parameter, ...]:
     """Predicted rigid parameters of a record."""
     motion, top_hz = series.at(search.time), N_HARMONICS / series.period
     std = standard_deviations(search, motion, top_hz, torque_errors)
-    return tuple(predicted_rigid_parameters(search.arm, values, std / np.sqrt(periods)))
+    return tuple(predicted_rigid_parameters(search.arm, search.values, std / np.sqrt(periods)))
 
 
 class _PlannedDrive(NamedTuple):
@@ -248,7 +235,7 @@ class _PlannedDrive(NamedTuple):
     waypoints: Waypoints
 
 
-def _drive(search: Search, values: Values, series: Fourier, periods: int) -> _PlannedDrive:
+def _drive(search: Search, series: Fourier, periods: int) -> _PlannedDrive:
     """References of a complete record."""
     arm = search.arm
     tick = clock_of(arm)
@@ -264,11 +251,15 @@ def _drive(search: Search, values: Values, series: Fourier, periods: int) -> _Pl
     parts = zip(lead_in, steady, lead_out, strict=True)
     angles, velocities, accelerations = (np.concatenate(x) for x in parts)
     angle = arm.motor_accelerations(angles)
-    waypoints = _waypoints((angles, velocities, accelerations), tick, series, rest)
+    links = (angles, velocities, accelerations)
+    interval = series.period / (N_HARMONICS * _WAYPOINTS_PER_CYCLE)
+    index = np.arange(0, len(links[0]), max(1, int(interval / tick)))
+    states = (np.vstack([x[index], last]) for x, last in zip(links, rest, strict=True))
+    waypoints = Waypoints(tick * np.append(index, len(links[0])), *states)
     # the servo differentiates the encoder reading, so its reference is the difference of the angle
     reference = np.diff(angle, axis=0, append=angle[-1:]) / tick
     return _PlannedDrive(
-        servo_drive(arm, values, search.limits, reference),
+        servo_drive(search.guess, reference),
         angle,
         (angles, velocities, accelerations),
         float(lead),
@@ -276,29 +267,19 @@ def _drive(search: Search, values: Values, series: Fourier, periods: int) -> _Pl
     )
 
 
-def _waypoints(
-    links: Motion, tick: float, series: Fourier, rest: Sequence[FloatArray]
-) -> Waypoints:
-    """Points of a link motion from which a controller interpolates it, and of rest at its end."""
-    interval = series.period / (N_HARMONICS * _WAYPOINTS_PER_CYCLE)
-    index = np.arange(0, len(links[0]), max(1, int(interval / tick)))
-    states = (np.vstack([x[index], last]) for x, last in zip(links, rest, strict=True))
-    return Waypoints(tick * np.append(index, len(links[0])), *states)
-
-
 def _ticks(duration: float, tick: float) -> FloatArray:
     time: FloatArray = tick * np.arange(round(duration / tick), dtype=np.float64)
     return time
 
 
-def _periods(search: Search, values: Values, series: Fourier, most: int) -> tuple[int, str]:
+def _periods(search: Search, series: Fourier, most: int) -> tuple[int, str]:
     """Number of periods that the noise of the encoders requires, and its reason."""
     arm = search.arm
     single = "1 period, because a repetition only averages noise"
     if not all(joint.encoder_counts for joint in arm.joints):
         return 1, f"{single}; the encoder noise is unknown"
     std = standard_deviations(search, series.at(search.time), N_HARMONICS / series.period)
-    sizes = reference_sizes(arm, values)
+    sizes = reference_sizes(arm, search.values)
     worst = max(s / sizes[k] for k, s in enumerate(std) if k in sizes)
     required_periods = int(np.ceil((worst / _TARGET_RELATIVE_STD) ** 2))
     if required_periods == 1:

@@ -21,7 +21,7 @@ from strainwave.domain import FloatArray
 from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors.link_space import attitude
 from strainwave.dynamics.arm import Arm
-from strainwave.experiment_design.plan import Limits
+from strainwave.experiment_design.plan import GuessedArm, Limits
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 
 _MIN_SQUARED_LENGTH = 1e-12  # [m^2] of a segment; shorter ones are points
@@ -206,16 +206,13 @@ def scaled_regressor(arm: Arm, limits: Limits, motion: Motion) -> FloatArray:
     return np.asarray(rows / np.maximum(norms, 1e-300))
 
 
-def optimise(
-    arm: Arm, values: Values, limits: Limits, *, period: float, starts: int, seed: int
-) -> tuple[Fourier, ...]:
+def optimise(search: Search, starts: int, seed: int) -> tuple[Fourier, ...]:
     """Motions of low condition number within the limits, one per start, the best first.
 
     Each search starts from one of the best of many random series.
     """
     from scipy.optimize import minimize
 
-    search = Search(arm, values, limits, period)
     rng = np.random.default_rng(seed)
     with one_blas_thread():
         candidates = rng.normal(size=(_N_RANDOM_SERIES, search.n_unknowns))
@@ -249,12 +246,13 @@ class Search:
     harmonics + 1) numbers.
     """
 
-    def __init__(self, arm: Arm, values: Values, limits: Limits, period: float) -> None:
-        self.arm, self.limits, self.period = arm, limits, period
-        self.values, self.vector = values, arm.parameter_vector(values)
+    def __init__(self, guess: GuessedArm, period: float) -> None:
+        self.guess, self.period = guess, period
+        self.arm, self.values, self.limits = guess.arm, guess.values, guess.limits
+        self.vector = self.arm.parameter_vector(self.values)
         self.time: FloatArray = period / _N_SAMPLES * np.arange(_N_SAMPLES, dtype=np.float64)
         self.waves = waves(period, N_HARMONICS, self.time)
-        self.n_unknowns = arm.n_joints * (2 * N_HARMONICS + 1)
+        self.n_unknowns = self.arm.n_joints * (2 * N_HARMONICS + 1)
 
     def cost(self, points: FloatArray) -> FloatArray:
         """Logarithm of the condition numbers of the feasible series of points."""
@@ -296,7 +294,6 @@ class Search:
         return feasible.shape.scaled(feasible.scale)
 
     def _feasible(self, points: FloatArray) -> _Feasible:
-        """Feasible series of points."""
         n = self.arm.n_joints
         table = points.reshape(*points.shape[:-1], -1, n)
         limit = _ANGLE_SHARE * np.array(self.limits.angle)

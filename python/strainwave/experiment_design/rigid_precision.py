@@ -53,7 +53,11 @@ def standard_deviations(
     acceleration = np.sqrt((2.0 * np.pi) ** 4 * bandwidth**5 / 5.0 * density)
     torque = arm.inverse_dynamics(search.vector, *motion)
     further = torque_errors * np.sqrt(np.mean(torque**2, axis=0))
-    error = np.hypot(_inertia_at_motor(search) * acceleration, further)
+    n = search.arm.n_joints
+    rest, of_motors = np.zeros((n, n)), search.arm.links_of(np.eye(n))
+    accelerated = search.arm.inverse_dynamics(search.vector, rest, rest, of_motors)
+    static = search.arm.inverse_dynamics(search.vector, rest, rest, rest)
+    error = np.hypot(np.diagonal(accelerated - static) * acceleration, further)
     rows = full_regressor(arm, motion) / error[:, None]
     n_independent = 2.0 * bandwidth * search.period
     rows = rows.reshape(-1, rows.shape[2]) * np.sqrt(n_independent / len(motion[0]))
@@ -93,15 +97,6 @@ def reference_sizes(arm: Arm, values: Values) -> dict[int, float]:
             ]
             sizes[k] = max(alike)
     return {k: size for k, size in enumerate(sizes) if size > 0.0}
-
-
-def _inertia_at_motor(search: Search) -> FloatArray:
-    """Inertia at each motor with the arm stretched: (n_joints,)."""
-    n = search.arm.n_joints
-    rest, of_motors = np.zeros((n, n)), search.arm.links_of(np.eye(n))
-    accelerated = search.arm.inverse_dynamics(search.vector, rest, rest, of_motors)
-    static = search.arm.inverse_dynamics(search.vector, rest, rest, rest)
-    return np.diagonal(accelerated - static)
 
 
 def predicted_precision(

@@ -23,12 +23,12 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory
 from strainwave.dynamics.two_inertia import TwoInertia, anti_resonance, resonance
 from strainwave.errors import InvalidInput
-from strainwave.experiment_design.motions import predicted_motion, run, start_of
+from strainwave.experiment_design.motions import predicted_motion, run
 from strainwave.experiment_design.plan import (
     FREE_CONTROL,
     HELD_CONTROL,
+    GuessedArm,
     LimitBroken,
-    Limits,
     Planned,
     PredictedMotion,
     clock_of,
@@ -116,9 +116,7 @@ _ROUNDING = 1e-12  # of limits that an amplitude reaches exactly
 class Signal:
     """One joint's excitation of unit amplitude."""
 
-    arm: Arm
-    values: Values
-    limits: Limits
+    guess: GuessedArm
     joint: int  # from 1
     kind: Kind
     clock: float  # [s]
@@ -137,28 +135,13 @@ class Signal:
 
         Servos hold the other controlled joints at zero velocity.
         """
-        voltage = np.zeros((periods * self.ticks, self.arm.n_joints))
+        voltage = np.zeros((periods * self.ticks, self.guess.arm.n_joints))
         voltage[:, self.joint - 1] = amplitude * np.tile(self.shape, periods)
-        start = start_of(self.arm, self.limits)
-        return Drive(
-            tick=self.clock,
-            voltage=voltage,
-            reference=np.zeros_like(voltage),
-            servo=tuple(c == "servo" for c in control),
-            motor_angle=start,
-            initial_voltage=self.arm.holding_voltage(self.values, start),
-        )
+        return self.guess.drive(self.clock, control, voltage, np.zeros_like(voltage))
 
 
 def voltage_record(
-    arm: Arm,
-    values: Values,
-    limits: Limits,
-    band: ExcitationBand,
-    joint: int,
-    *,
-    kind: Kind,
-    seed: int,
+    guess: GuessedArm, band: ExcitationBand, joint: int, *, kind: Kind, seed: int
 ) -> Planned:
     """One joint's excitation with the largest amplitude within the limits.
 
@@ -167,7 +150,7 @@ def voltage_record(
     `seed` is that of a multisine's phases. Raises InvalidInput if a multisine would need a servo,
     and LimitBroken if no amplitude satisfies the limits.
     """
-    signal = _design_signal(arm, values, limits, band, joint, kind, seed)
+    arm, signal = guess.arm, _design_signal(guess, band, joint, kind, seed)
     kinds = [FREE_CONTROL, HELD_CONTROL]
     if arm.gravity:
         kinds = [HELD_CONTROL]
@@ -183,10 +166,10 @@ def voltage_record(
         )
     periods, reason = SETTLING_PERIODS + MIN_PERIODS, ""
     for _ in range(2):  # a free joint drifts further in more periods
-        results = [_largest_amplitude(signal, periods, limits, control) for control in controls]
+        results = [_largest_amplitude(signal, periods, control) for control in controls]
         feasible = [(a, c, m) for (a, m), c in zip(results, controls, strict=True) if m]
         if not feasible:
-            raise _limit_error(signal, periods, limits, controls[0])
+            raise _limit_error(signal, periods, controls[0])
         amplitude, control, motion = max(feasible, key=lambda f: f[2].gear_torque[joint - 1])
         required_periods, reason = _required_periods(
             signal, signal.drive(amplitude, periods, control), band
@@ -207,13 +190,7 @@ def voltage_record(
 
 
 def sweep_records(
-    arm: Arm,
-    values: Values,
-    limits: Limits,
-    band: ExcitationBand,
-    full: Planned,
-    *,
-    seed: int,
+    guess: GuessedArm, band: ExcitationBand, full: Planned, *, seed: int
 ) -> tuple[tuple[Planned, ...], tuple[str, ...]]:
     """Copies of a joint's PRBS at lower amplitudes, and the reasons why others are omitted.
 
@@ -223,12 +200,12 @@ def sweep_records(
     original = full.experiment
     if original.prbs is None or original.joint is None:
         return (), ()
-    signal = _design_signal(arm, values, limits, band, original.joint, "prbs", seed)
-    planned, omissions = [], []
+    signal = _design_signal(guess, band, original.joint, "prbs", seed)
+    limits, planned, omissions = guess.limits, list[Planned](), list[str]()
     for share in _SWEEP_SHARES:
         amplitude = float(f"{share * original.prbs.amplitude:.2g}")
         drive = signal.drive(amplitude, original.prbs.periods, original.control)
-        motion = predicted_motion(arm, values, drive, limits)
+        motion = predicted_motion(guess, drive)
         if motion.use_of(limits) > 1.0 + _ROUNDING:  # a free arm drifts even at low amplitudes
             omissions.append(f"at {amplitude:g} V {motion.broken(limits)}")
             continue
@@ -252,15 +229,14 @@ def sweep_records(
     return tuple(planned), tuple(omissions)
 
 
-def _limit_error(
-    signal: Signal, periods: int, limits: Limits, control: tuple[Control, ...]
-) -> LimitBroken:
+def _limit_error(signal: Signal, periods: int, control: tuple[Control, ...]) -> LimitBroken:
     """Error with the limits that the smallest useful amplitude violates."""
+    limits = signal.guess.limits
     top = limits.voltage[signal.joint - 1]
     amplitude = _MIN_AMPLITUDE_SHARE * top
     while True:
         drive = signal.drive(amplitude, periods, control)
-        motion = predicted_motion(signal.arm, signal.values, drive, limits)
+        motion = predicted_motion(signal.guess, drive)
         if (_is_moving(motion, signal.joint) and motion.broken(limits)) or amplitude >= top:
             break
         amplitude = min(1.5 * amplitude, top)
@@ -274,16 +250,10 @@ def _limit_error(
 
 
 def _design_signal(
-    arm: Arm,
-    values: Values,
-    limits: Limits,
-    band: ExcitationBand,
-    joint: int,
-    kind: Kind,
-    seed: int,
+    guess: GuessedArm, band: ExcitationBand, joint: int, kind: Kind, seed: int
 ) -> Signal:
     """PRBS with clock and order, or multisine with lines, for a band."""
-    tick = clock_of(arm)
+    tick = clock_of(guess.arm)
     divider = max(1, int(_HALF_POWER_RATIO / band.high_hz / tick)) if kind == "prbs" else 1
     clock = tick * divider
     order = int(np.ceil(np.log2(band.period / clock + 1.0)))
@@ -299,7 +269,7 @@ def _design_signal(
         shape = excitation.multisine(
             lines, period=period, clock=clock, periods=1, peak=1.0, rng=rng
         )
-    return Signal(arm, values, limits, joint, kind, clock, order, ticks, lines, shape)
+    return Signal(guess, joint, kind, clock, order, ticks, lines, shape)
 
 
 def _excited_band(signal: Signal) -> tuple[float, float]:
@@ -309,14 +279,15 @@ def _excited_band(signal: Signal) -> tuple[float, float]:
 
 
 def _largest_amplitude(
-    signal: Signal, periods: int, limits: Limits, control: tuple[Control, ...]
+    signal: Signal, periods: int, control: tuple[Control, ...]
 ) -> tuple[float, PredictedMotion | None]:
     """Largest amplitude within the limits, rounded down, and its predicted motion."""
+    limits = signal.guess.limits
     top = limits.voltage[signal.joint - 1]
 
     def predict_within_limits(amplitude: float, count: int) -> PredictedMotion | None:
         drive = signal.drive(amplitude, count, control)
-        motion = predicted_motion(signal.arm, signal.values, drive, limits)
+        motion = predicted_motion(signal.guess, drive)
         is_saturated = (motion.voltage > _MAX_VOLTAGE_SHARE * np.array(limits.voltage)).any()
         if "servo" in control and is_saturated:
             return None
@@ -355,9 +326,9 @@ def _required_periods(signal: Signal, drive: Drive, band: ExcitationBand) -> tup
     The amplitude of a line has the standard deviation sqrt(2 S/T) for a period T and noise of
     density S. The encoder's rounding has S = 2 t q^2/12, times w^2 for the velocity.
     """
-    arm = signal.arm
+    arm = signal.guess.arm
     tick = clock_of(arm)
-    trajectory = run(arm, signal.values, drive)
+    trajectory = run(signal.guess, drive)
     description = arm.joints[signal.joint - 1]
     ratios = {}
     if description.encoder_counts:

@@ -179,7 +179,6 @@ def _base_precision(design: Design) -> Iterator[str]:
 
 
 def _sensors(study: Study) -> Iterator[str]:
-    """Sensors of each joint."""
     for i, joint in enumerate(study.arm.joints, start=1):
         counts = joint.encoder_counts
         axes = installed_axes(study.arm, i, study.channels)

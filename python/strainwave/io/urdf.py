@@ -120,7 +120,6 @@ def patch_urdf(
 
 
 def _children(parent: minidom.Element | minidom.Document, tag: str) -> list[minidom.Element]:
-    """Child elements of a name."""
     nodes = (node for node in parent.childNodes if isinstance(node, minidom.Element))
     return [node for node in nodes if node.tagName == tag]
 

@@ -312,7 +312,6 @@ def compare(results: Sequence[ResultEstimates], level: float = 0.05) -> ResultCo
 
 
 def _adjust_tests(comparison: ResultComparison) -> ResultComparison:
-    """Return the comparison with adjusted p-values."""
     p_values = adjust_p_values([test.p for test in comparison.tests])
     adjusted = dict(zip(map(id, comparison.tests), p_values, strict=True))
 

@@ -139,22 +139,17 @@ def check_inputs(
     arm = Arm.of(study.arm)
     usable, warnings = hygiene.repair_records(raw_logs, arm)
     if raw_logs and not usable:
-        raise _nothing_usable(study, warnings)
+        causes = "; ".join(dict.fromkeys(f"{each.where}: {each.observation}" for each in warnings))
+        raise InvalidInput(
+            f"no record is usable ({causes})",
+            where=str(study.path),
+            remedy="correct the sensor or its cable, and record again",
+        )
     warnings = (*(warning for log in raw_logs for warning in log.warnings), *warnings)
     inputs = Inputs(study, arm, usable, stages)
     agreement = consistency.check_consistency(usable, study)
     agreement = agreement.suspecting(accept=study.options.accept)
     return CheckedInputs(inputs, agreement, (*warnings, *agreement.warnings))
-
-
-def _nothing_usable(study: Study, warnings: Sequence[Diagnostic]) -> InvalidInput:
-    """The error for a study whose records are all excluded."""
-    causes = "; ".join(dict.fromkeys(f"{each.where}: {each.observation}" for each in warnings))
-    return InvalidInput(
-        f"no record is usable ({causes})",
-        where=str(study.path),
-        remedy="correct the sensor or its cable, and record again",
-    )
 
 
 def check_input(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 
 from rich.console import Console
@@ -25,6 +26,7 @@ from strainwave.domain.formatting import percent, plus_minus
 from strainwave.domain.keys import Key
 from strainwave.presentation.report import (
     advice,
+    blocks,
     by_severity,
     drive_note,
     gain_sentences,
@@ -216,11 +218,21 @@ def printed_table(*heads: str | Cell) -> Table:
     """An empty table for the terminal; columns whose head is a number are on the right."""
     table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold")
     for head in heads:
-        if isinstance(head, Cell):
-            table.add_column(Text(head.text), justify="right")
-        else:
-            table.add_column(Text(head))
+        cell = head if isinstance(head, Cell) else Cell(head)
+        table.add_column(Text(cell.text), justify="right" if cell.kind == "number" else "left")
     return table
+
+
+def print_tables(console: Console, *tables: Iterable[blocks.Table]) -> None:
+    """Print tables of a page with their titles, without rows that title others."""
+    for each in chain(*tables):
+        table = printed_table(*each.heads)
+        for row in each.rows:
+            if not isinstance(row, blocks.Group):
+                table.add_row(*(Text(cell.text) for cell in row))
+        console.print()
+        console.print(Text(each.label, style="bold"))
+        console.print(table)
 
 
 def _parameter_table(decisions: Sequence[Decision], truth: Truth | None) -> Table:

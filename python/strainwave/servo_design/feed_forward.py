@@ -127,12 +127,19 @@ def feed_forward(
     held = model.follow(motion, halves)
     shares = _friction_shares(arm) if friction_share is None else _checked(friction_share, n)
     acceleration = np.diff(held.motor_velocity[::2], axis=0) / period
-    velocity = _friction_velocity(arm, period, np.abs(acceleration).max(axis=0))
+    counts = np.array([joint.encoder_resolution for joint in arm.study.arm.joints])
+    velocity = np.asarray(
+        np.where(counts > 0.0, counts / period, np.abs(acceleration).max(axis=0) * period)
+    )
     friction = shares * _mean(held.dry_friction * _smooth_sign(held.motor_velocity, velocity))
     torque = model.column("motor_inertia") * acceleration + _mean(held.steady_torque)
     torque = torque + model.lags * np.gradient(torque, period, axis=0)
     voltage = (torque + friction) / model.torque_per_volt
-    _check_voltage(arm, ticks, voltage)
+    servo = arm.study.arm.servo
+    if servo is not None:
+        for i, of_joint in enumerate(np.abs(voltage).T):
+            _check_limit("the voltage limit of the servo", "V", ticks, of_joint, servo.limit, i)
+
     return FeedForward(
         time=ticks,
         link_angle=at_ticks.link[0],
@@ -313,12 +320,6 @@ def _smooth_sign(velocity: FloatArray, transition: FloatArray) -> FloatArray:
     )
 
 
-def _friction_velocity(arm: IdentifiedArm, period: float, acceleration: FloatArray) -> FloatArray:
-    """Velocity [rad/s] over which compensation changes its sign: (n_joints,)."""
-    counts = np.array([joint.encoder_resolution for joint in arm.study.arm.joints])
-    return np.asarray(np.where(counts > 0.0, counts / period, acceleration * period))
-
-
 def _friction_shares(arm: IdentifiedArm) -> FloatArray:
     """Lower limits of Coulomb friction over the estimates: (n_joints,)."""
     shares = np.ones(arm.study.arm.n_joints)
@@ -369,13 +370,6 @@ def _check_limits(arm: IdentifiedArm, time: FloatArray, at: _Instants) -> None:
         for name, unit, size, limit, sign in checks:
             if limit is not None:
                 _check_limit(f"the {name} limit", unit, time, size, limit, i, sign)
-
-
-def _check_voltage(arm: IdentifiedArm, time: FloatArray, voltage: FloatArray) -> None:
-    servo = arm.study.arm.servo
-    if servo is not None:
-        for i, of_joint in enumerate(np.abs(voltage).T):
-            _check_limit("the voltage limit of the servo", "V", time, of_joint, servo.limit, i)
 
 
 def _check_limit(

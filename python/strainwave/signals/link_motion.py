@@ -14,7 +14,6 @@ from strainwave.domain import (
     Diagnostic,
     FloatArray,
     Fusion,
-    Joint,
     Lag,
     LinkOptions,
     LinkSignals,
@@ -222,7 +221,13 @@ class _FilteredLog:
         log, arm = _remove_delays(record.log, record.arm, delays), record.arm
         self.record, self.log, self.arm, self.options = record, log, arm, options
         self.sources = tuple(_source(log, arm, i) for i in range(1, arm.n_joints + 1))
-        self.shared = _distinct_lags(arm.joints, self.sources)
+        self.shared = tuple(
+            dict.fromkeys(
+                lag
+                for joint, source in zip(arm.joints, self.sources, strict=True)
+                for lag in sensor_lags(joint, _CHANNEL.get(source, ""))
+            )
+        )
         # The largest band of all joints: a joint with little motion does not determine a band.
         self.band = max(record.bands_hz)
         differenced = any(s != "accelerometer" for s in self.sources)
@@ -309,16 +314,6 @@ def _source(log: Log, arm: Arm, joint: int) -> LinkSource:
     if f"deflection{joint}" in log.channels:
         return "deflection"
     return "gyro" if f"gyro{joint}" in log.channels else "motor"
-
-
-def _distinct_lags(joints: Sequence[Joint], sources: Sequence[LinkSource]) -> tuple[Lag, ...]:
-    """Low-pass filters of all sensors, without duplicates."""
-    owned = [
-        lag
-        for j, s in zip(joints, sources, strict=True)
-        for lag in sensor_lags(j, _CHANNEL.get(s, ""))
-    ]
-    return tuple(dict.fromkeys(owned))
 
 
 @dataclass

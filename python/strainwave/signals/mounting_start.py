@@ -110,7 +110,6 @@ def _axis_tables(logs: Sequence[Log], arm: Arm, axes: Sequence[Axis]) -> list[Fl
 
 
 def _cutoff_hz(log: Log) -> float:
-    """Cutoff frequency [Hz] for a record."""
     return max(_MAX_FREQUENCY_HZ, _MIN_PERIODS / (len(log) * log.sample_time))
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Log, Prbs
+from strainwave.domain import FloatArray, Log
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors.interface import TORQUE_HOLD
 from strainwave.dynamics import excitation
@@ -34,7 +34,10 @@ def recorded_drive(arm: Arm, log: Log) -> Drive:
         else:
             reference[:, i] = log.channels.get(f"ref{i + 1}", reference[:, i])
             if experiment.prbs and experiment.joint == i + 1 and not log.is_continuation:
-                voltage[:, i] = _sample_prbs(experiment.prbs, log)
+                sequence = excitation.prbs(experiment.prbs)
+                time = np.arange(len(log)) * log.sample_time
+                clock_index = np.floor(time / experiment.prbs.clock + 1e-9).astype(int)
+                voltage[:, i] = sequence[clock_index % len(sequence)]
     servo_voltage = record.voltage[0] - voltage[0]
     return Drive(
         tick=log.sample_time,
@@ -130,12 +133,3 @@ def check_servo_clock(arm: Arm, log: Log) -> None:
             where=log.name,
             remedy="correct the time stamps of the log, or period in [servo]",
         ) from error
-
-
-def _sample_prbs(prbs: Prbs, log: Log) -> FloatArray:
-    """PRBS voltage at each sample of a record from its start, held over its clock."""
-    sequence = excitation.prbs(prbs)
-    time = np.arange(len(log)) * log.sample_time
-    clock_index = np.floor(time / prbs.clock + 1e-9).astype(int)
-    held: FloatArray = sequence[clock_index % len(sequence)]
-    return held

@@ -35,7 +35,9 @@ def sliding_direction(angle: FloatArray, resolution: float, standing: int) -> Fl
         run = sign * angle[start : stop + 1]
         inside = (run > run[0] + resolution) & (run < run[-1] - resolution)
         direction[start : stop + 1][inside] = sign
-    direction[_detect_standstill(angle, resolution, standing)] = 0.0
+    width = max(2, standing)
+    spread = running(np.maximum, angle, width) - running(np.minimum, angle, width)
+    direction[running(np.logical_or, spread <= resolution, width)] = 0.0
     return direction
 
 
@@ -44,7 +46,10 @@ def _find_monotone_runs(angle: FloatArray, resolution: float) -> list[tuple[int,
     runs: list[tuple[int, int, int]] = []
     start, extreme, sign = 0, 0, 0
     low = high = 0
-    turns = _turning_points(angle)
+    steps = np.diff(angle)
+    moving = np.flatnonzero(steps)
+    reverses = np.diff(np.sign(steps[moving])) != 0.0
+    turns = [0, *(moving[np.r_[reverses, True][: len(moving)]] + 1).tolist()]
     values = dict(zip(turns, angle[turns].tolist(), strict=True))
     for k, value in values.items():
         if sign == 0:
@@ -61,21 +66,6 @@ def _find_monotone_runs(angle: FloatArray, resolution: float) -> list[tuple[int,
     if sign != 0:
         runs.append((start, extreme, sign))
     return runs
-
-
-def _turning_points(angle: FloatArray) -> list[int]:
-    """The first sample, the last change of the angle, and all turning points between them."""
-    steps = np.diff(angle)
-    moving = np.flatnonzero(steps)
-    reverses = np.diff(np.sign(steps[moving])) != 0.0
-    return [0, *(moving[np.r_[reverses, True][: len(moving)]] + 1).tolist()]
-
-
-def _detect_standstill(angle: FloatArray, resolution: float, standing: int) -> BoolArray:
-    """Samples in a window of `standing` samples in which the angle stays within the resolution."""
-    width = max(2, standing)
-    spread = running(np.maximum, angle, width) - running(np.minimum, angle, width)
-    return running(np.logical_or, spread <= resolution, width)
 
 
 def running(extreme: np.ufunc, values: NDArray[Value], width: int) -> NDArray[Value]:

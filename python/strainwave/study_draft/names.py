@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
 from strainwave.domain import channel_kinds
-from strainwave.domain.kinds import all_kinds
+from strainwave.domain.kinds import KINDS
 
 Quantity = Literal[
     "temperature",
@@ -46,7 +46,7 @@ _SYMBOL_ROLE = re.compile("(q|dq|qd|ddq|qdd|tau|th|theta|u|i)([a-z]{3,})")
 _MIN_COMPOUND_PART = 3  # letters of a Latin word inside another
 
 
-MAX_JOINTS = max(kind.max_joints for kind in all_kinds())
+MAX_JOINTS = max(kind.max_joints for kind in KINDS.values())
 """Most joints of an arm that study files can describe."""
 AXIS = re.compile(r"(?<![A-Za-z])[xyz](?![A-Za-z])", re.IGNORECASE)  # of a sensor, in a name
 _CHANNEL = re.compile(rf"({'|'.join(channel_kinds())})\d")

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
-from pathlib import Path
-
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.requests import Request
@@ -12,6 +9,7 @@ from starlette.responses import FileResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
+from strainwave.presentation.report.blocks import plotly_script
 from strainwave.workbench.pages import ROUTES
 from strainwave.workbench.security import Guard, allowed_hosts
 from strainwave.workbench.server import ServerOptions
@@ -39,8 +37,6 @@ def create_app(options: ServerOptions, port: int) -> Starlette:
 
 def _plotly(_request: Request) -> Response:
     """The script of the installed plotly package, which reports contain as well."""
-    spec = find_spec("plotly")
-    if spec is None or spec.origin is None:
-        raise ModuleNotFoundError("plotly")
-    script = Path(spec.origin).parent / "package_data" / "plotly.min.js"
-    return FileResponse(script, media_type="text/javascript", headers={"cache-control": _DAY})
+    return FileResponse(
+        plotly_script(), media_type="text/javascript", headers={"cache-control": _DAY}
+    )

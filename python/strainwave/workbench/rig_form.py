@@ -79,8 +79,8 @@ def _joint_keys(*, is_placed: bool) -> list[StudyKey]:
 def _fields(table: Mapping[str, Any], place: Place, rows: Iterable[StudyKey]) -> Iterator[Field]:
     reasons = comments_of(table)
     choices = {
-        ("arm", "kind"): tuple(kind.name for kind in kinds.all_kinds()),
-        ("joint", "spring"): (gear_laws.AUTO, *gear_laws.names()),
+        ("arm", "kind"): tuple(kinds.KINDS),
+        ("joint", "spring"): (gear_laws.AUTO, *gear_laws.LAWS),
         ("joint", "motion"): get_args(Motion),
         ("servo", "kind"): ("pi-velocity",),
     }

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
-from starlette.routing import Route
+from starlette.routing import BaseRoute, Route
 
 from strainwave import __version__
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
@@ -37,6 +37,9 @@ TABS = (
 )
 
 Body = Mapping[str, Any]
+Answer = TypeVar("Answer", bound=Callable[..., Any])
+GetJson = TypeVar("GetJson", bound=Callable[[Request], object])
+PostJson = TypeVar("PostJson", bound=Callable[[Request, Body], object])
 
 
 def workspace_of(request: Request) -> Workspace:
@@ -78,28 +81,45 @@ def json_response(value: object, status: int = 200) -> Response:
     return Response(body, status, media_type="application/json")
 
 
-def get_page(path: str, answer: Callable[[Request], Response]) -> Route:
-    """A page whose function runs in a thread."""
-    return Route(path, answer, methods=["GET"])
+class Routes(list[BaseRoute]):
+    """The addresses of one page, in the order of the functions that answer them.
 
+    Functions run in a thread unless they are coroutines.
+    """
 
-def get_json(path: str, answer: Callable[[Request], object]) -> Route:
-    """An address that returns the value of a function as JSON; the function runs in a thread."""
+    def page(self, path: str, method: str = "GET") -> Callable[[Answer], Answer]:
+        """Let a function answer an address."""
 
-    async def endpoint(request: Request) -> Response:
-        return json_response(await run_in_threadpool(answer, request))
+        def add(answer: Answer) -> Answer:
+            self.append(Route(path, answer, methods=[method]))
+            return answer
 
-    return Route(path, endpoint, methods=["GET"])
+        return add
 
+    def get(self, path: str) -> Callable[[GetJson], GetJson]:
+        """Let an address return the value of a function as JSON."""
 
-def post_json(path: str, answer: Callable[[Request, Body], object]) -> Route:
-    """An address that gets and returns JSON; the function runs in a thread."""
+        def add(answer: GetJson) -> GetJson:
+            async def endpoint(request: Request) -> Response:
+                return json_response(await run_in_threadpool(answer, request))
 
-    async def endpoint(request: Request) -> Response:
-        body = await read_body(request)
-        return json_response(await run_in_threadpool(answer, request, body))
+            self.append(Route(path, endpoint, methods=["GET"]))
+            return answer
 
-    return Route(path, endpoint, methods=["POST"])
+        return add
+
+    def post(self, path: str) -> Callable[[PostJson], PostJson]:
+        """Let an address that gets JSON return the value of a function as JSON."""
+
+        def add(answer: PostJson) -> PostJson:
+            async def endpoint(request: Request) -> Response:
+                body = await read_body(request)
+                return json_response(await run_in_threadpool(answer, request, body))
+
+            self.append(Route(path, endpoint, methods=["POST"]))
+            return answer
+
+        return add
 
 
 async def read_body(request: Request) -> Body:

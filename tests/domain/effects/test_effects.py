@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from effect_runs import records, whole_arm
+from extensions import added
 from strainwave import _core
 from strainwave.domain import (
     Cause,
@@ -280,9 +281,8 @@ def registered() -> Iterator[Effect]:
         experiment="turn the motor slowly",
         record="a record of slow motion",
     )
-    effects.register(effect)
-    yield effect
-    effects.unregister(effect.name)
+    with added(effects.EFFECTS, effect):
+        yield effect
 
 
 def test_a_registered_effect_is_simulated(registered: Effect, tmp_path: Path) -> None:
@@ -305,29 +305,9 @@ def test_a_registered_effect_is_fitted() -> None:
         assert model.values[name, 1] == pytest.approx(true[name, 1], rel=0.05)
 
 
-def test_an_unregistered_effect_is_rejected(registered: Effect, tmp_path: Path) -> None:
-    effects.unregister("breakaway")
+def test_an_unknown_effect_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="should be 'stribeck', "):
         read_study(study(tmp_path, '["breakaway"]'), logs_exist=False)
     with pytest.raises(InvalidInput, match="no effect 'breakaway'"):
         effect_named("breakaway")
     assert "breakaway-likely" not in advice()
-    effects.register(registered)
-
-
-def test_conflicting_effects_are_not_registered(registered: Effect) -> None:
-    with pytest.raises(InvalidInput, match="exists already"):
-        effects.register(registered)
-
-    unknown = replace(registered, name="unknown", sizes=("creep_torque",))
-    shapes = {"stribeck_friction": 0.1}
-    other = replace(registered, name="other", sizes=("hysteresis_torque",), shapes=shapes)
-    never_zero = replace(registered, name="never-zero", sizes=("hysteresis_twist",), shapes={})
-    for effect, problem in (
-        (unknown, "not a parameter of the compiled core"),
-        (other, "different role in another effect"),
-        (never_zero, "cannot be zero"),
-    ):
-        with pytest.raises(InvalidInput, match=problem):
-            effects.register(effect)
-        assert effect.name not in effects.names()

@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from extensions import added
 from strainwave import _core
 from strainwave.domain import FloatArray, Joint, gear_laws, is_physical
-from strainwave.domain.gear_laws import STIFFNESS, GearLaw, GearParameter, gear_law
+from strainwave.domain.gear_laws import STIFFNESS, GearLaw, gear_law
 from strainwave.domain.gear_laws.smooth import Linear
 from strainwave.domain.kinds import single_joint
 from strainwave.domain.parameters import parameter_descriptions, whole_arm_parameter_names
@@ -32,7 +33,7 @@ from strainwave.presentation.report.gears import (
 )
 from virtual_arms import ELASTIC_JOINT
 
-LAWS = [gear_law(name) for name in gear_laws.names()]
+LAWS = [*gear_laws.LAWS.values()]
 ELASTIC = [law for law in LAWS if law.elastic]
 LARGEST = 60.0
 STUDY = """
@@ -78,9 +79,8 @@ def joint_of(law: GearLaw) -> Joint:
 @pytest.fixture
 def registered() -> Iterator[GearLaw]:
     law = Toy()
-    gear_laws.register(law)
-    yield law
-    gear_laws.unregister(law.name)
+    with added(gear_laws.LAWS, law):
+        yield law
 
 
 class Toy(Linear):
@@ -156,7 +156,7 @@ def test_the_table_matches_the_core(law: GearLaw) -> None:
     core = [name for owner, name, *_ in _core.parameter_table() if owner == law.name]
     assert list(law.names) == core
     assert (law.name, list(law.names), law.elastic) in _core.gear_laws()
-    assert {name for name, *_ in _core.gear_laws()} == set(gear_laws.names())
+    assert {name for name, *_ in _core.gear_laws()} == set(gear_laws.LAWS)
 
 
 @pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
@@ -269,40 +269,17 @@ def test_a_registered_law_is_simulated(registered: GearLaw, tmp_path: Path) -> N
     assert torsion_figure(curve).panels
 
 
-def test_an_unregistered_law_is_rejected(registered: GearLaw, tmp_path: Path) -> None:
-    gear_laws.unregister("toy")
+def test_an_unknown_law_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "study.toml"
     path.write_text(STUDY.format(spring="toy"), encoding="utf-8")
     with pytest.raises(
         InvalidInput, match="'spring' is 'toy', but it should be 'auto', 'linear', "
     ) as error:
         read_study(path, logs_exist=False)
-    assert f" or {gear_laws.names()[-1]!r}" in error.value.problem
+    assert f" or {[*gear_laws.LAWS][-1]!r}" in error.value.problem
     assert "line 6" in str(error.value)
     with pytest.raises(InvalidInput, match="no gear law 'toy'"):
         gear_law("toy")
-    gear_laws.register(registered)
-
-
-def test_conflicting_laws_are_not_registered(registered: GearLaw) -> None:
-    with pytest.raises(InvalidInput, match="exists already"):
-        gear_laws.register(registered)
-
-    class Other(Linear):
-        name = "other"
-        parameters = (GearParameter(STIFFNESS, by_load=True),)
-
-    class Unknown(Linear):
-        name = "unknown"
-        parameters = (GearParameter("gear_compliance"),)
-
-    for law, problem in (
-        (Other(), "different meaning in another law"),
-        (Unknown(), "not a parameter of the compiled core"),
-    ):
-        with pytest.raises(InvalidInput, match=problem):
-            gear_laws.register(law)
-        assert law.name not in gear_laws.names()
 
 
 @pytest.mark.parametrize("law", ["linear", "cubic", "three-slope"])

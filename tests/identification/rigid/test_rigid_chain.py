@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from extensions import added
 from strainwave import pipeline
 from strainwave.domain import (
     ArmDescription,
@@ -22,7 +23,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.combinations import value_of
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import Fault, Kind, register, unregister
+from strainwave.domain.kinds import KINDS, Fault, Kind
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import friction_per_size
 from strainwave.dynamics.simulation import SensorNoise
@@ -65,9 +66,8 @@ class Chain(Kind[NoKeys]):
 
 @pytest.fixture(autouse=True)
 def registered() -> Iterator[None]:
-    register(Chain())
-    yield
-    unregister(Chain.name)
+    with added(KINDS, Chain()):
+        yield
 
 
 def chain() -> Arm:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from elastic_results import elastic_identification
+from extensions import added
 from strainwave.domain import ArmModel, FloatArray, Log, Study, gear_laws
 from strainwave.domain.gear_laws import STIFFNESS, GearLaw, GearParameter
 from strainwave.domain.gear_laws.smooth import CUBIC
@@ -99,15 +100,12 @@ class Hardening(GearLaw):
 
 
 def test_a_law_from_elsewhere_is_fitted_and_drawn() -> None:
-    gear_laws.register(Hardening())
-    try:
+    with added(gear_laws.LAWS, Hardening()):
         true_values, model = run(True, "hardening")
         study = scara.STIFF.study(Path("nowhere"), "hardening")
         result = replace(elastic_identification(), study=study, whole_arm=model)
         curves = gears.stiffness_curves(result)
         estimates = {p.label: p for p in result.parameters}
-    finally:
-        gear_laws.unregister("hardening")
     assert model.status == "converged"
     assert [curve.law.name for curve in curves] == ["hardening"] * 2
     for joint, curve in enumerate(curves, start=1):

@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 import pytest
 
+from extensions import added
 from strainwave.domain import ArmModel, Channel, Joint, Log, link_sensors
 from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import LinkSensor, optional_constants
@@ -16,7 +17,6 @@ from strainwave.domain.parameters import parameter_descriptions
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
-from strainwave.errors import InvalidInput
 from strainwave.identification.whole_arm import fit_whole_arm
 from tuning_runs import joint_models, rigid_model, shaken_study, simulated_logs, truth
 
@@ -50,9 +50,8 @@ class FastGyro(LinkSensor):
 
 @pytest.fixture
 def registered() -> Iterator[type[FastGyro]]:
-    link_sensors.register(FastGyro)
-    yield FastGyro
-    link_sensors.unregister(FastGyro.name)
+    with added(link_sensors.TYPES, FastGyro):
+        yield FastGyro
 
 
 def fit(kind: str, noise: float, scale: float = 1.0) -> tuple[ArmModel, Values, tuple[Log, ...]]:
@@ -94,6 +93,7 @@ def test_a_joint_torque_sensor_identifies_the_gears() -> None:
 
 def test_a_type_from_elsewhere_is_simulated_and_fitted(registered: type[FastGyro]) -> None:
     model, true_values, logs = fit("spin", 2e-3, scale=1.03)
+    assert "fast_gyro_delay" in optional_constants()
     assert {"spin1", "spin2"} <= set(logs[0].channels)
     check(model, true_values)
     sensed = {(p.name, p.joint): p for p in model.parameters if registered.name in p.name}
@@ -104,16 +104,3 @@ def test_a_type_from_elsewhere_is_simulated_and_fitted(registered: type[FastGyro
     assert (
         parameter_descriptions()["fast_gyro_scale"].description == "scale factor of the fast gyro"
     )
-
-
-def test_registration(registered: type[FastGyro]) -> None:
-    assert "fast_gyro_delay" in optional_constants()
-    with pytest.raises(InvalidInput, match="exists already"):
-        link_sensors.register(registered)
-    with pytest.raises(InvalidInput, match="'spin'"):
-        link_sensors.register(type("Another", (FastGyro,), {"name": "another"}))
-    link_sensors.unregister(registered.name)
-    assert "fast_gyro_delay" not in optional_constants()
-    with pytest.raises(InvalidInput, match="no link sensor"):
-        link_sensors.unregister(registered.name)
-    link_sensors.register(registered)

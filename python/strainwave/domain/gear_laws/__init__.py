@@ -1,6 +1,6 @@
 """Elastic laws of gears: a class for each value of `spring` in a study's `[[joint]]` table.
 
-A new law needs a class in this package, an entry in `_LAWS`, and its equations in
+A new law needs a class in this package, an entry in `LAWS`, and its equations in
 `rust/core/src/joint`. All other code asks the law of a joint.
 """
 
@@ -15,9 +15,7 @@ from strainwave.domain.gear_laws.interface import GearLaw as GearLaw
 from strainwave.domain.gear_laws.interface import GearParameter as GearParameter
 from strainwave.domain.gear_laws.smooth import Cubic, Linear, Rigid
 from strainwave.domain.gear_laws.three_slope import ThreeSlope
-from strainwave.domain.parameter_table import parameter_table
-from strainwave.domain.registry import Registry
-from strainwave.errors import InvalidInput
+from strainwave.errors import entry_of
 
 RIGID = Rigid.name
 """Name of the law without elasticity, which the rigid step uses for every joint."""
@@ -25,47 +23,19 @@ RIGID = Rigid.name
 AUTO = "auto"
 """Value of `spring` for the law that the data support; linear until they have decided."""
 
-_LAWS = Registry[GearLaw]("gear law", "a", "spring", (Linear(), ThreeSlope(), Cubic(), Rigid()))
+LAWS: dict[str, GearLaw] = {law.name: law for law in (Linear(), ThreeSlope(), Cubic(), Rigid())}
+"""All laws by name."""
 
 
-gear_law = _LAWS.__getitem__
-"""The law with a name. Raises InvalidInput if there is none."""
-
-names = _LAWS.names
-"""Names of all laws in the order of registration."""
-
-
-def register(law: GearLaw) -> None:
-    """Register a law, so that studies can name it.
-
-    Raises InvalidInput if the name is taken, if the core does not know a parameter, or if a
-    parameter has a different meaning in another law.
-    """
-    for parameter in law.parameters:
-        problem = None
-        if gear_parameters().get(parameter.name, parameter) != parameter:
-            problem = "has a different meaning in another law"
-        elif parameter.name not in parameter_table():
-            problem = "is not a parameter of the compiled core"
-        if problem:
-            raise InvalidInput(
-                f"the parameter {parameter.name!r} of the gear law {law.name!r} {problem}",
-                remedy="give it another name",
-            )
-    _LAWS.add(law)
-    gear_parameters.cache_clear()
-
-
-def unregister(name: str) -> None:
-    """Remove a law. Raises InvalidInput if there is none of that name."""
-    _LAWS.remove(name)
-    gear_parameters.cache_clear()
+def gear_law(name: str) -> GearLaw:
+    """The law with a name. Raises InvalidInput if there is none."""
+    return entry_of(LAWS, name, "gear law", "spring")
 
 
 @cache
 def gear_parameters() -> Mapping[str, GearParameter]:
     """Parameters of all laws by name. Laws that share a name share the parameter."""
-    parameters = (parameter for law in _LAWS.all() for parameter in law.parameters)
+    parameters = (parameter for law in LAWS.values() for parameter in law.parameters)
     return MappingProxyType({parameter.name: parameter for parameter in parameters})
 
 
@@ -84,7 +54,7 @@ def is_by_load(name: str) -> bool:
 def lists() -> Mapping[str, Mapping[int, tuple[str, ...]]]:
     """Keys of a parameter file that accept lists: parameter names by key and number of values."""
     keys: dict[str, dict[int, tuple[str, ...]]] = {}
-    for law in _LAWS.all():
+    for law in LAWS.values():
         for key, listed in law.lists.items():
             keys.setdefault(key, {})[len(listed)] = listed
     for key, by_length in keys.items():
@@ -95,7 +65,7 @@ def lists() -> Mapping[str, Mapping[int, tuple[str, ...]]]:
 
 def curved_laws() -> tuple[GearLaw, ...]:
     """Laws with more than one stiffness, those with the fewest parameters first."""
-    curved = (law for law in _LAWS.all() if law.is_curved)
+    curved = (law for law in LAWS.values() if law.is_curved)
     return tuple(sorted(curved, key=lambda law: len(law.parameters)))
 
 

@@ -1,7 +1,7 @@
 """Arm kinds: one file for each value of `kind` in a study's `[arm]` table.
 
-A new kind needs a file in this package and its entry in `_KINDS`, or `register`. It is simulated as
-a chain, unless `strainwave.domain.core_arm` names a compiled program for it.
+A new kind needs a file in this package and its entry in `KINDS`. It is simulated as a chain, unless
+`strainwave.domain.core_arm` names a compiled program for it.
 """
 
 from __future__ import annotations
@@ -18,29 +18,22 @@ from strainwave.domain.kinds.planar_two_link import planar_two_link as planar_tw
 from strainwave.domain.kinds.serial import SerialChain
 from strainwave.domain.kinds.single_joint import SingleJoint
 from strainwave.domain.kinds.single_joint import single_joint as single_joint
-from strainwave.domain.registry import Registry
+from strainwave.errors import entry_of
 
-_KINDS = Registry[Kind[Any]](
-    "arm kind", "an", "kind", (PlanarTwoLink(), SingleJoint(), SerialChain())
-)
+KINDS: dict[str, Kind[Any]] = {
+    kind.name: kind for kind in (PlanarTwoLink(), SingleJoint(), SerialChain())
+}
+"""Kinds of arms that study files describe, by name."""
 
 
-kind_named = _KINDS.__getitem__
-"""The kind with a name in a study file. Raises InvalidInput if there is none."""
-
-all_kinds = _KINDS.all
-"""Kinds of arms that study files describe."""
-
-register = _KINDS.add
-"""Register a kind, so that studies can name it. Raises InvalidInput if the name is taken."""
-
-unregister = _KINDS.remove
-"""Remove a kind. Raises InvalidInput if there is none of that name."""
+def kind_named(name: str) -> Kind[Any]:
+    """The kind with a name in a study file. Raises InvalidInput if there is none."""
+    return entry_of(KINDS, name, "arm kind", "kind")
 
 
 def kind_of(arm: ArmDescription) -> Kind[Any]:
     """Kind of an arm."""
-    return _KINDS[arm.kind]
+    return kind_named(arm.kind)
 
 
 def arm_keys(arm: ArmDescription) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """Link sensors: a class per type.
 
-A new type needs a class in this package and an entry in `_TYPES`, and simulated quantities of the
+A new type needs a class in this package and an entry in `TYPES`, and simulated quantities of the
 core. All other code loops over the sensors of a joint.
 """
 
@@ -27,31 +27,23 @@ from strainwave.domain.link_sensors.interface import SensorConstant as SensorCon
 from strainwave.domain.link_sensors.interface import TypicalSensor as TypicalSensor
 from strainwave.domain.link_sensors.link_space import link_space
 from strainwave.domain.parameter_table import base_name
-from strainwave.domain.registry import Registry
-from strainwave.errors import InvalidInput
 
 if TYPE_CHECKING:
     from strainwave.domain.arm import ArmDescription, Joint
 
-_TYPES = Registry[type[LinkSensor]](
-    "link sensor",
-    "a",
-    "joint",
-    (
-        Accelerometer,
-        LinkEncoder,
-        TorsionSensor,
-        Gyro,
-        ImuAccelerometers,
-        ImuGyros,
-        TorqueSensor,
-    ),
-)
+TYPES: dict[str, type[LinkSensor]] = {
+    sensor.name: sensor
+    for sensor in (
+        *(Accelerometer, LinkEncoder, TorsionSensor, Gyro),
+        *(ImuAccelerometers, ImuGyros, TorqueSensor),
+    )
+}
+"""All types by name."""
 
 
 def all_types() -> tuple[type[LinkSensor], ...]:
-    """All types in the order of registration."""
-    return _TYPES.all()
+    """All types in the order of `TYPES`."""
+    return tuple(TYPES.values())
 
 
 def link_channel_kinds() -> tuple[str, ...]:
@@ -67,23 +59,6 @@ def link_keys() -> tuple[str, ...]:
 def key_texts() -> Mapping[str, tuple[str, str]]:
     """Title in reports and unit of these keys."""
     return {key: text for sensor in all_types() for key, text in sensor.keys.items()}
-
-
-def register(sensor: type[LinkSensor]) -> None:
-    """Register a type of sensor. Raises InvalidInput if its name or a channel is taken."""
-    _TYPES.check_new(sensor.name)
-    for kind in set(sensor.channel_kinds).intersection(link_channel_kinds()):
-        raise InvalidInput(
-            f"the channel {kind!r} belongs to another link sensor", remedy="choose another channel"
-        )
-    _TYPES.add(sensor)
-    sensor_constants.cache_clear()
-
-
-def unregister(name: str) -> None:
-    """Remove a type. Raises InvalidInput if there is none of that name."""
-    _TYPES.remove(name)
-    sensor_constants.cache_clear()
 
 
 @cache

@@ -269,5 +269,4 @@ def attitude_of(values: Mapping[Key, float], joint: int) -> FloatArray:
 
 
 def _count_accelerometers(axes: Sequence[Axis]) -> int:
-    """Number of accelerometers among the axes of an IMU."""
     return sum(isinstance(axis.sensor, ImuAccelerometers) for axis in axes)

@@ -32,7 +32,7 @@ from strainwave.domain import (
     gear_laws,
 )
 from strainwave.domain.arm import Matrix, Positive
-from strainwave.domain.kinds import Kind, all_kinds, kind_named
+from strainwave.domain.kinds import KINDS, Kind, kind_named
 from strainwave.domain.messages import fault_codes
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.urdf import UrdfJoint, read_urdf
@@ -176,7 +176,7 @@ class Reader:
         """The arm from `[arm]`, its `[[joint]]` tables, `[transmission]` and `[servo]`."""
         if "kind" not in arm:
             raise self._missing("kind", "arm")
-        name, known = arm["kind"], [kind.name for kind in all_kinds()]
+        name, known = arm["kind"], [*KINDS]
         self._check_registered([name], known, name, "arm", None, "kind")
         kind = kind_named(name)
         table = self.record(kind.table, {k: v for k, v in arm.items() if k != "kind"}, "arm")
@@ -279,7 +279,7 @@ class Reader:
         """
         spring, names = table.get("spring"), table.get("effects")
         if spring is not None:
-            known = (gear_laws.AUTO, *gear_laws.names())
+            known = (gear_laws.AUTO, *gear_laws.LAWS)
             self._check_registered([spring], known, spring, "joint", index, "spring")
         if isinstance(names, str) and names != "auto":
             raise InvalidInput(

@@ -281,16 +281,15 @@ def document(
 
 def page_scripts() -> list[str]:
     """The scripts of a page with figures."""
-    return [_plotly_script(), read_template("report/page.js")]
+    return [plotly_script().read_bytes().decode(), read_template("report/page.js")]
 
 
-def _plotly_script() -> str:
+def plotly_script() -> Path:
     """Plotly's script. Importing the Python package takes longer than filling the page."""
     spec = find_spec("plotly")
     if spec is None or spec.origin is None:
         raise ModuleNotFoundError("plotly")
-    script = Path(spec.origin).parent / "package_data" / "plotly.min.js"
-    return script.read_bytes().decode()
+    return Path(spec.origin).parent / "package_data" / "plotly.min.js"
 
 
 def _inline_json(value: object) -> str:

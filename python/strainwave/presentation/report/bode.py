@@ -93,8 +93,12 @@ def bode(
         G = motor_response(fit.vector, gear_ratio, f)
         marks.add_line(f, G, name, colour, dash)
         if fit.covariance is not None and np.isfinite(fit.covariance).all():
-            stds = _relative_stds(fit.vector, fit.covariance, gear_ratio, f, G)
-            marks.add_band(f, G, stds, name, colour)
+            # dG/G: relative change of the modulus + j change of the phase
+            relative = response_jacobian(fit.vector, gear_ratio, f) / G[:, None]
+            J = np.concatenate([relative.real, relative.imag])
+            variance = np.einsum("fi,ij,fj->f", J, fit.covariance, J)
+            modulus, phase = np.split(np.sqrt(np.clip(variance, 0.0, None)), 2)
+            marks.add_band(f, G, (modulus, phase), name, colour)
     panels = (*marks.panels(response_title(is_prismatic=is_prismatic), _PANEL_HEIGHTS), *below)
     return Figure(FREQUENCY_AXIS, panels, tuple(_uprights(joint)))
 
@@ -170,20 +174,6 @@ def _add_state_space(
         marks.add_band(f, G, stds, label, Colour.LINEAR)
     dash = _STATE_SPACE_DASHES[k % len(_STATE_SPACE_DASHES)]
     marks.add_line(f, G, label, Colour.LINEAR, dash)
-
-
-def _relative_stds(
-    vector: FloatArray, covariance: FloatArray, gear_ratio: float, f: FloatArray, G: ComplexArray
-) -> tuple[FloatArray, FloatArray]:
-    """Standard deviations of modulus over modulus and of phase [rad] by the delta method.
-
-    dG/G has the change of the modulus as its real part and that of the phase as its imaginary part.
-    """
-    relative = response_jacobian(vector, gear_ratio, f) / G[:, None]
-    J = np.concatenate([relative.real, relative.imag])
-    variance = np.einsum("fi,ij,fj->f", J, covariance, J)
-    modulus, phase = np.split(np.sqrt(np.clip(variance, 0.0, None)), 2)
-    return modulus, phase
 
 
 def _modes(joint: JointModel) -> list[tuple[str, Mode]]:

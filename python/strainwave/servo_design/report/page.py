@@ -106,12 +106,10 @@ def _current(design: ServoDesign) -> Iterator[Block]:
 
 
 def _designed(design: ServoDesign) -> Iterator[Block]:
-    yield from table("Gains", words.servo_heads(design), words.gain_rows(design))
-    yield from table(
-        "Behaviour, worst over all plants", words.BEHAVIOUR_HEADS, words.behaviour_rows(design)
-    )
+    yield from words.gains(design)
+    yield from words.behaviour(design)
     yield paragraph(_TEXTS["law"])
-    yield from table("Worst margins", words.MARGIN_HEADS, words.margin_rows(design))
+    yield from words.worst_margin_table(design)
 
 
 def _loops(design: ServoDesign) -> Iterator[Block]:
@@ -145,7 +143,7 @@ def _shapers(design: ServoDesign) -> Iterator[Block]:
         for k, interval in enumerate(design.modes_hz, start=1)
     )
     yield paragraph(_TEXTS["shapers"].format(modes=modes))
-    yield from table("Shapers, best first", words.SHAPER_HEADS, words.shaper_rows(design))
+    yield from words.shapers(design, "Shapers, best first")
     yield Plot(
         "shapers",
         "Residual vibration over the frequency",
@@ -159,15 +157,13 @@ def _observers(design: ServoDesign) -> Iterator[Block]:
         yield paragraph(_TEXTS["no-observers"])
         return
     yield paragraph(_TEXTS["observers"])
-    yield from table("Readings", words.READING_HEADS, words.reading_rows(design))
+    yield from words.readings(design)
     for sentence in words.observer_gaps(design):
         yield paragraph(f"{sentence[0].upper()}{sentence[1:]}.")
     if not design.estimation:
         yield paragraph(f"The observers are not compared in a move: {design.unchecked}.")
         return
-    yield from table(
-        words.estimation_title(), words.ESTIMATION_HEADS, words.estimation_rows(design)
-    )
+    yield from words.estimation(design)
     yield paragraph(_TEXTS["estimation"])
     caption = _TEXTS["estimation-caption"]
     for one in design.estimation:
@@ -180,8 +176,7 @@ def _damping(design: ServoDesign) -> Iterator[Block]:
         yield paragraph("There is no feedback of torsions without observers.")
         return
     yield paragraph(_TEXTS["damping"])
-    title = "Least damping of the links over all plants"
-    yield from table(title, words.DAMPING_HEADS, words.damping_rows(design))
+    yield from words.dampings(design)
     for sentence in words.damping_sentences(design):
         yield paragraph(f"{sentence[0].upper()}{sentence[1:]}.")
 
@@ -191,7 +186,7 @@ def _moves(design: ServoDesign) -> Iterator[Block]:
         yield paragraph(f"No moves are compared: {design.refusal}.")
         return
     yield paragraph(_TEXTS["moves"])
-    yield from table(words.move_title(), words.move_heads(design), words.move_rows(design))
+    yield from words.moves(design)
     if any(joint.current and not joint.current.position_gain for joint in design.joints):
         yield paragraph(_TEXTS["pulse-move"])
     for move in design.moves:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.presentation.report.blocks import Cell, Row, number, prose
+from strainwave.presentation.report.blocks import Cell, Row, Table, number, prose, table
 from strainwave.servo_design.cascade_tuning import MAX_RIPPLE_SHARE
 from strainwave.servo_design.control_law import Biquad, Gains
 from strainwave.servo_design.design import JointServo, LoopResults, ServoDesign
@@ -19,25 +19,6 @@ from strainwave.servo_design.verification import MOVE, Move
 N_SHOWN_SHAPERS = 5
 
 _NEGLIGIBLE = 1e-4  # share of a step
-
-BEHAVIOUR_HEADS: Row = (
-    "joint",
-    "servo",
-    *map(number, ("bandwidth [Hz]", "overshoot [%]", "settling [s]")),
-)
-MARGIN_HEADS: Row = ("joint", "margin", *map(number, ("worst", "required", "at [Hz]")), "plant")
-SHAPER_HEADS: Row = (
-    "shaper",
-    *map(number, ("at [Hz]", "duration [ms]", "vibration [%]")),
-    "use",
-)
-READING_HEADS: Row = ("joint", "reading", number("standard deviation"), "unit", "from")
-ESTIMATION_HEADS: Row = ("joint", "estimate", *map(number, ("angle [1e-6]", "velocity [1e-6/s]")))
-DAMPING_HEADS: Row = (
-    "joint",
-    "servo",
-    *map(number, ("least", "median", "gain [dB]", "phase [deg]", "modulus")),
-)
 
 _UNIT_WORDS = {"deg": "degrees", "1": ""}
 
@@ -122,37 +103,39 @@ def gain_heads(design: ServoDesign) -> tuple[Cell, ...]:
     return tuple(map(number, (f"kp [{unit} s/rad]", f"ki [{unit}/rad]", "position [1/s]")))
 
 
-def servo_heads(design: ServoDesign) -> Row:
-    """Heads of the table of gains."""
-    return ("joint", "servo", *gain_heads(design), "filters")
-
-
 def gain_cells(gains: Gains) -> tuple[Cell, ...]:
     """Gains under `gain_heads`."""
     return tuple(number(f"{x:.4g}") for x in (gains.kp, gains.ki, gains.position_gain))
 
 
-def gain_rows(design: ServoDesign) -> Iterator[Row]:
+def gains(design: ServoDesign) -> Iterator[Table]:
     """Designed and current gains of each joint."""
-    for joint, servo, gains, _ in _servos(design):
-        yield (
+    rows: list[Row] = [
+        (
             joint,
             servo,
-            *gain_cells(gains),
-            prose(", ".join(map(filter_words, gains.filters)) or "none"),
+            *gain_cells(each),
+            prose(", ".join(map(filter_words, each.filters)) or "none"),
         )
+        for joint, servo, each, _ in _servos(design)
+    ]
+    return table("Gains", ("joint", "servo", *gain_heads(design), "filters"), rows)
 
 
-def behaviour_rows(design: ServoDesign) -> Iterator[Row]:
+def behaviour(design: ServoDesign) -> Iterator[Table]:
     """Bandwidth and step of each joint, designed and current."""
-    for joint, servo, _, results in _servos(design):
-        yield (
+    rows = [
+        (
             joint,
             servo,
             number(f"{results.margins.bandwidth_hz.min():.3g}"),
             number(percent(float(results.steps.overshoot.max()))),
             number(seconds(float(results.steps.settling.max()))),
         )
+        for joint, servo, _, results in _servos(design)
+    ]
+    numbers = map(number, ("bandwidth [Hz]", "overshoot [%]", "settling [s]"))
+    return table("Behaviour, worst over all plants", ("joint", "servo", *numbers), rows)
 
 
 def _servos(design: ServoDesign) -> Iterator[tuple[str, str, Gains, LoopResults]]:
@@ -170,19 +153,24 @@ def filter_words(one: Biquad) -> str:
     return f"{one.kind} {one.hz:.3g} Hz"
 
 
-def margin_rows(design: ServoDesign) -> Iterator[Row]:
+def worst_margin_table(design: ServoDesign) -> Iterator[Table]:
     """Worst margins of the designed loops."""
+    rows = []
     for joint in design.joints:
         for worst in worst_margins(design, joint.results.margins):
             is_finite, unit = math.isfinite(worst.least), _unit_words(worst)
-            yield (
-                str(joint.joint),
-                f"{worst.name} [{unit}]" if unit else worst.name,
-                number(f"{worst.least:.3g}" if is_finite else "no limit"),
-                number(f"{worst.required:g}"),
-                number(f"{worst.hz:.3g}" if is_finite else ""),
-                prose(plant_words(design, worst.plant) if is_finite else ""),
+            rows.append(
+                (
+                    str(joint.joint),
+                    f"{worst.name} [{unit}]" if unit else worst.name,
+                    number(f"{worst.least:.3g}" if is_finite else "no limit"),
+                    number(f"{worst.required:g}"),
+                    number(f"{worst.hz:.3g}" if is_finite else ""),
+                    prose(plant_words(design, worst.plant) if is_finite else ""),
+                )
             )
+    numbers = map(number, ("worst", "required", "at [Hz]"))
+    return table("Worst margins", ("joint", "margin", *numbers, "plant"), rows)
 
 
 def shaper_name(ranked: RankedShaper) -> str:
@@ -190,33 +178,38 @@ def shaper_name(ranked: RankedShaper) -> str:
     return " and ".join(str(shaper.kind) for shaper in ranked.shapers)
 
 
-def shaper_rows(design: ServoDesign) -> Iterator[Row]:
+def shapers(design: ServoDesign, title: str) -> Iterator[Table]:
     """The best shapers, the recommended one first."""
+    rows = []
     for k, ranked in enumerate(design.shapers[:N_SHOWN_SHAPERS]):
         verdict = "possible" if ranked.is_sufficient else "vibrates"
-        yield (
-            shaper_name(ranked),
-            number(", ".join(f"{s.omega / (2.0 * math.pi):.3g}" for s in ranked.shapers)),
-            number(f"{1e3 * ranked.impulses.duration:.0f}"),
-            number(percent(ranked.vibration)),
-            Cell("recommended" if k == 0 and ranked.is_sufficient else verdict),
+        rows.append(
+            (
+                shaper_name(ranked),
+                number(", ".join(f"{s.omega / (2.0 * math.pi):.3g}" for s in ranked.shapers)),
+                number(f"{1e3 * ranked.impulses.duration:.0f}"),
+                number(percent(ranked.vibration)),
+                "recommended" if k == 0 and ranked.is_sufficient else verdict,
+            )
         )
+    numbers = map(number, ("at [Hz]", "duration [ms]", "vibration [%]"))
+    return table(title, ("shaper", *numbers, "use"), rows)
 
 
-def move_heads(design: ServoDesign) -> Row:
-    """Heads of the table of moves."""
-    names = ("lasts [s]", "settling [s]", "overshoot [%]", "vibration [%]")
-    return ("joint", "move", *map(number, names), number(f"peak [{input_unit(design)}]"))
-
-
-def move_rows(design: ServoDesign) -> Iterator[Row]:
-    """Behaviour of each joint after steps and in the planned move."""
+def moves(design: ServoDesign) -> Iterator[Table]:
+    """Behaviour of each joint after steps of the reference and in the planned move."""
+    rows: list[Row] = []
     for move in design.moves:
-        if move.current is not None:
-            yield str(move.joint), "step, current", number("0"), *_move_cells(move.current)
-        yield str(move.joint), "step, designed", number("0"), *_move_cells(move.step)
-        lasts = number(f"{move.duration:.3g}")
-        yield str(move.joint), "planned", lasts, *_move_cells(move.planned)
+        joint, steps = str(move.joint), {"step, current": move.current, "step, designed": move.step}
+        rows += [
+            (joint, name, number("0"), *_move_cells(step)) for name, step in steps.items() if step
+        ]
+        rows.append((joint, "planned", number(f"{move.duration:.3g}"), *_move_cells(move.planned)))
+    title = f"Moves of {MOVE:g} rad (or m): a step of the reference, then planned with feed-forward"
+    names = ("lasts [s]", "settling [s]", "overshoot [%]", "vibration [%]")
+    return table(
+        title, ("joint", "move", *map(number, (*names, f"peak [{input_unit(design)}]"))), rows
+    )
 
 
 def _move_cells(move: Move) -> tuple[Cell, ...]:
@@ -228,17 +221,15 @@ def _move_cells(move: Move) -> tuple[Cell, ...]:
     )
 
 
-def move_title() -> str:
-    """Title of the table of moves."""
-    return f"Moves of {MOVE:g} rad (or m): a step of the reference, then planned with feed-forward"
-
-
-def reading_rows(design: ServoDesign) -> Iterator[Row]:
+def readings(design: ServoDesign) -> Iterator[Table]:
     """Readings of the observers."""
-    for observer in design.observers:
-        for one in observer.measurements:
-            cells = (number(f"{one.std:.2g}"), one.unit, one.source)
-            yield str(observer.joint), one.name, *cells
+    rows = [
+        (str(observer.joint), one.name, number(f"{one.std:.2g}"), one.unit, one.source)
+        for observer in design.observers
+        for one in observer.measurements
+    ]
+    heads = ("joint", "reading", number("standard deviation"), "unit", "from")
+    return table("Readings", heads, rows)
 
 
 def observer_gaps(design: ServoDesign) -> Iterator[str]:
@@ -249,13 +240,9 @@ def observer_gaps(design: ServoDesign) -> Iterator[str]:
         yield from (f"joint {observer.joint} does not use its {one}" for one in observer.unused)
 
 
-def estimation_title() -> str:
-    """Title of the table of estimation errors."""
-    return f"Error of the link, rms [rad or m], in planned moves of {MOVE:g} rad (or m)"
-
-
-def estimation_rows(design: ServoDesign) -> Iterator[Row]:
+def estimation(design: ServoDesign) -> Iterator[Table]:
     """Root mean square errors of the estimates of each link."""
+    rows = []
     for one in design.estimation:
         errors = (
             ("motor angle", one.by_motor, one.velocity_by_motor),
@@ -265,7 +252,10 @@ def estimation_rows(design: ServoDesign) -> Iterator[Row]:
         )
         for name, angle, velocity in errors:
             rate = "" if velocity is None else f"{1e6 * velocity:.3g}"
-            yield str(one.joint), name, number(f"{1e6 * angle:.3g}"), number(rate)
+            rows.append((str(one.joint), name, number(f"{1e6 * angle:.3g}"), number(rate)))
+    title = f"Error of the link, rms [rad or m], in planned moves of {MOVE:g} rad (or m)"
+    numbers = map(number, ("angle [1e-6]", "velocity [1e-6/s]"))
+    return table(title, ("joint", "estimate", *numbers), rows)
 
 
 def damping_sentences(design: ServoDesign) -> Iterator[str]:
@@ -275,8 +265,9 @@ def damping_sentences(design: ServoDesign) -> Iterator[str]:
             yield f"joint {one.joint} has no feedback of the torsion: {one.reason}"
 
 
-def damping_rows(design: ServoDesign) -> Iterator[Row]:
+def dampings(design: ServoDesign) -> Iterator[Table]:
     """Damping of each link without and with feedback of the torsion."""
+    rows: list[Row] = []
     for one in design.dampings:
         plain = next(joint for joint in design.joints if joint.joint == one.joint)
         servos = [("designed", one.without, plain.results.margins)]
@@ -285,7 +276,10 @@ def damping_rows(design: ServoDesign) -> Iterator[Row]:
         for name, ratios, margins in servos:
             least = (f"{margin.least:.3g}" for margin in worst_margins(design, margins))
             sizes = (f"{ratios.least:.2g}", f"{ratios.median:.2g}", *least)
-            yield str(one.joint), name, *map(number, sizes)
+            rows.append((str(one.joint), name, *map(number, sizes)))
+    numbers = map(number, ("least", "median", "gain [dB]", "phase [deg]", "modulus"))
+    title = "Least damping of the links over all plants"
+    return table(title, ("joint", "servo", *numbers), rows)
 
 
 def percent(share: float) -> str:

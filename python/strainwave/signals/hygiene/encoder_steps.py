@@ -8,7 +8,7 @@ from strainwave.domain import Log
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.hygiene.defects import Defect, count_of, encoder_kinds, of_kinds
 from strainwave.signals.hygiene.frozen import find_frozen_before
-from strainwave.signals.hygiene.isolated import Jump, classify_jumps
+from strainwave.signals.hygiene.isolated import classify_jumps
 from strainwave.signals.standstill import runs_of
 
 _MAX_OVERFLOW_SPREAD = 0.02  # maximum spread of overflow steps, relative to the largest one
@@ -29,15 +29,10 @@ def detect(log: Log, arm: Arm) -> list[Defect]:
             for jump in isolated_steps
             if x[jump.sample] != x[jump.sample - 1] and not find_frozen_before(x, jump, rest_runs)
         ]
-        wraps = _are_overflows(steps)
+        size = np.abs([step.size for step in steps])
+        wraps = len(size) > 1 and bool(np.ptp(size) < _MAX_OVERFLOW_SPREAD * size.max())
         detections += [
             Defect("encoder-steps", name, step.sample, step.sample + 1, step.size, wraps=wraps)
             for step in steps
         ]
     return detections
-
-
-def _are_overflows(steps: list[Jump]) -> bool:
-    """Whether there are several steps, all of equal magnitude."""
-    size = np.abs([step.size for step in steps])
-    return len(size) > 1 and bool(np.ptp(size) < _MAX_OVERFLOW_SPREAD * size.max())

@@ -197,6 +197,5 @@ def _find_repeated_runs(x: FloatArray, *, drives: bool) -> Iterator[tuple[int, i
 
 
 def _frozen_defect(log: Log, name: str, start: int, stop: int) -> Defect:
-    """Defect record of a frozen stretch."""
     seconds = (stop - start) * log.sample_time
     return Defect("frozen", name, start, stop, seconds)

@@ -41,7 +41,9 @@ def repair_record(
     channels, masked = dict(log.channels), dict(log.masked)
     excluded = []
     for name, channel_defects in by_channel.items():
-        mask = _mask_defects(channel_defects, len(log))
+        mask = np.zeros(len(log), dtype=bool)
+        for each in channel_defects:
+            mask[max(0, each.start - (each.kind == "encoder-steps")) : each.stop] = True
         if _is_unusable(name, channel_defects, mask, log.sample_time):
             excluded.append(name)
             del channels[name]
@@ -64,14 +66,6 @@ def interpolate_masked(x: FloatArray, mask: BoolArray, *, hold: bool = False) ->
         return np.asarray(np.interp(np.arange(len(x)), good, x[good]))
     last = np.clip(np.searchsorted(good, np.arange(len(x)), side="right") - 1, 0, None)
     return np.asarray(x[good[last]])
-
-
-def _mask_defects(channel_defects: Sequence[Defect], n_samples: int) -> BoolArray:
-    """Mask of all defective samples of a channel."""
-    mask = np.zeros(n_samples, dtype=bool)
-    for defect in channel_defects:
-        mask[max(0, defect.start - (defect.kind == "encoder-steps")) : defect.stop] = True
-    return mask
 
 
 def _is_unusable(

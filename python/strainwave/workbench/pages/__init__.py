@@ -1,7 +1,5 @@
 """The pages: each module has the routes of one page."""
 
-from starlette.routing import BaseRoute
-
 from strainwave.workbench.pages import (
     by_hand,
     check,
@@ -17,17 +15,18 @@ from strainwave.workbench.pages import (
     virtual,
 )
 
-ROUTES: tuple[BaseRoute, ...] = (
-    *home.ROUTES,
-    *imports.ROUTES,
-    *study.ROUTES,
-    *check.ROUTES,
-    *signals.ROUTES,
-    *estimate.ROUTES,
-    *compare.ROUTES,
-    *by_hand.ROUTES,
-    *design.ROUTES,
-    *virtual.ROUTES,
-    *files.ROUTES,
-    *runs.ROUTES,
+_PAGES = (
+    home,
+    imports,
+    study,
+    check,
+    signals,
+    estimate,
+    compare,
+    by_hand,
+    design,
+    virtual,
+    files,
+    runs,
 )
+ROUTES = [route for page in _PAGES for route in page.routes]

@@ -28,21 +28,16 @@ from strainwave.workbench.gate import require_open
 from strainwave.workbench.pages.estimate import snapshot
 from strainwave.workbench.pages.runs import describe
 from strainwave.workbench.runs import Runs
-from strainwave.workbench.web import (
-    Body,
-    get_page,
-    page,
-    post_json,
-    study_of,
-    text_of,
-    workspace_of,
-)
+from strainwave.workbench.web import Body, Routes, page, study_of, text_of, workspace_of
 from strainwave.workbench.workspace import check_name
+
+routes = Routes()
 
 _START = "start.json"
 _MAX_DURATION = 20.0  # [s] of a window; longer ones take longer than a tenth of a second
 
 
+@routes.page("/by-hand/{study:path}")
 def show_by_hand(request: Request) -> Response:
     """The page."""
     path = study_of(request)
@@ -62,6 +57,7 @@ def show_by_hand(request: Request) -> Response:
     return page(request, "by_hand", "By hand", records=records, starts=starts, joints=elastic)
 
 
+@routes.post("/api/by-hand-begin/{study:path}")
 def begin(request: Request, body: Body) -> object:
     """Sliders with the values of a file, and the channels of a record."""
     path = study_of(request)
@@ -79,6 +75,7 @@ def begin(request: Request, body: Body) -> object:
     }
 
 
+@routes.post("/api/by-hand/{study:path}")
 def update(request: Request, body: Body) -> object:
     """Simulated channels, residuals and Bode plot with the values of the sliders."""
     begin_time = time.perf_counter()
@@ -129,6 +126,7 @@ def _window(body: Body, log: Any) -> tuple[float, float]:
     return begin_time, min(begin_time + _MAX_DURATION, last + log.sample_time)
 
 
+@routes.post("/api/by-hand-save/{study:path}")
 def save_values(request: Request, body: Body) -> object:
     """Write the values of the sliders to a parameter file next to the study."""
     path, name = study_of(request), text_of(body, "name")
@@ -141,6 +139,7 @@ def save_values(request: Request, body: Body) -> object:
     return {"file": file}
 
 
+@routes.post("/api/by-hand-fit/{study:path}")
 def fit_from_here(request: Request, body: Body) -> object:
     """Start an identification whose whole-arm fit starts at the values of the sliders."""
     path = study_of(request)
@@ -161,12 +160,3 @@ def fit_from_here(request: Request, body: Body) -> object:
 
 def _json(values: Values) -> bytes:
     return json.dumps(hand.parameter_document(values), indent=1).encode()
-
-
-ROUTES = (
-    get_page("/by-hand/{study:path}", show_by_hand),
-    post_json("/api/by-hand-begin/{study:path}", begin),
-    post_json("/api/by-hand/{study:path}", update),
-    post_json("/api/by-hand-save/{study:path}", save_values),
-    post_json("/api/by-hand-fit/{study:path}", fit_from_here),
-)

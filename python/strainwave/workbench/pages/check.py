@@ -20,29 +20,36 @@ from strainwave.presentation.report.predictions import unit_of
 from strainwave.workbench.cached_files import log_of, study_at
 from strainwave.workbench.gate import Gate, gate_of, override_check, run_check
 from strainwave.workbench.study_edit import correction_changes, edit_study
-from strainwave.workbench.web import Body, get_json, get_page, message_of, page, post_json, study_of
+from strainwave.workbench.web import Body, Routes, message_of, page, study_of
+
+routes = Routes()
 
 
+@routes.page("/check/{study:path}")
 def show_check(request: Request) -> Response:
     """The page."""
     return page(request, "check", "Check")
 
 
+@routes.get("/api/check/{study:path}")
 def read_gate(request: Request) -> object:
     """The last check, if it is still valid."""
     return _shown(request, gate_of(study_of(request)))
 
 
+@routes.post("/api/check/{study:path}")
 def check_now(request: Request, _body: Body) -> object:
     """Check the study."""
     return _shown(request, run_check(study_of(request)))
 
 
+@routes.post("/api/override-check/{study:path}")
 def override(request: Request, _body: Body) -> object:
     """Allow an estimate in spite of a suspected fault."""
     return _shown(request, override_check(study_of(request)))
 
 
+@routes.post("/api/apply-remedy/{study:path}")
 def apply_remedy(request: Request, body: Body) -> object:
     """Write the corrections of a suspected fault to the study file, and check again."""
     path = study_of(request)
@@ -61,6 +68,7 @@ def apply_remedy(request: Request, body: Body) -> object:
     return _shown(request, run_check(path))
 
 
+@routes.get("/api/check-signal/{study:path}")
 def show_channel(request: Request) -> object:
     """A channel of one record over time."""
     path, name = study_of(request), request.query_params.get("channel", "")
@@ -98,7 +106,8 @@ def _merged(relations: list[dict[str, Any]]) -> list[dict[str, Any]]:
     rows: dict[tuple[object, ...], dict[str, Any]] = {}
     for each in sorted(relations, key=lambda each: each["consistent"]):
         text = message_text(Clause(f"relation/{each['relation']}"))
-        measured = _number(each["measured"])
+        value = each["measured"]
+        measured = "" if value is None or not np.isfinite(value) else f"{value:.4g}"
         expected = "> 0" if each["expected"] is None else f"{each['expected']:g}"
         key = text, measured, expected, each["consistent"]
         row: dict[str, Any] = {"text": text, "measured": measured, "expected": expected}
@@ -108,17 +117,3 @@ def _merged(relations: list[dict[str, Any]]) -> list[dict[str, Any]]:
         row["where"].append(each["where"])
         row["places"] += each["places"]
     return list(rows.values())
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None or not np.isfinite(value) else f"{value:.4g}"
-
-
-ROUTES = (
-    get_page("/check/{study:path}", show_check),
-    get_json("/api/check/{study:path}", read_gate),
-    post_json("/api/check/{study:path}", check_now),
-    post_json("/api/override-check/{study:path}", override),
-    post_json("/api/apply-remedy/{study:path}", apply_remedy),
-    get_json("/api/check-signal/{study:path}", show_channel),
-)

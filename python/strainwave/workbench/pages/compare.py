@@ -18,27 +18,22 @@ from strainwave.workbench import comparison
 from strainwave.workbench.comparison import report_figures
 from strainwave.workbench.pages.runs import describe
 from strainwave.workbench.runs import Runs
-from strainwave.workbench.web import (
-    Body,
-    get_json,
-    get_page,
-    message_of,
-    page,
-    post_json,
-    study_of,
-    workspace_of,
-)
+from strainwave.workbench.web import Body, Routes, message_of, page, study_of, workspace_of
 from strainwave.workbench.workspace import is_runs_folder
+
+routes = Routes()
 
 _MAX_RESULTS = 200  # listed
 
 
+@routes.page("/compare/{study:path}")
 def show_compare(request: Request) -> Response:
     """The page."""
     study_of(request)
     return page(request, "compare", "Compare")
 
 
+@routes.get("/api/results/{study:path}")
 def list_results(request: Request) -> object:
     """Results of the folder, those of this study first."""
     workspace, here = workspace_of(request), study_of(request).parent
@@ -49,11 +44,10 @@ def list_results(request: Request) -> object:
         for path in (*folder.glob("result.json"), *folder.glob("*/result.json"))
     }
     paths = sorted(found, key=lambda p: (not p.is_relative_to(here), -p.stat().st_mtime))
-    shown = [
+    return [
         {"path": workspace.relative(p), "name": _name(p, here), "own": p.is_relative_to(here)}
         for p in paths[:_MAX_RESULTS]
     ]
-    return shown
 
 
 def _name(path: Path, here: Path) -> str:
@@ -65,6 +59,7 @@ def _name(path: Path, here: Path) -> str:
     return folder.name if study == here else f"{study.name}/{folder.name}"
 
 
+@routes.post("/api/compare/{study:path}")
 def compare(request: Request, body: Body) -> object:
     """Parameters, joint test, and the joints that have figures."""
     results = _chosen(request, body.get("paths"))
@@ -88,6 +83,7 @@ def compare(request: Request, body: Body) -> object:
     }
 
 
+@routes.post("/api/compare-joint/{study:path}")
 def joint_figures(request: Request, body: Body) -> object:
     """Bode plot, step response, and poles and zeros of a joint in all results."""
     results, joint = _chosen(request, body.get("paths")), body.get("joint")
@@ -100,6 +96,7 @@ def joint_figures(request: Request, body: Body) -> object:
     }
 
 
+@routes.post("/api/compare-figure/{study:path}")
 def report_figure(request: Request, body: Body) -> object:
     """One figure of the reports of all results."""
     key = body.get("key")
@@ -110,6 +107,7 @@ def report_figure(request: Request, body: Body) -> object:
     return shown
 
 
+@routes.post("/api/save-comparison/{study:path}")
 def save_comparison(request: Request, body: Body) -> object:
     """Start `strainwave compare`, which writes comparison.json and comparison.html."""
     results = _chosen(request, body.get("paths"))
@@ -130,13 +128,3 @@ def _chosen(request: Request, paths: object) -> list[comparison.NamedResult]:
         name = _name(path, here)
         named[name if name not in named else workspace.relative(path.parent)] = path
     return comparison.read_results(named)
-
-
-ROUTES = (
-    get_page("/compare/{study:path}", show_compare),
-    get_json("/api/results/{study:path}", list_results),
-    post_json("/api/compare/{study:path}", compare),
-    post_json("/api/compare-joint/{study:path}", joint_figures),
-    post_json("/api/compare-figure/{study:path}", report_figure),
-    post_json("/api/save-comparison/{study:path}", save_comparison),
-)

@@ -18,16 +18,9 @@ from strainwave.presentation.plotly_backend import plotly
 from strainwave.workbench.cached_files import study_at
 from strainwave.workbench.pages.runs import describe, log_lines
 from strainwave.workbench.runs import RUN_FILES, Run, Runs
-from strainwave.workbench.web import (
-    Body,
-    get_json,
-    get_page,
-    page,
-    post_json,
-    study_of,
-    text_of,
-    workspace_of,
-)
+from strainwave.workbench.web import Body, Routes, page, study_of, text_of, workspace_of
+
+routes = Routes()
 
 Command = Literal["excite", "tune"]
 COMMANDS: tuple[Command, ...] = get_args(Command)
@@ -38,6 +31,7 @@ def options_of(command: Command) -> dict[str, dict[str, Any]]:
     return {flag: texts for flag, texts in command_texts()[command].items() if "title" in texts}
 
 
+@routes.page("/design/{study:path}")
 def show_design(request: Request) -> Response:
     """The page."""
     path = study_of(request)
@@ -52,6 +46,7 @@ def _parameter_files(path: Path) -> list[Path]:
     return sorted(found, key=lambda p: -p.stat().st_mtime)
 
 
+@routes.post("/api/design/{study:path}")
 def start(request: Request, body: Body) -> object:
     """Start `excite` or `tune` with the values of the form."""
     path, kind = study_of(request), body.get("kind")
@@ -90,6 +85,7 @@ def option_flags(command: Command, values: object) -> list[str]:
     return flags
 
 
+@routes.get("/api/designs/{study:path}")
 def list_designs(request: Request) -> object:
     """Designs of the study, the newest first."""
     runs = Runs(study_of(request))
@@ -104,6 +100,7 @@ def _shown(runs: Runs, run: Run) -> dict[str, Any]:
     return describe(run) | {"files": files, "messages": messages}
 
 
+@routes.get("/api/plan/{study:path}")
 def show_plan(request: Request) -> object:
     """Commands of one planned record over time."""
     runs, query = Runs(study_of(request)), request.query_params
@@ -127,6 +124,7 @@ def plan_figure(path: Path) -> Figure:
     return Figure(Axis(time), tuple(panels))
 
 
+@routes.get("/api/precision/{study:path}")
 def show_precision(request: Request) -> object:
     """Predicted intervals of a plan."""
     runs = Runs(study_of(request))
@@ -136,12 +134,3 @@ def show_precision(request: Request) -> object:
         raise InvalidInput("the run predicts nothing", where=run.name)
     entries = json.loads(file.read_bytes())["parameters"]
     return [entry for entry in entries if entry["value"] is not None]
-
-
-ROUTES = (
-    get_page("/design/{study:path}", show_design),
-    get_json("/api/designs/{study:path}", list_designs),
-    post_json("/api/design/{study:path}", start),
-    get_json("/api/plan/{study:path}", show_plan),
-    get_json("/api/precision/{study:path}", show_precision),
-)

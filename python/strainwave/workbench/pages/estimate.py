@@ -23,16 +23,9 @@ from strainwave.workbench.gate import gate_of, require_open
 from strainwave.workbench.option_form import option_arguments, option_groups
 from strainwave.workbench.pages.runs import describe, runs_of
 from strainwave.workbench.runs import Run, Runs, status_of
-from strainwave.workbench.web import (
-    Body,
-    get_json,
-    get_page,
-    message_of,
-    page,
-    post_json,
-    study_of,
-    text_of,
-)
+from strainwave.workbench.web import Body, Routes, message_of, page, study_of, text_of
+
+routes = Routes()
 
 _MAX_SHOWN = 24  # singular values; those of the noise follow
 
@@ -87,6 +80,7 @@ _STAGE_CHOICES = (
 _SNAPSHOT = "study.toml"
 
 
+@routes.page("/estimate/{study:path}")
 def show_estimate(request: Request) -> Response:
     """The page."""
     path = study_of(request)
@@ -95,6 +89,7 @@ def show_estimate(request: Request) -> Response:
     return page(request, "estimate", "Estimate", groups=groups, stages=_STAGE_CHOICES, name=name)
 
 
+@routes.get("/api/estimate/{study:path}")
 def estimates(request: Request) -> object:
     """Gate and runs for the page."""
     path = study_of(request)
@@ -112,6 +107,7 @@ def estimates(request: Request) -> object:
     }
 
 
+@routes.post("/api/estimate/{study:path}")
 def start_estimate(request: Request, body: Body) -> object:
     """Start an identification of a copy of the study, which stays in the run's folder."""
     path = study_of(request)
@@ -141,6 +137,7 @@ def snapshot(path: Path) -> str:
     return tomlkit.dumps(document)
 
 
+@routes.get("/api/orders/{study:path}")
 def show_orders(request: Request) -> object:
     """Singular values of the subspace method for each record that excites a joint."""
     return order_figures(study_of(request))
@@ -150,11 +147,3 @@ def _summary(runs: Runs, run: Run) -> dict[str, Any]:
     """A run with its verdict."""
     is_done = run.state == "done"
     return describe(run) | {"status": status_of(runs.path(run.name)) if is_done else None}
-
-
-ROUTES = (
-    get_page("/estimate/{study:path}", show_estimate),
-    get_json("/api/estimate/{study:path}", estimates),
-    post_json("/api/estimate/{study:path}", start_estimate),
-    get_json("/api/orders/{study:path}", show_orders),
-)

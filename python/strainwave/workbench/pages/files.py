@@ -15,16 +15,9 @@ from strainwave.errors import InvalidInput
 from strainwave.export import export_file
 from strainwave.workbench.pages.runs import describe, runs_of
 from strainwave.workbench.runs import RUN_FILES, Run
-from strainwave.workbench.web import (
-    Body,
-    get_json,
-    get_page,
-    message_of,
-    page,
-    post_json,
-    study_of,
-    text_of,
-)
+from strainwave.workbench.web import Body, Routes, message_of, page, study_of, text_of
+
+routes = Routes()
 
 EXPORT_FILES = {
     "mjcf": "arm.xml",
@@ -90,12 +83,14 @@ _EXPORTS = "exports"
 _MAX_ZIP = 4 << 30  # [bytes] of the files
 
 
+@routes.page("/files/{study:path}")
 def show_files(request: Request) -> Response:
     """The page."""
     study_of(request)
     return page(request, "files", "Files", formats=list(EXPORT_FILES))
 
 
+@routes.get("/api/files/{study:path}")
 def list_files(request: Request) -> object:
     """Runs with their files, command lines and scripts, the newest first."""
     runs = runs_of(request)
@@ -121,6 +116,7 @@ def _files(folder: Path) -> list[Path]:
     ]
 
 
+@routes.post("/api/export/{study:path}")
 def export(request: Request, body: Body) -> object:
     """Export the result of a run in one format."""
     runs, form = runs_of(request), text_of(body, "format")
@@ -139,6 +135,7 @@ def export(request: Request, body: Body) -> object:
     }
 
 
+@routes.page("/script/{study:path}")
 def download_script(request: Request) -> Response:
     """The Python script that repeats a run."""
     run = _run(request)
@@ -153,6 +150,7 @@ def _is_repeatable(run: Run) -> bool:
     return run.kind == "identify" and bool(run.commands)
 
 
+@routes.page("/zip/{study:path}")
 def download_zip(request: Request) -> Response:
     """All files of a run in one archive."""
     runs, run = runs_of(request), _run(request)
@@ -174,12 +172,3 @@ def download_zip(request: Request) -> Response:
 
 def _run(request: Request) -> Run:
     return runs_of(request).get(request.query_params.get("run", ""))
-
-
-ROUTES = (
-    get_page("/files/{study:path}", show_files),
-    get_json("/api/files/{study:path}", list_files),
-    post_json("/api/export/{study:path}", export),
-    get_page("/script/{study:path}", download_script),
-    get_page("/zip/{study:path}", download_zip),
-)

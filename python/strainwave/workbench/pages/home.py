@@ -11,7 +11,9 @@ from starlette.responses import Response
 from strainwave.errors import InvalidInput
 from strainwave.workbench.cached_files import study_at
 from strainwave.workbench.runs import Runs, status_of
-from strainwave.workbench.web import get_page, page, workspace_of
+from strainwave.workbench.web import Routes, page, workspace_of
+
+routes = Routes()
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +27,7 @@ class StudyRow:
     status: str  # verdict of the latest finished identification
 
 
+@routes.page("/")
 def show_home(request: Request) -> Response:
     """The studies of the folder."""
     workspace = workspace_of(request)
@@ -48,6 +51,3 @@ def _row(name: str, path: Path) -> StudyRow:
     except InvalidInput as error:
         return StudyRow(name, str(error), False, len(runs.all()), status)
     return StudyRow(name, description, True, len(runs.all()), status)
-
-
-ROUTES = (get_page("/", show_home),)

@@ -8,28 +8,21 @@ from pathlib import Path
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
-from starlette.routing import Route
 
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.bags import BAG_SUFFIXES
 from strainwave.io.logs.tables import TABLE_SUFFIXES
 from strainwave.study_draft import start_study
-from strainwave.workbench.web import (
-    Body,
-    get_json,
-    get_page,
-    json_response,
-    page,
-    post_json,
-    text_of,
-    workspace_of,
-)
+from strainwave.workbench.web import Body, Routes, json_response, page, text_of, workspace_of
 from strainwave.workbench.workspace import check_name, is_runs_folder
+
+routes = Routes()
 
 LOG_SUFFIXES = (*TABLE_SUFFIXES, *BAG_SUFFIXES)
 _ACCEPTED = (*LOG_SUFFIXES, ".urdf", ".yaml")  # .yaml: metadata of a bag
 
 
+@routes.page("/import")
 def show_import(request: Request) -> Response:
     """The page."""
     accepted = ", ".join(LOG_SUFFIXES)
@@ -51,6 +44,7 @@ def _logs(folder: Path) -> list[str]:
     )
 
 
+@routes.get("/api/logs")
 def list_logs(request: Request) -> object:
     """Logs and URDF files of a folder."""
     folder = workspace_of(request).resolve(request.query_params.get("folder", ""))
@@ -59,6 +53,7 @@ def list_logs(request: Request) -> object:
     return {"logs": _logs(folder), "urdfs": sorted(path.name for path in folder.glob("*.urdf"))}
 
 
+@routes.page("/api/upload/{folder}/{name}", method="PUT")
 async def upload(request: Request) -> Response:
     """Store one file of a folder."""
     folder, name = request.path_params["folder"], request.path_params["name"]
@@ -72,6 +67,7 @@ async def upload(request: Request) -> Response:
     return json_response({"name": name, "size": size})
 
 
+@routes.post("/api/draft")
 def draft(request: Request, body: Body) -> object:
     """Write a draft of the study file in a folder."""
     workspace, folder = workspace_of(request), text_of(body, "folder")
@@ -84,11 +80,3 @@ def draft(request: Request, body: Body) -> object:
     robot = workspace.resolve(f"{folder}/{urdf}") if urdf else None
     summary = asdict(start_study(logs, target, robot))
     return summary | {"path": workspace.relative(target)}
-
-
-ROUTES = (
-    get_page("/import", show_import),
-    get_json("/api/logs", list_logs),
-    Route("/api/upload/{folder}/{name}", upload, methods=["PUT"]),
-    post_json("/api/draft", draft),
-)

@@ -14,21 +14,14 @@ from pathlib import Path
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, Response, StreamingResponse
-from starlette.routing import Route
 
 from strainwave.errors import InvalidInput
 from strainwave.presentation.report.blocks import page_scripts
 from strainwave.workbench.runs import LOG, Run, Runs
 from strainwave.workbench.security import report_policy
-from strainwave.workbench.web import (
-    Body,
-    get_json,
-    get_page,
-    post_json,
-    study_of,
-    text_of,
-    workspace_of,
-)
+from strainwave.workbench.web import Body, Routes, study_of, text_of, workspace_of
+
+routes = Routes()
 
 _POLL = 0.15  # [s] between two looks at the log of a run
 
@@ -43,22 +36,26 @@ def describe(run: Run) -> dict[str, object]:
     return {**asdict(run), "lines": run.lines}
 
 
+@routes.get("/api/runs/{study:path}")
 def list_runs(request: Request) -> object:
     """All runs of a study's folder."""
     return [describe(run) for run in runs_of(request).all()]
 
 
+@routes.post("/api/cancel-run/{study:path}")
 def cancel_run(request: Request, body: Body) -> object:
     """End a run."""
     return describe(runs_of(request).cancel(text_of(body, "name")))
 
 
+@routes.post("/api/remove-run/{study:path}")
 def remove_run(request: Request, body: Body) -> object:
     """Delete a run."""
     runs_of(request).remove(text_of(body, "name"))
     return {}
 
 
+@routes.get("/api/run-log/{study:path}")
 def show_log(request: Request) -> object:
     """Progress and messages of a run."""
     runs, name = runs_of(request), request.query_params.get("name", "")
@@ -82,6 +79,7 @@ def log_lines(folder: Path) -> tuple[list[dict[str, object]], list[str]]:
     return progress, messages
 
 
+@routes.page("/api/run-events/{study:path}")
 async def run_events(request: Request) -> Response:
     """Server-sent events of a run: its progress, then its end."""
     runs, name = await run_in_threadpool(runs_of, request), request.query_params.get("name", "")
@@ -105,6 +103,7 @@ async def run_events(request: Request) -> Response:
     return StreamingResponse(events(), media_type="text/event-stream")
 
 
+@routes.page("/report/{study:path}")
 def show_report(request: Request) -> Response:
     """An HTML file of a run for a frame, without access to the workbench."""
     name = request.query_params.get("file", "report.html")
@@ -115,6 +114,7 @@ def show_report(request: Request) -> Response:
     return HTMLResponse(path.read_bytes(), headers=headers)
 
 
+@routes.page("/download/{study:path}")
 def download(request: Request) -> Response:
     """A file of a run to save."""
     path = _file_of_run(request, request.query_params.get("file", ""))
@@ -137,14 +137,3 @@ def _script_hashes() -> tuple[str, ...]:
         f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}"
         for script in page_scripts()
     )
-
-
-ROUTES = (
-    get_json("/api/runs/{study:path}", list_runs),
-    post_json("/api/cancel-run/{study:path}", cancel_run),
-    post_json("/api/remove-run/{study:path}", remove_run),
-    get_json("/api/run-log/{study:path}", show_log),
-    Route("/api/run-events/{study:path}", run_events, methods=["GET"]),
-    get_page("/report/{study:path}", show_report),
-    get_page("/download/{study:path}", download),
-)

@@ -26,17 +26,21 @@ from strainwave.workbench.signal_views import (
     time_figure,
 )
 from strainwave.workbench.study_edit import Change, edit_study
-from strainwave.workbench.web import Body, get_json, get_page, page, post_json, study_of, text_of
+from strainwave.workbench.web import Body, Routes, page, study_of, text_of
+
+routes = Routes()
 
 _POINTS = (200, 6000)  # smallest and largest number of points of a line
 
 
+@routes.page("/signals/{study:path}")
 def show_signals(request: Request) -> Response:
     """The page."""
     study = study_at(study_of(request))
     return page(request, "signals", "Signals", experiments=study.experiments)
 
 
+@routes.get("/api/record/{study:path}")
 def describe_record(request: Request) -> object:
     """Channels, window, marks and detected sequences of a record."""
     path, study, log = _record(request)
@@ -56,6 +60,7 @@ def describe_record(request: Request) -> object:
     }
 
 
+@routes.get("/api/signal-time/{study:path}")
 def show_time(request: Request) -> object:
     """Channels over a span of time."""
     _, study, log = _record(request)
@@ -69,6 +74,7 @@ def show_time(request: Request) -> object:
     return plotly(time_figure(log, study.arm, names, (low, high), points))
 
 
+@routes.get("/api/signal-spectra/{study:path}")
 def show_spectra(request: Request) -> object:
     """Spectra of channels, and the coherence of inputs and motor velocities."""
     _, study, log = _record(request)
@@ -80,6 +86,7 @@ def show_spectra(request: Request) -> object:
     }
 
 
+@routes.get("/api/joint-spectrum/{study:path}")
 def show_joint_spectrum(request: Request) -> object:
     """Spectra of motor torque and interaction torque, the two inputs of a joint."""
     path = study_of(request)
@@ -109,6 +116,7 @@ def _joint_spectra(path: Path, _fingerprint: str) -> list[dict[str, Any]]:
     ]
 
 
+@routes.post("/api/window/{study:path}")
 def set_window(request: Request, body: Body) -> object:
     """Write the window of a record to the study file; null removes an end."""
     path, name = study_of(request), text_of(body, "experiment")
@@ -148,13 +156,3 @@ def _number(text: str | None, default: float) -> float:
     if not math.isfinite(value):
         raise InvalidInput(f"{text!r} is not finite", where="request")
     return value
-
-
-ROUTES = (
-    get_page("/signals/{study:path}", show_signals),
-    get_json("/api/record/{study:path}", describe_record),
-    get_json("/api/signal-time/{study:path}", show_time),
-    get_json("/api/signal-spectra/{study:path}", show_spectra),
-    get_json("/api/joint-spectrum/{study:path}", show_joint_spectrum),
-    post_json("/api/window/{study:path}", set_window),
-)

@@ -30,16 +30,9 @@ from strainwave.workbench.study_edit import (
     table_of,
     tables_of,
 )
-from strainwave.workbench.web import (
-    Body,
-    get_json,
-    get_page,
-    message_of,
-    page,
-    post_json,
-    study_of,
-    text_of,
-)
+from strainwave.workbench.web import Body, Routes, message_of, page, study_of, text_of
+
+routes = Routes()
 
 _EXPERIMENT = (  # key, title, kind, choices, and whether the value is a list of texts
     ("name", "Name", "text", (), False),
@@ -52,17 +45,20 @@ _EXPERIMENT = (  # key, title, kind, choices, and whether the value is a list of
 )
 
 
+@routes.page("/study/{study:path}")
 def show_study(request: Request) -> Response:
     """The page."""
     study_of(request)
     return page(request, "study", "Study")
 
 
+@routes.get("/api/study/{study:path}")
 def read_state(request: Request) -> object:
     """The study file as form, text and picture, with its error."""
     return _state(request, study_of(request))
 
 
+@routes.post("/api/study/{study:path}")
 def save(request: Request, body: Body) -> object:
     """Write changes of the form, or the whole text, if the file is still the one that was shown."""
     path = study_of(request)
@@ -173,6 +169,7 @@ def _columns(document: Mapping[str, Any], folder: Path) -> dict[str, list[str]]:
     return columns
 
 
+@routes.get("/api/preview/{study:path}")
 def preview(request: Request) -> object:
     """One column of a log after scaling, over its samples."""
     path, query = study_of(request), request.query_params
@@ -205,11 +202,3 @@ def _read_column(file: Path, column: str) -> FloatArray:
 def _factor(text: str | None, default: float) -> float:
     value = value_of(text or "", "number")
     return default if value is None or isinstance(value, str) else float(value)
-
-
-ROUTES = (
-    get_page("/study/{study:path}", show_study),
-    get_json("/api/study/{study:path}", read_state),
-    post_json("/api/study/{study:path}", save),
-    get_json("/api/preview/{study:path}", preview),
-)

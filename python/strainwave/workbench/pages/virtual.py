@@ -8,7 +8,6 @@ from pathlib import Path
 from starlette.requests import Request
 from starlette.responses import Response
 
-from strainwave.domain import Study
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.study import write_study
@@ -21,24 +20,20 @@ from strainwave.workbench.virtual_rig import (
     estimates_against_truth,
     virtual_rig,
 )
-from strainwave.workbench.web import (
-    Body,
-    get_json,
-    get_page,
-    page,
-    post_json,
-    study_of,
-    workspace_of,
-)
+from strainwave.workbench.web import Body, Routes, page, study_of, workspace_of
+
+routes = Routes()
 
 _RUN, _RIG, _TRUTH = "record-and-identify", "rig.toml", "truth.json"
 
 
+@routes.page("/virtual")
 def show_virtual(request: Request) -> Response:
     """The page."""
     return page(request, "virtual", "Virtual arm", settings=SETTINGS, sensors=SENSORS)
 
 
+@routes.post("/api/virtual")
 def record_and_identify(request: Request, body: Body) -> object:
     """Simulate the records of a virtual arm in a new folder, and identify it from them."""
     workspace = workspace_of(request)
@@ -50,8 +45,8 @@ def record_and_identify(request: Request, body: Body) -> object:
         raise
     runs = Runs(folder / "study.toml")
     run_folder = runs.prepare(_RUN)
-    _write(rig.study, folder / "study.toml")
-    _write(rig.study, run_folder / _RIG)
+    write_study(rig.study, folder / "study.toml")
+    write_study(rig.study, run_folder / _RIG)
     truth = json.dumps(parameter_document(rig.values), indent=1)
     write_whole(run_folder, {_TRUTH: truth.encode()})
     simulate = ["simulate", _RIG, "--parameters", _TRUTH, "--out", "../.."]
@@ -75,10 +70,7 @@ def _new_folder(parent: Path) -> Path:
         return folder
 
 
-def _write(study: Study, path: Path) -> None:
-    write_study(study, path)
-
-
+@routes.get("/api/virtual/{study:path}")
 def show_result(request: Request) -> object:
     """Estimates, true values and verdict of a finished run."""
     path = study_of(request)
@@ -89,10 +81,3 @@ def show_result(request: Request) -> object:
     rows = estimates_against_truth(path, result, folder / _TRUTH)
     document = json.loads(result.read_bytes())
     return {"rows": rows, "status": document["status"], "run": _RUN}
-
-
-ROUTES = (
-    get_page("/virtual", show_virtual),
-    post_json("/api/virtual", record_and_identify),
-    get_json("/api/virtual/{study:path}", show_result),
-)
