@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from consistency_inputs import Input
-from strainwave.signals.consistency.evidence import collect_evidence, motion_band
+from strainwave.signals.consistency.evidence import collect_evidence, motion_bands
 from strainwave.signals.consistency.motors import regress_torques, spread_stretches
 
 SAMPLE_TIME = 1e-3  # [s]
@@ -20,7 +20,7 @@ NOISE = np.random.default_rng(0).standard_normal((len(TIME), 2))
 def test_noise_of_the_angle_does_not_widen_the_band(noise_std: float) -> None:
     # at 1e-3 rad, noise has 99 % of the power of the velocity
     angle = 0.02 * np.sin(2.0 * np.pi * 1.5 * TIME)[:, None] + noise_std * NOISE[:, :1]
-    assert motion_band(angle, SAMPLE_TIME, slow=True) == pytest.approx(3.0, rel=0.05)
+    assert max(motion_bands(angle, SAMPLE_TIME, slow=True)) == pytest.approx(3.0, rel=0.05)
 
 
 def test_a_motor_at_standstill_does_not_determine_the_band(vertical_arm: Input) -> None:
@@ -33,7 +33,7 @@ def test_a_motor_at_standstill_does_not_determine_the_band(vertical_arm: Input) 
     (moving, *_) = collect_evidence(logs, study).records
     assert still.bandwidth_hz <= 1.5 * moving.bandwidth_hz
     (alone, *_) = collect_evidence([changed], study).records  # no record in which it moves
-    assert alone.bandwidth_hz > 10.0 * moving.bandwidth_hz
+    assert alone.bandwidth_hz <= 4.0 * moving.bandwidth_hz  # limited by the other motor
 
 
 @pytest.mark.parametrize("max_rows", [300, 500, 1000])

@@ -127,7 +127,7 @@ def _needs_cause(each: Observation, evidence: Evidence) -> bool:
     Friction alone can reduce the explained share of a motor signal; the torques of chains are
     tested by their common fit.
     """
-    is_searched = evidence.arm.has_planar_program or each.kind == "torque-prediction"
+    is_searched = evidence.arm.has_planar_program or each.kind.startswith("torque-")
     return each.contradicts and (is_searched or is_reported(each))
 
 
@@ -141,8 +141,7 @@ def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:
     limit = before - _MIN_EXPLAINED_WEIGHT
     weights: list[tuple[float, Cause]] = []
     for cause in propose_causes(evidence, [o for o in now if o.contradicts]):
-        observations = compute_observations(cause.corrected(evidence))
-        after = _contradiction_weight(observations, _tested(now, cause), limit)
+        after = _weight_after(evidence, now, cause, limit)
         if after < limit:
             weights.append((after + _ESTIMATED_FACTOR_PENALTY * cause.has_estimated_factor, cause))
             # observations of chains take time; the best cause is enough
@@ -155,14 +154,23 @@ def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:
 
 def _equal_rivals(evidence: Evidence, now: Sequence[Observation], cause: Cause) -> list[Cause]:
     """The first rival of a cause that leaves no more contradictions than the cause does."""
-
-    def left_by(each: Cause) -> float:
-        after = compute_observations(each.corrected(evidence))
-        return _contradiction_weight(after, _tested(now, each), np.inf)
-
-    least = left_by(cause) if cause.rivals else 0.0
-    equal = (each for each in cause.rivals if left_by(each) <= least)
+    least = _weight_after(evidence, now, cause, np.inf) if cause.rivals else 0.0
+    equal = (r for r in cause.rivals if _weight_after(evidence, now, r, np.inf) <= least)
     return [*islice(equal, _MAX_RIVALS)]
+
+
+def _weight_after(
+    evidence: Evidence, now: Sequence[Observation], cause: Cause, limit: float
+) -> float:
+    """Weight of the contradictions that a cause leaves.
+
+    Without a record, signals can be explained less well than with it.
+    """
+    after = compute_observations(cause.corrected(evidence))
+    if cause.excluded:
+        before = {(o.kind, o.place) for o in now if o.contradicts}
+        after = (o for o in after if o.kind != "explained-share" or (o.kind, o.place) in before)
+    return _contradiction_weight(after, _tested(now, cause), limit)
 
 
 def _tested(now: Sequence[Observation], cause: Cause) -> list[Observation]:

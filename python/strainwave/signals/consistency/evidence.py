@@ -39,7 +39,8 @@ _FAST_BAND = (0.5, 0.25)
 # Minimum power of a spectral line of a motion over that of noise, which one line in 22,000 of white
 # noise exceeds.
 _MIN_LINE_OVER_NOISE = 10.0
-# Bandwidth of a record over the median of the slow records above which noise determines it.
+# Bandwidth of a record over the median of all motors in the slow records above which noise
+# determines it: a motor at constant velocity has no other power.
 _MAX_BAND_RATIO = 4.0
 # Minimum record length in periods of the bandwidth frequency.
 _MIN_CYCLES = 10.0
@@ -124,6 +125,7 @@ class Gain:
     mean: float  # the same, weighted by the independent rows
     log_likelihood: float  # difference of the log likelihoods of independent rows
     probability: float  # of stretches that gain as much on average if none gains (Student's t)
+    n_rows: float  # independent rows of all joints
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,10 +137,17 @@ class Alternative:
     corrections: tuple[Correction, ...]
     gain: Gain | None = None  # over the stated description
     cost: float = np.inf  # half the mean logarithm of the unexplained shares
+    n_coordinates: int = 0  # estimated from the torques
     is_tolerated: bool = False  # of a size within which a study is accepted
     record: str = ""  # the only record with the fault; empty: all records
     exchanged: tuple[str, ...] = ()  # kinds of channels that are exchanged with `other`
     other: int | None = None
+
+    @property
+    def penalised_cost(self) -> float:
+        """Cost with the penalty of the Bayesian information criterion for its coordinates."""
+        n = max(self.gain.n_rows, 1.0) if self.gain else 1.0
+        return self.cost + 0.5 * self.n_coordinates * float(np.log(n)) / n
 
 
 def is_as_good(each: Alternative, best: Alternative) -> bool:
@@ -331,9 +340,27 @@ def collect_evidence(logs: Sequence[Log], study: Study) -> Evidence:
     """Collect the evidence of a study. Records that are too short are omitted."""
     arm = Arm.of(study.arm)
     pairs = [*zip(logs, _moving_motors(logs, arm), strict=True)]
-    bands = [_record_band(log, arm, moves) for log, moves in pairs if is_slow(log.experiment)]
-    limit = _MAX_BAND_RATIO * float(np.median(bands)) if bands else np.inf
-    records = run_parallel([partial(_slow_record, log, arm, at, limit) for log, at in pairs])
+    bands = [
+        motion_bands(
+            _motor_angles(log, arm)[:, moves], log.sample_time, slow=is_slow(log.experiment)
+        )
+        for log, moves in pairs
+    ]
+    slow = [
+        b for each, log in zip(bands, logs, strict=True) if is_slow(log.experiment) for b in each
+    ]
+    limit = _MAX_BAND_RATIO * float(np.quantile(slow, 0.5, method="lower")) if slow else np.inf
+    jobs = [
+        partial(
+            _slow_record,
+            log,
+            arm,
+            moves,
+            min(max(b, default=0.0), limit if is_slow(log.experiment) else np.inf),
+        )
+        for (log, moves), b in zip(pairs, bands, strict=True)
+    ]
+    records = run_parallel(jobs)
     counts = {}
     for joint in range(1, arm.n_joints + 1):
         count = estimate_encoder_count([log.channels[f"theta_m{joint}"] for log in logs])
@@ -362,23 +389,14 @@ def _motor_angles(log: Log, arm: Arm) -> FloatArray:
     return np.column_stack([log.channels[f"theta_m{i}"][:_MAX_SAMPLES] for i in joints])
 
 
-def _record_band(log: Log, arm: Arm, moves: BoolArray) -> float:
-    """Bandwidth of the motion of the motors that `moves` marks, (n_joints,) [Hz]."""
-    angle = _motor_angles(log, arm)
-    band = motion_band(angle[:, moves], log.sample_time, slow=is_slow(log.experiment))
-    return max(band, _MIN_CYCLES / (len(angle) * log.sample_time))
-
-
-def _slow_record(log: Log, arm: Arm, moves: BoolArray, limit: float) -> SlowRecord | None:
+def _slow_record(log: Log, arm: Arm, moves: BoolArray, band: float) -> SlowRecord | None:
     """Low-pass filter and decimate a record. Returns None if the record is too short.
 
-    `limit` is the highest bandwidth of a slow record [Hz].
+    `band` is the bandwidth of the motion [Hz].
     """
     angle, T = _motor_angles(log, arm), log.sample_time
     n = len(angle)
-    band = _record_band(log, arm, moves)
-    if is_slow(log.experiment):
-        band = max(min(band, limit), _MIN_CYCLES / (n * T))
+    band = max(band, _MIN_CYCLES / (n * T))
     block = max(1, int(1.0 / (_ROWS_PER_CYCLE * band * T)))
     n_rows = n // block
     edge = int(np.ceil(1.0 / (band * block * T)))
@@ -447,8 +465,8 @@ def _block_means(signal: FloatArray, block: int) -> FloatArray:
     return means
 
 
-def motion_band(angle: FloatArray, sample_time: float, *, slow: bool) -> float:
-    """Bandwidth of the commanded motion of the fastest motor, below the gear resonances [Hz].
+def motion_bands(angle: FloatArray, sample_time: float, *, slow: bool) -> list[float]:
+    """Bandwidth of the commanded motion of each motor that moves, below the gear resonances [Hz].
 
     Slow records: 2 times the frequency below which 80 % of the velocity power lies. Fast records
     excite the gear resonances: 0.25 times the frequency below which 50 % of the power lies.
@@ -463,9 +481,7 @@ def motion_band(angle: FloatArray, sample_time: float, *, slow: bool) -> float:
         power[power < _MIN_LINE_OVER_NOISE * _noise_power(power)] = 0.0
     power = np.cumsum(power, axis=0)
     moving = power.T[power[-1] > 0.0]
-    return max(
-        (ratio * float(frequency[np.searchsorted(p, share * p[-1])]) for p in moving), default=0.0
-    )
+    return [ratio * float(frequency[np.searchsorted(p, share * p[-1])]) for p in moving]
 
 
 def _noise_power(power: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ the stated description does.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -54,9 +55,9 @@ _MAX_UNEXPLAINED = 0.25
 # no search is started, and a search ends.
 _MIN_DECREASE_TO_PREDICT, _MIN_PREDICTED_DECREASE, _MIN_DECREASE = 0.03, 0.03, 2e-3
 # Probability of the gain by chance, for all explanations together; and the gain of half the
-# unexplained variance, which no explanation of a sound log reaches, with the difference of the log
-# likelihoods that it needs in a short log.
-_MAX_CHANCE, _LARGE_GAIN, _MIN_LOG_LIKELIHOOD = 1e-3, float(np.log(2.0)), 20.0
+# unexplained variance of one torque, which no explanation of a sound log reaches, with the
+# difference of the log likelihoods that it needs in a short log: exp(-12) for each of 160.
+_MAX_CHANCE, _LARGE_GAIN, _MIN_LOG_LIKELIHOOD = 1e-3, float(np.log(2.0)), 12.0
 # Log ratio of unexplained variances from which an explanation is listed: of a change with one
 # coordinate, whose size is tested as well; and of other changes.
 _MIN_GAIN_OF_COORDINATE, _MIN_GAIN = 0.1, float(np.log(1.3))
@@ -81,6 +82,7 @@ _TORQUE_UNITS = (1e3, 1e-3)
 _QUARTER_TURNS = (0.5 * np.pi, -0.5 * np.pi, np.pi)
 _DEGREE = np.pi / 180.0  # [rad]
 _ROTATIONS = ("theta_m", "omega_m", "ref")
+_N_LOAD_PARAMETERS = 10
 _STANDARD_GRAVITY = 9.81  # [m/s^2]
 # Cosine above which two directions are equal.
 _EQUAL_DIRECTIONS = 0.999
@@ -108,19 +110,27 @@ def search_explanations(evidence: Evidence) -> tuple[Alternative, ...] | None:
     system = torque_system(evidence)
     if system is None:
         return None
-    search = _Search(evidence, fit_torques(system), predict_stretches(system))
+    search = _Search(evidence, system, fit_torques(system), predict_stretches(system))
     simple = [*_discrete(evidence), *_angle_units(evidence), *_efforts(evidence, "")]
-    for record in search.doubtful_records(system):
-        simple += [Alternative("payload", None, (), record=record)]
+    for record in search.doubtful_records():
+        simple += [
+            Alternative("payload", None, (), record=record, n_coordinates=_N_LOAD_PARAMETERS)
+        ]
         simple += [*_efforts(evidence, record), *_joint_exchanges(evidence, record)]
     jobs = [partial(search.discrete, each) for each in simple]
-    jobs += [partial(search.continuous, *each) for each in search.families()]
-    n_tried = len(jobs)
+    families = search.families()
+    jobs += [partial(search.continuous, *each) for each in families]
+    tried = [*simple, *(Alternative(f.kind, f.joint, ()) for f, _ in families)]
     found = [each for each in run_parallel(jobs) if each is not None]
     if found or max(search.fit.unexplained.values()) > _MAX_UNEXPLAINED:
-        jobs = [partial(search.discrete, each) for each in _joint_exchanges(evidence, "")]
+        exchanges = [*_joint_exchanges(evidence, "")]
+        tried += exchanges
+        jobs = [partial(search.discrete, each) for each in exchanges]
         found += [each for each in run_parallel(jobs) if each is not None]
-    if not any(_is_evident(each, _MAX_CHANCE / n_tried) for each in found):
+    # each kind of explanation has the same share of the probability, whatever their number
+    n_tried = Counter(map(_group, tried))
+    limits = {group: _MAX_CHANCE / len(n_tried) / n for group, n in n_tried.items()}
+    if not any(_is_evident(each, limits[_group(each)]) for each in found):
         return ()
     rivals = sorted((a for a in found if _is_evident(a, _MAX_CHANCE)), key=lambda a: a.cost)
     if any(each.is_tolerated and is_as_good(each, rivals[0]) for each in rivals):
@@ -128,16 +138,20 @@ def search_explanations(evidence: Evidence) -> tuple[Alternative, ...] | None:
     return tuple(each for each in rivals if not each.is_tolerated)
 
 
+def _group(each: Alternative) -> tuple[ChangeKind, bool]:
+    """The kind of an explanation, of all records or of one."""
+    return each.kind, bool(each.record)
+
+
 def _is_evident(each: Alternative, limit: float) -> bool:
     """Whether the gain is not one of chance, of a probability below `limit`, or large.
 
-    The fault of one record is of no use in the stretches of the others. A load must be large as
-    well, since its many parameters follow the friction of a record.
+    A load must gain much, since its many parameters follow the friction of a record.
     """
     if each.gain is None:
         return False
     is_large = (
-        each.gain.mean > _LARGE_GAIN
+        each.gain.by_joint.max() > _LARGE_GAIN
         and each.gain.log_likelihood > _MIN_LOG_LIKELIHOOD
         and each.gain.probability < _MAX_CHANCE_OF_LARGE
     )
@@ -149,6 +163,7 @@ class _Search:
     """The stated description and its fit, which explanations are compared with."""
 
     evidence: Evidence
+    system: TorqueSystem
     fit: TorqueFit
     stated: FitQuality
 
@@ -157,6 +172,8 @@ class _Search:
         changed = self.evidence.corrected_in(each.record, each.corrections)
         loaded = each.record if each.kind == "payload" else ""
         system = torque_system(changed, loaded)
+        if system is not None and each.kind == "exchange":
+            system = self._in_stated_sizes(system)
         # of two records, either can be the one with the load
         is_one = len({r.experiment.name for r in self.evidence.records}) > 2
         if system is None or (loaded and is_one and _load_inertia(system) < 0.0):
@@ -164,6 +181,17 @@ class _Search:
         if self.fit.cost - fit_torques(system).cost < _MIN_DECREASE_TO_PREDICT * self.fit.n_all:
             return None
         return self._gaining(each, predict_stretches(system), _MIN_GAIN, is_pooled=False)
+
+    def _in_stated_sizes(self, system: TorqueSystem) -> TorqueSystem:
+        """Exchanged torques with the errors relative to the torques of the stated description.
+
+        A large torque in the place of a small one has a smaller share of the same error.
+        """
+        stated = self.system.total, self.system.n_rows
+        if set(system.total) != set(stated[0]):
+            return system
+        totals = {i: total * system.n_rows[i] / stated[1][i] for i, total in stated[0].items()}
+        return replace(system, total=totals)
 
     def families(self) -> list[tuple[_Family, FloatArray]]:
         """Families with their derivatives at the stated description, and that of all frames."""
@@ -211,22 +239,34 @@ class _Search:
         quality = predict_stretches(system, fitted=None if family.kind == "torque" else (x, slope))
         is_tolerated = bool(np.all(np.abs(x) < family.tolerated))
         found = Alternative(
-            family.kind, family.joint, family.corrections(x), is_tolerated=is_tolerated
+            family.kind,
+            family.joint,
+            family.corrections(x),
+            is_tolerated=is_tolerated,
+            n_coordinates=family.size,
         )
         least = _MIN_GAIN_OF_COORDINATE if family.kind in _MEASURED else _MIN_GAIN
         return self._gaining(found, quality, least, is_pooled=True)
 
-    def doubtful_records(self, system: TorqueSystem) -> list[str]:
-        """Records without which the stretches of the others are predicted clearly better."""
-        names, weights = np.array(system.records), self.stated.weights
-        doubtful = []
+    def doubtful_records(self) -> list[str]:
+        """Records without which the stretches of the others are predicted clearly better.
+
+        Also the one with the largest errors in any torque relative to the others.
+        """
+        system, names = self.system, np.array(self.system.records)
+        doubtful, excess = [], {}
+        tiny = np.finfo(float).tiny
         for name in dict.fromkeys(system.records) if len(set(system.records)) > 1 else ():
             kept = names != name
             others = predict_stretches(system, names[~kept].tolist())
-            floor = np.finfo(float).tiny
-            before, after = (q.shares[kept].sum(axis=0) + floor for q in (self.stated, others))
-            if weights @ np.log(before / after) > _MIN_GAIN_OF_COORDINATE:
+            before, after = (q.shares[kept].sum(axis=0) + tiny for q in (self.stated, others))
+            if np.max(np.log(before / after)) > _MIN_GAIN:
                 doubtful.append(name)
+            rows = self.stated.rows
+            errors = self.stated.shares[~kept].sum(axis=0) / (rows[~kept].sum(axis=0) + tiny)
+            excess[name] = float(np.max(errors * rows[kept].sum(axis=0) / before))
+        if excess and (worst := max(excess, key=lambda name: excess[name])) not in doubtful:
+            doubtful.append(worst)
         return doubtful
 
     def _gaining(
@@ -236,7 +276,13 @@ class _Search:
 
         All torques gain at least `least` together if `is_pooled`, otherwise one does.
         """
+        if quality.shares.shape[1] != self.stated.shares.shape[1]:
+            return None  # a torque is compared in one of the two only
         gain = quality.gain(self.stated)
+        if each.kind == "exchange":  # their errors change places as well
+            pair = np.isin(sorted(self.system.total), [each.joint or 0, each.other or 0])
+            by_joint = np.where(pair, gain.by_joint[pair].mean(), gain.by_joint)
+            gain = replace(gain, by_joint=by_joint)
         best, worst = float(gain.by_joint.max()), float(gain.by_joint.min())
         if (gain.mean if is_pooled else best) < least or worst < -_MAX_LOSS * best:
             return None
@@ -258,7 +304,7 @@ class _Search:
 
 def _load_inertia(system: TorqueSystem) -> float:
     """Trace of the inertia of the load, the last parameters of a system with one [kg m^2]."""
-    load = fit_torques(system).links[-10:]
+    load = fit_torques(system).links[-_N_LOAD_PARAMETERS:]
     return float(load[[4, 6, 9]].sum())
 
 

@@ -73,6 +73,8 @@ Kind = Literal[
 
 # Minimum significance of a contradiction, in standard deviations.
 _MIN_SIGNIFICANCE = 5.0
+# The same for a share below its bound.
+_BOUND_SIGNIFICANCE = 2.0
 # The same for the sign of an inertia in one record, whose friction can imitate inertia.
 _MIN_RECORD_SIGNIFICANCE = 10.0
 # The same for the torque ratio, whose standard deviation includes friction errors.
@@ -120,7 +122,7 @@ _TOLERANCE: dict[Kind, float] = {
     "torque-fit": 0.0,  # better explanations were tested
     "torque-prediction": _MIN_PREDICTED_SHARE,
     "presence": _MIN_PRESENCE,
-    "torque-sensor": 4.0,  # friction and the rotor take a share; units differ by ten or more
+    "torque-sensor": 0.3,  # losses of a gear that grow with its load
     "friction": _MIN_FRICTION,
     "torque-ratio": 0.5,  # the rigid fit detects smaller errors with higher accuracy
 }
@@ -137,7 +139,7 @@ _MODEL_ERROR: dict[Kind, float] = {
     "rotation-ratio": 0.02,
     "delay": 4e-4,
     "tilt": 0.01,
-    "torque-sensor": 0.05,
+    "torque-sensor": 0.15,  # as gears' losses differ between records
     "drift": 0.0,  # follows from the floor of the delay and the length of the record
 }
 """Model error of an observation in one record: springs, friction and servo lag, without noise."""
@@ -219,9 +221,11 @@ class Observation:
 
     @property
     def accuracy(self) -> float:
-        """Largest difference from the expected value of consistent input; 0 of a bound."""
-        if self.least is not None or self.kind in _SIZES:
+        """Largest difference from the expected value of consistent input; 0 of a largest size."""
+        if self.kind in _SIZES:
             return 0.0
+        if self.least is not None:
+            return _BOUND_SIGNIFICANCE * self.std
         certain = _MIN_TORQUE_SIGNIFICANCE if self.kind == "torque-ratio" else _MIN_SIGNIFICANCE
         return max(self._tolerance, certain * self.std)
 
@@ -237,7 +241,7 @@ class Observation:
     def contradicts(self) -> bool:
         """Whether the error exceeds the tolerance and is statistically significant."""
         if self.least is not None:
-            return self.value + 2.0 * self.std < self.least
+            return self.value + self.accuracy < self.least
         if self.kind in _SIZES:
             return self.value > 1.0
         if self.kind in _ABSOLUTE_KINDS:
@@ -364,6 +368,8 @@ def _observe_input_delays(evidence: Evidence) -> Iterator[Observation]:
 
 def _observe_torque_fit(evidence: Evidence) -> Iterator[Observation]:
     """Unexplained variance of all torques over that with the best explanation."""
+    if "desired" in {each.meaning for each in evidence.study.channels.values()}:
+        return  # torques of a set-point, not of the motion
     fit = recall_quality(evidence) if evidence.explanations is not None else None
     if fit is None or evidence.explanations is None:
         return
@@ -382,14 +388,14 @@ def _observe_torque_fit(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _observe_friction(evidence: Evidence) -> Iterator[Observation]:
-    """Largest share of friction in a motor's torque; sensors behind the gears measure none."""
+    """Median share of friction in the motors' torques; sensors behind the gears measure none."""
     shares = friction_shares(evidence)
     joints = [i for i in shares if not evidence.arm.joints[i - 1].torque_at_link]
     names = [f"torque{i}" for i in joints if f"torque{i}" in evidence.channels]
     meanings = {evidence.channel(name).meaning for name in names}
     if names and meanings <= {"motor", "without-gravity"}:
-        std = max(each for _, each in shares.values())
-        yield Observation("friction", Place(part="arm"), max(shares.values())[0], std)
+        value, std = np.median([*shares.values()], axis=0).tolist()
+        yield Observation("friction", Place(part="arm"), value, std)
 
 
 def _observe_sizes(evidence: Evidence) -> Iterator[Observation]:

@@ -47,7 +47,7 @@ _N_ITERATIONS = 3
 # Standard parameters of a link.
 _N_LINK_PARAMETERS = 10
 # Rows of a stretch that is predicted by the links fitted to all others: 5 are independent.
-_FOLD_ROWS = 12
+_FOLD_ROWS = 6
 # Smallest unexplained share, so that noise-free torques can be compared.
 _MIN_UNEXPLAINED = 1e-9
 
@@ -70,13 +70,18 @@ class FitQuality:
     """How well one arm, fitted to the other stretches, predicts the torques of each stretch."""
 
     shares: FloatArray  # (n_folds, n_joints) squared prediction errors over the squared torques
-    n_rows: FloatArray  # (n_joints,) independent rows
+    rows: FloatArray  # (n_folds, n_joints) independent rows beyond the parameters
     records: tuple[str, ...]  # of each fold
 
     @property
     def unexplained(self) -> FloatArray:
         """Share of each torque (n_joints,) that is not predicted."""
         return np.asarray(np.maximum(self.shares.sum(axis=0), _MIN_UNEXPLAINED))
+
+    @property
+    def n_rows(self) -> FloatArray:
+        """Independent rows of each joint beyond the parameters, (n_joints,)."""
+        return np.asarray(self.rows.sum(axis=0))
 
     @property
     def weights(self) -> FloatArray:
@@ -88,19 +93,28 @@ class FitQuality:
         """Half the mean logarithm of the unexplained shares."""
         return float(0.5 * self.weights @ np.log(self.unexplained))
 
+    @property
+    def _costs(self) -> FloatArray:
+        """Negative log likelihoods (n_folds, n_joints), with one variance for each joint."""
+        squares = self.n_rows * self.shares / self.unexplained
+        return np.asarray(0.5 * (self.rows * np.log(self.unexplained) + squares))
+
     def gain(self, other: FitQuality) -> Gain:
-        """Gain of this fit over another of the same stretches and joints."""
+        """Gain of this fit over another of the same stretches and joints.
+
+        The test of Vuong (1989): the mean of the differences of the log likelihoods of stretches
+        over its standard error, which the stretches themselves give.
+        """
         by_joint = np.log(other.unexplained / self.unexplained)
         probability = 1.0
         if self.shares.shape == other.shares.shape and len(self.shares) > 1:
-            floor = _MIN_UNEXPLAINED
-            of_folds = np.log((other.shares + floor) / (self.shares + floor)) @ self.weights
-            n = len(of_folds)
-            std = max(float(of_folds.std(ddof=1)), 1e-300) / np.sqrt(n)
+            of_folds = (other._costs - self._costs).sum(axis=1)
+            n_folds = len(of_folds)
+            std = max(float(of_folds.std(ddof=1)), 1e-300) / np.sqrt(n_folds)
             t = float(of_folds.mean() / std)
-            probability = 0.5 * student_tail(t, n - 1) if t > 0.0 else 1.0
-        mean, half = float(self.weights @ by_joint), 0.5 * float(self.n_rows.sum())
-        return Gain(by_joint, mean, half * mean, probability)
+            probability = 0.5 * student_tail(t, n_folds - 1) if t > 0.0 else 1.0
+        mean, n = float(self.weights @ by_joint), float(self.n_rows.sum())
+        return Gain(by_joint, mean, 0.5 * n * mean, probability, n)
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,9 +257,12 @@ def predict_stretches(
         for j, joint in enumerate(joints):
             squares[k, j] = float(np.sum(errors[system.joint[rows] == joint] ** 2))
     shares = squares / np.array([system.total[joint] for joint in joints])
-    counts = np.array([np.sum(system.joint == joint) for joint in joints])
-    n_rows = counts * _ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW
-    return FitQuality(shares, n_rows, system.records)
+    n_rows = np.array([fit.n_rows[joint] for joint in joints])
+    counts = np.array(
+        [np.bincount(system.fold[system.joint == j], minlength=len(squares)) for j in joints]
+    )
+    rows = n_rows * (counts / counts.sum(axis=1, keepdims=True)).T
+    return FitQuality(shares, rows, system.records)
 
 
 def _inverse_root(gram: FloatArray) -> FloatArray:
@@ -420,7 +437,10 @@ def _recall_basis(
         own = _strided(np.column_stack(columns), stretches)[rows]
         own = own - own.mean(axis=0)
         norms = np.linalg.norm(own, axis=0)
-        return rows, np.linalg.qr(own / norms)[0] if norms.min() > 0.0 else None
+        varying = norms > _MIN_SINGULAR_VALUE * np.sqrt(len(own)) * np.array([0.0, 0.0, 1.0])
+        if not varying[:2].all():
+            return rows, None
+        return rows, np.linalg.qr(own[:, varying] / norms[varying])[0]
 
     setting = ("own", i, T, *(each.start for each in stretches))
     return evidence.memory.recall(setting, (angle,), compute)

@@ -296,7 +296,10 @@ def _scale_ratios(case: Case, kind: str, joint: int) -> list[float]:
         return [1.0 / ratio for ratio in case.values(f"theta_m{joint}", "reference")]
     if kind == "omega_m":
         return case.values(name, "velocity")
-    return [r for r in case.values(name, "level", "servo", "limit") if abs(r) > MIN_RATIO]
+    ratios = [r for r in case.values(name, "level", "servo", "limit") if abs(r) > MIN_RATIO]
+    if kind == "torque":
+        ratios += [1.0 / ratio for ratio in case.values(f"tau_l{joint}", "torque-sensor")]
+    return ratios
 
 
 def _is_contradicted(case: Case, kind: str, joint: int) -> bool:

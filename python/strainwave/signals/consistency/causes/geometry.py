@@ -11,9 +11,10 @@ import numpy as np
 from strainwave.domain import Clause, Correction, Place, channel_parts
 from strainwave.domain.effects import OF_RIGID_JOINTS
 from strainwave.domain.kinds import kind_of
-from strainwave.signals.consistency.causes.case import Case, Cause, as_rival
+from strainwave.signals.consistency.causes.case import STEPS, Case, Cause, as_rival
 from strainwave.signals.consistency.causes.channels import scale_cause
 from strainwave.signals.consistency.evidence import Alternative, ChangeKind, is_as_good
+from strainwave.signals.consistency.torque_fit import friction_shares
 
 # Log ratio within which an estimated reduction is the nearest whole number.
 _REDUCTION_TOLERANCE = 0.01
@@ -21,6 +22,8 @@ _REDUCTION_TOLERANCE = 0.01
 # joints from which the fit finds the true one [rad].
 _ESTIMATED_BY_FIT: Mapping[ChangeKind, str] = {"zero": "encoder-zero", "delay": "torque-delay"}
 _MAX_FITTED_ZERO = 0.5
+# Least share of friction in the torques of gears, from measured arms.
+_MIN_FRICTION_OF_GEARS = 0.1
 # Decimal logarithm within which a factor is that of a unit.
 _UNIT_TOLERANCE = 0.01
 
@@ -28,19 +31,49 @@ _UNIT_TOLERANCE = 0.01
 def propose_explanations(case: Case) -> Iterator[Cause]:
     """Explanations of the torques about as good as the best one, simple ones first.
 
-    The others are its rivals, first those that move no frames.
+    Of those as simple as each other, the one that predicts best is first. Faults of one record
+    follow those of all. The others are rivals.
     """
     found = case.evidence.explanations
     if not found or not case.contradicts("torque-fit"):
         return
-    order = {kind: k for k, kind in enumerate(_CAUSES)}
-    good = [each for each in found if is_as_good(each, found[0])]
-    good.sort(key=lambda a: (order[a.kind], _enlarges(a), a.cost))
+    good = [v for a in found if is_as_good(a, found[0]) for v in _variants(a)]
+    good.sort(key=lambda a: (bool(a.record), _complexity(a), _enlarges(a), a.penalised_cost))
     causes = [_cause(case, a, float(np.exp(a.gain.mean if a.gain else 0.0))) for a in good]
+    desired = [replace(c, rivals=tuple(map(as_rival, causes))) for c in _desired(case)]
+    if good[0].kind == "delay":  # efforts of a set-point are early
+        yield from desired
     for cause in causes:
         others = [other for other in causes if other.places != cause.places]
-        others.sort(key=lambda other: other.moves_frames)
         yield replace(cause, rivals=tuple(map(as_rival, others)))
+    yield from desired
+
+
+def _desired(case: Case) -> Iterator[Cause]:
+    """Efforts of the set-point, which contain hardly any friction."""
+    evidence = case.evidence
+    names = [f"torque{i}" for i in range(1, evidence.arm.n_joints + 1)]
+    efforts = tuple(name for name in names if name in evidence.channels)
+    shares = [share for share, _ in friction_shares(evidence).values()]
+    if efforts and shares and np.median(shares) < _MIN_FRICTION_OF_GEARS:
+        clause = Clause("desired-effort", channels=efforts, share=float(np.median(shares)))
+        changes = tuple(Correction("channels", name, "meaning", "desired") for name in efforts)
+        places = tuple(Place(channel=name) for name in efforts)
+        yield Cause("desired-effort", places, clause, changes)
+
+
+def _variants(each: Alternative) -> Iterator[Alternative]:
+    """An explanation, and an exchange of motor torques without that of the sensors behind gears."""
+    yield each
+    motors = tuple(kind for kind in each.exchanged if kind != "tau_l")
+    if motors and motors != each.exchanged:
+        kept = [c for c in each.corrections if channel_parts(c.entry)[0] != "tau_l"]
+        yield replace(each, corrections=tuple(kept), exchanged=motors)
+
+
+def _complexity(each: Alternative) -> int:
+    """0 for exchanges, signs, units and axes, 1 for one number, 2 for several."""
+    return min(max(each.n_coordinates, each.kind == "zero"), 2)
 
 
 def _enlarges(each: Alternative) -> bool:
@@ -125,7 +158,8 @@ def _torque(case: Case, change: Alternative, ratio: float) -> Cause:
     is_unit = abs(abs(np.log10(factor)) - 3.0) < _UNIT_TOLERANCE
     code = "wrong-unit" if is_unit else "wrong-torque-constant"
     clause = Clause(f"{code}/torques", ratio=ratio, joint=joint, factor=factor)
-    return Cause(code, (place,), clause, (correction,), factor=1.0 / factor)
+    remedy = STEPS if is_unit else Clause("remedy/torque-estimate")
+    return Cause(code, (place,), clause, (correction,), remedy, factor=1.0 / factor)
 
 
 def _gravity(case: Case, change: Alternative, ratio: float) -> Cause:
