@@ -36,9 +36,7 @@ from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
-from strainwave.signals.channels import unmeasured
-from strainwave.signals.motor import prepare_motor_signals
-from strainwave.signals.prepared_record import add_link_angles, prepare_record
+from strainwave.signals.motor import measured_torsion, prepare_motor_signals
 from strainwave.signals.repetition import period_of
 
 _BLOCKS = 20  # of the jackknife, of all records together
@@ -96,7 +94,7 @@ def _prepare(log: Log, bandwidth_hz: float, arm: Arm) -> _Record | None:
     rows = np.arange(edge - edge % step, len(log) - edge, step * per_row)
     if not len(rows):
         return None
-    torsion, is_measured = _torsion(log, arm)
+    torsion, is_measured = measured_torsion(log, arm)
     q, dq, ddq = _link_motion(signals, torsion, bandwidth_hz, step, arm)
 
     def filtered(values: FloatArray) -> FloatArray:
@@ -129,19 +127,6 @@ def _link_motion(
     for motors in (signals.motor_angle, signals.motor_velocity, signals.motor_acceleration):
         yield np.ascontiguousarray((arm.links_of(motors) - twist)[::step])
         twist = differentiate(twist, T)
-
-
-def _torsion(log: Log, arm: Arm) -> tuple[FloatArray, BoolArray]:
-    """Torsion [rad, m], (n_samples, n_joints), and where it is measured; zero without a reading."""
-    with_angles = add_link_angles(log, arm)
-    links = arm.links_of(prepare_record(log, arm).motor_angle)
-    torsion, is_measured = np.zeros(links.shape), np.zeros(links.shape, dtype=bool)
-    for i in range(arm.n_joints):
-        second = f"theta_l{i + 1}"
-        if second in with_angles.channels:
-            torsion[:, i] = links[:, i] - with_angles.channels[second]
-            is_measured[:, i] = ~unmeasured(with_angles, (second,))
-    return torsion, is_measured
 
 
 def _clear_of(valid: BoolArray, gap: int) -> BoolArray:
