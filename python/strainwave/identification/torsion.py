@@ -2,12 +2,12 @@
 
 The links' torque, which the rigid model predicts, twists the gear by delta = n theta_M - theta_L:
 
-    delta = tau / k + a ddq + b dq + c
+    delta = tau / k + e dtau + a ddq + b dq + c
 
 The column of the own acceleration absorbs the part of the inertia that rigid motion does not
 separate from the motor's; that of the velocity absorbs the link's viscous friction and a delay
-between the encoders. Each record has its own zero c. The gear damping is negligible far below the
-resonance.
+between the encoders; that of the rate of the torque absorbs the gear damping. Each record has its
+own zero c.
 """
 
 from __future__ import annotations
@@ -54,6 +54,7 @@ class _Record:
     name: str
     torque: FloatArray  # (n_rows, n_joints, n_body) [N m] of the links, per base parameter
     payload: FloatArray  # (n_rows, n_joints) [N m] that a known payload adds
+    rate: FloatArray  # (n_rows, n_joints, n_body) [N m/s] derivative of the torque of the links
     velocity: FloatArray  # (n_rows, n_joints)
     acceleration: FloatArray  # (n_rows, n_joints)
     torsion: FloatArray  # (n_rows, n_joints) [rad, m]; zero without a reading
@@ -109,6 +110,7 @@ def _prepare(log: Log, bandwidth_hz: float, arm: Arm) -> _Record | None:
         log.name,
         filtered(regressor),
         filtered(added),
+        filtered(differentiate(regressor, step * T)),
         filtered(dq),
         filtered(ddq),
         low_pass(torsion, bandwidth_hz, T, kept=slice(0, None, step))[rows // step],
@@ -143,6 +145,7 @@ class _Equations:
 
     per_parameter: FloatArray  # (n_rows, n_body) [N m] torque per base parameter
     payload: FloatArray  # (n_rows,) [N m]
+    rate: FloatArray  # (n_rows, n_body) [N m/s] derivative of the torque per base parameter
     others: FloatArray  # (n_rows, 2 + n_records) acceleration, velocity, one per record
     torsion: FloatArray  # (n_rows,) [rad, m]
     block: IntArray  # (n_rows,) of the jackknife
@@ -166,6 +169,7 @@ class _Equations:
         return _Equations(
             np.concatenate([r.torque[at, joint] for r, at in parts]),
             np.concatenate([r.payload[at, joint] for r, at in parts]),
+            np.concatenate([r.rate[at, joint] for r, at in parts]),
             np.column_stack(others),
             np.concatenate([r.torsion[at, joint] for r, at in parts]),
             block,
@@ -182,12 +186,13 @@ def _fit_joint(
         return lacking
     solution = model.solution[: arm.n_body]
     torque = equations.per_parameter @ solution + equations.payload
-    compliance, own = _slope(torque, equations.others, equations.torsion)
+    others = np.column_stack([equations.rate @ solution, equations.others])
+    compliance, own = _slope(torque, others, equations.torsion)
     residual = own.torsion - compliance * own.torque
     without = [equations.block != block for block in np.unique(equations.block)]
-    parts = [_slope(torque[at], equations.others[at], equations.torsion[at])[0] for at in without]
+    parts = [_slope(torque[at], others[at], equations.torsion[at])[0] for at in without]
     # errors of the rigid model shift the torque along its columns
-    shifts = _projected(equations.per_parameter, equations.others)
+    shifts = _projected(equations.per_parameter, others)
     change = (residual - compliance * own.torque) @ shifts / (own.torque @ own.torque)
     of_model = np.nan_to_num(model.covariance[: arm.n_body, : arm.n_body])
     variance = (len(parts) - 1) * float(np.var(parts)) + float(change @ of_model @ change)
