@@ -57,6 +57,7 @@ class Signals:
     valid: BoolArray  # (n_samples, n_joints): False at edges, drive saturation and defects
     torque_channel: tuple[str, ...]  # log channel of each torque
     warnings: tuple[Diagnostic, ...] = ()
+    torsion: FloatArray | None = None  # (n_samples, n_joints) [rad, m], filtered as the angles
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,10 @@ import numpy as np
 from strainwave.domain import BoolArray, FloatArray, FrictionTerm, Payload, RigidModel, Signals
 from strainwave.domain.kinds.bodies import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
-from strainwave.numerics.filters import low_pass
+from strainwave.numerics.filters import differentiate, low_pass
+
+Motion = Sequence[FloatArray]
+"""An angle and its first two derivatives, each (n_samples, n_joints)."""
 
 SPRING, ZERO, DELAY = "ground-spring", "encoder-zero", "torque-delay"
 CORRECTIONS = (ZERO, DELAY)
@@ -56,7 +59,7 @@ LOAD_TERMS = "load-friction", "load-speed-friction"
 def gear_load(
     arm: Arm,
     solution: FloatArray,
-    links: Sequence[FloatArray],
+    links: Motion,
     payload: Payload | None = None,
     motor_share: float = MOTOR_SHARE,
 ) -> FloatArray:
@@ -68,6 +71,34 @@ def gear_load(
     """
     base = arm.links_of_rigid(motor_share) @ solution[: arm.n_body] + arm.payload_vector(payload)
     return arm.motors_of(arm.link_torques(base, *links))
+
+
+def link_motion(arm: Arm, motors: Motion, torsion: Motion = ()) -> list[FloatArray]:
+    """Motion of the links for that of the motors, behind gears with a measured torsion."""
+    links = [arm.links_of(x) for x in motors]
+    return [q - twist for q, twist in zip(links, torsion, strict=True)] if torsion else links
+
+
+def body_regressor(
+    arm: Arm, links: Motion, torsion: Motion = (), motor_share: float = MOTOR_SHARE
+) -> FloatArray:
+    """Motor torques per parameter of the bodies: (n_samples, n_joints, n_body).
+
+    The rotors accelerate before the gears, whose `torsion` may be measured.
+    """
+    phi = arm.rigid_regressor(*links)
+    if torsion:
+        ahead = arm.motor_accelerations(torsion[2])
+        phi += ahead[:, :, None] * arm.motors_of_rigid(motor_share)
+    return phi
+
+
+def torsion_motion(signals: Signals) -> tuple[FloatArray, ...]:
+    """Measured torsion of the gears and its derivatives, at every sample; empty without one."""
+    if signals.torsion is None:
+        return ()
+    velocity = differentiate(signals.torsion, signals.sample_time)
+    return signals.torsion, velocity, differentiate(velocity, signals.sample_time)
 
 
 def additional_friction(
@@ -236,10 +267,12 @@ def predict_torque(
     direction = np.column_stack([_bridge_gaps(d) for d in signals.direction.T])
     sticks = standing(signals.direction, longest_bridge)
     motion = signals.motor_angle, signals.motor_velocity, signals.motor_acceleration
+    torsion = torsion_motion(signals)
     torque, payload = np.empty_like(signals.motor_torque), signals.experiment.payload
     for start in range(0, len(torque), _BLOCK_SIZE):
         block = slice(start, start + _BLOCK_SIZE)
-        parts = torque_parts(arm, solution, [x[block] for x in motion], friction_terms, payload)
+        motors, twist = ([x[block] for x in each] for each in (motion, torsion))
+        parts = torque_parts(arm, solution, motors, friction_terms, payload, twist)
         smooth, limit = parts.body + parts.smooth_friction, np.abs(parts.dry_friction)
         sticking = smooth + np.clip(signals.motor_torque[block] - smooth, -limit, limit)
         sliding = smooth + parts.dry_friction * direction[block]
@@ -263,14 +296,15 @@ class TorqueParts:
 def torque_parts(
     arm: Arm,
     solution: FloatArray,
-    motion: Sequence[FloatArray] | FloatArray,
+    motion: Motion | FloatArray,
     friction_terms: Sequence[FrictionTerm],
     payload: Payload | None = None,
+    torsion: Motion = (),
 ) -> TorqueParts:
-    """Parts of the motor torque for angle, velocity and acceleration of the motors."""
-    velocity, links = motion[1], [arm.links_of(x) for x in motion]
+    """Parts of the motor torque for a motion of the motors and of the gears."""
+    velocity, links = motion[1], link_motion(arm, list(motion), torsion)
     viscous, coulomb, offset = arm.joint_friction(solution).T
-    body = arm.rigid_regressor(*links) @ solution[: arm.n_body]
+    body = body_regressor(arm, links, torsion) @ solution[: arm.n_body]
     if payload is not None:
         body += arm.payload_torques(payload, *links)
     smooth = viscous * velocity + offset
@@ -281,9 +315,7 @@ def torque_parts(
     return TorqueParts(body + spring_torque(arm, friction_terms, links[0]), smooth, dry)
 
 
-def inverse_dynamics(
-    arm: Arm, model: RigidModel, motion: Sequence[FloatArray] | FloatArray
-) -> FloatArray:
+def inverse_dynamics(arm: Arm, model: RigidModel, motion: Motion | FloatArray) -> FloatArray:
     """Motor torques of a rigid model for a motion of the motors: (n_samples, n_joints) [N m].
 
     Dry friction is zero where the velocity is exactly zero. Angles are those of the encoders.

@@ -2,12 +2,12 @@
 
 The links' torque, which the rigid model predicts, twists the gear by delta = n theta_M - theta_L:
 
-    delta = tau / k + a ddq + b dq + c
+    delta = tau / k + e dtau + a ddq + b dq + c
 
 The column of the own acceleration absorbs the part of the inertia that rigid motion does not
 separate from the motor's; that of the velocity absorbs the link's viscous friction and a delay
-between the encoders. Each record has its own zero c. The gear damping is negligible far below the
-resonance.
+between the encoders; that of the rate of the torque absorbs the gear damping. Each record has its
+own zero c.
 """
 
 from __future__ import annotations
@@ -36,9 +36,7 @@ from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
-from strainwave.signals.channels import unmeasured
-from strainwave.signals.motor import prepare_motor_signals
-from strainwave.signals.prepared_record import add_link_angles, prepare_record
+from strainwave.signals.motor import measured_torsion, prepare_motor_signals
 from strainwave.signals.repetition import period_of
 
 _BLOCKS = 20  # of the jackknife, of all records together
@@ -56,6 +54,7 @@ class _Record:
     name: str
     torque: FloatArray  # (n_rows, n_joints, n_body) [N m] of the links, per base parameter
     payload: FloatArray  # (n_rows, n_joints) [N m] that a known payload adds
+    rate: FloatArray  # (n_rows, n_joints, n_body) [N m/s] derivative of the torque of the links
     velocity: FloatArray  # (n_rows, n_joints)
     acceleration: FloatArray  # (n_rows, n_joints)
     torsion: FloatArray  # (n_rows, n_joints) [rad, m]; zero without a reading
@@ -96,7 +95,7 @@ def _prepare(log: Log, bandwidth_hz: float, arm: Arm) -> _Record | None:
     rows = np.arange(edge - edge % step, len(log) - edge, step * per_row)
     if not len(rows):
         return None
-    torsion, is_measured = _torsion(log, arm)
+    torsion, is_measured = measured_torsion(log, arm)
     q, dq, ddq = _link_motion(signals, torsion, bandwidth_hz, step, arm)
 
     def filtered(values: FloatArray) -> FloatArray:
@@ -111,6 +110,7 @@ def _prepare(log: Log, bandwidth_hz: float, arm: Arm) -> _Record | None:
         log.name,
         filtered(regressor),
         filtered(added),
+        filtered(differentiate(regressor, step * T)),
         filtered(dq),
         filtered(ddq),
         low_pass(torsion, bandwidth_hz, T, kept=slice(0, None, step))[rows // step],
@@ -131,19 +131,6 @@ def _link_motion(
         twist = differentiate(twist, T)
 
 
-def _torsion(log: Log, arm: Arm) -> tuple[FloatArray, BoolArray]:
-    """Torsion [rad, m], (n_samples, n_joints), and where it is measured; zero without a reading."""
-    with_angles = add_link_angles(log, arm)
-    links = arm.links_of(prepare_record(log, arm).motor_angle)
-    torsion, is_measured = np.zeros(links.shape), np.zeros(links.shape, dtype=bool)
-    for i in range(arm.n_joints):
-        second = f"theta_l{i + 1}"
-        if second in with_angles.channels:
-            torsion[:, i] = links[:, i] - with_angles.channels[second]
-            is_measured[:, i] = ~unmeasured(with_angles, (second,))
-    return torsion, is_measured
-
-
 def _clear_of(valid: BoolArray, gap: int) -> BoolArray:
     """Samples that are valid with all samples up to `gap` before and after."""
     counts = np.concatenate([np.zeros((1, valid.shape[1])), np.cumsum(~valid, axis=0)])
@@ -158,6 +145,7 @@ class _Equations:
 
     per_parameter: FloatArray  # (n_rows, n_body) [N m] torque per base parameter
     payload: FloatArray  # (n_rows,) [N m]
+    rate: FloatArray  # (n_rows, n_body) [N m/s] derivative of the torque per base parameter
     others: FloatArray  # (n_rows, 2 + n_records) acceleration, velocity, one per record
     torsion: FloatArray  # (n_rows,) [rad, m]
     block: IntArray  # (n_rows,) of the jackknife
@@ -181,6 +169,7 @@ class _Equations:
         return _Equations(
             np.concatenate([r.torque[at, joint] for r, at in parts]),
             np.concatenate([r.payload[at, joint] for r, at in parts]),
+            np.concatenate([r.rate[at, joint] for r, at in parts]),
             np.column_stack(others),
             np.concatenate([r.torsion[at, joint] for r, at in parts]),
             block,
@@ -197,12 +186,13 @@ def _fit_joint(
         return lacking
     solution = model.solution[: arm.n_body]
     torque = equations.per_parameter @ solution + equations.payload
-    compliance, own = _slope(torque, equations.others, equations.torsion)
+    others = np.column_stack([equations.rate @ solution, equations.others])
+    compliance, own = _slope(torque, others, equations.torsion)
     residual = own.torsion - compliance * own.torque
     without = [equations.block != block for block in np.unique(equations.block)]
-    parts = [_slope(torque[at], equations.others[at], equations.torsion[at])[0] for at in without]
+    parts = [_slope(torque[at], others[at], equations.torsion[at])[0] for at in without]
     # errors of the rigid model shift the torque along its columns
-    shifts = _projected(equations.per_parameter, equations.others)
+    shifts = _projected(equations.per_parameter, others)
     change = (residual - compliance * own.torque) @ shifts / (own.torque @ own.torque)
     of_model = np.nan_to_num(model.covariance[: arm.n_body, : arm.n_body])
     variance = (len(parts) - 1) * float(np.var(parts)) + float(change @ of_model @ change)

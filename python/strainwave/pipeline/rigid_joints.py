@@ -32,7 +32,7 @@ from strainwave.numerics.parallel import run_parallel
 from strainwave.pipeline.inputs import Inputs
 from strainwave.pipeline.reporter import Reporter
 from strainwave.signals import hygiene
-from strainwave.signals.motor import mark_standstill, prepare_motor_signals
+from strainwave.signals.motor import SignalOptions, mark_standstill, prepare_motor_signals
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +57,12 @@ def fit_rigid_joints(
     _check_effects(arm)
     with reporter.time_part("rigid", "rigid joints: least squares"):
         motion_logs = inputs.logs_of("motion")
+        # stages of elastic gears fit the torsion themselves
+        is_last = not inputs.logs_of("frequency", "sweep", "tuning")
+        options = SignalOptions(with_torsion=is_last)
         prepared = run_parallel(
-            [partial(prepare_motor_signals, log, arm) for log in motion_logs]
-            + [partial(_prepare_check, log, arm) for log in inputs.logs_of("check")]
+            [partial(prepare_motor_signals, log, arm, options) for log in motion_logs]
+            + [partial(_prepare_check, log, arm, options) for log in inputs.logs_of("check")]
         )
         records = mark_standstill([each for each in prepared if isinstance(each, Signals)])
         motion, checks = records[: len(motion_logs)], records[len(motion_logs) :]
@@ -128,10 +131,10 @@ def _check_effects(arm: Arm) -> None:
             )
 
 
-def _prepare_check(log: Log, arm: Arm) -> Signals | Diagnostic:
+def _prepare_check(log: Log, arm: Arm, options: SignalOptions) -> Signals | Diagnostic:
     """Signals of a check record; a warning if it is too short for a rigid prediction."""
     try:
-        return prepare_motor_signals(log, arm)
+        return prepare_motor_signals(log, arm, options)
     except RecordTooShort as error:
         place = Place.in_records(log.name)
         return Diagnostic(

@@ -12,11 +12,13 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import MAX_STICTION_SHARE
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.signals.channels import check_length, unmeasured
-from strainwave.signals.prepared_record import prepare_record
+from strainwave.signals.prepared_record import add_link_angles, prepare_record
 
 # Share of a motor's largest travel in any record below which it stands: the travel is a deflection
 # of gear and bearings before they slide, even if the encoder resolves it.
 _MIN_TRAVEL_SHARE = 0.01
+# largest mean torsion [rad, m] of a gear; a larger one is a difference of the encoders' zeros
+_MAX_TORSION = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +26,7 @@ class SignalOptions:
     """Options of the motor-side signals."""
 
     bandwidth_hz: float | None = None  # of the filter; None: determined from the encoder noise
+    with_torsion: bool = False  # of the gears, if sensors on both sides of each elastic one show it
 
 
 def prepare_motor_signals(log: Log, arm: Arm, options: SignalOptions | None = None) -> Signals:
@@ -64,7 +67,32 @@ def prepare_motor_signals(log: Log, arm: Arm, options: SignalOptions | None = No
         valid=valid,
         torque_channel=record.channels,
         warnings=record.saturation.warnings,
+        torsion=_torsion(log, arm, bandwidth) if chosen.with_torsion else None,
     )
+
+
+def _torsion(log: Log, arm: Arm, bandwidth_hz: float) -> FloatArray | None:
+    """Low-passed torsion, without a difference of the encoders' zeros; None if one is unknown."""
+    torsion, is_measured = measured_torsion(log, arm)
+    elastic = [i for i, joint in enumerate(arm.joints) if joint.elastic]
+    if not elastic or not is_measured[:, elastic].any(axis=0).all():
+        return None
+    mean = torsion.mean(axis=0)
+    zero = np.where(np.abs(mean) > _MAX_TORSION, mean, 0.0)
+    return low_pass(torsion - zero, bandwidth_hz, log.sample_time)
+
+
+def measured_torsion(log: Log, arm: Arm) -> tuple[FloatArray, BoolArray]:
+    """Torsion [rad, m], (n_samples, n_joints), and where it is measured; zero without a reading."""
+    with_angles = add_link_angles(log, arm)
+    links = arm.links_of(prepare_record(log, arm).motor_angle)
+    torsion, is_measured = np.zeros(links.shape), np.zeros(links.shape, dtype=bool)
+    for i in range(arm.n_joints):
+        second = f"theta_l{i + 1}"
+        if second in with_angles.channels:
+            torsion[:, i] = links[:, i] - with_angles.channels[second]
+            is_measured[:, i] = ~unmeasured(with_angles, (second,))
+    return torsion, is_measured
 
 
 def mark_standstill(records: Sequence[Signals]) -> tuple[Signals, ...]:

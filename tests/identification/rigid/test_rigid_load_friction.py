@@ -10,7 +10,9 @@ import pytest
 import virtual_arms
 from strainwave.domain import FloatArray, RigidOptions, Signals, Study
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.rigid_prediction import gear_load
 from strainwave.identification import rigid, validation
+from strainwave.numerics.filters import differentiate
 
 SHARES = np.array([0.08, 0.0])
 
@@ -52,6 +54,41 @@ def test_the_load_friction_is_recovered() -> None:
     assert share.ci95[0] < SHARES[0] < share.ci95[1]
     assert [w.where for w in model.warnings if w.code == "load-friction"] == ["joint 1"]
     assert np.all(np.abs(model.solution - values) < 4.0 * np.sqrt(np.diag(model.covariance)))
+
+
+def test_a_measured_torsion_leaves_inertias_and_friction_as_they_are() -> None:
+    study, values, signals = loaded(SHARES)
+    arm = Arm.of(study.arm)
+    n, T = arm.gear_ratios, signals.sample_time
+    viscous, coulomb, offset = values[arm.n_body :].reshape(2, 3).T
+    motion = signals.motor_angle, signals.motor_velocity, signals.motor_acceleration
+    links = [x * n for x in motion]
+    gear = gear_load(arm, values, links)
+    torsion = gear / n / np.array([4000.0, 2000.0])  # N m/rad
+    speed = differentiate(torsion, T)
+    angle, velocity, acceleration = (
+        x + twist / n
+        for x, twist in zip(motion, (torsion, speed, differentiate(speed, T)), strict=True)
+    )
+    rotors = arm.motors_of_rigid(0.5) @ values[: arm.n_body]
+    friction = (coulomb + SHARES * np.abs(gear)) * np.sign(velocity) + viscous * velocity + offset
+    noise = np.random.default_rng(1).normal(0.0, 2e-3, gear.shape)
+    twisted = replace(
+        signals,
+        motor_angle=angle,
+        motor_velocity=velocity,
+        motor_acceleration=acceleration,
+        direction=np.sign(velocity),
+        motor_torque=gear + rotors * acceleration + friction + noise,
+        torsion=torsion,
+    )
+    elastic = study.arm.with_joints(replace(joint, spring="linear") for joint in study.arm.joints)
+    model = rigid.fit_rigid([twisted], Arm.of(elastic))
+    assert [term.effect for term in model.friction_terms] == ["load-friction"]
+    errors = np.abs(model.solution - values)
+    assert np.all(errors < 4.0 * np.sqrt(np.diag(model.covariance)))
+    without = rigid.fit_rigid([replace(twisted, torsion=None)], arm)
+    assert np.any(np.abs(without.solution - values) > 10.0 * errors)
 
 
 def test_the_load_friction_improves_the_prediction() -> None:

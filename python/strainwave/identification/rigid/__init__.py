@@ -24,6 +24,7 @@ from strainwave.domain import (
     RigidOptions,
     Signals,
 )
+from strainwave.domain.gear_laws import RIGID
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import CORRECTIONS, LOAD_TERMS, band_fit
 from strainwave.errors import NotIdentifiable
@@ -81,12 +82,16 @@ def fit_rigid(
     data do not determine has the value None, and a warning gives the reason. The covariance
     includes the errors of estimated `gains`, which the arm has. Raises `NotIdentifiable` if there
     is no record or no usable sample.
+
+    Signals with the torsion of all gears need no model of it.
     """
     if not signals:
         raise NotIdentifiable(
             'the rigid step needs a record with use = "motion": slow, smooth motion of all joints'
         )
     with one_blas_thread():  # hundreds of small factorisations: several threads are slower
+        if all(s.torsion is not None for s in signals):
+            arm = arm.with_joints(replace(joint, spring=RIGID) for joint in arm.joints)
         return _fit(signals, arm, options or RigidOptions(), gains)
 
 

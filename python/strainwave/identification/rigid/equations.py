@@ -21,6 +21,7 @@ from strainwave.dynamics.rigid_prediction import (
     DELAY,
     SPRING,
     ZERO,
+    body_regressor,
     friction_per_size,
     gear_load,
 )
@@ -152,7 +153,7 @@ class Terms:
 
         The load is that of the gears by the estimate, without friction.
         """
-        q, dq, ddq = map(arm.links_of, stretch.motion)
+        q, dq, ddq = stretch.link_motion(arm)
         solution, payload = around.solution, stretch.signals.experiment.payload
         share = around.shares.inertia
         load = gear_load(arm, solution, (q, dq, ddq), payload, share)
@@ -377,12 +378,12 @@ class _BodyEquations:
 def _body_equations(
     arm: Arm, stretch: Stretch, around: Estimate | None, record: int
 ) -> _BodyEquations:
-    q, dq, ddq = map(arm.links_of, stretch.motion)
+    links = stretch.link_motion(arm)
     if around is None or not n_compliances(arm):
         phi = stretch.body
         if not phi.size:
-            phi = stretch.filtered(arm.rigid_regressor(q, dq, ddq))
-        torque = stretch.torque - _payload_torque(arm, stretch, (q, dq, ddq))
+            phi = stretch.filtered(body_regressor(arm, links, stretch.torsion))
+        torque = stretch.torque - _payload_torque(arm, stretch, links)
         shape = len(phi), arm.n_joints
         lags, shared_lag = np.zeros((*shape, 0)), np.zeros((*shape, arm.n_shared))
         return _BodyEquations(phi, lags, torque, np.zeros(shape), shared_lag)
@@ -391,14 +392,12 @@ def _body_equations(
     dgear = differentiate(gear, interval)
     ddgear = differentiate(dgear, interval)
     c = around.compliance
-    links = q - c * gear, dq - c * dgear, ddq - c * ddgear
-    phi = arm.rigid_regressor(*links)
-    # motor inertia acts on the motor acceleration, not the link acceleration
-    lag = arm.motor_accelerations(c * ddgear)
-    phi += lag[:, :, None] * arm.motors_of_rigid(around.shares.inertia)
+    angle, torsion = links[0], (c * gear, c * dgear, c * ddgear)
+    links = [x - twist for x, twist in zip(links, torsion, strict=True)]
+    phi = body_regressor(arm, links, torsion, around.shares.inertia)
     elastic = np.array([joint.elastic for joint in arm.joints])
     payload = arm.payload_vector(stretch.signals.experiment.payload)
-    lags = _compliance_regressor(arm, _base(arm, around) + payload, q, ddgear)
+    lags = _compliance_regressor(arm, _base(arm, around) + payload, angle, ddgear)
     lags -= dgear[:, None] * (arm.transmission.T * _link_viscous_friction(arm, around))
     lags *= elastic
     filtered = stretch.filtered(np.concatenate([phi, lags], axis=2))
@@ -427,9 +426,7 @@ def _link_viscous_friction(arm: Arm, around: Estimate) -> FloatArray:
     return np.asarray(friction)
 
 
-def _payload_torque(
-    arm: Arm, stretch: Stretch, links: tuple[FloatArray, FloatArray, FloatArray]
-) -> FloatArray | float:
+def _payload_torque(arm: Arm, stretch: Stretch, links: Sequence[FloatArray]) -> FloatArray | float:
     """Motor torques that move the known payload of a record, filtered: (n_rows, n_joints)."""
     payload = stretch.signals.experiment.payload
     return 0.0 if payload is None else stretch.filtered(arm.payload_torques(payload, *links))

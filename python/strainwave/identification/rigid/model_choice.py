@@ -61,7 +61,10 @@ def candidates_of(arm: Arm, stretches: Sequence[Stretch]) -> list[Candidate]:
         "direction-friction": [np.mean(speeds, axis=0)],
         POWER: [np.full(arm.n_joints, exponent)],
     }
-    effects = [OF_RIGID_JOINTS if j.selects_effects else j.named_effects for j in arm.joints]
+    effects = [
+        [name for name in OF_RIGID_JOINTS if joint.selects_effects or name in joint.named_effects]
+        for joint in arm.joints
+    ]
     of_joints = [
         Candidate(effect, i, float(shape[i]))
         for i in range(arm.n_joints)

@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from strainwave.domain import BoolArray, FloatArray, IntArray, Signals
 from strainwave.domain.combinations import FRICTION_COLUMNS
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.rigid_prediction import MAX_STICTION_SHARE
+from strainwave.dynamics.rigid_prediction import (
+    MAX_STICTION_SHARE,
+    body_regressor,
+    link_motion,
+    torsion_motion,
+)
 from strainwave.numerics.filters import low_pass
 from strainwave.numerics.linalg import Banded
 from strainwave.signals.standstill import free_friction, responses, running
@@ -44,6 +49,7 @@ class Stretch:
     motion_step: int  # samples between successive rows of `motion`
     motion: tuple[FloatArray, ...]  # angle, velocity, acceleration: (n_motion, n_joints)
     drive: tuple[FloatArray, ...]  # torque and direction, as `motion`; empty if rigid
+    torsion: tuple[FloatArray, ...]  # measured and its derivatives, as `motion`; otherwise empty
     body: FloatArray  # (n_rows, n_joints, n_body) regressor of the links if rigid, otherwise empty
     rows: IntArray  # (n_rows,) sample indices
     keep: BoolArray  # (n_rows, n_joints)
@@ -78,6 +84,10 @@ class Stretch:
     def repetition(self) -> IntArray:
         """Number of the period of each row, (n_rows,)."""
         return np.asarray((self.rows - self.rows[:1]) // self.period, dtype=np.int64)
+
+    def link_motion(self, arm: Arm) -> list[FloatArray]:
+        """Angle, velocity and acceleration of the links, as `motion`, without unknown torsions."""
+        return link_motion(arm, self.motion, self.torsion)
 
     def motion_samples(self) -> IntArray:
         """Sample indices of the motion; they include the rows of the equations."""
@@ -170,6 +180,7 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> S
         motion_step=step,
         motion=(angle, velocity, acceleration),
         drive=(torque, direction) if elastic else (),
+        torsion=tuple(motion_of(x, bandwidth_hz, T) for x in torsion_motion(signals)),
         body=np.zeros(0),
         rows=rows,
         keep=np.column_stack(keep),
@@ -182,8 +193,8 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> S
     )
     if elastic:
         return stretch
-    motion = map(arm.links_of, stretch.motion)
-    return replace(stretch, body=stretch.filtered(arm.rigid_regressor(*motion)))
+    body = body_regressor(arm, stretch.link_motion(arm), stretch.torsion)
+    return replace(stretch, body=stretch.filtered(body))
 
 
 def _mirror_ends(signals: Signals, count: int) -> Signals:
@@ -202,6 +213,7 @@ def _mirror_ends(signals: Signals, count: int) -> Signals:
         motor_acceleration=mirrored(signals.motor_acceleration),
         direction=mirrored(signals.direction),
         valid=mirrored(signals.valid),
+        torsion=None if signals.torsion is None else mirrored(signals.torsion),
     )
 
 

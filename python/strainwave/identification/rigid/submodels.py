@@ -24,8 +24,8 @@ from strainwave.numerics.spectra import estimate_rows_per_error
 _RIDGE = 3e-5
 _MIN_FOLDS = 2  # the other folds estimate the variance of a joint
 # share of the torque of a term that the parameters of the arm must leave unexplained; the zero of
-# the last joint of a chain, which turns the centre of mass, leaves rounding
-_MIN_UNEXPLAINED_SHARE = 1e-6
+# the last joint of a chain, which turns the centre of mass, leaves errors of the torsion
+_MIN_UNEXPLAINED_SHARE = 1e-3
 
 
 @dataclass(frozen=True)

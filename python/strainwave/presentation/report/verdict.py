@@ -188,7 +188,7 @@ def drive_note(identification: Identification) -> str:
     if not drives or not any(joint.elastic for joint in identification.study.arm.joints):
         return ""
     return (
-        f"The rigid model predicts {', '.join(drives)} without the torsion of the gears: its fits"
+        f"The rigid model, which predicts {', '.join(drives)}, has no vibration of gears: its fits"
         " fall with the speed of the record and do not count against the result."
     )
 
