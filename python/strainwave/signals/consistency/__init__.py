@@ -39,6 +39,7 @@ from strainwave.signals.consistency.urdf_masses import compare_urdf_masses, repo
 __all__ = ["check_consistency", "find_doubtful_torque_constant", "suspect_torque_constants"]
 
 # Rivals of a cause that are named with it.
+_OF_TORQUES = ("torque-ratio", "torque-fit", "torque-prediction", "torque-sensor")
 _MAX_RIVALS = 1
 # Maximum number of combined causes. More simultaneous faults require separate experiments.
 _MAX_CAUSES = 3
@@ -127,7 +128,7 @@ def _needs_cause(each: Observation, evidence: Evidence) -> bool:
     Friction alone can reduce the explained share of a motor signal; the torques of chains are
     tested by their common fit.
     """
-    is_searched = evidence.arm.has_planar_program or each.kind.startswith("torque-")
+    is_searched = evidence.arm.has_planar_program or each.kind in _OF_TORQUES
     return each.contradicts and (is_searched or is_reported(each))
 
 
