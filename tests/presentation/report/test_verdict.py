@@ -123,10 +123,10 @@ def test_fits_of_check_records_are_a_table() -> None:
 
 
 def test_the_limit_of_the_rigid_model_is_stated_for_elastic_arms() -> None:
-    note = "The rigid model predicts torque1, torque2 without the torsion of the gears"
+    note = "The rigid model, which predicts torque1, torque2, has no vibration of gears"
     checks = (prediction("a", 91.0, 99.0),)
     assert note in words_of(verdict(replace(elastic_identification(), checks=checks)))
-    assert "torsion of the gears" not in words_of(verdict(drive(checks=checks)))
+    assert "vibration of gears" not in words_of(verdict(drive(checks=checks)))
 
 
 def test_check_records_without_a_model_are_not_called_missing() -> None:

@@ -22,6 +22,7 @@ from strainwave.domain import (
 from strainwave.domain.arm import Imu, Origin, Urdf
 from strainwave.domain.consistent_links import standard_parameters
 from strainwave.domain.corrections import apply_corrections
+from strainwave.domain.kinds import single_joint
 from strainwave.domain.study import Payload
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.consistency import check_consistency
@@ -344,3 +345,24 @@ def test_masses_of_the_urdf(
         assert values["link"] == 3
         assert float(f"{values['low']}") < links[2][0] < float(f"{values['high']}")
         assert "in the URDF; the torques need" in warning.message
+
+
+def test_a_load_of_a_single_joint_leaves_a_result() -> None:
+    """The joint has fewer parameters than the body that it carries in one record."""
+    joint = Joint("rigid", 1.0)
+    logs = []
+    for k in range(4):
+        rng = np.random.default_rng(k)
+        time = np.arange(0.0, SECONDS, SAMPLE_TIME)
+        w, phase = rng.uniform(0.5, 6.0, (6, 1)), rng.uniform(0.0, 6.0, (6, 1))
+        angle, rate = np.sin(w * time + phase).sum(0), (w * np.cos(w * time + phase)).sum(0)
+        acceleration = -(w**2 * np.sin(w * time + phase)).sum(0)
+        inertia = 0.2 if k == 3 else 0.02
+        torque = inertia * acceleration + 0.05 * rate + 0.1 * np.sign(rate)
+        torque += 1e-3 * rng.normal(size=len(time))
+        experiment = Experiment(f"run-{k}", f"run-{k}.csv", "motion", ("servo",))
+        channels = {"theta_m1": angle, "torque1": torque}
+        logs.append(Log(experiment, time, SAMPLE_TIME, channels))
+    arm = single_joint(joint)
+    study = Study(arm=arm, experiments=tuple(x.experiment for x in logs), path=Path("study.toml"))
+    assert search_explanations(collect_evidence(logs, study)) is not None

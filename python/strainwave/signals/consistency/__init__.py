@@ -38,8 +38,8 @@ from strainwave.signals.consistency.urdf_masses import compare_urdf_masses, repo
 
 __all__ = ["check_consistency", "find_doubtful_torque_constant", "suspect_torque_constants"]
 
-# Rivals of a cause that are named with it.
 _OF_TORQUES = ("torque-ratio", "torque-fit", "torque-prediction", "torque-sensor")
+# Rivals of a cause that are named with it.
 _MAX_RIVALS = 1
 # Maximum number of combined causes. More simultaneous faults require separate experiments.
 _MAX_CAUSES = 3

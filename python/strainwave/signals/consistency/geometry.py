@@ -303,9 +303,14 @@ class _Search:
 
 
 def _load_inertia(system: TorqueSystem) -> float:
-    """Trace of the inertia of the load, the last parameters of a system with one [kg m^2]."""
-    load = fit_torques(system).links[-_N_LOAD_PARAMETERS:]
-    return float(load[[4, 6, 9]].sum())
+    """Trace of the inertia of the load, the last parameters of a system with one [kg m^2].
+
+    Infinite if the links have fewer parameters than a body.
+    """
+    links = fit_torques(system).links
+    if len(links) < 2 * _N_LOAD_PARAMETERS:
+        return np.inf
+    return float(links[-_N_LOAD_PARAMETERS:][[4, 6, 9]].sum())
 
 
 def _fit(evidence: Evidence, corrections: Sequence[Correction]) -> TorqueFit | None:
