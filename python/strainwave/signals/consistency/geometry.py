@@ -146,12 +146,14 @@ def _group(each: Alternative) -> tuple[ChangeKind, bool]:
 def _is_evident(each: Alternative, limit: float) -> bool:
     """Whether the gain is not one of chance, of a probability below `limit`, or large.
 
-    A load must gain much, since its many parameters follow the friction of a record.
+    A load must gain much, and on all torques together: it acts on all joints, and its many
+    parameters follow the friction of one.
     """
     if each.gain is None:
         return False
+    largest = each.gain.mean if each.kind == "payload" else float(each.gain.by_joint.max())
     is_large = (
-        each.gain.by_joint.max() > _LARGE_GAIN
+        largest > _LARGE_GAIN
         and each.gain.log_likelihood > _MIN_LOG_LIKELIHOOD
         and each.gain.probability < _MAX_CHANCE_OF_LARGE
     )
