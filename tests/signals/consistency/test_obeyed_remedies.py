@@ -124,3 +124,11 @@ def test_the_inputs_without_a_fault_are_consistent(cases: Cases) -> None:
         truth = cases[kind]["torque reversed"].truth
         assert truth is not None
         assert check_input(truth.study, data=truth.tables).suspected == ()
+
+
+def test_a_motor_that_stands_in_one_record_does_not_count_as_exchanged(shared_data: Path) -> None:
+    """The exchange makes one torque much better and the torques together worse."""
+    given = Input.read(shared_data / "lab" / "scara-linear-5kg" / "study.toml")
+    (case,) = (case for case in faults(given, 2) if "stands still in one record" in case.name)
+    suspected = check_input(case.given.study, data=case.given.tables).suspected
+    assert "swapped-channels" not in {each.code for each in suspected}

@@ -274,7 +274,7 @@ class _Search:
     def _gaining(
         self, each: Alternative, quality: FitQuality, least: float, *, is_pooled: bool
     ) -> Alternative | None:
-        """The alternative with its gain; None if it gains too little, or a joint loses.
+        """The alternative with its gain; None if it gains too little, or all or one torque loses.
 
         All torques gain at least `least` together if `is_pooled`, otherwise one does.
         """
@@ -286,6 +286,8 @@ class _Search:
             by_joint = np.where(pair, gain.by_joint[pair].mean(), gain.by_joint)
             gain = replace(gain, by_joint=by_joint)
         best, worst = float(gain.by_joint.max()), float(gain.by_joint.min())
+        if gain.mean <= 0.0:
+            return None
         if (gain.mean if is_pooled else best) < least or worst < -_MAX_LOSS * best:
             return None
         return replace(each, gain=gain, cost=quality.cost)
