@@ -184,6 +184,17 @@ def test_an_encoder_at_standstill_has_no_direction() -> None:
     assert not np.any(sliding_direction(np.zeros(100), 1e-3, 20))
 
 
+def test_creep_within_stiction_counts_as_standstill() -> None:
+    """A position without quantisation shows the creep of a regularised friction, not sliding."""
+    time = np.arange(3000) * 1e-3
+    speed = np.select([time < 1.0, time < 2.0], [10.0, 1e-5], 10.0)
+    angle = np.cumsum(speed) * 1e-3
+    direction = sliding_direction(angle, resolution=1e-12, standing=20)
+    creeps = (time > 1.02) & (time < 1.98)
+    assert (direction[creeps] == 0.0).all()
+    assert (direction[(time > 0.02) & (time < 0.98)] == 1.0).all()
+
+
 def test_responses_are_the_shapes_through_the_filter() -> None:
     """Constant shapes and triangles, also at the ends of the record, at a subset of rows."""
     rng = np.random.default_rng(4)

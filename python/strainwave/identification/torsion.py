@@ -12,8 +12,8 @@ own zero c.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -27,13 +27,13 @@ from strainwave.domain import (
     Parameter,
     Place,
     RigidModel,
-    Signals,
     TorsionFit,
 )
 from strainwave.domain.distributions import student_quantile
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.rigid_prediction import link_motion, torsion_motion
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.motor import measured_torsion, prepare_motor_signals
@@ -96,7 +96,11 @@ def _prepare(log: Log, bandwidth_hz: float, arm: Arm) -> _Record | None:
     if not len(rows):
         return None
     torsion, is_measured = measured_torsion(log, arm)
-    q, dq, ddq = _link_motion(signals, torsion, bandwidth_hz, step, arm)
+    # the zero of the link encoder is unknown; the bandwidth is double for two differentiations
+    twist = low_pass(torsion - torsion.mean(axis=0), 2.0 * bandwidth_hz, T)
+    motors = signals.motor_angle, signals.motor_velocity, signals.motor_acceleration
+    motion = link_motion(arm, motors, torsion_motion(replace(signals, torsion=twist)))
+    q, dq, ddq = (np.ascontiguousarray(x[::step]) for x in motion)
 
     def filtered(values: FloatArray) -> FloatArray:
         return low_pass(values, bandwidth_hz, T, decimated=step)[rows // step]
@@ -117,18 +121,6 @@ def _prepare(log: Log, bandwidth_hz: float, arm: Arm) -> _Record | None:
         valid[rows],
         np.asarray((rows % span) / span, dtype=np.float64),
     )
-
-
-def _link_motion(
-    signals: Signals, torsion: FloatArray, bandwidth_hz: float, step: int, arm: Arm
-) -> Iterator[FloatArray]:
-    """Angle, velocity and acceleration of the links, (n_motion, n_joints), at every step."""
-    T = signals.sample_time
-    # the zero of the link encoder is unknown; the bandwidth is double for two differentiations
-    twist = low_pass(torsion - torsion.mean(axis=0), 2.0 * bandwidth_hz, T)
-    for motors in (signals.motor_angle, signals.motor_velocity, signals.motor_acceleration):
-        yield np.ascontiguousarray((arm.links_of(motors) - twist)[::step])
-        twist = differentiate(twist, T)
 
 
 def _clear_of(valid: BoolArray, gap: int) -> BoolArray:

@@ -16,6 +16,10 @@ from numpy.typing import NDArray
 from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.numerics.linalg import Banded
 
+# Share of the largest speed below which a motor creeps within its stiction: the friction of
+# simulators and of bristles deflects before it slides, which a fine encoder resolves.
+_MAX_CREEP = 1e-4
+
 Value = TypeVar("Value", np.bool_, np.float64)
 
 
@@ -37,7 +41,8 @@ def sliding_direction(angle: FloatArray, resolution: float, standing: int) -> Fl
         direction[start : stop + 1][inside] = sign
     width = max(2, standing)
     spread = running(np.maximum, angle, width) - running(np.minimum, angle, width)
-    direction[running(np.logical_or, spread <= resolution, width)] = 0.0
+    smallest = max(resolution, _MAX_CREEP * float(spread.max()))
+    direction[running(np.logical_or, spread <= smallest, width)] = 0.0
     return direction
 
 

@@ -65,7 +65,6 @@ class Confidence:
     """Covariances of the parameters, each (n_unknowns, n_unknowns)."""
 
     combined: FloatArray
-    model_error: FloatArray  # part of `combined`: excess scatter and unexplained residuals
     local: FloatArray
     sandwich: FloatArray
     steady: FloatArray
@@ -148,7 +147,6 @@ def confidence_at(objective: Objective, z: FloatArray) -> Confidence:
     )
     return Confidence(
         with_variances(steady, variance + model_error),
-        with_variances(steady, model_error),
         local,
         sandwich,
         steady,

@@ -76,11 +76,10 @@ def parameters_of(
         of_model = [square for _, square in (estimates if model.is_determined else at_own)]
         variance = variance + model.weight * np.array(of_model)
         shifts = shifts + model.weight * np.outer(shift, shift)
-    model_error = np.diag(shifts + _covariance(quantities, confidence_of(fit).model_error))
     covariance = with_variances(covariance, variance) + shifts
     total = np.diag(covariance)
     stds = np.sqrt(np.where(total >= 0.0, total, np.inf))  # negative only by rounding
-    model_stds = np.sqrt(np.clip(model_error, 0.0, np.maximum(total, 0.0)))
+    model_stds = np.sqrt(np.diag(shifts))
     zeros = {key for key, at in zip(fit.space.keys, at_zero(fit), strict=True) if at}
     rows = zip(quantities, stds.tolist(), model_stds.tolist(), strict=True)
     return tuple(_parameter(q, std, model, q.key in zeros) for q, std, model in rows), covariance
