@@ -446,7 +446,7 @@ def test_evidence_is_never_surer_than_the_local_covariance() -> None:
     local = np.diag([1.0, 9.0])
     empty = np.zeros((0, 0))
     confidence = Confidence(
-        combined, 0.0 * local, local, combined, combined, combined, np.zeros(0), (empty, empty)
+        combined, local, combined, combined, combined, np.zeros(0), (empty, empty)
     )
     cautious = confidence.cautious
     np.testing.assert_allclose(np.diag(cautious), [4.0, 9.0])
