@@ -176,7 +176,7 @@ def test_the_intervals_contain_the_error_of_a_motor_that_weakens(tmp_path: Path)
         (p,) = [p for p in result.parameters if p.key == key]
         assert p.ci95 is not None
         assert p.ci95[0] < true[key] < p.ci95[1], key
-        assert p.model_std is not None
+    assert any(p.model_std for p in result.parameters)  # the excess of the stages' difference
 
 
 def test_a_link_length_that_is_wrong_is_named_before_any_fit(tmp_path: Path) -> None:
