@@ -2,11 +2,11 @@
 
 The links' torque, which the rigid model predicts, twists the gear by delta = n theta_M - theta_L:
 
-    delta = tau / k + e dtau + a ddq + b dq + c
+    delta = tau / k + e ddelta + a ddq + b dq + c
 
 The column of the own acceleration absorbs the part of the inertia that rigid motion does not
 separate from the motor's; that of the velocity absorbs the link's viscous friction and a delay
-between the encoders; that of the rate of the torque absorbs the gear damping. Each record has its
+between the encoders; that of the rate of the torsion absorbs the gear damping. Each record has its
 own zero c.
 """
 
@@ -43,6 +43,7 @@ _BLOCKS = 20  # of the jackknife, of all records together
 _ROWS_PER_CUTOFF = 4.0  # rows per period of the filter's cut-off
 # the torques are nonlinear in the motion, which keeps frequencies up to eight cut-offs
 _MOTION_RATE = 32.0
+_TWIST_BAND = 4.0  # cut-offs up to which two derivatives of the torsion are exact
 _MIN_WEIGHT = 1e-10  # of a direction of columns that counts as zero
 _EDGE_PERIODS = 2.5  # of the cut-off, after which the filter's response to the ends has decayed
 
@@ -54,10 +55,10 @@ class _Record:
     name: str
     torque: FloatArray  # (n_rows, n_joints, n_body) [N m] of the links, per base parameter
     payload: FloatArray  # (n_rows, n_joints) [N m] that a known payload adds
-    rate: FloatArray  # (n_rows, n_joints, n_body) [N m/s] derivative of the torque of the links
     velocity: FloatArray  # (n_rows, n_joints)
     acceleration: FloatArray  # (n_rows, n_joints)
     torsion: FloatArray  # (n_rows, n_joints) [rad, m]; zero without a reading
+    rate: FloatArray  # (n_rows, n_joints) [rad/s, m/s] of the torsion
     valid: BoolArray  # (n_rows, n_joints)
     phase: FloatArray  # (n_rows,) 0 to 1 within one period of the motion
 
@@ -96,14 +97,16 @@ def _prepare(log: Log, bandwidth_hz: float, arm: Arm) -> _Record | None:
     if not len(rows):
         return None
     torsion, is_measured = measured_torsion(log, arm)
-    # the zero of the link encoder is unknown; the bandwidth is double for two differentiations
-    twist = low_pass(torsion - torsion.mean(axis=0), 2.0 * bandwidth_hz, T)
+    twist = low_pass(torsion, _TWIST_BAND * bandwidth_hz, T)
     motors = signals.motor_angle, signals.motor_velocity, signals.motor_acceleration
     motion = link_motion(arm, motors, torsion_motion(replace(signals, torsion=twist)))
     q, dq, ddq = (np.ascontiguousarray(x[::step]) for x in motion)
 
     def filtered(values: FloatArray) -> FloatArray:
         return low_pass(values, bandwidth_hz, T, decimated=step)[rows // step]
+
+    def at_rows(values: FloatArray) -> FloatArray:
+        return low_pass(values, bandwidth_hz, T, kept=slice(0, None, step))[rows // step]
 
     regressor = arm.base_regressor(q, dq, ddq) @ arm.links_of_rigid(0.5)
     added = arm.link_torques(arm.payload_vector(log.experiment.payload), q, dq, ddq)
@@ -114,10 +117,10 @@ def _prepare(log: Log, bandwidth_hz: float, arm: Arm) -> _Record | None:
         log.name,
         filtered(regressor),
         filtered(added),
-        filtered(differentiate(regressor, step * T)),
         filtered(dq),
         filtered(ddq),
-        low_pass(torsion, bandwidth_hz, T, kept=slice(0, None, step))[rows // step],
+        at_rows(torsion),
+        at_rows(differentiate(torsion, T)),
         valid[rows],
         np.asarray((rows % span) / span, dtype=np.float64),
     )
@@ -137,8 +140,8 @@ class _Equations:
 
     per_parameter: FloatArray  # (n_rows, n_body) [N m] torque per base parameter
     payload: FloatArray  # (n_rows,) [N m]
-    rate: FloatArray  # (n_rows, n_body) [N m/s] derivative of the torque per base parameter
-    others: FloatArray  # (n_rows, 2 + n_records) acceleration, velocity, one per record
+    # (n_rows, 3 + n_records) acceleration, velocity, rate of the torsion, one per record
+    others: FloatArray
     torsion: FloatArray  # (n_rows,) [rad, m]
     block: IntArray  # (n_rows,) of the jackknife
 
@@ -149,19 +152,19 @@ class _Equations:
         per_record = max(2, round(_BLOCKS / max(1, len(parts))))
         blocks = [k * per_record + (per_record * r.phase[at]) for k, (r, at) in enumerate(parts)]
         block = np.concatenate(blocks or [np.zeros(0)]).astype(np.int64)
-        n_columns = 3 + len(parts)
+        n_columns = 4 + len(parts)
         if len(np.unique(block)) < 3 or len(block) <= 2 * n_columns:
             return None
         number = np.repeat(np.arange(len(parts)), [int(at.sum()) for _, at in parts])
         others = [
             np.concatenate([r.acceleration[at, joint] for r, at in parts]),
             np.concatenate([r.velocity[at, joint] for r, at in parts]),
+            np.concatenate([r.rate[at, joint] for r, at in parts]),
             *(number == k for k in range(len(parts))),
         ]
         return _Equations(
             np.concatenate([r.torque[at, joint] for r, at in parts]),
             np.concatenate([r.payload[at, joint] for r, at in parts]),
-            np.concatenate([r.rate[at, joint] for r, at in parts]),
             np.column_stack(others),
             np.concatenate([r.torsion[at, joint] for r, at in parts]),
             block,
@@ -178,7 +181,7 @@ def _fit_joint(
         return lacking
     solution = model.solution[: arm.n_body]
     torque = equations.per_parameter @ solution + equations.payload
-    others = np.column_stack([equations.rate @ solution, equations.others])
+    others = equations.others
     compliance, own = _slope(torque, others, equations.torsion)
     residual = own.torsion - compliance * own.torque
     without = [equations.block != block for block in np.unique(equations.block)]

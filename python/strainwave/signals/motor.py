@@ -72,18 +72,19 @@ def prepare_motor_signals(log: Log, arm: Arm, options: SignalOptions | None = No
 
 
 def _torsion(log: Log, arm: Arm, bandwidth_hz: float) -> FloatArray | None:
-    """Low-passed torsion, without a difference of the encoders' zeros; None if one is unknown."""
+    """Low-passed torsion of all gears; None if one is unknown."""
     torsion, is_measured = measured_torsion(log, arm)
     elastic = [i for i, joint in enumerate(arm.joints) if joint.elastic]
     if not elastic or not is_measured[:, elastic].any(axis=0).all():
         return None
-    mean = torsion.mean(axis=0)
-    zero = np.where(np.abs(mean) > _MAX_TORSION, mean, 0.0)
-    return low_pass(torsion - zero, bandwidth_hz, log.sample_time)
+    return low_pass(torsion, bandwidth_hz, log.sample_time)
 
 
 def measured_torsion(log: Log, arm: Arm) -> tuple[FloatArray, BoolArray]:
-    """Torsion [rad, m], (n_samples, n_joints), and where it is measured; zero without a reading."""
+    """Torsion [rad, m], (n_samples, n_joints), and where it is measured; zero without a reading.
+
+    A mean beyond any torsion is a difference of the encoders' zeros and is removed.
+    """
     with_angles = add_link_angles(log, arm)
     links = arm.links_of(prepare_record(log, arm).motor_angle)
     torsion, is_measured = np.zeros(links.shape), np.zeros(links.shape, dtype=bool)
@@ -92,7 +93,8 @@ def measured_torsion(log: Log, arm: Arm) -> tuple[FloatArray, BoolArray]:
         if second in with_angles.channels:
             torsion[:, i] = links[:, i] - with_angles.channels[second]
             is_measured[:, i] = ~unmeasured(with_angles, (second,))
-    return torsion, is_measured
+    mean = torsion.mean(axis=0)
+    return torsion - np.where(np.abs(mean) > _MAX_TORSION, mean, 0.0), is_measured
 
 
 def mark_standstill(records: Sequence[Signals]) -> tuple[Signals, ...]:
