@@ -17,7 +17,6 @@ from strainwave.identification.whole_arm.inference.agreement import (
     agreement_tests,
     disagreement,
     stage_differences,
-    stage_excess,
 )
 from strainwave.identification.whole_arm.inference.bounds import at_bounds, parameters_at_bounds
 from strainwave.identification.whole_arm.inference.parameter_estimates import parameters_of
@@ -58,10 +57,8 @@ def arm_model(fit: Fit, comparison: Comparison, start: Start, selection: Selecti
     values = instant_settling | fit.values
     gear_loads = gear_torque_samples(fit.objective.records, values)
     largest_torque = largest_of(gear_loads).tolist()
-    agreement, differences = agreement_tests(fit), stage_differences(fit, arm)
-    parameters, covariance = parameters_of(
-        fit, arm, largest_torque, comparison.plausible, stage_excess(differences, agreement)
-    )
+    (agreement, excess), differences = agreement_tests(fit), stage_differences(fit, arm)
+    parameters, covariance = parameters_of(fit, arm, largest_torque, comparison.plausible, excess)
     keys_at_bounds = tuple(parameters_at_bounds(fit, arm))
     criticism = Criticism(
         residual_tests(fit.objective, fit.z),

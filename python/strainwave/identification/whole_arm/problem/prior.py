@@ -57,7 +57,7 @@ class Prior:
         Each error is scaled by its typical size if the model lacks an effect.
         """
         places = [k for k, name in enumerate(self.names) if name in names]
-        units = np.eye(len(self.names))[:, places] * self._typical_biases[places]
+        units = np.eye(len(self.names))[:, places] * self.typical_biases[places]
         return np.asarray(np.linalg.solve(self.factor, units))
 
     def relax(self, names: Collection[Key]) -> Prior:
@@ -66,7 +66,7 @@ class Prior:
         if not places:
             return self
         added_errors = np.zeros((len(self.names), len(places)))
-        added_errors[places, range(len(places))] = self._typical_biases[places]
+        added_errors[places, range(len(places))] = self.typical_biases[places]
         factor = np.asarray(
             np.linalg.cholesky(self.factor @ self.factor.T + added_errors @ added_errors.T)
         )
@@ -91,7 +91,7 @@ class Prior:
         return replace(self, rows=rows, target=target, errors=errors, factor=factor, before=None)
 
     @property
-    def _typical_biases(self) -> FloatArray:
+    def typical_biases(self) -> FloatArray:
         """Typical errors (n_rows,) of the rigid-model parameters if the model lacks an effect."""
         sizes = reference_sizes(dict(zip(self.names, self.mean.tolist(), strict=True)))
         errors = [_BIAS_SHARES[family_of(name)] * size for (name, _), size in sizes.items()]

@@ -136,6 +136,7 @@ def include_effects(fit: Fit, selection: Selection) -> tuple[Fit, Comparison]:
     """
     included: list[Rival] = []
     others: list[tuple[Fit, Arm]] = []  # the models without the included effects, and their rivals
+    refined: list[tuple[Fit, Fit, list[Fit]]] = []  # before, after, and the rivals before
     while True:
         tests = score_tests_of(fit, selection.arm)
         budget = _Budget(fit, selection.options)
@@ -153,21 +154,40 @@ def include_effects(fit: Fit, selection: Selection) -> tuple[Fit, Comparison]:
         if best is None or extended is None:
             break
         included.append(best)
+        refined.append((best.fit, extended, [rival.fit for rival in rivals]))
         others = [(fit, selection.arm), *(other for other in others if other[0] is not best.fit)]
         fit = extended
     plausible: list[PlausibleModel] = []
     if others:
-        scores = held_out_scores([fit, *(other for other, _ in others)])
-        weights = model_weights(scores, np.random.default_rng(0)).tolist()
+        weights = _weights(fit, [other for other, _ in others], refined)
         values = _primary_values(fit, selection.arm)
         plausible = [
             PlausibleModel(other, arm, weight, values <= _primary_values(other, arm))
-            for (other, arm), weight in zip(others, weights[1:], strict=True)
+            for (other, arm), weight in zip(others, weights, strict=True)
         ]
     excluded = tuple(budget.excluded)
     return fit, Comparison(
         tests, tuple(included), tuple(rivals), tuple(plausible), excluded, budget.evaluations
     )
+
+
+def _weights(
+    fit: Fit, others: Sequence[Fit], refined: Sequence[tuple[Fit, Fit, list[Fit]]]
+) -> list[float]:
+    """Weights of other models against the fit, by held-out scores.
+
+    Only the model with the best effect is refined: its search ends at the minimum, and sensor
+    constants are selected again. Its rivals would gain as much, so that of two models that explain
+    the same, as errors of the torque constant of either joint do, neither gets all the weight.
+    """
+    scores = held_out_scores([fit, *others, *(one for pair in refined for one in pair[:2])])
+    n = 1 + len(others)
+    for gain, (_, _, rivals) in zip(scores[n + 1 :: 2] - scores[n::2], refined, strict=True):
+        for k, other in enumerate(others, start=1):
+            if any(other is rival for rival in rivals):
+                scores[k] += gain
+    weights: list[float] = model_weights(scores[:n], np.random.default_rng(0))[1:].tolist()
+    return weights
 
 
 def _is_supported(rival: Rival, fit: Fit) -> bool:
