@@ -24,6 +24,7 @@ from strainwave.domain import (
     Place,
     WholeArmOptions,
 )
+from strainwave.domain.arm_model import MAX_RESIDUAL_NOISE
 from strainwave.domain.effects import STIFFNESS_CURVE, effect_named
 from strainwave.domain.final_table import is_identified
 from strainwave.domain.gear_laws import STIFFNESS, gear_law
@@ -38,6 +39,7 @@ from strainwave.identification.whole_arm.inference.parameter_estimates import (
     PlausibleModel,
     parameters_of,
 )
+from strainwave.identification.whole_arm.inference.residual_analysis import has_excess_residuals
 from strainwave.identification.whole_arm.inference.score_tests import (
     TestedEffect,
     is_primary,
@@ -250,28 +252,32 @@ def _rivals_of(
 ) -> list[Rival]:
     """Models with one of the most significant effects each, the best held-out score first.
 
-    No effect is fitted unless one is promising. Promising effects beyond the fitted ones are
-    linearised.
+    No effect is fitted unless one is promising, but modes if the residuals are far above the noise.
+    Promising effects beyond the fitted ones are linearised.
     """
     decided = [(joint, STIFFNESS_CURVE.name) for joint in selection.law_choices]
     excluded = {*named_effects(selection.arm), *decided}
     unnamed = [one for one in tested if one.named_effect not in excluded]
     min_share = min_relevant_share(fit.objective, fit.z)
     promising = [one for one in unnamed if one.is_promising and one.share > min_share]
-    if not promising:
-        return []
     unnamed.sort(key=lambda one: -one.gain)
-    min_gain = MIN_RIVAL_GAIN_SHARE * max(one.gain for one in promising)
-    candidates = [one for one in unnamed if one.gain >= min_gain][:MAX_RIVAL_EFFECTS]
+    min_gain = MIN_RIVAL_GAIN_SHARE * max((one.gain for one in promising), default=math.inf)
+    candidates = [one for one in unnamed if one.gain >= min_gain]
+    if not promising and has_excess_residuals(fit.objective, fit.z, MAX_RESIDUAL_NOISE):
+        # a mode of vibration moves resonances beyond the reach of a linear step
+        candidates = [one for one in unnamed if effect_named(one.named_effect[1]).starting_shapes]
+    if not candidates:
+        return []
     starts = [fit]
     long = lengthen_steps(fit)
     if long is not fit:
         long = replace(long, objective=long.objective.store_step_errors(fit.z))
         starts = [long, fit]  # some effects are too stiff for long steps
     arm = selection.arm
+    candidates = candidates[:MAX_RIVAL_EFFECTS]
     rivals = _fit_rivals(starts, candidates, selection, budget)
     best = max(rivals, key=lambda one: one.gain, default=None)
-    if (
+    if promising and (
         best is None
         or best.share < MIN_EXPLAINED_SHARE
         or effect_named(best.named_effect[1]).by_record
