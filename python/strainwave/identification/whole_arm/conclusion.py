@@ -26,7 +26,10 @@ from strainwave.identification.whole_arm.inference.residual_analysis import (
     residual_warnings,
 )
 from strainwave.identification.whole_arm.inference.sensor_gains import sensor_gains
-from strainwave.identification.whole_arm.problem.effect_unknowns import warn_removed_effects
+from strainwave.identification.whole_arm.problem.effect_unknowns import (
+    effects_among,
+    warn_removed_effects,
+)
 from strainwave.identification.whole_arm.records.loads import (
     gear_torque_samples,
     histograms_of,
@@ -74,7 +77,7 @@ def arm_model(fit: Fit, comparison: Comparison, start: Start, selection: Selecti
         simulated=_predict(values, start, arm),
         initial=_predict(start.coarse.space.values(start.initial), start, arm),
         iterations=fit.iterations,
-        end=_end_of(fit),
+        end=SearchEnd.BOUND if fit.end.is_minimum and any(at_bounds(fit)) else fit.end,
         warnings=(
             *start.rejected,
             *warnings_of(fit, at_bounds(fit), parameters),
@@ -97,9 +100,13 @@ def arm_model(fit: Fit, comparison: Comparison, start: Start, selection: Selecti
     )
 
 
-def _end_of(fit: Fit) -> SearchEnd:
-    """End of the search; `BOUND` if an unknown of the minimum is at a bound of its range."""
-    return SearchEnd.BOUND if fit.end.is_minimum and any(at_bounds(fit)) else fit.end
+def has_likelier_effect(model: ArmModel, arm: Arm) -> bool:
+    """Whether the fit includes an effect that is not a wrong torque constant.
+
+    `model` is the whole-arm model of a study whose rigid step suspects a torque constant.
+    """
+    fitted = [name for _, name in effects_among([p.key for p in model.parameters], arm.n_joints)]
+    return model.end.is_minimum and bool(fitted) and "drive-gain" not in fitted
 
 
 def _predict(values: Values, start: Start, arm: Arm) -> tuple[Prediction, ...]:

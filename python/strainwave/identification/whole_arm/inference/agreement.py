@@ -122,10 +122,9 @@ def expected_model_error(
 ) -> FloatArray:
     """Part of a difference d that is a model error, by its covariance C: (n_rows,).
 
-    Model errors have standard deviations t s, with typical `sizes` s. The factor t explains the
-    excess of the chi square, d' (C + t^2 S)^-1 d = `degrees` (Mandel and Paule, 1970), and the
-    expected error is t^2 S (C + t^2 S)^-1 d: all of a difference that is far above its standard
-    deviation, and little of one that errors of a poor estimate explain.
+    Model errors have variances t^2 S, with typical `sizes` as roots of S, and t explains the excess
+    of the chi square, d' (C + t^2 S)^-1 d = `degrees` (Mandel and Paule, 1970). The expected error
+    t^2 S (C + t^2 S)^-1 d is all of a difference far above its standard deviation, and little else.
     """
     variances, vectors = np.linalg.eigh(covariance / np.outer(sizes, sizes))
     variances = np.maximum(variances, np.finfo(float).eps * variances[-1])

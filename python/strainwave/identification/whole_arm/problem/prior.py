@@ -109,7 +109,12 @@ def reference_sizes(values: Mapping[Key, float]) -> Values:
     That of a friction offset is the Coulomb friction, that of an inertial value of either sign the
     largest of its kind: products of inertia and first moments may be zero.
     """
-    kinds = {key: kind for key in values if (kind := _signed_kind(key))}
+    descriptions = {key: parameter_table().get(base_name(key[0])) for key in values}
+    kinds = {
+        key: described.units
+        for key, described in descriptions.items()
+        if described and described.family == "inertia" and described.range == "any"
+    }
     return {
         key: abs(values.get((COULOMB, key[1]), value) if key[0] == OFFSET else value)
         for key, value in values.items()
@@ -122,14 +127,6 @@ def largest_of_kind(values: Mapping[Key, float], kinds: Mapping[Key, Hashable]) 
         key: max(abs(values[other]) for other in kinds if kinds[other] == kind)
         for key, kind in kinds.items()
     }
-
-
-def _signed_kind(key: Key) -> tuple[str, ...] | None:
-    """Units of an inertial parameter of either sign; None for other parameters."""
-    described = parameter_table().get(base_name(key[0]))
-    if described is None or described.family != "inertia" or described.range != "any":
-        return None
-    return described.units
 
 
 def rigid_prior(model: RigidModel | None, keys: Sequence[Key], arm: Arm, floor: float) -> Prior:

@@ -144,14 +144,20 @@ def include_effects(fit: Fit, selection: Selection) -> tuple[Fit, Comparison]:
         budget = _Budget(fit, selection.options)
         rivals = _rivals_of(fit, tests, selection, budget)
         others += [(rival.fit, rival.arm) for rival in rivals]
-        supported = [rival for rival in rivals if _is_supported(rival, fit)]
+        min_share = min_relevant_share(fit.objective, fit.z)
+        supported = [
+            rival
+            for rival in rivals
+            if rival.weight > MIN_WEIGHT and rival.share > min_share and not rival.is_linearised
+        ]
         best = extended = None
         while supported and extended is None and len(included) < MAX_INCLUDED_EFFECTS:
             best = supported.pop(simplest_model([one.fit for one in supported]))
-            if _may_enter(best, selection.arm):
+            joint, effect = best.named_effect
+            # the study leaves the choice to the data: it may state gear laws and effects
+            if effect != STIFFNESS_CURVE.name and selection.arm.joints[joint - 1].selects_effects:
                 extended = _include(fit, best, selection)
             else:  # the other effects of the joint would imitate it
-                joint = best.named_effect[0]
                 supported = [one for one in supported if one.named_effect[0] != joint]
         if best is None or extended is None:
             break
@@ -178,30 +184,20 @@ def _weights(
 ) -> list[float]:
     """Weights of other models against the fit, by held-out scores.
 
-    Only the model with the best effect is refined: its search ends at the minimum, and sensor
-    constants are selected again. Its rivals would gain as much, so that of two models that explain
-    the same, as errors of the torque constant of either joint do, neither gets all the weight.
+    Only the model with the best effect is refined, to the minimum and in its sensor constants. A
+    rival that it did not replace before would gain as much: of two models that explain the same,
+    as errors of the torque constant of either joint do, neither gets all the weight.
     """
     scores = held_out_scores([fit, *others, *(one for pair in refined for one in pair[:2])])
     n = 1 + len(others)
-    for gain, (_, _, rivals) in zip(scores[n + 1 :: 2] - scores[n::2], refined, strict=True):
+    rounds = zip(scores[n::2], scores[n + 1 :: 2], refined, strict=True)
+    for before, after, (_, _, rivals) in rounds:
         for k, other in enumerate(others, start=1):
-            if any(other is rival for rival in rivals):
-                scores[k] += gain
+            lead = weight_over(before, scores[k], np.random.default_rng(0))
+            if lead <= MIN_WEIGHT and any(other is rival for rival in rivals):
+                scores[k] += after - before
     weights: list[float] = model_weights(scores[:n], np.random.default_rng(0))[1:].tolist()
     return weights
-
-
-def _is_supported(rival: Rival, fit: Fit) -> bool:
-    """Whether the data support the effect."""
-    min_share = min_relevant_share(fit.objective, fit.z)
-    return rival.weight > MIN_WEIGHT and rival.share > min_share and not rival.is_linearised
-
-
-def _may_enter(rival: Rival, arm: Arm) -> bool:
-    """Whether the study leaves the choice to the data: it may state gear laws and effects."""
-    joint, effect = rival.named_effect
-    return effect != STIFFNESS_CURVE.name and arm.joints[joint - 1].selects_effects
 
 
 def _include(fit: Fit, rival: Rival, selection: Selection) -> Fit | None:
@@ -276,6 +272,8 @@ def _rivals_of(
     arm = selection.arm
     candidates = candidates[:MAX_RIVAL_EFFECTS]
     rivals = _fit_rivals(starts, candidates, selection, budget)
+    if not promising:
+        rivals = [rival for rival in rivals if rival.share > min_share]
     best = max(rivals, key=lambda one: one.gain, default=None)
     if promising and (
         best is None
