@@ -79,7 +79,8 @@ def _reweight(fit: Fit, options: WholeArmOptions) -> Fit:
         fit = search_minimum(fit, options, relative=COARSE_RELATIVE_TOLERANCE)
         updated = fit.objective.update_weights(fit.z)
         is_finished = not fit.end.is_minimum or fit.iterations >= options.max_iterations
-        if is_finished or min(map(np.min, _changes(fit.objective, updated))) > _MAX_DECREASED_RATIO:
+        changes = _changes(fit.objective, updated)
+        if is_finished or all(np.min(one) >= _MAX_DECREASED_RATIO for one in changes):
             break
         fit = replace(fit, objective=updated)
     return fit
@@ -150,8 +151,8 @@ def refine(fit: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERAN
         if fit.end is SearchEnd.EVALUATION_LIMIT and fit.iterations < options.max_iterations:
             fit = replace(fit, end=SearchEnd.STALLED)
         updated = fit.objective.update_weights(fit.z)
-        changes = np.abs(np.log(np.concatenate(_changes(fit.objective, updated))))
-        if not fit.end.is_minimum or np.all(changes < _WEIGHT_TOLERANCE):
+        changes = [np.max(np.abs(np.log(one))) for one in _changes(fit.objective, updated)]
+        if not fit.end.is_minimum or all(one < _WEIGHT_TOLERANCE for one in changes):
             break
         fit = replace(fit, objective=updated)
     return fit
