@@ -21,11 +21,11 @@ from strainwave.domain import (
     Value,
 )
 from strainwave.domain.combinations import is_uncoupled, viscous_friction
+from strainwave.domain.parameter_table import COULOMB, OFFSET
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.interaction_torque import (
     base_parameters,
     interaction_torques,
-    known,
     mean_postures,
     total_inertias,
 )
@@ -63,7 +63,8 @@ def decouple(
     u_i = e_i v_i - f_i sgn(dtheta_Mi) - f_0i at the motor; tau_i is from `interaction_torques`.
 
     Returns one record per joint, from the base. `model` may be None for a single joint without
-    gravity; its friction then remains in u. A single joint without gravity has only the input u.
+    gravity. Friction that the rigid step does not identify remains in u: see `subtract_friction`. A
+    single joint without gravity has only the input u.
     Row i of `postures` (n_joints, n_joints) [rad] has the link angles at which m_L of joint i is
     taken, the same for all records that are fitted together; None: the mean angles of the record.
 
@@ -76,8 +77,9 @@ def decouple(
     records = []
     for i in range(arm.n_joints):
         u = signals.motor_torque[:, i]
-        if model is not None:
-            u = u - _dry_friction(signals, model, i)
+        if model is not None and (coulomb := model.value(COULOMB, i + 1)) is not None:
+            offset = model.value(OFFSET, i + 1) or 0.0
+            u = u - (coulomb * signals.direction[:, i] + offset)
         inputs = u[:, None] if tau is None else np.column_stack([u, tau[:, i]])
         band = options.band_hz or _motion_band(signals, i)
         frequency, density = _spectra(inputs, signals.sample_time)
@@ -135,22 +137,16 @@ def _interaction(
 
 
 def subtract_friction(signals: LinkSignals, part: Decoupled, joint: JointModel) -> Decoupled:
-    """Subtract Coulomb friction and offset from u of a joint decoupled without a rigid model.
+    """Subtract Coulomb friction and offset that the rigid step does not identify from u.
 
     Returns u - f sgn(dtheta_M) - f_0, as `decouple` computes with a rigid model. The friction comes
     from `motor_coulomb_friction` and `friction_offset` of `joint`, if it has them.
     """
     i = part.joint - 1
-    coulomb_torque = joint.values.get("motor_coulomb_friction", 0.0) * signals.direction[:, i]
+    coulomb_torque = joint.values.get(COULOMB, 0.0) * signals.direction[:, i]
     inputs = part.inputs.copy()
-    inputs[:, 0] -= coulomb_torque + joint.values.get("friction_offset", 0.0)
+    inputs[:, 0] -= coulomb_torque + joint.values.get(OFFSET, 0.0)
     return replace(part, inputs=inputs)
-
-
-def _dry_friction(signals: LinkSignals, model: RigidModel, i: int) -> FloatArray:
-    coulomb = known(model, "motor_coulomb_friction", i + 1)
-    offset = model.value("friction_offset", i + 1) or 0.0
-    return np.asarray(coulomb * signals.direction[:, i] + offset)
 
 
 def _motion_band(signals: LinkSignals, i: int) -> tuple[float, float]:

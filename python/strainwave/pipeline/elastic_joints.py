@@ -26,6 +26,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.combinations import is_uncoupled
 from strainwave.domain.keys import Key
+from strainwave.domain.parameter_table import COULOMB
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.interaction_torque import mean_postures
 from strainwave.errors import InvalidInput, NotIdentifiable
@@ -167,8 +168,10 @@ def _fit_joints(
     joints = [fit.model for fit in fits.values()]
     joints += [result for result, _ in results if isinstance(result, JointModel)]
     responses = {n: r for n, (_, r) in zip(numbers, results, strict=True) if r is not None}
-    for joint in joints if model is None else ():
-        # without a rigid model the inputs still contain dry friction, which the models do not have
+    for joint in joints:
+        if model is not None and model.value(COULOMB, joint.joint) is not None:
+            continue
+        # the inputs still contain dry friction, which the models do not have
         records = [
             decoupling.subtract_friction(s, d, joint) for s, d in records_by_joint[joint.joint]
         ]

@@ -13,7 +13,7 @@ from strainwave.domain import ArmModel, JointModel, Log, RigidModel, WholeArmOpt
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.whole_arm.conclusion import arm_model
+from strainwave.identification.whole_arm.conclusion import arm_model, has_likelier_effect
 from strainwave.identification.whole_arm.inference.predicted_precision import predicted_parameters
 from strainwave.identification.whole_arm.inference.score_tests import score_tests_of
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
@@ -39,7 +39,6 @@ from strainwave.identification.whole_arm.selection.candidate import Selection
 from strainwave.identification.whole_arm.selection.causes import Comparison, include_effects
 from strainwave.identification.whole_arm.selection.model_selection import COARSE, FINE, select_model
 from strainwave.identification.whole_arm.start import Start, prepare_start
-from strainwave.identification.whole_arm.torque_constant_rivals import has_likelier_effect
 from strainwave.numerics.parallel import one_blas_thread
 
 __all__ = [

@@ -17,7 +17,6 @@ from strainwave.identification.whole_arm.inference.agreement import (
     agreement_tests,
     disagreement,
     stage_differences,
-    stage_excess,
 )
 from strainwave.identification.whole_arm.inference.bounds import at_bounds, parameters_at_bounds
 from strainwave.identification.whole_arm.inference.parameter_estimates import parameters_of
@@ -27,7 +26,10 @@ from strainwave.identification.whole_arm.inference.residual_analysis import (
     residual_warnings,
 )
 from strainwave.identification.whole_arm.inference.sensor_gains import sensor_gains
-from strainwave.identification.whole_arm.problem.effect_unknowns import warn_removed_effects
+from strainwave.identification.whole_arm.problem.effect_unknowns import (
+    effects_among,
+    warn_removed_effects,
+)
 from strainwave.identification.whole_arm.records.loads import (
     gear_torque_samples,
     histograms_of,
@@ -58,10 +60,8 @@ def arm_model(fit: Fit, comparison: Comparison, start: Start, selection: Selecti
     values = instant_settling | fit.values
     gear_loads = gear_torque_samples(fit.objective.records, values)
     largest_torque = largest_of(gear_loads).tolist()
-    agreement, differences = agreement_tests(fit), stage_differences(fit, arm)
-    parameters, covariance = parameters_of(
-        fit, arm, largest_torque, comparison.plausible, stage_excess(differences, agreement)
-    )
+    (agreement, excess), differences = agreement_tests(fit), stage_differences(fit, arm)
+    parameters, covariance = parameters_of(fit, arm, largest_torque, comparison.plausible, excess)
     keys_at_bounds = tuple(parameters_at_bounds(fit, arm))
     criticism = Criticism(
         residual_tests(fit.objective, fit.z),
@@ -77,7 +77,7 @@ def arm_model(fit: Fit, comparison: Comparison, start: Start, selection: Selecti
         simulated=_predict(values, start, arm),
         initial=_predict(start.coarse.space.values(start.initial), start, arm),
         iterations=fit.iterations,
-        end=_end_of(fit),
+        end=SearchEnd.BOUND if fit.end.is_minimum and any(at_bounds(fit)) else fit.end,
         warnings=(
             *start.rejected,
             *warnings_of(fit, at_bounds(fit), parameters),
@@ -100,9 +100,13 @@ def arm_model(fit: Fit, comparison: Comparison, start: Start, selection: Selecti
     )
 
 
-def _end_of(fit: Fit) -> SearchEnd:
-    """End of the search; `BOUND` if an unknown of the minimum is at a bound of its range."""
-    return SearchEnd.BOUND if fit.end.is_minimum and any(at_bounds(fit)) else fit.end
+def has_likelier_effect(model: ArmModel, arm: Arm) -> bool:
+    """Whether the fit includes an effect that is not a wrong torque constant.
+
+    `model` is the whole-arm model of a study whose rigid step suspects a torque constant.
+    """
+    fitted = [name for _, name in effects_among([p.key for p in model.parameters], arm.n_joints)]
+    return model.end.is_minimum and bool(fitted) and "drive-gain" not in fitted
 
 
 def _predict(values: Values, start: Start, arm: Arm) -> tuple[Prediction, ...]:

@@ -26,6 +26,7 @@ from strainwave.identification.whole_arm.problem.restrictions import (
     restrict_space,
 )
 from strainwave.identification.whole_arm.problem.starting_values import (
+    TYPICAL_ANTI_RESONANCE_HZ,
     StartingValues,
     starting_values_of,
     warn_rejected_starts,
@@ -48,7 +49,8 @@ from strainwave.identification.whole_arm.selection.mountings import select_mount
 from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
 from strainwave.signals.mounting_start import estimate_mounting_starts
 
-# an unknown stiffness is searched in steps from a share of the joint stage's or typical value
+# an unknown stiffness is searched in steps from a share of the joint stage's value, or of a typical
+# value if that is less
 _SOFTEST, _STIFFNESS_STEP = 1.0 / 9.0, 1.22
 _MAX_ANTI_RESONANCE = 2.0  # times the cutoff; the records do not distinguish stiffer gears
 _REFINEMENT = np.geomspace(1.0 / _STIFFNESS_STEP, _STIFFNESS_STEP, 9).tolist()
@@ -185,12 +187,14 @@ def _scan_uncertain(
 ) -> Fit:
     """Scan the stiffness of joints without a plausible model; twice, as they affect each other.
 
-    The stiffness of the joints in `given` is known.
+    So is a stiffness whose interval contains zero. The stiffness of the joints in `given` is known.
     """
-    uncertain = {joint for name, joint in stages.rejected if name == STIFFNESS and joint}
+    uncertain: set[int | None] = {j for name, j in stages.rejected if name == STIFFNESS and j}
     uncertain |= {model.joint for model in joints if model.status == "implausible"}
+    stiffnesses = [p for model in joints for p in model.parameters if p.name == STIFFNESS]
+    uncertain |= {p.joint for p in stiffnesses if p.ci95 and p.ci95[0] <= 0.0 <= p.ci95[1]}
     uncertain -= set(given)
-    for joint in sorted(uncertain) * (2 if len(uncertain) > 1 else 1):
+    for joint in sorted(filter(None, uncertain)) * (2 if len(uncertain) > 1 else 1):
         start = _scan_stiffness(start, joint)
     return start
 
@@ -220,10 +224,13 @@ def _stiffness_ratios(objective: Objective, z: FloatArray, joint: int) -> list[f
     record, values = objective.records[0], objective.space.values(z)
     stiffness = max(x for (name, i), x in values.items() if i == joint and is_slope(name))
     inertia = value_of(record.arm.link_inertia(joint), values)
-    highest = (2.0 * np.pi * _MAX_ANTI_RESONANCE * record.cutoff_hz) ** 2 * inertia
-    stiffest = max(highest / stiffness, 1.0 / _SOFTEST)
-    n = int(np.log(stiffest / _SOFTEST) / np.log(_STIFFNESS_STEP)) + 2
-    return [float(ratio) for ratio in np.geomspace(_SOFTEST, stiffest, n)]
+    typical, highest = (
+        (2.0 * np.pi * frequency) ** 2 * inertia / stiffness
+        for frequency in (TYPICAL_ANTI_RESONANCE_HZ, _MAX_ANTI_RESONANCE * record.cutoff_hz)
+    )
+    softest, stiffest = _SOFTEST * min(1.0, typical), max(highest, 1.0 / _SOFTEST)
+    n = int(np.log(stiffest / softest) / np.log(_STIFFNESS_STEP)) + 2
+    return [float(ratio) for ratio in np.geomspace(softest, stiffest, n)]
 
 
 def _scale_stiffness(space: ParameterSpace, joint: int | None, ratio: float) -> ParameterSpace:

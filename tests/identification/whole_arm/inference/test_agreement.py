@@ -25,7 +25,7 @@ from strainwave.identification.whole_arm.inference.agreement import (
     _as_normal,
     _chi_square,
     disagreement,
-    stage_excess,
+    expected_model_error,
 )
 from strainwave.identification.whole_arm.inference.covariance import residual_covariance
 from strainwave.io.logs import write_log
@@ -193,13 +193,23 @@ def test_a_link_length_that_is_wrong_is_named_before_any_fit(tmp_path: Path) -> 
 
 
 def test_the_excess_of_a_difference_is_an_error_of_the_model() -> None:
-    difference = StageDifference("beta", None, 0.60, 0.65, 0.03, "kg m^2")
-    small = StageDifference("gamma", None, 0.80, 0.81, 0.03, "kg m^2")
-    failed = AgreementTest("inertias", None, 70.0, 4, 7.4)
-    assert stage_excess((difference, small), ()) == {}
-    excess = stage_excess((difference, small), (failed,))
-    assert excess["beta", None] == pytest.approx(0.05**2 - 0.03**2)
-    assert excess["gamma", None] == 0.0
+    """All of a clear difference, and nothing of one that the error of a poor estimate explains."""
+    difference, sizes = np.array([0.05, 0.5]), np.array([0.06, 0.06])
+    covariance = np.diag([0.001, 0.4]) ** 2
+    clear, explained = expected_model_error(difference, covariance, sizes, 2)
+    assert clear == pytest.approx(0.05, rel=1e-2)
+    assert abs(explained) < 0.03
+    np.testing.assert_allclose(
+        expected_model_error(np.array([0.001, 0.4]), covariance, sizes, 2), 0.0, atol=1e-4
+    )
+
+
+def test_the_excess_of_a_sum_is_an_error_of_both_parts() -> None:
+    """Motion in one direction shows only the sum of Coulomb friction and offset."""
+    along, across = np.array([[1.0, -1.0]]).T, np.array([[1.0, 1.0]]).T
+    covariance = along @ along.T + 1e-6 * across @ across.T
+    error = expected_model_error(np.array([0.05, 0.05]), covariance, np.full(2, 0.03), 2)
+    np.testing.assert_allclose(error, 0.05, rtol=1e-3)
 
 
 def test_a_clock_that_is_fast_is_named(tmp_path: Path) -> None:

@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from strainwave.domain import ArmModel, JointModel
+from strainwave.domain import ArmModel, JointModel, Parameter
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm import fit_whole_arm
 from tuning_runs import joint_models, rigid_model, shaken
 
 NEAR, FAR = 0.02, 6.0  # relative error of a good start; stiffness factor of a poor start
+VAGUE = 80.0  # stiffness factor of a start whose interval contains zero
 STIFF = 1e12  # stiffness for which the integration fails
 
 
@@ -49,6 +50,16 @@ def test_a_start_at_the_limit_of_its_range_moves_the_range() -> None:
     k = model.values["gear_stiffness", 2]
     assert model.status == "converged"
     assert k == pytest.approx(values["gear_stiffness", 2], rel=0.02)
+
+
+def test_a_vague_stiffness_is_searched_from_a_typical_one() -> None:
+    """As of a joint whose accelerometer resonates on its mount."""
+    _, values, _ = shaken()
+    joints = starts(VAGUE)
+    stiffness = VAGUE * values["gear_stiffness", 2]
+    vague = Parameter.estimated(("gear_stiffness", 2), stiffness, stiffness, "N m/rad", "decoupled")
+    model = whole_arm((joints[0], replace(joints[1], parameters=(vague,))))
+    assert model.values["gear_stiffness", 2] == pytest.approx(values["gear_stiffness", 2], rel=0.02)
 
 
 def test_candidates_that_cannot_be_simulated_are_skipped() -> None:

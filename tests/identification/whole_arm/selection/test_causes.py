@@ -19,9 +19,11 @@ from strainwave.identification.whole_arm.inference.effect_columns import (
     Shapes,
 )
 from strainwave.identification.whole_arm.problem.effect_unknowns import NamedEffect
+from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.selection import causes
 from strainwave.identification.whole_arm.selection.causes import with_large_part
-from tuning_runs import truth
+from tuning_runs import linear_search, truth
 
 MENDED = ("motor_inertia", "motor_coulomb_friction", STIFFNESS, "gear_damping")
 
@@ -153,6 +155,20 @@ def test_effects_that_do_not_enter_widen_the_intervals() -> None:
     for parameter in MENDED:
         low, high = estimates[parameter, 1].ci95 or (0.0, 0.0)
         assert low <= truth()[1][parameter, 1] <= high, parameter
+
+
+def test_rivals_of_an_effect_gain_by_its_refinement(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rival that explains as much as the included effect keeps half of the weight."""
+    objective = Objective.of(linear_search(1), [])
+    final, before, rival, without = (
+        Fit(objective, np.zeros(1), cost, 0) for cost in (1.0, 2.0, 2.0, 9.0)
+    )
+    folds = np.full(10, 2.0)  # log densities fall by the cost
+    monkeypatch.setattr(
+        causes, "held_out_scores", lambda fits: np.array([-fit.cost * folds for fit in fits])
+    )
+    weights = causes._weights(final, [without, rival], [(before, final, [before, rival])])
+    np.testing.assert_allclose(weights, [0.0, 0.5], atol=1e-3)
 
 
 def test_an_arm_without_effects_takes_up_none() -> None:

@@ -25,7 +25,7 @@ from strainwave.identification.whole_arm.inference.covariance import confidence_
 from strainwave.identification.whole_arm.problem.prior import reference_sizes
 from strainwave.identification.whole_arm.search.fit import Fit
 
-Scope = Literal["all", "inertias", "friction"]
+_Group = tuple[Literal["all", "inertias", "friction"], int | None]  # scope and joint of a test
 
 RIGID_MODEL_ERROR = 5e-4
 """Relative error of the rigid model's values, because torsion moves the links by milliradians."""
@@ -34,6 +34,7 @@ RIGID_MODEL_ERROR = 5e-4
 # information
 _MIN_STD_RATIO = 0.05
 _MIN_EIGENVALUE_RATIO = 1e-9  # relative eigenvalue below which the rigid correlations are singular
+_BISECTIONS = 60  # of the variance of model errors
 _MIN_TAIL_PROBABILITY = 1e-300  # lower limit of a tail probability; equals 37 standard deviations
 
 
@@ -66,8 +67,12 @@ def _standard_deviations(covariances: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
 
 
-def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
+def agreement_tests(fit: Fit) -> tuple[tuple[AgreementTest, ...], Values]:
     """Chi-square tests of the differences: all values, inertias, and the friction of each joint.
+
+    Also returns the squared model errors of the values in tests that fail. The covariance of the
+    difference accounts for the errors that both stages share (Hausman, 1978), so only the excess is
+    an error of the model. The test of all values tells nothing new if another fails.
 
     The statistic is d' C^-1 d with the differences d and their covariance C. C has the correlations
     of steady errors, which about 1,000 rows determine, and the larger of both variances, to which
@@ -85,29 +90,51 @@ def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
     rigid, difference = F @ prior.errors @ F.T, F @ confidence.prior_residual
     sizes = reference_sizes(dict(zip(prior.names, prior.mean.tolist(), strict=True)))
     size = np.maximum(list(sizes.values()), 1e-300)
-    relative = np.abs(difference) / size
     model_error = np.diag((RIGID_MODEL_ERROR * size) ** 2)
-    groups: dict[tuple[Scope, int | None], list[int]] = {}
+    groups: dict[_Group, list[int]] = {}
     for k, (name, joint) in enumerate(prior.names):
-        group_key: tuple[Scope, int | None] = ("inertias", None)
+        group_key: _Group = ("inertias", None)
         if family_of(name) in ("dry friction", "damping"):
             group_key = ("friction", joint)
         for group in (("all", None), group_key):
             groups.setdefault(group, []).append(k)
-    tests = []
+    tests: list[AgreementTest] = []
+    excess: dict[_Group, Values] = {}
     for (scope, joint), rows in groups.items():
-        block = np.ix_(rows, rows)
-        chi_square, degrees = _chi_square(
-            difference[rows], covariance[block], rigid[block], model_error[block]
-        )
-        if degrees:
-            largest = float(np.max(relative[rows]))
-            tests.append(
-                AgreementTest(
-                    scope, joint, chi_square, degrees, _as_normal(chi_square, degrees), largest
-                )
-            )
-    return tuple(tests)
+        block, own = np.ix_(rows, rows), difference[rows]
+        chi_square, degrees = _chi_square(own, covariance[block], rigid[block], model_error[block])
+        if not degrees:
+            continue
+        largest = float(np.max(np.abs(own) / size[rows]))
+        deviations = _as_normal(chi_square, degrees)
+        tests.append(AgreementTest(scope, joint, chi_square, degrees, deviations, largest))
+        if tests[-1].disagrees:
+            variance, biases = (covariance + model_error)[block], prior.typical_biases[rows]
+            errors = expected_model_error(own, variance, biases, degrees).tolist()
+            excess[scope, joint] = {prior.names[k]: e**2 for k, e in zip(rows, errors, strict=True)}
+    if len(excess) > 1:
+        excess.pop(("all", None), None)
+    return tuple(tests), {key: square for each in excess.values() for key, square in each.items()}
+
+
+def expected_model_error(
+    difference: FloatArray, covariance: FloatArray, sizes: FloatArray, degrees: int
+) -> FloatArray:
+    """Part of a difference d that is a model error, by its covariance C: (n_rows,).
+
+    Model errors have variances t^2 S, with typical `sizes` as roots of S, and t explains the excess
+    of the chi square, d' (C + t^2 S)^-1 d = `degrees` (Mandel and Paule, 1970). The expected error
+    t^2 S (C + t^2 S)^-1 d is all of a difference far above its standard deviation, and little else.
+    """
+    variances, vectors = np.linalg.eigh(covariance / np.outer(sizes, sizes))
+    variances = np.maximum(variances, np.finfo(float).eps * variances[-1])
+    scaled = vectors.T @ (difference / sizes)
+    low, high = 0.0, float(scaled @ scaled)
+    for _ in range(_BISECTIONS):
+        t2 = 0.5 * (low + high)
+        is_small = np.sum(scaled**2 / (variances + t2)) > degrees
+        low, high = (t2, high) if is_small else (low, t2)
+    return np.asarray(sizes * (vectors @ (scaled * t2 / (variances + t2))))
 
 
 def _chi_square(
@@ -131,17 +158,6 @@ def _chi_square(
 def _as_normal(chi_square: float, degrees: int) -> float:
     tail = max(chi_square_tail(chi_square, degrees), _MIN_TAIL_PROBABILITY)
     return max(0.0, -NormalDist().inv_cdf(0.5 * tail))
-
-
-def stage_excess(differences: Sequence[StageDifference], tests: Sequence[AgreementTest]) -> Values:
-    """Excess of the squared differences over their variance, if the stages disagree.
-
-    The covariance of the difference accounts for the errors that both stages share (Hausman, 1978),
-    so only the excess is an error of the model.
-    """
-    if not any(test.disagrees for test in tests):
-        return {}
-    return {d.key: max(0.0, (d.whole_arm - d.rigid) ** 2 - d.std**2) for d in differences}
 
 
 def disagreement(

@@ -55,19 +55,13 @@ def evidence_of(record: Dataset, rows: Rows, block: IntArray, noise: FloatArray)
     steady, of_noise, rows_in = np.zeros((n, n)), np.zeros((n, n)), len(columns)
     for k, lags in enumerate(noise_autocovariances(record)):
         errors = _autocovariance(rows.residual[:, k], float(noise[k]))
-        own_noise, filtered = np.zeros_like(errors), lags[:rows_in]
+        own_noise, correlation = np.zeros_like(errors), lags[:rows_in] / lags[0]
         share = noise[k] ** 2 / max(float(np.var(rows.residual[:, k])), noise[k] ** 2, 1e-300)
-        own_noise[: len(filtered)] = (
-            errors[0] * share * _loss_autocorrelation(filtered / filtered[0])
-        )
+        of_loss = sum(weight * correlation**degree for degree, weight in _HERMITE_SHARES.items())
+        own_noise[: len(correlation)] = errors[0] * share * of_loss
         covariances = gradient_covariances(columns[:, k], (errors, own_noise))
         steady, of_noise = steady + covariances[0], of_noise + covariances[1]
     return Evidence(sums, shared.T @ shared, scaled.T @ scaled, steady, of_noise)
-
-
-def _loss_autocorrelation(correlation: FloatArray) -> FloatArray:
-    """Autocorrelation of r (1 + r^2)^(-1/2) for normal r with this one, by Hermite expansion."""
-    return np.asarray(sum(weight * correlation**k for k, weight in _HERMITE_SHARES.items()))
 
 
 def gradient_covariances(

@@ -100,7 +100,10 @@ def _quantities(fit: Fit, arm: Arm, largest_torque: Sequence[float]) -> list[_Qu
     return [
         *_unknowns(fit, arm, curves),
         *_combinations(fit, arm),
-        *_vanished(fit, arm),
+        *(
+            _Quantity(key, unit_in(arm, key), None, np.zeros(len(fit.z)))
+            for key in vanished_parameters(fit, arm)
+        ),
         *_mountings(fit),
     ]
 
@@ -142,12 +145,6 @@ def _combinations(fit: Fit, arm: Arm) -> Iterator[_Quantity]:
             value = sum(weight * values.get(key, 0.0) for key, weight in parts.items())
             unit = unit_in(arm, (name, number))
             yield _Quantity((name, number), unit, value, combination(keys, parts))
-
-
-def _vanished(fit: Fit, arm: Arm) -> Iterator[_Quantity]:
-    for name, number in vanished_parameters(fit, arm):
-        unit = unit_in(arm, (name, number))
-        yield _Quantity((name, number), unit, None, np.zeros(len(fit.z)))
 
 
 def _mountings(fit: Fit) -> Iterator[_Quantity]:

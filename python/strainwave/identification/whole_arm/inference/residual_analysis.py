@@ -146,13 +146,16 @@ def strongest_input(correlation: ResidualCorrelation) -> InputCorrelation:
     return InputCorrelation(joint + 1, float(delayed[lag, joint]), delay, probability)
 
 
-def has_excess_residuals(objective: Objective, z: FloatArray) -> bool:
-    """Whether more than half of the residual power of any channel is not sensor noise.
+def has_excess_residuals(
+    objective: Objective, z: FloatArray, ratio: float = _MIN_NOISE_RATIO
+) -> bool:
+    """Whether the residual of any channel exceeds a multiple of the noise.
 
-    The limit is lower than that of `residual_warnings`, because an effect can be significant below
-    the latter. `z`, (n_unknowns,), is the final iterate of the fit.
+    By default, more than half of its power is then not sensor noise. This limit is lower than that
+    of `residual_warnings`, because an effect can be significant below the latter. `z`,
+    (n_unknowns,), is the final iterate of the fit.
     """
-    return any(bool(np.any(beyond)) for beyond in channels_above_noise(objective, z))
+    return any(bool(np.any(beyond)) for beyond in channels_above_noise(objective, z, ratio))
 
 
 def channels_above_noise(

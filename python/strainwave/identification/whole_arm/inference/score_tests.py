@@ -36,7 +36,6 @@ from strainwave.identification.whole_arm.inference.effect_columns import (
 )
 from strainwave.identification.whole_arm.inference.residual_analysis import (
     MIN_WARNING_RATIO,
-    channels_above_noise,
     has_excess_residuals,
 )
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
@@ -180,9 +179,8 @@ def min_relevant_share(objective: Objective, z: FloatArray) -> float:
 
     Near the sensor noise, small effects imitate the errors of integrator and friction corner.
     """
-    if any(bool(np.any(far)) for far in channels_above_noise(objective, z, MIN_WARNING_RATIO)):
-        return MIN_COST_SHARE
-    return RELEVANT_COST_SHARE
+    is_above_noise = has_excess_residuals(objective, z, MIN_WARNING_RATIO)
+    return MIN_COST_SHARE if is_above_noise else RELEVANT_COST_SHARE
 
 
 def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:

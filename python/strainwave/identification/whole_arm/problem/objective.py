@@ -148,7 +148,8 @@ class Objective:
         weights = []
         for record, rows in zip(self.records, self.rows(z), strict=True):
             minimum = np.maximum(record.noise, MIN_ERROR_SHARE * np.std(record.measured, axis=0))
-            stds = np.maximum(_robust_std(rows.errors), minimum)
+            robust = STD_PER_MEDIAN * np.median(np.abs(rows.errors), axis=0)
+            stds = np.maximum(np.maximum(robust, 0.5 * np.std(rows.errors, axis=0)), minimum)
             repeats = [estimate_rows_per_error(column) for column in rows.errors.T]
             weights.append(Weights(stds, np.array(repeats)))
         return replace(self, weights=tuple(weights), has_initial_weights=False)
@@ -401,9 +402,3 @@ def _spread(biases: FloatArray, record: Dataset) -> FloatArray:
     spread = np.zeros(len(record.channels))
     spread[list(_biased(record))] = biases
     return spread
-
-
-def _robust_std(errors: FloatArray) -> FloatArray:
-    """Robust standard deviations (n_channels,) of errors (n_rows, n_channels)."""
-    typical = STD_PER_MEDIAN * np.median(np.abs(errors), axis=0)
-    return np.asarray(np.maximum(typical, 0.5 * np.std(errors, axis=0)))

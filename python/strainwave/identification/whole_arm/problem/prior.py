@@ -57,7 +57,7 @@ class Prior:
         Each error is scaled by its typical size if the model lacks an effect.
         """
         places = [k for k, name in enumerate(self.names) if name in names]
-        units = np.eye(len(self.names))[:, places] * self._typical_biases[places]
+        units = np.eye(len(self.names))[:, places] * self.typical_biases[places]
         return np.asarray(np.linalg.solve(self.factor, units))
 
     def relax(self, names: Collection[Key]) -> Prior:
@@ -66,7 +66,7 @@ class Prior:
         if not places:
             return self
         added_errors = np.zeros((len(self.names), len(places)))
-        added_errors[places, range(len(places))] = self._typical_biases[places]
+        added_errors[places, range(len(places))] = self.typical_biases[places]
         factor = np.asarray(
             np.linalg.cholesky(self.factor @ self.factor.T + added_errors @ added_errors.T)
         )
@@ -91,7 +91,7 @@ class Prior:
         return replace(self, rows=rows, target=target, errors=errors, factor=factor, before=None)
 
     @property
-    def _typical_biases(self) -> FloatArray:
+    def typical_biases(self) -> FloatArray:
         """Typical errors (n_rows,) of the rigid-model parameters if the model lacks an effect."""
         sizes = reference_sizes(dict(zip(self.names, self.mean.tolist(), strict=True)))
         errors = [_BIAS_SHARES[family_of(name)] * size for (name, _), size in sizes.items()]
@@ -109,7 +109,12 @@ def reference_sizes(values: Mapping[Key, float]) -> Values:
     That of a friction offset is the Coulomb friction, that of an inertial value of either sign the
     largest of its kind: products of inertia and first moments may be zero.
     """
-    kinds = {key: kind for key in values if (kind := _signed_kind(key))}
+    descriptions = {key: parameter_table().get(base_name(key[0])) for key in values}
+    kinds = {
+        key: described.units
+        for key, described in descriptions.items()
+        if described and described.family == "inertia" and described.range == "any"
+    }
     return {
         key: abs(values.get((COULOMB, key[1]), value) if key[0] == OFFSET else value)
         for key, value in values.items()
@@ -122,14 +127,6 @@ def largest_of_kind(values: Mapping[Key, float], kinds: Mapping[Key, Hashable]) 
         key: max(abs(values[other]) for other in kinds if kinds[other] == kind)
         for key, kind in kinds.items()
     }
-
-
-def _signed_kind(key: Key) -> tuple[str, ...] | None:
-    """Units of an inertial parameter of either sign; None for other parameters."""
-    described = parameter_table().get(base_name(key[0]))
-    if described is None or described.family != "inertia" or described.range != "any":
-        return None
-    return described.units
 
 
 def rigid_prior(model: RigidModel | None, keys: Sequence[Key], arm: Arm, floor: float) -> Prior:

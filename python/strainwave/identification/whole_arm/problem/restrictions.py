@@ -97,16 +97,11 @@ def _names(key: Key) -> list[str]:
     return names
 
 
-def _factors_of(options: WholeArmOptions, key: Key) -> tuple[float, float] | None:
-    """Lower and upper factor of the start; None if the options do not limit the parameter."""
-    given = next((options.ranges[name] for name in _names(key) if name in options.ranges), None)
-    is_limited = options.as_published and not constant_of(key)
-    return given or (PUBLISHED_RANGE if is_limited else None)
-
-
 def limit_unknown(unknown: Unknown, options: WholeArmOptions, at: float) -> Unknown:
     """Limit an unknown to the options' factors of its value at coordinate `at`, unless it is 0."""
-    factors = _factors_of(options, unknown.key)
+    factors = next((options.ranges[n] for n in _names(unknown.key) if n in options.ranges), None)
+    if factors is None and options.as_published and not constant_of(unknown.key):
+        factors = PUBLISHED_RANGE
     if factors is None:
         return unknown
     if not unknown.signed:

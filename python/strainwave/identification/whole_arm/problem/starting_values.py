@@ -21,9 +21,10 @@ from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 
+TYPICAL_ANTI_RESONANCE_HZ = 15.0
+"""Typical of strain-wave gears: 10 to 30 Hz, small arms up to 60 Hz."""
+
 _MIN_FRICTION_SHARE = 0.05  # minimum share of the total viscous friction, motor or link
-# typical of strain-wave gears: 10 to 30 Hz, small arms up to 60 Hz
-_TYPICAL_ANTI_RESONANCE_HZ = 15.0
 _TYPICAL_DAMPING_RATIO = 0.03  # typical damping ratio of strain-wave gears
 # range of starting damping ratios, as search ranges are relative to them
 _DAMPING_RATIO_RANGE = (0.01, 0.5)
@@ -64,7 +65,7 @@ def starting_values_of(
         link_inertia = value_of(arm.link_inertia(number), start)
         if not is_positive(stiffness):
             rejected["gear_stiffness", number] = stiffness
-            stiffness = (2.0 * np.pi * _TYPICAL_ANTI_RESONANCE_HZ) ** 2 * link_inertia
+            stiffness = (2.0 * np.pi * TYPICAL_ANTI_RESONANCE_HZ) ** 2 * link_inertia
         critical = 2.0 * float(np.sqrt(stiffness * link_inertia))
         if not is_positive(damping):
             rejected["gear_damping", number] = damping

@@ -79,7 +79,8 @@ def _reweight(fit: Fit, options: WholeArmOptions) -> Fit:
         fit = search_minimum(fit, options, relative=COARSE_RELATIVE_TOLERANCE)
         updated = fit.objective.update_weights(fit.z)
         is_finished = not fit.end.is_minimum or fit.iterations >= options.max_iterations
-        if is_finished or not _has_decreased(fit.objective, updated):
+        changes = _changes(fit.objective, updated)
+        if is_finished or all(np.min(one) >= _MAX_DECREASED_RATIO for one in changes):
             break
         fit = replace(fit, objective=updated)
     return fit
@@ -150,7 +151,8 @@ def refine(fit: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERAN
         if fit.end is SearchEnd.EVALUATION_LIMIT and fit.iterations < options.max_iterations:
             fit = replace(fit, end=SearchEnd.STALLED)
         updated = fit.objective.update_weights(fit.z)
-        if not fit.end.is_minimum or _has_converged(fit.objective, updated):
+        changes = [np.max(np.abs(np.log(one))) for one in _changes(fit.objective, updated)]
+        if not fit.end.is_minimum or all(one < _WEIGHT_TOLERANCE for one in changes):
             break
         fit = replace(fit, objective=updated)
     return fit
@@ -202,13 +204,6 @@ def search_minimum(
     return Fit(start.objective, minimum.x, minimum.at.cost, n_evaluations, minimum.end)
 
 
-def _has_converged(old: Objective, new: Objective) -> bool:
-    """Whether the weights have converged."""
-    pairs = zip(old.weights, new.weights, strict=True)
-    return all(np.max(np.abs(np.log(b.stds / a.stds))) < _WEIGHT_TOLERANCE for a, b in pairs)
-
-
-def _has_decreased(old: Objective, new: Objective) -> bool:
-    """Whether the error of any channel has decreased markedly."""
-    pairs = zip(old.weights, new.weights, strict=True)
-    return any(np.min(b.stds / a.stds) < _MAX_DECREASED_RATIO for a, b in pairs)
+def _changes(old: Objective, new: Objective) -> list[FloatArray]:
+    """Ratios of the errors of each record's channels."""
+    return [b.stds / a.stds for a, b in zip(old.weights, new.weights, strict=True)]

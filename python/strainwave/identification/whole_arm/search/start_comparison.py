@@ -165,7 +165,8 @@ def _continue_search(
         if search.is_limited:
             joints = _recentre(search)
             objective = objective_of(joints)
-            values = _values_with_start_springs(fit, objective)
+            kept = {key: x for key, x in fit.values.items() if key[0] not in gear_parameters()}
+            values = objective.space.start_values | kept  # the springs are at their starts
             fit = Fit.at(objective, objective.space.coordinates(values))
         fit = search_minimum(
             replace(fit, iterations=0), options, max_evaluations=EVALUATIONS_PER_ROUND
@@ -184,9 +185,3 @@ def _recentre(search: _SearchState) -> list[JointModel]:
         values = {**joint.values, STIFFNESS: estimates[stiffness, joint.joint]}
         recentred.append(replace(joint, values=values))
     return recentred
-
-
-def _values_with_start_springs(fit: Fit, objective: Objective) -> Values:
-    """The values of the search, with the springs at their starts."""
-    kept = {key: x for key, x in fit.values.items() if key[0] not in gear_parameters()}
-    return objective.space.start_values | kept

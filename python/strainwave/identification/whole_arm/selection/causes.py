@@ -24,6 +24,7 @@ from strainwave.domain import (
     Place,
     WholeArmOptions,
 )
+from strainwave.domain.arm_model import MAX_RESIDUAL_NOISE
 from strainwave.domain.effects import STIFFNESS_CURVE, effect_named
 from strainwave.domain.final_table import is_identified
 from strainwave.domain.gear_laws import STIFFNESS, gear_law
@@ -38,6 +39,7 @@ from strainwave.identification.whole_arm.inference.parameter_estimates import (
     PlausibleModel,
     parameters_of,
 )
+from strainwave.identification.whole_arm.inference.residual_analysis import has_excess_residuals
 from strainwave.identification.whole_arm.inference.score_tests import (
     TestedEffect,
     is_primary,
@@ -136,33 +138,40 @@ def include_effects(fit: Fit, selection: Selection) -> tuple[Fit, Comparison]:
     """
     included: list[Rival] = []
     others: list[tuple[Fit, Arm]] = []  # the models without the included effects, and their rivals
+    refined: list[tuple[Fit, Fit, list[Fit]]] = []  # before, after, and the rivals before
     while True:
         tests = score_tests_of(fit, selection.arm)
         budget = _Budget(fit, selection.options)
         rivals = _rivals_of(fit, tests, selection, budget)
         others += [(rival.fit, rival.arm) for rival in rivals]
-        supported = [rival for rival in rivals if _is_supported(rival, fit)]
+        min_share = min_relevant_share(fit.objective, fit.z)
+        supported = [
+            rival
+            for rival in rivals
+            if rival.weight > MIN_WEIGHT and rival.share > min_share and not rival.is_linearised
+        ]
         best = extended = None
         while supported and extended is None and len(included) < MAX_INCLUDED_EFFECTS:
             best = supported.pop(simplest_model([one.fit for one in supported]))
-            if _may_enter(best, selection.arm):
+            joint, effect = best.named_effect
+            # the study leaves the choice to the data: it may state gear laws and effects
+            if effect != STIFFNESS_CURVE.name and selection.arm.joints[joint - 1].selects_effects:
                 extended = _include(fit, best, selection)
             else:  # the other effects of the joint would imitate it
-                joint = best.named_effect[0]
                 supported = [one for one in supported if one.named_effect[0] != joint]
         if best is None or extended is None:
             break
         included.append(best)
+        refined.append((best.fit, extended, [rival.fit for rival in rivals]))
         others = [(fit, selection.arm), *(other for other in others if other[0] is not best.fit)]
         fit = extended
     plausible: list[PlausibleModel] = []
     if others:
-        scores = held_out_scores([fit, *(other for other, _ in others)])
-        weights = model_weights(scores, np.random.default_rng(0)).tolist()
+        weights = _weights(fit, [other for other, _ in others], refined)
         values = _primary_values(fit, selection.arm)
         plausible = [
             PlausibleModel(other, arm, weight, values <= _primary_values(other, arm))
-            for (other, arm), weight in zip(others, weights[1:], strict=True)
+            for (other, arm), weight in zip(others, weights, strict=True)
         ]
     excluded = tuple(budget.excluded)
     return fit, Comparison(
@@ -170,16 +179,25 @@ def include_effects(fit: Fit, selection: Selection) -> tuple[Fit, Comparison]:
     )
 
 
-def _is_supported(rival: Rival, fit: Fit) -> bool:
-    """Whether the data support the effect."""
-    min_share = min_relevant_share(fit.objective, fit.z)
-    return rival.weight > MIN_WEIGHT and rival.share > min_share and not rival.is_linearised
+def _weights(
+    fit: Fit, others: Sequence[Fit], refined: Sequence[tuple[Fit, Fit, list[Fit]]]
+) -> list[float]:
+    """Weights of other models against the fit, by held-out scores.
 
-
-def _may_enter(rival: Rival, arm: Arm) -> bool:
-    """Whether the study leaves the choice to the data: it may state gear laws and effects."""
-    joint, effect = rival.named_effect
-    return effect != STIFFNESS_CURVE.name and arm.joints[joint - 1].selects_effects
+    Only the model with the best effect is refined, to the minimum and in its sensor constants. A
+    rival that it did not replace before would gain as much: of two models that explain the same,
+    as errors of the torque constant of either joint do, neither gets all the weight.
+    """
+    scores = held_out_scores([fit, *others, *(one for pair in refined for one in pair[:2])])
+    n = 1 + len(others)
+    rounds = zip(scores[n::2], scores[n + 1 :: 2], refined, strict=True)
+    for before, after, (_, _, rivals) in rounds:
+        for k, other in enumerate(others, start=1):
+            lead = weight_over(before, scores[k], np.random.default_rng(0))
+            if lead <= MIN_WEIGHT and any(other is rival for rival in rivals):
+                scores[k] += after - before
+    weights: list[float] = model_weights(scores[:n], np.random.default_rng(0))[1:].tolist()
+    return weights
 
 
 def _include(fit: Fit, rival: Rival, selection: Selection) -> Fit | None:
@@ -230,28 +248,34 @@ def _rivals_of(
 ) -> list[Rival]:
     """Models with one of the most significant effects each, the best held-out score first.
 
-    No effect is fitted unless one is promising. Promising effects beyond the fitted ones are
-    linearised.
+    No effect is fitted unless one is promising, but modes if the residuals are far above the noise.
+    Promising effects beyond the fitted ones are linearised.
     """
     decided = [(joint, STIFFNESS_CURVE.name) for joint in selection.law_choices]
     excluded = {*named_effects(selection.arm), *decided}
     unnamed = [one for one in tested if one.named_effect not in excluded]
     min_share = min_relevant_share(fit.objective, fit.z)
     promising = [one for one in unnamed if one.is_promising and one.share > min_share]
-    if not promising:
-        return []
     unnamed.sort(key=lambda one: -one.gain)
-    min_gain = MIN_RIVAL_GAIN_SHARE * max(one.gain for one in promising)
-    candidates = [one for one in unnamed if one.gain >= min_gain][:MAX_RIVAL_EFFECTS]
+    min_gain = MIN_RIVAL_GAIN_SHARE * max((one.gain for one in promising), default=math.inf)
+    candidates = [one for one in unnamed if one.gain >= min_gain]
+    if not promising and has_excess_residuals(fit.objective, fit.z, MAX_RESIDUAL_NOISE):
+        # a mode of vibration moves resonances beyond the reach of a linear step
+        candidates = [one for one in unnamed if effect_named(one.named_effect[1]).starting_shapes]
+    if not candidates:
+        return []
     starts = [fit]
     long = lengthen_steps(fit)
     if long is not fit:
         long = replace(long, objective=long.objective.store_step_errors(fit.z))
         starts = [long, fit]  # some effects are too stiff for long steps
     arm = selection.arm
+    candidates = candidates[:MAX_RIVAL_EFFECTS]
     rivals = _fit_rivals(starts, candidates, selection, budget)
+    if not promising:
+        rivals = [rival for rival in rivals if rival.share > min_share]
     best = max(rivals, key=lambda one: one.gain, default=None)
-    if (
+    if promising and (
         best is None
         or best.share < MIN_EXPLAINED_SHARE
         or effect_named(best.named_effect[1]).by_record

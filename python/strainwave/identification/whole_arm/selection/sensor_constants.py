@@ -242,7 +242,11 @@ def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) 
     selected: list[int] = []
     cost = float(target @ target)
     while remaining := set(range(len(candidates))) - set(selected):
-        costs = {k: _residual_cost(columns[:, [*selected, k]], target) for k in sorted(remaining)}
+        costs = {}
+        for k in sorted(remaining):
+            chosen = columns[:, [*selected, k]]
+            step = np.linalg.lstsq(chosen, -target)[0]
+            costs[k] = float(np.sum((target + chosen @ step) ** 2))
         enough = [
             k
             for k, value in costs.items()
@@ -316,12 +320,6 @@ def _score_columns(fit: Fit, keys: Sequence[Key]) -> tuple[FloatArray, FloatArra
         return objective.records[k].sensor_tangent(simulated[k], values, initial, keys)
 
     return objective.project_columns(fit.z, len(keys), tangent)
-
-
-def _residual_cost(columns: FloatArray, target: FloatArray) -> float:
-    """Residual sum of squares after regression on the columns."""
-    step = np.linalg.lstsq(columns, -target)[0]
-    return float(np.sum((target + columns @ step) ** 2))
 
 
 def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
