@@ -18,7 +18,7 @@ from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
-from strainwave.signals.consistency.regression import regress
+from strainwave.signals.consistency.regression import Comparison, regress
 from strainwave.signals.consistency.sensors import recall_motion
 from strainwave.signals.drive_law import DriveLaw
 from strainwave.signals.link_readings import JointMotion
@@ -53,17 +53,6 @@ EFFORTS = ("torque", "u", "tau_l")
 
 
 @dataclass(frozen=True, slots=True)
-class Ratio:
-    """Regression of a motor signal on its prediction in one record; 1 if they agree."""
-
-    channel: str
-    record: str
-    value: float
-    std: float
-    explained: float  # share of the variance of the signal
-
-
-@dataclass(frozen=True, slots=True)
 class TorqueRegression:
     """Regression of the torque of one joint on its rigid-joint equation, over all slow records."""
 
@@ -80,29 +69,29 @@ class TorqueRegression:
         return [k for k, key in enumerate(self.base) if key in other.base]
 
 
-def compute_reference_ratios(evidence: Evidence) -> list[Ratio]:
+def compute_reference_ratios(evidence: Evidence) -> list[Comparison]:
     """Ratios of low-frequency motor velocity to servo reference.
 
     Covers the joints under servo control whose reference varies.
     """
-    ratios: list[Ratio] = []
+    ratios: list[Comparison] = []
     for record, i in _servo_controlled(evidence):
         reference = record.channels[f"ref{i}"]
         velocity = differentiate(record.channels[f"theta_m{i}"], record.sample_time)
         slope = differentiate(reference, record.sample_time)
         slope2 = differentiate(slope, record.sample_time)
         columns = np.column_stack([reference, slope, slope2])[record.inside]
-        ratios.extend(_regress_ratio(record, f"theta_m{i}", velocity, columns))
+        ratios.extend(_regress_ratio("reference", record, f"theta_m{i}", velocity, columns))
     return ratios
 
 
-def compute_servo_output_ratios(evidence: Evidence) -> list[Ratio]:
+def compute_servo_output_ratios(evidence: Evidence) -> list[Comparison]:
     """Ratios of the logged voltage to the servo output kp e + ki int(e) of the study.
 
     e is reference minus motor velocity. Excludes joints with a PRBS added to the servo output, and
     servos with a position loop: its law integrates twice, which the slow rows do not resolve.
     """
-    ratios: list[Ratio] = []
+    ratios: list[Comparison] = []
     servo = evidence.arm.servo
     if servo is None or servo.position_gain is not None:
         return ratios
@@ -116,14 +105,16 @@ def compute_servo_output_ratios(evidence: Evidence) -> list[Ratio]:
         integral = np.cumsum(reference) * record.sample_time - angle
         expected = servo.kp[i - 1] * error + servo.ki[i - 1] * integral
         ratios.extend(
-            _regress_ratio(record, name, record.channels[name], expected[record.inside, None])
+            _regress_ratio(
+                "servo", record, name, record.channels[name], expected[record.inside, None]
+            )
         )
     return ratios
 
 
-def compute_velocity_ratios(evidence: Evidence) -> list[Ratio]:
+def compute_velocity_ratios(evidence: Evidence) -> list[Comparison]:
     """Ratios of the logged motor velocity to the derivative of the motor angle."""
-    ratios: list[Ratio] = []
+    ratios: list[Comparison] = []
     for record in evidence.records:
         for i in range(1, evidence.arm.n_joints + 1):
             if f"omega_m{i}" in record.channels:
@@ -131,14 +122,14 @@ def compute_velocity_ratios(evidence: Evidence) -> list[Ratio]:
     return ratios
 
 
-def _recall_velocity_ratio(evidence: Evidence, record: SlowRecord, i: int) -> list[Ratio]:
+def _recall_velocity_ratio(evidence: Evidence, record: SlowRecord, i: int) -> list[Comparison]:
     """Velocity ratio of motor i, from 1, in one record, computed once."""
     name = f"omega_m{i}"
     angle, velocity = record.channels[f"theta_m{i}"], record.channels[name]
 
-    def compute() -> list[Ratio]:
+    def compute() -> list[Comparison]:
         columns = differentiate(angle, record.sample_time)[record.inside, None]
-        return [*_regress_ratio(record, name, velocity, columns)]
+        return [*_regress_ratio("velocity", record, name, velocity, columns)]
 
     setting = ("velocity", i, record.sample_time)
     return evidence.memory.recall(setting, (angle, velocity), compute)
@@ -186,7 +177,7 @@ def motor_signals(record: SlowRecord, arm: Arm) -> list[FloatArray]:
     return [record.channels[name] for name in names if name in record.channels]
 
 
-def compare_torque_sensors(evidence: Evidence) -> Iterator[Ratio]:
+def compare_torque_sensors(evidence: Evidence) -> Iterator[Comparison]:
     """Ratios of torques behind the gears to those of the motors, without friction and rotor."""
     for record in evidence.records:
         for i, joint in enumerate(evidence.arm.joints, start=1):
@@ -196,7 +187,9 @@ def compare_torque_sensors(evidence: Evidence) -> Iterator[Ratio]:
                 own = [record.channels[motor] / joint.gear_ratio, rate, record.direction[:, i - 1]]
                 own.append(differentiate(rate, record.sample_time))
                 columns = np.column_stack(own)[record.inside]
-                yield from _regress_ratio(record, sensor, record.channels[sensor], columns)
+                yield from _regress_ratio(
+                    "torque-sensor", record, sensor, record.channels[sensor], columns
+                )
 
 
 def implied_mass(evidence: Evidence) -> float | None:
@@ -253,13 +246,13 @@ def _servo_controlled(evidence: Evidence) -> Iterator[tuple[SlowRecord, int]]:
 
 
 def _regress_ratio(
-    record: SlowRecord, channel: str, target: FloatArray, columns: FloatArray
-) -> Iterator[Ratio]:
+    kind: str, record: SlowRecord, channel: str, target: FloatArray, columns: FloatArray
+) -> Iterator[Comparison]:
     """Coefficient of the first column in a regression; no ratio if the regression fails."""
     fit = regress(target[record.inside], columns)
     if fit is not None:
-        std = float(np.sqrt(fit.covariance[0, 0]))
-        yield Ratio(channel, record.experiment.name, float(fit.value[0]), std, fit.explained)
+        values = {kind: fit.coefficient(0)}
+        yield Comparison(channel, record.experiment.name, fit.explained, values)
 
 
 def _regress_torque(

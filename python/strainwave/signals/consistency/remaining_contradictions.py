@@ -6,46 +6,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from strainwave.domain import Clause, Place, Study, Suspicion
-from strainwave.signals.consistency.observations import Kind, Observation
+from strainwave.signals.consistency.observations import EXPECTED, Observation
 from strainwave.signals.consistency.torque_constants import build_torque_constant_suspicion
 
-_CODES: dict[Kind, str] = {
-    "count": "wrong-unit",
-    "prbs-clock": "clock-drift",
-    "servo-clock": "clock-drift",
-    "level": "wrong-unit",
-    "limit": "wrong-unit",
-    "reference": "wrong-unit",
-    "servo": "wrong-unit",
-    "velocity": "wrong-unit",
-    "scale": "wrong-unit",
-    "explained-share": "wrong-unit",
-    "own-joint": "wrong-geometry",
-    "origin-motion": "wrong-geometry",
-    "gravity": "wrong-unit",
-    "tilt": "wrong-geometry",
-    "rotation-ratio": "wrong-gear-ratio",
-    "delay": "misaligned",
-    "input-delay": "misaligned",
-    "drift": "clock-drift",
-    "inertia": "wrong-sign",
-    "excited-joint": "swapped-channels",
-    "torque-fit": "wrong-geometry",
-    "torque-prediction": "wrong-geometry",
-    "torque-sensor": "wrong-unit",
-    "presence": "dead-channel",
-    "friction": "effort-without-friction",
-    "mass": "wrong-unit",
-    "speed": "wrong-unit",
-}
 # Minimum explained share of a link sensor's variance; short records of fault-free arms reach 0.8.
 _MIN_EXPLAINED_SHARE = 0.5
 # Ratio of unexplained variances from which torques contradict the arm without a cause.
 _LARGE_RATIO = 2.0
 # Causes listed after the likely causes.
 _GENERAL_CODES = ("swapped-channels", "wrong-unit", "wrong-sign")
-# Kinds of observations whose value is a factor without unit.
-_DIMENSIONLESS_FACTOR = frozenset(_CODES) - {"delay", "drift", "input-delay", "explained-share"}
 
 
 def is_reported(each: Observation) -> bool:
@@ -85,9 +54,9 @@ def report_remaining_contradictions(
         if each.kind == "torque-ratio":
             yield build_torque_constant_suspicion(torque_ratios, study)
             continue
-        is_factor = each.kind in _DIMENSIONLESS_FACTOR
+        is_factor = each.kind not in ("delay", "drift", "input-delay", "explained-share")
         yield Suspicion(
-            code="wrong-sign" if is_factor and each.value < 0.0 else _CODES[each.kind],
+            code="wrong-sign" if is_factor and each.value < 0.0 else EXPECTED[each.kind].code,
             places=(place,),
             clause=Clause(
                 f"contradiction/{each.kind}", place=place, value=each.value, joint=each.joint

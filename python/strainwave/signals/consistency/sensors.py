@@ -17,7 +17,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import apply_lags, differentiate, low_pass
 from strainwave.signals.channels import sensor_lags
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
-from strainwave.signals.consistency.regression import Fit, regress
+from strainwave.signals.consistency.regression import Comparison, Fit, regress
 from strainwave.signals.link_readings import (
     JointMotion,
     accelerometer_parts,
@@ -64,30 +64,7 @@ _TILT_PRIOR_STD = 0.1
 _RESONANCE_OVER_BANDWIDTH = 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """Regression of one link channel of one record on its prediction."""
-
-    channel: str
-    record: str
-    seconds: float  # length of the record
-    scale: float  # of the whole prediction
-    scale_std: float
-    delay: float  # [s]
-    delay_std: float
-    drift: float  # [s/s] rate of change of the delay
-    drift_std: float
-    explained: float  # share of the variance of the reading
-    signal: float  # signal-to-noise ratio at low frequency
-    expected_signal: float  # the same of the prediction
-    size: float  # standard deviation over that of the prediction
-    parts: dict[str, tuple[float, float]]  # "own-joint", "origin-motion", "gravity" -> scale, std
-    # scale of the joint's rotation over that of the joints before it, std
-    rotation_ratio: tuple[float, float] | None
-    tilt: tuple[float, float] | None  # gravity in the plane of motion [g], std
-
-
-def regress_readings(evidence: Evidence) -> Iterator[tuple[str, list[Reading]]]:
+def regress_readings(evidence: Evidence) -> Iterator[tuple[str, list[Comparison]]]:
     """Regress each link channel on the prediction from the motor angles, channel by channel.
 
     Uses the slow records that contain the channel. If none do, uses the records that excite the
@@ -109,7 +86,7 @@ def regress_readings(evidence: Evidence) -> Iterator[tuple[str, list[Reading]]]:
                 yield name, [x for r in used for x in _recall(r, evidence, kind, i)]
 
 
-def _recall(record: SlowRecord, evidence: Evidence, kind: str, i: int) -> tuple[Reading, ...]:
+def _recall(record: SlowRecord, evidence: Evidence, kind: str, i: int) -> tuple[Comparison, ...]:
     """Regression of a channel of joint i (from 0), computed once per hypothesis about its sources.
 
     A link moves with the motors up to its own, or with all if the motors are coupled.
@@ -139,7 +116,7 @@ def estimate_high_pass_cutoff(evidence: Evidence, name: str) -> float | None:
     def unexplained(hz: float) -> float:
         hypothesis = replace(evidence, high_passes={**evidence.high_passes, name: hz})
         regressions = _regress_channel(record, hypothesis, motion, kind, joint - 1)
-        plausible = [reading for reading in regressions if 0.5 < reading.scale < 2.0]
+        plausible = [r for r in regressions if 0.5 < r.values["scale"][0] < 2.0]
         return min((1.0 - reading.explained for reading in plausible), default=1.0)
 
     edges = 0.1 / (len(record.inside) * record.sample_time), record.bandwidth_hz
@@ -262,7 +239,7 @@ def _tilt_derivatives(arm: Arm, motion: JointMotion, kind: str, i: int) -> _Deri
 
 def _regress_channel(
     record: SlowRecord, evidence: Evidence, motion: JointMotion, kind: str, i: int
-) -> Iterator[Reading]:
+) -> Iterator[Comparison]:
     """Regress a channel of joint i (from 0); no reading if the record does not determine it."""
     name, arm = f"{kind}{i + 1}", evidence.arm
     parts = _predicted_parts(arm, motion, kind, i)
@@ -301,40 +278,33 @@ def _regress_channel(
     fit = nuisance.fit(target, [prediction])
     if fit is None:
         return
-    scale, scale_std = _coefficient(fit, 0)
-    delay, delay_std = _relative_coefficient(fit, 2)
-    drift, drift_std = _relative_coefficient(fit, 3)
     each_part_fit = nuisance.fit(target, list(parts.values())) if len(parts) > 1 else None
-    scales = {"own-joint": (scale, scale_std)}
+    values = {"scale": fit.coefficient(0), "delay": fit.relative(2), "drift": fit.relative(3)}
     if each_part_fit is not None:
-        scales = {key: _coefficient(each_part_fit, k) for k, key in enumerate(parts)}
-    size = float(np.std(target))
+        values |= {key: each_part_fit.coefficient(k) for k, key in enumerate(parts)}
+    elif len(parts) > 1:
+        values["own-joint"] = values["scale"]
     rotations = [sensed(part) for part in _rotations(arm, motion, kind, i)]
     rest = [part for key, part in parts.items() if key != "own-joint"]
-    yield Reading(
+    if rotations and (ratio := nuisance.quotient(target, [*rotations, *rest])) is not None:
+        values["rotation-ratio"] = ratio
+    if not arm.gravity and derivatives.tilt:
+        values["tilt"] = _tilt(fit, 4 + len(decays), len(derivatives.tilt))
+    size = float(np.std(target))
+    yield Comparison(
         channel=name,
         record=record.experiment.name,
-        seconds=T * len(record.inside),
-        scale=scale,
-        scale_std=scale_std,
-        delay=delay,
-        delay_std=delay_std,
-        drift=drift,
-        drift_std=drift_std,
         explained=fit.explained,
+        values=values,
+        seconds=T * len(record.inside),
         signal=size / max(record.noise[name], 1e-12 * size, 1e-300),
         expected_signal=float(np.std(prediction)) / max(record.noise[name], 1e-300),
         size=size / max(float(np.std(prediction)), 1e-300),
-        parts=scales,
-        rotation_ratio=nuisance.quotient(target, [*rotations, *rest]) if rotations else None,
-        tilt=None if arm.gravity else _tilt(fit, 4 + len(decays), len(derivatives.tilt)),
     )
 
 
-def _tilt(fit: Fit, first: int, count: int) -> tuple[float, float] | None:
+def _tilt(fit: Fit, first: int, count: int) -> tuple[float, float]:
     """Gravity in the plane of motion of a horizontal arm [g] and its standard deviation."""
-    if not count:
-        return None
     tilt_columns = slice(first, first + count)
     components, covariance = fit.value[tilt_columns], fit.covariance[tilt_columns, tilt_columns]
     size = float(np.linalg.norm(components))
@@ -395,17 +365,6 @@ class _NuisanceColumns:
         if len(valid) < len(ratios):
             return None
         return min(valid, key=lambda each: abs(each[0] - 1.0) / each[1])
-
-
-def _coefficient(fit: Fit, k: int) -> tuple[float, float]:
-    """Coefficient k and its standard deviation."""
-    return float(fit.value[k]), float(np.sqrt(fit.covariance[k, k]))
-
-
-def _relative_coefficient(fit: Fit, k: int) -> tuple[float, float]:
-    """Coefficient k divided by the scale of the reading, and its standard deviation."""
-    (value, std), scale = _coefficient(fit, k), float(fit.value[0])
-    return (value / scale, std / abs(scale)) if scale else (0.0, np.inf)
 
 
 def _rotations(arm: Arm, motion: JointMotion, kind: str, i: int) -> list[FloatArray]:

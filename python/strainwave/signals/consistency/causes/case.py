@@ -10,7 +10,7 @@ import numpy as np
 from strainwave.domain import Clause, Correction, Place, Study, Suspicion, channel_parts
 from strainwave.domain.corrections import steps_of
 from strainwave.signals.consistency.evidence import Evidence
-from strainwave.signals.consistency.observations import Kind, Observation
+from strainwave.signals.consistency.observations import Observation
 from strainwave.signals.consistency.sensors import LINK_CHANNELS, estimate_rotation_factors
 
 MAX_FACTOR_DIFFERENCE = 0.02
@@ -99,16 +99,16 @@ class Case:
         about_joints = [o.joint for o in self.contradictions if o.kind != "torque-ratio"]
         return {joint for joint in about_joints if joint is not None}
 
-    def contradicts(self, *kinds: Kind) -> bool:
+    def contradicts(self, *kinds: str) -> bool:
         """Whether an observation of one of these kinds contradicts."""
         return any(o.kind in kinds for o in self.contradictions)
 
-    def by_channel(self, kind: Kind) -> dict[str, float]:
+    def by_channel(self, kind: str) -> dict[str, float]:
         """Values of the contradictions of one kind, by channel."""
         chosen = [o for o in self.contradictions if o.kind == kind]
         return {o.place.channel: o.value for o in chosen if o.place.channel is not None}
 
-    def values(self, channel: str | None, *kinds: Kind) -> list[float]:
+    def values(self, channel: str | None, *kinds: str) -> list[float]:
         """Nonzero values of the contradictions in one channel, or in records, kind by kind."""
         return [
             o.value

@@ -24,7 +24,6 @@ from strainwave.signals.consistency.causes.case import (
 from strainwave.signals.consistency.causes.commands import VOLTAGES
 from strainwave.signals.consistency.evidence import Evidence
 from strainwave.signals.consistency.motors import effort_channel
-from strainwave.signals.consistency.observations import Kind
 from strainwave.signals.consistency.sensors import (
     LINK_CHANNELS,
     STANDARD_GRAVITY,
@@ -207,7 +206,7 @@ def propose_sensor_delays(case: Case) -> Iterator[Cause]:
     """Link sensors with a delay or a drift of the delay: all, one kind, or one channel."""
     names = sorted(n for n in case.evidence.channels if channel_parts(n)[0] in _LINK_SIDE)
     by_kind = [[n for n in names if channel_parts(n)[0] == kind] for kind in LINK_CHANNELS]
-    proposals: dict[Kind, Callable[[tuple[str, ...], float], Cause]]
+    proposals: dict[str, Callable[[tuple[str, ...], float], Cause]]
     proposals = {"drift": _clock_drift, "delay": _sensor_delay}
     for kind, propose in proposals.items():
         values = case.by_channel(kind)
