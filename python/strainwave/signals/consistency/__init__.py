@@ -16,10 +16,10 @@ import numpy as np
 from strainwave.domain import Consistency, Log, Relation, Study, Suspicion, channel_parts
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.parallel import one_blas_thread
-from strainwave.signals.consistency.causes import Cause, propose_causes
 from strainwave.signals.consistency.clipping import measure_clipping
-from strainwave.signals.consistency.evidence import Evidence, collect_evidence
-from strainwave.signals.consistency.geometry import search_explanations
+from strainwave.signals.consistency.evidence import BestFit, Evidence, collect_evidence
+from strainwave.signals.consistency.hypothesis import MIN_SHARE_OF_GAIN, Case, Hypothesis
+from strainwave.signals.consistency.input_hypotheses import propose_hypotheses
 from strainwave.signals.consistency.motors import EFFORTS
 from strainwave.signals.consistency.observations import (
     Observation,
@@ -34,11 +34,12 @@ from strainwave.signals.consistency.torque_constants import (
     find_doubtful_torque_constant,
     suspect_torque_constants,
 )
+from strainwave.signals.consistency.torque_search import search_explanations
 from strainwave.signals.consistency.urdf_masses import compare_urdf_masses, report_impossible_links
 
 __all__ = ["check_consistency", "find_doubtful_torque_constant", "suspect_torque_constants"]
 
-_OF_TORQUES = ("torque-ratio", "torque-fit", "torque-prediction", "torque-sensor")
+_OF_TORQUES = ("torque-fit", "torque-prediction", "torque-sensor")
 # Rivals of a cause that are named with it.
 _MAX_RIVALS = 1
 # Maximum number of combined causes. More simultaneous faults require separate experiments.
@@ -69,13 +70,21 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
         # the relations between torques and motion hold for the arm alone
         bare = [log for log in logs if log.experiment.payload is None]
         unclipped = collect_evidence(bare, study).without(clipped_channels)
-        unclipped = replace(unclipped, explanations=search_explanations(unclipped))
+        explanations = search_explanations(unclipped)
+        unclipped = replace(unclipped, best_fit=_best_fit(explanations))
         observations = tuple(compute_observations(unclipped))
-        suspicions.extend(_explain_contradictions(unclipped, observations))
+        suspicions.extend(_explain_contradictions(unclipped, observations, explanations or ()))
         warnings = tuple(report_impossible_links(study.arm))
         warnings += () if suspicions else tuple(compare_urdf_masses(unclipped))
     relations = (*(each.relation for each in clippings), *relations_of(observations))
     return Consistency(tuple(suspicions), relations, warnings, _unchecked(logs, relations))
+
+
+def _best_fit(explanations: Sequence[Hypothesis] | None) -> BestFit | None:
+    if not explanations:
+        return None if explanations is None else BestFit(np.inf, 0.0)
+    gain = explanations[0].gain.mean if explanations[0].gain else 0.0
+    return BestFit(explanations[0].cost, float(np.exp((1.0 - MIN_SHARE_OF_GAIN) * gain)) - 1.0)
 
 
 def _unchecked(logs: Sequence[Log], relations: Sequence[Relation]) -> tuple[str, ...]:
@@ -84,7 +93,7 @@ def _unchecked(logs: Sequence[Log], relations: Sequence[Relation]) -> tuple[str,
     The relations of sensors and torques compare them with the motor angles.
     """
     compared = {r.place.channel for r in relations if r.kind != "clipped"}
-    joints = {r.place.joint for r in relations if r.kind in ("explained-share", "torque-ratio")}
+    joints = {channel_parts(r.place.channel or "")[1] for r in relations if r.kind == "inertia"}
     if any(r.kind == "torque-fit" for r in relations):
         joints |= {channel_parts(name)[1] for log in logs for name in log.channels}
     references = {r.place.channel for r in relations if r.kind == "reference"}
@@ -95,14 +104,14 @@ def _unchecked(logs: Sequence[Log], relations: Sequence[Relation]) -> tuple[str,
 
 
 def _explain_contradictions(
-    evidence: Evidence, observations: Sequence[Observation]
+    evidence: Evidence, observations: Sequence[Observation], explanations: tuple[Hypothesis, ...]
 ) -> list[Suspicion]:
     """Select causes greedily: each step takes the cause that leaves the fewest contradictions."""
     chosen: list[Suspicion] = []
     structured: list[Suspicion] = []  # those of `chosen` that hold if contradictions remain
     likely: list[str] = []
     while any(_needs_cause(o, evidence) for o in observations) and len(chosen) < _MAX_CAUSES:
-        ranked = _rank_causes(evidence, observations)
+        ranked = _rank_causes(evidence, observations, explanations)
         if not chosen:
             likely = [cause.code for cause in ranked if not cause.has_estimated_factor]
         if not ranked:
@@ -132,7 +141,9 @@ def _needs_cause(each: Observation, evidence: Evidence) -> bool:
     return each.contradicts and (is_searched or is_reported(each))
 
 
-def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:
+def _rank_causes(
+    evidence: Evidence, now: Sequence[Observation], explanations: tuple[Hypothesis, ...]
+) -> list[Hypothesis]:
     """Causes that reduce the contradictions, ordered by remaining weight, then by simplicity.
 
     An observation counts as a contradiction if the correction removes it and it contradicted
@@ -140,8 +151,9 @@ def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:
     """
     before = _contradiction_weight(now, now, np.inf)
     limit = before - _MIN_EXPLAINED_WEIGHT
-    weights: list[tuple[float, Cause]] = []
-    for cause in propose_causes(evidence, [o for o in now if o.contradicts]):
+    weights: list[tuple[float, Hypothesis]] = []
+    case = Case(evidence, tuple(o for o in now if o.contradicts), explanations)
+    for cause in propose_hypotheses(case):
         after = _weight_after(evidence, now, cause, limit)
         if after < limit:
             weights.append((after + _ESTIMATED_FACTOR_PENALTY * cause.has_estimated_factor, cause))
@@ -153,7 +165,9 @@ def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:
     return [cause for _, cause in sorted(weights, key=lambda each: each[0])]
 
 
-def _equal_rivals(evidence: Evidence, now: Sequence[Observation], cause: Cause) -> list[Cause]:
+def _equal_rivals(
+    evidence: Evidence, now: Sequence[Observation], cause: Hypothesis
+) -> list[Hypothesis]:
     """The first rival of a cause that leaves no more contradictions than the cause does."""
     least = _weight_after(evidence, now, cause, np.inf) if cause.rivals else 0.0
     equal = (r for r in cause.rivals if _weight_after(evidence, now, r, np.inf) <= least)
@@ -161,7 +175,7 @@ def _equal_rivals(evidence: Evidence, now: Sequence[Observation], cause: Cause) 
 
 
 def _weight_after(
-    evidence: Evidence, now: Sequence[Observation], cause: Cause, limit: float
+    evidence: Evidence, now: Sequence[Observation], cause: Hypothesis, limit: float
 ) -> float:
     """Weight of the contradictions that a cause leaves.
 
@@ -174,7 +188,7 @@ def _weight_after(
     return _contradiction_weight(after, _tested(now, cause), limit)
 
 
-def _tested(now: Sequence[Observation], cause: Cause) -> list[Observation]:
+def _tested(now: Sequence[Observation], cause: Hypothesis) -> list[Observation]:
     """Observations that must remain available after a correction."""
     left_out = set(cause.excluded)
     return [

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -49,11 +49,6 @@ _ROWS_PER_CYCLE = 20.0
 # Maximum number of samples evaluated per record.
 _MAX_SAMPLES = 2**18
 
-
-MIN_SHARE_OF_GAIN = 0.6
-"""Share of the best gain from which a simpler explanation is as good as the best one.
-
-Changes with many coordinates gain more, since they absorb model errors as well."""
 
 Result = TypeVar("Result")
 
@@ -98,63 +93,12 @@ class SlowRecord:
     shifted: Mapping[str, float] = field(default_factory=dict)  # channel -> delay removed [s]
 
 
-ChangeKind = Literal[
-    "axis",
-    "gravity",
-    "ratio",
-    "zero",
-    "frame",
-    "coupling",
-    "robot",
-    "torque",
-    "exchange",
-    "delay",
-    "without-gravity",
-    "payload",
-    "unit",
-    "angle",
-]
-"""What an alternative explanation of the torques changes."""
-
-
 @dataclass(frozen=True, slots=True)
-class Gain:
-    """How much better one explanation predicts held-out stretches than another."""
+class BestFit:
+    """How well the best explanation of the torques predicts held-out stretches."""
 
-    by_joint: FloatArray  # (n_joints,) logarithms of the ratios of the unexplained variances
-    mean: float  # the same, weighted by the independent rows
-    log_likelihood: float  # difference of the log likelihoods of independent rows
-    probability: float  # of stretches that gain as much on average if none gains (Student's t)
-    n_rows: float  # independent rows of all joints
-
-
-@dataclass(frozen=True, slots=True)
-class Alternative:
-    """Another explanation of the torques, and its prediction of held-out stretches."""
-
-    kind: ChangeKind
-    joint: int | None  # from 1
-    corrections: tuple[Correction, ...]
-    gain: Gain | None = None  # over the stated description
-    cost: float = np.inf  # half the mean logarithm of the unexplained shares
-    n_coordinates: int = 0  # estimated from the torques
-    is_tolerated: bool = False  # of a size within which a study is accepted
-    record: str = ""  # the only record with the fault; empty: all records
-    exchanged: tuple[str, ...] = ()  # kinds of channels that are exchanged with `other`
-    other: int | None = None
-
-    @property
-    def penalised_cost(self) -> float:
-        """Cost with the penalty of the Bayesian information criterion for its coordinates."""
-        n = max(self.gain.n_rows, 1.0) if self.gain else 1.0
-        return self.cost + 0.5 * self.n_coordinates * float(np.log(n)) / n
-
-
-def is_as_good(each: Alternative, best: Alternative) -> bool:
-    """Whether an explanation gains most of what the best one gains."""
-    if each.gain is None or best.gain is None:
-        return False
-    return each.gain.mean >= MIN_SHARE_OF_GAIN * best.gain.mean
+    cost: float  # half the mean logarithm of the unexplained shares
+    tolerance: float  # ratio of unexplained variances, less 1, up to which others are as good
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +109,7 @@ class Evidence:
     records: tuple[SlowRecord, ...]
     counts: Mapping[int, float]  # joint -> encoder count of its motor angle, if quantised
     high_passes: Mapping[str, float] = field(default_factory=dict)  # channel -> cutoff [Hz]
-    explanations: tuple[Alternative, ...] | None = None  # the best first; None without torques
+    best_fit: BestFit | None = None  # None without torques
     memory: Memory = field(default_factory=Memory)  # of all hypotheses about the same logs
 
     @property

@@ -10,7 +10,6 @@ import numpy as np
 from strainwave.domain import Place, Relation, channel_parts
 from strainwave.domain.consistency import Bound
 from strainwave.signals.consistency.evidence import (
-    MIN_SHARE_OF_GAIN,
     Evidence,
     exchanged_tests,
     is_slow,
@@ -22,10 +21,8 @@ from strainwave.signals.consistency.motors import (
     compute_servo_output_ratios,
     compute_velocity_ratios,
     effort_channel,
-    estimate_torque_ratios,
     implied_mass,
     link_speed,
-    regress_torques,
 )
 from strainwave.signals.consistency.regression import Comparison, pool_estimates
 from strainwave.signals.consistency.sensors import (
@@ -36,6 +33,7 @@ from strainwave.signals.consistency.sensors import (
 from strainwave.signals.consistency.torque_fit import (
     friction_shares,
     recall_quality,
+    regress_torques,
 )
 
 
@@ -71,8 +69,6 @@ EXPECTED: Mapping[str, Expected] = {
     "drift": Expected("clock-drift", 2e-4, 0.0, 0.0),  # [s/s]; the floor of the delay is added
     "input-delay": Expected("misaligned", 1.25e-3, 0.0, 0.0),  # [s] buses need up to 1 ms
     "inertia": Expected("wrong-sign", 0.0, 0.0, None),
-    # the rigid fit detects smaller errors; the standard deviation includes friction errors
-    "torque-ratio": Expected("wrong-torque-constant", 0.5, certain=3.5),
     "torque-fit": Expected("wrong-geometry", 0.0),  # better explanations were tested
     # measured arms with strong friction reach 0.6
     "torque-prediction": Expected("wrong-geometry", 0.0, 0.0, 0.3, "least"),
@@ -151,7 +147,7 @@ class Observation:
     def is_of_joint_equation(self) -> bool:
         """Whether the observation is about the torque equation of a single joint."""
         is_share = self.kind == "explained-share" and self.place.channel is None
-        return is_share or self.kind in ("inertia", "torque-ratio")
+        return is_share or self.kind == "inertia"
 
     @property
     def expected(self) -> float | None:
@@ -302,18 +298,11 @@ def _observe_torque_fit(evidence: Evidence) -> Iterator[Observation]:
     """Unexplained variance of all torques over that with the best explanation."""
     if "desired" in {each.meaning for each in evidence.study.channels.values()}:
         return  # torques of a set-point, not of the motion
-    fit = recall_quality(evidence) if evidence.explanations is not None else None
-    if fit is None or evidence.explanations is None:
+    fit, best = recall_quality(evidence), evidence.best_fit
+    if fit is None or best is None:
         return
-    place = Place(part="arm")
-    ratio, tolerance = 1.0, None
-    if evidence.explanations:
-        best = evidence.explanations[0]
-        ratio = max(float(np.exp(2.0 * (fit.cost - best.cost))), 1.0)
-        tolerance = (
-            float(np.exp((1.0 - MIN_SHARE_OF_GAIN) * (best.gain.mean if best.gain else 0.0))) - 1.0
-        )
-    yield Observation("torque-fit", place, ratio, 0.0, tolerance)
+    place, ratio = Place(part="arm"), max(float(np.exp(2.0 * (fit.cost - best.cost))), 1.0)
+    yield Observation("torque-fit", place, ratio, 0.0, best.tolerance)
     yield from _observe_friction(evidence)
     if not evidence.arm.has_planar_program:
         yield Observation("torque-prediction", place, 1.0 - float(np.median(fit.unexplained)), 0.0)
@@ -388,10 +377,8 @@ def _observe_sensor(place: Place, records: Sequence[Comparison]) -> Iterator[Obs
 
 
 def _observe_torques(evidence: Evidence) -> Iterator[Observation]:
-    estimates = []
     for each in regress_torques(evidence):
         name = effort_channel(evidence.channels, each.joint)
-        estimates.append(each)
         yield Observation("inertia", Place(channel=name), each.inertia, each.inertia_std)
         yield Observation("explained-share", Place(joint=each.joint), each.explained, 0.0)
     slow = [r for r in evidence.records if is_slow(r.experiment)]
@@ -401,7 +388,3 @@ def _observe_torques(evidence: Evidence) -> Iterator[Observation]:
                 name = effort_channel(evidence.channels, each.joint)
                 place = Place(channel=name, experiments=(record.experiment.name,))
                 yield Observation("inertia", place, each.inertia, each.inertia_std)
-    if not evidence.arm.has_planar_program:
-        return  # the fit of one arm to all torques compares more than one pair of equations
-    for joint, ratio in estimate_torque_ratios(estimates).items():
-        yield Observation("torque-ratio", Place(joint=joint, key="torque_per_volt"), *ratio)

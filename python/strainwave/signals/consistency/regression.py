@@ -58,11 +58,13 @@ def regress(
     columns: FloatArray,
     prior: FloatArray | None = None,
     min_residual_share: float = 1e-9,
+    stride: int = 1,
 ) -> Fit | None:
     """Least squares by QR with a free constant. The covariance allows for correlated residuals.
 
     `target` has shape (n_rows,), `columns` (n_rows, n_columns). `prior`, of shape (n_columns,),
     holds prior standard deviations of the coefficients about zero; infinity means no prior.
+    Of `stride` rows of the record, one is in the regression.
     The assumed residual is at least `min_residual_share` of the target, in standard deviations.
     Returns None if the target or a column is constant, or if the columns are linearly dependent.
     """
@@ -87,9 +89,10 @@ def regress(
         residual_std = float(np.sqrt(residual @ residual / max(1, len(y) - X.shape[1])))
         residual_std = max(residual_std, min_residual_share * float(np.sqrt(total / len(y))))
     inverse = np.linalg.inv(R)
-    root = inverse * residual_std * np.sqrt(ROWS_PER_INDEPENDENT_ROW)
+    root = inverse * residual_std * np.sqrt(max(ROWS_PER_INDEPENDENT_ROW / stride, 1.0))
     factor = np.maximum(
-        1.0, _long_run_std(X @ (inverse @ inverse.T), residual) / np.linalg.norm(root, axis=1)
+        1.0,
+        _long_run_std(X @ (inverse @ inverse.T), residual, stride) / np.linalg.norm(root, axis=1),
     )
     return Fit(
         value=value / norms,
@@ -99,7 +102,7 @@ def regress(
     )
 
 
-def _long_run_std(influence: FloatArray, residual: FloatArray) -> FloatArray:
+def _long_run_std(influence: FloatArray, residual: FloatArray, stride: int) -> FloatArray:
     """Standard deviations of the coefficients for autocorrelated residuals, (n_columns,).
 
     Long-run variance of the influence times the residual (Newey and West, 1987). `influence`, of
@@ -107,7 +110,7 @@ def _long_run_std(influence: FloatArray, residual: FloatArray) -> FloatArray:
     """
     terms = influence * residual[:, None]
     n_rows = len(terms)
-    n_lags = min(_MAX_LAG_ROWS, n_rows // 4)
+    n_lags = min(_MAX_LAG_ROWS // stride, n_rows // 4)
     length = 2 ** (n_rows + n_lags - 1).bit_length()
     spectrum = np.fft.rfft(terms, length, axis=0)
     autocovariance = np.fft.irfft(np.abs(spectrum) ** 2, length, axis=0)[: n_lags + 1]

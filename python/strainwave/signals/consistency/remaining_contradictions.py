@@ -7,7 +7,6 @@ from dataclasses import replace
 
 from strainwave.domain import Clause, Place, Study, Suspicion
 from strainwave.signals.consistency.observations import EXPECTED, Observation
-from strainwave.signals.consistency.torque_constants import build_torque_constant_suspicion
 
 # Minimum explained share of a link sensor's variance; short records of fault-free arms reach 0.8.
 _MIN_EXPLAINED_SHARE = 0.5
@@ -44,16 +43,10 @@ def report_remaining_contradictions(
         for number, code in enumerate(dict.fromkeys([*likely, *_GENERAL_CODES]), start=1)
     )
     remedy = Clause("remedy/experiments", experiments=experiments)
-    torque_ratios = {
-        o.joint: (o.value, o.std) for o in contradictions if o.kind == "torque-ratio" and o.joint
-    }
     by_place: dict[Place, Observation] = {}
     for each in sorted(contradictions, key=lambda o: o.kind == "explained-share"):
         by_place.setdefault(replace(each.place, joint=None), each)
     for place, each in by_place.items():
-        if each.kind == "torque-ratio":
-            yield build_torque_constant_suspicion(torque_ratios, study)
-            continue
         is_factor = each.kind not in ("delay", "drift", "input-delay", "explained-share")
         yield Suspicion(
             code="wrong-sign" if is_factor and each.value < 0.0 else EXPECTED[each.kind].code,

@@ -7,7 +7,7 @@ coefficient of a channel on its prediction is 1 if the input is consistent.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,8 +38,8 @@ LINK_CHANNELS = ("a", "gyro", "theta_l", *IMU_CHANNELS)
 """Kinds of channels that the motor angles predict."""
 
 STANDARD_GRAVITY = 9.80665  # [m/s^2]
-# Search range of the log factor of a joint's rotation.
-_MAX_LOG_ROTATION_FACTOR = float(np.log(300.0))
+# Search range of the factor of a joint's rotation, in either direction.
+_MAX_ROTATION_FACTOR = 300.0
 # Grid points of the rotation search.
 _ROTATION_GRID_SIZE = 41
 # Grid points of the high-pass search.
@@ -111,28 +111,17 @@ def estimate_high_pass_cutoff(evidence: Evidence, name: str) -> float | None:
     if not records:
         return None
     record = max(records, key=lambda r: len(r.inside))
-    motion = motion_of(record, evidence.arm)
 
     def unexplained(hz: float) -> float:
         hypothesis = replace(evidence, high_passes={**evidence.high_passes, name: hz})
-        regressions = _regress_channel(record, hypothesis, motion, kind, joint - 1)
-        plausible = [r for r in regressions if 0.5 < r.values["scale"][0] < 2.0]
-        return min((1.0 - reading.explained for reading in plausible), default=1.0)
+        readings = _recall(record, hypothesis, kind, joint - 1)
+        plausible = [r for r in readings if 0.5 < r.values["scale"][0] < 2.0]
+        return min((1.0 - r.explained for r in plausible), default=1.0)
 
     edges = 0.1 / (len(record.inside) * record.sample_time), record.bandwidth_hz
-    low, high = (float(np.log(edge)) for edge in edges)
-    for _ in range(3):
-        grid = np.linspace(low, high, _HIGH_PASS_GRID_SIZE)
-        shares = [unexplained(float(np.exp(each))) for each in grid]
-        k = int(np.argmin(shares))
-        if shares[k] > _MAX_COARSE_UNEXPLAINED:
-            return None
-        low, high = float(grid[max(k - 1, 0)]), float(grid[min(k + 1, len(grid) - 1)])
-    if shares[k] > min(
-        _MAX_HIGH_PASS_UNEXPLAINED, _MAX_HIGH_PASS_UNEXPLAINED_RATIO * unexplained(0.0)
-    ):
-        return None
-    return float(f"{np.exp(grid[k]):.4g}")
+    hz, share = _search(unexplained, *edges, _HIGH_PASS_GRID_SIZE, _MAX_COARSE_UNEXPLAINED)
+    least = min(_MAX_HIGH_PASS_UNEXPLAINED, _MAX_HIGH_PASS_UNEXPLAINED_RATIO * unexplained(0.0))
+    return float(f"{hz:.4g}") if share <= least else None
 
 
 def estimate_rotation_factors(evidence: Evidence, joint: int) -> tuple[float, ...]:
@@ -142,35 +131,40 @@ def estimate_rotation_factors(evidence: Evidence, joint: int) -> tuple[float, ..
     the factor that explains the largest share of a reading. Other gear ratios are kept.
     Returns one factor, or an empty tuple for joint 1 or if no factor explains the reading.
     """
-    if joint == 1:
-        return ()
     ratio = evidence.arm.joints[joint - 1].gear_ratio
     slow = [r for r in evidence.records if is_slow(r.experiment)] or list(evidence.records)
-    names = [f"{k}{joint}" for k in ("theta_l", "gyro", "a") if f"{k}{joint}" in slow[0].channels]
+    kinds = [k for k in ("theta_l", "gyro", "a") if f"{k}{joint}" in slow[0].channels]
+    if joint == 1 or not kinds:
+        return ()
 
     def unexplained(factor: float) -> float:
-        hypothesis = evidence.corrected(
-            [Correction("joint", str(joint), "gear_ratio", factor * ratio)]
-        )
+        change = Correction("joint", str(joint), "gear_ratio", factor * ratio)
+        hypothesis = evidence.corrected([change])
         motion = motion_of(slow[0], hypothesis.arm)
-        regressions = _regress_channel(
-            slow[0], hypothesis, motion, channel_parts(names[0])[0], joint - 1
-        )
-        return min((1.0 - reading.explained for reading in regressions), default=1.0)
+        readings = _regress_channel(slow[0], hypothesis, motion, kinds[0], joint - 1)
+        return min((1.0 - reading.explained for reading in readings), default=1.0)
 
-    if not names:
-        return ()
-    grid = np.linspace(-_MAX_LOG_ROTATION_FACTOR, _MAX_LOG_ROTATION_FACTOR, _ROTATION_GRID_SIZE)
-    best, best_share, centre, width = 1.0, np.inf, 0.0, 1.0
+    edges = 1.0 / _MAX_ROTATION_FACTOR, _MAX_ROTATION_FACTOR
+    factor, share = _search(unexplained, *edges, _ROTATION_GRID_SIZE, 1.0)
+    return (factor,) if share < 0.5 else ()
+
+
+def _search(
+    unexplained: Callable[[float], float], low: float, high: float, size: int, limit: float
+) -> tuple[float, float]:
+    """Factor that leaves the least unexplained share, by three logarithmic grids, and that share.
+
+    The first grid can miss a narrow minimum: a share above `limit` ends the search.
+    """
+    first, last = float(np.log(low)), float(np.log(high))
     for _ in range(3):
-        factors = [float(f) for f in np.exp(centre + width * grid)]
-        shares = [unexplained(f) for f in factors]
+        grid = np.linspace(first, last, size)
+        shares = [unexplained(float(np.exp(x))) for x in grid]
         k = int(np.argmin(shares))
-        centre += width * float(grid[k])
-        width *= 4.0 / (_ROTATION_GRID_SIZE - 1)
-        if shares[k] < best_share:
-            best, best_share = factors[k], shares[k]
-    return (best,) if best_share < 0.5 else ()
+        if shares[k] > limit:
+            break
+        first, last = float(grid[max(k - 1, 0)]), float(grid[min(k + 1, size - 1)])
+    return float(np.exp(grid[k])), shares[k]
 
 
 def motion_of(record: SlowRecord, arm: Arm) -> JointMotion:
@@ -316,8 +310,8 @@ class _NuisanceColumns:
     """Nuisance columns of a regression: springs, delay, drift, high-pass decay, tilt and zero."""
 
     inside: BoolArray
-    columns: tuple[FloatArray, ...]
-    prior: FloatArray
+    columns: list[FloatArray]
+    prior: list[float]
     n_turned: int
 
     @classmethod
@@ -338,15 +332,18 @@ class _NuisanceColumns:
         springs = differentiate(differentiate(dynamic, T), T)
         top = 2.0 * np.pi * _RESONANCE_OVER_BANDWIDTH * record.bandwidth_hz
         free = [np.inf] * (2 + len(decays))
-        prior = np.array([top**-2.0, *free, *[_TILT_PRIOR_STD] * len(turned)])
-        columns = (springs, -slope, -since * slope, *decays, *turned)
+        prior = [top**-2.0, *free, *[_TILT_PRIOR_STD] * len(turned)]
+        columns = [springs, -slope, -since * slope, *decays, *turned]
         return cls(inside, columns, prior, len(turned))
 
-    def fit(self, target: FloatArray, regressed: list[FloatArray]) -> Fit | None:
-        """Regress the target on `regressed` and the nuisance columns."""
-        columns = [*regressed, *self.columns]
-        prior = np.r_[[np.inf] * len(regressed), self.prior]
-        return regress(target, np.column_stack(columns)[self.inside], prior)
+    def fit(
+        self, target: FloatArray, regressed: list[FloatArray], *, is_level: bool = False
+    ) -> Fit | None:
+        """Regress the target on `regressed` and the nuisance columns, without tilt if level."""
+        n = len(self.columns) - self.n_turned * is_level
+        prior = np.array([*[np.inf] * len(regressed), *self.prior[:n]])
+        columns = np.column_stack([*regressed, *self.columns[:n]])
+        return regress(target, columns[self.inside], prior)
 
     def quotient(
         self, target: FloatArray, regressed: list[FloatArray]
@@ -357,14 +354,14 @@ class _NuisanceColumns:
         Without tilt, an actual tilt biases the ratio. With tilt, its columns absorb model errors of
         springs and friction.
         """
-        n_level = len(self.columns) - self.n_turned
-        level = replace(self, columns=self.columns[:n_level], prior=self.prior[:n_level])
-        fits = [each.fit(target, regressed) for each in (level, self)]
-        ratios = [None if fit is None else _coefficient_ratio(fit) for fit in fits]
-        valid = [each for each in ratios if each is not None]
-        if len(valid) < len(ratios):
-            return None
-        return min(valid, key=lambda each: abs(each[0] - 1.0) / each[1])
+        ratios = []
+        for is_level in (True, False):
+            fit = self.fit(target, regressed, is_level=is_level)
+            ratio = None if fit is None else _coefficient_ratio(fit)
+            if ratio is None:
+                return None
+            ratios.append(ratio)
+        return min(ratios, key=lambda each: abs(each[0] - 1.0) / each[1])
 
 
 def _rotations(arm: Arm, motion: JointMotion, kind: str, i: int) -> list[FloatArray]:

@@ -20,7 +20,7 @@ from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.domain.distributions import student_tail
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
-from strainwave.signals.consistency.evidence import Evidence, Gain, SlowRecord, is_slow
+from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
 from strainwave.signals.consistency.motors import (
     compute_motor_torque,
     effort_channel,
@@ -28,7 +28,7 @@ from strainwave.signals.consistency.motors import (
     sliding_rows,
     spread_stretches,
 )
-from strainwave.signals.consistency.regression import ROWS_PER_INDEPENDENT_ROW
+from strainwave.signals.consistency.regression import ROWS_PER_INDEPENDENT_ROW, regress
 from strainwave.signals.consistency.sensors import recall_motion
 from strainwave.signals.link_readings import JointMotion
 
@@ -48,6 +48,10 @@ _N_ITERATIONS = 3
 _N_LINK_PARAMETERS = 10
 # Rows of a stretch that is predicted by the links fitted to all others: 5 are independent.
 _FOLD_ROWS = 6
+# Torsion moves links by some milliradians, so the torques of a rigid arm are wrong by this share.
+_MODEL_ERROR_SHARE = 1e-3
+# Rows between two postures at which inertias are evaluated, for their mean.
+_POSTURE_STRIDE = 16
 # Smallest unexplained share, so that noise-free torques can be compared.
 _MIN_UNEXPLAINED = 1e-9
 
@@ -63,6 +67,17 @@ class TorqueSystem:
     records: tuple[str, ...]  # record of each stretch
     total: Mapping[int, float]  # joint -> sum of squares of the torque about its mean
     n_rows: Mapping[int, float]  # joint -> independent rows beyond its own parameters
+
+
+@dataclass(frozen=True, slots=True)
+class Gain:
+    """How much better one explanation predicts held-out stretches than another."""
+
+    by_joint: FloatArray  # (n_joints,) logarithms of the ratios of the unexplained variances
+    mean: float  # the same, weighted by the independent rows
+    log_likelihood: float  # difference of the log likelihoods of independent rows
+    probability: float  # of stretches that gain as much on average if none gains (Student's t)
+    n_rows: float  # independent rows of all joints
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,12 +307,13 @@ def torque_system(evidence: Evidence, loaded: str = "") -> TorqueSystem | None:
         columns = each.remainder(of_links)
         i, torque = each.joint, each.torque
         n_folds = max(2, each.n_rows // _FOLD_ROWS)
-        if each.record not in records:
-            records += [each.record] * n_folds
+        name = each.record.experiment.name
+        if name not in records:
+            records += [name] * n_folds
         parts = each.at * n_folds // each.n_rows
-        folds.append(records.index(each.record) + parts)
+        folds.append(records.index(name) + parts)
         if loaded:
-            of_load = columns[:, -_N_LINK_PARAMETERS:] * (each.record == loaded)
+            of_load = columns[:, -_N_LINK_PARAMETERS:] * (name == loaded)
             columns = np.column_stack([columns, of_load])
         blocks.append(np.column_stack([columns, each.remainder(torque)]))
         joints.append(np.full(len(torque), i))
@@ -337,14 +353,92 @@ def arm_of_torques(evidence: Evidence) -> Arm:
 
 
 @dataclass(frozen=True, slots=True)
+class TorqueRegression:
+    """Regression of the torque of one joint on its own motion and that of the links."""
+
+    joint: int  # from 1
+    inertia: float  # [kg m^2] motor side, of the joint's own acceleration
+    inertia_std: float
+    explained: float  # share of the variance of the torque
+
+
+def regress_torques(
+    evidence: Evidence, record: SlowRecord | None = None
+) -> Iterator[TorqueRegression]:
+    """Regress the torque of each joint with an effort, each with links of its own.
+
+    Uses all slow records, or one `record`; if none is slow, those that excite the joint.
+    """
+    slow = [record] if record else [r for r in evidence.records if is_slow(r.experiment)]
+    used = slow or list(evidence.records)
+    for i in range(evidence.arm.n_joints):
+        chosen = [r for r in used if slow or r.experiment.joint in (None, i + 1)]
+        efforts = [r.channels.get(effort_channel(r.channels, i + 1) or "") for r in chosen]
+        angles = [
+            r.channels[f"theta_m{j}"] for r in chosen for j in range(1, evidence.arm.n_joints + 1)
+        ]
+        setting = ("inertia", i, *((r.sample_time, r.bandwidth_hz) for r in chosen))
+
+        def compute(i: int = i, chosen: list[SlowRecord] = chosen) -> TorqueRegression | None:
+            return _regress_torque(evidence, chosen, i)
+
+        sources = (arm_of_torques(evidence), *efforts, *angles)
+        estimate = evidence.memory.recall(setting, sources, compute)
+        if estimate is not None:
+            yield estimate
+
+
+def _regress_torque(
+    evidence: Evidence, records: Sequence[SlowRecord], i: int
+) -> TorqueRegression | None:
+    """Regress the torque of joint i (from 0) over records, with one constant per record.
+
+    A spring to ground opposes the acceleration of an oscillation, as a wrong sign does. An inertia
+    is therefore negative only if it is so with a spring.
+    """
+    arm = arm_of_torques(evidence)
+    unit = arm.links_of(np.eye(arm.n_joints)[i])
+    targets, blocks, weights = [], [], []
+    for block, of_links in _blocks(evidence, Arm.base_regressor, "regressor", records, i):
+        targets.append(block.torque)
+        columns = np.column_stack([block.own, of_links, block.angle])
+        blocks.append(columns - columns.mean(axis=0))
+        q = recall_motion(block.record, evidence).angle[::_POSTURE_STRIDE]
+        rest = np.zeros_like(q)
+        links = arm.base_regressor(q, rest, rest + unit) - arm.base_regressor(q, rest, rest)
+        weights.append(arm.motors_of(np.swapaxes(links, 1, 2)).mean(axis=0)[:, i])
+    if not targets:
+        return None
+    target, columns = np.concatenate(targets), np.concatenate(blocks)
+    weight = np.r_[1.0, 0.0, 0.0, np.mean(weights, axis=0)]
+    estimates = []
+    for used in (columns[:, :-1], columns):
+        size = np.linalg.norm(used, axis=0)
+        size[size == 0.0] = np.inf
+        basis, values, axes = np.linalg.svd(used / size, full_matrices=False)
+        excited = values > _MIN_SINGULAR_VALUE * values[0]
+        of_weight = np.r_[weight, 0.0][: len(size)] / size @ (axes[excited].T / values[excited])
+        fit = regress(target, basis[:, excited], None, _MODEL_ERROR_SHARE, _ROW_STRIDE)
+        if fit is None:
+            continue
+        inertia, std = float(of_weight @ fit.value), float(np.linalg.norm(of_weight @ fit.root))
+        estimates.append(TorqueRegression(i + 1, inertia, std, fit.explained))
+        if inertia >= 0.0:
+            break
+    return estimates[-1] if estimates else None
+
+
+@dataclass(frozen=True, slots=True)
 class _Block:
     """Rows of one joint in one record."""
 
-    record: str
+    record: SlowRecord
     joint: int  # from 1
     torque: FloatArray  # (n_rows,) [N m] about its mean
     at: IntArray  # (n_rows,) numbers of the rows in the record, of `n_rows`
     n_rows: int
+    angle: FloatArray  # (n_rows,) [rad] of the motor
+    own: FloatArray  # (n_rows, n) acceleration, rate and direction of the motor
     basis: FloatArray  # (n_rows, n) of what its own motor and friction explain
 
     def remainder(self, torques: FloatArray) -> FloatArray:
@@ -357,14 +451,17 @@ def _blocks(
     evidence: Evidence,
     torques_of: Callable[[Arm, FloatArray, FloatArray, FloatArray], FloatArray],
     name: str | None,
+    records: Sequence[SlowRecord] | None = None,
+    only: int | None = None,
 ) -> Iterator[tuple[_Block, FloatArray]]:
-    """Rows of each joint in each slow record, with torques of the links at its motor.
+    """Rows of each joint, or one, in each slow record, or others, with torques of the links.
 
     `torques_of` returns torques at the links, (n_samples, n_joints, n), of a motion. Under `name`
     they are computed once for each motion; hypotheses about the torques share them.
     """
     arm = arm_of_torques(evidence)
-    records = [r for r in evidence.records if is_slow(r.experiment)]
+    if records is None:
+        records = [r for r in evidence.records if is_slow(r.experiment)]
     for record, stretches in zip(records, spread_stretches(records, _MAX_ROWS), strict=True):
         motion = recall_motion(record, evidence)
 
@@ -381,17 +478,24 @@ def _blocks(
             of_motors = evidence.memory.recall(setting, (arm, *angles), compute)
         else:
             of_motors = compute()
-        for i in range(arm.n_joints):
+        for i in range(arm.n_joints) if only is None else (only,):
             if effort_channel(record.channels, i + 1) is None:
                 continue
-            rows, basis = _recall_basis(evidence, record, i, stretches)
+            rows, own, basis = _recall_basis(evidence, record, i, stretches)
             torque = _strided(compute_motor_torque(record, arm, i), stretches)[rows]
-            if basis is not None and np.ptp(torque) > 0.0:
-                at, place = np.flatnonzero(rows), record.experiment.name
-                yield (
-                    _Block(place, i + 1, torque - torque.mean(), at, len(rows), basis),
-                    of_motors[rows, i],
+            if own is not None and np.ptp(torque) > 0.0:
+                angle = _strided(record.channels[f"theta_m{i + 1}"], stretches)[rows]
+                block = _Block(
+                    record,
+                    i + 1,
+                    torque - torque.mean(),
+                    np.flatnonzero(rows),
+                    len(rows),
+                    angle,
+                    own,
+                    basis,
                 )
+                yield block, of_motors[rows, i]
 
 
 def _motor_torques(
@@ -416,14 +520,14 @@ def _motor_torques(
 
 def _recall_basis(
     evidence: Evidence, record: SlowRecord, i: int, stretches: Sequence[slice]
-) -> tuple[BoolArray, FloatArray | None]:
-    """Sliding rows of joint i, from 0, and a basis of what its motor and friction explain.
+) -> tuple[BoolArray, FloatArray | None, FloatArray]:
+    """Sliding rows of joint i, from 0, what its motor and friction explain, and a basis of it.
 
-    None instead of the basis if the motor does not move.
+    None if the motor does not move.
     """
     angle, T = record.channels[f"theta_m{i + 1}"], record.sample_time
 
-    def compute() -> tuple[BoolArray, FloatArray | None]:
+    def compute() -> tuple[BoolArray, FloatArray | None, FloatArray]:
         sliding = sliding_rows(record, i)
         edge = int(np.ceil(1.0 / (record.bandwidth_hz * T)))
         exact = np.zeros(len(sliding), dtype=bool)  # rows without end effects of the filter
@@ -431,7 +535,7 @@ def _recall_basis(
             exact[each.start + edge : each.stop - edge] = True
         rows = _strided(sliding & exact, stretches)
         if not rows.any():
-            return rows, None
+            return rows, None, np.zeros((0, 0))
         rate = differentiate(angle, T)
         columns = [differentiate(rate, T), rate, record.direction[:, i]]
         own = _strided(np.column_stack(columns), stretches)[rows]
@@ -439,8 +543,8 @@ def _recall_basis(
         norms = np.linalg.norm(own, axis=0)
         varying = norms > _MIN_SINGULAR_VALUE * np.sqrt(len(own)) * np.array([0.0, 0.0, 1.0])
         if not varying[:2].all():
-            return rows, None
-        return rows, np.linalg.qr(own[:, varying] / norms[varying])[0]
+            return rows, None, np.zeros((0, 0))
+        return rows, own, np.linalg.qr(own[:, varying] / norms[varying])[0]
 
     setting = ("own", i, T, *(each.start for each in stretches))
     return evidence.memory.recall(setting, (angle,), compute)
