@@ -7,7 +7,7 @@ the check reports that cause.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
 
@@ -65,7 +65,7 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
     """
     with one_blas_thread():
         clippings = list(measure_clipping(logs, Arm.of(study.arm)))
-        suspicions = [suspicion for each in clippings for suspicion in each.suspicions]
+        suspicions = [suspicion for _, suspicion in clippings if suspicion is not None]
         clipped_channels = [p.channel for each in suspicions for p in each.places if p.channel]
         # the relations between torques and motion hold for the arm alone
         bare = [log for log in logs if log.experiment.payload is None]
@@ -76,7 +76,7 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
         suspicions.extend(_explain_contradictions(unclipped, observations, explanations or ()))
         warnings = tuple(report_impossible_links(study.arm))
         warnings += () if suspicions else tuple(compare_urdf_masses(unclipped))
-    relations = (*(each.relation for each in clippings), *relations_of(observations))
+    relations = (*(relation for relation, _ in clippings), *relations_of(observations))
     return Consistency(tuple(suspicions), relations, warnings, _unchecked(logs, relations))
 
 
@@ -106,29 +106,31 @@ def _unchecked(logs: Sequence[Log], relations: Sequence[Relation]) -> tuple[str,
 def _explain_contradictions(
     evidence: Evidence, observations: Sequence[Observation], explanations: tuple[Hypothesis, ...]
 ) -> list[Suspicion]:
-    """Select causes greedily: each step takes the cause that leaves the fewest contradictions."""
+    """Select hypotheses greedily: each step takes the one that leaves the fewest contradictions."""
     chosen: list[Suspicion] = []
     structured: list[Suspicion] = []  # those of `chosen` that hold if contradictions remain
     likely: list[str] = []
     while any(_needs_cause(o, evidence) for o in observations) and len(chosen) < _MAX_CAUSES:
-        ranked = _rank_causes(evidence, observations, explanations)
+        contradictions = tuple(o for o in observations if o.contradicts)
+        ranked = _rank(Case(evidence, contradictions, explanations), observations)
         if not chosen:
-            likely = [cause.code for cause in ranked if not cause.has_estimated_factor]
+            likely = [each.code for each in ranked if not each.has_estimated_factor]
         if not ranked:
             break
-        rivals = _equal_rivals(evidence, observations, ranked[0])
-        chosen.extend(each.suspicion(evidence.study) for each in (ranked[0], *rivals))
-        if not ranked[0].has_estimated_factor or ranked[0].moves_frames:
-            structured.append(ranked[0].suspicion(evidence.study))
-        evidence = ranked[0].corrected(evidence)
+        best = ranked[0]
+        least = _weigh(evidence, observations, best) if best.rivals else 0.0
+        equal = (r for r in best.rivals if _weigh(evidence, observations, r) <= least)
+        rivals = islice(equal, _MAX_RIVALS)
+        chosen.extend(each.suspicion(evidence.study) for each in (best, *rivals))
+        if not best.has_estimated_factor or best.moves_frames:
+            structured.append(best.suspicion(evidence.study))
+        evidence = best.corrected(evidence)
         observations = tuple(compute_observations(evidence))
     remaining = [o for o in observations if o.contradicts and is_reported(o)]
     if not remaining:
         return chosen
-    return [
-        *structured,
-        *report_remaining_contradictions(remaining, likely[:_MAX_LIKELY_CAUSES], evidence.study),
-    ]
+    likely = likely[:_MAX_LIKELY_CAUSES]
+    return [*structured, *report_remaining_contradictions(remaining, likely)]
 
 
 def _needs_cause(each: Observation, evidence: Evidence) -> bool:
@@ -141,84 +143,53 @@ def _needs_cause(each: Observation, evidence: Evidence) -> bool:
     return each.contradicts and (is_searched or is_reported(each))
 
 
-def _rank_causes(
-    evidence: Evidence, now: Sequence[Observation], explanations: tuple[Hypothesis, ...]
-) -> list[Hypothesis]:
-    """Causes that reduce the contradictions, ordered by remaining weight, then by simplicity.
-
-    An observation counts as a contradiction if the correction removes it and it contradicted
-    before or its kind is in `_REQUIRED_KINDS`.
-    """
-    before = _contradiction_weight(now, now, np.inf)
-    limit = before - _MIN_EXPLAINED_WEIGHT
+def _rank(case: Case, now: Sequence[Observation]) -> list[Hypothesis]:
+    """Hypotheses that reduce the contradictions, by remaining weight, then by simplicity."""
+    limit = sum(o.weight for o in case.contradictions) - _MIN_EXPLAINED_WEIGHT
     weights: list[tuple[float, Hypothesis]] = []
-    case = Case(evidence, tuple(o for o in now if o.contradicts), explanations)
-    for cause in propose_hypotheses(case):
-        after = _weight_after(evidence, now, cause, limit)
+    for each in propose_hypotheses(case):
+        after = _weigh(case.evidence, now, each, limit)
         if after < limit:
-            weights.append((after + _ESTIMATED_FACTOR_PENALTY * cause.has_estimated_factor, cause))
+            weights.append((after + _ESTIMATED_FACTOR_PENALTY * each.has_estimated_factor, each))
             # observations of chains take time; the best cause is enough
-            if not evidence.arm.has_planar_program:
+            if not case.evidence.arm.has_planar_program:
                 limit = min(limit, after + _ESTIMATED_FACTOR_PENALTY)
-        if after == 0.0 and not cause.moves_frames:  # any fault of the motors can look like frames
+        if after == 0.0 and not each.moves_frames:  # any fault of the motors can look like frames
             break
-    return [cause for _, cause in sorted(weights, key=lambda each: each[0])]
+    return [each for _, each in sorted(weights, key=lambda pair: pair[0])]
 
 
-def _equal_rivals(
-    evidence: Evidence, now: Sequence[Observation], cause: Hypothesis
-) -> list[Hypothesis]:
-    """The first rival of a cause that leaves no more contradictions than the cause does."""
-    least = _weight_after(evidence, now, cause, np.inf) if cause.rivals else 0.0
-    equal = (r for r in cause.rivals if _weight_after(evidence, now, r, np.inf) <= least)
-    return [*islice(equal, _MAX_RIVALS)]
-
-
-def _weight_after(
-    evidence: Evidence, now: Sequence[Observation], cause: Hypothesis, limit: float
+def _weigh(
+    evidence: Evidence, now: Sequence[Observation], each: Hypothesis, limit: float = np.inf
 ) -> float:
-    """Weight of the contradictions that a cause leaves.
+    """Weight of the contradictions that a hypothesis leaves, up to `limit`.
 
-    Without a record, signals can be explained less well than with it.
+    An observation that it removes counts as a contradiction if it contradicted before or its kind
+    is in `_REQUIRED_KINDS`. Without a record, signals can be explained less well than with it.
     """
-    after = compute_observations(cause.corrected(evidence))
-    if cause.excluded:
-        before = {(o.kind, o.place) for o in now if o.contradicts}
-        after = (o for o in after if o.kind != "explained-share" or (o.kind, o.place) in before)
-    return _contradiction_weight(after, _tested(now, cause), limit)
-
-
-def _tested(now: Sequence[Observation], cause: Hypothesis) -> list[Observation]:
-    """Observations that must remain available after a correction."""
-    left_out = set(cause.excluded)
-    return [
-        o
-        for o in now
-        if not (cause.moves_frames and o.is_of_link)
-        and not (left_out and (left_out & set(o.place.experiments) or not o.contradicts))
-    ]
-
-
-def _contradiction_weight(
-    now: Iterable[Observation], before: Sequence[Observation], limit: float
-) -> float:
-    """Total weight of the contradictions in `now`, plus 1 per missing observation of `before`.
-
-    The sum ends at `limit`. If the torques are compared with one arm, the equation of a single
-    joint may be missing: its columns can be linearly dependent with the correct geometry.
-    """
-    may_be_missing = any(o.kind == "torque-fit" for o in before)
-    missing = {
-        (o.kind, o.place)
-        for o in before
-        if (o.contradicts or o.kind in _REQUIRED_KINDS)
-        and not (may_be_missing and o.is_of_joint_equation)
-        and o.kind not in _MAY_BE_MISSING
-    }
+    known = {(o.kind, o.place) for o in now if o.contradicts}
+    has_fit = any(o.kind == "torque-fit" for o in now)
+    missing = {(o.kind, o.place) for o in now if _is_required(o, each, has_fit=has_fit)}
     weight = 0.0
-    for each in now:
-        missing.discard((each.kind, each.place))
-        weight += each.weight * each.contradicts
+    for after in compute_observations(each.corrected(evidence)):
+        key = after.kind, after.place
+        missing.discard(key)
+        is_worse = each.excluded and after.kind == "explained-share" and key not in known
+        weight += 0.0 if is_worse else after.weight * after.contradicts
         if weight >= limit:
             return weight
     return weight + len(missing)
+
+
+def _is_required(o: Observation, each: Hypothesis, *, has_fit: bool) -> bool:
+    """Whether an observation must remain available after a correction.
+
+    If the torques are compared with one arm, the equation of a single joint may be missing: its
+    columns can be linearly dependent with the correct geometry.
+    """
+    if o.kind in _MAY_BE_MISSING or (has_fit and o.is_of_joint_equation):
+        return False
+    if each.excluded and (not o.contradicts or set(each.excluded) & set(o.place.experiments)):
+        return False
+    is_compared = not (each.moves_frames and o.is_of_link)
+    return is_compared and (o.contradicts or o.kind in _REQUIRED_KINDS)

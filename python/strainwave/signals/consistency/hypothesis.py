@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -35,11 +35,11 @@ class Hypothesis:
     """A fault of the input: how it changes the logs or the study, and how it is worded."""
 
     code: str
-    places: tuple[Place, ...]
     clause: Clause
     corrections: tuple[Correction, ...] = ()
     remedy: Clause = STEPS
     alternative: tuple[Correction, ...] = ()  # equally likely corrections
+    at: tuple[Place, ...] = ()  # empty: the places of the corrections
     factor: float | None = None
     delay_s: float | None = None
     has_estimated_factor: bool = False  # not a unit, a sign or an exchange
@@ -53,6 +53,11 @@ class Hypothesis:
     is_tolerated: bool = False  # of a size within which a study is accepted
     gain: Gain | None = None  # over the stated description, on held-out stretches
     cost: float = np.inf  # half the mean logarithm of the unexplained shares
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """Channels, records and keys that the fault concerns."""
+        return self.at or tuple(dict.fromkeys(map(_place_of, self.corrections)))
 
     @property
     def joints(self) -> set[int]:
@@ -154,9 +159,14 @@ class Case:
         return self._rotation_factors[joint]
 
 
-def places_of(names: Iterable[str]) -> tuple[Place, ...]:
-    """Places of channels."""
-    return tuple(Place(channel=name) for name in names)
+def _place_of(each: Correction) -> Place:
+    """The channel or the key that a correction changes."""
+    key = each.key.partition(".")[0]
+    if each.table in ("channels", "log"):
+        return Place(channel=each.entry)
+    if each.table == "experiment":
+        return Place(experiments=(each.entry,), key=key)
+    return Place(joint=int(each.entry) if each.table == "joint" else None, key=key)
 
 
 def scaled(evidence: Evidence, names: Iterable[str], factor: float) -> tuple[Correction, ...]:
@@ -176,25 +186,23 @@ def of_logs(names: Iterable[str], key: str, value: float) -> tuple[Correction, .
     return tuple(Correction("log", name, key, value) for name in names)
 
 
-def exchange(
-    evidence: Evidence, kinds: Sequence[str], joints: tuple[int, int]
-) -> Hypothesis | None:
-    """Exchanged channels of two joints, of the kinds that both have; None if there are none."""
-    pairs = tuple((f"{kind}{joints[0]}", f"{kind}{joints[1]}") for kind in kinds)
-    pairs = tuple(pair for pair in pairs if set(pair) <= evidence.channels)
-    clause = Clause("swapped-channels", pairs=pairs, joints=joints)
-    if len(pairs) == 1:
-        (first, second), (joint, other) = pairs[0], joints
-        values: dict[str, Value] = {"first": first, "second": second, "joint": joint}
-        clause = Clause("swapped-channels/one-kind", other=other, **values)
-    places = places_of(name for pair in pairs for name in pair)
-    changes = exchange_corrections(pairs, evidence.study)
-    return (
-        Hypothesis("swapped-channels", places, clause, changes, kind="exchange") if pairs else None
-    )
+def exchanges(
+    evidence: Evidence, groups: Iterable[Sequence[str]], joints: tuple[int, int]
+) -> Iterator[Hypothesis]:
+    """Exchanged channels of two joints, for each group of kinds of those that both have."""
+    i, j = joints
+    named = [[(f"{kind}{i}", f"{kind}{j}") for kind in kinds] for kinds in groups]
+    given = [tuple(p for p in pairs if set(p) <= evidence.channels) for pairs in named]
+    for pairs in filter(None, dict.fromkeys(given)):
+        clause = Clause("swapped-channels", pairs=pairs, joints=joints)
+        if len(pairs) == 1:
+            one: dict[str, Value] = {"first": pairs[0][0], "second": pairs[0][1], "joint": i}
+            clause = Clause("swapped-channels/one-kind", other=j, **one)
+        changes = exchange_corrections(pairs, evidence.study)
+        yield Hypothesis("swapped-channels", clause, changes, kind="exchange")
 
 
-def scale_hypothesis(
+def other_scale(
     evidence: Evidence, name: str, factor: float, unit: Unit | None, basis: str
 ) -> Hypothesis:
     """One channel in another unit or with another sign; `basis` determines its scale."""
@@ -205,12 +213,25 @@ def scale_hypothesis(
     based_on = Clause(f"basis/{basis}", joint=channel_parts(name)[1])
     return Hypothesis(
         code,
-        places_of([name]),
         Clause(template, channel=name, ratio=1.0 / factor, basis=based_on, unit=unit),
         scaled(evidence, [name], factor),
         factor=1.0 / factor,
         has_estimated_factor=unit is None and not is_reversed,
     )
+
+
+def angle_unit(
+    names: Sequence[str], unit: Unit, changes: tuple[Correction, ...], factor: float
+) -> Hypothesis:
+    """All motor angles in another unit, of which `factor` is that of the first."""
+    clause = Clause("wrong-unit/angles", channels=tuple(names), unit=unit)
+    return Hypothesis("wrong-unit", clause, changes, factor=1.0 / factor, kind="unit")
+
+
+def other_meaning(efforts: Sequence[str], meaning: str, clause: Clause) -> Hypothesis:
+    """Another meaning of the efforts."""
+    changes = tuple(Correction("channels", name, "meaning", meaning) for name in efforts)
+    return Hypothesis(clause.template, clause, changes, kind=meaning)
 
 
 def whole_reduction(ratio: float) -> tuple[float, bool]:

@@ -7,10 +7,9 @@ estimated factor come last. Their values stay within the ranges that a study fil
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import chain, combinations
-from typing import Any
 
 import numpy as np
 
@@ -24,10 +23,11 @@ from strainwave.signals.consistency.hypothesis import (
     Case,
     Hypothesis,
     Unit,
-    exchange,
+    angle_unit,
+    exchanges,
     of_logs,
-    places_of,
-    scale_hypothesis,
+    other_meaning,
+    other_scale,
     scaled,
     whole_reduction,
 )
@@ -120,51 +120,47 @@ def propose_hypotheses(case: Case) -> Iterator[Hypothesis]:
 
 def _exchanged_files(case: Case) -> Iterator[Hypothesis]:
     """Exchanged files of records with a test signal and records of motion."""
-    silent, signalling = exchanged_tests(case.evidence)
+    silent, signalling = map(tuple, exchanged_tests(case.evidence))
     if silent and signalling:
         names = (*silent, *signalling)
-        clause = Clause("swapped-channels/files", records=tuple(silent), others=tuple(signalling))
-        remedy, place = Clause("remedy/files", records=names), Place(experiments=names, key="file")
-        yield Hypothesis("swapped-channels", (place,), clause, remedy=remedy, excluded=names)
+        clause = Clause("swapped-channels/files", records=silent, others=signalling)
+        remedy, at = Clause("remedy/files", records=names), (Place(experiments=names, key="file"),)
+        yield Hypothesis("swapped-channels", clause, (), remedy, at=at, excluded=names)
 
 
 def _effort_scales(case: Case) -> Iterator[Hypothesis]:
     """The efforts of all joints in another unit, or with another sign; or without friction."""
     joints = range(1, case.evidence.arm.n_joints + 1)
-    names = [name for i in joints if (name := effort_channel(case.evidence.channels, i))]
+    names = tuple(name for i in joints if (name := effort_channel(case.evidence.channels, i)))
     negative = {o.joint for o in case.contradictions if o.kind == "inertia"}
     factors: list[tuple[float, Unit | None]] = [(-1.0, None)] if len(negative) > 1 else []
-    if case.contradicts("mass"):
-        factors += [(1e-3, "mN m"), (1e-2, "N cm")]
+    factors += [(1e-3, "mN m"), (1e-2, "N cm")] if case.contradicts("mass") else []
     for factor, unit in factors:
         code = "wrong-sign" if unit is None else "wrong-unit"
-        clause = Clause(f"{code}/efforts", channels=tuple(names), unit=unit)
-        changes = scaled(case.evidence, names, factor)
-        yield Hypothesis(code, places_of(names), clause, changes, factor=1.0 / factor)
+        clause = Clause(f"{code}/efforts", channels=names, unit=unit)
+        yield Hypothesis(code, clause, scaled(case.evidence, names, factor), factor=1.0 / factor)
+    efforts = tuple(name for name in names if channel_parts(name)[0] == "torque")
     for share in (o.value for o in case.contradictions if o.kind == "friction"):
-        efforts = tuple(name for name in names if channel_parts(name)[0] == "torque")
-        changes = tuple(Correction("channels", n, "meaning", "without-friction") for n in efforts)
         clause = Clause("effort-without-friction", channels=efforts, share=share)
-        yield Hypothesis("effort-without-friction", places_of(efforts), clause, changes)
+        yield other_meaning(efforts, "without-friction", clause)
 
 
 def _record_signs(case: Case) -> Iterator[Hypothesis]:
     """Efforts with another sign in single records."""
     signs = [o.place for o in case.contradictions if o.kind == "inertia" and o.place.experiments]
     for record in dict.fromkeys(place.experiments for place in signs):
-        places = tuple(place for place in signs if place.experiments == record)
-        names = tuple(place.channel or "" for place in places)
-        clause = Clause("record", record=record[0], fault=Clause("wrong-sign/some", channels=names))
+        at = tuple(place for place in signs if place.experiments == record)
+        fault = Clause("wrong-sign/some", channels=tuple(place.channel or "" for place in at))
+        clause = Clause("record", record=record[0], fault=fault)
         remedy = Clause("remedy/record", record=record[0])
-        yield Hypothesis("wrong-sign", places, clause, (), remedy, factor=-1.0, excluded=record)
+        yield Hypothesis("wrong-sign", clause, (), remedy, at=at, factor=-1.0, excluded=record)
 
 
 def _dead_channels(case: Case) -> Iterator[Hypothesis]:
     """Sensors that show noise alone."""
     for name, size in case.by_channel("presence").items():
         clause = Clause("dead-channel", channel=name, share=size)
-        changes = of_logs([name], "unusable", 0.0)
-        yield Hypothesis("dead-channel", places_of([name]), clause, changes)
+        yield Hypothesis("dead-channel", clause, of_logs([name], "unusable", 0.0))
 
 
 def _exchanges(case: Case) -> Iterator[Hypothesis]:
@@ -172,85 +168,70 @@ def _exchanges(case: Case) -> Iterator[Hypothesis]:
 
     All kinds, one side, one kind, or all kinds but one are exchanged.
     """
-    channels = case.evidence.channels
     for joints in combinations(range(1, case.evidence.arm.n_joints + 1), 2):
         if case.joints and case.joints.isdisjoint(joints):
             continue
         motors, links = (
-            [kind for kind in side if {f"{kind}{i}" for i in joints} <= channels]
+            [kind for kind in side if {f"{kind}{i}" for i in joints} <= case.evidence.channels]
             for side in (_MOTOR_SIDE, _LINK_SIDE)
         )
         kinds = motors + links
         groups = [kinds, motors, links, *([kind] for kind in kinds)]
         groups += [[kind for kind in kinds if kind != left] for left in kinds]
-        for group in dict.fromkeys(tuple(group) for group in groups):
-            if (each := exchange(case.evidence, group, joints)) is not None:
-                yield each
+        yield from exchanges(case.evidence, groups, joints)
 
 
 def _angle_units(case: Case) -> Iterator[Hypothesis]:
     """Motor angles of all joints in another unit, alone or with their velocities."""
-    evidence = case.evidence
-    joints = range(1, evidence.arm.n_joints + 1)
-    angles = [f"theta_m{joint}" for joint in joints]
-    doubts = case.contradicts("torque-prediction", "speed")
-    if (len(angles) < 2 and not doubts) or not (case.joints or doubts):
+    evidence, joints = case.evidence, range(1, case.evidence.arm.n_joints + 1)
+    has_doubts = case.contradicts("torque-prediction")
+    if not has_doubts and (len(joints) < 2 or not case.joints):
         return
-    rates = [f"{kind}{joint}" for kind in ("omega_m", "ref") for joint in joints]
+    angles = [f"theta_m{joint}" for joint in joints]
+    rates = [n for joint in joints for n in (f"omega_m{joint}", f"ref{joint}")]
     rates = [name for name in rates if name in evidence.channels]
     units = [_angle_scales(evidence, name) for name in angles]
-    for unit in units[0]:
-        if not all(unit in each for each in units):
-            continue
-        corrections: tuple[Correction, ...] = ()
-        for name, scales in zip(angles, units, strict=True):
-            corrections += scaled(evidence, [name], scales[unit] / evidence.channel(name).scale)
-        factor = evidence.channel(angles[0]).scale / units[0][unit]
-        groups = [(angles, corrections)]
+    for unit in (unit for unit in units[0] if all(unit in each for each in units)):
+        factors = [s[unit] / evidence.channel(n).scale for s, n in zip(units, angles, strict=True)]
+        changes: tuple[Correction, ...] = ()
+        for name, factor in zip(angles, factors, strict=True):
+            changes += scaled(evidence, [name], factor)
+        yield angle_unit(angles, unit, changes, factors[0])
         if rates and unit == "degrees":
-            groups.append(([*angles, *rates], corrections + scaled(evidence, rates, _DEGREE)))
-        for names, changes in groups:
-            clause = Clause("wrong-unit/angles", channels=tuple(names), unit=unit)
-            yield Hypothesis("wrong-unit", places_of(names), clause, changes, factor=factor)
+            changes += scaled(evidence, rates, _DEGREE)
+            yield angle_unit([*angles, *rates], unit, changes, factors[0])
 
 
 def _angle_scales(evidence: Evidence, name: str) -> dict[Unit, float]:
     """Scales to radians of the units in which a motor angle can be logged."""
-    units = dict(_ANGLES)
-    per_turn = evidence.arm.joints[channel_parts(name)[1] - 1].encoder_counts
-    if per_turn:
+    units, scale = dict(_ANGLES), evidence.channel(name).scale
+    if per_turn := evidence.arm.joints[channel_parts(name)[1] - 1].encoder_counts:
         units["encoder counts"] = 2.0 * np.pi / per_turn
         units["quadrature counts"] = np.pi / 2.0 / per_turn
         units["encoder lines"] = 8.0 * np.pi / per_turn
-    scale = evidence.channel(name).scale
     return units | {Clause("counts/scaled", factor=f): f * scale for f in _QUADRATURE_FACTORS}
 
 
-def _match_known_factor(factor: float, units: Mapping[Unit, float]) -> tuple[Unit | None, float]:
-    """Name and signed value of the known factor that matches an estimate; signs are ignored."""
-    for unit, known in units.items():
-        if abs(np.log(abs(factor / known))) < _UNIT_TOLERANCE:
-            return unit, float(np.copysign(known, factor))
-    return None, factor
-
-
 def _channel_scales(case: Case, joint: int) -> Iterator[Hypothesis]:
-    """Wrong units, signs or scales of the channels of one joint; -1 first."""
+    """Wrong units, signs or scales of the channels of one joint; the sign first."""
     evidence = case.evidence
     for kind, (basis, si_units) in _CHANNELS.items():
         name = f"{kind}{joint}"
         if name not in evidence.channels:
             continue
         ratios = _scale_ratios(case, kind, joint)
-        if not ratios and not _is_contradicted(case, kind, joint):
+        is_effort = kind in ("u", "torque")
+        if not ratios and not any(
+            o.place.channel == name or (o.joint == joint and is_effort and o.kind == "inertia")
+            for o in case.contradictions
+        ):
             continue
         scale = evidence.channel(name).scale
         units: dict[Unit, float] = {unit: si / scale for unit, si in si_units.items()}
         units["SI units"] = 1.0 / abs(scale)
         if kind == "a":  # other factors can be a wrong distance
             ratios = [ratio for ratio in ratios if _match_known_factor(1.0 / ratio, units)[0]]
-        if kind in ("u", "torque"):
-            ratios += [1.0 / factor for factor in units.values()]
+        ratios += [1.0 / factor for factor in units.values()] if is_effort else []
         yield from _scales(evidence, name, ratios, units, basis)
     if joint in case.joints:
         name = f"theta_m{joint}"
@@ -266,24 +247,6 @@ def _channel_scales(case: Case, joint: int) -> Iterator[Hypothesis]:
         yield from _scales(evidence, name, ratios, units, basis)
 
 
-def _scales(
-    evidence: Evidence,
-    name: str,
-    ratios: Iterable[float],
-    units: Mapping[Unit, float],
-    basis: str,
-) -> Iterator[Hypothesis]:
-    """Factors of a channel: -1 first, then one per estimated ratio or the unit near it."""
-    yield scale_hypothesis(evidence, name, -1.0, None, basis)
-    tried: list[float] = []
-    for ratio in ratios:
-        unit, factor = _match_known_factor(1.0 / ratio, units)
-        is_repeated = any(abs(factor / other - 1.0) < _MAX_FACTOR_DIFFERENCE for other in tried)
-        if abs(abs(factor) - 1.0) > 1e-9 and not is_repeated:
-            tried.append(factor)
-            yield scale_hypothesis(evidence, name, factor, unit, basis)
-
-
 def _scale_ratios(case: Case, kind: str, joint: int) -> list[float]:
     """Estimated ratios of a channel to its SI value."""
     name = f"{kind}{joint}"
@@ -293,19 +256,31 @@ def _scale_ratios(case: Case, kind: str, joint: int) -> list[float]:
         return [1.0 / ratio for ratio in case.values(f"theta_m{joint}", "reference")]
     if kind == "omega_m":
         return case.values(name, "velocity")
-    ratios = [r for r in case.values(name, "level", "servo", "limit") if abs(r) > _MIN_RATIO]
-    if kind == "torque":
-        ratios += [1.0 / ratio for ratio in case.values(f"tau_l{joint}", "torque-sensor")]
-    return ratios
+    ratios = [r for r in case.values(name, "level", "limit") if abs(r) > _MIN_RATIO]
+    sensor = case.values(f"tau_l{joint}", "torque-sensor") if kind == "torque" else []
+    return ratios + [1.0 / ratio for ratio in sensor]
 
 
-def _is_contradicted(case: Case, kind: str, joint: int) -> bool:
-    """Whether a contradiction depends on a channel."""
-    kinds = {"u": ("inertia", "servo"), "torque": ("inertia",)}.get(kind, ())
-    return any(
-        o.place.channel == f"{kind}{joint}" or (o.joint == joint and o.kind in kinds)
-        for o in case.contradictions
-    )
+def _scales(
+    evidence: Evidence, name: str, ratios: list[float], units: Mapping[Unit, float], basis: str
+) -> Iterator[Hypothesis]:
+    """Factors of a channel: -1 first, then one per estimated ratio or the unit near it."""
+    yield other_scale(evidence, name, -1.0, None, basis)
+    tried: list[float] = []
+    for ratio in ratios:
+        unit, factor = _match_known_factor(1.0 / ratio, units)
+        is_repeated = any(abs(factor / other - 1.0) < _MAX_FACTOR_DIFFERENCE for other in tried)
+        if abs(abs(factor) - 1.0) > 1e-9 and not is_repeated:
+            tried.append(factor)
+            yield other_scale(evidence, name, factor, unit, basis)
+
+
+def _match_known_factor(factor: float, units: Mapping[Unit, float]) -> tuple[Unit | None, float]:
+    """Name and signed value of the known factor that matches an estimate; signs are ignored."""
+    for unit, known in units.items():
+        if abs(np.log(abs(factor / known))) < _UNIT_TOLERANCE:
+            return unit, float(np.copysign(known, factor))
+    return None, factor
 
 
 def _ac_coupling(case: Case) -> Iterator[Hypothesis]:
@@ -322,7 +297,7 @@ def _ac_coupling(case: Case) -> Iterator[Hypothesis]:
         hertz = tuple(Clause("frequency", value=cutoffs[name]) for name in group)
         clause = Clause("ac-coupled", channels=tuple(group), cutoffs=hertz)
         changes = tuple(Correction("log", name, "high_pass_hz", cutoffs[name]) for name in group)
-        yield Hypothesis("ac-coupled", places_of(group), clause, changes)
+        yield Hypothesis("ac-coupled", clause, changes)
 
 
 # delays and clocks
@@ -339,22 +314,16 @@ def _sensor_delays(case: Case) -> Iterator[Hypothesis]:
             if not estimates:
                 continue
             x, channels = float(np.median(estimates)), tuple(group)
-            common: dict[str, Value] = {
-                "channels": channels,
-                "delay": abs(x),
-                "drift": x,
-                "error": abs(x),
-            }
             if kind == "delay":
-                clause = Clause("misaligned/sensor", side="late" if x > 0.0 else "early", **common)
-                changes, remedy = of_logs(channels, "delay_s", x), Clause("remedy/sensor-delay")
-                places = places_of(channels)
-                yield Hypothesis("misaligned", places, clause, changes, remedy, delay_s=x)
-            else:
-                clause = Clause("clock-drift/sensor", side="slow" if x > 0.0 else "fast", **common)
-                changes, remedy = of_logs(channels, "clock", x), Clause("remedy/sensor-clock")
-                places = places_of(channels)
-                yield Hypothesis("clock-drift", places, clause, changes, remedy, factor=1.0 - x)
+                side, remedy = "late" if x > 0.0 else "early", Clause("remedy/sensor-delay")
+                clause = Clause("misaligned/sensor", channels=channels, delay=abs(x), side=side)
+                changes = of_logs(channels, "delay_s", x)
+                yield Hypothesis("misaligned", clause, changes, remedy, delay_s=x)
+                continue
+            values_of = {"drift": x, "error": abs(x), "side": "slow" if x > 0.0 else "fast"}
+            clause = Clause("clock-drift/sensor", channels=channels, **values_of)
+            changes, remedy = of_logs(channels, "clock", x), Clause("remedy/sensor-clock")
+            yield Hypothesis("clock-drift", clause, changes, remedy, factor=1.0 - x)
 
 
 def _input_delays(case: Case) -> Iterator[Hypothesis]:
@@ -364,28 +333,24 @@ def _input_delays(case: Case) -> Iterator[Hypothesis]:
     two is late.
     """
     values = case.by_channel("input-delay")
-    late: list[tuple[str, list[str], float]] = []
-    if len(values) > 1 and np.ptp(list(values.values())) < _MAX_DELAY_DIFFERENCE:
-        late.append(("command", list(values), float(np.mean(list(values.values())))))
-    late += [("command", [name], delay) for name, delay in values.items()]
-    late += [("angle", [_angle_of(name)], -delay) for name, delay in values.items()]
-    for kind, names, delay in late:
-        joints = {channel_parts(name)[1] for name in names}
+    angle_of = {name: f"theta_m{channel_parts(name)[1]}" for name in values}
+    late: list[tuple[str, tuple[str, ...], tuple[str, ...], float]]
+    late = [("command", (name,), (name,), delay) for name, delay in values.items()]
+    late += [("angle", (name,), (angle_of[name],), -delay) for name, delay in values.items()]
+    delays = list(values.values())
+    if len(values) > 1 and np.ptp(delays) < _MAX_DELAY_DIFFERENCE:
+        late.insert(0, ("command", tuple(values), tuple(values), float(np.mean(delays))))
+    for kind, commands, names, delay in late:
         clause = Clause(
             f"misaligned/{kind}",
-            channels=tuple(names),
+            channels=names,
             delay=abs(delay),
             side="later" if delay > 0.0 else "earlier",
-            commands=tuple(name for name in values if channel_parts(name)[1] in joints),
-            angles=tuple(map(_angle_of, names)),
+            commands=commands,
+            angles=tuple(angle_of[name] for name in commands),
         )
         shifts, remedy = of_logs(names, "delay_s", round(delay, 6)), Clause("remedy/command")
-        yield Hypothesis("misaligned", places_of(names), clause, shifts, remedy, delay_s=delay)
-
-
-def _angle_of(name: str) -> str:
-    """Motor angle of the joint of a channel."""
-    return f"theta_m{channel_parts(name)[1]}"
+        yield Hypothesis("misaligned", clause, shifts, remedy, delay_s=delay)
 
 
 def _time_bases(case: Case) -> Iterator[Hypothesis]:
@@ -393,15 +358,13 @@ def _time_bases(case: Case) -> Iterator[Hypothesis]:
     clocks = case.values(None, "prbs-clock", "servo-clock")
     if not clocks and not case.contradicts("explained-share", "scale"):
         return
-    estimates = [1.0 / float(np.median(clocks))] if clocks else []
-    for estimate in (*estimates, *_TIMES.values()):
+    for estimate in (*([1.0 / float(np.median(clocks))] if clocks else ()), *_TIMES.values()):
         unit, factor = _match_known_factor(estimate, _TIMES)
-        ratio, changes = 1.0 / factor, scaled(case.evidence, "t", factor)
-        code, clause = "clock-drift", Clause("clock-drift", ratio=ratio)
-        if unit is not None:
-            code, clause = "wrong-unit", Clause("wrong-unit/time", ratio=ratio, unit=unit)
+        code, variant = ("clock-drift", "") if unit is None else ("wrong-unit", "/time")
+        clause = Clause(code + variant, ratio=1.0 / factor, unit=unit)
         remedy = STEPS if unit is not None else Clause("remedy/log-clock")
-        yield Hypothesis(code, places_of("t"), clause, changes, remedy, factor=ratio)
+        changes = scaled(case.evidence, "t", factor)
+        yield Hypothesis(code, clause, changes, remedy, factor=1.0 / factor)
 
 
 def _record_clocks(case: Case) -> Iterator[Hypothesis]:
@@ -409,11 +372,8 @@ def _record_clocks(case: Case) -> Iterator[Hypothesis]:
 
     Without a second clock in these records the two cannot be told apart.
     """
-    wrong = {
-        o.place.experiments[0]: o
-        for o in case.contradictions
-        if o.kind in ("prbs-clock", "servo-clock")
-    }
+    clocks = [o for o in case.contradictions if o.kind in ("prbs-clock", "servo-clock")]
+    wrong = {o.place.experiments[0]: o for o in clocks}
     clocked = [r for r in case.evidence.records if r.clocks.prbs or r.clocks.servo]
     if not wrong:
         return
@@ -424,15 +384,13 @@ def _record_clocks(case: Case) -> Iterator[Hypothesis]:
         for name, o in wrong.items()
         if (prbs := stated[name]) is not None and o.kind == "prbs-clock"
     )
-    place = Place(experiments=names, key="prbs")
+    at = (Place(experiments=names, key="prbs"),)
     clause = Clause("wrong-prbs-clock", records=names, ratio=ratio)
-    of_prbs = Hypothesis("wrong-prbs-clock", (place,), clause, changes, factor=ratio)
+    of_prbs = Hypothesis("wrong-prbs-clock", clause, changes, at=at, factor=ratio)
+    at = (Place(experiments=names, channel="t"),)
     clause = Clause("clock-drift/records", records=names, ratio=ratio)
     remedy = Clause("remedy/record-clock", records=names, ratio=1.0 / ratio)
-    place = Place(experiments=names, channel="t")
-    of_logger = Hypothesis(
-        "clock-drift", (place,), clause, remedy=remedy, factor=ratio, excluded=names
-    )
+    of_logger = Hypothesis("clock-drift", clause, (), remedy, at=at, factor=ratio, excluded=names)
     if changes and len(changes) == len(wrong):
         yield replace(of_prbs, rivals=(of_logger.as_rival(),) * (len(wrong) == len(clocked)))
     if len(wrong) < len(clocked):
@@ -444,17 +402,16 @@ def _record_clocks(case: Case) -> Iterator[Hypothesis]:
 
 def _excited_joints(case: Case) -> Iterator[Hypothesis]:
     """Records whose excited joint differs from the study."""
-    joints = set(range(1, case.evidence.arm.n_joints + 1))
     for each in case.contradictions:
         if each.kind != "excited-joint" or each.joint is None:
             continue
         (record,) = each.place.experiments
-        place = Place(experiments=(record,), key="joint")
         values: dict[str, Value] = {"experiment": record, "stated": each.joint}
-        for excited in sorted(joints - {each.joint}):
-            clause = Clause("swapped-channels/excited-joint", excited=excited, **values)
-            change = Correction("experiment", record, "joint", excited)
-            yield Hypothesis("swapped-channels", (place,), clause, (change,))
+        for excited in range(1, case.evidence.arm.n_joints + 1):
+            if excited != each.joint:
+                clause = Clause("swapped-channels/excited-joint", excited=excited, **values)
+                change = Correction("experiment", record, "joint", excited)
+                yield Hypothesis("swapped-channels", clause, (change,))
 
 
 def _voltage_scales(case: Case) -> Iterator[Hypothesis]:
@@ -463,14 +420,15 @@ def _voltage_scales(case: Case) -> Iterator[Hypothesis]:
     The amplitude comes first, unless the measured amplitude exceeds the supply of any drive.
     """
     for name in case.by_channel("level"):
-        ratios, amplitudes = {}, {}
+        wrong: dict[str, float] = {}
+        amplitudes: dict[str, float] = {}
         for record in case.evidence.records:
             experiment, level = record.experiment, record.clocks.level.get(name)
             is_of_joint = experiment.joint == channel_parts(name)[1]
             if level is not None and experiment.prbs is not None and is_of_joint:
+                ratio = level / experiment.prbs.amplitude
                 amplitudes[experiment.name] = experiment.prbs.amplitude
-                ratios[experiment.name] = level / experiment.prbs.amplitude
-        wrong = {record: ratio for record, ratio in ratios.items() if not 0.5 < ratio < 2.0}
+                wrong |= {} if 0.5 < ratio < 2.0 else {experiment.name: ratio}
         if not wrong or min(wrong.values()) < _MIN_RATIO:
             continue  # The command belongs to another joint.
         ratio, records = float(np.median(list(wrong.values()))), tuple(wrong)
@@ -480,15 +438,14 @@ def _voltage_scales(case: Case) -> Iterator[Hypothesis]:
             Correction("experiment", r, "prbs.amplitude", float(f"{amplitudes[r] * ratio:.4g}"))
             for r in wrong
         )
-        values: dict[str, Value] = {"measured": stated * ratio, "stated": stated, "ratio": ratio}
+        values = {"measured": stated * ratio, "stated": stated, "ratio": ratio}
         clause = Clause("wrong-unit/amplitude", records=records, channel=name, **values)
-        remedy = Clause("remedy/amplitude")
-        prbs = Place(experiments=records, key="prbs")
+        prbs, remedy = Place(experiments=records, key="prbs"), Clause("remedy/amplitude")
         alternatives = [(prbs, changes, scales), (Place(channel=name), scales, changes)]
         if stated * ratio > max(stated, _MAX_VOLTAGE):
             alternatives.reverse()
         for place, first, other in alternatives:
-            yield Hypothesis("wrong-unit", (place,), clause, first, remedy, other, factor=ratio)
+            yield Hypothesis("wrong-unit", clause, first, remedy, other, (place,), factor=ratio)
 
 
 def _gravity(case: Case) -> Iterator[Hypothesis]:
@@ -497,7 +454,13 @@ def _gravity(case: Case) -> Iterator[Hypothesis]:
     The size alone does not state the gravity of a chain.
     """
     if case.evidence.arm.has_planar_program:
-        yield replace(other_gravity(case.evidence), kind="")
+        yield other_gravity(case.evidence)
+
+
+def _is_accepted(key: str, value: float) -> bool:
+    """Whether a study file accepts a value, in either direction."""
+    minimum, maximum = accepted_range(key)
+    return minimum <= abs(value) <= maximum
 
 
 def _encoder_counts(case: Case, joint: int) -> Iterator[Hypothesis]:
@@ -506,17 +469,9 @@ def _encoder_counts(case: Case, joint: int) -> Iterator[Hypothesis]:
     for ratio in case.values(name, "count") if per_turn else ():
         counts = round((per_turn or 0.0) / ratio)
         clause = Clause("wrong-unit/counts", channel=name, ratio=ratio, counts=per_turn)
-        yield from _of_joint("wrong-unit", joint, "encoder_counts", counts, clause, factor=ratio)
-
-
-def _of_joint(
-    code: str, joint: int, key: str, value: float, clause: Clause, **fields: Any
-) -> Iterator[Hypothesis]:
-    """Another value of a key of a joint, if a study file accepts it."""
-    minimum, maximum = accepted_range(key)
-    if minimum <= abs(value) <= maximum:
-        change = Correction("joint", str(joint), key, value)
-        yield Hypothesis(code, (Place(joint=joint, key=key),), clause, (change,), **fields)
+        change = Correction("joint", str(joint), "encoder_counts", counts)
+        if _is_accepted("encoder_counts", counts):
+            yield Hypothesis("wrong-unit", clause, (change,), factor=ratio)
 
 
 def _gear_ratios(case: Case, joint: int) -> Iterator[Hypothesis]:
@@ -530,16 +485,14 @@ def _gear_ratios(case: Case, joint: int) -> Iterator[Hypothesis]:
             known.append(math.copysign(1.0 / near, estimate))
     for candidate in estimates + known:
         ratio, is_whole = whole_reduction(candidate)
-        if abs(ratio / n - 1.0) < _MAX_FACTOR_DIFFERENCE:
+        if abs(ratio / n - 1.0) < _MAX_FACTOR_DIFFERENCE or not _is_accepted("gear_ratio", ratio):
             continue
         is_distinct = is_whole and 1.0 / ratio <= _MAX_DISTINCT_REDUCTION
-        clause = Clause("wrong-gear-ratio", joint=joint, factor=ratio / n, stated=n, ratio=ratio)
-        yield from _of_joint(
+        values = {"factor": ratio / n, "stated": n, "ratio": ratio}
+        yield Hypothesis(
             "wrong-gear-ratio",
-            joint,
-            "gear_ratio",
-            ratio,
-            clause,
+            Clause("wrong-gear-ratio", joint=joint, **values),
+            (Correction("joint", str(joint), "gear_ratio", ratio),),
             factor=n / ratio,
             has_estimated_factor=candidate not in known and not is_distinct,
         )
@@ -550,59 +503,40 @@ def _geometry(case: Case, joint: int) -> Iterator[Hypothesis]:
     name, joints = f"a{joint}", case.evidence.arm.joints
     # to a neighbouring axis
     length = max(math.hypot(*each.origin.xyz) for each in joints[joint - 1 : joint + 1])
-    yield from _distances(case, joint, length)
-    has_length = joint > 1 and "link_length" in arm_keys(case.evidence.study.arm)
-    minimum, maximum = accepted_range("link_length")
-    for ratio in case.values(name, "origin-motion") if has_length else ():
-        corrected = float(f"{ratio * length:.4g}")
-        if minimum <= corrected <= maximum:
-            values: dict[str, Value] = {
-                "channel": name,
-                "joint": joint,
-                "ratio": ratio,
-                "stated": length,
-            }
-            yield Hypothesis(
-                "wrong-geometry",
-                (Place(key="link_length"),),
-                Clause("wrong-geometry/length", **values),
-                (Correction("arm", "", "link_length", corrected),),
-                factor=1.0 / ratio,
-                has_estimated_factor=True,
-            )
-    for ratio in case.values(name, "scale"):
-        yield scale_hypothesis(case.evidence, name, 1.0 / ratio, None, "motor-angle")
-
-
-def _distances(case: Case, joint: int, length: float) -> Iterator[Hypothesis]:
-    """Other distances of the accelerometer; `length` is the distance to a neighbouring axis."""
-    name, stated = f"a{joint}", case.evidence.arm.joints[joint - 1].accelerometer_distance
-    if not stated:
-        return
-    for ratio in case.values(name, "own-joint", "scale"):
+    values: dict[str, Value] = {"channel": name, "joint": joint}
+    stated, key = joints[joint - 1].accelerometer_distance or 0.0, "accelerometer_distance"
+    for ratio in case.values(name, "own-joint", "scale") if stated else ():
         corrected = float(f"{ratio * stated:.4g}")
         hint = None  # the point from which the stated distance was probably measured
         if abs(stated - corrected - length) < _DISTANCE_TOLERANCE * length:
             hint = Clause("hint/axis", axis=max(1, joint - 1))
         elif abs(stated + corrected - length) < _DISTANCE_TOLERANCE * length:
             hint = Clause("hint/end")
-        values: dict[str, Value] = {
-            "channel": name,
-            "joint": joint,
-            "ratio": ratio,
-            "stated": stated,
-        }
-        yield from _of_joint(
-            "wrong-geometry",
-            joint,
-            "accelerometer_distance",
-            corrected,
-            Clause("wrong-geometry/distance", corrected=corrected, hint=hint, **values),
-            remedy=Clause("remedy/distance", joint=joint),
-            alternative=scaled(case.evidence, [name], 1.0 / ratio),
-            factor=1.0 / ratio,
-            has_estimated_factor=True,
-        )
+        values |= {"ratio": ratio, "stated": stated, "corrected": corrected, "hint": hint}
+        if _is_accepted(key, corrected):
+            yield Hypothesis(
+                "wrong-geometry",
+                Clause("wrong-geometry/distance", **values),
+                (Correction("joint", str(joint), key, corrected),),
+                Clause("remedy/distance", joint=joint),
+                scaled(case.evidence, [name], 1.0 / ratio),
+                factor=1.0 / ratio,
+                has_estimated_factor=True,
+            )
+    has_length = joint > 1 and "link_length" in arm_keys(case.evidence.study.arm)
+    for ratio in case.values(name, "origin-motion") if has_length else ():
+        corrected = float(f"{ratio * length:.4g}")
+        if _is_accepted("link_length", corrected):
+            values |= {"ratio": ratio, "stated": length}
+            yield Hypothesis(
+                "wrong-geometry",
+                Clause("wrong-geometry/length", **values),
+                (Correction("arm", "", "link_length", corrected),),
+                factor=1.0 / ratio,
+                has_estimated_factor=True,
+            )
+    for ratio in case.values(name, "scale"):
+        yield other_scale(case.evidence, name, 1.0 / ratio, None, "motor-angle")
 
 
 _OF_ARM = (

@@ -8,6 +8,7 @@ gear stiffness.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -33,91 +34,54 @@ EFFORTS = ("torque", "u", "tau_l")
 """Kinds of channels of the effort of a joint, of which the first present one is compared."""
 
 
-def compute_reference_ratios(evidence: Evidence) -> list[Comparison]:
-    """Ratios of low-frequency motor velocity to servo reference.
+def compare_motor_signals(evidence: Evidence) -> Iterator[Comparison]:
+    """Compare motor velocities with references and with logged velocities, and torque sensors.
 
-    Covers the joints under servo control whose reference varies.
+    A reference is compared where it varies and the servo is not at its limit; a torque behind a
+    gear with that of the motor without friction and rotor.
     """
-    ratios: list[Comparison] = []
-    for record, i in _servo_controlled(evidence):
-        reference = record.channels[f"ref{i}"]
-        velocity = differentiate(record.channels[f"theta_m{i}"], record.sample_time)
-        slope = differentiate(reference, record.sample_time)
-        slope2 = differentiate(slope, record.sample_time)
-        columns = np.column_stack([reference, slope, slope2])[record.inside]
-        ratios.extend(_regress_ratio("reference", record, f"theta_m{i}", velocity, columns))
-    return ratios
-
-
-def compute_servo_output_ratios(evidence: Evidence) -> list[Comparison]:
-    """Ratios of the logged voltage to the servo output kp e + ki int(e) of the study.
-
-    e is reference minus motor velocity. Excludes joints with a PRBS added to the servo output, and
-    servos with a position loop: its law integrates twice, which the slow rows do not resolve.
-    """
-    ratios: list[Comparison] = []
-    servo = evidence.arm.servo
-    if servo is None or servo.position_gain is not None:
-        return ratios
-    for record, i in _servo_controlled(evidence):
-        name = f"u{i}"
-        has_prbs = record.experiment.prbs is not None and record.experiment.joint in (None, i)
-        if has_prbs or name not in record.channels:
-            continue
-        angle, reference = record.channels[f"theta_m{i}"], record.channels[f"ref{i}"]
-        error = reference - differentiate(angle, record.sample_time)
-        integral = np.cumsum(reference) * record.sample_time - angle
-        expected = servo.kp[i - 1] * error + servo.ki[i - 1] * integral
-        ratios.extend(
-            _regress_ratio(
-                "servo", record, name, record.channels[name], expected[record.inside, None]
-            )
-        )
-    return ratios
-
-
-def compute_velocity_ratios(evidence: Evidence) -> list[Comparison]:
-    """Ratios of the logged motor velocity to the derivative of the motor angle."""
-    ratios: list[Comparison] = []
+    kinds = ("theta_m", "ref", "omega_m", "u", "torque", "tau_l")
     for record in evidence.records:
-        for i in range(1, evidence.arm.n_joints + 1):
-            if f"omega_m{i}" in record.channels:
-                ratios.extend(_recall_velocity_ratio(evidence, record, i))
-    return ratios
+        for i, joint in enumerate(evidence.arm.joints, start=1):
+            signals = [record.channels.get(f"{kind}{i}") for kind in kinds]
+            setting = ("motor", i, record.sample_time, joint.gear_ratio)
+            compute = partial(_compare_motor, evidence, record, i)
+            yield from evidence.memory.recall(setting, signals, compute)
 
 
-def _recall_velocity_ratio(evidence: Evidence, record: SlowRecord, i: int) -> list[Comparison]:
-    """Velocity ratio of motor i, from 1, in one record, computed once."""
-    name = f"omega_m{i}"
-    angle, velocity = record.channels[f"theta_m{i}"], record.channels[name]
-
-    def compute() -> list[Comparison]:
-        columns = differentiate(angle, record.sample_time)[record.inside, None]
-        return [*_regress_ratio("velocity", record, name, velocity, columns)]
-
-    setting = ("velocity", i, record.sample_time)
-    return evidence.memory.recall(setting, (angle, velocity), compute)
+def _compare_motor(evidence: Evidence, record: SlowRecord, i: int) -> list[Comparison]:
+    """Comparisons of the signals of motor i, from 1."""
+    signals, T, servo = record.channels, record.sample_time, evidence.arm.servo
+    angle, velocity, reference = f"theta_m{i}", f"omega_m{i}", signals.get(f"ref{i}")
+    motor, sensor, rate = f"torque{i}", f"tau_l{i}", differentiate(signals[f"theta_m{i}"], T)
+    compared: list[tuple[str, str, FloatArray, list[FloatArray]]] = []
+    if servo is not None and reference is not None and np.ptp(reference) > 0.0:
+        is_limited = np.abs(signals.get(f"u{i}", np.zeros(1))) >= 0.999 * servo.limit
+        is_servoed = record.experiment.control[i - 1] == "servo"
+        if is_servoed and np.mean(is_limited) <= _MAX_SATURATED_SHARE:
+            slope = differentiate(reference, T)
+            columns = [reference, slope, differentiate(slope, T)]
+            compared.append(("reference", angle, rate, columns))
+    if velocity in signals:
+        compared.append(("velocity", velocity, signals[velocity], [rate]))
+    if {motor, sensor} <= set(signals) and not evidence.arm.is_coupled:
+        at_link = signals[motor] / evidence.arm.joints[i - 1].gear_ratio
+        columns = [at_link, rate, record.direction[:, i - 1], differentiate(rate, T)]
+        compared.append(("torque-sensor", sensor, signals[sensor], columns))
+    comparisons = []
+    for kind, channel, target, columns in compared:
+        fit = regress(target[record.inside], np.column_stack(columns)[record.inside])
+        if fit is not None:
+            values = {kind: fit.coefficient(0)}
+            each = Comparison(channel, record.experiment.name, fit.explained, values)
+            comparisons.append(each)
+    return comparisons
 
 
 def motor_signals(record: SlowRecord, arm: Arm) -> list[FloatArray]:
     """Angles and inputs of the motors of a record."""
     names = (f"{kind}{i}" for kind in ("theta_m", *EFFORTS) for i in range(1, arm.n_joints + 1))
     return [record.channels[name] for name in names if name in record.channels]
-
-
-def compare_torque_sensors(evidence: Evidence) -> Iterator[Comparison]:
-    """Ratios of torques behind the gears to those of the motors, without friction and rotor."""
-    for record in evidence.records:
-        for i, joint in enumerate(evidence.arm.joints, start=1):
-            motor, sensor = f"torque{i}", f"tau_l{i}"
-            if {motor, sensor} <= set(record.channels) and not evidence.arm.is_coupled:
-                rate = differentiate(record.channels[f"theta_m{i}"], record.sample_time)
-                own = [record.channels[motor] / joint.gear_ratio, rate, record.direction[:, i - 1]]
-                own.append(differentiate(rate, record.sample_time))
-                columns = np.column_stack(own)[record.inside]
-                yield from _regress_ratio(
-                    "torque-sensor", record, sensor, record.channels[sensor], columns
-                )
 
 
 def implied_mass(evidence: Evidence) -> float | None:
@@ -142,45 +106,6 @@ def implied_mass(evidence: Evidence) -> float | None:
                 size = reach * np.hypot(arm.gravity_size or 0.0, reach * fastest)
                 masses.append(0.5 * float(torque) / abs(joint.gear_ratio) / max(size, 1e-300))
     return float(max(masses)) if masses else None
-
-
-def link_speed(evidence: Evidence) -> float | None:
-    """Largest speed of a revolute joint [rad/s]; None of a single joint, which may spin."""
-    if evidence.arm.n_joints == 1:
-        return None
-    speeds = [
-        float(np.abs(recall_motion(r, evidence).velocity[r.inside, i]).max())
-        for r in evidence.records
-        for i, joint in enumerate(evidence.arm.joints)
-        if joint.motion == "revolute" and r.inside.any()
-    ]
-    return max(speeds, default=None)
-
-
-def _servo_controlled(evidence: Evidence) -> Iterator[tuple[SlowRecord, int]]:
-    """Records and joints (from 1) under servo control, unsaturated, with a varying reference."""
-    if evidence.arm.servo is None:
-        return
-    limit = 0.999 * evidence.arm.servo.limit
-    for record in evidence.records:
-        for i, control in enumerate(record.experiment.control, start=1):
-            if control != "servo" or f"ref{i}" not in record.channels:
-                continue
-            voltage = record.channels.get(f"u{i}")
-            if voltage is not None and np.mean(np.abs(voltage) >= limit) > _MAX_SATURATED_SHARE:
-                continue
-            if np.ptp(record.channels[f"ref{i}"]) > 0.0:
-                yield record, i
-
-
-def _regress_ratio(
-    kind: str, record: SlowRecord, channel: str, target: FloatArray, columns: FloatArray
-) -> Iterator[Comparison]:
-    """Coefficient of the first column in a regression; no ratio if the regression fails."""
-    fit = regress(target[record.inside], columns)
-    if fit is not None:
-        values = {kind: fit.coefficient(0)}
-        yield Comparison(channel, record.experiment.name, fit.explained, values)
 
 
 def spread_stretches(records: Sequence[SlowRecord], max_rows: int) -> list[list[slice]]:

@@ -16,13 +16,9 @@ from strainwave.signals.consistency.evidence import (
 )
 from strainwave.signals.consistency.input_delay import pool_delays
 from strainwave.signals.consistency.motors import (
-    compare_torque_sensors,
-    compute_reference_ratios,
-    compute_servo_output_ratios,
-    compute_velocity_ratios,
+    compare_motor_signals,
     effort_channel,
     implied_mass,
-    link_speed,
 )
 from strainwave.signals.consistency.regression import Comparison, pool_estimates
 from strainwave.signals.consistency.sensors import (
@@ -57,7 +53,6 @@ EXPECTED: Mapping[str, Expected] = {
     "limit": Expected("wrong-unit", 1.0),  # the stated limit can exclude an added PRBS
     "excited-joint": Expected("swapped-channels", 0.0),
     "reference": Expected("wrong-unit", 0.5, 0.02),  # units differ by a factor of 2
-    "servo": Expected("wrong-unit", 3.0, 0.1),  # the integrator state is unknown
     "velocity": Expected("wrong-unit", 0.05, 0.005),
     "scale": Expected("wrong-unit", 0.05, 0.008),  # range that the whole-arm fit corrects
     "own-joint": Expected("wrong-geometry", 0.08, 0.012),
@@ -77,7 +72,6 @@ EXPECTED: Mapping[str, Expected] = {
     "friction": Expected("effort-without-friction", 0.0, 0.0, 0.03, "least", 2.0),
     "presence": Expected("dead-channel", 0.0, 0.0, 0.1, "least"),  # of a silent channel
     "mass": Expected("wrong-unit", 0.0, bound="most"),
-    "speed": Expected("wrong-unit", 0.0, bound="most"),
     "explained-share": Expected("wrong-unit", 0.0, 0.0, 0.95, "least"),
 }
 """One row per kind of observation."""
@@ -94,8 +88,6 @@ _MAX_INPUT_DELAY_SAMPLES = 1.25
 """Tolerated delay of a command in sampling periods; logs hold the value before or after a tick."""
 _MAX_DENSITY = 3000.0
 """Largest mass over the cube of the reach of an arm [kg/m^3]; arms with a load have 5 to 300."""
-_MAX_SPEED = 40.0
-"""Largest plausible speed of a joint [rad/s]; arms reach 2 to 20, in degrees more than 60."""
 # Largest error of the own-joint scale that counts as correct; calibrations are accurate to 1 %.
 # The tolerated relative error of link_length is then smaller.
 _MAX_SCALE_ERROR, _LENGTH_TOLERANCE = 0.025, 0.04
@@ -217,11 +209,8 @@ def compute_observations(evidence: Evidence) -> Iterator[Observation]:
     yield from _observe_clocks(evidence)
     yield from _observe_test_signals(evidence)
     yield from _observe_input_delays(evidence)
-    yield from _observe_ratios("reference", compute_reference_ratios(evidence))
-    yield from _observe_ratios("servo", compute_servo_output_ratios(evidence))
-    yield from _observe_ratios("velocity", compute_velocity_ratios(evidence))
-    yield from _observe_ratios("torque-sensor", compare_torque_sensors(evidence))
-    yield from _observe_sizes(evidence)
+    yield from _observe_ratios(compare_motor_signals(evidence))
+    yield from _observe_mass(evidence)
     yield from _observe_torque_fit(evidence)
     for channel, readings in regress_readings(evidence):
         yield from _observe_sensor(Place(channel=channel), readings)
@@ -319,26 +308,23 @@ def _observe_friction(evidence: Evidence) -> Iterator[Observation]:
         yield Observation("friction", Place(part="arm"), value, std)
 
 
-def _observe_sizes(evidence: Evidence) -> Iterator[Observation]:
-    """Speed and implied mass over the largest plausible ones."""
-    speed, mass = link_speed(evidence), implied_mass(evidence)
-    if speed is not None:
-        yield Observation("speed", Place(part="arm"), speed / _MAX_SPEED, 0.0)
+def _observe_mass(evidence: Evidence) -> Iterator[Observation]:
+    """Implied mass over the largest plausible one."""
+    mass = implied_mass(evidence)
     if mass is not None:
         reach = sum(float(np.linalg.norm(j.origin.xyz)) for j in evidence.arm.joints[1:])
-        ratio = mass / (_MAX_DENSITY * reach**3)
-        yield Observation("mass", Place(part="arm"), ratio, 0.0)
+        yield Observation("mass", Place(part="arm"), mass / (_MAX_DENSITY * reach**3), 0.0)
 
 
-def _observe_ratios(kind: str, ratios: Iterable[Comparison]) -> Iterator[Observation]:
+def _observe_ratios(ratios: Iterable[Comparison]) -> Iterator[Observation]:
     by_channel: dict[str, list[Comparison]] = {}
     for each in ratios:
         by_channel.setdefault(each.channel, []).append(each)
     for channel, comparisons in by_channel.items():
         place, best = Place(channel=channel), max(each.explained for each in comparisons)
         yield Observation("explained-share", place, best, 0.0)
-        is_strict = kind in ("reference", "torque-sensor")  # a servo can lag, and a torque be noise
-        least = EXPECTED["explained-share"].expected if is_strict else None
+        (kind,) = comparisons[0].values
+        least = None if kind == "velocity" else EXPECTED["explained-share"].expected
         if best > (least or _MIN_PARTLY_EXPLAINED_SHARE):
             yield from _pooled(kind, place, [e for e in comparisons if e.explained > 0.8 * best])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from strainwave.domain import Clause, Place, Study, Suspicion
+from strainwave.domain import Clause, Place, Suspicion
 from strainwave.signals.consistency.observations import EXPECTED, Observation
 
 # Minimum explained share of a link sensor's variance; short records of fault-free arms reach 0.8.
@@ -32,7 +32,7 @@ def is_reported(each: Observation) -> bool:
 
 
 def report_remaining_contradictions(
-    contradictions: Sequence[Observation], likely: Sequence[str], study: Study
+    contradictions: Sequence[Observation], likely: Sequence[str]
 ) -> Iterator[Suspicion]:
     """Suspicions for the remaining contradictions, one per channel.
 

@@ -419,9 +419,11 @@ def _regress_torque(
         excited = values > _MIN_SINGULAR_VALUE * values[0]
         of_weight = np.r_[weight, 0.0][: len(size)] / size @ (axes[excited].T / values[excited])
         fit = regress(target, basis[:, excited], None, _MODEL_ERROR_SHARE, _ROW_STRIDE)
-        if fit is None:
+        n_free = len(target) - ROWS_PER_INDEPENDENT_ROW / _ROW_STRIDE * int(excited.sum())
+        if fit is None or n_free <= 0.0:  # a short record does not determine the links
             continue
         inertia, std = float(of_weight @ fit.value), float(np.linalg.norm(of_weight @ fit.root))
+        std *= np.sqrt((len(target) - excited.sum()) / n_free)
         estimates.append(TorqueRegression(i + 1, inertia, std, fit.explained))
         if inertia >= 0.0:
             break

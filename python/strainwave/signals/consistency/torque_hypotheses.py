@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -23,10 +22,11 @@ from strainwave.signals.consistency.hypothesis import (
     STEPS,
     Case,
     Hypothesis,
-    exchange,
+    angle_unit,
+    exchanges,
     of_logs,
-    places_of,
-    scale_hypothesis,
+    other_meaning,
+    other_scale,
     scaled,
     whole_reduction,
 )
@@ -76,10 +76,15 @@ def propose_explanations(case: Case) -> Iterator[Hypothesis]:
     found = case.explanations
     if not found:
         return
-    good = [_of_record(each) for each in found if each.is_as_good(found[0])]
-    good.sort(key=lambda h: (bool(h.excluded), _complexity(h), _enlarges(h), h.penalised_cost))
-    rivals = [each.as_rival() for each in good]
-    desired = [replace(each, rivals=tuple(rivals)) for each in _desired(case.evidence)]
+    good = [_in_words(each) for each in found if each.is_as_good(found[0])]
+    good.sort(key=lambda h: (bool(h.excluded), _complexity(h), h.penalised_cost))
+    rivals = tuple(each.as_rival() for each in good)
+    desired = []
+    efforts = _motor_torques(case.evidence)
+    shares = [share for share, _ in friction_shares(case.evidence).values()]
+    if efforts and shares and (share := float(np.median(shares))) < _MIN_FRICTION_OF_GEARS:
+        clause = Clause("desired-effort", channels=efforts, share=share)
+        desired = [replace(other_meaning(efforts, "desired", clause), rivals=rivals)]
     if good[0].kind == "delay":  # efforts of a set-point are early
         yield from desired
     for each in good:
@@ -89,46 +94,33 @@ def propose_explanations(case: Case) -> Iterator[Hypothesis]:
     yield from desired
 
 
-def _of_record(each: Hypothesis) -> Hypothesis:
-    """The hypothesis in words; one record with a fault is named."""
-    values = {
-        **dict(each.clause.values),
-        "ratio": float(np.exp(each.gain.mean if each.gain else 0.0)),
-    }
-    clause = Clause(each.clause.template, **values)
+def _in_words(each: Hypothesis) -> Hypothesis:
+    """The hypothesis with its gain in words; one record with a fault is named."""
+    ratio = float(np.exp(each.gain.mean if each.gain else 0.0))
+    clause = Clause(each.clause.template, **{**dict(each.clause.values), "ratio": ratio})
     if not each.excluded or each.kind == "payload":
         return replace(each, clause=clause)
-    places = tuple(replace(place, experiments=each.excluded) for place in each.places)
     (record,) = each.excluded
-    remedy = Clause("remedy/record", record=record)
-    clause = Clause("record", record=record, fault=clause)
-    return replace(each, places=places, clause=clause, remedy=remedy)
+    return replace(
+        each,
+        at=tuple(replace(place, experiments=each.excluded) for place in each.places),
+        clause=Clause("record", record=record, fault=clause),
+        remedy=Clause("remedy/record", record=record),
+    )
 
 
-def _complexity(each: Hypothesis) -> int:
-    """0 for exchanges, signs, units and axes, 1 for one number, 2 for several."""
-    return min(max(each.n_coordinates, each.kind == "zero"), 2)
+def _complexity(each: Hypothesis) -> tuple[int, bool]:
+    """0 for exchanges, signs, units and axes, 1 for one number, 2 for several.
+
+    Also whether a scale is larger than that of SI units; small units are the common fault.
+    """
+    is_larger = each.kind == "torque" and abs(each.corrections[0].number) > 1.0
+    return min(max(each.n_coordinates, each.kind == "zero"), 2), is_larger
 
 
-def _enlarges(each: Hypothesis) -> bool:
-    """Whether a scale is larger than that of SI units; small units are the common fault."""
-    return each.kind == "torque" and abs(each.corrections[0].number) > 1.0
-
-
-def _desired(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Efforts of the set-point, which contain hardly any friction."""
-    names = [f"torque{i}" for i in range(1, evidence.arm.n_joints + 1)]
-    efforts = tuple(name for name in names if name in evidence.channels)
-    shares = [share for share, _ in friction_shares(evidence).values()]
-    if efforts and shares and (share := float(np.median(shares))) < _MIN_FRICTION_OF_GEARS:
-        clause = Clause("desired-effort", channels=efforts, share=share)
-        yield _meaning(efforts, "desired", clause)
-
-
-def _meaning(efforts: Sequence[str], meaning: str, clause: Clause) -> Hypothesis:
-    """Another meaning of the efforts."""
-    changes = tuple(Correction("channels", name, "meaning", meaning) for name in efforts)
-    return Hypothesis(clause.template, places_of(efforts), clause, changes, kind=meaning)
+def _motor_torques(evidence: Evidence) -> tuple[str, ...]:
+    names = (f"torque{i + 1}" for i in range(evidence.arm.n_joints))
+    return tuple(name for name in names if name in evidence.channels)
 
 
 def propose_discrete(evidence: Evidence, doubtful: Sequence[str]) -> Iterator[Hypothesis]:
@@ -136,15 +128,16 @@ def propose_discrete(evidence: Evidence, doubtful: Sequence[str]) -> Iterator[Hy
 
     Also reversed and exchanged channels in one of the `doubtful` records.
     """
-    arm, joints = evidence.study.arm, range(1, evidence.arm.n_joints + 1)
-    for i in joints:
+    arm = evidence.study.arm
+    for i, joint in enumerate(arm.joints, start=1):
         names = [n for n in (f"theta_m{i}", f"omega_m{i}") if n in evidence.channels]
-        reversed_angle = scale_hypothesis(evidence, names[0], -1.0, None, "motion")
-        changes = scaled(evidence, names, -1.0)
-        yield replace(reversed_angle, corrections=changes, kind="angle")
-        if arm.joints[i - 1].motion == "revolute":
+        reversed_angle = other_scale(evidence, names[0], -1.0, None, "motion")
+        changes, at = scaled(evidence, names, -1.0), reversed_angle.places
+        yield replace(reversed_angle, corrections=changes, at=at, kind="angle")
+        if joint.motion == "revolute":
             yield from (_zero(evidence, i, np.array([a / _ANGLE_STD])) for a in _QUARTER_TURNS)
-        yield from filter(None, (_torque(evidence, i, factor) for factor in _TORQUE_UNITS))
+        if _torque_scale(evidence, i) is not None:
+            yield from (_torque(evidence, i, factor) for factor in _TORQUE_UNITS)
     if not kind_of(arm).places_joints:
         yield from _axes(evidence)
     yield from _gravities(evidence)
@@ -154,27 +147,20 @@ def propose_discrete(evidence: Evidence, doubtful: Sequence[str]) -> Iterator[Hy
             matrix = tuple(tuple(map(float, row)) for row in other)
             change = Correction("transmission", "", "coupling", matrix)
             clause = Clause("wrong-geometry/coupling", corrected=_text(matrix))
-            yield _geometry("coupling", Place(key="coupling"), clause, change)
-    efforts = [n for i in joints if (n := f"torque{i}") in evidence.channels]
-    if efforts and arm.gravity:
-        yield _meaning(efforts, "without-gravity", Clause("effort-without-gravity"))
+            yield Hypothesis("wrong-geometry", clause, (change,), kind="coupling")
+    if (efforts := _motor_torques(evidence)) and arm.gravity:
+        yield other_meaning(efforts, "without-gravity", Clause("effort-without-gravity"))
     if all(joint.motion == "revolute" for joint in arm.joints):
         names = [n for n in sorted(evidence.channels) if channel_parts(n)[0] in _ANGLES]
         for unit, factor in (("degrees", np.pi / 180.0), ("turns", 2.0 * np.pi)):
-            clause = Clause("wrong-unit/angles", channels=tuple(names), unit=unit)
-            changes = scaled(evidence, names, factor)
-            places = places_of(names)
-            yield Hypothesis(
-                "wrong-unit", places, clause, changes, factor=1.0 / factor, kind="unit"
-            )
+            yield angle_unit(names, unit, scaled(evidence, names, factor), factor)
     yield from _efforts(evidence)
     for record in doubtful:
-        clause = Clause("unstated-payload", record=record)
         yield Hypothesis(
             "unstated-payload",
-            (Place(experiments=(record,), key="payload"),),
-            clause,
+            Clause("unstated-payload", record=record),
             remedy=Clause("remedy/payload", record=record),
+            at=(Place(experiments=(record,), key="payload"),),
             excluded=(record,),
             kind="payload",
             n_coordinates=N_LOAD_PARAMETERS,
@@ -187,19 +173,20 @@ def _efforts(evidence: Evidence) -> Iterator[Hypothesis]:
     """Reversed and exchanged efforts."""
     joints = range(1, evidence.arm.n_joints + 1)
     for i in joints:
-        if effort_channel(evidence.channels, i) is not None:
-            yield from filter(None, [_torque(evidence, i, -1.0)])
+        if (name := effort_channel(evidence.channels, i)) is not None:
+            clause = Clause("wrong-sign/torques", joint=i, channel=name)
+            change = Correction("channels", name, "scale", -evidence.channel(name).scale)
+            yield Hypothesis("wrong-sign", clause, (change,), factor=-1.0, kind="torque")
     for pair in combinations(joints, 2):
         # motor torques can be exchanged without those of the sensors behind the gears
-        for kinds in (EFFORTS[:2], EFFORTS):
-            yield from filter(None, [exchange(evidence, kinds, pair)])
+        yield from exchanges(evidence, (EFFORTS[:2], EFFORTS), pair)
 
 
 def exchanged_joints(evidence: Evidence) -> Iterator[Hypothesis]:
     """Exchanged motor angles, or angles and efforts, of two joints."""
+    groups = (_ANGLES, (*_ANGLES, *EFFORTS[:2]), (*_ANGLES, *EFFORTS))
     for pair in combinations(range(1, evidence.arm.n_joints + 1), 2):
-        for kinds in (_ANGLES, (*_ANGLES, *EFFORTS[:2]), (*_ANGLES, *EFFORTS)):
-            yield from filter(None, [exchange(evidence, kinds, pair)])
+        yield from exchanges(evidence, groups, pair)
 
 
 def _axes(evidence: Evidence) -> Iterator[Hypothesis]:
@@ -207,24 +194,14 @@ def _axes(evidence: Evidence) -> Iterator[Hypothesis]:
     for i, joint in enumerate(evidence.study.arm.joints, start=1):
         stated, opposite = np.array(joint.axis), tuple(-x for x in joint.axis)
         for axis in dict.fromkeys([opposite, *_DIRECTIONS]):
-            if axis @ stated >= _EQUAL_DIRECTIONS * np.linalg.norm(stated):
-                continue
-            place, change = Place(joint=i, key="axis"), Correction("joint", str(i), "axis", axis)
+            change = Correction("joint", str(i), "axis", axis)
             if axis == opposite:
                 clause, remedy = Clause("wrong-sign/axis", joint=i), Clause("remedy/axis", joint=i)
-                yield Hypothesis(
-                    "wrong-sign", (place,), clause, (change,), remedy, factor=-1.0, kind="axis"
-                )
-            else:
+                yield Hypothesis("wrong-sign", clause, (change,), remedy, factor=-1.0, kind="axis")
+            elif axis @ stated < _EQUAL_DIRECTIONS * np.linalg.norm(stated):
                 texts = {"corrected": _text(axis), "stated": _text(joint.axis)}
                 clause = Clause("wrong-geometry/axis", joint=i, **texts)
-                yield _geometry("axis", place, clause, change)
-
-
-def _geometry(
-    kind: str, place: Place, clause: Clause, *changes: Correction, **fields: Any
-) -> Hypothesis:
-    return Hypothesis("wrong-geometry", (place,), clause, changes, kind=kind, **fields)
+                yield Hypothesis("wrong-geometry", clause, (change,), kind="axis")
 
 
 def _gravities(evidence: Evidence) -> Iterator[Hypothesis]:
@@ -245,81 +222,61 @@ def _gravities(evidence: Evidence) -> Iterator[Hypothesis]:
 def other_gravity(evidence: Evidence) -> Hypothesis:
     """Gravity of a plane that the study states as horizontal, or none."""
     size = evidence.study.arm.gravity_size
-    clause = Clause("wrong-geometry/vertical")
-    if size:
-        clause = Clause("wrong-geometry/horizontal", gravity=size)
+    clause = Clause(
+        "wrong-geometry/horizontal" if size else "wrong-geometry/vertical", gravity=size
+    )
     change = Correction("arm", "", "gravity", None if size else _STANDARD_GRAVITY)
-    return _geometry("gravity", Place(key="gravity"), clause, change)
+    return Hypothesis("wrong-geometry", clause, (change,), kind="gravity")
 
 
 def _turned(evidence: Evidence, gravity: tuple[float, ...]) -> Hypothesis:
     texts = {"corrected": _text(gravity), "stated": _text(evidence.study.arm.gravity)}
-    clause, change = (
-        Clause("wrong-geometry/gravity", **texts),
-        Correction("arm", "", "gravity", gravity),
-    )
-    return _geometry("gravity", Place(key="gravity"), clause, change)
+    change = Correction("arm", "", "gravity", gravity)
+    clause = Clause("wrong-geometry/gravity", **texts)
+    return Hypothesis("wrong-geometry", clause, (change,), kind="gravity")
 
 
-def _torque_scale(evidence: Evidence, i: int) -> tuple[Place, Correction] | None:
-    """Place and stated scale of the torque channel, or the torque constant; None without both."""
+def _torque_scale(evidence: Evidence, i: int) -> Correction | None:
+    """Stated scale of the torque channel, or the torque constant; None without both."""
     name, constant = f"torque{i}", evidence.study.arm.joints[i - 1].known_torque_per_volt
     if name in evidence.channels:
-        scale = evidence.channel(name).scale
-        return Place(channel=name), Correction("channels", name, "scale", scale)
-    if constant is None:
-        return None
-    place = Place(joint=i, key="torque_per_volt")
-    return place, Correction("joint", str(i), "torque_per_volt", constant)
+        return Correction("channels", name, "scale", evidence.channel(name).scale)
+    return None if constant is None else Correction("joint", str(i), "torque_per_volt", constant)
 
 
-def _torque(evidence: Evidence, i: int, factor: float) -> Hypothesis | None:
-    """Another torque constant of one joint, or another unit or sign of its torque."""
-    if factor == -1.0:
-        name = effort_channel(evidence.channels, i) or ""
-        clause = Clause("wrong-sign/torques", joint=i, channel=name)
-        change = Correction("channels", name, "scale", -evidence.channel(name).scale)
-        return Hypothesis(
-            "wrong-sign", places_of([name]), clause, (change,), factor=-1.0, kind="torque"
-        )
+def _torque(evidence: Evidence, i: int, factor: float) -> Hypothesis:
+    """Another torque constant of one joint that has one, or another unit of its torque."""
     stated = _torque_scale(evidence, i)
-    if stated is None:
-        return None
+    assert stated is not None
     is_unit = abs(abs(np.log10(factor)) - 3.0) < _UNIT_TOLERANCE
     code = "wrong-unit" if is_unit else "wrong-torque-constant"
-    place, correction = stated
-    return Hypothesis(
-        code,
-        (place,),
-        Clause(f"{code}/torques", joint=i, factor=factor),
-        (replace(correction, value=correction.number * factor),),
-        STEPS if is_unit else Clause("remedy/torque-estimate"),
-        factor=1.0 / factor,
-        kind="torque",
-    )
+    clause = Clause(f"{code}/torques", joint=i, factor=factor)
+    changes = (replace(stated, value=stated.number * factor),)
+    remedy = STEPS if is_unit else Clause("remedy/torque-estimate")
+    return Hypothesis(code, clause, changes, remedy, factor=1.0 / factor, kind="torque")
 
 
 def propose_families(evidence: Evidence) -> Iterator[Family]:
     """Gravity, ratios, zeros, frames, torques and delays."""
-    arm = evidence.study.arm
+    arm, joints = evidence.study.arm, range(1, evidence.arm.n_joints + 1)
     is_chain = not kind_of(arm).places_joints
     if arm.gravity and is_chain:
         tolerated = np.full(3, _TOLERATED_GRAVITY / _GRAVITY_STD)
         yield Family(tolerated, partial(_gravity, evidence))
-    joints = range(1, arm.n_joints + 1)
     for i in joints:
         yield Family(np.array([_TOLERATED_RATIO / _RATIO_STD]), partial(_ratio, evidence, i))
         yield Family(np.array([_TOLERATED_ANGLE / _ANGLE_STD]), partial(_zero, evidence, i))
         if is_chain:
             yield Family(_TOLERATED_FRAME, partial(_frame, evidence, i))
-        if _torque_scale(evidence, i):
+        if _torque_scale(evidence, i) is not None:
             tolerated = np.array([_TOLERATED_TORQUE / _RATIO_STD])
             yield Family(tolerated, partial(_constant, evidence, i))
     step = max(r.sample_time for r in evidence.records)
     efforts = [name for i in joints if (name := effort_channel(evidence.channels, i))]
     angles = [[n for n in (f"theta_m{i}", f"omega_m{i}") if n in evidence.channels] for i in joints]
     for names in (efforts, *([name] for name in efforts), *angles):
-        yield Family(np.array([_TOLERATED_DELAY / step]), partial(_delay, evidence, names, step))
+        late = partial(_delay, evidence, names, step)
+        yield Family(np.array([_TOLERATED_DELAY / step]), late)
 
 
 def all_frames(evidence: Evidence) -> Family:
@@ -340,9 +297,7 @@ def _gravity(evidence: Evidence, x: FloatArray, *, is_final: bool = False) -> Hy
 
 
 def _constant(evidence: Evidence, i: int, x: FloatArray, *, is_final: bool = False) -> Hypothesis:
-    constant = _torque(evidence, i, float(np.exp(_RATIO_STD * x[0])))
-    assert constant is not None  # families have a scale
-    return constant
+    return _torque(evidence, i, float(np.exp(_RATIO_STD * x[0])))
 
 
 def _ratio(evidence: Evidence, i: int, x: FloatArray, *, is_final: bool = False) -> Hypothesis:
@@ -351,10 +306,8 @@ def _ratio(evidence: Evidence, i: int, x: FloatArray, *, is_final: bool = False)
     ratio = stated * float(np.exp(_RATIO_STD * x[0]))
     ratio = whole_reduction(ratio)[0] if is_final else ratio
     clause = Clause("wrong-gear-ratio/torques", joint=i, corrected=ratio, stated=stated)
-    change = Correction("joint", str(i), "gear_ratio", ratio)
-    place = Place(joint=i, key="gear_ratio")
-    factor = stated / ratio
-    return Hypothesis("wrong-gear-ratio", (place,), clause, (change,), factor=factor, kind="ratio")
+    change, factor = Correction("joint", str(i), "gear_ratio", ratio), stated / ratio
+    return Hypothesis("wrong-gear-ratio", clause, (change,), factor=factor, kind="ratio")
 
 
 def _delay(
@@ -371,7 +324,6 @@ def _delay(
     side = "later" if delay > 0.0 else "earlier"
     return Hypothesis(
         "misaligned",
-        places_of(names),
         Clause("misaligned/motors", channels=tuple(names), delay=abs(delay), side=side),
         of_logs(names, "delay_s", delay),
         Clause("remedy/command"),
@@ -389,7 +341,6 @@ def _zero(evidence: Evidence, i: int, x: FloatArray, *, is_final: bool = False) 
     is_near = evidence.arm.n_joints == 1 or abs(angle) < _MAX_FITTED_ZERO
     return Hypothesis(
         "wrong-zero",
-        places_of([name]),
         Clause("wrong-geometry/zero", joint=i, angle=abs(angle)),
         (change,),
         is_fitted=is_near and _is_fitted(evidence, [name], "encoder-zero"),
@@ -414,14 +365,16 @@ def _frame(evidence: Evidence, i: int, x: FloatArray, *, is_final: bool = False)
     rpy = np.array(origin.rpy) + _ANGLE_STD * x[3:]
     length = _LENGTH_STD * float(np.linalg.norm(x[:3]))
     angle = _ANGLE_STD * float(np.linalg.norm(x[3:]))
-    return _geometry(
-        "frame",
-        Place(joint=i, key="origin"),
+    return Hypothesis(
+        "wrong-geometry",
         Clause("wrong-geometry/frame", joint=i, length=length, angle=angle),
-        Correction("joint", str(i), "origin.xyz", _rounded(xyz)),
-        Correction("joint", str(i), "origin.rpy", _rounded(rpy)),
-        remedy=Clause("remedy/frame"),
+        (
+            Correction("joint", str(i), "origin.xyz", _rounded(xyz)),
+            Correction("joint", str(i), "origin.rpy", _rounded(rpy)),
+        ),
+        Clause("remedy/frame"),
         moves_frames=True,
+        kind="frame",
     )
 
 
@@ -431,13 +384,14 @@ def _robot(evidence: Evidence, x: FloatArray, *, is_final: bool = False) -> Hypo
     frames = [_frame(evidence, i, row) for i, row in enumerate(rows, start=1)]
     sizes = [float(np.linalg.norm(part, axis=1).max()) for part in (rows[:, :3], rows[:, 3:])]
     length, angle = _LENGTH_STD * sizes[0], _ANGLE_STD * sizes[1]
-    return _geometry(
-        "robot",
-        Place(key="origin" if evidence.study.arm.urdf is None else "urdf"),
+    return Hypothesis(
+        "wrong-geometry",
         Clause("wrong-geometry/robot", length=length, angle=angle),
-        *(change for frame in frames for change in frame.corrections),
-        remedy=Clause("remedy/robot"),
+        tuple(change for frame in frames for change in frame.corrections),
+        Clause("remedy/robot"),
+        at=(Place(key="origin" if evidence.study.arm.urdf is None else "urdf"),),
         moves_frames=True,
+        kind="robot",
     )
 
 
