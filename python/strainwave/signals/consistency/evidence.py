@@ -62,7 +62,16 @@ class Memory:
 
     def __init__(self) -> None:
         self._results: dict[tuple[Hashable, ...], tuple[tuple[object, ...], Any]] = {}
-        self.stated_arm: object = None  # the large results are kept for this arm alone
+        self._stated: dict[int, object] = {}  # the large results are kept for these alone
+
+    def state(self, arm: Arm, records: Sequence[SlowRecord]) -> None:
+        """Keep large results of an arm and of the signals of records."""
+        signals = [x for record in records for x in record.channels.values()]
+        self._stated = {id(x): x for x in (arm, *signals)}
+
+    def is_stated(self, *sources: object) -> bool:
+        """Whether large results of the sources are kept."""
+        return all(id(x) in self._stated for x in sources)
 
     def recall(
         self, name: Hashable, sources: Sequence[object], compute: Callable[[], Result]
@@ -141,12 +150,11 @@ class Evidence:
 
     def corrected_in(self, record: str, corrections: Sequence[Correction]) -> Evidence:
         """Evidence after corrections of the channels of one record, or of all if it is empty."""
-        after = self.corrected(corrections)
         if not record:
-            return after
-        pairs = zip(self.records, after.records, strict=True)
-        records = [new if new.experiment.name == record else old for old, new in pairs]
-        return replace(self, records=tuple(records))
+            return self.corrected(corrections)
+        (one,) = [r for r in self.records if r.experiment.name == record]
+        (changed,) = replace(self, records=(one,)).corrected(corrections).records
+        return replace(self, records=tuple(changed if r is one else r for r in self.records))
 
     def without_records(self, names: Collection[str]) -> Evidence:
         """Evidence without the records `names`."""

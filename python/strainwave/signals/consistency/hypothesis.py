@@ -190,9 +190,9 @@ def exchanges(
     evidence: Evidence, groups: Iterable[Sequence[str]], joints: tuple[int, int]
 ) -> Iterator[Hypothesis]:
     """Exchanged channels of two joints, for each group of kinds of those that both have."""
-    i, j = joints
+    (i, j), channels = joints, evidence.channels
     named = [[(f"{kind}{i}", f"{kind}{j}") for kind in kinds] for kinds in groups]
-    given = [tuple(p for p in pairs if set(p) <= evidence.channels) for pairs in named]
+    given = [tuple(p for p in pairs if set(p) <= channels) for pairs in named]
     for pairs in filter(None, dict.fromkeys(given)):
         clause = Clause("swapped-channels", pairs=pairs, joints=joints)
         if len(pairs) == 1:

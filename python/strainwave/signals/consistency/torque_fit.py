@@ -11,7 +11,8 @@ torque that the fit does not explain is then larger than with the correct chain.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import TypeVar
 
 import numpy as np
@@ -67,6 +68,7 @@ class TorqueSystem:
     records: tuple[str, ...]  # record of each stretch
     total: Mapping[int, float]  # joint -> sum of squares of the torque about its mean
     n_rows: Mapping[int, float]  # joint -> independent rows beyond its own parameters
+    grams: Mapping[int, FloatArray] = field(default_factory=dict)  # joint -> columns' columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,8 +185,8 @@ def friction_shares(evidence: Evidence) -> dict[int, tuple[float, float]]:
         return {}
     fit = fit_torques(system)
     friction, noise = dict.fromkeys(system.total, 0.0), dict.fromkeys(system.total, 0.0)
-    for each, columns in _blocks(evidence, Arm.base_regressor, "regressor"):
-        own = each.torque - (columns - columns.mean(axis=0)) @ fit.links
+    for each in _blocks(evidence, Arm.base_regressor, "regressor"):
+        own = each.torque - (each.of_links - each.of_links.mean(axis=0)) @ fit.links
         friction[each.joint] += float(np.sum((each.basis[:, 1:].T @ own) ** 2))
         rows = max(len(own) * _ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW, 1.0)
         noise[each.joint] += float(np.sum(each.remainder(own) ** 2)) / rows
@@ -206,7 +208,8 @@ def fit_torques(system: TorqueSystem) -> TorqueFit:
     equations = {}
     for i, rows in of_joint.items():
         block = system.columns[rows]
-        equations[i] = block.T @ block, block.T @ system.torque[rows]
+        gram = system.grams[i] if i in system.grams else block.T @ block
+        equations[i] = gram, block.T @ system.torque[rows]
     for _ in range(_N_ITERATIONS):
         weight = np.zeros(len(system.torque))
         for i, rows in of_joint.items():
@@ -303,9 +306,9 @@ def torque_system(evidence: Evidence, loaded: str = "") -> TorqueSystem | None:
     records: list[str] = []
     totals: dict[int, float] = {}
     n_rows: dict[int, float] = {}
-    for each, of_links in _blocks(evidence, Arm.base_regressor, "regressor"):
-        columns = each.remainder(of_links)
-        i, torque = each.joint, each.torque
+    grams: dict[int, FloatArray] = {}
+    for each in _blocks(evidence, Arm.base_regressor, "regressor"):
+        i, torque, columns = each.joint, each.torque, each.columns
         n_folds = max(2, each.n_rows // _FOLD_ROWS)
         name = each.record.experiment.name
         if name not in records:
@@ -315,6 +318,8 @@ def torque_system(evidence: Evidence, loaded: str = "") -> TorqueSystem | None:
         if loaded:
             of_load = columns[:, -_N_LINK_PARAMETERS:] * (name == loaded)
             columns = np.column_stack([columns, of_load])
+        else:
+            grams[i] = grams[i] + each.gram if i in grams else each.gram
         blocks.append(np.column_stack([columns, each.remainder(torque)]))
         joints.append(np.full(len(torque), i))
         totals[i] = totals.get(i, 0.0) + float(torque @ torque)
@@ -324,7 +329,7 @@ def torque_system(evidence: Evidence, loaded: str = "") -> TorqueSystem | None:
         return None
     equations, joint = np.concatenate(blocks), np.concatenate(joints)
     columns, torques, fold = equations[:, :-1], equations[:, -1], np.concatenate(folds)
-    return TorqueSystem(columns, torques, joint, fold, tuple(records), totals, n_rows)
+    return TorqueSystem(columns, torques, joint, fold, tuple(records), totals, n_rows, grams)
 
 
 def unexplained_torques(evidence: Evidence, links: FloatArray) -> FloatArray:
@@ -337,8 +342,8 @@ def unexplained_torques(evidence: Evidence, links: FloatArray) -> FloatArray:
 
     return np.concatenate(
         [
-            block.remainder(block.torque - torques[:, 0])
-            for block, torques in _blocks(evidence, torques_of, None)
+            block.remainder(block.torque - block.of_links[:, 0])
+            for block in _blocks(evidence, torques_of, None)
         ]
     )
 
@@ -399,9 +404,9 @@ def _regress_torque(
     arm = arm_of_torques(evidence)
     unit = arm.links_of(np.eye(arm.n_joints)[i])
     targets, blocks, weights = [], [], []
-    for block, of_links in _blocks(evidence, Arm.base_regressor, "regressor", records, i):
+    for block in _blocks(evidence, Arm.base_regressor, "regressor", records, i):
         targets.append(block.torque)
-        columns = np.column_stack([block.own, of_links, block.angle])
+        columns = np.column_stack([block.own, block.of_links, block.angle])
         blocks.append(columns - columns.mean(axis=0))
         q = recall_motion(block.record, evidence).angle[::_POSTURE_STRIDE]
         rest = np.zeros_like(q)
@@ -430,7 +435,7 @@ def _regress_torque(
     return estimates[-1] if estimates else None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _Block:
     """Rows of one joint in one record."""
 
@@ -442,6 +447,17 @@ class _Block:
     angle: FloatArray  # (n_rows,) [rad] of the motor
     own: FloatArray  # (n_rows, n) acceleration, rate and direction of the motor
     basis: FloatArray  # (n_rows, n) of what its own motor and friction explain
+    of_links: FloatArray  # (n_rows, n) torques of the links at the motor
+
+    @cached_property
+    def columns(self) -> FloatArray:
+        """Torques of the links without the part that the motor and friction explain."""
+        return self.remainder(self.of_links)
+
+    @cached_property
+    def gram(self) -> FloatArray:
+        """Normal matrix of the columns, (n, n)."""
+        return np.asarray(self.columns.T @ self.columns)
 
     def remainder(self, torques: FloatArray) -> FloatArray:
         """Torques (n_rows,) or (n_rows, n) without that part, about their mean."""
@@ -455,7 +471,7 @@ def _blocks(
     name: str | None,
     records: Sequence[SlowRecord] | None = None,
     only: int | None = None,
-) -> Iterator[tuple[_Block, FloatArray]]:
+) -> Iterator[_Block]:
     """Rows of each joint, or one, in each slow record, or others, with torques of the links.
 
     `torques_of` returns torques at the links, (n_samples, n_joints, n), of a motion. Under `name`
@@ -476,28 +492,40 @@ def _blocks(
 
         setting = (name, record.sample_time, *(each.start for each in stretches))
         angles = [record.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)]
-        if name and evidence.arm is evidence.memory.stated_arm:
+        is_stated = name is not None and evidence.memory.is_stated(evidence.arm, *angles)
+        if name and evidence.memory.is_stated(evidence.arm):
             of_motors = evidence.memory.recall(setting, (arm, *angles), compute)
         else:
             of_motors = compute()
         for i in range(arm.n_joints) if only is None else (only,):
-            if effort_channel(record.channels, i + 1) is None:
+            effort = effort_channel(record.channels, i + 1)
+            if effort is None:
                 continue
-            rows, own, basis = _recall_basis(evidence, record, i, stretches)
-            torque = _strided(compute_motor_torque(record, arm, i), stretches)[rows]
-            if own is not None and np.ptp(torque) > 0.0:
-                angle = _strided(record.channels[f"theta_m{i + 1}"], stretches)[rows]
-                block = _Block(
-                    record,
-                    i + 1,
-                    torque - torque.mean(),
-                    np.flatnonzero(rows),
-                    len(rows),
-                    angle,
-                    own,
-                    basis,
-                )
-                yield block, of_motors[rows, i]
+            torque = record.channels[effort]
+            make = partial(_block, evidence, record, i, stretches, of_motors)
+            if is_stated and evidence.memory.is_stated(torque):
+                block = evidence.memory.recall((i, *setting), (arm, torque, *angles), make)
+            else:
+                block = make()
+            if block is not None:
+                yield block
+
+
+def _block(
+    evidence: Evidence,
+    record: SlowRecord,
+    i: int,
+    stretches: Sequence[slice],
+    of_motors: FloatArray,
+) -> _Block | None:
+    """Rows of joint i, from 0, in a record; None if the motor or its torque does not vary."""
+    rows, own, basis = _recall_basis(evidence, record, i, stretches)
+    torque = _strided(compute_motor_torque(record, evidence.arm, i), stretches)[rows]
+    if own is None or not np.ptp(torque) > 0.0:
+        return None
+    angle = _strided(record.channels[f"theta_m{i + 1}"], stretches)[rows]
+    at, centred = np.flatnonzero(rows), torque - torque.mean()
+    return _Block(record, i + 1, centred, at, len(rows), angle, own, basis, of_motors[rows, i])
 
 
 def _motor_torques(

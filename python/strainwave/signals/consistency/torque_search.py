@@ -71,8 +71,8 @@ def search_explanations(evidence: Evidence) -> tuple[Hypothesis, ...] | None:
 
     None without torques; empty if a change of a tolerated size explains them as well.
     """
-    evidence.memory.stated_arm = evidence.arm
     slow = tuple(record for record in evidence.records if is_slow(record.experiment))
+    evidence.memory.state(evidence.arm, slow)
     evidence = replace(evidence, records=slow)
     system = torque_system(evidence)
     if system is None:

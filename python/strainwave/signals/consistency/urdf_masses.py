@@ -59,7 +59,7 @@ def compare_urdf_masses(evidence: Evidence) -> Iterator[Diagnostic]:
     torques = np.einsum("rlp,lp->rl", per_link, priors)
     sizes = np.linalg.norm(torques, axis=0)
     shown = np.flatnonzero(sizes > _MIN_TORQUE * sizes.max())
-    scaled = replace(system, columns=torques[:, shown])
+    scaled = replace(system, columns=torques[:, shown], grams={})
     weight = fit_torques(scaled).weight
     fit = regress(weight * system.torque, weight[:, None] * scaled.columns)
     if fit is None or fit.explained < _MIN_EXPLAINED:
