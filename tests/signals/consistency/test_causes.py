@@ -10,13 +10,13 @@ import pytest
 
 from consistency_inputs import Input
 from strainwave.domain import ArmDescription, Experiment, Joint, Place
+from strainwave.signals.consistency import report_remaining
 from strainwave.signals.consistency.clocks import Clocks
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, collect_evidence
 from strainwave.signals.consistency.hypothesis import Case
 from strainwave.signals.consistency.input_hypotheses import propose_hypotheses
 from strainwave.signals.consistency.observations import EXPECTED, Observation
-from strainwave.signals.consistency.remaining_contradictions import report_remaining_contradictions
-from strainwave.signals.consistency.torque_constants import suspect_torque_constants
+from strainwave.signals.torque_constants import suspect_torque_constants
 from strainwave.virtual import scara
 
 
@@ -33,7 +33,6 @@ def test_channels_of_any_two_joints_may_be_exchanged() -> None:
         moves=np.ones(1, dtype=bool),
         direction=np.zeros((1, 3)),
         inside=np.ones(1, dtype=bool),
-        start=0.0,
         clocks=Clocks(),
         delays={},
     )
@@ -64,7 +63,7 @@ def test_each_kind_of_contradiction_has_a_text(kind: str) -> None:
     place = Place.in_records("motion", joint=1) if "clock" in kind else Place(channel="a2")
     each = Observation(kind, place, 3.0, 0.1)
     likely = ("ac-coupled", "wrong-unit")
-    (suspicion,) = report_remaining_contradictions([each], likely)
+    (suspicion,) = report_remaining([each], likely)
     assert suspicion.where == ("motion" if "clock" in kind else "a2")
     assert suspicion.where in suspicion.message or kind in ("friction", "mass")
     assert suspicion.remedy.startswith("No single cause explains all contradictions.")

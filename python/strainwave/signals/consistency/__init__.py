@@ -7,13 +7,22 @@ the check reports that cause.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 
-from strainwave.domain import Consistency, Log, Relation, Study, Suspicion, channel_parts
+from strainwave.domain import (
+    Clause,
+    Consistency,
+    Log,
+    Place,
+    Relation,
+    Study,
+    Suspicion,
+    channel_parts,
+)
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.parallel import one_blas_thread
 from strainwave.signals.consistency.clipping import measure_clipping
@@ -22,24 +31,17 @@ from strainwave.signals.consistency.hypothesis import MIN_SHARE_OF_GAIN, Case, H
 from strainwave.signals.consistency.input_hypotheses import propose_hypotheses
 from strainwave.signals.consistency.motors import EFFORTS
 from strainwave.signals.consistency.observations import (
+    EXPECTED,
     Observation,
     compute_observations,
     relations_of,
 )
-from strainwave.signals.consistency.remaining_contradictions import (
-    is_reported,
-    report_remaining_contradictions,
-)
-from strainwave.signals.consistency.torque_constants import (
-    find_doubtful_torque_constant,
-    suspect_torque_constants,
-)
 from strainwave.signals.consistency.torque_search import search_explanations
 from strainwave.signals.consistency.urdf_masses import compare_urdf_masses, report_impossible_links
 
-__all__ = ["check_consistency", "find_doubtful_torque_constant", "suspect_torque_constants"]
+__all__ = ["check_consistency"]
 
-_OF_TORQUES = ("torque-fit", "torque-prediction", "torque-sensor")
+_OF_TORQUES = ("torque-fit", "torque-sensor")
 # Rivals of a cause that are named with it.
 _MAX_RIVALS = 1
 # Maximum number of combined causes. More simultaneous faults require separate experiments.
@@ -54,6 +56,14 @@ _MIN_EXPLAINED_WEIGHT = 0.75
 _ESTIMATED_FACTOR_PENALTY = 0.5
 # Number of likely causes reported if no cause explains all contradictions.
 _MAX_LIKELY_CAUSES = 3
+
+
+# Minimum explained share of a link sensor's variance; short records of fault-free arms reach 0.8.
+_MIN_EXPLAINED_SHARE = 0.5
+# Ratio of unexplained variances from which torques contradict the arm without a cause.
+_LARGE_RATIO = 2.0
+# Causes listed after the likely causes.
+_GENERAL_CODES = ("swapped-channels", "wrong-unit", "wrong-sign")
 
 
 def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
@@ -126,11 +136,11 @@ def _explain_contradictions(
             structured.append(best.suspicion(evidence.study))
         evidence = best.corrected(evidence)
         observations = tuple(compute_observations(evidence))
-    remaining = [o for o in observations if o.contradicts and is_reported(o)]
+    remaining = [o for o in observations if o.contradicts and _is_reported(o)]
     if not remaining:
         return chosen
     likely = likely[:_MAX_LIKELY_CAUSES]
-    return [*structured, *report_remaining_contradictions(remaining, likely)]
+    return [*structured, *report_remaining(remaining, likely)]
 
 
 def _needs_cause(each: Observation, evidence: Evidence) -> bool:
@@ -140,7 +150,7 @@ def _needs_cause(each: Observation, evidence: Evidence) -> bool:
     tested by their common fit.
     """
     is_searched = evidence.arm.has_planar_program or each.kind in _OF_TORQUES
-    return each.contradicts and (is_searched or is_reported(each))
+    return each.contradicts and (is_searched or _is_reported(each))
 
 
 def _rank(case: Case, now: Sequence[Observation]) -> list[Hypothesis]:
@@ -193,3 +203,44 @@ def _is_required(o: Observation, each: Hypothesis, *, has_fit: bool) -> bool:
         return False
     is_compared = not (each.moves_frames and o.is_of_link)
     return is_compared and (o.contradicts or o.kind in _REQUIRED_KINDS)
+
+
+def _is_reported(each: Observation) -> bool:
+    """Whether a contradiction is reported without a cause.
+
+    A low explained share of a motor signal is not reported, because friction and servo limits
+    can cause it. Link sensors follow the motion in every fault-free record.
+    """
+    if each.kind == "torque-fit":  # other relations exclude all better explanations
+        return each.value > _LARGE_RATIO
+    if each.kind != "explained-share":
+        return True
+    return each.is_of_link and each.value < _MIN_EXPLAINED_SHARE
+
+
+def report_remaining(
+    contradictions: Sequence[Observation], likely: Sequence[str]
+) -> Iterator[Suspicion]:
+    """Suspicions for the remaining contradictions, one per channel.
+
+    `likely` has the codes of the causes that explain most of the contradictions, most likely first.
+    """
+    experiments = tuple(
+        Clause(f"isolate/{code}", number=number)
+        for number, code in enumerate(dict.fromkeys([*likely, *_GENERAL_CODES]), start=1)
+    )
+    remedy = Clause("remedy/experiments", experiments=experiments)
+    by_place: dict[Place, Observation] = {}
+    for each in sorted(contradictions, key=lambda o: o.kind == "explained-share"):
+        by_place.setdefault(replace(each.place, joint=None), each)
+    for place, each in by_place.items():
+        is_factor = each.kind not in ("delay", "drift", "input-delay", "explained-share")
+        yield Suspicion(
+            code="wrong-sign" if is_factor and each.value < 0.0 else EXPECTED[each.kind].code,
+            places=(place,),
+            clause=Clause(
+                f"contradiction/{each.kind}", place=place, value=each.value, joint=each.joint
+            ),
+            remedy_clause=remedy,
+            factor=each.value if is_factor else None,
+        )

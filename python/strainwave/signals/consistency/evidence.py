@@ -96,7 +96,6 @@ class SlowRecord:
     direction: FloatArray  # (n_rows, n_joints) mean sign of the motor velocity
     moves: BoolArray  # (n_joints,) motors that move; the others deflect at most
     inside: BoolArray  # (n_rows,) rows without end effects of the filter
-    start: float  # [s] time of the first row, from the first sample of the log
     clocks: Clocks
     delays: Mapping[int, DelayProfile]  # joint -> profile, where the record determines the delay
     shifted: Mapping[str, float] = field(default_factory=dict)  # channel -> delay removed [s]
@@ -214,7 +213,6 @@ class Evidence:
                 record,
                 sample_time=factor * record.sample_time,
                 bandwidth_hz=record.bandwidth_hz / factor,
-                start=factor * record.start,
                 clocks=record.clocks.retimed(factor),
                 delays={},
             )
@@ -358,7 +356,7 @@ def _slow_record(log: Log, arm: Arm, moves: BoolArray, band: float) -> SlowRecor
     samples = np.column_stack([log.channels[name][: n_rows * block] for name in names])
     smooth = low_pass(angle[: n_rows * block], min(4.0 * band, 0.2 / T), T)
     direction = np.sign(differentiate(smooth, T))
-    rows = _block_means(np.column_stack([samples, direction]), block)
+    rows = np.column_stack([samples, direction]).reshape(n_rows, block, -1).mean(axis=1)
     slow = low_pass(rows, band, block * T)
     inside = np.zeros(n_rows, dtype=bool)
     inside[edge : n_rows - edge] = True
@@ -373,7 +371,6 @@ def _slow_record(log: Log, arm: Arm, moves: BoolArray, band: float) -> SlowRecor
         direction=slow[:, len(names) :],
         moves=moves,
         inside=inside,
-        start=0.5 * (block - 1) * T,
         clocks=estimate_clocks(log, arm),
         delays=_delay_profiles(log, arm),
     )
@@ -410,11 +407,6 @@ def exchanged_tests(evidence: Evidence) -> tuple[list[str], list[str]]:
         if is_slow(experiment) and has_signal:
             signalling.append(experiment.name)
     return silent, signalling
-
-
-def _block_means(signal: FloatArray, block: int) -> FloatArray:
-    means: FloatArray = signal.reshape(len(signal) // block, block, -1).mean(axis=1)
-    return means
 
 
 def motion_bands(angle: FloatArray, sample_time: float, *, slow: bool) -> list[float]:

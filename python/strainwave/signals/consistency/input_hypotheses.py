@@ -145,17 +145,6 @@ def _effort_scales(case: Case) -> Iterator[Hypothesis]:
         yield other_meaning(efforts, "without-friction", clause)
 
 
-def _record_signs(case: Case) -> Iterator[Hypothesis]:
-    """Efforts with another sign in single records."""
-    signs = [o.place for o in case.contradictions if o.kind == "inertia" and o.place.experiments]
-    for record in dict.fromkeys(place.experiments for place in signs):
-        at = tuple(place for place in signs if place.experiments == record)
-        fault = Clause("wrong-sign/some", channels=tuple(place.channel or "" for place in at))
-        clause = Clause("record", record=record[0], fault=fault)
-        remedy = Clause("remedy/record", record=record[0])
-        yield Hypothesis("wrong-sign", clause, (), remedy, at=at, factor=-1.0, excluded=record)
-
-
 def _dead_channels(case: Case) -> Iterator[Hypothesis]:
     """Sensors that show noise alone."""
     for name, size in case.by_channel("presence").items():
@@ -184,8 +173,7 @@ def _exchanges(case: Case) -> Iterator[Hypothesis]:
 def _angle_units(case: Case) -> Iterator[Hypothesis]:
     """Motor angles of all joints in another unit, alone or with their velocities."""
     evidence, joints = case.evidence, range(1, case.evidence.arm.n_joints + 1)
-    has_doubts = case.contradicts("torque-prediction")
-    if not has_doubts and (len(joints) < 2 or not case.joints):
+    if len(joints) < 2 or not case.joints:
         return
     angles = [f"theta_m{joint}" for joint in joints]
     rates = [n for joint in joints for n in (f"omega_m{joint}", f"ref{joint}")]
@@ -542,7 +530,6 @@ def _geometry(case: Case, joint: int) -> Iterator[Hypothesis]:
 _OF_ARM = (
     _exchanged_files,
     _effort_scales,
-    _record_signs,
     _dead_channels,
     _time_bases,
     _record_clocks,

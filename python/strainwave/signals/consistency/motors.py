@@ -84,8 +84,8 @@ def motor_signals(record: SlowRecord, arm: Arm) -> list[FloatArray]:
     return [record.channels[name] for name in names if name in record.channels]
 
 
-def implied_mass(evidence: Evidence) -> float | None:
-    """Largest torque of a joint over the torque of a mass of 1 kg at the reach of the arm [kg].
+def implied_density(evidence: Evidence) -> float | None:
+    """Mass at the reach of an arm that its largest torque implies, over the reach cubed [kg/m^3].
 
     None without logged torques, of planar arms, whose distant masses have no length in the study,
     and with prismatic joints.
@@ -105,7 +105,7 @@ def implied_mass(evidence: Evidence) -> float | None:
                 fastest = float(np.abs(motion.acceleration[record.inside, i]).max())
                 size = reach * np.hypot(arm.gravity_size or 0.0, reach * fastest)
                 masses.append(0.5 * float(torque) / abs(joint.gear_ratio) / max(size, 1e-300))
-    return float(max(masses)) if masses else None
+    return float(max(masses)) / reach**3 if masses else None
 
 
 def spread_stretches(records: Sequence[SlowRecord], max_rows: int) -> list[list[slice]]:
@@ -116,15 +116,13 @@ def spread_stretches(records: Sequence[SlowRecord], max_rows: int) -> list[list[
     n_rows = [len(record.inside) for record in records]
     if sum(n_rows) <= max_rows:
         return [[slice(0, n)] for n in n_rows]
-    share = max_rows / sum(n_rows)
-    return [_stretches(n, max(1, int(share * n / _STRETCH_ROWS))) for n in n_rows]
-
-
-def _stretches(n_rows: int, count: int) -> list[slice]:
-    """Stretches in the centres of `count` equal parts of a record."""
-    length, part = min(_STRETCH_ROWS, n_rows), n_rows / count
-    starts = [int((k + 0.5) * part - 0.5 * length) for k in range(count)]
-    return [slice(start, start + length) for start in starts]
+    stretches: list[list[slice]] = []
+    for n in n_rows:  # stretches in the centres of equal parts
+        count = max(1, int(max_rows / sum(n_rows) * n / _STRETCH_ROWS))
+        length = min(_STRETCH_ROWS, n)
+        starts = [int((k + 0.5) * n / count - 0.5 * length) for k in range(count)]
+        stretches.append([slice(start, start + length) for start in starts])
+    return stretches
 
 
 def sliding_rows(record: SlowRecord, i: int) -> BoolArray:

@@ -9,16 +9,12 @@ import numpy as np
 
 from strainwave.domain import Place, Relation, channel_parts
 from strainwave.domain.consistency import Bound
-from strainwave.signals.consistency.evidence import (
-    Evidence,
-    exchanged_tests,
-    is_slow,
-)
+from strainwave.signals.consistency.evidence import Evidence, exchanged_tests
 from strainwave.signals.consistency.input_delay import pool_delays
 from strainwave.signals.consistency.motors import (
     compare_motor_signals,
     effort_channel,
-    implied_mass,
+    implied_density,
 )
 from strainwave.signals.consistency.regression import Comparison, pool_estimates
 from strainwave.signals.consistency.sensors import (
@@ -65,8 +61,6 @@ EXPECTED: Mapping[str, Expected] = {
     "input-delay": Expected("misaligned", 1.25e-3, 0.0, 0.0),  # [s] buses need up to 1 ms
     "inertia": Expected("wrong-sign", 0.0, 0.0, None),
     "torque-fit": Expected("wrong-geometry", 0.0),  # better explanations were tested
-    # measured arms with strong friction reach 0.6
-    "torque-prediction": Expected("wrong-geometry", 0.0, 0.0, 0.3, "least"),
     "torque-sensor": Expected("wrong-unit", 0.3, 0.15),  # losses of a gear grow with its load
     # share of friction in a motor's torque; gears have 0.1 to 0.7
     "friction": Expected("effort-without-friction", 0.0, 0.0, 0.03, "least", 2.0),
@@ -82,8 +76,6 @@ it."""
 _IMU_TOLERANCE, _OF_IMU_SCALES = 0.25, ("scale", "own-joint", "gravity")
 """Tolerance of a scale of an IMU's accelerometers; some axes read only a small part of a motion,
 which the elasticity of the gears changes. Units and axes differ by more."""
-_MIN_RECORD_SIGNIFICANCE = 10.0
-"""Significance of the sign of an inertia in one record, whose friction can imitate inertia."""
 _MAX_INPUT_DELAY_SAMPLES = 1.25
 """Tolerated delay of a command in sampling periods; logs hold the value before or after a tick."""
 _MAX_DENSITY = 3000.0
@@ -91,16 +83,7 @@ _MAX_DENSITY = 3000.0
 # Largest error of the own-joint scale that counts as correct; calibrations are accurate to 1 %.
 # The tolerated relative error of link_length is then smaller.
 _MAX_SCALE_ERROR, _LENGTH_TOLERANCE = 0.025, 0.04
-_OF_READINGS = (
-    "scale",
-    "delay",
-    "tilt",
-    "drift",
-    "own-joint",
-    "origin-motion",
-    "gravity",
-    "rotation-ratio",
-)
+_OF_PARTS = ("own-joint", "origin-motion", "gravity", "rotation-ratio")
 # Minimum explained share for the delay and the parts of a reading to be evaluated.
 _MIN_PARTLY_EXPLAINED_SHARE = 0.5
 # Weight of a signal that its prediction does not explain; no other observation is available.
@@ -205,29 +188,25 @@ def relations_of(observations: Iterable[Observation]) -> tuple[Relation, ...]:
 
 def compute_observations(evidence: Evidence) -> Iterator[Observation]:
     """Compute the observations of the input check, those of little effort first."""
-    yield from _observe_counts(evidence)
     yield from _observe_clocks(evidence)
     yield from _observe_test_signals(evidence)
     yield from _observe_input_delays(evidence)
     yield from _observe_ratios(compare_motor_signals(evidence))
-    yield from _observe_mass(evidence)
+    if (density := implied_density(evidence)) is not None:
+        yield Observation("mass", Place(part="arm"), density / _MAX_DENSITY, 0.0)
     yield from _observe_torque_fit(evidence)
     for channel, readings in regress_readings(evidence):
         yield from _observe_sensor(Place(channel=channel), readings)
     yield from _observe_torques(evidence)
 
 
-def _observe_counts(evidence: Evidence) -> Iterator[Observation]:
-    for joint, count in evidence.counts.items():
-        per_turn = evidence.arm.joints[joint - 1].encoder_counts
-        if per_turn:
-            ratio = count * per_turn / (2.0 * np.pi)
-            place = Place(channel=f"theta_m{joint}")
-            yield Observation("count", place, ratio, 1e-3 * ratio)
-
-
 def _observe_clocks(evidence: Evidence) -> Iterator[Observation]:
+    """Compare encoder counts, clocks and amplitudes with those of the study."""
     servo = evidence.arm.servo
+    for joint, count in evidence.counts.items():
+        if per_turn := evidence.arm.joints[joint - 1].encoder_counts:
+            ratio = count * per_turn / (2.0 * np.pi)
+            yield Observation("count", Place(channel=f"theta_m{joint}"), ratio, 1e-3 * ratio)
     for record in evidence.records:
         experiment, clocks = record.experiment, record.clocks
         place = Place.in_records(experiment.name)
@@ -293,8 +272,6 @@ def _observe_torque_fit(evidence: Evidence) -> Iterator[Observation]:
     place, ratio = Place(part="arm"), max(float(np.exp(2.0 * (fit.cost - best.cost))), 1.0)
     yield Observation("torque-fit", place, ratio, 0.0, best.tolerance)
     yield from _observe_friction(evidence)
-    if not evidence.arm.has_planar_program:
-        yield Observation("torque-prediction", place, 1.0 - float(np.median(fit.unexplained)), 0.0)
 
 
 def _observe_friction(evidence: Evidence) -> Iterator[Observation]:
@@ -306,14 +283,6 @@ def _observe_friction(evidence: Evidence) -> Iterator[Observation]:
     if names and meanings <= {"motor", "without-gravity"}:
         value, std = np.median([*shares.values()], axis=0).tolist()
         yield Observation("friction", Place(part="arm"), value, std)
-
-
-def _observe_mass(evidence: Evidence) -> Iterator[Observation]:
-    """Implied mass over the largest plausible one."""
-    mass = implied_mass(evidence)
-    if mass is not None:
-        reach = sum(float(np.linalg.norm(j.origin.xyz)) for j in evidence.arm.joints[1:])
-        yield Observation("mass", Place(part="arm"), mass / (_MAX_DENSITY * reach**3), 0.0)
 
 
 def _observe_ratios(ratios: Iterable[Comparison]) -> Iterator[Observation]:
@@ -354,7 +323,9 @@ def _observe_sensor(place: Place, records: Sequence[Comparison]) -> Iterator[Obs
     best = max(each.explained for each in readings)
     yield Observation("explained-share", place, best, 0.0)
     is_own_scale_correct = False
-    for kind in _OF_READINGS if best >= _MIN_PARTLY_EXPLAINED_SHARE else ("scale",):
+    for kind in ("scale", "delay", "tilt", "drift", *_OF_PARTS):
+        if kind != "scale" and best < _MIN_PARTLY_EXPLAINED_SHARE:
+            return
         for each in _pooled(kind, place, readings):
             if kind == "own-joint":
                 is_own_scale_correct = abs(each.value - 1.0) < _MAX_SCALE_ERROR
@@ -367,10 +338,3 @@ def _observe_torques(evidence: Evidence) -> Iterator[Observation]:
         name = effort_channel(evidence.channels, each.joint)
         yield Observation("inertia", Place(channel=name), each.inertia, each.inertia_std)
         yield Observation("explained-share", Place(joint=each.joint), each.explained, 0.0)
-    slow = [r for r in evidence.records if is_slow(r.experiment)]
-    for record in slow if len(slow) > 1 else ():  # short records determine the sign alone
-        for each in regress_torques(evidence, record):
-            if each.inertia < -_MIN_RECORD_SIGNIFICANCE * each.inertia_std:
-                name = effort_channel(evidence.channels, each.joint)
-                place = Place(channel=name, experiments=(record.experiment.name,))
-                yield Observation("inertia", place, each.inertia, each.inertia_std)

@@ -8,11 +8,11 @@ coefficient of a channel on its prediction is 1 if the input is consistent.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import BoolArray, Correction, FloatArray, Lag, channel_parts
+from strainwave.domain import Correction, FloatArray, Lag, channel_parts
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import apply_lags, differentiate, low_pass
 from strainwave.signals.channels import sensor_lags
@@ -206,29 +206,21 @@ def _predicted_parts(
     return {key: part for key, part in parts.items() if key == "own-joint" or np.any(part)}
 
 
-@dataclass(frozen=True, slots=True)
-class _Derivatives:
-    """Derivatives of an accelerometer reading, per radian."""
-
-    tilt: list[FloatArray]  # by the tilt of the base
-    zero: list[FloatArray]  # by the zeros of the encoders, without those of gravity
-
-
-def _tilt_derivatives(arm: Arm, motion: JointMotion, kind: str, i: int) -> _Derivatives:
+def _tilt_derivatives(
+    arm: Arm, motion: JointMotion, kind: str, i: int
+) -> tuple[list[FloatArray], list[FloatArray]]:
     """Derivatives of a reading of joint i, from 0, by the tilt of the base and the encoder zeros.
 
     The tilt of a horizontal arm adds gravity along the axes of the base. The tilt of an arm under
     gravity rotates the known gravity. The zero of an encoder rotates the acceleration of the
-    frame's origin.
+    frame's origin. Per radian; those by zeros without that of gravity.
     """
     if kind != "a" or arm.joints[i].motion == "prismatic":
-        return _Derivatives([], [])
-    changes = STANDARD_GRAVITY * np.eye(3)
-    if arm.gravity:
-        changes = np.cross(np.eye(3), arm.gravity)
+        return [], []
+    changes = np.cross(np.eye(3), arm.gravity) if arm.gravity else STANDARD_GRAVITY * np.eye(3)
     tilt = read_gravity(arm, motion.angle, i, changes).T
     zero = angle_derivatives(replace(arm, gravity=None), motion, i).T
-    return _Derivatives([x for x in tilt if np.any(x)], [x for x in zero if np.any(x)])
+    return [x for x in tilt if np.any(x)], [x for x in zero if np.any(x)]
 
 
 def _regress_channel(
@@ -236,10 +228,9 @@ def _regress_channel(
 ) -> Iterator[Comparison]:
     """Regress a channel of joint i (from 0); no reading if the record does not determine it."""
     name, arm = f"{kind}{i + 1}", evidence.arm
-    parts = _predicted_parts(arm, motion, kind, i)
+    T, parts = record.sample_time, _predicted_parts(arm, motion, kind, i)
     if parts is None:
         return
-    T = record.sample_time
     sensor = [
         lag for lag in sensor_lags(arm.joints[i], kind) if _is_relevant(lag, T, len(record.inside))
     ]
@@ -262,28 +253,46 @@ def _regress_channel(
     parts = {key: sensed(part) for key, part in parts.items()}
     target = smoothed(record.channels[name])[record.inside]
     prediction = np.sum(list(parts.values()), axis=0)
-    derivatives = _tilt_derivatives(arm, motion, kind, i)
-    turned = [sensed(part) for part in derivatives.tilt + derivatives.zero]
+    tilt, zero = _tilt_derivatives(arm, motion, kind, i)
+    turned = [*map(sensed, tilt + zero)]
     # The initial state of a high-pass is unknown.
     decays = [np.exp(-2.0 * np.pi * cutoff * T * np.arange(len(prediction)))] if cutoff else []
-    nuisance = _NuisanceColumns.of(
-        record, prediction, prediction - parts.get("gravity", 0.0), turned, decays
-    )
-    fit = nuisance.fit(target, [prediction])
+    slope = differentiate(prediction, T)
+    since = T * (np.arange(len(prediction)) - np.flatnonzero(record.inside).mean())
+    # The link motion is the motor motion plus 1/omega_a^2 times its second derivative. The columns
+    # of delay and drift are proportional to the slope of the prediction.
+    springs = differentiate(differentiate(prediction - parts.get("gravity", 0.0), T), T)
+    top = 2.0 * np.pi * _RESONANCE_OVER_BANDWIDTH * record.bandwidth_hz
+    nuisance = [springs, -slope, -since * slope, *decays, *turned]
+    free = [np.inf] * (2 + len(decays))
+    prior = [top**-2.0, *free, *[_TILT_PRIOR_STD] * len(turned)]
+
+    def fit_of(regressed: list[FloatArray], n: int = len(nuisance)) -> Fit | None:
+        columns = np.column_stack([*regressed, *nuisance[:n]])[record.inside]
+        return regress(target, columns, np.array([*[np.inf] * len(regressed), *prior[:n]]))
+
+    fit = fit_of([prediction])
     if fit is None:
         return
-    each_part_fit = nuisance.fit(target, list(parts.values())) if len(parts) > 1 else None
+    each_part_fit = fit_of(list(parts.values())) if len(parts) > 1 else None
     values = {"scale": fit.coefficient(0), "delay": fit.relative(2), "drift": fit.relative(3)}
     if each_part_fit is not None:
         values |= {key: each_part_fit.coefficient(k) for k, key in enumerate(parts)}
     elif len(parts) > 1:
         values["own-joint"] = values["scale"]
-    rotations = [sensed(part) for part in _rotations(arm, motion, kind, i)]
-    rest = [part for key, part in parts.items() if key != "own-joint"]
-    if rotations and (ratio := nuisance.quotient(target, [*rotations, *rest])) is not None:
-        values["rotation-ratio"] = ratio
-    if not arm.gravity and derivatives.tilt:
-        values["tilt"] = _tilt(fit, 4 + len(decays), len(derivatives.tilt))
+    if rotations := [sensed(part) for part in _rotations(arm, motion, kind, i)]:
+        rotations += [part for key, part in parts.items() if key != "own-joint"]
+        # without tilt, an actual tilt biases the ratio; its columns absorb errors of springs
+        fits = [fit_of(rotations, len(nuisance) - len(turned)), fit_of(rotations)]
+        ratios = [_coefficient_ratio(each) for each in fits if each is not None]
+        valid = [each for each in ratios if each is not None]
+        if len(valid) == len(fits):
+            values["rotation-ratio"] = min(valid, key=lambda r: abs(r[0] - 1.0) / r[1])
+    if not arm.gravity and tilt:  # gravity in the plane of motion of a horizontal arm [g]
+        of_tilt = slice(4 + len(decays), 4 + len(decays) + len(tilt))
+        components, covariance = fit.value[of_tilt], fit.covariance[of_tilt, of_tilt]
+        length, variance = float(np.linalg.norm(components)), components @ covariance @ components
+        values["tilt"] = length, float(np.sqrt(variance)) / max(length, 1e-12)
     size = float(np.std(target))
     yield Comparison(
         channel=name,
@@ -295,73 +304,6 @@ def _regress_channel(
         expected_signal=float(np.std(prediction)) / max(record.noise[name], 1e-300),
         size=size / max(float(np.std(prediction)), 1e-300),
     )
-
-
-def _tilt(fit: Fit, first: int, count: int) -> tuple[float, float]:
-    """Gravity in the plane of motion of a horizontal arm [g] and its standard deviation."""
-    tilt_columns = slice(first, first + count)
-    components, covariance = fit.value[tilt_columns], fit.covariance[tilt_columns, tilt_columns]
-    size = float(np.linalg.norm(components))
-    return size, float(np.sqrt(components @ covariance @ components)) / max(size, 1e-12)
-
-
-@dataclass(frozen=True, slots=True)
-class _NuisanceColumns:
-    """Nuisance columns of a regression: springs, delay, drift, high-pass decay, tilt and zero."""
-
-    inside: BoolArray
-    columns: list[FloatArray]
-    prior: list[float]
-    n_turned: int
-
-    @classmethod
-    def of(
-        cls,
-        record: SlowRecord,
-        whole: FloatArray,
-        dynamic: FloatArray,
-        turned: list[FloatArray],
-        decays: list[FloatArray],
-    ) -> _NuisanceColumns:
-        T, inside = record.sample_time, record.inside
-        slope = differentiate(whole, T)
-        since = record.start + T * np.arange(len(whole))
-        since = since - since[inside].mean()
-        # The link motion is the motor motion plus 1/omega_a^2 times its second derivative. The
-        # columns of delay and drift are proportional to the slope of the prediction.
-        springs = differentiate(differentiate(dynamic, T), T)
-        top = 2.0 * np.pi * _RESONANCE_OVER_BANDWIDTH * record.bandwidth_hz
-        free = [np.inf] * (2 + len(decays))
-        prior = [top**-2.0, *free, *[_TILT_PRIOR_STD] * len(turned)]
-        columns = [springs, -slope, -since * slope, *decays, *turned]
-        return cls(inside, columns, prior, len(turned))
-
-    def fit(
-        self, target: FloatArray, regressed: list[FloatArray], *, is_level: bool = False
-    ) -> Fit | None:
-        """Regress the target on `regressed` and the nuisance columns, without tilt if level."""
-        n = len(self.columns) - self.n_turned * is_level
-        prior = np.array([*[np.inf] * len(regressed), *self.prior[:n]])
-        columns = np.column_stack([*regressed, *self.columns[:n]])
-        return regress(target, columns[self.inside], prior)
-
-    def quotient(
-        self, target: FloatArray, regressed: list[FloatArray]
-    ) -> tuple[float, float] | None:
-        """Ratio of the first two coefficients and its standard deviation.
-
-        Fits with and without tilt and returns the ratio closer to 1 in standard deviations.
-        Without tilt, an actual tilt biases the ratio. With tilt, its columns absorb model errors of
-        springs and friction.
-        """
-        ratios = []
-        for is_level in (True, False):
-            fit = self.fit(target, regressed, is_level=is_level)
-            ratio = None if fit is None else _coefficient_ratio(fit)
-            if ratio is None:
-                return None
-            ratios.append(ratio)
-        return min(ratios, key=lambda each: abs(each[0] - 1.0) / each[1])
 
 
 def _rotations(arm: Arm, motion: JointMotion, kind: str, i: int) -> list[FloatArray]:

@@ -367,14 +367,12 @@ class TorqueRegression:
     explained: float  # share of the variance of the torque
 
 
-def regress_torques(
-    evidence: Evidence, record: SlowRecord | None = None
-) -> Iterator[TorqueRegression]:
+def regress_torques(evidence: Evidence) -> Iterator[TorqueRegression]:
     """Regress the torque of each joint with an effort, each with links of its own.
 
-    Uses all slow records, or one `record`; if none is slow, those that excite the joint.
+    Uses all slow records; if there are none, those that excite the joint.
     """
-    slow = [record] if record else [r for r in evidence.records if is_slow(r.experiment)]
+    slow = [r for r in evidence.records if is_slow(r.experiment)]
     used = slow or list(evidence.records)
     for i in range(evidence.arm.n_joints):
         chosen = [r for r in used if slow or r.experiment.joint in (None, i + 1)]

@@ -311,12 +311,7 @@ def _ratio(evidence: Evidence, i: int, x: FloatArray, *, is_final: bool = False)
 
 
 def _delay(
-    evidence: Evidence,
-    names: Sequence[str],
-    step: float,
-    x: FloatArray,
-    *,
-    is_final: bool = False,
+    evidence: Evidence, names: Sequence[str], step: float, x: FloatArray, *, is_final: bool = False
 ) -> Hypothesis:
     """Efforts or motor angles that are late or early; coordinates in units of `step`."""
     delay = step * float(x[0])

@@ -8,13 +8,12 @@ torques if it predicts stretches that it was not fitted to better than the state
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from strainwave.domain import Correction, FloatArray
+from strainwave.domain import FloatArray
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.consistency.evidence import Evidence, is_slow
 from strainwave.signals.consistency.hypothesis import Hypothesis
@@ -136,10 +135,15 @@ class _Search:
             system = self._in_stated_sizes(system)
         # of two records, either can be the one with the load
         is_one = len({r.experiment.name for r in self.evidence.records}) > 2
-        if system is None or (loaded and is_one and _load_inertia(system) < 0.0):
+        if system is None:
             return None
-        if self.fit.cost - fit_torques(system).cost < _MIN_DECREASE_TO_PREDICT * self.fit.n_all:
+        fit = fit_torques(system)
+        if self.fit.cost - fit.cost < _MIN_DECREASE_TO_PREDICT * self.fit.n_all:
             return None
+        if loaded and is_one and len(fit.links) >= 2 * N_LOAD_PARAMETERS:
+            load = fit.links[-N_LOAD_PARAMETERS:]  # the last parameters of a system with one
+            if load[[4, 6, 9]].sum() < 0.0:  # the trace of its inertia
+                return None
         return self._gaining(each, predict_stretches(system), _MIN_GAIN, is_pooled=False)
 
     def _in_stated_sizes(self, system: TorqueSystem) -> TorqueSystem:
@@ -179,7 +183,7 @@ class _Search:
             fraction = min(1.0, _MAX_STEP / max(float(np.abs(step).max()), 1e-12))
             before = fit.cost
             while fraction > _MIN_STEP_FRACTION:
-                trial = _fit(self.evidence, family.change(x + fraction * step).corrections)
+                trial = self._fit(family, x + fraction * step)
                 if trial is not None and trial.cost < fit.cost:
                     x, fit = x + fraction * step, trial
                     slope = self._slope(family, x, fit)
@@ -197,6 +201,10 @@ class _Search:
         found = replace(found, is_tolerated=is_tolerated, n_coordinates=size)
         least = _MIN_GAIN_OF_COORDINATE if found.kind in _MEASURED else _MIN_GAIN
         return self._gaining(found, quality, least, is_pooled=True)
+
+    def _fit(self, family: Family, x: FloatArray) -> TorqueFit | None:
+        system = torque_system(self.evidence.corrected(family.change(x).corrections))
+        return None if system is None else fit_torques(system)
 
     def doubtful_records(self) -> list[str]:
         """Records without which the stretches of the others are predicted clearly better.
@@ -253,22 +261,6 @@ class _Search:
         here = fit.residual / fit.weight
         changes = [here - leave(x + _DERIVATIVE_STEP * unit) for unit in np.eye(len(x))]
         return np.column_stack(changes) / _DERIVATIVE_STEP
-
-
-def _load_inertia(system: TorqueSystem) -> float:
-    """Trace of the inertia of the load, the last parameters of a system with one [kg m^2].
-
-    Infinite if the links have fewer parameters than a body.
-    """
-    links = fit_torques(system).links
-    if len(links) < 2 * N_LOAD_PARAMETERS:
-        return np.inf
-    return float(links[-N_LOAD_PARAMETERS:][[4, 6, 9]].sum())
-
-
-def _fit(evidence: Evidence, corrections: Sequence[Correction]) -> TorqueFit | None:
-    system = torque_system(evidence.corrected(corrections))
-    return None if system is None else fit_torques(system)
 
 
 def _gauss_newton(fit: TorqueFit, slope: FloatArray, x: FloatArray) -> tuple[FloatArray, float]:
