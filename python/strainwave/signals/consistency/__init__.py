@@ -197,7 +197,8 @@ def _is_required(o: Observation, each: Hypothesis, *, has_fit: bool) -> bool:
     If the torques are compared with one arm, the equation of a single joint may be missing: its
     columns can be linearly dependent with the correct geometry.
     """
-    if o.kind in _MAY_BE_MISSING or (has_fit and o.is_of_joint_equation):
+    is_share = o.kind == "explained-share" and o.place.channel is None
+    if o.kind in _MAY_BE_MISSING or (has_fit and (is_share or o.kind == "inertia")):
         return False
     if each.excluded and (not o.contradicts or set(each.excluded) & set(o.place.experiments)):
         return False

@@ -28,8 +28,8 @@ from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.consistency.clocks import Clocks, estimate_clocks, find_excited_inputs
-from strainwave.signals.consistency.counts import estimate_encoder_count
 from strainwave.signals.consistency.input_delay import DelayProfile, compute_delay_profile
+from strainwave.signals.encoder_counts import estimate_encoder_count
 from strainwave.signals.motor import detect_standing_motors
 
 # Share of the velocity power, and ratio of the bandwidth to the frequency below which that share
@@ -99,6 +99,20 @@ class SlowRecord:
     clocks: Clocks
     delays: Mapping[int, DelayProfile]  # joint -> profile, where the record determines the delay
     shifted: Mapping[str, float] = field(default_factory=dict)  # channel -> delay removed [s]
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A signal of one record compared with its prediction."""
+
+    channel: str
+    record: str
+    explained: float  # share of the variance of the signal
+    values: Mapping[str, tuple[float, float]]  # kind of observation -> value, standard deviation
+    seconds: float = np.inf  # length of the record
+    signal: float = np.inf  # signal-to-noise ratio at low frequency
+    expected_signal: float = np.inf  # the same of the prediction
+    size: float = 1.0  # standard deviation over that of the prediction
 
 
 @dataclass(frozen=True, slots=True)

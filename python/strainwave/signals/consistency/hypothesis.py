@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -64,12 +65,6 @@ class Hypothesis:
         """Joints of the channels that the fault concerns, from 1."""
         return {channel_parts(p.channel)[1] for p in self.places if p.channel is not None}
 
-    @property
-    def penalised_cost(self) -> float:
-        """Cost with the penalty of the Bayesian information criterion for its coordinates."""
-        n = max(self.gain.n_rows, 1.0) if self.gain else 1.0
-        return self.cost + 0.5 * self.n_coordinates * float(np.log(n)) / n
-
     def is_as_good(self, best: Hypothesis) -> bool:
         """Whether it gains most of what the best hypothesis gains."""
         if self.gain is None or best.gain is None:
@@ -120,7 +115,6 @@ class Case:
     evidence: Evidence
     contradictions: tuple[Observation, ...]
     explanations: tuple[Hypothesis, ...] = ()  # of the torques, the best first
-    _rotation_factors: dict[int, list[float]] = field(default_factory=dict, init=False)
 
     @property
     def joints(self) -> set[int]:
@@ -147,16 +141,12 @@ class Case:
 
     def rotation_factors(self, joint: int) -> list[float]:
         """Estimates of the rotation of a link relative to that which the study implies."""
-        if joint not in self._rotation_factors:
-            factors = [
-                factor
-                for kind in ("gyro", "theta_l", "a")
-                for factor in self.values(f"{kind}{joint}", "scale")
-            ]
-            factors += self.values(f"a{joint}", "own-joint")
-            factors += estimate_rotation_factors(self.evidence, joint)
-            self._rotation_factors[joint] = factors
-        return self._rotation_factors[joint]
+        sources = [*(f"{kind}{joint}" for kind in ("gyro", "theta_l", "a"))]
+        factors = [factor for name in sources for factor in self.values(name, "scale")]
+        estimate = partial(estimate_rotation_factors, self.evidence, joint)
+        motors = (self.evidence.arm, *self.evidence.records)
+        searched = self.evidence.memory.recall(("rotation", joint), motors, estimate)
+        return [*factors, *self.values(f"a{joint}", "own-joint"), *searched]
 
 
 def _place_of(each: Correction) -> Place:

@@ -15,8 +15,8 @@ import numpy as np
 from strainwave.domain import BoolArray, FloatArray, channel_parts
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate
-from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
-from strainwave.signals.consistency.regression import Comparison, regress
+from strainwave.numerics.regression import regress
+from strainwave.signals.consistency.evidence import Comparison, Evidence, SlowRecord, is_slow
 from strainwave.signals.consistency.sensors import recall_motion
 from strainwave.signals.drive_law import DriveLaw
 

@@ -9,14 +9,14 @@ import numpy as np
 
 from strainwave.domain import Place, Relation, channel_parts
 from strainwave.domain.consistency import Bound
-from strainwave.signals.consistency.evidence import Evidence, exchanged_tests
+from strainwave.numerics.regression import pool_estimates
+from strainwave.signals.consistency.evidence import Comparison, Evidence, exchanged_tests
 from strainwave.signals.consistency.input_delay import pool_delays
 from strainwave.signals.consistency.motors import (
     compare_motor_signals,
     effort_channel,
     implied_density,
 )
-from strainwave.signals.consistency.regression import Comparison, pool_estimates
 from strainwave.signals.consistency.sensors import (
     IMU_ACCELEROMETERS,
     LINK_CHANNELS,
@@ -117,12 +117,6 @@ class Observation:
     def is_of_link(self) -> bool:
         """Whether the observation is about a link sensor."""
         return self._channel_kind in LINK_CHANNELS
-
-    @property
-    def is_of_joint_equation(self) -> bool:
-        """Whether the observation is about the torque equation of a single joint."""
-        is_share = self.kind == "explained-share" and self.place.channel is None
-        return is_share or self.kind == "inertia"
 
     @property
     def expected(self) -> float | None:

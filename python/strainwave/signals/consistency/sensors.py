@@ -15,9 +15,9 @@ import numpy as np
 from strainwave.domain import Correction, FloatArray, Lag, channel_parts
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import apply_lags, differentiate, low_pass
+from strainwave.numerics.regression import Fit, regress
 from strainwave.signals.channels import sensor_lags
-from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
-from strainwave.signals.consistency.regression import Comparison, Fit, regress
+from strainwave.signals.consistency.evidence import Comparison, Evidence, SlowRecord, is_slow
 from strainwave.signals.link_readings import (
     JointMotion,
     accelerometer_parts,

@@ -21,6 +21,7 @@ from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.domain.distributions import student_tail
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
+from strainwave.numerics.regression import ROWS_PER_INDEPENDENT_ROW, regress
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
 from strainwave.signals.consistency.motors import (
     compute_motor_torque,
@@ -29,7 +30,6 @@ from strainwave.signals.consistency.motors import (
     sliding_rows,
     spread_stretches,
 )
-from strainwave.signals.consistency.regression import ROWS_PER_INDEPENDENT_ROW, regress
 from strainwave.signals.consistency.sensors import recall_motion
 from strainwave.signals.link_readings import JointMotion
 
@@ -88,7 +88,6 @@ class FitQuality:
 
     shares: FloatArray  # (n_folds, n_joints) squared prediction errors over the squared torques
     rows: FloatArray  # (n_folds, n_joints) independent rows beyond the parameters
-    records: tuple[str, ...]  # of each fold
 
     @property
     def unexplained(self) -> FloatArray:
@@ -110,12 +109,6 @@ class FitQuality:
         """Half the mean logarithm of the unexplained shares."""
         return float(0.5 * self.weights @ np.log(self.unexplained))
 
-    @property
-    def _costs(self) -> FloatArray:
-        """Negative log likelihoods (n_folds, n_joints), with one variance for each joint."""
-        squares = self.n_rows * self.shares / self.unexplained
-        return np.asarray(0.5 * (self.rows * np.log(self.unexplained) + squares))
-
     def gain(self, other: FitQuality) -> Gain:
         """Gain of this fit over another of the same stretches and joints.
 
@@ -125,8 +118,12 @@ class FitQuality:
         by_joint = np.log(other.unexplained / self.unexplained)
         probability = 1.0
         if self.shares.shape == other.shares.shape and len(self.shares) > 1:
-            of_folds = (other._costs - self._costs).sum(axis=1)
-            n_folds = len(of_folds)
+            # negative log likelihoods (n_folds, n_joints), with one variance for each joint
+            costs = [
+                0.5 * (q.rows * np.log(q.unexplained) + q.n_rows * q.shares / q.unexplained)
+                for q in (other, self)
+            ]
+            of_folds, n_folds = (costs[0] - costs[1]).sum(axis=1), len(self.shares)
             std = max(float(of_folds.std(ddof=1)), 1e-300) / np.sqrt(n_folds)
             t = float(of_folds.mean() / std)
             probability = 0.5 * student_tail(t, n_folds - 1) if t > 0.0 else 1.0
@@ -280,7 +277,7 @@ def predict_stretches(
         [np.bincount(system.fold[system.joint == j], minlength=len(squares)) for j in joints]
     )
     rows = n_rows * (counts / counts.sum(axis=1, keepdims=True)).T
-    return FitQuality(shares, rows, system.records)
+    return FitQuality(shares, rows)
 
 
 def _inverse_root(gram: FloatArray) -> FloatArray:

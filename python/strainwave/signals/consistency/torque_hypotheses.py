@@ -77,7 +77,7 @@ def propose_explanations(case: Case) -> Iterator[Hypothesis]:
     if not found:
         return
     good = [_in_words(each) for each in found if each.is_as_good(found[0])]
-    good.sort(key=lambda h: (bool(h.excluded), _complexity(h), h.penalised_cost))
+    good.sort(key=lambda h: (bool(h.excluded), _complexity(h), _penalised_cost(h)))
     rivals = tuple(each.as_rival() for each in good)
     desired = []
     efforts = _motor_torques(case.evidence)
@@ -116,6 +116,12 @@ def _complexity(each: Hypothesis) -> tuple[int, bool]:
     """
     is_larger = each.kind == "torque" and abs(each.corrections[0].number) > 1.0
     return min(max(each.n_coordinates, each.kind == "zero"), 2), is_larger
+
+
+def _penalised_cost(each: Hypothesis) -> float:
+    """Cost with the penalty of the Bayesian information criterion for its coordinates."""
+    n = max(each.gain.n_rows, 1.0) if each.gain else 1.0
+    return each.cost + 0.5 * each.n_coordinates * float(np.log(n)) / n
 
 
 def _motor_torques(evidence: Evidence) -> tuple[str, ...]:

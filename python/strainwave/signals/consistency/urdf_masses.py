@@ -18,8 +18,8 @@ import numpy as np
 from strainwave.domain import ArmDescription, Diagnostic, Place
 from strainwave.domain.consistent_links import is_consistent, principal_moments
 from strainwave.domain.distributions import CI95_STDS
+from strainwave.numerics.regression import regress
 from strainwave.signals.consistency.evidence import Evidence
-from strainwave.signals.consistency.regression import regress
 from strainwave.signals.consistency.torque_fit import fit_torques, torque_system
 
 # Factor of a mass within which a guess is accepted, in either direction.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,20 +37,6 @@ class Fit:
         """Coefficient k over the first one, the scale, and its standard deviation."""
         (value, std), scale = self.coefficient(k), float(self.value[0])
         return (value / scale, std / abs(scale)) if scale else (0.0, np.inf)
-
-
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """A signal of one record compared with its prediction."""
-
-    channel: str
-    record: str
-    explained: float  # share of the variance of the signal
-    values: Mapping[str, tuple[float, float]]  # kind of observation -> value, standard deviation
-    seconds: float = np.inf  # length of the record
-    signal: float = np.inf  # signal-to-noise ratio at low frequency
-    expected_signal: float = np.inf  # the same of the prediction
-    size: float = 1.0  # standard deviation over that of the prediction
 
 
 def regress(
