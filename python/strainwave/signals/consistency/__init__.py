@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 
@@ -42,8 +41,6 @@ from strainwave.signals.consistency.urdf_masses import compare_urdf_masses, repo
 __all__ = ["check_consistency"]
 
 _OF_TORQUES = ("torque-fit", "torque-sensor")
-# Rivals of a cause that are named with it.
-_MAX_RIVALS = 1
 # Maximum number of combined causes. More simultaneous faults require separate experiments.
 _MAX_CAUSES = 3
 # Kinds of observations that must remain available after a correction.
@@ -130,8 +127,11 @@ def _explain_contradictions(
         best = ranked[0]
         least = _weigh(evidence, observations, best) if best.rivals else 0.0
         equal = (r for r in best.rivals if _weigh(evidence, observations, r) <= least)
-        rivals = islice(equal, _MAX_RIVALS)
-        chosen.extend(each.suspicion(evidence.study) for each in (best, *rivals))
+        rival = next(equal, None)
+        named = [best] if rival is None else [best, rival]
+        if rival is not None and best.kind == rival.kind:  # the same at another place
+            named = [best.undecided(rival), rival.undecided(best)]
+        chosen.extend(each.suspicion(evidence.study) for each in named)
         if not best.has_estimated_factor or best.moves_frames:
             structured.append(best.suspicion(evidence.study))
         evidence = best.corrected(evidence)

@@ -46,6 +46,7 @@ class Hypothesis:
     has_estimated_factor: bool = False  # not a unit, a sign or an exchange
     moves_frames: bool = False
     is_fitted: bool = False  # the fit estimates it: no reason to stop
+    is_undecided: bool = False  # a rival of the same kind is as likely
     excluded: tuple[str, ...] = ()  # records with the fault; the others do not have it
     rivals: tuple[Hypothesis, ...] = ()  # that explain the contradictions equally well
     # of the torques alone
@@ -99,9 +100,16 @@ class Hypothesis:
             remedy_clause=Clause(self.remedy.template, **values),
             factor=self.factor,
             delay_s=self.delay_s,
-            corrections=corrections,
+            corrections=() if self.is_undecided else corrections,
             accepted=self.is_fitted,
         )
+
+    def undecided(self, other: Hypothesis) -> Hypothesis:
+        """The hypothesis with a remedy that names the corrections of another one as well."""
+        if self.excluded or other.excluded:
+            return self
+        remedy, corrections = Clause("remedy/either"), other.corrections
+        return replace(self, remedy=remedy, alternative=corrections, is_undecided=True)
 
     def as_rival(self) -> Hypothesis:
         """The hypothesis as one that is as likely as the one before it."""
