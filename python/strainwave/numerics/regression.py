@@ -11,6 +11,8 @@ from strainwave.domain import FloatArray
 
 ROWS_PER_INDEPENDENT_ROW = 10.0
 """Of 20 rows per period of the bandwidth frequency, 2 are independent."""
+# Smallest residual over the target, in standard deviations.
+_MIN_RESIDUAL_SHARE = 1e-9
 # Maximum lag of the residual autocorrelation in rows: ten periods of the bandwidth frequency.
 _MAX_LAG_ROWS = 200
 
@@ -43,15 +45,11 @@ def regress(
     target: FloatArray,
     columns: FloatArray,
     prior: FloatArray | None = None,
-    min_residual_share: float = 1e-9,
-    stride: int = 1,
 ) -> Fit | None:
     """Least squares by QR with a free constant. The covariance allows for correlated residuals.
 
     `target` has shape (n_rows,), `columns` (n_rows, n_columns). `prior`, of shape (n_columns,),
     holds prior standard deviations of the coefficients about zero; infinity means no prior.
-    Of `stride` rows of the record, one is in the regression.
-    The assumed residual is at least `min_residual_share` of the target, in standard deviations.
     Returns None if the target or a column is constant, or if the columns are linearly dependent.
     """
     y = target - target.mean()
@@ -73,12 +71,12 @@ def regress(
         value = np.linalg.solve(R, Q[: len(y)].T @ y)
         residual = y - X @ value
         residual_std = float(np.sqrt(residual @ residual / max(1, len(y) - X.shape[1])))
-        residual_std = max(residual_std, min_residual_share * float(np.sqrt(total / len(y))))
+        residual_std = max(residual_std, _MIN_RESIDUAL_SHARE * float(np.sqrt(total / len(y))))
     inverse = np.linalg.inv(R)
-    root = inverse * residual_std * np.sqrt(max(ROWS_PER_INDEPENDENT_ROW / stride, 1.0))
+    root = inverse * residual_std * np.sqrt(ROWS_PER_INDEPENDENT_ROW)
     factor = np.maximum(
         1.0,
-        _long_run_std(X @ (inverse @ inverse.T), residual, stride) / np.linalg.norm(root, axis=1),
+        long_run_std(X @ (inverse @ inverse.T), residual) / np.linalg.norm(root, axis=1),
     )
     return Fit(
         value=value / norms,
@@ -88,7 +86,7 @@ def regress(
     )
 
 
-def _long_run_std(influence: FloatArray, residual: FloatArray, stride: int) -> FloatArray:
+def long_run_std(influence: FloatArray, residual: FloatArray, stride: int = 1) -> FloatArray:
     """Standard deviations of the coefficients for autocorrelated residuals, (n_columns,).
 
     Long-run variance of the influence times the residual (Newey and West, 1987). `influence`, of

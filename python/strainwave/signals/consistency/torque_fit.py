@@ -21,7 +21,7 @@ from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.domain.distributions import student_tail
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
-from strainwave.numerics.regression import ROWS_PER_INDEPENDENT_ROW, regress
+from strainwave.numerics.regression import ROWS_PER_INDEPENDENT_ROW, long_run_std
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
 from strainwave.signals.consistency.motors import (
     compute_motor_torque,
@@ -411,20 +411,21 @@ def _regress_torque(
         return None
     target, columns = np.concatenate(targets), np.concatenate(blocks)
     weight = np.r_[1.0, 0.0, 0.0, np.mean(weights, axis=0)]
-    estimates = []
+    estimates, rows_per_independent = [], ROWS_PER_INDEPENDENT_ROW / _ROW_STRIDE
     for used in (columns[:, :-1], columns):
-        size = np.linalg.norm(used, axis=0)
-        size[size == 0.0] = np.inf
-        basis, values, axes = np.linalg.svd(used / size, full_matrices=False)
-        excited = values > _MIN_SINGULAR_VALUE * values[0]
-        of_weight = np.r_[weight, 0.0][: len(size)] / size @ (axes[excited].T / values[excited])
-        fit = regress(target, basis[:, excited], None, _MODEL_ERROR_SHARE, _ROW_STRIDE)
-        n_free = len(target) - ROWS_PER_INDEPENDENT_ROW / _ROW_STRIDE * int(excited.sum())
-        if fit is None or n_free <= 0.0:  # a short record does not determine the links
+        root = _inverse_root(used.T @ used)
+        basis, of_weight = used @ root, np.r_[weight, 0.0][: used.shape[1]] @ root
+        value, total = basis.T @ target, float(target @ target)
+        n_free = len(target) - rows_per_independent * basis.shape[1]
+        if n_free <= 0.0:  # a short record does not determine the links
             continue
-        inertia, std = float(of_weight @ fit.value), float(np.linalg.norm(of_weight @ fit.root))
-        std *= np.sqrt((len(target) - excited.sum()) / n_free)
-        estimates.append(TorqueRegression(i + 1, inertia, std, fit.explained))
+        residual = target - basis @ value
+        squares, least = float(residual @ residual), _MODEL_ERROR_SHARE**2 * total
+        variance = rows_per_independent * max(squares / n_free, least / len(target))
+        long_run = long_run_std((basis @ of_weight)[:, None], residual, _ROW_STRIDE)
+        std = max(float(np.sqrt(variance) * np.linalg.norm(of_weight)), float(long_run[0]))
+        inertia, explained = float(of_weight @ value), 1.0 - squares / total
+        estimates.append(TorqueRegression(i + 1, inertia, std, explained))
         if inertia >= 0.0:
             break
     return estimates[-1] if estimates else None
