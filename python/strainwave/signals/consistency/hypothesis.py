@@ -10,7 +10,6 @@ import numpy as np
 
 from strainwave.domain import Clause, Correction, Place, Study, Suspicion, channel_parts
 from strainwave.domain.corrections import exchange_corrections, steps_of
-from strainwave.domain.messages import Value
 from strainwave.signals.consistency.evidence import Evidence
 from strainwave.signals.consistency.observations import Observation
 from strainwave.signals.consistency.sensors import LINK_CHANNELS, estimate_rotation_factors
@@ -194,8 +193,8 @@ def exchanges(
     for pairs in filter(None, dict.fromkeys(given)):
         clause = Clause("swapped-channels", pairs=pairs, joints=joints)
         if len(pairs) == 1:
-            one: dict[str, Value] = {"first": pairs[0][0], "second": pairs[0][1], "joint": i}
-            clause = Clause("swapped-channels/one-kind", other=j, **one)
+            a, b = pairs[0]
+            clause = Clause("swapped-channels/one-kind", first=a, second=b, joint=i, other=j)
         changes = exchange_corrections(pairs, evidence.study)
         yield Hypothesis("swapped-channels", clause, changes, kind="exchange")
 

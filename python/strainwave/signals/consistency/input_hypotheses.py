@@ -308,8 +308,8 @@ def _sensor_delays(case: Case) -> Iterator[Hypothesis]:
                 changes = of_logs(channels, "delay_s", x)
                 yield Hypothesis("misaligned", clause, changes, remedy, delay_s=x)
                 continue
-            values_of = {"drift": x, "error": abs(x), "side": "slow" if x > 0.0 else "fast"}
-            clause = Clause("clock-drift/sensor", channels=channels, **values_of)
+            side, size = "slow" if x > 0.0 else "fast", abs(x)
+            clause = Clause("clock-drift/sensor", channels=channels, drift=x, error=size, side=side)
             changes, remedy = of_logs(channels, "clock", x), Clause("remedy/sensor-clock")
             yield Hypothesis("clock-drift", clause, changes, remedy, factor=1.0 - x)
 
@@ -476,10 +476,9 @@ def _gear_ratios(case: Case, joint: int) -> Iterator[Hypothesis]:
         if abs(ratio / n - 1.0) < _MAX_FACTOR_DIFFERENCE or not _is_accepted("gear_ratio", ratio):
             continue
         is_distinct = is_whole and 1.0 / ratio <= _MAX_DISTINCT_REDUCTION
-        values = {"factor": ratio / n, "stated": n, "ratio": ratio}
         yield Hypothesis(
             "wrong-gear-ratio",
-            Clause("wrong-gear-ratio", joint=joint, **values),
+            Clause("wrong-gear-ratio", joint=joint, factor=ratio / n, stated=n, ratio=ratio),
             (Correction("joint", str(joint), "gear_ratio", ratio),),
             factor=n / ratio,
             has_estimated_factor=candidate not in known and not is_distinct,

@@ -96,8 +96,8 @@ def propose_explanations(case: Case) -> Iterator[Hypothesis]:
 
 def _in_words(each: Hypothesis) -> Hypothesis:
     """The hypothesis with its gain in words; one record with a fault is named."""
-    ratio = float(np.exp(each.gain.mean if each.gain else 0.0))
-    clause = Clause(each.clause.template, **{**dict(each.clause.values), "ratio": ratio})
+    gain = float(np.exp(each.gain.mean if each.gain else 0.0))
+    clause = Clause(each.clause.template, **{**dict(each.clause.values), "gain": gain})
     if not each.excluded or each.kind == "payload":
         return replace(each, clause=clause)
     (record,) = each.excluded
@@ -205,8 +205,8 @@ def _axes(evidence: Evidence) -> Iterator[Hypothesis]:
                 clause, remedy = Clause("wrong-sign/axis", joint=i), Clause("remedy/axis", joint=i)
                 yield Hypothesis("wrong-sign", clause, (change,), remedy, factor=-1.0, kind="axis")
             elif axis @ stated < _EQUAL_DIRECTIONS * np.linalg.norm(stated):
-                texts = {"corrected": _text(axis), "stated": _text(joint.axis)}
-                clause = Clause("wrong-geometry/axis", joint=i, **texts)
+                given = _text(joint.axis)
+                clause = Clause("wrong-geometry/axis", joint=i, corrected=_text(axis), stated=given)
                 yield Hypothesis("wrong-geometry", clause, (change,), kind="axis")
 
 
@@ -236,9 +236,9 @@ def other_gravity(evidence: Evidence) -> Hypothesis:
 
 
 def _turned(evidence: Evidence, gravity: tuple[float, ...]) -> Hypothesis:
-    texts = {"corrected": _text(gravity), "stated": _text(evidence.study.arm.gravity)}
+    before = _text(evidence.study.arm.gravity)
     change = Correction("arm", "", "gravity", gravity)
-    clause = Clause("wrong-geometry/gravity", **texts)
+    clause = Clause("wrong-geometry/gravity", corrected=_text(gravity), stated=before)
     return Hypothesis("wrong-geometry", clause, (change,), kind="gravity")
 
 
