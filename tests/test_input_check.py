@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import pytest
 from rich.console import Console
@@ -19,7 +18,7 @@ from strainwave.io.check_document import check_document
 from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import identify
 from strainwave.presentation.terminal import print_check
-from strainwave.signals.consistency.observations import Kind
+from strainwave.signals.consistency.observations import EXPECTED
 
 SMALL_ARM = Path(__file__).parent / "data" / "small-arm" / "study.toml"
 
@@ -45,7 +44,7 @@ def printed(check: InputCheck) -> str:
 
 def test_every_kind_of_relation_has_a_text() -> None:
     kinds = {key.partition("/")[2] for key in templates() if key.startswith("relation/")}
-    assert kinds == {"clipped", *get_args(Kind)}
+    assert kinds == {"clipped", *EXPECTED}
 
 
 def test_consistent_input() -> None:

@@ -19,7 +19,7 @@ MEASUREMENT = 1.5
 ALL = templates()
 FAULTS = tomllib.loads((PACKAGE / "domain/faults.toml").read_text(encoding="utf-8"))
 PARTS = FAULTS["parts"]
-GIVEN_LATER = {"record", "steps", "other"}
+GIVEN_LATER = {"record", "steps", "other", "gain"}
 """Values that a warning or a cause adds to its clause."""
 
 

@@ -162,13 +162,14 @@ def test_the_input_check_predicts_accelerometers_of_three_links(gravity: float) 
     assert [reading.channel for reading in readings] == ["a1", "a2", "a3"]
     for reading in readings:
         # products of filtered angles are not the filtered products
-        assert reading.scale == pytest.approx(1.0, abs=0.01)
+        assert reading.values["scale"][0] == pytest.approx(1.0, abs=0.01)
         assert reading.explained > 0.999
-        assert all(part == pytest.approx(1.0, abs=0.03) for part, _ in reading.parts.values())
-        assert (reading.rotation_ratio is None) == (reading.channel == "a1")
-        if reading.rotation_ratio is not None:
-            ratio, std = reading.rotation_ratio
+        for part in {"own-joint", "origin-motion", "gravity"} & set(reading.values):
+            assert reading.values[part][0] == pytest.approx(1.0, abs=0.03)
+        assert ("rotation-ratio" in reading.values) == (reading.channel != "a1")
+        if "rotation-ratio" in reading.values:
+            ratio, std = reading.values["rotation-ratio"]
             assert ratio == pytest.approx(1.0, abs=3.0 * std)
-        if reading.tilt is not None:
+        if "tilt" in reading.values:
             assert gravity == 0.0
-            assert reading.tilt[0] < 1e-3
+            assert reading.values["tilt"][0] < 1e-3

@@ -11,6 +11,9 @@ from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.domain.messages import Clause, Place, places_text, text_of
 from strainwave.domain.study import Study, channel_parts
 
+Bound = Literal["equal", "least", "most"]
+"""What the expected value of a relation is."""
+
 _LINK_GEOMETRY = ("accelerometer_distance", "link_length")
 """Keys of the study that affect only predictions of link sensors."""
 
@@ -26,7 +29,7 @@ class Relation:
     expected: float | None  # None: any positive value
     is_consistent: bool
     accuracy: float  # largest difference from the expected value of consistent input
-    bound: Literal["equal", "least", "most"] = "equal"  # what the expected value is
+    bound: Bound = "equal"
 
     @property
     def text(self) -> str:

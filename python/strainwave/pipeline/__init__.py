@@ -55,8 +55,11 @@ from strainwave.pipeline.rigid_joints import (
     fit_rigid_joints,
 )
 from strainwave.presentation.matplotlib_backend import images
-from strainwave.signals import consistency
 from strainwave.signals.activity import activity_of
+from strainwave.signals.torque_constants import (
+    find_doubtful_torque_constant,
+    suspect_torque_constants,
+)
 
 __all__ = ["STAGES", "check_input", "check_stages", "identify", "with_report_loading", "write"]
 
@@ -140,7 +143,7 @@ def _identify(
     elastic = ElasticStages()
     is_elastic = any(joint.elastic for joint in inputs.arm.joints)
     if "decoupled" in stages and is_elastic and not drives.failures:
-        suspicion = consistency.find_doubtful_torque_constant(check.consistency)
+        suspicion = find_doubtful_torque_constant(check.consistency)
         if is_consistent and suspicion is not None:  # the rigid fit alone doubts the constant
             elastic, check = _explain_suspicion(check, rigid.model, suspicion, reporter)
         elif not check.consistency.deciding:
@@ -186,7 +189,7 @@ def _fit_elastic_arm(inputs: Inputs, model: RigidModel | None, reporter: Reporte
 def _compare_torque_constants(check: CheckedInputs, model: RigidModel | None) -> CheckedInputs:
     """Add the ratios of torque constants that the rigid fit estimates to the consistency check."""
     ratios = model.torque_ratios if model is not None else {}
-    torques = consistency.suspect_torque_constants(ratios, check.inputs.study)
+    torques = suspect_torque_constants(ratios, check.inputs.study)
     if torques is None or torques.code in {each.code for each in check.consistency.suspected}:
         return check
     accept = check.inputs.study.options.accept

@@ -23,7 +23,7 @@ def find_clipped_channels(
     channels = {channel: values} | ({} if motor is None else {"theta_m1": motor})
     log = Log(step, TIME, TIME[1], channels)
     clippings = clipping.measure_clipping([log], Arm.of(study.arm))
-    return [suspicion.where for each in clippings for suspicion in each.suspicions]
+    return [suspicion.where for _, suspicion in clippings if suspicion is not None]
 
 
 def rounded(angle: FloatArray, counts: int) -> FloatArray:

@@ -9,7 +9,8 @@ import pytest
 
 from consistency_inputs import Input
 from strainwave.signals.consistency.evidence import collect_evidence, motion_bands
-from strainwave.signals.consistency.motors import regress_torques, spread_stretches
+from strainwave.signals.consistency.motors import spread_stretches
+from strainwave.signals.consistency.torque_fit import regress_torques
 
 SAMPLE_TIME = 1e-3  # [s]
 TIME = SAMPLE_TIME * np.arange(6000)
@@ -52,7 +53,7 @@ def test_a_share_of_the_rows_gives_the_same_inertias(
     vertical_arm: Input, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = list(regress_torques(collect_evidence(*vertical_arm)))
-    monkeypatch.setattr("strainwave.signals.consistency.motors._MAX_ROWS", 400)
+    monkeypatch.setattr("strainwave.signals.consistency.torque_fit._MAX_ROWS", 400)
     part = list(regress_torques(collect_evidence(*vertical_arm)))
     assert [each.joint for each in part] == [each.joint for each in whole] == [1, 2]
     for one, other in zip(whole, part, strict=True):

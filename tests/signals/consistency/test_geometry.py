@@ -27,8 +27,8 @@ from strainwave.domain.study import Payload
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.consistency import check_consistency
 from strainwave.signals.consistency.evidence import collect_evidence
-from strainwave.signals.consistency.geometry import search_explanations
 from strainwave.signals.consistency.sensors import IMU_CHANNELS
+from strainwave.signals.consistency.torque_search import search_explanations
 from strainwave.signals.consistency.urdf_masses import report_impossible_links
 from strainwave.signals.link_readings import JointMotion, imu_parts
 
@@ -183,7 +183,7 @@ def test_a_wrong_ratio_is_estimated(given: tuple[tuple[Log, ...], Study]) -> Non
     wrong = replace(study, arm=study.arm.with_joint(2, gear_ratio=-0.016))
     best = (search_explanations(collect_evidence(logs, wrong)) or ())[0]
     (correction,) = best.corrections
-    assert (best.kind, best.joint) == ("ratio", 2)
+    assert (best.code, correction.entry) == ("wrong-gear-ratio", "2")
     assert correction.number == pytest.approx(-0.02, rel=1e-2)
 
 

@@ -7,40 +7,40 @@ the check reports that cause.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 
-from strainwave.domain import Consistency, Log, Relation, Study, Suspicion, channel_parts
+from strainwave.domain import (
+    Clause,
+    Consistency,
+    Log,
+    Place,
+    Relation,
+    Study,
+    Suspicion,
+    channel_parts,
+)
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.parallel import one_blas_thread
-from strainwave.signals.consistency.causes import Cause, propose_causes
 from strainwave.signals.consistency.clipping import measure_clipping
-from strainwave.signals.consistency.evidence import Evidence, collect_evidence
-from strainwave.signals.consistency.geometry import search_explanations
+from strainwave.signals.consistency.evidence import BestFit, Evidence, collect_evidence
+from strainwave.signals.consistency.hypothesis import MIN_SHARE_OF_GAIN, Case, Hypothesis
+from strainwave.signals.consistency.input_hypotheses import propose_hypotheses
 from strainwave.signals.consistency.motors import EFFORTS
 from strainwave.signals.consistency.observations import (
+    EXPECTED,
     Observation,
     compute_observations,
     relations_of,
 )
-from strainwave.signals.consistency.remaining_contradictions import (
-    is_reported,
-    report_remaining_contradictions,
-)
-from strainwave.signals.consistency.torque_constants import (
-    find_doubtful_torque_constant,
-    suspect_torque_constants,
-)
+from strainwave.signals.consistency.torque_search import search_explanations
 from strainwave.signals.consistency.urdf_masses import compare_urdf_masses, report_impossible_links
 
-__all__ = ["check_consistency", "find_doubtful_torque_constant", "suspect_torque_constants"]
+__all__ = ["check_consistency"]
 
-_OF_TORQUES = ("torque-ratio", "torque-fit", "torque-prediction", "torque-sensor")
-# Rivals of a cause that are named with it.
-_MAX_RIVALS = 1
+_OF_TORQUES = ("torque-fit", "torque-sensor")
 # Maximum number of combined causes. More simultaneous faults require separate experiments.
 _MAX_CAUSES = 3
 # Kinds of observations that must remain available after a correction.
@@ -55,6 +55,14 @@ _ESTIMATED_FACTOR_PENALTY = 0.5
 _MAX_LIKELY_CAUSES = 3
 
 
+# Minimum explained share of a link sensor's variance; short records of fault-free arms reach 0.8.
+_MIN_EXPLAINED_SHARE = 0.5
+# Ratio of unexplained variances from which torques contradict the arm without a cause.
+_LARGE_RATIO = 2.0
+# Causes listed after the likely causes.
+_GENERAL_CODES = ("swapped-channels", "wrong-unit", "wrong-sign")
+
+
 def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
     """Compare all channels of all logs with each other and with the study.
 
@@ -64,18 +72,26 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
     """
     with one_blas_thread():
         clippings = list(measure_clipping(logs, Arm.of(study.arm)))
-        suspicions = [suspicion for each in clippings for suspicion in each.suspicions]
+        suspicions = [suspicion for _, suspicion in clippings if suspicion is not None]
         clipped_channels = [p.channel for each in suspicions for p in each.places if p.channel]
         # the relations between torques and motion hold for the arm alone
         bare = [log for log in logs if log.experiment.payload is None]
         unclipped = collect_evidence(bare, study).without(clipped_channels)
-        unclipped = replace(unclipped, explanations=search_explanations(unclipped))
+        explanations = search_explanations(unclipped)
+        unclipped = replace(unclipped, best_fit=_best_fit(explanations))
         observations = tuple(compute_observations(unclipped))
-        suspicions.extend(_explain_contradictions(unclipped, observations))
+        suspicions.extend(_explain_contradictions(unclipped, observations, explanations or ()))
         warnings = tuple(report_impossible_links(study.arm))
         warnings += () if suspicions else tuple(compare_urdf_masses(unclipped))
-    relations = (*(each.relation for each in clippings), *relations_of(observations))
+    relations = (*(relation for relation, _ in clippings), *relations_of(observations))
     return Consistency(tuple(suspicions), relations, warnings, _unchecked(logs, relations))
+
+
+def _best_fit(explanations: Sequence[Hypothesis] | None) -> BestFit | None:
+    if not explanations:
+        return None if explanations is None else BestFit(np.inf, 0.0)
+    gain = explanations[0].gain.mean if explanations[0].gain else 0.0
+    return BestFit(explanations[0].cost, float(np.exp((1.0 - MIN_SHARE_OF_GAIN) * gain)) - 1.0)
 
 
 def _unchecked(logs: Sequence[Log], relations: Sequence[Relation]) -> tuple[str, ...]:
@@ -84,7 +100,7 @@ def _unchecked(logs: Sequence[Log], relations: Sequence[Relation]) -> tuple[str,
     The relations of sensors and torques compare them with the motor angles.
     """
     compared = {r.place.channel for r in relations if r.kind != "clipped"}
-    joints = {r.place.joint for r in relations if r.kind in ("explained-share", "torque-ratio")}
+    joints = {channel_parts(r.place.channel or "")[1] for r in relations if r.kind == "inertia"}
     if any(r.kind == "torque-fit" for r in relations):
         joints |= {channel_parts(name)[1] for log in logs for name in log.channels}
     references = {r.place.channel for r in relations if r.kind == "reference"}
@@ -95,31 +111,36 @@ def _unchecked(logs: Sequence[Log], relations: Sequence[Relation]) -> tuple[str,
 
 
 def _explain_contradictions(
-    evidence: Evidence, observations: Sequence[Observation]
+    evidence: Evidence, observations: Sequence[Observation], explanations: tuple[Hypothesis, ...]
 ) -> list[Suspicion]:
-    """Select causes greedily: each step takes the cause that leaves the fewest contradictions."""
+    """Select hypotheses greedily: each step takes the one that leaves the fewest contradictions."""
     chosen: list[Suspicion] = []
     structured: list[Suspicion] = []  # those of `chosen` that hold if contradictions remain
     likely: list[str] = []
     while any(_needs_cause(o, evidence) for o in observations) and len(chosen) < _MAX_CAUSES:
-        ranked = _rank_causes(evidence, observations)
+        contradictions = tuple(o for o in observations if o.contradicts)
+        ranked = _rank(Case(evidence, contradictions, explanations), observations)
         if not chosen:
-            likely = [cause.code for cause in ranked if not cause.has_estimated_factor]
+            likely = [each.code for each in ranked if not each.has_estimated_factor]
         if not ranked:
             break
-        rivals = _equal_rivals(evidence, observations, ranked[0])
-        chosen.extend(each.suspicion(evidence.study) for each in (ranked[0], *rivals))
-        if not ranked[0].has_estimated_factor or ranked[0].moves_frames:
-            structured.append(ranked[0].suspicion(evidence.study))
-        evidence = ranked[0].corrected(evidence)
+        best = ranked[0]
+        least = _weigh(evidence, observations, best) if best.rivals else 0.0
+        equal = (r for r in best.rivals if _weigh(evidence, observations, r) <= least)
+        rival = next(equal, None)
+        named = [best] if rival is None else [best, rival]
+        if rival is not None and best.kind == rival.kind:  # the same at another place
+            named = [best.undecided(rival), rival.undecided(best)]
+        chosen.extend(each.suspicion(evidence.study) for each in named)
+        if not best.has_estimated_factor or best.moves_frames:
+            structured.append(best.suspicion(evidence.study))
+        evidence = best.corrected(evidence)
         observations = tuple(compute_observations(evidence))
-    remaining = [o for o in observations if o.contradicts and is_reported(o)]
+    remaining = [o for o in observations if o.contradicts and _is_reported(o)]
     if not remaining:
         return chosen
-    return [
-        *structured,
-        *report_remaining_contradictions(remaining, likely[:_MAX_LIKELY_CAUSES], evidence.study),
-    ]
+    likely = likely[:_MAX_LIKELY_CAUSES]
+    return [*structured, *report_remaining(remaining, likely)]
 
 
 def _needs_cause(each: Observation, evidence: Evidence) -> bool:
@@ -129,82 +150,98 @@ def _needs_cause(each: Observation, evidence: Evidence) -> bool:
     tested by their common fit.
     """
     is_searched = evidence.arm.has_planar_program or each.kind in _OF_TORQUES
-    return each.contradicts and (is_searched or is_reported(each))
+    return each.contradicts and (is_searched or _is_reported(each))
 
 
-def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:
-    """Causes that reduce the contradictions, ordered by remaining weight, then by simplicity.
-
-    An observation counts as a contradiction if the correction removes it and it contradicted
-    before or its kind is in `_REQUIRED_KINDS`.
-    """
-    before = _contradiction_weight(now, now, np.inf)
-    limit = before - _MIN_EXPLAINED_WEIGHT
-    weights: list[tuple[float, Cause]] = []
-    for cause in propose_causes(evidence, [o for o in now if o.contradicts]):
-        after = _weight_after(evidence, now, cause, limit)
+def _rank(case: Case, now: Sequence[Observation]) -> list[Hypothesis]:
+    """Hypotheses that reduce the contradictions, by remaining weight, then by simplicity."""
+    limit = sum(o.weight for o in case.contradictions) - _MIN_EXPLAINED_WEIGHT
+    weights: list[tuple[float, Hypothesis]] = []
+    for each in propose_hypotheses(case):
+        after = _weigh(case.evidence, now, each, limit)
         if after < limit:
-            weights.append((after + _ESTIMATED_FACTOR_PENALTY * cause.has_estimated_factor, cause))
+            weights.append((after + _ESTIMATED_FACTOR_PENALTY * each.has_estimated_factor, each))
             # observations of chains take time; the best cause is enough
-            if not evidence.arm.has_planar_program:
+            if not case.evidence.arm.has_planar_program:
                 limit = min(limit, after + _ESTIMATED_FACTOR_PENALTY)
-        if after == 0.0 and not cause.moves_frames:  # any fault of the motors can look like frames
+        if after == 0.0 and not each.moves_frames:  # any fault of the motors can look like frames
             break
-    return [cause for _, cause in sorted(weights, key=lambda each: each[0])]
+    return [each for _, each in sorted(weights, key=lambda pair: pair[0])]
 
 
-def _equal_rivals(evidence: Evidence, now: Sequence[Observation], cause: Cause) -> list[Cause]:
-    """The first rival of a cause that leaves no more contradictions than the cause does."""
-    least = _weight_after(evidence, now, cause, np.inf) if cause.rivals else 0.0
-    equal = (r for r in cause.rivals if _weight_after(evidence, now, r, np.inf) <= least)
-    return [*islice(equal, _MAX_RIVALS)]
-
-
-def _weight_after(
-    evidence: Evidence, now: Sequence[Observation], cause: Cause, limit: float
+def _weigh(
+    evidence: Evidence, now: Sequence[Observation], each: Hypothesis, limit: float = np.inf
 ) -> float:
-    """Weight of the contradictions that a cause leaves.
+    """Weight of the contradictions that a hypothesis leaves, up to `limit`.
 
-    Without a record, signals can be explained less well than with it.
+    An observation that it removes counts as a contradiction if it contradicted before or its kind
+    is in `_REQUIRED_KINDS`. Without a record, signals can be explained less well than with it.
     """
-    after = compute_observations(cause.corrected(evidence))
-    if cause.excluded:
-        before = {(o.kind, o.place) for o in now if o.contradicts}
-        after = (o for o in after if o.kind != "explained-share" or (o.kind, o.place) in before)
-    return _contradiction_weight(after, _tested(now, cause), limit)
-
-
-def _tested(now: Sequence[Observation], cause: Cause) -> list[Observation]:
-    """Observations that must remain available after a correction."""
-    left_out = set(cause.excluded)
-    return [
-        o
-        for o in now
-        if not (cause.moves_frames and o.is_of_link)
-        and not (left_out and (left_out & set(o.place.experiments) or not o.contradicts))
-    ]
-
-
-def _contradiction_weight(
-    now: Iterable[Observation], before: Sequence[Observation], limit: float
-) -> float:
-    """Total weight of the contradictions in `now`, plus 1 per missing observation of `before`.
-
-    The sum ends at `limit`. If the torques are compared with one arm, the equation of a single
-    joint may be missing: its columns can be linearly dependent with the correct geometry.
-    """
-    may_be_missing = any(o.kind == "torque-fit" for o in before)
-    missing = {
-        (o.kind, o.place)
-        for o in before
-        if (o.contradicts or o.kind in _REQUIRED_KINDS)
-        and not (may_be_missing and o.is_of_joint_equation)
-        and o.kind not in _MAY_BE_MISSING
-    }
+    known = {(o.kind, o.place) for o in now if o.contradicts}
+    has_fit = any(o.kind == "torque-fit" for o in now)
+    missing = {(o.kind, o.place) for o in now if _is_required(o, each, has_fit=has_fit)}
     weight = 0.0
-    for each in now:
-        missing.discard((each.kind, each.place))
-        weight += each.weight * each.contradicts
+    for after in compute_observations(each.corrected(evidence)):
+        key = after.kind, after.place
+        missing.discard(key)
+        is_worse = each.excluded and after.kind == "explained-share" and key not in known
+        weight += 0.0 if is_worse else after.weight * after.contradicts
         if weight >= limit:
             return weight
     return weight + len(missing)
+
+
+def _is_required(o: Observation, each: Hypothesis, *, has_fit: bool) -> bool:
+    """Whether an observation must remain available after a correction.
+
+    If the torques are compared with one arm, the equation of a single joint may be missing: its
+    columns can be linearly dependent with the correct geometry.
+    """
+    is_share = o.kind == "explained-share" and o.place.channel is None
+    if o.kind in _MAY_BE_MISSING or (has_fit and (is_share or o.kind == "inertia")):
+        return False
+    if each.excluded and (not o.contradicts or set(each.excluded) & set(o.place.experiments)):
+        return False
+    is_compared = not (each.moves_frames and o.is_of_link)
+    return is_compared and (o.contradicts or o.kind in _REQUIRED_KINDS)
+
+
+def _is_reported(each: Observation) -> bool:
+    """Whether a contradiction is reported without a cause.
+
+    A low explained share of a motor signal is not reported, because friction and servo limits
+    can cause it. Link sensors follow the motion in every fault-free record.
+    """
+    if each.kind == "torque-fit":  # other relations exclude all better explanations
+        return each.value > _LARGE_RATIO
+    if each.kind != "explained-share":
+        return True
+    return each.is_of_link and each.value < _MIN_EXPLAINED_SHARE
+
+
+def report_remaining(
+    contradictions: Sequence[Observation], likely: Sequence[str]
+) -> Iterator[Suspicion]:
+    """Suspicions for the remaining contradictions, one per channel.
+
+    `likely` has the codes of the causes that explain most of the contradictions, most likely first.
+    """
+    experiments = tuple(
+        Clause(f"isolate/{code}", number=number)
+        for number, code in enumerate(dict.fromkeys([*likely, *_GENERAL_CODES]), start=1)
+    )
+    remedy = Clause("remedy/experiments", experiments=experiments)
+    by_place: dict[Place, Observation] = {}
+    for each in sorted(contradictions, key=lambda o: o.kind == "explained-share"):
+        by_place.setdefault(replace(each.place, joint=None), each)
+    for place, each in by_place.items():
+        is_factor = each.kind not in ("delay", "drift", "input-delay", "explained-share")
+        yield Suspicion(
+            code="wrong-sign" if is_factor and each.value < 0.0 else EXPECTED[each.kind].code,
+            places=(place,),
+            clause=Clause(
+                f"contradiction/{each.kind}", place=place, value=each.value, joint=each.joint
+            ),
+            remedy_clause=remedy,
+            factor=each.value if is_factor else None,
+        )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -22,71 +21,49 @@ _MIN_MOTOR_MOTION_SHARE = 0.01
 _HIDDEN_RESOLUTIONS = 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class Clipping:
-    """Shares of the samples of one channel at its largest or smallest reading, by record."""
+def measure_clipping(logs: Sequence[Log], arm: Arm) -> Iterator[tuple[Relation, Suspicion | None]]:
+    """Yield the largest share of the samples at a sensor's limit, for each sensor channel.
 
-    channel: str
-    shares: Mapping[str, float]
-    ranges: Mapping[str, tuple[float, float]]  # smallest and largest reading, by record
-
-    @property
-    def worst(self) -> str:
-        """The record with the largest share."""
-        return max(self.shares, key=lambda record: self.shares[record])
-
-    @property
-    def relation(self) -> Relation:
-        """The largest share as a relation."""
-        share, place = self.shares[self.worst], Place(channel=self.channel)
-        return Relation(
-            "clipped", place, share, 0.0, 0.0, share <= MAX_SATURATED_SHARE, MAX_SATURATED_SHARE
+    With a suspicion if the share is too large in a record.
+    """
+    for name in (f"{kind}{i}" for kind in _KINDS for i in range(1, arm.n_joints + 1)):
+        given = {log.name: log for log in logs if name in log.channels}
+        if not given:
+            continue
+        kind, i = channel_parts(name)
+        motors = [x for log in logs if (x := log.channels.get(f"theta_m{i}")) is not None]
+        travel, rests = max(map(np.ptp, motors), default=0.0), kind not in _NOISY_KINDS
+        shares = {
+            record: _clipped_share(log, name, float(travel), rests=rests)
+            for record, log in given.items()
+        }
+        worst = max(shares, key=lambda record: shares[record])
+        share, limit, place = shares[worst], MAX_SATURATED_SHARE, Place(channel=name)
+        relation = Relation("clipped", place, share, 0.0, 0.0, share <= limit, limit)
+        if share <= limit:
+            yield relation, None
+            continue
+        others = tuple(r for r, x in shares.items() if x > limit and r != worst)
+        clause = Clause(
+            "clipped",
+            channel=name,
+            low=float(given[worst].channels[name].min()),
+            high=float(given[worst].channels[name].max()),
+            share=share,
+            experiment=worst,
+            others=Clause("also-in", records=others) if others else None,
         )
-
-    @property
-    def suspicions(self) -> Iterator[Suspicion]:
-        """A suspicion if the share is too large in a record."""
-        records = [name for name, share in self.shares.items() if share > MAX_SATURATED_SHARE]
-        if not records:
-            return
-        low, high = self.ranges[self.worst]
-        others = tuple(record for record in records if record != self.worst)
-        yield Suspicion(
-            code="clipped",
-            places=(Place(channel=self.channel),),
-            clause=Clause(
-                "clipped",
-                channel=self.channel,
-                low=low,
-                high=high,
-                share=self.shares[self.worst],
-                experiment=self.worst,
-                others=Clause("also-in", records=others) if others else None,
+        change, remedy = Correction("log", name, "unusable", None), Clause("remedy/clipped")
+        yield (
+            relation,
+            Suspicion(
+                code="clipped",
+                places=(place,),
+                clause=clause,
+                remedy_clause=remedy,
+                corrections=(change,),
             ),
-            remedy_clause=Clause("remedy/clipped"),
-            corrections=(Correction("log", self.channel, "unusable", None),),
         )
-
-
-def measure_clipping(logs: Sequence[Log], arm: Arm) -> Iterator[Clipping]:
-    """Yield the shares of the samples at a sensor's limit, for each sensor channel."""
-    for kind in _KINDS:
-        for i in range(1, arm.n_joints + 1):
-            name = f"{kind}{i}"
-            given = [log for log in logs if name in log.channels]
-            if given:
-                rests = kind not in _NOISY_KINDS
-                motor = f"theta_m{i}"
-                travel = max(
-                    (np.ptp(log.channels[motor]) for log in logs if motor in log.channels),
-                    default=0.0,
-                )
-                shares = {
-                    log.name: _clipped_share(log, name, float(travel), rests=rests) for log in given
-                }
-                values = {log.name: log.channels[name] for log in given}
-                ranges = {key: (float(v.min()), float(v.max())) for key, v in values.items()}
-                yield Clipping(name, shares, ranges)
 
 
 def _clipped_share(log: Log, name: str, travel: float, *, rests: bool) -> float:

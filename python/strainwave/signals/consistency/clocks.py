@@ -36,11 +36,8 @@ class Clocks:
 
     def retimed(self, factor: float) -> Clocks:
         """Clocks after all time stamps are multiplied by `factor`."""
-
-        def by(clock: float | None) -> float | None:
-            return None if clock is None else factor * clock
-
-        return replace(self, prbs=by(self.prbs), servo=by(self.servo))
+        prbs, servo = (None if x is None else factor * x for x in (self.prbs, self.servo))
+        return replace(self, prbs=prbs, servo=servo)
 
 
 def estimate_clocks(log: Log, arm: Arm) -> Clocks:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -28,8 +28,8 @@ from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.consistency.clocks import Clocks, estimate_clocks, find_excited_inputs
-from strainwave.signals.consistency.counts import estimate_encoder_count
 from strainwave.signals.consistency.input_delay import DelayProfile, compute_delay_profile
+from strainwave.signals.encoder_counts import estimate_encoder_count
 from strainwave.signals.motor import detect_standing_motors
 
 # Share of the velocity power, and ratio of the bandwidth to the frequency below which that share
@@ -50,11 +50,6 @@ _ROWS_PER_CYCLE = 20.0
 _MAX_SAMPLES = 2**18
 
 
-MIN_SHARE_OF_GAIN = 0.6
-"""Share of the best gain from which a simpler explanation is as good as the best one.
-
-Changes with many coordinates gain more, since they absorb model errors as well."""
-
 Result = TypeVar("Result")
 
 
@@ -67,7 +62,16 @@ class Memory:
 
     def __init__(self) -> None:
         self._results: dict[tuple[Hashable, ...], tuple[tuple[object, ...], Any]] = {}
-        self.stated_arm: object = None  # the large results are kept for this arm alone
+        self._stated: dict[int, object] = {}  # the large results are kept for these alone
+
+    def state(self, arm: Arm, records: Sequence[SlowRecord]) -> None:
+        """Keep large results of an arm and of the signals of records."""
+        signals = [x for record in records for x in record.channels.values()]
+        self._stated = {id(x): x for x in (arm, *signals)}
+
+    def is_stated(self, *sources: object) -> bool:
+        """Whether large results of the sources are kept."""
+        return all(id(x) in self._stated for x in sources)
 
     def recall(
         self, name: Hashable, sources: Sequence[object], compute: Callable[[], Result]
@@ -92,69 +96,31 @@ class SlowRecord:
     direction: FloatArray  # (n_rows, n_joints) mean sign of the motor velocity
     moves: BoolArray  # (n_joints,) motors that move; the others deflect at most
     inside: BoolArray  # (n_rows,) rows without end effects of the filter
-    start: float  # [s] time of the first row, from the first sample of the log
     clocks: Clocks
     delays: Mapping[int, DelayProfile]  # joint -> profile, where the record determines the delay
     shifted: Mapping[str, float] = field(default_factory=dict)  # channel -> delay removed [s]
 
 
-ChangeKind = Literal[
-    "axis",
-    "gravity",
-    "ratio",
-    "zero",
-    "frame",
-    "coupling",
-    "robot",
-    "torque",
-    "exchange",
-    "delay",
-    "without-gravity",
-    "payload",
-    "unit",
-    "angle",
-]
-"""What an alternative explanation of the torques changes."""
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A signal of one record compared with its prediction."""
+
+    channel: str
+    record: str
+    explained: float  # share of the variance of the signal
+    values: Mapping[str, tuple[float, float]]  # kind of observation -> value, standard deviation
+    seconds: float = np.inf  # length of the record
+    signal: float = np.inf  # signal-to-noise ratio at low frequency
+    expected_signal: float = np.inf  # the same of the prediction
+    size: float = 1.0  # standard deviation over that of the prediction
 
 
 @dataclass(frozen=True, slots=True)
-class Gain:
-    """How much better one explanation predicts held-out stretches than another."""
+class BestFit:
+    """How well the best explanation of the torques predicts held-out stretches."""
 
-    by_joint: FloatArray  # (n_joints,) logarithms of the ratios of the unexplained variances
-    mean: float  # the same, weighted by the independent rows
-    log_likelihood: float  # difference of the log likelihoods of independent rows
-    probability: float  # of stretches that gain as much on average if none gains (Student's t)
-    n_rows: float  # independent rows of all joints
-
-
-@dataclass(frozen=True, slots=True)
-class Alternative:
-    """Another explanation of the torques, and its prediction of held-out stretches."""
-
-    kind: ChangeKind
-    joint: int | None  # from 1
-    corrections: tuple[Correction, ...]
-    gain: Gain | None = None  # over the stated description
-    cost: float = np.inf  # half the mean logarithm of the unexplained shares
-    n_coordinates: int = 0  # estimated from the torques
-    is_tolerated: bool = False  # of a size within which a study is accepted
-    record: str = ""  # the only record with the fault; empty: all records
-    exchanged: tuple[str, ...] = ()  # kinds of channels that are exchanged with `other`
-    other: int | None = None
-
-    @property
-    def penalised_cost(self) -> float:
-        """Cost with the penalty of the Bayesian information criterion for its coordinates."""
-        n = max(self.gain.n_rows, 1.0) if self.gain else 1.0
-        return self.cost + 0.5 * self.n_coordinates * float(np.log(n)) / n
-
-
-def is_as_good(each: Alternative, best: Alternative) -> bool:
-    """Whether an explanation gains most of what the best one gains."""
-    if each.gain is None or best.gain is None:
-        return False
-    return each.gain.mean >= MIN_SHARE_OF_GAIN * best.gain.mean
+    cost: float  # half the mean logarithm of the unexplained shares
+    tolerance: float  # ratio of unexplained variances, less 1, up to which others are as good
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +131,7 @@ class Evidence:
     records: tuple[SlowRecord, ...]
     counts: Mapping[int, float]  # joint -> encoder count of its motor angle, if quantised
     high_passes: Mapping[str, float] = field(default_factory=dict)  # channel -> cutoff [Hz]
-    explanations: tuple[Alternative, ...] | None = None  # the best first; None without torques
+    best_fit: BestFit | None = None  # None without torques
     memory: Memory = field(default_factory=Memory)  # of all hypotheses about the same logs
 
     @property
@@ -197,12 +163,11 @@ class Evidence:
 
     def corrected_in(self, record: str, corrections: Sequence[Correction]) -> Evidence:
         """Evidence after corrections of the channels of one record, or of all if it is empty."""
-        after = self.corrected(corrections)
         if not record:
-            return after
-        pairs = zip(self.records, after.records, strict=True)
-        records = [new if new.experiment.name == record else old for old, new in pairs]
-        return replace(self, records=tuple(records))
+            return self.corrected(corrections)
+        (one,) = [r for r in self.records if r.experiment.name == record]
+        (changed,) = replace(self, records=(one,)).corrected(corrections).records
+        return replace(self, records=tuple(changed if r is one else r for r in self.records))
 
     def without_records(self, names: Collection[str]) -> Evidence:
         """Evidence without the records `names`."""
@@ -262,7 +227,6 @@ class Evidence:
                 record,
                 sample_time=factor * record.sample_time,
                 bandwidth_hz=record.bandwidth_hz / factor,
-                start=factor * record.start,
                 clocks=record.clocks.retimed(factor),
                 delays={},
             )
@@ -406,7 +370,7 @@ def _slow_record(log: Log, arm: Arm, moves: BoolArray, band: float) -> SlowRecor
     samples = np.column_stack([log.channels[name][: n_rows * block] for name in names])
     smooth = low_pass(angle[: n_rows * block], min(4.0 * band, 0.2 / T), T)
     direction = np.sign(differentiate(smooth, T))
-    rows = _block_means(np.column_stack([samples, direction]), block)
+    rows = np.column_stack([samples, direction]).reshape(n_rows, block, -1).mean(axis=1)
     slow = low_pass(rows, band, block * T)
     inside = np.zeros(n_rows, dtype=bool)
     inside[edge : n_rows - edge] = True
@@ -421,7 +385,6 @@ def _slow_record(log: Log, arm: Arm, moves: BoolArray, band: float) -> SlowRecor
         direction=slow[:, len(names) :],
         moves=moves,
         inside=inside,
-        start=0.5 * (block - 1) * T,
         clocks=estimate_clocks(log, arm),
         delays=_delay_profiles(log, arm),
     )
@@ -458,11 +421,6 @@ def exchanged_tests(evidence: Evidence) -> tuple[list[str], list[str]]:
         if is_slow(experiment) and has_signal:
             signalling.append(experiment.name)
     return silent, signalling
-
-
-def _block_means(signal: FloatArray, block: int) -> FloatArray:
-    means: FloatArray = signal.reshape(len(signal) // block, block, -1).mean(axis=1)
-    return means
 
 
 def motion_bands(angle: FloatArray, sample_time: float, *, slow: bool) -> list[float]:

@@ -7,17 +7,17 @@ coefficient of a channel on its prediction is 1 if the input is consistent.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import BoolArray, Correction, FloatArray, Lag, channel_parts
+from strainwave.domain import Correction, FloatArray, Lag, channel_parts
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import apply_lags, differentiate, low_pass
+from strainwave.numerics.regression import Fit, regress
 from strainwave.signals.channels import sensor_lags
-from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
-from strainwave.signals.consistency.regression import Fit, regress
+from strainwave.signals.consistency.evidence import Comparison, Evidence, SlowRecord, is_slow
 from strainwave.signals.link_readings import (
     JointMotion,
     accelerometer_parts,
@@ -38,8 +38,8 @@ LINK_CHANNELS = ("a", "gyro", "theta_l", *IMU_CHANNELS)
 """Kinds of channels that the motor angles predict."""
 
 STANDARD_GRAVITY = 9.80665  # [m/s^2]
-# Search range of the log factor of a joint's rotation.
-_MAX_LOG_ROTATION_FACTOR = float(np.log(300.0))
+# Search range of the factor of a joint's rotation, in either direction.
+_MAX_ROTATION_FACTOR = 300.0
 # Grid points of the rotation search.
 _ROTATION_GRID_SIZE = 41
 # Grid points of the high-pass search.
@@ -64,30 +64,7 @@ _TILT_PRIOR_STD = 0.1
 _RESONANCE_OVER_BANDWIDTH = 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """Regression of one link channel of one record on its prediction."""
-
-    channel: str
-    record: str
-    seconds: float  # length of the record
-    scale: float  # of the whole prediction
-    scale_std: float
-    delay: float  # [s]
-    delay_std: float
-    drift: float  # [s/s] rate of change of the delay
-    drift_std: float
-    explained: float  # share of the variance of the reading
-    signal: float  # signal-to-noise ratio at low frequency
-    expected_signal: float  # the same of the prediction
-    size: float  # standard deviation over that of the prediction
-    parts: dict[str, tuple[float, float]]  # "own-joint", "origin-motion", "gravity" -> scale, std
-    # scale of the joint's rotation over that of the joints before it, std
-    rotation_ratio: tuple[float, float] | None
-    tilt: tuple[float, float] | None  # gravity in the plane of motion [g], std
-
-
-def regress_readings(evidence: Evidence) -> Iterator[tuple[str, list[Reading]]]:
+def regress_readings(evidence: Evidence) -> Iterator[tuple[str, list[Comparison]]]:
     """Regress each link channel on the prediction from the motor angles, channel by channel.
 
     Uses the slow records that contain the channel. If none do, uses the records that excite the
@@ -109,7 +86,7 @@ def regress_readings(evidence: Evidence) -> Iterator[tuple[str, list[Reading]]]:
                 yield name, [x for r in used for x in _recall(r, evidence, kind, i)]
 
 
-def _recall(record: SlowRecord, evidence: Evidence, kind: str, i: int) -> tuple[Reading, ...]:
+def _recall(record: SlowRecord, evidence: Evidence, kind: str, i: int) -> tuple[Comparison, ...]:
     """Regression of a channel of joint i (from 0), computed once per hypothesis about its sources.
 
     A link moves with the motors up to its own, or with all if the motors are coupled.
@@ -134,28 +111,17 @@ def estimate_high_pass_cutoff(evidence: Evidence, name: str) -> float | None:
     if not records:
         return None
     record = max(records, key=lambda r: len(r.inside))
-    motion = motion_of(record, evidence.arm)
 
     def unexplained(hz: float) -> float:
         hypothesis = replace(evidence, high_passes={**evidence.high_passes, name: hz})
-        regressions = _regress_channel(record, hypothesis, motion, kind, joint - 1)
-        plausible = [reading for reading in regressions if 0.5 < reading.scale < 2.0]
-        return min((1.0 - reading.explained for reading in plausible), default=1.0)
+        readings = _recall(record, hypothesis, kind, joint - 1)
+        plausible = [r for r in readings if 0.5 < r.values["scale"][0] < 2.0]
+        return min((1.0 - r.explained for r in plausible), default=1.0)
 
     edges = 0.1 / (len(record.inside) * record.sample_time), record.bandwidth_hz
-    low, high = (float(np.log(edge)) for edge in edges)
-    for _ in range(3):
-        grid = np.linspace(low, high, _HIGH_PASS_GRID_SIZE)
-        shares = [unexplained(float(np.exp(each))) for each in grid]
-        k = int(np.argmin(shares))
-        if shares[k] > _MAX_COARSE_UNEXPLAINED:
-            return None
-        low, high = float(grid[max(k - 1, 0)]), float(grid[min(k + 1, len(grid) - 1)])
-    if shares[k] > min(
-        _MAX_HIGH_PASS_UNEXPLAINED, _MAX_HIGH_PASS_UNEXPLAINED_RATIO * unexplained(0.0)
-    ):
-        return None
-    return float(f"{np.exp(grid[k]):.4g}")
+    hz, share = _search(unexplained, *edges, _HIGH_PASS_GRID_SIZE, _MAX_COARSE_UNEXPLAINED)
+    least = min(_MAX_HIGH_PASS_UNEXPLAINED, _MAX_HIGH_PASS_UNEXPLAINED_RATIO * unexplained(0.0))
+    return float(f"{hz:.4g}") if share <= least else None
 
 
 def estimate_rotation_factors(evidence: Evidence, joint: int) -> tuple[float, ...]:
@@ -165,35 +131,40 @@ def estimate_rotation_factors(evidence: Evidence, joint: int) -> tuple[float, ..
     the factor that explains the largest share of a reading. Other gear ratios are kept.
     Returns one factor, or an empty tuple for joint 1 or if no factor explains the reading.
     """
-    if joint == 1:
-        return ()
     ratio = evidence.arm.joints[joint - 1].gear_ratio
     slow = [r for r in evidence.records if is_slow(r.experiment)] or list(evidence.records)
-    names = [f"{k}{joint}" for k in ("theta_l", "gyro", "a") if f"{k}{joint}" in slow[0].channels]
+    kinds = [k for k in ("theta_l", "gyro", "a") if f"{k}{joint}" in slow[0].channels]
+    if joint == 1 or not kinds:
+        return ()
 
     def unexplained(factor: float) -> float:
-        hypothesis = evidence.corrected(
-            [Correction("joint", str(joint), "gear_ratio", factor * ratio)]
-        )
+        change = Correction("joint", str(joint), "gear_ratio", factor * ratio)
+        hypothesis = evidence.corrected([change])
         motion = motion_of(slow[0], hypothesis.arm)
-        regressions = _regress_channel(
-            slow[0], hypothesis, motion, channel_parts(names[0])[0], joint - 1
-        )
-        return min((1.0 - reading.explained for reading in regressions), default=1.0)
+        readings = _regress_channel(slow[0], hypothesis, motion, kinds[0], joint - 1)
+        return min((1.0 - reading.explained for reading in readings), default=1.0)
 
-    if not names:
-        return ()
-    grid = np.linspace(-_MAX_LOG_ROTATION_FACTOR, _MAX_LOG_ROTATION_FACTOR, _ROTATION_GRID_SIZE)
-    best, best_share, centre, width = 1.0, np.inf, 0.0, 1.0
+    edges = 1.0 / _MAX_ROTATION_FACTOR, _MAX_ROTATION_FACTOR
+    factor, share = _search(unexplained, *edges, _ROTATION_GRID_SIZE, 1.0)
+    return (factor,) if share < 0.5 else ()
+
+
+def _search(
+    unexplained: Callable[[float], float], low: float, high: float, size: int, limit: float
+) -> tuple[float, float]:
+    """Factor that leaves the least unexplained share, by three logarithmic grids, and that share.
+
+    The first grid can miss a narrow minimum: a share above `limit` ends the search.
+    """
+    first, last = float(np.log(low)), float(np.log(high))
     for _ in range(3):
-        factors = [float(f) for f in np.exp(centre + width * grid)]
-        shares = [unexplained(f) for f in factors]
+        grid = np.linspace(first, last, size)
+        shares = [unexplained(float(np.exp(x))) for x in grid]
         k = int(np.argmin(shares))
-        centre += width * float(grid[k])
-        width *= 4.0 / (_ROTATION_GRID_SIZE - 1)
-        if shares[k] < best_share:
-            best, best_share = factors[k], shares[k]
-    return (best,) if best_share < 0.5 else ()
+        if shares[k] > limit:
+            break
+        first, last = float(grid[max(k - 1, 0)]), float(grid[min(k + 1, size - 1)])
+    return float(np.exp(grid[k])), shares[k]
 
 
 def motion_of(record: SlowRecord, arm: Arm) -> JointMotion:
@@ -235,40 +206,31 @@ def _predicted_parts(
     return {key: part for key, part in parts.items() if key == "own-joint" or np.any(part)}
 
 
-@dataclass(frozen=True, slots=True)
-class _Derivatives:
-    """Derivatives of an accelerometer reading, per radian."""
-
-    tilt: list[FloatArray]  # by the tilt of the base
-    zero: list[FloatArray]  # by the zeros of the encoders, without those of gravity
-
-
-def _tilt_derivatives(arm: Arm, motion: JointMotion, kind: str, i: int) -> _Derivatives:
+def _tilt_derivatives(
+    arm: Arm, motion: JointMotion, kind: str, i: int
+) -> tuple[list[FloatArray], list[FloatArray]]:
     """Derivatives of a reading of joint i, from 0, by the tilt of the base and the encoder zeros.
 
     The tilt of a horizontal arm adds gravity along the axes of the base. The tilt of an arm under
     gravity rotates the known gravity. The zero of an encoder rotates the acceleration of the
-    frame's origin.
+    frame's origin. Per radian; those by zeros without that of gravity.
     """
     if kind != "a" or arm.joints[i].motion == "prismatic":
-        return _Derivatives([], [])
-    changes = STANDARD_GRAVITY * np.eye(3)
-    if arm.gravity:
-        changes = np.cross(np.eye(3), arm.gravity)
+        return [], []
+    changes = np.cross(np.eye(3), arm.gravity) if arm.gravity else STANDARD_GRAVITY * np.eye(3)
     tilt = read_gravity(arm, motion.angle, i, changes).T
     zero = angle_derivatives(replace(arm, gravity=None), motion, i).T
-    return _Derivatives([x for x in tilt if np.any(x)], [x for x in zero if np.any(x)])
+    return [x for x in tilt if np.any(x)], [x for x in zero if np.any(x)]
 
 
 def _regress_channel(
     record: SlowRecord, evidence: Evidence, motion: JointMotion, kind: str, i: int
-) -> Iterator[Reading]:
+) -> Iterator[Comparison]:
     """Regress a channel of joint i (from 0); no reading if the record does not determine it."""
     name, arm = f"{kind}{i + 1}", evidence.arm
-    parts = _predicted_parts(arm, motion, kind, i)
+    T, parts = record.sample_time, _predicted_parts(arm, motion, kind, i)
     if parts is None:
         return
-    T = record.sample_time
     sensor = [
         lag for lag in sensor_lags(arm.joints[i], kind) if _is_relevant(lag, T, len(record.inside))
     ]
@@ -291,121 +253,57 @@ def _regress_channel(
     parts = {key: sensed(part) for key, part in parts.items()}
     target = smoothed(record.channels[name])[record.inside]
     prediction = np.sum(list(parts.values()), axis=0)
-    derivatives = _tilt_derivatives(arm, motion, kind, i)
-    turned = [sensed(part) for part in derivatives.tilt + derivatives.zero]
+    tilt, zero = _tilt_derivatives(arm, motion, kind, i)
+    turned = [*map(sensed, tilt + zero)]
     # The initial state of a high-pass is unknown.
     decays = [np.exp(-2.0 * np.pi * cutoff * T * np.arange(len(prediction)))] if cutoff else []
-    nuisance = _NuisanceColumns.of(
-        record, prediction, prediction - parts.get("gravity", 0.0), turned, decays
-    )
-    fit = nuisance.fit(target, [prediction])
+    slope = differentiate(prediction, T)
+    since = T * (np.arange(len(prediction)) - np.flatnonzero(record.inside).mean())
+    # The link motion is the motor motion plus 1/omega_a^2 times its second derivative. The columns
+    # of delay and drift are proportional to the slope of the prediction.
+    springs = differentiate(differentiate(prediction - parts.get("gravity", 0.0), T), T)
+    top = 2.0 * np.pi * _RESONANCE_OVER_BANDWIDTH * record.bandwidth_hz
+    nuisance = [springs, -slope, -since * slope, *decays, *turned]
+    free = [np.inf] * (2 + len(decays))
+    prior = [top**-2.0, *free, *[_TILT_PRIOR_STD] * len(turned)]
+
+    def fit_of(regressed: list[FloatArray], n: int = len(nuisance)) -> Fit | None:
+        columns = np.column_stack([*regressed, *nuisance[:n]])[record.inside]
+        return regress(target, columns, np.array([*[np.inf] * len(regressed), *prior[:n]]))
+
+    fit = fit_of([prediction])
     if fit is None:
         return
-    scale, scale_std = _coefficient(fit, 0)
-    delay, delay_std = _relative_coefficient(fit, 2)
-    drift, drift_std = _relative_coefficient(fit, 3)
-    each_part_fit = nuisance.fit(target, list(parts.values())) if len(parts) > 1 else None
-    scales = {"own-joint": (scale, scale_std)}
+    each_part_fit = fit_of(list(parts.values())) if len(parts) > 1 else None
+    values = {"scale": fit.coefficient(0), "delay": fit.relative(2), "drift": fit.relative(3)}
     if each_part_fit is not None:
-        scales = {key: _coefficient(each_part_fit, k) for k, key in enumerate(parts)}
+        values |= {key: each_part_fit.coefficient(k) for k, key in enumerate(parts)}
+    elif len(parts) > 1:
+        values["own-joint"] = values["scale"]
+    if rotations := [sensed(part) for part in _rotations(arm, motion, kind, i)]:
+        rotations += [part for key, part in parts.items() if key != "own-joint"]
+        # without tilt, an actual tilt biases the ratio; its columns absorb errors of springs
+        fits = [fit_of(rotations, len(nuisance) - len(turned)), fit_of(rotations)]
+        ratios = [_coefficient_ratio(each) for each in fits if each is not None]
+        valid = [each for each in ratios if each is not None]
+        if len(valid) == len(fits):
+            values["rotation-ratio"] = min(valid, key=lambda r: abs(r[0] - 1.0) / r[1])
+    if not arm.gravity and tilt:  # gravity in the plane of motion of a horizontal arm [g]
+        of_tilt = slice(4 + len(decays), 4 + len(decays) + len(tilt))
+        components, covariance = fit.value[of_tilt], fit.covariance[of_tilt, of_tilt]
+        length, variance = float(np.linalg.norm(components)), components @ covariance @ components
+        values["tilt"] = length, float(np.sqrt(variance)) / max(length, 1e-12)
     size = float(np.std(target))
-    rotations = [sensed(part) for part in _rotations(arm, motion, kind, i)]
-    rest = [part for key, part in parts.items() if key != "own-joint"]
-    yield Reading(
+    yield Comparison(
         channel=name,
         record=record.experiment.name,
-        seconds=T * len(record.inside),
-        scale=scale,
-        scale_std=scale_std,
-        delay=delay,
-        delay_std=delay_std,
-        drift=drift,
-        drift_std=drift_std,
         explained=fit.explained,
+        values=values,
+        seconds=T * len(record.inside),
         signal=size / max(record.noise[name], 1e-12 * size, 1e-300),
         expected_signal=float(np.std(prediction)) / max(record.noise[name], 1e-300),
         size=size / max(float(np.std(prediction)), 1e-300),
-        parts=scales,
-        rotation_ratio=nuisance.quotient(target, [*rotations, *rest]) if rotations else None,
-        tilt=None if arm.gravity else _tilt(fit, 4 + len(decays), len(derivatives.tilt)),
     )
-
-
-def _tilt(fit: Fit, first: int, count: int) -> tuple[float, float] | None:
-    """Gravity in the plane of motion of a horizontal arm [g] and its standard deviation."""
-    if not count:
-        return None
-    tilt_columns = slice(first, first + count)
-    components, covariance = fit.value[tilt_columns], fit.covariance[tilt_columns, tilt_columns]
-    size = float(np.linalg.norm(components))
-    return size, float(np.sqrt(components @ covariance @ components)) / max(size, 1e-12)
-
-
-@dataclass(frozen=True, slots=True)
-class _NuisanceColumns:
-    """Nuisance columns of a regression: springs, delay, drift, high-pass decay, tilt and zero."""
-
-    inside: BoolArray
-    columns: tuple[FloatArray, ...]
-    prior: FloatArray
-    n_turned: int
-
-    @classmethod
-    def of(
-        cls,
-        record: SlowRecord,
-        whole: FloatArray,
-        dynamic: FloatArray,
-        turned: list[FloatArray],
-        decays: list[FloatArray],
-    ) -> _NuisanceColumns:
-        T, inside = record.sample_time, record.inside
-        slope = differentiate(whole, T)
-        since = record.start + T * np.arange(len(whole))
-        since = since - since[inside].mean()
-        # The link motion is the motor motion plus 1/omega_a^2 times its second derivative. The
-        # columns of delay and drift are proportional to the slope of the prediction.
-        springs = differentiate(differentiate(dynamic, T), T)
-        top = 2.0 * np.pi * _RESONANCE_OVER_BANDWIDTH * record.bandwidth_hz
-        free = [np.inf] * (2 + len(decays))
-        prior = np.array([top**-2.0, *free, *[_TILT_PRIOR_STD] * len(turned)])
-        columns = (springs, -slope, -since * slope, *decays, *turned)
-        return cls(inside, columns, prior, len(turned))
-
-    def fit(self, target: FloatArray, regressed: list[FloatArray]) -> Fit | None:
-        """Regress the target on `regressed` and the nuisance columns."""
-        columns = [*regressed, *self.columns]
-        prior = np.r_[[np.inf] * len(regressed), self.prior]
-        return regress(target, np.column_stack(columns)[self.inside], prior)
-
-    def quotient(
-        self, target: FloatArray, regressed: list[FloatArray]
-    ) -> tuple[float, float] | None:
-        """Ratio of the first two coefficients and its standard deviation.
-
-        Fits with and without tilt and returns the ratio closer to 1 in standard deviations.
-        Without tilt, an actual tilt biases the ratio. With tilt, its columns absorb model errors of
-        springs and friction.
-        """
-        n_level = len(self.columns) - self.n_turned
-        level = replace(self, columns=self.columns[:n_level], prior=self.prior[:n_level])
-        fits = [each.fit(target, regressed) for each in (level, self)]
-        ratios = [None if fit is None else _coefficient_ratio(fit) for fit in fits]
-        valid = [each for each in ratios if each is not None]
-        if len(valid) < len(ratios):
-            return None
-        return min(valid, key=lambda each: abs(each[0] - 1.0) / each[1])
-
-
-def _coefficient(fit: Fit, k: int) -> tuple[float, float]:
-    """Coefficient k and its standard deviation."""
-    return float(fit.value[k]), float(np.sqrt(fit.covariance[k, k]))
-
-
-def _relative_coefficient(fit: Fit, k: int) -> tuple[float, float]:
-    """Coefficient k divided by the scale of the reading, and its standard deviation."""
-    (value, std), scale = _coefficient(fit, k), float(fit.value[0])
-    return (value / scale, std / abs(scale)) if scale else (0.0, np.inf)
 
 
 def _rotations(arm: Arm, motion: JointMotion, kind: str, i: int) -> list[FloatArray]:

@@ -11,7 +11,8 @@ torque that the fit does not explain is then larger than with the correct chain.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import TypeVar
 
 import numpy as np
@@ -20,7 +21,8 @@ from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.domain.distributions import student_tail
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
-from strainwave.signals.consistency.evidence import Evidence, Gain, SlowRecord, is_slow
+from strainwave.numerics.regression import ROWS_PER_INDEPENDENT_ROW, long_run_std
+from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
 from strainwave.signals.consistency.motors import (
     compute_motor_torque,
     effort_channel,
@@ -28,7 +30,6 @@ from strainwave.signals.consistency.motors import (
     sliding_rows,
     spread_stretches,
 )
-from strainwave.signals.consistency.regression import ROWS_PER_INDEPENDENT_ROW
 from strainwave.signals.consistency.sensors import recall_motion
 from strainwave.signals.link_readings import JointMotion
 
@@ -48,6 +49,10 @@ _N_ITERATIONS = 3
 _N_LINK_PARAMETERS = 10
 # Rows of a stretch that is predicted by the links fitted to all others: 5 are independent.
 _FOLD_ROWS = 6
+# Torsion moves links by some milliradians, so the torques of a rigid arm are wrong by this share.
+_MODEL_ERROR_SHARE = 1e-3
+# Rows between two postures at which inertias are evaluated, for their mean.
+_POSTURE_STRIDE = 16
 # Smallest unexplained share, so that noise-free torques can be compared.
 _MIN_UNEXPLAINED = 1e-9
 
@@ -63,6 +68,18 @@ class TorqueSystem:
     records: tuple[str, ...]  # record of each stretch
     total: Mapping[int, float]  # joint -> sum of squares of the torque about its mean
     n_rows: Mapping[int, float]  # joint -> independent rows beyond its own parameters
+    grams: Mapping[int, FloatArray] = field(default_factory=dict)  # joint -> columns' columns
+
+
+@dataclass(frozen=True, slots=True)
+class Gain:
+    """How much better one explanation predicts held-out stretches than another."""
+
+    by_joint: FloatArray  # (n_joints,) logarithms of the ratios of the unexplained variances
+    mean: float  # the same, weighted by the independent rows
+    log_likelihood: float  # difference of the log likelihoods of independent rows
+    probability: float  # of stretches that gain as much on average if none gains (Student's t)
+    n_rows: float  # independent rows of all joints
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +88,6 @@ class FitQuality:
 
     shares: FloatArray  # (n_folds, n_joints) squared prediction errors over the squared torques
     rows: FloatArray  # (n_folds, n_joints) independent rows beyond the parameters
-    records: tuple[str, ...]  # of each fold
 
     @property
     def unexplained(self) -> FloatArray:
@@ -93,12 +109,6 @@ class FitQuality:
         """Half the mean logarithm of the unexplained shares."""
         return float(0.5 * self.weights @ np.log(self.unexplained))
 
-    @property
-    def _costs(self) -> FloatArray:
-        """Negative log likelihoods (n_folds, n_joints), with one variance for each joint."""
-        squares = self.n_rows * self.shares / self.unexplained
-        return np.asarray(0.5 * (self.rows * np.log(self.unexplained) + squares))
-
     def gain(self, other: FitQuality) -> Gain:
         """Gain of this fit over another of the same stretches and joints.
 
@@ -108,8 +118,12 @@ class FitQuality:
         by_joint = np.log(other.unexplained / self.unexplained)
         probability = 1.0
         if self.shares.shape == other.shares.shape and len(self.shares) > 1:
-            of_folds = (other._costs - self._costs).sum(axis=1)
-            n_folds = len(of_folds)
+            # negative log likelihoods (n_folds, n_joints), with one variance for each joint
+            costs = [
+                0.5 * (q.rows * np.log(q.unexplained) + q.n_rows * q.shares / q.unexplained)
+                for q in (other, self)
+            ]
+            of_folds, n_folds = (costs[0] - costs[1]).sum(axis=1), len(self.shares)
             std = max(float(of_folds.std(ddof=1)), 1e-300) / np.sqrt(n_folds)
             t = float(of_folds.mean() / std)
             probability = 0.5 * student_tail(t, n_folds - 1) if t > 0.0 else 1.0
@@ -168,8 +182,8 @@ def friction_shares(evidence: Evidence) -> dict[int, tuple[float, float]]:
         return {}
     fit = fit_torques(system)
     friction, noise = dict.fromkeys(system.total, 0.0), dict.fromkeys(system.total, 0.0)
-    for each, columns in _blocks(evidence, Arm.base_regressor, "regressor"):
-        own = each.torque - (columns - columns.mean(axis=0)) @ fit.links
+    for each in _blocks(evidence, Arm.base_regressor, "regressor"):
+        own = each.torque - (each.of_links - each.of_links.mean(axis=0)) @ fit.links
         friction[each.joint] += float(np.sum((each.basis[:, 1:].T @ own) ** 2))
         rows = max(len(own) * _ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW, 1.0)
         noise[each.joint] += float(np.sum(each.remainder(own) ** 2)) / rows
@@ -191,7 +205,8 @@ def fit_torques(system: TorqueSystem) -> TorqueFit:
     equations = {}
     for i, rows in of_joint.items():
         block = system.columns[rows]
-        equations[i] = block.T @ block, block.T @ system.torque[rows]
+        gram = system.grams[i] if i in system.grams else block.T @ block
+        equations[i] = gram, block.T @ system.torque[rows]
     for _ in range(_N_ITERATIONS):
         weight = np.zeros(len(system.torque))
         for i, rows in of_joint.items():
@@ -262,7 +277,7 @@ def predict_stretches(
         [np.bincount(system.fold[system.joint == j], minlength=len(squares)) for j in joints]
     )
     rows = n_rows * (counts / counts.sum(axis=1, keepdims=True)).T
-    return FitQuality(shares, rows, system.records)
+    return FitQuality(shares, rows)
 
 
 def _inverse_root(gram: FloatArray) -> FloatArray:
@@ -288,17 +303,20 @@ def torque_system(evidence: Evidence, loaded: str = "") -> TorqueSystem | None:
     records: list[str] = []
     totals: dict[int, float] = {}
     n_rows: dict[int, float] = {}
-    for each, of_links in _blocks(evidence, Arm.base_regressor, "regressor"):
-        columns = each.remainder(of_links)
-        i, torque = each.joint, each.torque
+    grams: dict[int, FloatArray] = {}
+    for each in _blocks(evidence, Arm.base_regressor, "regressor"):
+        i, torque, columns = each.joint, each.torque, each.columns
         n_folds = max(2, each.n_rows // _FOLD_ROWS)
-        if each.record not in records:
-            records += [each.record] * n_folds
+        name = each.record.experiment.name
+        if name not in records:
+            records += [name] * n_folds
         parts = each.at * n_folds // each.n_rows
-        folds.append(records.index(each.record) + parts)
+        folds.append(records.index(name) + parts)
         if loaded:
-            of_load = columns[:, -_N_LINK_PARAMETERS:] * (each.record == loaded)
+            of_load = columns[:, -_N_LINK_PARAMETERS:] * (name == loaded)
             columns = np.column_stack([columns, of_load])
+        else:
+            grams[i] = grams[i] + each.gram if i in grams else each.gram
         blocks.append(np.column_stack([columns, each.remainder(torque)]))
         joints.append(np.full(len(torque), i))
         totals[i] = totals.get(i, 0.0) + float(torque @ torque)
@@ -308,7 +326,7 @@ def torque_system(evidence: Evidence, loaded: str = "") -> TorqueSystem | None:
         return None
     equations, joint = np.concatenate(blocks), np.concatenate(joints)
     columns, torques, fold = equations[:, :-1], equations[:, -1], np.concatenate(folds)
-    return TorqueSystem(columns, torques, joint, fold, tuple(records), totals, n_rows)
+    return TorqueSystem(columns, torques, joint, fold, tuple(records), totals, n_rows, grams)
 
 
 def unexplained_torques(evidence: Evidence, links: FloatArray) -> FloatArray:
@@ -321,8 +339,8 @@ def unexplained_torques(evidence: Evidence, links: FloatArray) -> FloatArray:
 
     return np.concatenate(
         [
-            block.remainder(block.torque - torques[:, 0])
-            for block, torques in _blocks(evidence, torques_of, None)
+            block.remainder(block.torque - block.of_links[:, 0])
+            for block in _blocks(evidence, torques_of, None)
         ]
     )
 
@@ -337,15 +355,105 @@ def arm_of_torques(evidence: Evidence) -> Arm:
 
 
 @dataclass(frozen=True, slots=True)
+class TorqueRegression:
+    """Regression of the torque of one joint on its own motion and that of the links."""
+
+    joint: int  # from 1
+    inertia: float  # [kg m^2] motor side, of the joint's own acceleration
+    inertia_std: float
+    explained: float  # share of the variance of the torque
+
+
+def regress_torques(evidence: Evidence) -> Iterator[TorqueRegression]:
+    """Regress the torque of each joint with an effort, each with links of its own.
+
+    Uses all slow records; if there are none, those that excite the joint.
+    """
+    slow = [r for r in evidence.records if is_slow(r.experiment)]
+    used = slow or list(evidence.records)
+    for i in range(evidence.arm.n_joints):
+        chosen = [r for r in used if slow or r.experiment.joint in (None, i + 1)]
+        efforts = [r.channels.get(effort_channel(r.channels, i + 1) or "") for r in chosen]
+        angles = [
+            r.channels[f"theta_m{j}"] for r in chosen for j in range(1, evidence.arm.n_joints + 1)
+        ]
+        setting = ("inertia", i, *((r.sample_time, r.bandwidth_hz) for r in chosen))
+
+        def compute(i: int = i, chosen: list[SlowRecord] = chosen) -> TorqueRegression | None:
+            return _regress_torque(evidence, chosen, i)
+
+        sources = (arm_of_torques(evidence), *efforts, *angles)
+        estimate = evidence.memory.recall(setting, sources, compute)
+        if estimate is not None:
+            yield estimate
+
+
+def _regress_torque(
+    evidence: Evidence, records: Sequence[SlowRecord], i: int
+) -> TorqueRegression | None:
+    """Regress the torque of joint i (from 0) over records, with one constant per record.
+
+    A spring to ground opposes the acceleration of an oscillation, as a wrong sign does. An inertia
+    is therefore negative only if it is so with a spring.
+    """
+    arm = arm_of_torques(evidence)
+    unit = arm.links_of(np.eye(arm.n_joints)[i])
+    targets, blocks, weights = [], [], []
+    for block in _blocks(evidence, Arm.base_regressor, "regressor", records, i):
+        targets.append(block.torque)
+        columns = np.column_stack([block.own, block.of_links, block.angle])
+        blocks.append(columns - columns.mean(axis=0))
+        q = recall_motion(block.record, evidence).angle[::_POSTURE_STRIDE]
+        rest = np.zeros_like(q)
+        links = arm.base_regressor(q, rest, rest + unit) - arm.base_regressor(q, rest, rest)
+        weights.append(arm.motors_of(np.swapaxes(links, 1, 2)).mean(axis=0)[:, i])
+    if not targets:
+        return None
+    target, columns = np.concatenate(targets), np.concatenate(blocks)
+    weight = np.r_[1.0, 0.0, 0.0, np.mean(weights, axis=0)]
+    estimates, rows_per_independent = [], ROWS_PER_INDEPENDENT_ROW / _ROW_STRIDE
+    for used in (columns[:, :-1], columns):
+        root = _inverse_root(used.T @ used)
+        basis, of_weight = used @ root, np.r_[weight, 0.0][: used.shape[1]] @ root
+        value, total = basis.T @ target, float(target @ target)
+        n_free = len(target) - rows_per_independent * basis.shape[1]
+        if n_free <= 0.0:  # a short record does not determine the links
+            continue
+        residual = target - basis @ value
+        squares, least = float(residual @ residual), _MODEL_ERROR_SHARE**2 * total
+        variance = rows_per_independent * max(squares / n_free, least / len(target))
+        long_run = long_run_std((basis @ of_weight)[:, None], residual, _ROW_STRIDE)
+        std = max(float(np.sqrt(variance) * np.linalg.norm(of_weight)), float(long_run[0]))
+        inertia, explained = float(of_weight @ value), 1.0 - squares / total
+        estimates.append(TorqueRegression(i + 1, inertia, std, explained))
+        if inertia >= 0.0:
+            break
+    return estimates[-1] if estimates else None
+
+
+@dataclass(frozen=True)
 class _Block:
     """Rows of one joint in one record."""
 
-    record: str
+    record: SlowRecord
     joint: int  # from 1
     torque: FloatArray  # (n_rows,) [N m] about its mean
     at: IntArray  # (n_rows,) numbers of the rows in the record, of `n_rows`
     n_rows: int
+    angle: FloatArray  # (n_rows,) [rad] of the motor
+    own: FloatArray  # (n_rows, n) acceleration, rate and direction of the motor
     basis: FloatArray  # (n_rows, n) of what its own motor and friction explain
+    of_links: FloatArray  # (n_rows, n) torques of the links at the motor
+
+    @cached_property
+    def columns(self) -> FloatArray:
+        """Torques of the links without the part that the motor and friction explain."""
+        return self.remainder(self.of_links)
+
+    @cached_property
+    def gram(self) -> FloatArray:
+        """Normal matrix of the columns, (n, n)."""
+        return np.asarray(self.columns.T @ self.columns)
 
     def remainder(self, torques: FloatArray) -> FloatArray:
         """Torques (n_rows,) or (n_rows, n) without that part, about their mean."""
@@ -357,14 +465,17 @@ def _blocks(
     evidence: Evidence,
     torques_of: Callable[[Arm, FloatArray, FloatArray, FloatArray], FloatArray],
     name: str | None,
-) -> Iterator[tuple[_Block, FloatArray]]:
-    """Rows of each joint in each slow record, with torques of the links at its motor.
+    records: Sequence[SlowRecord] | None = None,
+    only: int | None = None,
+) -> Iterator[_Block]:
+    """Rows of each joint, or one, in each slow record, or others, with torques of the links.
 
     `torques_of` returns torques at the links, (n_samples, n_joints, n), of a motion. Under `name`
     they are computed once for each motion; hypotheses about the torques share them.
     """
     arm = arm_of_torques(evidence)
-    records = [r for r in evidence.records if is_slow(r.experiment)]
+    if records is None:
+        records = [r for r in evidence.records if is_slow(r.experiment)]
     for record, stretches in zip(records, spread_stretches(records, _MAX_ROWS), strict=True):
         motion = recall_motion(record, evidence)
 
@@ -377,21 +488,40 @@ def _blocks(
 
         setting = (name, record.sample_time, *(each.start for each in stretches))
         angles = [record.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)]
-        if name and evidence.arm is evidence.memory.stated_arm:
+        is_stated = name is not None and evidence.memory.is_stated(evidence.arm, *angles)
+        if name and evidence.memory.is_stated(evidence.arm):
             of_motors = evidence.memory.recall(setting, (arm, *angles), compute)
         else:
             of_motors = compute()
-        for i in range(arm.n_joints):
-            if effort_channel(record.channels, i + 1) is None:
+        for i in range(arm.n_joints) if only is None else (only,):
+            effort = effort_channel(record.channels, i + 1)
+            if effort is None:
                 continue
-            rows, basis = _recall_basis(evidence, record, i, stretches)
-            torque = _strided(compute_motor_torque(record, arm, i), stretches)[rows]
-            if basis is not None and np.ptp(torque) > 0.0:
-                at, place = np.flatnonzero(rows), record.experiment.name
-                yield (
-                    _Block(place, i + 1, torque - torque.mean(), at, len(rows), basis),
-                    of_motors[rows, i],
-                )
+            torque = record.channels[effort]
+            make = partial(_block, evidence, record, i, stretches, of_motors)
+            if is_stated and evidence.memory.is_stated(torque):
+                block = evidence.memory.recall((i, *setting), (arm, torque, *angles), make)
+            else:
+                block = make()
+            if block is not None:
+                yield block
+
+
+def _block(
+    evidence: Evidence,
+    record: SlowRecord,
+    i: int,
+    stretches: Sequence[slice],
+    of_motors: FloatArray,
+) -> _Block | None:
+    """Rows of joint i, from 0, in a record; None if the motor or its torque does not vary."""
+    rows, own, basis = _recall_basis(evidence, record, i, stretches)
+    torque = _strided(compute_motor_torque(record, evidence.arm, i), stretches)[rows]
+    if own is None or not np.ptp(torque) > 0.0:
+        return None
+    angle = _strided(record.channels[f"theta_m{i + 1}"], stretches)[rows]
+    at, centred = np.flatnonzero(rows), torque - torque.mean()
+    return _Block(record, i + 1, centred, at, len(rows), angle, own, basis, of_motors[rows, i])
 
 
 def _motor_torques(
@@ -416,14 +546,14 @@ def _motor_torques(
 
 def _recall_basis(
     evidence: Evidence, record: SlowRecord, i: int, stretches: Sequence[slice]
-) -> tuple[BoolArray, FloatArray | None]:
-    """Sliding rows of joint i, from 0, and a basis of what its motor and friction explain.
+) -> tuple[BoolArray, FloatArray | None, FloatArray]:
+    """Sliding rows of joint i, from 0, what its motor and friction explain, and a basis of it.
 
-    None instead of the basis if the motor does not move.
+    None if the motor does not move.
     """
     angle, T = record.channels[f"theta_m{i + 1}"], record.sample_time
 
-    def compute() -> tuple[BoolArray, FloatArray | None]:
+    def compute() -> tuple[BoolArray, FloatArray | None, FloatArray]:
         sliding = sliding_rows(record, i)
         edge = int(np.ceil(1.0 / (record.bandwidth_hz * T)))
         exact = np.zeros(len(sliding), dtype=bool)  # rows without end effects of the filter
@@ -431,7 +561,7 @@ def _recall_basis(
             exact[each.start + edge : each.stop - edge] = True
         rows = _strided(sliding & exact, stretches)
         if not rows.any():
-            return rows, None
+            return rows, None, np.zeros((0, 0))
         rate = differentiate(angle, T)
         columns = [differentiate(rate, T), rate, record.direction[:, i]]
         own = _strided(np.column_stack(columns), stretches)[rows]
@@ -439,8 +569,8 @@ def _recall_basis(
         norms = np.linalg.norm(own, axis=0)
         varying = norms > _MIN_SINGULAR_VALUE * np.sqrt(len(own)) * np.array([0.0, 0.0, 1.0])
         if not varying[:2].all():
-            return rows, None
-        return rows, np.linalg.qr(own[:, varying] / norms[varying])[0]
+            return rows, None, np.zeros((0, 0))
+        return rows, own, np.linalg.qr(own[:, varying] / norms[varying])[0]
 
     setting = ("own", i, T, *(each.start for each in stretches))
     return evidence.memory.recall(setting, (angle,), compute)

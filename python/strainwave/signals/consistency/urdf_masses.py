@@ -11,15 +11,16 @@ only a prior, so the input remains consistent.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import ArmDescription, Diagnostic, FloatArray, Place
+from strainwave.domain import ArmDescription, Diagnostic, Place
 from strainwave.domain.consistent_links import is_consistent, principal_moments
 from strainwave.domain.distributions import CI95_STDS
+from strainwave.numerics.regression import regress
 from strainwave.signals.consistency.evidence import Evidence
-from strainwave.signals.consistency.regression import Fit, regress
-from strainwave.signals.consistency.torque_fit import TorqueSystem, torque_system
+from strainwave.signals.consistency.torque_fit import fit_torques, torque_system
 
 # Factor of a mass within which a guess is accepted, in either direction.
 _TOLERATED_FACTOR = 2.0
@@ -27,8 +28,6 @@ _TOLERATED_FACTOR = 2.0
 _MIN_EXPLAINED = 0.5
 # Norm of a link's torques over that of the largest below which the motion does not show its mass.
 _MIN_TORQUE = 1e-6
-# Iterations of the weights, which are the residuals of the joints.
-_N_ITERATIONS = 3
 
 
 def report_impossible_links(arm: ArmDescription) -> Iterator[Diagnostic]:
@@ -60,7 +59,9 @@ def compare_urdf_masses(evidence: Evidence) -> Iterator[Diagnostic]:
     torques = np.einsum("rlp,lp->rl", per_link, priors)
     sizes = np.linalg.norm(torques, axis=0)
     shown = np.flatnonzero(sizes > _MIN_TORQUE * sizes.max())
-    fit = _fit_scales(system, torques[:, shown])
+    scaled = replace(system, columns=torques[:, shown], grams={})
+    weight = fit_torques(scaled).weight
+    fit = regress(weight * system.torque, weight[:, None] * scaled.columns)
     if fit is None or fit.explained < _MIN_EXPLAINED:
         return
     stds = np.sqrt(np.diag(fit.covariance))
@@ -76,18 +77,3 @@ def compare_urdf_masses(evidence: Evidence) -> Iterator[Diagnostic]:
                 low=max(0.0, float(low) * mass),
                 high=float(high) * mass,
             )
-
-
-def _fit_scales(system: TorqueSystem, torques: FloatArray) -> Fit | None:
-    """Factors of the links, weighted by the residuals of the joints; None if undetermined."""
-    squares, fit = dict(system.total), None
-    for _ in range(_N_ITERATIONS):
-        weight = np.zeros(len(system.torque))
-        for i, n_rows in system.n_rows.items():
-            weight[system.joint == i] = np.sqrt(n_rows / max(squares[i], 1e-300))
-        fit = regress(weight * system.torque, weight[:, None] * torques)
-        if fit is None:
-            return None
-        residual = system.torque - torques @ fit.value
-        squares = {i: float(np.sum(residual[system.joint == i] ** 2)) for i in squares}
-    return fit

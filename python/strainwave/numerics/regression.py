@@ -11,6 +11,8 @@ from strainwave.domain import FloatArray
 
 ROWS_PER_INDEPENDENT_ROW = 10.0
 """Of 20 rows per period of the bandwidth frequency, 2 are independent."""
+# Smallest residual over the target, in standard deviations.
+_MIN_RESIDUAL_SHARE = 1e-9
 # Maximum lag of the residual autocorrelation in rows: ten periods of the bandwidth frequency.
 _MAX_LAG_ROWS = 200
 
@@ -29,18 +31,25 @@ class Fit:
         """Covariance of the coefficients, (n_columns, n_columns)."""
         return np.asarray(self.root @ self.root.T)
 
+    def coefficient(self, k: int) -> tuple[float, float]:
+        """Coefficient k and its standard deviation."""
+        return float(self.value[k]), float(np.linalg.norm(self.root[k]))
+
+    def relative(self, k: int) -> tuple[float, float]:
+        """Coefficient k over the first one, the scale, and its standard deviation."""
+        (value, std), scale = self.coefficient(k), float(self.value[0])
+        return (value / scale, std / abs(scale)) if scale else (0.0, np.inf)
+
 
 def regress(
     target: FloatArray,
     columns: FloatArray,
     prior: FloatArray | None = None,
-    min_residual_share: float = 1e-9,
 ) -> Fit | None:
     """Least squares by QR with a free constant. The covariance allows for correlated residuals.
 
     `target` has shape (n_rows,), `columns` (n_rows, n_columns). `prior`, of shape (n_columns,),
     holds prior standard deviations of the coefficients about zero; infinity means no prior.
-    The assumed residual is at least `min_residual_share` of the target, in standard deviations.
     Returns None if the target or a column is constant, or if the columns are linearly dependent.
     """
     y = target - target.mean()
@@ -62,11 +71,12 @@ def regress(
         value = np.linalg.solve(R, Q[: len(y)].T @ y)
         residual = y - X @ value
         residual_std = float(np.sqrt(residual @ residual / max(1, len(y) - X.shape[1])))
-        residual_std = max(residual_std, min_residual_share * float(np.sqrt(total / len(y))))
+        residual_std = max(residual_std, _MIN_RESIDUAL_SHARE * float(np.sqrt(total / len(y))))
     inverse = np.linalg.inv(R)
     root = inverse * residual_std * np.sqrt(ROWS_PER_INDEPENDENT_ROW)
     factor = np.maximum(
-        1.0, _long_run_std(X @ (inverse @ inverse.T), residual) / np.linalg.norm(root, axis=1)
+        1.0,
+        long_run_std(X @ (inverse @ inverse.T), residual) / np.linalg.norm(root, axis=1),
     )
     return Fit(
         value=value / norms,
@@ -76,7 +86,7 @@ def regress(
     )
 
 
-def _long_run_std(influence: FloatArray, residual: FloatArray) -> FloatArray:
+def long_run_std(influence: FloatArray, residual: FloatArray, stride: int = 1) -> FloatArray:
     """Standard deviations of the coefficients for autocorrelated residuals, (n_columns,).
 
     Long-run variance of the influence times the residual (Newey and West, 1987). `influence`, of
@@ -84,7 +94,7 @@ def _long_run_std(influence: FloatArray, residual: FloatArray) -> FloatArray:
     """
     terms = influence * residual[:, None]
     n_rows = len(terms)
-    n_lags = min(_MAX_LAG_ROWS, n_rows // 4)
+    n_lags = min(_MAX_LAG_ROWS // stride, n_rows // 4)
     length = 2 ** (n_rows + n_lags - 1).bit_length()
     spectrum = np.fft.rfft(terms, length, axis=0)
     autocovariance = np.fft.irfft(np.abs(spectrum) ** 2, length, axis=0)[: n_lags + 1]

@@ -38,7 +38,29 @@ def suspect_torque_constants(
         for joint, (value, std) in ratios.items()
         if abs(value - 1.0) > max(_MIN_SIGNIFICANCE * std, _TOLERANCE)
     }
-    return build_torque_constant_suspicion(wrong, study) if wrong else None
+    if not wrong:
+        return None
+    joint = max(wrong, key=lambda each: abs(wrong[each][0] - 1.0) / max(wrong[each][1], 1e-300))
+    value, std = wrong[joint]
+    is_precise = std < _MIN_APPROXIMATE_STD * value
+    factor = Clause("factor" if is_precise else "factor/about", value=value)
+    logged = any(channel_parts(name)[0] == "torque" for name in study.channels)
+    remedy = "remedy/logged-torques" if logged else "remedy/torque-constants"
+    # of joint 1; the signals do not determine which of the two constants is wrong
+    corrections: tuple[Correction, ...] = ()
+    if logged:
+        scale = study.channels.get("torque1", Channel("torque1")).scale / value
+        corrections = (Correction("channels", "torque1", "scale", scale),)
+    elif constant := study.arm.joints[0].known_torque_per_volt:
+        corrections = (Correction("joint", "1", "torque_per_volt", constant / value),)
+    return Suspicion(
+        code="wrong-torque-constant",
+        places=(Place(key="torque_per_volt"),),
+        clause=Clause("wrong-torque-constant", factor=factor, std=std, joint=joint),
+        remedy_clause=Clause(remedy, factor=factor, joint=joint),
+        factor=value,
+        corrections=corrections,
+    )
 
 
 def find_doubtful_torque_constant(consistency: Consistency) -> Suspicion | None:
@@ -55,32 +77,3 @@ def find_doubtful_torque_constant(consistency: Consistency) -> Suspicion | None:
         and 1.0 / _MAX_DOUBTFUL_FACTOR < suspicion.factor < _MAX_DOUBTFUL_FACTOR
     )
     return suspicion if suspicion.code == "wrong-torque-constant" and is_near_one else None
-
-
-def build_torque_constant_suspicion(
-    ratios: Mapping[int, tuple[float, float]], study: Study
-) -> Suspicion:
-    """Suspicion of a wrong torque constant for the most significant of several ratios."""
-    joint = max(ratios, key=lambda each: abs(ratios[each][0] - 1.0) / max(ratios[each][1], 1e-300))
-    value, std = ratios[joint]
-    is_precise = std < _MIN_APPROXIMATE_STD * value
-    factor = Clause("factor" if is_precise else "factor/about", value=value)
-    logged = any(channel_parts(name)[0] == "torque" for name in study.channels)
-    remedy = "remedy/logged-torques" if logged else "remedy/torque-constants"
-    return Suspicion(
-        code="wrong-torque-constant",
-        places=(Place(key="torque_per_volt"),),
-        clause=Clause("wrong-torque-constant", factor=factor, std=std, joint=joint),
-        remedy_clause=Clause(remedy, factor=factor, joint=joint),
-        factor=value,
-        corrections=_corrections(value, study, logged=logged),
-    )
-
-
-def _corrections(value: float, study: Study, *, logged: bool) -> tuple[Correction, ...]:
-    """Correction of joint 1. The signals do not determine which of the two constants is wrong."""
-    if logged:
-        scale = study.channels.get("torque1", Channel("torque1")).scale / value
-        return (Correction("channels", "torque1", "scale", scale),)
-    constant = study.arm.joints[0].known_torque_per_volt
-    return (Correction("joint", "1", "torque_per_volt", constant / value),) if constant else ()
