@@ -276,6 +276,7 @@ def rigid_model_of(document: Mapping[str, Any], n_parameters: int) -> RigidModel
         decimation=entry.decimation,
         n_rows=entry.n_rows,
         status=entry.status,
+        torque_errors={each.joint: each.value for each in entry.torque_errors},
         friction_terms=entry.prediction.friction_terms,
         motion=motion,
     )
@@ -289,6 +290,12 @@ class _PredictionEntry:
 
 
 @dataclass(frozen=True, kw_only=True)
+class _TorqueErrorEntry:
+    joint: int
+    value: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class _RigidEntry:
     parameters: tuple[Parameter, ...]
     bandwidth_hz: float
@@ -296,6 +303,7 @@ class _RigidEntry:
     n_rows: int
     status: Literal["determined", "partly-determined"]
     prediction: _PredictionEntry
+    torque_errors: tuple[_TorqueErrorEntry, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
