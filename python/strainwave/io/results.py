@@ -414,11 +414,12 @@ def _adapter(kind: Any) -> Any:
 
 
 def _study(study: Study) -> dict[str, Any]:
-    """Path and hash of the study file, and the rig, with the joints where a URDF places them."""
+    """Path, hash and folder of the study file; the rig, with joints where a URDF places them."""
     urdf, arm = study.arm.urdf, replace(study.arm, urdf=None)
     tables = document_of(replace(study, arm=arm))
     rig = {name: tables[name] for name in _RIG_TABLES if name in tables}
-    entry = {"path": str(study.path), "sha256": study.sha256, **rig}
+    folder = str(study.path.resolve().parent)
+    entry = {"path": str(study.path), "sha256": study.sha256, "folder": folder, **rig}
     return entry | ({"urdf": {"file": urdf.file, "held": urdf.held}} if urdf else {})
 
 
