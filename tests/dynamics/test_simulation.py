@@ -108,6 +108,26 @@ def test_a_rigid_arm_is_simulated_from_its_rigid_model() -> None:
     np.testing.assert_allclose(runs[0]["link_angle"], runs[1]["link_angle"], atol=1e-10)
 
 
+def test_a_link_may_have_all_inertia_behind_a_rigid_gear() -> None:
+    """Consistent bodies of measured arms leave no inertia for some rotors."""
+    study = scara.STIFF.study(Path(), "rigid")
+    values = scara.STIFF.parameters(spring="rigid")
+    record: list[Quantity] = ["link_angle"]
+    runs = [
+        simulate(
+            Arm.of(study.arm),
+            values | {("motor_inertia", 2): rotor},
+            drive(400),
+            sample_time=1e-3,
+            samples=400,
+            record=record,
+        )["link_angle"]
+        for rotor in (0.0, 1e-12)
+    ]
+    assert np.ptp(runs[0]) > 0.01
+    np.testing.assert_allclose(runs[0], runs[1], atol=1e-6)
+
+
 def test_the_payload_determines_the_inertia() -> None:
     # base parameters of the rig at 0, 3 and 5 kg
     for disks, alpha, beta, gamma in [

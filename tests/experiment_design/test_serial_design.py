@@ -15,6 +15,7 @@ from strainwave import experiment_design as design
 from strainwave.domain import ArmDescription, Experiment, JointLimits, Study
 from strainwave.domain.combinations import value_of
 from strainwave.domain.keys import Values
+from strainwave.domain.rigid_model import ASSUMED_TORQUE_ERROR
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design import rigid_motion
@@ -26,11 +27,7 @@ from strainwave.experiment_design.rigid_motion import (
     full_regressor,
     smallest_distance,
 )
-from strainwave.experiment_design.rigid_precision import (
-    ASSUMED_TORQUE_ERROR,
-    standard_deviations,
-    torque_errors_of,
-)
+from strainwave.experiment_design.rigid_precision import standard_deviations, torque_errors_of
 from strainwave.experiment_design.written import PRECISION_FILE, write
 from strainwave.io.study import read_study
 from strainwave.virtual.experiments import simulate_study

@@ -111,6 +111,19 @@ def test_the_study_is_looked_for_from_the_folder_of_the_result(
     assert arm.warnings == ()
 
 
+def test_the_study_is_looked_for_where_it_was_identified(tmp_path: Path) -> None:
+    """The command was called in the folder of the study, and wrote the result elsewhere."""
+    project, results = tmp_path / "project", tmp_path / "results"
+    project.mkdir()
+    results.mkdir()
+    study = exports.two_links(project)
+    document = json.loads(exports.write(study, exports.values_of(study)).read_text())
+    document["study"] |= {"path": "study.toml", "folder": str(project)}
+    result = results / "result.json"
+    result.write_text(json.dumps(document))
+    assert read_arm(result).study.path == study.path
+
+
 def test_a_changed_study_is_reported(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path)
     path = exports.write(study, exports.values_of(study))

@@ -15,7 +15,7 @@ from serial_chains import parameters_of, random_body
 from strainwave.domain import FloatArray, RigidModel
 from strainwave.domain.arm import ArmDescription, LinkPrior, Urdf
 from strainwave.domain.base_parameters import BaseParameters, base_parameters
-from strainwave.domain.consistent_links import consistent_links, is_consistent
+from strainwave.domain.consistent_links import consistent_links, is_consistent, priors_of
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds.bodies import LINK_PARAMETERS
 from strainwave.dynamics.arm import Arm
@@ -149,7 +149,8 @@ def test_torques_that_friction_explains_do_not_count() -> None:
     friction = 0.2 * np.std(torque, axis=0) / np.std(motion[1], axis=0) * motion[1]
     damped = torque + friction
     size = np.std(damped, axis=0)
-    found = module.links_of_torques(ARM, motion, damped, size, columns, [None] * ARM.n_joints)
+    motors = [None] * ARM.n_joints
+    found = module.links_of_torques(ARM, motion, damped, 1e-4 * size, columns, motors)
     assert found is not None
     rest = damped - module.motor_regressor(ARM, motion) @ found
     np.testing.assert_allclose(rest / size, friction / size, atol=5e-3)
@@ -170,8 +171,25 @@ def test_torques_weigh_less_until_the_search_for_links_converges(
         return search(priors, rows, target)
 
     monkeypatch.setattr(module, "consistent_links", failing)
-    size, known = np.std(torque, axis=0), [drawn_values(3)[motor] for motor in MOTORS]
-    found = module.links_of_torques(ARM, motion, torque, size, columns, known)
+    errors, known = 0.01 * np.std(torque, axis=0), [drawn_values(3)[motor] for motor in MOTORS]
+    found = module.links_of_torques(ARM, motion, torque, errors, columns, known)
     assert (found is None) == (n_failures == 4)
     ratios = np.array(sizes[2:]) / sizes[1] if n_failures > 1 else np.zeros(0)
     np.testing.assert_allclose(ratios, [0.1, 0.01][: len(ratios)])
+
+
+def test_bodies_whose_torques_are_uncertain_are_nearer_to_the_prior() -> None:
+    """No bodies have the torques of a negative rotor; those within the errors are no extremes."""
+    motion, torque, _ = torque_over_motion()
+    torque = torque - 0.3 * np.std(torque, axis=0) / np.std(motion[2], axis=0) * motion[2]
+    no_friction = np.zeros((*torque.shape, 0))
+    furthest = []
+    for share in (1e-4, 0.1):
+        errors = share * np.std(torque, axis=0)
+        found = module.links_of_torques(ARM, motion, torque, errors, no_friction, [0.0] * 3)
+        assert found is not None
+        links = found[:30].reshape(3, 10).tolist()
+        assert all(is_consistent(tuple(link)) for link in links)
+        pairs = zip(priors_of(ARM), links, strict=True)
+        furthest.append(max(abs(np.log(link[0] / prior[0])) for prior, link in pairs))
+    assert furthest[1] < 0.5 * furthest[0]

@@ -14,7 +14,7 @@ from strainwave.domain import Joint
 from strainwave.domain.parameters import complete_values
 from strainwave.domain.units import unit_of
 from strainwave.errors import InvalidInput
-from strainwave.io.parameters import read_parameters, read_torque_errors
+from strainwave.io.parameters import read_assumptions, read_parameters, read_torque_errors
 from strainwave.virtual import experiments as virtual
 from strainwave.virtual import scara
 
@@ -60,6 +60,33 @@ def test_reads_the_torque_errors_of_a_result(tmp_path: Path) -> None:
     rigid["torque_errors"] = [{"value": 0.03}]
     with pytest.raises(InvalidInput, match=r"p\.json: an entry of torque_errors .* lacks joint"):
         read_torque_errors(_write(tmp_path, {"parameters": [], "stages": {"rigid": rigid}}))
+
+
+def test_reads_what_the_rigid_model_has_for_parameters_without_value(tmp_path: Path) -> None:
+    """A joint that moves in one direction has the sum of Coulomb friction and offset."""
+
+    def entry(name: str, value: float | None) -> dict[str, Any]:
+        std = None if value is None else 0.1
+        bounds = None if value is None else [value - 0.2, value + 0.2]
+        units = {"std": std, "ci95": bounds, "unit": "N m", "stage": "rigid"}
+        return {"name": name, "joint": 5, "value": value, **units}
+
+    entries = [entry("motor_coulomb_friction", None), entry("total_viscous_friction", 2.0)]
+    rigid = {
+        "parameters": entries,
+        "bandwidth_hz": 5.0,
+        "decimation": 4,
+        "n_rows": 100,
+        "status": "partly-determined",
+        "prediction": {"solution": [1.5, 2.0], "friction_terms": [], "motion": [[], [], []]},
+    }
+    path = _write(tmp_path, {"parameters": entries, "stages": {"rigid": rigid}})
+    with pytest.raises(InvalidInput, match="motion"):
+        read_assumptions(path)
+    rigid["prediction"]["motion"] = [[[0.0]]] * 3  # type: ignore[index]
+    path = _write(tmp_path, {"parameters": entries, "stages": {"rigid": rigid}})
+    assert read_assumptions(path) == {("motor_coulomb_friction", 5): 1.5}
+    assert read_assumptions(_write(tmp_path, {"parameters": entries, "stages": None})) == {}
 
 
 def test_reads_a_table_of_known_values(tmp_path: Path) -> None:

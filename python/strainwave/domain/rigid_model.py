@@ -46,6 +46,10 @@ class FrictionTerm:
         return (self.size,) if self.estimated_shape is None else (self.size, self.estimated_shape)
 
 
+ASSUMED_TORQUE_ERROR = 0.01
+"""Error of a motor's torque over its rms value: friction and drives of a rig vary by this much."""
+
+
 @dataclass(frozen=True, slots=True)
 class RigidModel(Displayed):
     """Estimate of the arm with rigid joints, (5) to (7)."""

@@ -12,7 +12,12 @@ import numpy as np
 
 from strainwave import _core
 from strainwave.domain import ArmDescription, FloatArray, Joint, Payload
-from strainwave.domain.base_parameters import BaseParameters, base_parameters, link_inertia
+from strainwave.domain.base_parameters import (
+    MOTOR_INERTIA,
+    BaseParameters,
+    base_parameters,
+    link_inertia,
+)
 from strainwave.domain.combinations import (
     FRICTION_COLUMNS,
     lumped_inertias,
@@ -39,6 +44,8 @@ _STEPS_PER_PERIOD = 120.0
 # Largest |pole| h of the fourth-order integrator. It is stable up to 2.6 for any damping.
 _STABLE_STEP = 2.0
 
+# [kg m^2] of a rotor whose link behind a rigid gear has all inertia: the core divides by it
+_NO_INERTIA = float(np.finfo(float).eps)
 _ZERO_BY_DEFAULT = ("friction_offset", "friction_settling_time")
 
 
@@ -172,6 +179,9 @@ class Arm(ArmDescription):
         Raises InvalidInput if a required parameter is missing.
         """
         known = self._effects_by_default | complete_values(values, self)
+        for number, joint in enumerate(self.joints, start=1):
+            if not joint.elastic and known.get((MOTOR_INERTIA, number)) == 0.0:
+                known[MOTOR_INERTIA, number] = _NO_INERTIA
         missing = [k for k in self.parameter_names if k not in known and not _is_zero_by_default(k)]
         if missing:
             names = (f"{name} of joint {joint}" if joint else name for name, joint in missing)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from strainwave.domain import Clause, Diagnostic, Place, Study
-from strainwave.domain.keys import Values
+from strainwave.domain.keys import Values, label_of
 from strainwave.domain.parameters import complete_values, with_known_constants
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
@@ -44,7 +44,11 @@ from strainwave.experiment_design.voltages import (
     voltage_record,
 )
 from strainwave.experiment_design.written import write
-from strainwave.io.parameters import read_parameters, read_torque_errors
+from strainwave.io.parameters import (
+    read_assumptions,
+    read_parameters,
+    read_torque_errors,
+)
 from strainwave.io.study import read_study
 
 __all__ = ["Design", "Limits", "Planned", "design", "excite_study_file"]
@@ -99,7 +103,8 @@ def excite_study_file(
             f"{minutes:g} minutes are no duration", where="--minutes", remedy="use more than zero"
         )
     study = read_study(study_path, logs_exist=False, experiments_exist=False)
-    values = read_parameters(parameters_path)
+    assumed = read_assumptions(parameters_path)
+    values = assumed | read_parameters(parameters_path)
     limits = limits_of(
         with_known_constants(study.arm, values),
         limit_angle,
@@ -119,6 +124,10 @@ def excite_study_file(
         torque_errors=read_torque_errors(parameters_path),
         progress=progress,
     )
+    if assumed:
+        listed = ", ".join(f"{label_of(*key)} = {value:.4g}" for key, value in assumed.items())
+        warning = Diagnostic("assumed", Place(file=str(parameters_path)), "guess", listed=listed)
+        planned = replace(planned, warnings=(*planned.warnings, warning))
     write(planned, folder)
     return planned
 

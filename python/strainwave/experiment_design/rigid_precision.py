@@ -15,6 +15,7 @@ from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import installed_axes
 from strainwave.domain.parameters import complete_values
 from strainwave.domain.quantities import Quantity
+from strainwave.domain.rigid_model import ASSUMED_TORQUE_ERROR
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise, measure, simulate
 from strainwave.errors import InvalidInput, NumericalFailure
@@ -24,9 +25,6 @@ from strainwave.identification.whole_arm import predicted_parameters
 
 LOW_PASS_RATIO = 5.0
 """Bandwidth of the rigid step over the highest frequency of the motion."""
-
-ASSUMED_TORQUE_ERROR = 0.01
-"""Error of a motor's torque over its rms value: friction and drives of a rig vary by this much."""
 
 
 def torque_errors_of(arm: Arm, measured: Mapping[int, float]) -> FloatArray:

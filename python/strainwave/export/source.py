@@ -179,8 +179,8 @@ def read_arm(path: Path | str, study_path: Path | str | None = None) -> Identifi
 
     Gear ratios, lengths and torques per volt come from the result. Results of earlier versions do
     not contain them: then, and where `study_path` is given, they come from the study file. The
-    study file is searched for in the folder of the result and at the path in the result, relative
-    to the folder of the result or one above. Logs need not exist.
+    study file is searched for in the folder of the result, at the path in the result, relative to
+    the folder of the result or one above, and where it was identified. Logs need not exist.
     """
     path = result_path(Path(path))
     return arm_of(read_document(path), path, study_path)
@@ -203,7 +203,7 @@ def arm_of(
     if study is None:
         study, warnings = study_file_of(document, path, study_path)
     elif "urdf" in document["study"]:
-        study, warnings = _with_urdf(study, document["study"]["urdf"], path)
+        study, warnings = _with_urdf(study, document, path)
     _check_joints(parameters, study, path)
     study = replace(study, arm=study.arm.with_selected_laws([p.key for p in parameters]))
     accepted, rejected = _drop_rejected(parameters, document, path)
@@ -218,7 +218,9 @@ def study_file_of(
 ) -> tuple[Study, tuple[Diagnostic, ...]]:
     """The study file of a result, and a warning if the file has changed since."""
     named, sha256 = _study_reference(document, path)
-    study_file = _find_study(path, named, sha256, study_path)
+    if study_path is None:
+        study_path = _find_study(path, named, sha256, _folders(document, path))
+    study_file = Path(study_path)
     study = read_study(study_file, logs_exist=False)
     if study.sha256 == sha256:
         return study, ()
@@ -227,11 +229,12 @@ def study_file_of(
 
 
 def _with_urdf(
-    study: Study, entry: Mapping[str, Any], path: Path
+    study: Study, document: Mapping[str, Any], path: Path
 ) -> tuple[Study, tuple[Diagnostic, ...]]:
     """The study with the URDF that places its joints; a warning if there is no such file."""
+    entry = document["study"]["urdf"]
     file, held = str(entry.get("file")), tuple(entry.get("held", ()))
-    for folder in _folders(path):
+    for folder in _folders(document, path):
         for found in (folder / study.path.parent / file, folder / file):
             if _is_file(found):
                 joints = read_urdf(found, held)
@@ -241,9 +244,10 @@ def _with_urdf(
     return study, (Diagnostic("no-urdf", Place(file=str(path)), file=file),)
 
 
-def _folders(path: Path) -> list[Path]:
-    """Folder of a result and those above."""
-    return [path.resolve().parent, *path.resolve().parent.parents]
+def _folders(document: Mapping[str, Any], path: Path) -> list[Path]:
+    """Folder of a result and those above; then that of the study when it was identified."""
+    folder = document["study"].get("folder")
+    return [*path.resolve().parents, *([Path(folder)] if isinstance(folder, str) else [])]
 
 
 def _drop_rejected(
@@ -292,15 +296,10 @@ def _study_reference(document: Mapping[str, Any], path: Path) -> tuple[str, str]
     return named, sha256
 
 
-def _find_study(path: Path, named: str, sha256: str, given: Path | str | None) -> Path:
+def _find_study(path: Path, named: str, sha256: str, folders: Sequence[Path]) -> Path:
     """The study file, preferably the one with the hash in the result."""
-    if given is not None:
-        return Path(given)
-    candidates = [
-        path.resolve().parent / Path(named).name,
-        *(folder / named for folder in _folders(path)),
-        Path(named),
-    ]
+    candidates = [folders[0] / Path(named).name, *(folder / named for folder in folders)]
+    candidates += [Path(named), folders[-1] / Path(named).name]
     existing = [candidate for candidate in candidates if _is_file(candidate)]
     same = [c for c in existing if hashlib.sha256(read_bytes(c, "study")).hexdigest() == sha256]
     if existing:

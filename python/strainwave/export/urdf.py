@@ -19,7 +19,12 @@ from strainwave.export.completion import FRICTION, lost_note, motion_of
 from strainwave.export.markup import comment_text, numbers
 from strainwave.export.omissions import omission_note, sentence_of
 from strainwave.export.source import Export, IdentifiedArm
-from strainwave.io.base_parameters import friction_laws, links_of_torques, motor_regressor
+from strainwave.io.base_parameters import (
+    friction_laws,
+    links_of_torques,
+    motor_regressor,
+    torque_errors,
+)
 from strainwave.io.templates import fill_text
 from strainwave.io.urdf import patch_urdf
 
@@ -144,7 +149,8 @@ def _projected(arm: IdentifiedArm, links: list[LinkPrior], has_rotors: bool) -> 
     body -= description.motors_of(held * accelerations)
     if any(inertias) and (description.coupling is not None or not has_rotors):
         no_friction = np.zeros((*body.shape, 0))
-        merged = links_of_torques(chain, motion, body, size, no_friction, [0.0] * n)
+        errors = torque_errors(arm.rigid, body + friction)
+        merged = links_of_torques(chain, motion, body, errors, no_friction, [0.0] * n)
         if merged is None:
             raise NumericalFailure("no consistent links include the rotors")
         lost += (body - regressor @ merged) / size

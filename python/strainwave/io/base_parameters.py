@@ -15,15 +15,16 @@ from strainwave.domain.core_arm import core_arm, transmission
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds import RigidColumn
 from strainwave.domain.kinds.bodies import LINK_PARAMETERS
+from strainwave.domain.rigid_model import ASSUMED_TORQUE_ERROR
 from strainwave.errors import NumericalFailure
 
 _PREFIXES = {"link_mass": "m", "link_first_moment_": "m", "link_inertia_": "I"}
 _REGROUPED = "R"  # suffix of a combination, as in the literature
-# Weight of a torque in the choice of links, relative to the torque of the joint: bodies have the
-# base parameters if any bodies do; with smaller ones the search takes longer.
-_TORQUE_ERROR = 1e-4
-_MAX_ERROR = 10.0  # of bodies that have the torques, in units of `_TORQUE_ERROR`
-_WEIGHTS = (1.0, 0.1, 0.01)  # of the torques, until the search for links converges
+# Of the errors of the torques, in the choice of links: bodies that have the torques fit the records
+# as well as the base parameters. With a smaller weight the search takes longer.
+_EXACT = 0.01
+_MAX_ERROR = 10.0 * _EXACT  # of bodies that have the torques
+_WEIGHTS = (1.0, 0.1, 0.01)  # of other torques, until the search for links converges
 
 
 def standard_name(key: Key) -> str:
@@ -118,14 +119,21 @@ def standard_of_torques(
     torque = motor_regressor(arm, model.motion) @ base.particular()
     torque = torque @ model.solution[: len(base.columns)]
     laws = friction_laws(model.motion[1])
-    size = torque + viscous * laws[..., 0] + coulomb * laws[..., 1] + offset
+    total = torque + viscous * laws[..., 0] + coulomb * laws[..., 1] + offset
     columns = laws[:, :, None] * np.eye(n)[:, :, None]
-    chain = replace(arm, kind="serial")
-    values = links_of_torques(chain, model.motion, torque, np.std(size, axis=0), columns, motors)
+    chain, errors = replace(arm, kind="serial"), torque_errors(model, total)
+    values = links_of_torques(chain, model.motion, torque, errors, columns, motors)
     if values is None:
         return None
     keys = [*base_parameters(chain).links, *((MOTOR_INERTIA, i + 1) for i in range(n))]
     return dict(zip(keys, values.tolist(), strict=True))
+
+
+def torque_errors(model: RigidModel | None, torque: FloatArray) -> FloatArray:
+    """Errors (n_joints,) of the torques (n_samples, n_joints): residuals of the model, if known."""
+    known = model.torque_errors if model else {}
+    shares = [known.get(number, ASSUMED_TORQUE_ERROR) for number in range(1, torque.shape[1] + 1)]
+    return np.asarray(np.sqrt(np.mean(torque**2, axis=0)) * shares + np.finfo(float).tiny)
 
 
 def friction_laws(velocity: FloatArray) -> FloatArray:
@@ -137,28 +145,27 @@ def links_of_torques(
     chain: ArmDescription,
     motion: FloatArray,
     torque: FloatArray,
-    size: FloatArray,
+    errors: FloatArray,
     friction: FloatArray,
     motors: Sequence[float | None],
 ) -> FloatArray | None:
     """Links and motor inertias (11 n_joints,) nearest to torques over a motion; None if none are.
 
-    `torque` (n_samples, n_joints) is that of the motors without friction; differences count
-    relative to `size` (n_joints,). If no bodies have these torques, differences that friction with
-    the columns (n_samples, n_joints, ...) makes up for do not count. `motors` are as in
-    `standard_of_torques`.
+    `torque` (n_samples, n_joints) is that of the motors without friction. If no bodies have these
+    torques within a tenth of their `errors` (n_joints,), the bodies are those of the largest
+    posterior density: differences count by the errors, and those that friction with the columns
+    (n_samples, n_joints, ...) makes up for do not. `motors` are as in `standard_of_torques`.
     """
-    n, scale = chain.n_joints, _TORQUE_ERROR * size[:, None] + np.finfo(float).tiny
+    n, scale = chain.n_joints, errors[:, None]
     known = np.array([motor or 0.0 for motor in motors])
     columns = motor_regressor(chain, motion)
     columns = np.concatenate([columns, friction.reshape(*torque.shape, -1)], axis=2) / scale
     target = (torque[:, :, None] / scale).ravel()
     target -= columns[:, :, 10 * n : 11 * n].reshape(target.size, -1) @ known
-    # orthogonal columns: the number of samples does not matter
     Q, rows = np.linalg.qr(columns.reshape(target.size, -1))
     right, limit = Q.T @ target, _MAX_ERROR * np.sqrt(target.size)
     of_friction = list(range(11 * n, rows.shape[1]))
-    attempts = [(1.0, list[int](), limit), *((weight, of_friction, np.inf) for weight in _WEIGHTS)]
+    attempts = [(1.0 / _EXACT, list[int](), limit), *((w, of_friction, np.inf) for w in _WEIGHTS)]
     for weight, ignored, max_error in attempts:
         inertias, free = known.copy(), [i for i, motor in enumerate(motors) if motor is None]
         while True:

@@ -14,6 +14,7 @@ from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
 from strainwave.io.base_parameters import standard_key
 from strainwave.io.joint_covariance import noise_of
+from strainwave.io.results import parameters_of, rigid_model_of
 
 
 def read_parameters(path: Path) -> Values:
@@ -50,6 +51,23 @@ def read_torque_errors(path: Path) -> dict[int, float]:
     """
     document = _document(path)
     return dict(noise_of(document, str(path)).torques) if isinstance(document, dict) else {}
+
+
+def read_assumptions(path: Path) -> Values:
+    """Values of the rigid model for parameters that a result does not identify.
+
+    They are the least-squares solution of smallest norm; empty for other parameter files.
+    """
+    document = _document(path)
+    if not isinstance(document, dict) or not isinstance(document.get("stages"), dict):
+        return {}
+    columns = parameters_of(document["stages"].get("rigid") or {}, str(path))
+    model = rigid_model_of(document, len(columns))
+    if model is None:
+        return {}
+    missing = {p.key for p in parameters_of(document, str(path)) if p.value is None}
+    solution = zip(columns, model.solution.tolist(), strict=True)
+    return {p.key: value for p, value in solution if p.key in missing}
 
 
 def _document(path: Path) -> Any:

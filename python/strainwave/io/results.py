@@ -276,6 +276,7 @@ def rigid_model_of(document: Mapping[str, Any], n_parameters: int) -> RigidModel
         decimation=entry.decimation,
         n_rows=entry.n_rows,
         status=entry.status,
+        torque_errors={each.joint: each.value for each in entry.torque_errors},
         friction_terms=entry.prediction.friction_terms,
         motion=motion,
     )
@@ -289,6 +290,12 @@ class _PredictionEntry:
 
 
 @dataclass(frozen=True, kw_only=True)
+class _TorqueErrorEntry:
+    joint: int
+    value: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class _RigidEntry:
     parameters: tuple[Parameter, ...]
     bandwidth_hz: float
@@ -296,6 +303,7 @@ class _RigidEntry:
     n_rows: int
     status: Literal["determined", "partly-determined"]
     prediction: _PredictionEntry
+    torque_errors: tuple[_TorqueErrorEntry, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -406,11 +414,12 @@ def _adapter(kind: Any) -> Any:
 
 
 def _study(study: Study) -> dict[str, Any]:
-    """Path and hash of the study file, and the rig, with the joints where a URDF places them."""
+    """Path, hash and folder of the study file; the rig, with joints where a URDF places them."""
     urdf, arm = study.arm.urdf, replace(study.arm, urdf=None)
     tables = document_of(replace(study, arm=arm))
     rig = {name: tables[name] for name in _RIG_TABLES if name in tables}
-    entry = {"path": str(study.path), "sha256": study.sha256, **rig}
+    folder = str(study.path.resolve().parent)
+    entry = {"path": str(study.path), "sha256": study.sha256, "folder": folder, **rig}
     return entry | ({"urdf": {"file": urdf.file, "held": urdf.held}} if urdf else {})
 
 

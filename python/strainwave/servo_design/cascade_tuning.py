@@ -15,6 +15,7 @@ import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray, IntArray
 from strainwave.domain.control_law import ControlLaw
+from strainwave.errors import InvalidInput
 from strainwave.numerics.parallel import run_parallel
 from strainwave.servo_design.closed_loop import (
     Clock,
@@ -132,7 +133,8 @@ def tune_cascades(
     """Gains of all joints, and what `Loops.judge` says of them.
 
     `resolutions` (n_joints,) are counts of the motor encoders [rad], `limits` (n_joints,) are the
-    largest inputs. Without `uses_filters` the loops have gains only.
+    largest inputs. Without `uses_filters` the loops have gains only. Raises InvalidInput if no
+    gains of a joint keep the margins.
     """
     plants, period = loops.plants, loops.clock.period
     inertias = np.median(plants.rigid_inertias(), axis=0) / plants.torque_per_volt
@@ -148,17 +150,27 @@ def tune_cascades(
     for _ in range(_N_SWEEPS):
         for i, tuner in enumerate(tuners):
             gains[i] = tuner.raise_gains(gains, search)
-    judged = loops.judge(loops.controllers(gains))
-    for _ in range(_MAX_ADDED):
-        short = [i for i, (each, _) in enumerate(judged) if each.share(required).min() < 1.0]
-        if not short:
+    for _ in range(_MAX_ADDED + 1):
+        if failed := [i for i, tuner in enumerate(tuners) if not tuner.bandwidth]:
             break
-        search = np.union1d(search, [judged[i][0].worst(required) for i in short])
-        for i in short:
-            gains[i] = tuners[i].raise_gains(gains, search)
         judged = loops.judge(loops.controllers(gains))
-    tuned = [TunedJoint(each, tuner.limit) for each, tuner in zip(gains, tuners, strict=True)]
-    return tuned, judged
+        failed = [i for i, (each, _) in enumerate(judged) if each.share(required).min() < 1.0]
+        if not failed:
+            pairs = zip(gains, tuners, strict=True)
+            return [TunedJoint(each, tuner.limit) for each, tuner in pairs], judged
+        search = np.union1d(search, [judged[i][0].worst(required) for i in failed])
+        for i in failed:
+            gains[i] = tuners[i].raise_gains(gains, search)
+    joint, inertia = failed[0] + 1, plants.rigid_inertias()[:, failed[0]]
+    raise InvalidInput(
+        f"no gains of joint {joint} stabilise all plants with a gain margin of "
+        f"{required.gain_db:g} dB, a phase margin of {required.phase_deg:g} degrees and a modulus "
+        f"margin of {required.modulus:g}: the inertia at motor {joint} is {inertia.min():.3g} to "
+        f"{inertia.max():.3g} kg m^2 over postures, payloads and drawn parameters",
+        where="the servo design",
+        remedy="--draws 0 designs for the estimates alone; or identify with narrower intervals, "
+        "require smaller margins or fewer payloads, or shorten period and delay",
+    )
 
 
 @dataclass(slots=True)
@@ -172,6 +184,7 @@ class _Tuner:
     max_kp: float  # [V s/rad], by the encoder
     uses_filters: bool
     limit: str = "margins"
+    bandwidth: float = 0.0  # [rad/s] that the last search reached; zero: none keeps the margins
 
     def gains(
         self, bandwidth: float, position_ratio: float, filters: tuple[Biquad, ...] = ()
@@ -195,7 +208,8 @@ class _Tuner:
             if reached > bandwidth * (_MIN_GAIN if bandwidth else 1.0):
                 bandwidth, self.limit = reached, "encoder" if is_encoder else "margins"
                 best = self.gains(reached, _START_POSITION_RATIO, make(reached))
-        return self._set_position_gain(best, bandwidth, trials)
+        self.bandwidth = bandwidth
+        return self._set_position_gain(best, trials) if bandwidth else best
 
     def _largest_bandwidth(self, trials: _Trials, make: FilterMaker) -> tuple[float, bool]:
         """The largest bandwidth [rad/s] with margins, and whether the encoder limits it.
@@ -244,13 +258,13 @@ class _Tuner:
         hz = float(np.sqrt(low * high)) / (2.0 * np.pi)
         return (notch(hz, max(width, high / low - 1.0), _NOTCH_DEPTH, self.loops.clock.period),)
 
-    def _set_position_gain(self, gains: Gains, bandwidth: float, trials: _Trials) -> Gains:
+    def _set_position_gain(self, gains: Gains, trials: _Trials) -> Gains:
         """The largest position gain with margins and little overshoot of the link."""
         for ratio in _POSITION_RATIOS:
-            candidate = replace(gains, position_gain=bandwidth / ratio)
+            candidate = replace(gains, position_gain=self.bandwidth / ratio)
             if trials.keep(candidate) and trials.overshoot(candidate) <= _MAX_OVERSHOOT:
                 return candidate
-        return replace(gains, position_gain=bandwidth / _POSITION_RATIOS[-1])
+        return candidate
 
 
 @dataclass(frozen=True, slots=True, eq=False)

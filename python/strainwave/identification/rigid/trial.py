@@ -53,6 +53,7 @@ class Trial:
     determined: BoolArray
     candidates: tuple[Candidate, ...]  # further terms of friction
     last_move: float  # largest change in the last iteration, in standard deviations
+    weighed: tuple[int, ...] = ()  # joints whose `friction_offset` is assumed to be near zero
 
     @property
     def bandwidth_hz(self) -> float:
@@ -183,9 +184,15 @@ def fit_trial(
         root = ls.root_weights(equations, factor)
         equations = assemble(arm, stretches, around, terms)
     covariance, common_variance = ls.jackknife(equations, factor)
-    identified = ls.determined(equations, factor, covariance) & _determines_friction(arm, stretches)
-    standard_deviations = np.sqrt(np.clip(np.diag(covariance), 1e-300, None))
     assert around is not None
+    change, variance, weighed = _weights_of_links(arm, stretches, factor, around.solution)
+    if weighed:
+        around = replace(around, solution=around.solution + change)
+        covariance = covariance + variance
+    resolved = replace(factor, is_resolved=factor.is_resolved | bool(weighed))
+    identified = ls.determined(equations, resolved, covariance)
+    identified &= _determines_friction(arm, stretches)
+    standard_deviations = np.sqrt(np.clip(np.diag(covariance), 1e-300, None))
     return Trial(
         arm=arm,
         stretches=stretches,
@@ -197,7 +204,33 @@ def fit_trial(
         determined=identified,
         candidates=tuple(candidates),
         last_move=float(np.max((change_size / standard_deviations)[identified], initial=0.0)),
+        weighed=weighed,
     )
+
+
+def _weights_of_links(
+    arm: Arm, stretches: Sequence[Stretch], factor: ls.Factor, solution: FloatArray
+) -> tuple[FloatArray, FloatArray, tuple[int, ...]]:
+    """Change of a solution that gives the weights of links to gravity; its covariance; the joints.
+
+    The weight of what a vertical prismatic joint carries is constant, as `friction_offset` is. That
+    is taken as zero, with the Coulomb friction as its standard deviation. No joints if the data
+    resolve all directions, or if this leaves another one.
+    """
+    directions = factor.directions[~factor.is_resolved] / factor.scale
+    is_two_way, offsets = slides_both_ways(stretches), dict[int, int]()
+    for k, column in enumerate(arm.rigid_columns):
+        joint = column.joint if column.name == "friction_offset" else None
+        if joint and arm.joints[joint - 1].motion == "prismatic" and is_two_way[joint - 1]:
+            offsets |= {joint: k} if np.any(directions[:, k]) else {}
+    at, joints = list(offsets.values()), np.array(list(offsets), dtype=int)
+    sizes = np.abs(arm.joint_friction(solution)[joints - 1, 1]) + np.finfo(float).eps
+    rows = directions[:, at].T / sizes[:, None]
+    if not len(directions) or np.linalg.matrix_rank(rows) < len(directions):
+        return np.zeros_like(solution), np.zeros((0, 0)), ()
+    change = np.linalg.lstsq(rows, -solution[at] / sizes)[0] @ directions
+    variance = directions.T @ np.linalg.inv(rows.T @ rows) @ directions
+    return change, variance, tuple(offsets)
 
 
 def _determines_friction(arm: Arm, stretches: Sequence[Stretch]) -> BoolArray:

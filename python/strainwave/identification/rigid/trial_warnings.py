@@ -27,6 +27,8 @@ def warnings_of(best: Trial, variances: FloatArray) -> Iterator[Diagnostic]:
         if not best.determined[k]:
             place = Place(joint=column.joint, parameter=column.name)
             yield _not_identifiable(best, k, place)
+    for joint in best.weighed:
+        yield Diagnostic("assumed", Place(joint=joint), "weight", joint=joint)
     for stretch in best.stretches:
         stiction_shares = (stretch.signals.direction == 0.0).mean(axis=0)
         for joint, share in enumerate(stiction_shares.tolist(), start=1):
