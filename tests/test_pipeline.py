@@ -78,7 +78,7 @@ def test_progress_reports_the_current_part_and_the_number_of_parts(tmp_path: Pat
     limits = [int(match[2]) for match in counts if match]
     assert limits[0] == 100
     assert all(n <= limit for n, limit in zip(evaluations, limits, strict=True))
-    assert evaluations[-1] >= identification.whole_arm.iterations
+    assert max(evaluations) >= identification.whole_arm.iterations  # later ones are of rivals
 
 
 def value(model: JointModel, name: str) -> float:

@@ -532,7 +532,7 @@ def test_a_rejected_stiffness_may_be_far_from_the_typical_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Light wrists are a hundred times as stiff as a typical joint with their inertia."""
-    monkeypatch.setattr(starting_values, "_TYPICAL_ANTI_RESONANCE_HZ", 1.5)
+    monkeypatch.setattr(starting_values, "TYPICAL_ANTI_RESONANCE_HZ", 1.5)
     study, true_values, records = rig_records()
     joints = list(joint_models(study, true_values, 0.05, FACTORS))
     joints[1] = replace(joints[1], values={**joints[1].values, "gear_stiffness": -1.0})

@@ -183,7 +183,9 @@ def search_minimum(
     evaluation = count(start.iterations + 1)
 
     def linearise(x: FloatArray) -> Linearised | None:
-        _progress.get()(next(evaluation), options.max_iterations)
+        # a search that begins at the limit evaluates once more, for its cost
+        number = min(next(evaluation), options.max_iterations)
+        _progress.get()(number, options.max_iterations)
         return start.objective.linearise(x)
 
     minimum = minimise(
