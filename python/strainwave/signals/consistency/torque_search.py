@@ -51,6 +51,9 @@ _MIN_DECREASE_TO_PREDICT, _MIN_PREDICTED_DECREASE, _MIN_DECREASE = 0.03, 0.03, 2
 # unexplained variance of one torque, which no hypothesis about a sound log reaches, with the
 # difference of the log likelihoods that it needs in a short log: exp(-12) for each of 160.
 _MAX_CHANCE, _LARGE_GAIN, _MIN_LOG_LIKELIHOOD = 1e-3, float(np.log(2.0)), 12.0
+# Probability by chance of a large gain; but for a torque in another unit, whose size lets it
+# determine the parameters of its own joint alone.
+_MAX_CHANCE_OF_LARGE = 0.01
 # Log ratio of unexplained variances from which a hypothesis is listed: of a change with one
 # coordinate, whose size is tested as well; and of other changes.
 _MIN_GAIN_OF_COORDINATE, _MIN_GAIN = 0.1, float(np.log(1.3))
@@ -106,10 +109,11 @@ def _is_evident(each: Hypothesis, limit: float) -> bool:
     if each.gain is None:
         return False
     largest = each.gain.mean if each.kind == "payload" else float(each.gain.by_joint.max())
+    max_chance = _MAX_CHANCE if each.code == "wrong-unit" else _MAX_CHANCE_OF_LARGE
     is_large = (
         largest > _LARGE_GAIN
         and each.gain.log_likelihood > _MIN_LOG_LIKELIHOOD
-        and each.gain.probability < _MAX_CHANCE
+        and each.gain.probability < max_chance
     )
     return is_large or (each.gain.probability < limit and each.kind != "payload")
 
