@@ -31,6 +31,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.distributions import student_quantile
 from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.kinds.bodies import MOTOR_SHARE
 from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import link_motion, torsion_motion
@@ -108,7 +109,7 @@ def _prepare(log: Log, bandwidth_hz: float, arm: Arm) -> _Record | None:
     def at_rows(values: FloatArray) -> FloatArray:
         return low_pass(values, bandwidth_hz, T, kept=slice(0, None, step))[rows // step]
 
-    regressor = arm.base_regressor(q, dq, ddq) @ arm.links_of_rigid(0.5)
+    regressor = arm.base_regressor(q, dq, ddq) @ arm.links_of_rigid(MOTOR_SHARE)
     added = arm.link_torques(arm.payload_vector(log.experiment.payload), q, dq, ddq)
     gap = round(1.0 / (8.0 * bandwidth_hz * T))
     valid = _clear_of(signals.valid & is_measured, gap)
