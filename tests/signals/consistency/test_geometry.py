@@ -18,6 +18,7 @@ from strainwave.domain import (
     Joint,
     Log,
     Study,
+    Use,
 )
 from strainwave.domain.arm import Imu, Origin, Urdf
 from strainwave.domain.consistent_links import standard_parameters
@@ -375,7 +376,8 @@ def test_friction_of_load_and_direction_is_no_fault() -> None:
         "serial", (Joint("rigid", 0.02, encoder_counts=2**16),), gravity=(0.0, -9.81, 0.0)
     )
     logs = []
-    for name, seconds in (("motion", 8.0), ("check", 15.0)):
+    uses: tuple[tuple[Use, float], ...] = (("motion", 8.0), ("check", 15.0))
+    for name, seconds in uses:
         time = np.arange(0.0, seconds, SAMPLE_TIME)
         k = rng.choice(np.arange(1, 12), (5, 1), replace=False)
         w, phase = 0.2 * np.pi * k, rng.uniform(0.0, 6.0, (5, 1))

@@ -329,9 +329,7 @@ def torque_system(evidence: Evidence, loaded: str = "") -> TorqueSystem | None:
     return TorqueSystem(columns, torques, joint, fold, tuple(records), totals, n_rows, grams)
 
 
-def with_friction_laws(
-    evidence: Evidence, system: TorqueSystem, links: FloatArray
-) -> TorqueSystem:
+def with_friction_laws(evidence: Evidence, system: TorqueSystem, links: FloatArray) -> TorqueSystem:
     """The equations with friction that depends on the direction and on the load of each joint.
 
     The load is the torque of given links and of the motor's acceleration, which torques do not
