@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from strainwave.domain import Clause, FloatArray
+from strainwave.domain import FloatArray
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.consistency.evidence import Evidence, is_slow
 from strainwave.signals.consistency.hypothesis import Hypothesis
@@ -96,8 +96,11 @@ def search_explanations(evidence: Evidence) -> tuple[Hypothesis, ...] | None:
     if not any(_is_evident(each, limits[each.kind, bool(each.excluded)]) for each in found):
         return ()
     rivals = sorted((a for a in found if _is_evident(a, _MAX_CHANCE)), key=lambda a: a.cost)
-    rivals += [search.friction_laws()]
     if any(each.is_tolerated and each.is_as_good(rivals[0]) for each in rivals):
+        return ()
+    # friction of load and direction is no fault: the fit selects it by itself
+    friction = predict_stretches(with_friction_laws(evidence, system, search.fit.links))
+    if friction.gain(search.stated).mean > max(each.gain.mean for each in rivals if each.gain):
         return ()
     return tuple(each for each in rivals if not each.is_tolerated)
 
@@ -149,13 +152,6 @@ class _Search:
             if load[[4, 6, 9]].sum() < 0.0:  # the trace of its inertia
                 return None
         return self._gaining(each, predict_stretches(system), _MIN_GAIN, is_pooled=False)
-
-    def friction_laws(self) -> Hypothesis:
-        """Friction that depends on direction and load, which the fit selects by itself."""
-        system = with_friction_laws(self.evidence, self.system, self.fit.links)
-        gain = predict_stretches(system).gain(self.stated)
-        clause = Clause("friction-laws")
-        return Hypothesis("friction", clause, gain=gain, kind="friction", is_tolerated=True)
 
     def _in_stated_sizes(self, system: TorqueSystem) -> TorqueSystem:
         """Exchanged torques with the errors relative to the torques of the stated description.
