@@ -11,6 +11,7 @@ from typing import Any
 
 from strainwave.domain import (
     Diagnostic,
+    FloatArray,
     Joint,
     Parameter,
     Place,
@@ -65,6 +66,7 @@ class IdentifiedArm:
     estimates: Values = field(default_factory=dict)  # of all stages, also rejected ones
     completion: Values | None = None  # in place of `values`; see `strainwave.export.completion`
     assumptions: tuple[str, ...] = ()  # behind it
+    torques: FloatArray | None = None  # of the motors over `rigid.motion`, which exports follow
 
     @property
     def values(self) -> Values:
