@@ -203,14 +203,13 @@ def test_responses_are_the_shapes_through_the_filter() -> None:
     for uncertain in (slice(0, 3), slice(40, 41), slice(90, 150), slice(200, 207), slice(296, 300)):
         direction[uncertain] = 0.0
     shapes = free_friction(direction, 10)
-    assert min(len(shape) for _, shape in shapes) == 1
-    assert any(shape.min() < 1.0 for _, shape in shapes)
+    assert min(shapes.stop - shapes.first) == 1
+    assert {bool(slope) for slope in shapes.slope} == {False, True}
     rows = np.arange(5, 300, 7)
-    for (first, shape), response in zip(
-        shapes, responses(shapes, rows, kernel).dense().T, strict=True
-    ):
+    each = zip(*shapes, responses(shapes, rows, kernel).dense().T, strict=True)
+    for first, stop, centre, slope, response in each:
         padded = np.zeros(300)
-        padded[first : first + len(shape)] = shape
+        padded[first:stop] = 1.0 - slope * np.abs(np.arange(first, stop) - centre)
         # rounding of sums of 41 numbers of order one
         assert response == pytest.approx(np.convolve(padded, kernel, mode="same")[rows], abs=1e-12)
 
@@ -238,8 +237,8 @@ def test_friction_shapes_sum_to_one_at_uncertain_directions(
     """The shapes sum to one at uncertain directions and to zero elsewhere."""
     direction = np.array(directions)
     total = np.zeros(len(direction))
-    for first, shape in free_friction(direction, spacing):
-        total[first : first + len(shape)] += shape
+    for first, stop, centre, slope in zip(*free_friction(direction, spacing), strict=True):
+        total[first:stop] += 1.0 - slope * np.abs(np.arange(first, stop) - centre)
     assert total == pytest.approx((direction == 0.0).astype(float))
 
 

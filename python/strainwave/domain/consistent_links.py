@@ -77,11 +77,13 @@ def _minimise(
         slope = pull + gradient
         # the step minimises |roots step + roots^-T slope|^2 + |rows step + residual|^2; with
         # roots step as unknown, links near the border of the consistent sets do not dominate
-        stacked = np.concatenate([np.eye(len(roots)), np.linalg.solve(roots.T, rows.T).T])
-        right = np.concatenate([-np.linalg.solve(roots.T, slope), target - rows @ values])
+        table = np.vstack([rows, slope]).T.reshape(len(roots), 10, -1)
+        *columns, force = np.linalg.solve(roots.mT, table).reshape(len(values), -1).T
+        stacked = np.concatenate([np.eye(len(values)), columns])
+        right = np.concatenate([-force, target - rows @ values])
         whitened = np.linalg.lstsq(stacked, right, rcond=None)[0]
         decrease = float(np.sum((stacked @ whitened) ** 2))
-        step = np.asarray(np.linalg.solve(roots, whitened))
+        step = np.linalg.solve(roots, whitened.reshape(-1, 10, 1)).ravel()
         if decrease < _TOLERANCE:
             return values
         share, before = min(1.0, _longest_step(values, step)), cost(values)
@@ -159,37 +161,31 @@ def _basis() -> FloatArray:
     return basis
 
 
-def _pseudo_inertia(link: FloatArray) -> FloatArray:
-    return np.asarray(np.tensordot(link, _basis(), axes=1))
+def _pseudo_inertia(links: FloatArray) -> FloatArray:
+    """Pseudo-inertias (..., 4, 4) of standard parameters (..., 10)."""
+    return (links @ _basis().reshape(10, 16)).reshape(*links.shape[:-1], 4, 4)
+
+
+def _whitening(values: FloatArray) -> FloatArray:
+    """Inverse Cholesky factor of each link's pseudo-inertia, (n_links, 4, 4)."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(_pseudo_inertia(values.reshape(-1, 10)))))
 
 
 def _barrier(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Root R of the Hessian R'R of -log det, block by block, and its gradient."""
-    n = len(values)
-    roots, gradient = np.zeros((n, n)), np.zeros(n)
-    for at in range(0, n, 10):
-        part = slice(at, at + 10)
-        factor = np.linalg.cholesky(_pseudo_inertia(values[part]))
-        inverse = np.linalg.inv(factor)
-        whitened = inverse @ _basis() @ inverse.T  # (10, 4, 4); their products are the Hessian
-        roots[part, part] = np.linalg.qr(whitened.reshape(10, 16).T, mode="r")
-        gradient[part] = -np.trace(whitened, axis1=1, axis2=2)
-    return roots, gradient
+    """Root R of the Hessian R'R of -log det, one block (10, 10) per link, and its gradient."""
+    inverse = _whitening(values)[:, None]
+    whitened = inverse @ _basis() @ inverse.mT  # (n_links, 10, 4, 4); products are the Hessian
+    roots = np.linalg.qr(whitened.reshape(-1, 10, 16).mT, mode="r")
+    return np.asarray(roots), -np.trace(whitened, axis1=2, axis2=3).ravel()
 
 
 def _log_det(values: FloatArray) -> float:
-    links = values.reshape(-1, 10)
-    return float(np.sum(np.linalg.slogdet(np.tensordot(links, _basis(), axes=1))[1]))
+    return float(np.sum(np.linalg.slogdet(_pseudo_inertia(values.reshape(-1, 10)))[1]))
 
 
 def _longest_step(values: FloatArray, step: FloatArray) -> float:
     """Share of a step that keeps a tenth of the distance to the first inconsistent set."""
-    longest = np.inf
-    for at in range(0, len(values), 10):
-        factor = np.linalg.cholesky(_pseudo_inertia(values[at : at + 10]))
-        inverse = np.linalg.inv(factor)
-        moved = inverse @ _pseudo_inertia(step[at : at + 10]) @ inverse.T
-        lowest = float(np.linalg.eigvalsh(moved)[0])
-        if lowest < 0.0:
-            longest = min(longest, -0.9 / lowest)
-    return longest
+    inverse = _whitening(values)
+    moved = inverse @ _pseudo_inertia(step.reshape(-1, 10)) @ inverse.mT
+    lowest = float(np.linalg.eigvalsh(moved).min())
+    return -0.9 / lowest if lowest < 0.0 else np.inf

@@ -6,9 +6,7 @@ the friction torque has any value in [-f, f] and is a separate unknown.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,78 +91,71 @@ def runs_of(at: BoolArray) -> IntArray:
     return np.flatnonzero(np.diff(np.r_[False, at, False].astype(np.int8))).reshape(-1, 2)
 
 
-def free_friction(direction: FloatArray, spacing: int) -> list[tuple[int, FloatArray]]:
-    """Shape functions, as (first sample, shape), of the friction torque at uncertain directions.
+class Shapes(NamedTuple):
+    """Constants and triangles 1 - slope |k - centre| at the samples k from `first` to `stop` - 1.
+
+    One of each value per shape, (n_shapes,), ordered by the first and the last samples.
+    """
+
+    first: IntArray
+    stop: IntArray
+    centre: FloatArray  # [samples]
+    slope: FloatArray  # per sample; zero if constant
+
+
+def free_friction(direction: FloatArray, spacing: int) -> Shapes:
+    """Shape functions of the friction torque at uncertain directions.
 
     A stretch shorter than `spacing` [samples] has one constant shape, because only its area affects
     the low-pass filtered torque. Longer stretches have overlapping triangles that sum to one, with
     centres about `spacing` apart. `direction`, (n_samples,), is from `sliding_direction`.
     """
-    shapes: list[tuple[int, FloatArray]] = []
-    # Stretches of equal length share their shapes.
-    shapes_by_length: dict[int, list[tuple[int, FloatArray]]] = {}
-    for first, stop in runs_of(direction == 0.0).tolist():
-        length = stop - first
-        if length not in shapes_by_length:
-            shapes_by_length[length] = _stretch_shapes(length, spacing)
-        shapes += [(first + start, shape) for start, shape in shapes_by_length[length]]
-    return shapes
+    begin, end = runs_of(direction == 0.0).T
+    length = end - begin
+    n_knots = np.maximum(1, np.rint(length / spacing).astype(np.int64)) + (length > spacing)
+    is_constant = n_knots == 1
+    distance = np.where(is_constant, length, (length - 1) / np.maximum(1, n_knots - 1))
+    stretch = np.repeat(np.arange(len(length)), n_knots)
+    knot = np.arange(len(stretch)) - np.repeat(np.cumsum(n_knots) - n_knots, n_knots)
+    start, length, distance = begin[stretch], length[stretch], distance[stretch]
+    first = np.maximum(np.floor((knot - 1) * distance).astype(np.int64) + 1, 0)
+    stop = np.minimum(np.ceil((knot + 1) * distance).astype(np.int64), length)
+    slope = np.where(is_constant[stretch], 0.0, 1.0 / distance)
+    return Shapes(start + first, start + stop, start + knot * distance, slope)
 
 
-def _stretch_shapes(length: int, spacing: int) -> list[tuple[int, FloatArray]]:
-    """Shape functions, as (first sample, shape), of one stretch."""
-    n_knots = max(1, round(length / spacing)) + (length > spacing)
-    if n_knots == 1:
-        return [(0, np.ones(length))]
-    distance = (length - 1) / (n_knots - 1)  # of two centres [samples]
-    shapes = []
-    for knot in range(n_knots):
-        first = max(math.floor((knot - 1) * distance) + 1, 0)
-        stop = min(math.ceil((knot + 1) * distance), length)
-        shapes.append((first, 1.0 - np.abs(np.arange(first, stop) / distance - knot)))
-    return shapes
-
-
-def responses(
-    shapes: Sequence[tuple[int, FloatArray]], rows: IntArray, kernel: FloatArray
-) -> Banded:
+def responses(shapes: Shapes, rows: IntArray, kernel: FloatArray) -> Banded:
     """Responses of a filter to all shape functions at selected samples, (n_rows, n_shapes).
 
-    `shapes` are from `free_friction`, ordered by their first and last samples. `rows` are ascending
-    sample indices, (n_rows,). `kernel`, (2 reach + 1,), is the impulse response centred on the
-    impulse and must decay to zero at both ends. Each row of the banded result has the shapes within
-    reach.
+    `rows` are ascending sample indices, (n_rows,). `kernel`, (2 reach + 1,), is the impulse
+    response centred on the impulse and must decay to zero at both ends. Each row of the banded
+    result has the shapes within reach.
     """
     reach = len(kernel) // 2
-    begin = np.array([first for first, _ in shapes], dtype=np.int64)
-    length = np.array([len(shape) for _, shape in shapes], dtype=np.int64)
-    distinct = {id(shape): shape for _, shape in shapes}  # stretches of equal length share shapes
-    constant = {name for name, shape in distinct.items() if shape.min() == 1.0}
-    is_constant = np.array([id(shape) in constant for _, shape in shapes], dtype=bool)
     # Rows within reach of each shape, and shapes within reach of each row.
-    low = np.searchsorted(rows, begin - reach)
-    high = np.searchsorted(rows, begin + length + reach)
+    low = np.searchsorted(rows, shapes.first - reach)
+    high = np.searchsorted(rows, shapes.stop + reach)
     earliest = np.searchsorted(high, np.arange(len(rows)), side="right")
     past_last = np.searchsorted(low, np.arange(len(rows)), side="right")
     width = int(np.max(past_last - earliest, initial=0))
     entries = np.zeros((len(rows), width))
-    response_by_shape: dict[int, FloatArray] = {}
-    for c in np.flatnonzero(~is_constant).tolist():
-        name = id(shapes[c][1])
-        if name not in response_by_shape:
-            response_by_shape[name] = np.convolve(shapes[c][1], kernel)
-        response = response_by_shape[name]
-        reached = np.arange(low[c], high[c])
-        entries[reached, c - earliest[reached]] = response[rows[reached] - (begin[c] - reach)]
-    # Most shapes are constant: their responses are differences of the step response.
-    step = np.concatenate([[0.0], np.cumsum(kernel)])
-    for k in range(width if is_constant.any() else 0):
+    # A shape is linear before and after its peak: sums of the kernel and of its first moment.
+    peak = np.clip(np.floor(shapes.centre).astype(np.int64) + 1, shapes.first, shapes.stop)
+    level = np.concatenate([[0.0], np.cumsum(kernel)])
+    moment = np.concatenate([[0.0], np.cumsum(kernel * np.arange(-reach, reach + 1))])
+    for k in range(width):
         reached = np.flatnonzero(earliest + k < past_last)
         shape = earliest[reached] + k
-        reached, shape = reached[is_constant[shape]], shape[is_constant[shape]]
-        since_start = rows[reached] + (reach + 1) - begin[shape]
-        since_end = since_start - length[shape]
-        entries[reached, k] = step.take(since_start, mode="clip") - step.take(
-            since_end, mode="clip"
-        )
-    return Banded(earliest, entries, len(shapes))
+        since = [
+            np.clip(rows[reached] + (reach + 1) - edge[shape], 0, len(kernel))
+            for edge in (shapes.first, peak, shapes.stop)
+        ]
+        entries[reached, k] = level[since[0]] - level[since[2]]
+        bent = np.flatnonzero(shapes.slope[shape])  # most shapes are constant
+        slope = shapes.slope[shape[bent]]
+        beyond = rows[reached[bent]] - shapes.centre[shape[bent]]
+        before, at, after = (each[bent] for each in since)
+        levels = level[before] + level[after] - 2.0 * level[at]
+        moments = moment[before] + moment[after] - 2.0 * moment[at]
+        entries[reached[bent], k] += slope * (beyond * levels - moments)
+    return Banded(earliest, entries, len(shapes.first))

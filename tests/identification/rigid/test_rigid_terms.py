@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -189,6 +189,23 @@ def test_a_sensor_behind_the_gear_shows_the_link(tmp_path: Path) -> None:
     assert result["link_inertia", 1].value == pytest.approx(0.5, rel=0.01)
     assert result.run is not None
     assert "torque-at-link" in {w.code for w in result.run.warnings}
+
+
+def test_a_sensor_behind_an_elastic_gear_shows_link_and_stiffness(tmp_path: Path) -> None:
+    """The motor leads the link by the torsion; both have encoders."""
+    log = Pendulum(viscous=0.0, coulomb=0.0).log()
+    log["theta_l1"], log["tau_l1"] = log["theta_m1"], log.pop("torque1")
+    log["theta_m1"] = log["theta_l1"] + log["tau_l1"] / 800.0
+    study = study_of(tmp_path)
+    text = study.path.read_text().replace('spring = "rigid"', 'spring = "linear"')
+    study.path.write_text(text)
+    study = sw.read_study(study.path)
+    result = sw.identify(study, data={"m": log})
+    assert result["link_inertia", 1].value == pytest.approx(0.5, rel=0.01)
+    assert result["gear_stiffness", 1].value == pytest.approx(800.0, rel=0.01)
+    steps = replace(study, experiments=(replace(study.experiments[0], use="tuning"),))
+    with pytest.raises(InvalidInput, match="no motor input"):
+        sw.identify(steps, data={"m": log})
 
 
 def codes_of(study: sw.Study, log: Mapping[str, FloatArray], *options: str) -> dict[str, str]:

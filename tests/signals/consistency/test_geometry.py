@@ -18,6 +18,7 @@ from strainwave.domain import (
     Joint,
     Log,
     Study,
+    Use,
 )
 from strainwave.domain.arm import Imu, Origin, Urdf
 from strainwave.domain.consistent_links import standard_parameters
@@ -366,3 +367,32 @@ def test_a_load_of_a_single_joint_leaves_a_result() -> None:
     arm = single_joint(joint)
     study = Study(arm=arm, experiments=tuple(x.experiment for x in logs), path=Path("study.toml"))
     assert search_explanations(collect_evidence(logs, study)) is not None
+
+
+def test_friction_of_load_and_direction_is_no_fault() -> None:
+    """A pendulum whose friction grows with the load, and with the speed in one direction only."""
+    rng = np.random.default_rng(184)
+    arm = ArmDescription(
+        "serial", (Joint("rigid", 0.02, encoder_counts=2**16),), gravity=(0.0, -9.81, 0.0)
+    )
+    logs = []
+    uses: tuple[tuple[Use, float], ...] = (("motion", 8.0), ("check", 15.0))
+    for name, seconds in uses:
+        time = np.arange(0.0, seconds, SAMPLE_TIME)
+        k = rng.choice(np.arange(1, 12), (5, 1), replace=False)
+        w, phase = 0.2 * np.pi * k, rng.uniform(0.0, 6.0, (5, 1))
+        size = rng.uniform(0.3, 1.0, (5, 1)) / k**0.7
+        size *= 0.6949 / size.sum()
+        angle = rng.uniform(-0.5, 0.5) + (size * np.sin(w * time + phase)).sum(0)
+        rate = (size * w * np.cos(w * time + phase)).sum(0)
+        acceleration = -(size * w**2 * np.sin(w * time + phase)).sum(0)
+        load = 0.01 * acceleration + 0.844 * np.cos(angle)
+        friction = (0.157 + 0.182 * np.abs(load)) * np.sign(rate)
+        friction += 0.0646 * rate + 0.007 * np.abs(rate)
+        torque = 0.0122 * acceleration + load + friction + 0.01 * rng.normal(size=len(time))
+        experiment = Experiment(name, f"{name}.csv", name, ("servo",))
+        count = 2.0 * np.pi / 2**16
+        channels = {"theta_m1": count * np.round(angle / 0.02 / count), "torque1": 0.02 * torque}
+        logs.append(Log(experiment, time, SAMPLE_TIME, channels))
+    study = Study(arm=arm, experiments=tuple(x.experiment for x in logs), path=Path("study.toml"))
+    assert not check_consistency(logs, study).suspected

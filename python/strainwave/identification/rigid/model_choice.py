@@ -211,9 +211,9 @@ class Choice:
     def model_error(self) -> FloatArray:
         """Variance (n_parameters, n_parameters) between the trial's model and plausible rivals.
 
-        The rivals have one term of a joint more or less, or other torque constants. Their weights
-        are those of held-out prediction. Of a change, the excess over its interval from the same
-        blocks counts: a term of no effect changes the estimates as well.
+        The rivals have one term of a joint less, one or two more, or other torque constants. Their
+        weights are those of held-out prediction. Of a change, the excess over its interval from the
+        same blocks counts: a term of no effect changes the estimates as well.
         """
         rng = np.random.default_rng(0)
         total = np.zeros_like(self.trial.covariance)
@@ -258,10 +258,16 @@ class Choice:
             models = [
                 [k for k in chosen if k != left] for left in chosen if joint_of[left] == joint
             ]
-            for same in self._rivals(chosen):
-                if joint_of[same[0]] == joint:
-                    model = max(([*chosen, k] for k in same), key=self._total)
-                    models += [model] if self.is_possible(model) else []
+            added = [
+                max(([*chosen, k] for k in same), key=self._total)
+                for same in self._rivals(chosen)
+                if joint_of[same[0]] == joint
+            ]
+            added = sorted((m for m in added if self.is_possible(m)), key=self._total)
+            if len(added) > 1:  # two terms may predict better only together, as of load and speed
+                pair = [*added[-1], added[-2][-1]]
+                added += [pair] if self.is_possible(pair) else []
+            models += added
             yield [self.with_shapes(model) for model in models]
         if n_joints > 1:
             first = self.models.equations.common.shape[1] - n_joints

@@ -178,7 +178,8 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> S
         if np.mean(signals.direction[:, i] == 0.0) > MAX_STICTION_SHARE:
             informative &= friction.entries.sum(axis=1) < _MAX_STANDING_WEIGHT
         keep.append(informative)
-        free.append(friction if elastic or informative.any() else responses([], rows, kernel))
+        no_shapes = Banded(0 * rows, np.zeros((len(rows), 0)), 0)
+        free.append(friction if elastic or informative.any() else no_shapes)
     angle, velocity, acceleration, torque, direction = (
         motion_of(x, bandwidth_hz, T)
         for x in (

@@ -220,7 +220,7 @@ def _sources(study: Study, experiment: Experiment, table: Table | Bag) -> dict[s
             what = "to which the study adds another column"
             raise table.missing_column_error(channel_name, what)
     _check_required(sources, study, table)
-    _check_inputs(sources, study, table)
+    _check_inputs(sources, study, experiment, table)
     return sources
 
 
@@ -283,9 +283,17 @@ def _check_required(sources: dict[str, Channel], study: Study, table: Table | Ba
             raise error
 
 
-def _check_inputs(sources: dict[str, Channel], study: Study, table: Table | Bag) -> None:
+def _check_inputs(
+    sources: dict[str, Channel], study: Study, experiment: Experiment, table: Table | Bag
+) -> None:
+    """Raise InvalidInput without a motor input.
+
+    A sensor behind the gear suffices for rigid joints, and for slow motion of elastic ones.
+    """
+    is_slow = experiment.use in ("motion", "check")
+    is_rigid = not any(joint.elastic for joint in study.arm.joints)
     for i, joint in enumerate(study.arm.joints, start=1):
-        if f"tau_l{i}" in sources and not any(each.elastic for each in study.arm.joints):
+        if f"tau_l{i}" in sources and (is_slow or is_rigid):
             continue
         if f"u{i}" not in sources and f"torque{i}" not in sources:
             for name in (f"u{i}", f"torque{i}"):

@@ -329,6 +329,25 @@ def torque_system(evidence: Evidence, loaded: str = "") -> TorqueSystem | None:
     return TorqueSystem(columns, torques, joint, fold, tuple(records), totals, n_rows, grams)
 
 
+def with_friction_laws(evidence: Evidence, system: TorqueSystem, links: FloatArray) -> TorqueSystem:
+    """The equations with friction that depends on the direction and on the load of each joint.
+
+    The load is the torque of given links and of the motor's acceleration, which torques do not
+    separate. The first columns are those of the links.
+    """
+    parts, n_joints = [], evidence.arm.n_joints
+    for each in _blocks(evidence, Arm.base_regressor, "regressor"):
+        direction, load = np.sign(each.own[:, 2]), each.of_links @ links
+        rest = each.torque - (load - load.mean())
+        load = load + each.own[:, 0] * np.linalg.lstsq(each.own, rest)[0][0]
+        laws = each.remainder(np.column_stack([each.own[:, 1], np.abs(load)]) * direction[:, None])
+        columns = np.zeros((len(laws), n_joints, laws.shape[1]))
+        columns[:, each.joint - 1] = laws
+        parts.append(columns.reshape(len(laws), -1))
+    columns = np.column_stack([system.columns, np.concatenate(parts)])
+    return replace(system, columns=columns, grams={})
+
+
 def unexplained_torques(evidence: Evidence, links: FloatArray) -> FloatArray:
     """Torques that given links leave, in the rows of `torque_system`."""
 

@@ -25,6 +25,7 @@ from strainwave.signals.consistency.torque_fit import (
     predict_stretches,
     torque_system,
     unexplained_torques,
+    with_friction_laws,
 )
 from strainwave.signals.consistency.torque_hypotheses import (
     N_FRAME_COORDINATES,
@@ -96,6 +97,10 @@ def search_explanations(evidence: Evidence) -> tuple[Hypothesis, ...] | None:
         return ()
     rivals = sorted((a for a in found if _is_evident(a, _MAX_CHANCE)), key=lambda a: a.cost)
     if any(each.is_tolerated and each.is_as_good(rivals[0]) for each in rivals):
+        return ()
+    # friction of load and direction is no fault: the fit selects it by itself
+    friction = predict_stretches(with_friction_laws(evidence, system, search.fit.links))
+    if friction.gain(search.stated).mean > max(each.gain.mean for each in rivals if each.gain):
         return ()
     return tuple(each for each in rivals if not each.is_tolerated)
 
