@@ -71,7 +71,8 @@ def completed(arm: IdentifiedArm, form: str = "json") -> IdentifiedArm:
             arm, note = _as_chain(arm, rigid, error)
             notes.append(note)
             values |= arm.standard
-        arm = _with_projected_friction(original, arm, rigid, notes, form)
+        if rigid.motion.size:
+            arm = _with_projected_friction(original, arm, rigid, notes, form)
     law_keys = [(name, i + 1) for i, j in enumerate(description.joints) for name in j.law.names]
     listed = [
         f"{label_of(*key)} = {values[key]:.4g} {unit_in(description, key)}"
@@ -120,23 +121,21 @@ def _with_projected_friction(
     `notes` get the laws and the loss. The values of `arm` change.
     """
     motion, description, values = model.motion, original.study.arm, arm.values
-    torques, laws = inverse_dynamics(Arm.of(description), model, motion), _laws(motion[1])
+    torques = inverse_dynamics(Arm.of(description), model, motion)
     of_bodies = body_torques(arm, motion, effective_gravity(arm))
-    predicted, size = of_bodies.copy(), np.std(torques, axis=0)
+    identified, size = motor_friction(arm, motion), np.std(torques, axis=0)
     for i, joint in enumerate(description.joints):
         keys: list[Key] = [(name, i + 1) for name in (*FRICTION, *DAMPING)]
         known = {p.name for p in arm.parameters if p.joint == i + 1 and p.value}
         effects = {term.effect for term in model.friction_terms if term.joint == i + 1}
         effects |= {effect.name for effect in all_effects() if known.intersection(effect.names)}
         v, wanted = motion[1, :, i], torques[:, i] - of_bodies[:, i]
-        identified = laws[:, i] @ [values.get(key, 0.0) for key in keys]
         is_held = not effects and original.values.keys() >= set(keys[: len(FRICTION)])
-        error = np.std((wanted - identified)[v != 0.0])
+        error = np.std((wanted - identified[:, i])[v != 0.0])
         if is_held and (joint.elastic or error < _MAX_ERROR * size[i]):
-            torques[:, i] = predicted[:, i] = of_bodies[:, i] + identified
+            torques[:, i] = of_bodies[:, i] + identified[:, i]
             continue
         projection = project_friction(wanted, v, is_polynomial=form == "mjcf" and bool(effects))
-        predicted[:, i] += laws[:, i] @ projection
         if effects:
             powers = ", and damping with powers, read by MuJoCo 4" if projection[3:].any() else ""
             notes.append(
@@ -146,7 +145,7 @@ def _with_projected_friction(
         values.update(zip(keys, projection.tolist(), strict=True))
     arm = replace(arm, torques=torques)
     if form not in ("urdf", "srdf"):  # they have other friction
-        notes.append(loss_note(arm, predicted))
+        notes.append(loss_note(arm, of_bodies + motor_friction(arm, motion)))
     return arm
 
 
@@ -200,9 +199,9 @@ def _laws(v: FloatArray) -> FloatArray:
 
 def motor_friction(arm: IdentifiedArm, motion: FloatArray) -> FloatArray:
     """Friction torques of the motors for a motion: (n_samples, n_joints)."""
-    numbers = range(1, motion.shape[2] + 1)
-    sizes = [[arm.values.get((name, number), 0.0) for name in FRICTION] for number in numbers]
-    return np.asarray(np.sum(friction_laws(motion[1]) * sizes, axis=2))
+    names, numbers = (*FRICTION, *DAMPING), range(1, motion.shape[2] + 1)
+    sizes = [[arm.values.get((name, number), 0.0) for name in names] for number in numbers]
+    return np.asarray(np.sum(_laws(motion[1]) * sizes, axis=2))
 
 
 def nonnegative_fit(A: FloatArray, b: FloatArray, is_free: BoolArray | bool = False) -> FloatArray:

@@ -120,10 +120,10 @@ def _projected(arm: IdentifiedArm, has_rotors: bool) -> _Model:
     gravity, motion = arm.study.arm.gravity_size, motion_of(arm)
     description, chain = Arm.of(arm.study.arm), chain_of(arm, gravity)
     n, speeds = description.n_joints, description.links_of(motion[1])
-    if arm.torques is None:
-        arm = replace(arm, torques=body_torques(arm, motion, gravity) + motor_friction(arm, motion))
     target, notes = arm.torques, list[str]()
-    assert target is not None
+    if target is None:
+        target = body_torques(arm, motion, gravity) + motor_friction(arm, motion)
+        arm = replace(arm, torques=target)
     regressor = motor_regressor(chain, motion)
     links, inertias = np.concatenate(standard_links(arm, gravity)), rotor_inertias(arm)
     rotors = np.diag(description.joints_of(description.joints_of(np.diag(inertias)).T))
@@ -131,10 +131,10 @@ def _projected(arm: IdentifiedArm, has_rotors: bool) -> _Model:
     of_rotors = description.motors_of(held * description.links_of(motion[2]))
     columns = [description.motors_of(x * e) for x in (speeds, np.sign(speeds)) for e in np.eye(n)]
     laws = np.stack(columns, axis=2)
-    errors = torque_errors(arm.rigid, target)
     if any(inertias) and (description.coupling is not None or not has_rotors):
-        bodies = regressor @ np.concatenate([links, inertias])
-        merged = links_of_torques(chain, motion, bodies - of_rotors, errors, laws, [0.0] * n)
+        bodies = regressor @ np.concatenate([links, inertias]) - of_rotors
+        errors = torque_errors(arm.rigid, target)
+        merged = links_of_torques(chain, motion, bodies, errors, laws, [0.0] * n)
         if merged is None:
             raise NumericalFailure("no consistent links include the rotors")
         links = merged[: 10 * n]

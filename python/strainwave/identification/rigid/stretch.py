@@ -131,15 +131,13 @@ def sample_motion(records: Sequence[Signals], bandwidth_hz: float) -> FloatArray
     """Samples of the motion of records, as in `RigidModel.motion`: as many of each record."""
     parts, count = [], -(-_MAX_MOTION_SAMPLES // len(records))
     for s in records:
-        T, n = s.sample_time, len(s.time)
-        step = max(decimation(T, bandwidth_hz), -(-n // count))
-        rows = slice(n % step // 2, None, step)
-        angle, velocity, acceleration = (
-            low_pass(x, bandwidth_hz, T, kept=rows)
+        rows = slice(None, None, -(-len(s.time) // count))
+        motion = [
+            low_pass(x, bandwidth_hz, s.sample_time, kept=rows)
             for x in (s.motor_angle, s.motor_velocity, s.motor_acceleration)
-        )
-        velocity = np.where(s.direction[rows] != 0.0, velocity, 0.0)
-        parts.append(np.stack([angle, velocity, acceleration]))
+        ]
+        motion[1] = np.where(s.direction[rows] != 0.0, motion[1], 0.0)
+        parts.append(np.stack(motion))
     return np.concatenate(parts, axis=1)
 
 
