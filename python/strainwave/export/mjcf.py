@@ -92,7 +92,7 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     )
     for number in range(1, arm.study.arm.n_joints + 1):
         _sensors(sensors, arm, number, is_shared=number in shared)
-    warnings = arm.warnings + arm.assumed() + arm.assumed_bodies() + _approximations(arm)
+    warnings = arm.assumed() + _approximations(arm)
     return Export(to_bytes(mujoco), warnings + gravity_warnings(arm), notes)
 
 

@@ -69,7 +69,7 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
     """
     model = _projected(arm, has_rotors)
     notes = (*arm.assumptions, *model.notes, *omission_note(arm, _HELD))
-    warnings = arm.warnings + arm.assumed() + arm.assumed_bodies() + gravity_warnings(arm)
+    warnings = arm.assumed() + gravity_warnings(arm)
     urdf, names = arm.study.arm.urdf, arm.study.arm.joint_names
     if urdf is not None:
         texts = map(sentence_of, notes)
