@@ -160,7 +160,7 @@ def test_torques_that_friction_explains_do_not_count() -> None:
 def test_torques_weigh_less_until_the_search_for_links_converges(
     monkeypatch: pytest.MonkeyPatch, n_failures: int
 ) -> None:
-    """Exact torques first, then with friction at weights of 1, 0.1 and 0.01; then no bodies."""
+    """Apart from friction at weights of 10, 1, 0.1 and 0.01; then no bodies."""
     motion, torque, columns = torque_over_motion()
     sizes, search = list[float](), consistent_links
 
@@ -174,8 +174,8 @@ def test_torques_weigh_less_until_the_search_for_links_converges(
     errors, known = 0.01 * np.std(torque, axis=0), [drawn_values(3)[motor] for motor in MOTORS]
     found = module.links_of_torques(ARM, motion, torque, errors, columns, known)
     assert (found is None) == (n_failures == 4)
-    ratios = np.array(sizes[2:]) / sizes[1] if n_failures > 1 else np.zeros(0)
-    np.testing.assert_allclose(ratios, [0.1, 0.01][: len(ratios)])
+    ratios = np.array(sizes[: n_failures + 1]) / sizes[0]
+    np.testing.assert_allclose(ratios, [1.0, 0.1, 0.01, 1e-3][: len(ratios)])
 
 
 def test_bodies_whose_torques_are_uncertain_are_nearer_to_the_prior() -> None:

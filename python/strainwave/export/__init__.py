@@ -79,7 +79,7 @@ def export_arm(
         )
     if out.is_dir() or not out.name:
         raise InvalidInput("is a directory", where=f"--out {out}", remedy="name a file in it")
-    arm = completed(arm, is_polynomial=form == "mjcf")
+    arm = completed(arm, form)
     if form == "matlab":
         export = to_script(arm) if out.suffix == ".m" else to_mat(arm)
     else:

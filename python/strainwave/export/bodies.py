@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
-from strainwave.domain import Diagnostic, Place
+import numpy as np
+
+from strainwave.domain import ArmDescription, Diagnostic, FloatArray, LinkPrior, Place
+from strainwave.domain.base_parameters import MOTOR_INERTIA
 from strainwave.domain.combinations import is_rigid_drive
+from strainwave.domain.consistent_links import standard_parameters
 from strainwave.domain.kinds import arm_keys, kind_of
 from strainwave.domain.kinds.bodies import Body
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
+from strainwave.io.base_parameters import motor_regressor
 
 _MAX_GRAVITY_ERROR = 0.01  # relative; errors of torque constants are smaller
 
@@ -25,6 +32,39 @@ def link_bodies(arm: IdentifiedArm, gravity: float) -> tuple[Body, ...]:
     """
     with _source_in_message(arm):
         return kind_of(arm.study.arm).bodies(arm.study.arm, arm.need, gravity)
+
+
+def standard_links(arm: IdentifiedArm, gravity: float) -> list[LinkPrior]:
+    """Standard parameters of `link_bodies`."""
+    links = []
+    for body in link_bodies(arm, gravity):
+        xx, yy, zz, xy, xz, yz = body.inertia
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        links.append(standard_parameters(body.mass, np.array(body.centre), inertia))
+    return links
+
+
+def rotor_inertias(arm: IdentifiedArm) -> list[float]:
+    """Inertias of the motors that the links do not include."""
+    numbers = range(1, arm.study.arm.n_joints + 1)
+    return [0.0 if holds_motor(arm) else arm.need(MOTOR_INERTIA, number) for number in numbers]
+
+
+def chain_of(arm: IdentifiedArm, gravity: float) -> ArmDescription:
+    """The arm as a chain of bodies under a gravity [m/s^2] of the study's direction."""
+    description = arm.study.arm
+    vector = np.array(description.gravity or (0.0, 0.0, 0.0))
+    x, y, z = (vector * gravity / (description.gravity_size or 1.0)).tolist()
+    return replace(description, kind="serial", gravity=(x, y, z) if gravity else None)
+
+
+def body_torques(arm: IdentifiedArm, motion: FloatArray, gravity: float) -> FloatArray:
+    """Torques of links, rotors and link friction for a motion of the motors: (n_samples, n)."""
+    bodies = np.concatenate([*standard_links(arm, gravity), rotor_inertias(arm)])
+    description = Arm.of(arm.study.arm)
+    viscous = [arm.need("link_viscous_friction", i + 1) for i in range(description.n_joints)]
+    friction = description.motors_of(description.links_of(motion[1]) * viscous)
+    return np.asarray(motor_regressor(chain_of(arm, gravity), motion) @ bodies + friction)
 
 
 def effective_gravity(arm: IdentifiedArm) -> float:

@@ -7,13 +7,13 @@ Without these, friction is zero, the gear is rigid and the links are those neare
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, RigidModel
-from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters
+from strainwave.domain import BoolArray, FloatArray, RigidModel
+from strainwave.domain.base_parameters import MOTOR_INERTIA
 from strainwave.domain.combinations import LINK_INERTIA, rigid_columns
 from strainwave.domain.effects import all_effects
 from strainwave.domain.keys import Key, Values, label_of
@@ -21,11 +21,11 @@ from strainwave.domain.parameter_table import family_of
 from strainwave.domain.ranges import is_physical
 from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.rigid_prediction import torque_parts
+from strainwave.dynamics.rigid_prediction import inverse_dynamics
 from strainwave.errors import InvalidInput
-from strainwave.export.bodies import effective_gravity, link_bodies
+from strainwave.export.bodies import body_torques, effective_gravity, link_bodies
 from strainwave.export.source import IdentifiedArm
-from strainwave.io.base_parameters import motor_regressor, standard_of_torques
+from strainwave.io.base_parameters import friction_laws, standard_of_torques, torque_errors
 
 FRICTION = ("motor_viscous_friction", "motor_coulomb_friction", "friction_offset")
 DAMPING = ("motor_damping_2", "motor_damping_3")
@@ -34,15 +34,14 @@ DAMPING = ("motor_damping_2", "motor_damping_3")
 # not a dependence on load, leave almost nothing; others are wrong at higher speeds
 _MAX_CUBIC_ERROR = 0.5
 _MAX_ERROR = 1e-3  # of friction that is held as identified, relative to the torque of the joint
-_POINT = 0.01  # of a fit; smaller differences of torques are not noted
 _N_SAMPLES = 100  # of a motion in place of a recorded one, in each direction
 _ACCELERATION = 10.0  # [rad/s^2] of its joints; their velocity is 1 rad/s
 
 
-def completed(arm: IdentifiedArm, *, is_polynomial: bool = False) -> IdentifiedArm:
+def completed(arm: IdentifiedArm, form: str = "json") -> IdentifiedArm:
     """The arm without missing values; `assumptions` lists the values that are not identified.
 
-    `is_polynomial`: the format has polynomial damping.
+    `form` is the format: MuJoCo has polynomial damping.
     """
     before, identified = arm.values, arm.identified
     description, notes = arm.study.arm, list[str]()
@@ -64,15 +63,16 @@ def completed(arm: IdentifiedArm, *, is_polynomial: bool = False) -> IdentifiedA
     original, values = arm, arm.complete(identified)
     for key in _needed(arm):
         values.setdefault(key, 0.0)
-    arm = replace(arm, completion=values)
-    if arm.rigid is not None:
+    arm, rigid = replace(arm, completion=values), arm.rigid
+    if rigid is not None:
         try:
             link_bodies(arm, effective_gravity(arm))
         except InvalidInput as error:
-            arm, note = _as_chain(arm, arm.rigid, error)
+            arm, note = _as_chain(arm, rigid, error)
             notes.append(note)
             values |= arm.standard
-        values |= dict(_projected_friction(original, arm.standard, values, notes, is_polynomial))
+        if rigid.motion.size:
+            arm = _with_projected_friction(original, arm, rigid, notes, form)
     law_keys = [(name, i + 1) for i, j in enumerate(description.joints) for name in j.law.names]
     listed = [
         f"{label_of(*key)} = {values[key]:.4g} {unit_in(description, key)}"
@@ -112,68 +112,64 @@ def _needed(arm: IdentifiedArm) -> Iterator[Key]:
         yield from (key for key in Arm.of(description).base_names if family_of(key[0]) == "gravity")
 
 
-def _projected_friction(
-    arm: IdentifiedArm, standard: Values, values: Values, notes: list[str], is_polynomial: bool
-) -> Iterator[tuple[Key, float]]:
-    """Friction of the motors whose law no format has, or that is not identified.
+def _with_projected_friction(
+    original: IdentifiedArm, arm: IdentifiedArm, model: RigidModel, notes: list[str], form: str
+) -> IdentifiedArm:
+    """The arm with friction of the motors whose law no format has, or that is not identified.
 
     With the bodies, it has the nearest torque to that of the rigid model over the recorded motion.
+    `notes` get the laws and the loss. The values of `arm` change.
     """
-    model, description = arm.rigid, Arm.of(arm.study.arm)
-    assert model is not None
-    _, velocity, _ = model.motion
-    parts = torque_parts(description, model.solution, model.motion, model.friction_terms)
-    torque = parts.friction(np.sign(velocity))
-    total = parts.body + torque
-    if standard:  # not all arms have bodies with the torques of the model
-        chain = replace(arm.study.arm, kind="serial")
-        motors = ((MOTOR_INERTIA, i + 1) for i in range(chain.n_joints))
-        bodies = [standard.get(key, 0.0) for key in (*base_parameters(chain).links, *motors)]
-        is_rigid = [not joint.elastic for joint in chain.joints]
-        torque += (parts.body - motor_regressor(chain, model.motion) @ bodies) * is_rigid
-    of_links = [values.get(("link_viscous_friction", i + 1), 0.0) for i in range(len(velocity.T))]
-    torque -= description.motors_of(np.array(of_links) * description.links_of(velocity))
-    lost = []
-    for number in range(1, description.n_joints + 1):
-        keys: list[Key] = [(name, number) for name in (*FRICTION, *DAMPING)]
-        known = {p.name for p in arm.parameters if p.joint == number and p.value}
-        laws = {term.effect for term in model.friction_terms if term.joint == number}
-        laws |= {effect.name for effect in all_effects() if known.intersection(effect.names)}
-        v, wanted = velocity[:, number - 1], torque[:, number - 1]
-        slides = v != 0.0
-        size = np.std(total[slides, number - 1])
-        torques_of = _laws(v)[slides]
-        error = np.std(wanted[slides] - torques_of @ [values.get(key, 0.0) for key in keys])
-        is_held = not laws and arm.values.keys() >= set(keys[: len(FRICTION)])
-        if is_held and (arm.study.arm.joints[number - 1].elastic or error < _MAX_ERROR * size):
+    motion, description, values = model.motion, original.study.arm, arm.values
+    torques = inverse_dynamics(Arm.of(description), model, motion)
+    of_bodies = body_torques(arm, motion, effective_gravity(arm))
+    identified, size = motor_friction(arm, motion), np.std(torques, axis=0)
+    for i, joint in enumerate(description.joints):
+        keys: list[Key] = [(name, i + 1) for name in (*FRICTION, *DAMPING)]
+        known = {p.name for p in arm.parameters if p.joint == i + 1 and p.value}
+        effects = {term.effect for term in model.friction_terms if term.joint == i + 1}
+        effects |= {effect.name for effect in all_effects() if known.intersection(effect.names)}
+        v, wanted = motion[1, :, i], torques[:, i] - of_bodies[:, i]
+        is_held = not effects and original.values.keys() >= set(keys[: len(FRICTION)])
+        error = np.std((wanted - identified[:, i])[v != 0.0])
+        if is_held and (joint.elastic or error < _MAX_ERROR * size[i]):
+            torques[:, i] = of_bodies[:, i] + identified[:, i]
             continue
-        projection = project_friction(
-            wanted, v, has_offset=True, is_polynomial=is_polynomial and bool(laws)
-        )
-        if laws:
+        projection = project_friction(wanted, v, is_polynomial=form == "mjcf" and bool(effects))
+        if effects:
             powers = ", and damping with powers, read by MuJoCo 4" if projection[3:].any() else ""
             notes.append(
-                f"projected: {', '.join(sorted(laws))} (joint {number}): friction has viscous, "
+                f"projected: {', '.join(sorted(effects))} (joint {i + 1}): friction has viscous, "
                 f"Coulomb and constant torque{powers}, nearest over the recorded motion"
             )
-        lost.append((number, np.std(wanted[slides] - torques_of @ projection) / size))
-        yield from zip(keys, projection.tolist(), strict=True)
-    notes += lost_note("bodies and friction that a format has", lost)
+        values.update(zip(keys, projection.tolist(), strict=True))
+    arm = replace(arm, torques=torques)
+    if form not in ("urdf", "srdf"):  # they have other friction
+        notes.append(loss_note(arm, of_bodies + motor_friction(arm, motion)))
+    return arm
 
 
-def lost_note(cause: str, shares: Iterable[tuple[int, float]]) -> list[str]:
-    """Note on joints whose torque differs by shares of its standard deviation, from one point."""
-    listed = [f"{100.0 * share:.2g} (joint {i})" for i, share in shares if share >= _POINT]
-    if not listed:
-        return []
-    return [
-        f"{cause} lower the fits of the torques over the recorded motion by at most "
-        f"{', '.join(listed)} points"
-    ]
+def loss_note(arm: IdentifiedArm, predicted: FloatArray) -> str:
+    """Note on the loss of the fits by `predicted` torques instead of `arm.torques`.
+
+    Differences are taken as independent of the residuals of the fit.
+    """
+    assert arm.torques is not None
+    slides = motion_of(arm)[1] != 0.0
+    difference = np.where(slides, predicted - arm.torques, 0.0)
+    rms = np.sqrt(np.sum(difference**2, axis=0) / np.maximum(1, slides.sum(axis=0)))
+    residual = torque_errors(arm.rigid, arm.torques)
+    size = np.std(arm.torques, axis=0) + np.finfo(float).tiny
+    points = 100.0 * (np.hypot(residual, rms) - residual) / size
+    listed = ", ".join(f"{x:.1f} (motor {i})" for i, x in enumerate(points.tolist(), start=1))
+    return (
+        f"expected loss of the torques' fits over the recorded motion, in points: {listed}; other "
+        "motions may lose more"
+    )
 
 
 def project_friction(
-    torque: FloatArray, velocity: FloatArray, *, has_offset: bool, is_polynomial: bool = False
+    torque: FloatArray, velocity: FloatArray, *, is_polynomial: bool = False
 ) -> FloatArray:
     """Friction nearest to torques, in the order of `FRICTION` and `DAMPING`: (5,).
 
@@ -183,38 +179,38 @@ def project_friction(
     at all velocities.
     """
     slides = velocity != 0.0
-    v = velocity[slides]
+    v, wanted = velocity[slides], torque[slides]
     if not v.size:
         return np.zeros(len(FRICTION + DAMPING))
-    laws = _laws(v)
-    plain, top = np.eye(5)[: 2 + has_offset], np.abs(v).max()
-    projection, error = _nearest(torque[slides], laws, plain)
-    if is_polynomial:  # powers, and laws whose slope (1 - |v|/w)^2 falls up to w
-        curved = [[1.0, 0, 0, -1.0 / w, w**-2 / 3.0] for w in (0.5 * top, top)]
-        cubic, cubic_error = _nearest(
-            torque[slides], laws, np.vstack([plain, np.eye(5)[3:], curved])
-        )
-        if cubic_error < _MAX_CUBIC_ERROR * error:
-            return cubic
-    return projection
+    plain, top = np.eye(5)[: len(FRICTION)], np.abs(v).max()
+    # powers, and laws whose slope (1 - |v|/w)^2 falls up to w
+    curved = [[1.0, 0, 0, -1.0 / w, w**-2 / 3.0] for w in (0.5 * top, top)]
+    bases = [plain] + [np.vstack([plain, np.eye(5)[3:], curved])] * is_polynomial
+    nearest = [nonnegative_fit(_laws(v) @ basis.T, wanted, basis[:, 2] > 0.0) for basis in bases]
+    fits = [shares @ basis for shares, basis in zip(nearest, bases, strict=True)]
+    errors = [float(np.linalg.norm(wanted - _laws(v) @ fit)) for fit in fits]
+    return np.asarray(fits[-1] if errors[-1] < _MAX_CUBIC_ERROR * errors[0] else fits[0])
 
 
 def _laws(v: FloatArray) -> FloatArray:
-    """Torques (n_samples, 5) of unit coefficients in the order of `FRICTION` and `DAMPING`."""
-    return np.column_stack([v, np.sign(v), np.ones_like(v), v * np.abs(v), v**3])
+    """Torques (..., 5) of unit coefficients in the order of `FRICTION` and `DAMPING`."""
+    return np.concatenate([friction_laws(v), np.stack([v * np.abs(v), v**3], axis=-1)], axis=-1)
 
 
-def _nearest(torque: FloatArray, laws: FloatArray, parts: FloatArray) -> tuple[FloatArray, float]:
-    """Coefficients of the laws (n_samples, 5) nearest to a torque, and the distance.
+def motor_friction(arm: IdentifiedArm, motion: FloatArray) -> FloatArray:
+    """Friction torques of the motors for a motion: (n_samples, n_joints)."""
+    names, numbers = (*FRICTION, *DAMPING), range(1, motion.shape[2] + 1)
+    sizes = [[arm.values.get((name, number), 0.0) for name in names] for number in numbers]
+    return np.asarray(np.sum(_laws(motion[1]) * sizes, axis=2))
 
-    They are a sum of rows of `parts` with positive weights, apart from the offset.
-    """
+
+def nonnegative_fit(A: FloatArray, b: FloatArray, is_free: BoolArray | bool = False) -> FloatArray:
+    """Least squares A x = b with x >= 0 apart from free ones: (n_columns,)."""
     from scipy.optimize import lsq_linear  # takes half a second
 
-    A = laws @ parts.T
-    sizes, low = np.linalg.norm(A, axis=0), np.where(parts[:, 2], -np.inf, 0.0)
-    shares = lsq_linear(A / sizes, torque, (low, np.inf)).x
-    return np.asarray(shares / sizes @ parts), float(np.linalg.norm(torque - A / sizes @ shares))
+    sizes = np.linalg.norm(A, axis=0) + np.finfo(float).tiny
+    low = np.where(is_free, -np.inf, np.zeros(len(sizes)))
+    return np.asarray(lsq_linear(A / sizes, b, (low, np.inf)).x / sizes)
 
 
 def motion_of(arm: IdentifiedArm) -> FloatArray:

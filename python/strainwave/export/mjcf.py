@@ -25,6 +25,7 @@ from strainwave.domain.link_sensors.gyro import Gyro
 from strainwave.domain.link_sensors.imu import IMU_ATTITUDE, IMU_POSITION
 from strainwave.domain.link_sensors.link_space import axes_about, link_space
 from strainwave.export.bodies import (
+    chain_of,
     effective_gravity,
     gravity_warnings,
     holds_motor,
@@ -65,9 +66,7 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     if gravity and note:
         comment(mujoco, f"Gravity is {note}, which gives the measured gravity torques.")
     option = ET.SubElement(mujoco, "option", timestep=numbers(_STEP_S), integrator="RK4")
-    direction = arm.study.arm.gravity or (0.0, 0.0, 0.0)
-    size = arm.study.arm.gravity_size or 1.0
-    option.set("gravity", numbers(*(gravity / size * part for part in direction)))
+    option.set("gravity", numbers(*(chain_of(arm, gravity).gravity or (0.0, 0.0, 0.0))))
     world = ET.SubElement(mujoco, "worldbody")
     comment(world, "One of many sets of masses with the same motion; see docs/export.md.")
     parent = world
@@ -93,7 +92,7 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     )
     for number in range(1, arm.study.arm.n_joints + 1):
         _sensors(sensors, arm, number, is_shared=number in shared)
-    warnings = arm.warnings + arm.assumed() + arm.assumed_bodies() + _approximations(arm)
+    warnings = arm.assumed() + _approximations(arm)
     return Export(to_bytes(mujoco), warnings + gravity_warnings(arm), notes)
 
 

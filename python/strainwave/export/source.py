@@ -11,6 +11,7 @@ from typing import Any
 
 from strainwave.domain import (
     Diagnostic,
+    FloatArray,
     Joint,
     Parameter,
     Place,
@@ -65,6 +66,7 @@ class IdentifiedArm:
     estimates: Values = field(default_factory=dict)  # of all stages, also rejected ones
     completion: Values | None = None  # in place of `values`; see `strainwave.export.completion`
     assumptions: tuple[str, ...] = ()  # behind it
+    torques: FloatArray | None = None  # of the motors over `rigid.motion`, which exports follow
 
     @property
     def values(self) -> Values:
@@ -123,7 +125,7 @@ class IdentifiedArm:
         return self.study.arm.joints[number - 1]
 
     def assumed(self) -> tuple[Diagnostic, ...]:
-        """Assumptions where only the sum of two parameters is identified."""
+        """Warnings, and assumptions where only a sum of parameters is identified, or a body not."""
         assumptions = [
             Diagnostic("assumed", Place(joint=number), "friction")
             for number in self._joints_with_total_friction(self.identified)
@@ -141,15 +143,10 @@ class IdentifiedArm:
                 parts = tuple(part for part, _ in row)
                 place = Place(joint=number)
                 assumptions.append(Diagnostic("assumed", place, "inertia", parts=parts, sum=name))
-        return tuple(assumptions)
-
-    def assumed_bodies(self) -> tuple[Diagnostic, ...]:
-        """A warning if the bodies of a serial arm have base parameters that are not identified."""
-        columns = base_parameters(self.study.arm).columns if self.standard else ()
-        identified = self.identified
+        columns = base_parameters(arm).columns if self.standard else ()
         names = tuple(column.label for column in columns if column.key not in identified)
-        place = Place(file=self.source)
-        return (Diagnostic("assumed", place, "bodies", names=names),) if names else ()
+        bodies = Diagnostic("assumed", Place(file=self.source), "bodies", names=names)
+        return (*self.warnings, *assumptions, *[bodies] * bool(names))
 
     @property
     def identified(self) -> Values:

@@ -129,7 +129,7 @@ def models_of(arm: IdentifiedArm) -> Models:
 
 def linearised(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     """Warnings of every linear model of a joint: assumptions, and the stiffness of curved gears."""
-    warnings = arm.warnings + arm.assumed() + arm.assumed_bodies()
+    warnings = arm.assumed()
     for number, joint in enumerate(arm.study.arm.joints, start=1):
         if joint.law.is_curved:
             note = joint.law.linearised_note

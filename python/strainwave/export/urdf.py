@@ -9,22 +9,21 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from strainwave.domain import Joint, JointLimits, LinkPrior
-from strainwave.domain.base_parameters import MOTOR_INERTIA
-from strainwave.domain.consistent_links import standard_parameters
 from strainwave.domain.kinds.bodies import Body
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NumericalFailure
-from strainwave.export.bodies import gravity_warnings, holds_motor, link_bodies
-from strainwave.export.completion import FRICTION, lost_note, motion_of
+from strainwave.export.bodies import (
+    body_torques,
+    chain_of,
+    gravity_warnings,
+    rotor_inertias,
+    standard_links,
+)
+from strainwave.export.completion import loss_note, motion_of, motor_friction, nonnegative_fit
 from strainwave.export.markup import comment_text, numbers
 from strainwave.export.omissions import omission_note, sentence_of
 from strainwave.export.source import Export, IdentifiedArm
-from strainwave.io.base_parameters import (
-    friction_laws,
-    links_of_torques,
-    motor_regressor,
-    torque_errors,
-)
+from strainwave.io.base_parameters import links_of_torques, motor_regressor, torque_errors
 from strainwave.io.templates import fill_text
 from strainwave.io.urdf import patch_urdf
 
@@ -68,10 +67,9 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
     If a URDF places the joints of the study, it is that file with other inertial values and
     friction. The links include the rotors, unless the file `has_rotors`.
     """
-    bodies = [_standard(body) for body in link_bodies(arm, arm.study.arm.gravity_size)]
-    model = _projected(arm, bodies, has_rotors)
+    model = _projected(arm, has_rotors)
     notes = (*arm.assumptions, *model.notes, *omission_note(arm, _HELD))
-    warnings = arm.warnings + arm.assumed() + arm.assumed_bodies() + gravity_warnings(arm)
+    warnings = arm.assumed() + gravity_warnings(arm)
     urdf, names = arm.study.arm.urdf, arm.study.arm.joint_names
     if urdf is not None:
         texts = map(sentence_of, notes)
@@ -103,12 +101,6 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
     return Export(data, warnings, notes)
 
 
-def _standard(body: Body) -> LinkPrior:
-    xx, yy, zz, xy, xz, yz = body.inertia
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return standard_parameters(body.mass, np.array(body.centre), inertia)
-
-
 @dataclass(frozen=True, slots=True)
 class _Model:
     """What a URDF has of an arm."""
@@ -119,46 +111,42 @@ class _Model:
     notes: tuple[str, ...]
 
 
-def _projected(arm: IdentifiedArm, links: list[LinkPrior], has_rotors: bool) -> _Model:
+def _projected(arm: IdentifiedArm, has_rotors: bool) -> _Model:
     """The model whose torques at the motors over the recorded motion are nearest to the arm's.
 
     URDF has friction of single joints, and no place for rotors. What of them it does not hold is
     in the links: the nearest consistent bodies.
     """
-    from scipy.optimize import nnls  # takes half a second
-
-    description, chain = Arm.of(arm.study.arm), replace(arm.study.arm, kind="serial")
-    n, motion = description.n_joints, motion_of(arm)
-    regressor, notes = motor_regressor(chain, motion), list[str]()
-    inertias = [0.0 if holds_motor(arm) else arm.need(MOTOR_INERTIA, i + 1) for i in range(n)]
-    body = regressor @ np.concatenate([*links, inertias])
-    speeds, accelerations = description.links_of(motion[1]), description.links_of(motion[2])
-    of_motors = [[arm.values.get((name, i + 1), 0.0) for name in FRICTION] for i in range(n)]
-    of_links = [arm.need("link_viscous_friction", i + 1) for i in range(n)]
-    friction = np.sum(friction_laws(motion[1]) * of_motors, axis=2)
-    friction += description.motors_of(speeds * of_links)
-    size = np.std(body + friction, axis=0) + np.finfo(float).tiny
-    columns = [description.motors_of(x * e) for x in (speeds, np.sign(speeds)) for e in np.eye(n)]
-    laws = (np.stack(columns, axis=2) / size[:, None]).reshape(body.size, -1)
-    scale = np.linalg.norm(laws, axis=0) + np.finfo(float).tiny
-    shares, _ = nnls(laws / scale, (friction / size).ravel())
-    lost = friction / size - (laws / scale @ shares).reshape(body.shape)
+    gravity, motion = arm.study.arm.gravity_size, motion_of(arm)
+    description, chain = Arm.of(arm.study.arm), chain_of(arm, gravity)
+    n, speeds = description.n_joints, description.links_of(motion[1])
+    target, notes = arm.torques, list[str]()
+    if target is None:
+        target = body_torques(arm, motion, gravity) + motor_friction(arm, motion)
+        arm = replace(arm, torques=target)
+    regressor = motor_regressor(chain, motion)
+    links, inertias = np.concatenate(standard_links(arm, gravity)), rotor_inertias(arm)
     rotors = np.diag(description.joints_of(description.joints_of(np.diag(inertias)).T))
-    listed = ", ".join(f"joint {i}: {x:.4g} kg m^2" for i, x in enumerate(rotors, start=1))
     held = rotors * has_rotors
-    body -= description.motors_of(held * accelerations)
+    of_rotors = description.motors_of(held * description.links_of(motion[2]))
+    columns = [description.motors_of(x * e) for x in (speeds, np.sign(speeds)) for e in np.eye(n)]
+    laws = np.stack(columns, axis=2)
     if any(inertias) and (description.coupling is not None or not has_rotors):
-        no_friction = np.zeros((*body.shape, 0))
-        errors = torque_errors(arm.rigid, body + friction)
-        merged = links_of_torques(chain, motion, body, errors, no_friction, [0.0] * n)
+        bodies = regressor @ np.concatenate([links, inertias]) - of_rotors
+        errors = torque_errors(arm.rigid, target)
+        merged = links_of_torques(chain, motion, bodies, errors, laws, [0.0] * n)
         if merged is None:
             raise NumericalFailure("no consistent links include the rotors")
-        lost += (body - regressor @ merged) / size
-        links = [tuple(link) for link in merged[: 10 * n].reshape(-1, 10).tolist()]
+        links = merged[: 10 * n]
         if not has_rotors:
+            listed = ", ".join(f"joint {i + 1}: {x:.4g} kg m^2" for i, x in enumerate(rotors))
             notes.append(f"the links include the rotors ({listed}); SRDF and MJCF hold them apart")
-    notes += lost_note(
-        "rotors and friction without a place", enumerate(np.std(lost, axis=0).tolist(), start=1)
+    rest = target - regressor[:, :, : 10 * n] @ links - of_rotors
+    weights = (motion[1] != 0.0) / (np.std(target, axis=0) + np.finfo(float).tiny)
+    friction = nonnegative_fit(
+        (laws * weights[:, :, None]).reshape(rest.size, -1), (rest * weights).ravel()
     )
-    pairs = (shares / scale).reshape(2, n).T.tolist()
-    return _Model(links, held.tolist(), pairs, tuple(notes))
+    notes.append(loss_note(arm, target - rest + laws @ friction))
+    bodies = [tuple(link) for link in links.reshape(-1, 10).tolist()]
+    pairs = list(zip(*friction.reshape(2, n).tolist(), strict=True))
+    return _Model(bodies, held.tolist(), pairs, tuple(notes))

@@ -24,7 +24,7 @@ _REGROUPED = "R"  # suffix of a combination, as in the literature
 # as well as the base parameters. With a smaller weight the search takes longer.
 _EXACT = 0.01
 _MAX_ERROR = 10.0 * _EXACT  # of bodies that have the torques
-_WEIGHTS = (1.0, 0.1, 0.01)  # of other torques, until the search for links converges
+_WEIGHTS = (10.0, 1.0, 0.1, 0.01)  # of other torques, until the search for links converges
 
 
 def standard_name(key: Key) -> str:
@@ -163,10 +163,10 @@ def links_of_torques(
     target = (torque[:, :, None] / scale).ravel()
     target -= columns[:, :, 10 * n : 11 * n].reshape(target.size, -1) @ known
     Q, rows = np.linalg.qr(columns.reshape(target.size, -1))
-    right, limit = Q.T @ target, _MAX_ERROR * np.sqrt(target.size)
-    of_friction = list(range(11 * n, rows.shape[1]))
-    attempts = [(1.0 / _EXACT, list[int](), limit), *((w, of_friction, np.inf) for w in _WEIGHTS)]
-    for weight, ignored, max_error in attempts:
+    right = Q.T @ target
+
+    def search(weight: float, ignored: list[int]) -> tuple[FloatArray, float] | None:
+        """Links and motor inertias, and the norm of the differences; None if it diverges."""
         inertias, free = known.copy(), [i for i, motor in enumerate(motors) if motor is None]
         while True:
             others = rows[:, [10 * n + i for i in free] + ignored]
@@ -175,17 +175,22 @@ def links_of_torques(
             try:
                 links = consistent_links(priors_of(chain), weight * A, weight * b)
             except NumericalFailure:  # the torques lead along the border of the consistent sets
-                break
+                return None
             rest = np.linalg.lstsq(others, right - rows[:, : 10 * n] @ links)[0]
             inertias[free] = rest[: len(free)]
             negative = [i for i in free if inertias[i] < 0.0]
             if not negative:
-                if np.linalg.norm(A @ links - b) <= max_error:
-                    return np.concatenate([links, inertias])
-                break
+                return np.concatenate([links, inertias]), float(np.linalg.norm(A @ links - b))
             inertias[negative] = 0.0
             free = [i for i in free if i not in negative]
-    return None
+
+    of_friction, limit = list(range(11 * n, rows.shape[1])), _MAX_ERROR * np.sqrt(target.size)
+    attempts = (search(weight, of_friction) for weight in _WEIGHTS)
+    nearest = next((each for each in attempts if each is not None), None)
+    if nearest is None:
+        return None
+    exact = search(1.0 / _EXACT, []) if nearest[1] <= limit else None
+    return (exact if exact is not None and exact[1] <= limit else nearest)[0]
 
 
 def motor_regressor(arm: ArmDescription, motion: FloatArray) -> FloatArray:

@@ -55,19 +55,18 @@ from strainwave.identification.rigid.model_choice import (
     candidates_of,
     is_selected,
 )
-from strainwave.identification.rigid.stretch import decimation, n_compliances
+from strainwave.identification.rigid.stretch import decimation, n_compliances, sample_motion
 from strainwave.identification.rigid.torque_constants import torque_ratios
 from strainwave.identification.rigid.trial import Trial, fit_trial
 from strainwave.identification.rigid.trial_warnings import warnings_of
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 from strainwave.signals.repetition import period_of
 
-__all__ = ["RigidOptions", "estimate_drive_gains", "fit_rigid"]
+__all__ = ["RigidOptions", "estimate_drive_gains", "fit_rigid", "sample_motion"]
 
 # alternatives to the motors' usual shares, about one standard deviation away
 _ALTERNATIVE_INERTIA_SHARE = 0.3
 _ALTERNATIVE_VISCOUS_SHARE = 0.21  # any split is possible: that of a uniform distribution
-_MAX_MOTION_SAMPLES = 200  # of the motion in the result; exports project friction onto them
 
 
 def fit_rigid(
@@ -294,21 +293,7 @@ def _model(
         torque_ratios=ratios,
         torque_errors=best.torque_errors,
         friction_terms=terms,
-        motion=_motion_samples(best),
     )
-
-
-def _motion_samples(best: Trial) -> FloatArray:
-    """Evenly spaced samples of the fitted motion, as in `RigidModel.motion`."""
-    parts = []
-    for stretch in best.stretches:
-        angle, velocity, acceleration = (
-            x[stretch.rows // stretch.motion_step] for x in stretch.motion
-        )
-        slides = stretch.signals.direction[stretch.rows] != 0.0
-        parts.append(np.stack([angle, np.where(slides, velocity, 0.0), acceleration]))
-    motion = np.concatenate(parts, axis=1)
-    return motion[:, :: -(-motion.shape[1] // _MAX_MOTION_SAMPLES)]
 
 
 def _fits(best: Trial, record: Signals, terms: tuple[FrictionTerm, ...]) -> dict[str, float]:

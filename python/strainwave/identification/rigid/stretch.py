@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -38,6 +39,7 @@ _MAX_EDGE_SHARE = 0.1
 # samples of a joint are such, the others would not determine its residuals.
 _MAX_STANDING_WEIGHT = 0.95
 _KNOTS_PER_PERIOD = 16.0  # knots of the free friction per period of the cut-off; 8 suffice
+_MAX_MOTION_SAMPLES = 400  # of the motion in the result; exports have the nearest torques at them
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +125,20 @@ def motion_of(signal: FloatArray, bandwidth_hz: float, sample_time: float) -> Fl
     """Low-pass a signal (n_samples, ...) at the motion's samples: (n_motion, ...)."""
     kept = _motion_slice(sample_time, bandwidth_hz)
     return low_pass(signal, _MOTION_CUTOFFS * bandwidth_hz, sample_time, kept=kept)
+
+
+def sample_motion(records: Sequence[Signals], bandwidth_hz: float) -> FloatArray:
+    """Samples of the motion of records, as in `RigidModel.motion`: as many of each record."""
+    parts, count = [], -(-_MAX_MOTION_SAMPLES // len(records))
+    for s in records:
+        rows = slice(None, None, -(-len(s.time) // count))
+        motion = [
+            low_pass(x, bandwidth_hz, s.sample_time, kept=rows)
+            for x in (s.motor_angle, s.motor_velocity, s.motor_acceleration)
+        ]
+        motion[1] = np.where(s.direction[rows] != 0.0, motion[1], 0.0)
+        parts.append(np.stack(motion))
+    return np.concatenate(parts, axis=1)
 
 
 def _edge_samples(sample_time: float, bandwidth_hz: float) -> int:
