@@ -128,6 +128,11 @@ def test_a_flexible_joint_without_motion_records(shared_data: Path) -> None:
     assert identification.verdict.status == "determined"
     values = {p.key: p for p in identification.parameters}
     assert values["motor_inertia", 1].model_std is not None  # plausible effects would move it
+    # a plausible ripple of less than one period does not determine the offset
+    offset, friction = values["friction_offset", 1], values["motor_coulomb_friction", 1]
+    assert offset.std is not None
+    assert friction.value is not None
+    assert offset.std < friction.value
     assert identification.rigid is None
     (record,) = identification.records
     assert record.modes is not None

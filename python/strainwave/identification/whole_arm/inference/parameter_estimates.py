@@ -38,7 +38,7 @@ class PlausibleModel:
     fit: Fit
     arm: Arm
     weight: float  # by held-out scores
-    is_determined: bool  # whether it determines the primary values; else only its shifts count
+    determined: frozenset[Key]  # parameters; of others, only their shifts count
 
 
 def parameters_of(
@@ -73,8 +73,9 @@ def parameters_of(
                 for (other, _), (value, _) in zip(estimates, at_own, strict=True)
             ]
         )
-        of_model = [square for _, square in (estimates if model.is_determined else at_own)]
-        variance = variance + model.weight * np.array(of_model)
+        is_determined = [q.key in model.determined for q in quantities]
+        of_model = np.where(is_determined, [square for _, square in estimates], own)
+        variance = variance + model.weight * of_model
         shifts = shifts + model.weight * np.outer(shift, shift)
     covariance = with_variances(covariance, variance) + shifts
     total = np.diag(covariance)

@@ -168,9 +168,8 @@ def include_effects(fit: Fit, selection: Selection) -> tuple[Fit, Comparison]:
     plausible: list[PlausibleModel] = []
     if others:
         weights = _weights(fit, [other for other, _ in others], refined)
-        values = _primary_values(fit, selection.arm)
         plausible = [
-            PlausibleModel(other, arm, weight, values <= _primary_values(other, arm))
+            PlausibleModel(other, arm, weight, _determined_values(other, arm))
             for (other, arm), weight in zip(others, weights, strict=True)
         ]
     excluded = tuple(budget.excluded)
@@ -227,20 +226,17 @@ def _include(fit: Fit, rival: Rival, selection: Selection) -> Fit | None:
         at and base_name(key[0]) in sizes and key[1] == joint for key, at in bounded
     ):
         return None
-    values = _primary_values(fit, selection.arm)
-    return extended if values <= _primary_values(extended, rival.arm) else None
+    values = filter(is_primary, _determined_values(fit, selection.arm))
+    return extended if _determined_values(extended, rival.arm).issuperset(values) else None
 
 
-def _primary_values(fit: Fit, arm: Arm) -> set[Key]:
-    """The primary parameters that a fit determines."""
+def _determined_values(fit: Fit, arm: Arm) -> frozenset[Key]:
+    """The parameters that a fit determines."""
     records = fit.objective.records
     largest = gear_torques(records, fit.values).tolist()
     motion = {level.joint: level for level in activity_of([r.log for r in records], arm)}
-    return {
-        p.key
-        for p in parameters_of(fit, arm, largest)[0]
-        if is_primary(p.key) and is_identified(p, arm, motion)
-    }
+    parameters = parameters_of(fit, arm, largest)[0]
+    return frozenset(p.key for p in parameters if is_identified(p, arm, motion))
 
 
 def _rivals_of(
