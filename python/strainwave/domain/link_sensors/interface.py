@@ -346,12 +346,12 @@ class Axis:
         """Whether its reading depends on a mounting."""
         return self.sensor.group is Group.MOUNTED
 
-    @property
+    @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
         """Simulated quantities that it reads."""
         return tuple(name for name in self.sensor.quantities() if self.space.has(name))
 
-    @property
+    @cached_property
     def summed_quantity(self) -> Quantity:
         """The quantity that the core records instead of several that it sums with weights."""
         several = len(self.quantities) > 1
@@ -374,7 +374,7 @@ class Axis:
         key = self.key(kind, record)
         return values.get(key, kind.nominal) if key else kind.nominal
 
-    @property
+    @cached_property
     def delays(self) -> tuple[Key, ...]:
         """Keys of the delays whose sum is the delay to the motor's input.
 
@@ -388,7 +388,7 @@ class Axis:
         """Delay [s] of the reading to the motor's input."""
         return sum(values.get(key, 0.0) for key in self.delays)
 
-    @property
+    @cached_property
     def mount(self) -> tuple[Key, Key] | None:
         """Natural frequency and damping ratio of the sensor's mount; None if it has none."""
         frequency, damping = self.key(K.MOUNT_FREQUENCY), self.key(K.MOUNT_DAMPING)

@@ -119,8 +119,7 @@ class EffectColumns:
 
         def tangent(k: int, _: Evaluation) -> FloatArray:
             initial = objective.initial_states(k)
-            columns = np.concatenate([run.columns(k, initial) for run in each], axis=2)
-            return np.pad(columns, ((0, 0), (0, 0), (0, width - n_sizes)))
+            return np.concatenate([run.columns(k, initial) for run in each], axis=2)
 
         whole = objective.factor_with_columns(fit.z, width, tangent, prior_rows)
         if not np.isfinite(whole).all():

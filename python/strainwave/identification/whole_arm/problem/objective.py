@@ -349,9 +349,10 @@ class Objective:
     ) -> FloatArray:
         """R of [unknowns, additional columns, residual], with optimal record parameters.
 
-        `z` (n_unknowns,) is the end of a search. `columns_of` returns the additional columns
-        (n_rows, n_channels, n_columns) for a record number and its evaluation. `prior_rows`
-        (n_prior, n_columns) are the rows of these columns in the prior, zero by default.
+        `z` (n_unknowns,) is the end of a search. `columns_of` returns the first of the additional
+        columns (n_rows, n_channels, ...) for a record number and its evaluation; the others are
+        zero in the records. `prior_rows` (n_prior, n_columns) are the rows of these columns in the
+        prior, zero by default.
 
         R has n_unknowns + n_columns + 1 columns.
         """
@@ -360,7 +361,9 @@ class Objective:
         def factor(k: int, _: Dataset) -> FloatArray:
             columns = np.concatenate([evaluated[k].columns, columns_of(k, evaluated[k])], axis=2)
             extended = replace(evaluated[k], columns=columns)
-            return extended.weigh(self.weights[k]).factor(MIN_CURVATURE_RATIO)
+            R = extended.weigh(self.weights[k]).factor(MIN_CURVATURE_RATIO)
+            missing = np.zeros((len(R), len(self.space.unknowns) + n_columns + 1 - R.shape[1]))
+            return np.concatenate([R[:, :-1], missing, R[:, -1:]], axis=1)
 
         prior_columns, prior_residual = self.space.linearise_prior(z)
         border = np.zeros((len(prior_columns), n_columns))
