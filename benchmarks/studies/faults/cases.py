@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.studies.faults.inputs import EFFORTS, Case, Columns, Input
-from benchmarks.studies.faults.torques import desired, loaded, stating, without
+from benchmarks.studies.faults.torques import desired, loaded, locked, stating, without
 from strainwave.domain import Correction
 from strainwave.domain.study import Meaning
 
@@ -116,6 +116,8 @@ def _record_faults(given: Input, j: int) -> Iterator[Case]:
     """Faults of single records."""
     other, efforts, motions = _neighbour(given, j), given.efforts(j), given.motions
     first, last = motions[0], motions[-1]
+    clamped = Case("motors at a locked output", locked(given), ("locked-output",))
+    yield replace(clamped, records=tuple(motions))
     kinds = ("theta_m", "omega_m", *EFFORTS, "ref")
     a, b = given.of_kinds(kinds, j), given.of_kinds(kinds, other)
     one = given.exchanged(a, b, [first])

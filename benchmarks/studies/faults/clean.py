@@ -9,7 +9,6 @@ from functools import partial
 import numpy as np
 
 from benchmarks.studies.faults.inputs import Case, Columns, Input
-from benchmarks.studies.faults.torques import locked
 from strainwave.domain import Correction
 from strainwave.domain.study import Experiment
 
@@ -85,8 +84,6 @@ def _other_rigs(given: Input) -> Iterator[Case]:
     if any(resting.values()):
         tables = {name: _at_two_levels(given.tables[name], resting[name]) for name in given.tables}
         yield Case("two levels at rest", replace(given, tables=tables))
-    # clamped links show their gears, but no inertia: the study says nothing wrong
-    yield Case("motors at a locked output", locked(given))
 
 
 def _resting(given: Input, record: Experiment) -> list[str]:

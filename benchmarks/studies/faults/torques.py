@@ -18,7 +18,7 @@ from strainwave.signals.consistency.torque_fit import fit_torques, torque_system
 from strainwave.signals.link_readings import JointMotion
 
 _TRACKING_LAG = 0.01  # [s] of the joints behind their set-point; the desired torque is that early
-_SMOOTHING = 0.01  # [s] of the angles, before they are differentiated
+_SMOOTHING = 0.01  # [s] of the angles, before they are differentiated, and of wind-up torques
 _WIND_UP = 0.3  # range [rad] of a motor at a locked output, by the stiffness of its gear
 _LOAD_XYZ = (0.0, 0.05, 0.1)  # centre of mass [m] of a load, in the frame of the last link
 
@@ -161,7 +161,10 @@ def locked(given: Input) -> Input:
     def clamp(table: Columns) -> Columns:
         columns = {k: v for k, v in table.items() if channel_parts(k)[0] != "ref"}
         for i, effort, _ in _efforts(given, table):
-            name, torque = f"theta_m{i + 1}", table[effort] - np.mean(table[effort])
+            name, T = f"theta_m{i + 1}", float(np.median(np.diff(table["t"])))
+            # the noise of the torque moves no motor
+            torque = gaussian_filter1d(table[effort], _SMOOTHING / T)
+            torque -= np.mean(torque)
             step = given.study.arm.joints[i].encoder_resolution or 1e-4
             wound = table[name][0] + _WIND_UP * torque / max(float(np.ptp(torque)), 1e-12)
             columns[name] = np.round(wound / step) * step

@@ -126,6 +126,15 @@ def test_the_inputs_without_a_fault_are_consistent(cases: Cases) -> None:
         assert check_input(truth.study, data=truth.tables).suspected == ()
 
 
+@pytest.mark.parametrize("kind", ["horizontal", "vertical", "serial"])
+def test_locked_outputs_are_named_with_their_records(cases: Cases, kind: str) -> None:
+    """The torques follow the angles as springs, which links under gravity can resemble."""
+    case = cases[kind]["motors at a locked output"]
+    (named,) = check_input(case.given.study, data=case.given.tables).suspected
+    assert (named.code, named.corrections) == ("locked-output", ())
+    assert {record for place in named.places for record in place.experiments} == set(case.records)
+
+
 def test_a_motor_that_stands_in_one_record_does_not_count_as_exchanged(shared_data: Path) -> None:
     """The exchange makes one torque much better and the torques together worse."""
     given = Input.read(shared_data / "lab" / "scara-linear-5kg" / "study.toml")

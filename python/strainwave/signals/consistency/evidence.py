@@ -46,6 +46,9 @@ _MAX_BAND_RATIO = 4.0
 _MIN_CYCLES = 10.0
 # Rows per period of the bandwidth frequency. Second derivatives lose 0.1 % at this rate.
 _ROWS_PER_CYCLE = 20.0
+# Samples per period of the bandwidth frequency at least: with fewer, velocities that controllers
+# calculate by differences lose more than the tolerance of a scale.
+_MIN_SAMPLES_PER_CYCLE = 10.0
 # Maximum number of samples evaluated per record.
 _MAX_SAMPLES = 2**18
 
@@ -360,7 +363,7 @@ def _slow_record(log: Log, arm: Arm, moves: BoolArray, band: float) -> SlowRecor
     """
     angle, T = _motor_angles(log, arm), log.sample_time
     n = len(angle)
-    band = max(band, _MIN_CYCLES / (n * T))
+    band = max(min(band, 1.0 / (_MIN_SAMPLES_PER_CYCLE * T)), _MIN_CYCLES / (n * T))
     block = max(1, int(1.0 / (_ROWS_PER_CYCLE * band * T)))
     n_rows = n // block
     edge = int(np.ceil(1.0 / (band * block * T)))

@@ -53,6 +53,9 @@ _FOLD_ROWS = 6
 _MODEL_ERROR_SHARE = 1e-3
 # Rows between two postures at which inertias are evaluated, for their mean.
 _POSTURE_STRIDE = 16
+# Largest torque of a rotor over that of its gear at a locked output: motors resonate on their gears
+# at three times the frequency of a slow motion at least.
+_MAX_ROTOR_SHARE = 0.1
 # Smallest unexplained share, so that noise-free torques can be compared.
 _MIN_UNEXPLAINED = 1e-9
 
@@ -288,16 +291,19 @@ def _inverse_root(gram: FloatArray) -> FloatArray:
     size = np.sqrt(np.diag(gram))
     used = size > _MIN_SINGULAR_VALUE * size.max()
     values, vectors = np.linalg.eigh(gram[np.ix_(used, used)] / np.outer(size[used], size[used]))
-    excited = values > _MIN_SINGULAR_VALUE**2 * values[-1]
+    excited = values > _MIN_SINGULAR_VALUE**2 * values.max(initial=0.0)
     root = np.zeros((len(size), int(excited.sum())))
     root[used] = vectors[:, excited] / np.sqrt(values[excited]) / size[used, None]
     return root
 
 
-def torque_system(evidence: Evidence, loaded: str = "") -> TorqueSystem | None:
+def torque_system(
+    evidence: Evidence, loaded: str = "", locked: Collection[str] = ()
+) -> TorqueSystem | None:
     """Equations of the slow records; None if there are none, or no torque varies.
 
-    The load on the last link in the record `loaded` has parameters of its own.
+    The load on the last link in the record `loaded` has parameters of its own. In the records
+    `locked` the motors wind up their gears; None if a torque does not oppose the angle.
     """
     blocks, joints, folds = [], [], []
     records: list[str] = []
@@ -305,23 +311,26 @@ def torque_system(evidence: Evidence, loaded: str = "") -> TorqueSystem | None:
     n_rows: dict[int, float] = {}
     grams: dict[int, FloatArray] = {}
     for each in _blocks(evidence, Arm.base_regressor, "regressor"):
-        i, torque, columns = each.joint, each.torque, each.columns
-        n_folds = max(2, each.n_rows // _FOLD_ROWS)
         name = each.record.experiment.name
+        block = each.wound_up() if name in locked else each
+        if block is None:
+            return None
+        i, torque, columns = block.joint, block.torque, block.columns
+        n_folds = max(2, block.n_rows // _FOLD_ROWS)
         if name not in records:
             records += [name] * n_folds
-        parts = each.at * n_folds // each.n_rows
+        parts = block.at * n_folds // block.n_rows
         folds.append(records.index(name) + parts)
         if loaded:
             of_load = columns[:, -_N_LINK_PARAMETERS:] * (name == loaded)
             columns = np.column_stack([columns, of_load])
         else:
-            grams[i] = grams[i] + each.gram if i in grams else each.gram
-        blocks.append(np.column_stack([columns, each.remainder(torque)]))
+            grams[i] = grams[i] + block.gram if i in grams else block.gram
+        blocks.append(np.column_stack([columns, block.remainder(torque)]))
         joints.append(np.full(len(torque), i))
         totals[i] = totals.get(i, 0.0) + float(torque @ torque)
         independent = len(torque) * _ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW
-        n_rows[i] = n_rows.get(i, 0.0) + max(independent - each.basis.shape[1] - 1, 1.0)
+        n_rows[i] = n_rows.get(i, 0.0) + max(independent - block.basis.shape[1] - 1, 1.0)
     if not blocks:
         return None
     equations, joint = np.concatenate(blocks), np.concatenate(joints)
@@ -473,6 +482,19 @@ class _Block:
     def gram(self) -> FloatArray:
         """Normal matrix of the columns, (n, n)."""
         return np.asarray(self.columns.T @ self.columns)
+
+    def wound_up(self) -> _Block | None:
+        """The block of a locked link, with the spring of its gear; None if there is no spring."""
+        spring = self.remainder(self.angle)
+        columns = np.column_stack([self.angle - self.angle.mean(), self.own])
+        size = np.linalg.norm(columns, axis=0) + np.finfo(float).tiny
+        of_spring, of_rotor = (np.linalg.lstsq(columns / size, self.torque)[0])[:2].tolist()
+        is_spring = of_spring > 0.0 and abs(of_rotor) < _MAX_ROTOR_SHARE * of_spring
+        n_rows = len(spring) * _ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW
+        if not is_spring and n_rows > columns.shape[1]:
+            return None
+        basis = np.column_stack([self.basis, spring / max(float(np.linalg.norm(spring)), 1e-300)])
+        return replace(self, basis=basis, of_links=np.zeros_like(self.of_links))
 
     def remainder(self, torques: FloatArray) -> FloatArray:
         """Torques (n_rows,) or (n_rows, n) without that part, about their mean."""

@@ -98,7 +98,7 @@ def _in_words(each: Hypothesis) -> Hypothesis:
     """The hypothesis with its gain in words; one record with a fault is named."""
     gain = float(np.exp(each.gain.mean if each.gain else 0.0))
     clause = Clause(each.clause.template, **{**dict(each.clause.values), "gain": gain})
-    if not each.excluded or each.kind == "payload":
+    if not each.excluded or each.kind in ("payload", "locked"):
         return replace(each, clause=clause)
     (record,) = each.excluded
     return replace(
@@ -161,6 +161,17 @@ def propose_discrete(evidence: Evidence, doubtful: Sequence[str]) -> Iterator[Hy
         for unit, factor in (("degrees", np.pi / 180.0), ("turns", 2.0 * np.pi)):
             yield angle_unit(names, unit, scaled(evidence, names, factor), factor)
     yield from _efforts(evidence)
+    records = tuple(dict.fromkeys(r.experiment.name for r in evidence.records))
+    for locked in dict.fromkeys([records, *((name,) for name in doubtful)]):
+        yield Hypothesis(
+            "locked-output",
+            Clause("locked-output", records=locked),
+            remedy=Clause("remedy/locked", records=locked),
+            at=(Place(experiments=locked),),
+            excluded=locked,
+            kind="locked",
+            n_coordinates=arm.n_joints,
+        )
     for record in doubtful:
         yield Hypothesis(
             "unstated-payload",

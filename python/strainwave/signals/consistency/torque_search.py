@@ -137,7 +137,7 @@ class _Search:
         record = each.excluded[0] if each.excluded else ""
         changed = self.evidence.corrected_in(record, each.corrections)
         loaded = record if each.kind == "payload" else ""
-        system = torque_system(changed, loaded)
+        system = torque_system(changed, loaded, each.excluded if each.kind == "locked" else ())
         if system is not None and each.kind == "exchange":
             system = self._in_stated_sizes(system)
         # of two records, either can be the one with the load
