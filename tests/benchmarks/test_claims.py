@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,7 @@ from benchmarks.claims import (
     claims_of,
     figures_of,
     main,
+    measure,
     runs_of,
 )
 
@@ -48,6 +50,9 @@ Of 1 arms
 without a fault.
 """
 
+measured = cache(measure)
+"""Tables of a command, which runs once for all documents."""
+
 
 @pytest.mark.parametrize(
     ("change", "code"),
@@ -62,8 +67,13 @@ without a fault.
     ],
 )
 def test_a_changed_document_is_reported(
-    change: tuple[str, str], code: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    change: tuple[str, str],
+    code: int,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr("benchmarks.claims.measure", measured)
     (tmp_path / "claims.toml").write_text(CLAIMS)
     (tmp_path / "page.md").write_text(PAGE.replace(*change))
     assert main(["--short"], table=tmp_path / "claims.toml", root=tmp_path) == code
