@@ -423,7 +423,7 @@ def test_too_few_iterations_are_reported() -> None:
     model = whole_arm(WholeArmOptions(max_iterations=2))
     assert model.status == "iteration-limit"
     assert "iteration-limit" in [warning.code for warning in model.warnings]
-    assert model.iterations < standard().iterations
+    assert model.iterations <= 2 < standard().iterations
 
 
 @pytest.mark.parametrize(
@@ -445,10 +445,6 @@ def test_the_result_states_why_its_last_search_ended(
     assert (model.end, model.status) == (end, status)
     codes = {warning.code for warning in model.warnings}
     assert codes & {"no-descent", "iteration-limit"} == warned
-
-
-def test_iterations_stay_below_their_limit() -> None:
-    assert whole_arm(WholeArmOptions(max_iterations=4)).iterations <= 4
 
 
 def test_the_other_options_change_the_outcome() -> None:
@@ -621,10 +617,17 @@ def test_a_curve_with_a_start_knee_beyond_the_load_is_recovered() -> None:
             assert abs(errors[name, joint][0]) < 0.02, (name, joint)
 
 
+@cache
+def from_true_start(spring: str) -> ArmModel:
+    """Fit that starts at the true values."""
+    study, true_values, records = shaken(spring) if spring == "three-slope" else rig_records()
+    return from_wrong_starts(records, study, true_values, share=0.2, start=true_values)
+
+
 def test_a_start_may_be_given() -> None:
     """A fit that starts at the true values needs fewer iterations."""
-    study, true_values, records = rig_records()
-    model = from_wrong_starts(records, study, true_values, share=0.2, start=true_values)
+    _, true_values, _ = rig_records()
+    model = from_true_start("linear")
     assert model.status == "converged"
     assert model.iterations < 0.7 * standard().iterations
     for (name, joint), (_, normalised) in errors_of(model, true_values).items():
@@ -645,8 +648,8 @@ def test_starts_from_far_end_at_the_same_place(spring: str, seed: int) -> None:
             up = 3.0 if key[0] == "gear_damping" else 1.3
             down = 1.0 / 3.0 if key[0] == "gear_damping" else 0.7
             start[key] = value * float(rng.choice([up, down]))
-    reference = from_wrong_starts(records, study, true_values, start=true_values)
-    model = from_wrong_starts(records, study, true_values, start=start)
+    reference = from_true_start(spring)
+    model = from_wrong_starts(records, study, true_values, share=0.2, start=start)
     assert model.status == "converged"
     ends = {(p.name, p.joint): p for p in model.parameters}
     for p in reference.parameters:
