@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from effect_runs import ALIKE, ALL, EVERY, OF_THE_CORE, SIZES, records, rig, single_tuned, whole_arm
+from effect_runs import ALL, EVERY, OF_THE_CORE, SIZES, records, rig, single_tuned, whole_arm
 from strainwave.domain import ArmModel
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import STIFFNESS
@@ -160,13 +160,6 @@ def test_records_are_run_with_the_effects_that_are_known() -> None:
     (record_with_effects,) = set_record_effects([record], Arm.of(study.arm), SIZES)
     assert [joint.effects for joint in record_with_effects.arm.joints] == [ALL, ()]
     assert record_with_effects.arm.joints[0].encoder_counts is None
-
-
-@pytest.mark.parametrize("name", OF_THE_CORE)
-def test_an_effect_that_the_model_lacks_is_named_first(name: str) -> None:
-    model = whole_arm((name,), ())
-    (likely,) = (w.code for w in model.warnings if w.code.endswith("-likely"))
-    assert likely in [effect_named(effect).warning_code for effect in (name, *ALIKE.get(name, ()))]
 
 
 @pytest.mark.parametrize("name", OF_THE_CORE)
