@@ -22,26 +22,31 @@ SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 WHOLE_ARM = "tests/identification/whole_arm"
 LONGEST = (
-    f"{WHOLE_ARM}/test_causes.py",
-    "tests/signals/consistency/test_consistency.py",
-    f"{WHOLE_ARM}/test_few_sensors.py",
-    "tests/signals/consistency/test_remedies.py",
-    "tests/benchmarks/test_causes.py",
+    f"{WHOLE_ARM}/selection/test_causes.py",
+    "tests/test_pipeline.py",
+    "tests/experiment_design/test_experiment_design.py",
+    "tests/campaign/test_kills.py",
+    "tests/campaign/test_cluster.py",
     "tests/test_docs.py",
+    f"{WHOLE_ARM}/problem/test_effect_unknowns.py",
+    "tests/signals/consistency/test_obeyed_remedies.py",
+    f"{WHOLE_ARM}/selection/test_sensor_mounts.py",
+    "tests/identification/rigid/test_rigid.py",
+    "tests/test_api.py",
+    f"{WHOLE_ARM}/test_whole_arm.py",
+    "tests/signals/consistency/test_consistency.py",
+    "tests/signals/consistency/test_remedies.py",
+    f"{WHOLE_ARM}/test_few_sensors.py",
     f"{WHOLE_ARM}/test_mounting.py",
     f"{WHOLE_ARM}/test_record_effects.py",
-    "tests/campaign/test_kills.py",
+    f"{WHOLE_ARM}/test_given_start.py",
+    "tests/benchmarks/test_causes.py",
     "tests/test_cli.py",
-    "tests/test_api.py",
-    "tests/test_determinism.py",
-    f"{WHOLE_ARM}/test_whole_arm.py",
-    "tests/test_pipeline.py",
 )
 """Files that take more than 20 s of processor time each, the longest first."""
 
 SHARED_FITS = {
-    f"{WHOLE_ARM}/test_effects.py": f"{WHOLE_ARM}/test_causes.py",
-    f"{WHOLE_ARM}/test_residual_analysis.py": f"{WHOLE_ARM}/test_causes.py",
+    f"{WHOLE_ARM}/inference/test_residual_analysis.py": f"{WHOLE_ARM}/selection/test_causes.py",
     "tests/paper/test_page.py": "tests/paper/test_claims.py",
 }
 """Files that use the same cached fits as another file, and that other file."""
