@@ -22,7 +22,11 @@ from tuning_runs import joint_models, rigid_model, shaken, shaken_study, simulat
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
 CUTOFF = 80.0
-HELD = WholeArmOptions(hold=("accelerometer_mount_frequency",))
+FEW_RIVALS = 0.1
+"""Effort for a mount at 55 Hz, whose fits leave residuals: fits with effects would take 90 % of it.
+
+The other mounts are fitted with the default effort.
+"""
 
 
 def names(joint: int) -> tuple[Key, Key]:
@@ -46,9 +50,11 @@ def fit_of(
     study, true_values, logs = mounted(joint, frequency, damping)
     joints = joint_models(study, true_values, 0.05, FACTORS)
     rigid = rigid_model(study, true_values, 0.01, 1.0)
-    return true_values, fit_whole_arm(
-        logs, rigid, joints, Arm.of(study.arm), HELD if is_held else None
+    options = WholeArmOptions(
+        hold=("accelerometer_mount_frequency",) if is_held else (),
+        rival_effort=FEW_RIVALS if (joint, frequency) == (1, 55.0) else 1.0,
     )
+    return true_values, fit_whole_arm(logs, rigid, joints, Arm.of(study.arm), options)
 
 
 def errors(known: Values, model: ArmModel, name: str) -> list[float]:
