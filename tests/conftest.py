@@ -20,37 +20,33 @@ settings.load_profile("project")
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
-FITS = "tests/identification/whole_arm"
-CAUSES = f"{FITS}/selection/test_causes.py"
+WHOLE_ARM = "tests/identification/whole_arm"
 LONGEST = (
-    CAUSES,
-    "tests/signals/consistency/test_obeyed_remedies.py",
+    f"{WHOLE_ARM}/selection/test_causes.py",
     "tests/test_pipeline.py",
-    "tests/identification/rigid/test_rigid.py",
-    f"{FITS}/test_whole_arm.py",
-    "tests/identification/rigid/test_rigid_terms.py",
-    "tests/test_api.py",
     "tests/experiment_design/test_experiment_design.py",
-    "tests/campaign/test_cluster.py",
     "tests/campaign/test_kills.py",
-    "tests/test_determinism.py",
+    "tests/campaign/test_cluster.py",
+    "tests/test_docs.py",
+    f"{WHOLE_ARM}/problem/test_effect_unknowns.py",
+    "tests/signals/consistency/test_obeyed_remedies.py",
+    f"{WHOLE_ARM}/selection/test_sensor_mounts.py",
+    "tests/identification/rigid/test_rigid.py",
+    "tests/test_api.py",
+    f"{WHOLE_ARM}/test_whole_arm.py",
     "tests/signals/consistency/test_consistency.py",
     "tests/signals/consistency/test_remedies.py",
-    "tests/test_docs.py",
-    f"{FITS}/test_given_start.py",
-    "tests/identification/test_torsion.py",
-    "tests/identification/joint_model/test_physical_lab.py",
+    f"{WHOLE_ARM}/test_few_sensors.py",
+    f"{WHOLE_ARM}/test_mounting.py",
+    f"{WHOLE_ARM}/test_record_effects.py",
+    f"{WHOLE_ARM}/test_given_start.py",
     "tests/benchmarks/test_causes.py",
-    "tests/campaign/test_command.py",
-    "tests/identification/rigid/test_drive_gains.py",
+    "tests/test_cli.py",
 )
-"""Files that take the most processor time, the longest first."""
+"""Files that take more than 20 s of processor time each, the longest first."""
 
 SHARED_FITS = {
-    f"{FITS}/problem/test_effect_unknowns.py": CAUSES,
-    f"{FITS}/inference/test_residual_analysis.py": CAUSES,
-    f"{FITS}/selection/test_sensor_mounts.py": CAUSES,
-    "tests/domain/effects/test_effects.py": CAUSES,
+    f"{WHOLE_ARM}/inference/test_residual_analysis.py": f"{WHOLE_ARM}/selection/test_causes.py",
     "tests/paper/test_page.py": "tests/paper/test_claims.py",
 }
 """Files that use the same cached fits as another file, and that other file."""
@@ -64,9 +60,6 @@ def _unit(nodeid: str) -> str:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Start the longest files first, so that no worker waits at the end for another."""
-    root = Path(__file__).parents[1]
-    missing = [file for file in (*LONGEST, *SHARED_FITS) if not (root / file).is_file()]
-    assert not missing, f"LONGEST and SHARED_FITS name files that do not exist: {missing}"
 
     def rank(item: pytest.Item) -> int:
         file = _unit(item.nodeid)

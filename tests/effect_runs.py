@@ -175,11 +175,19 @@ def single_joint_study(has: tuple[EffectName, ...]) -> Study:
 
 
 @cache
-def single_tuned(has: tuple[EffectName, ...], asked: tuple[EffectName, ...]) -> ArmModel:
+def single_tuned(
+    has: tuple[EffectName, ...], asked: tuple[EffectName, ...], effort: float = 1.0
+) -> ArmModel:
     """Whole-arm fit of a single joint; parameters are known to 5 %, rigid ones to 1 %."""
     known = ELASTIC_JOINT | {("gravity_torque_1", None): 15.0}
     known |= {key: value for key, value in EVERY.items() if key[1] == 1}
     study, logs = simulated_logs(single_joint_study(has), known, noise=SensorNoise())
     asks = replace(study, arm=single_joint_study(asked).arm)
     joints = joint_models(asks, known, 0.05, FACTORS)
-    return fit_whole_arm(logs, rigid_model(asks, known, 0.01, 1.0), joints, Arm.of(asks.arm))
+    return fit_whole_arm(
+        logs,
+        rigid_model(asks, known, 0.01, 1.0),
+        joints,
+        Arm.of(asks.arm),
+        WholeArmOptions(rival_effort=effort),
+    )

@@ -23,10 +23,12 @@ from strainwave.domain import (
     Spring,
     Study,
 )
+from strainwave.domain.keys import Values
 from strainwave.domain.progress import ProgressEvent
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NumericalFailure
 from strainwave.io.logs import read_logs
+from strainwave.io.parameters import read_parameters
 from strainwave.io.results import to_document
 from strainwave.pipeline import elastic_arm
 from strainwave.pipeline.elastic_arm import predict_checks
@@ -35,6 +37,7 @@ from strainwave.pipeline.inputs import Inputs
 from strainwave.pipeline.reporter import Reporter
 from strainwave.virtual import experiments as virtual
 from strainwave.virtual import scara
+from strainwave.virtual.experiments import derived
 
 
 @pytest.fixture(scope="session")
@@ -144,21 +147,44 @@ def test_a_flexible_joint_without_motion_records(shared_data: Path) -> None:
         assert 4.0 < modes.resonance.frequency_hz < 4.5
 
 
-@pytest.mark.parametrize("arm", ["scara-linear-5kg", "vertical-linear-0kg"])
-def test_a_tuned_linear_arm_predicts_steps(
-    arm: str, lab: Callable[[str], tuple[Identification, dict[str, Any]]]
+@pytest.mark.parametrize(
+    ("arm", "inertia", "damping"),
+    [("scara-linear-5kg", 0.002, 0.006), ("vertical-linear-0kg", 0.005, 0.02)],
+)
+def test_a_tuned_linear_arm_is_accurate_and_predicts_the_checks(
+    arm: str,
+    inertia: float,
+    damping: float,
+    lab: Callable[[str], tuple[Identification, dict[str, Any]]],
+    shared_data: Path,
 ) -> None:
-    """Velocity of the stepped joint in closed loop: fit of at least 97 %."""
+    """Velocities of the moved joints in closed loop: fit of at least 97 %."""
     identification, _ = lab(arm)
-    assert identification.whole_arm is not None
-    assert identification.whole_arm.status == "converged"
-    fits = {
-        (c.experiment, name): fit
-        for c in identification.checks
-        for name, fit in c.fit_percent.items()
+    model = identification.whole_arm
+    assert model is not None
+    assert model.status == "converged"
+    offsets: Values = {("friction_offset", joint): 0.0 for joint in (1, 2)}
+    values = read_parameters(shared_data / "lab" / arm / "truth.json")
+    truth = derived({**values, **offsets}, identification.study.arm)
+    limits: dict[str, float] = {
+        **dict.fromkeys(("alpha", "beta", "gamma"), inertia),
+        **dict.fromkeys(("motor_inertia", "link_inertia", "gear_stiffness"), inertia),
+        "gear_damping": damping,
+        "motor_coulomb_friction": 0.003,
+        "total_viscous_friction": 0.02,
+        **dict.fromkeys(("gravity_torque_1", "gravity_torque_2"), inertia),
     }
-    for joint in (1, 2):
-        assert fits[f"step-check-j{joint}", f"omega_m{joint}"] > 97.0
+    reported = {p.key: p.value for p in model.parameters if p.value is not None}
+    for key, estimate in reported.items():
+        if true := truth.get(key, 0.0):
+            assert abs(estimate / true - 1.0) < limits.get(key[0], np.inf), key
+    names = {name for name, _ in reported}
+    assert {"alpha", "gear_stiffness", "gear_damping", "motor_coulomb_friction"} <= names
+    checks = {c.experiment: c.fit_percent for c in identification.checks}
+    assert checks.keys() == {"motion-check", "step-check-j1", "step-check-j2"}
+    for experiment, fits in checks.items():
+        moved = [int(experiment[-1])] if experiment.startswith("step") else [1, 2]
+        assert min(fits[f"omega_m{joint}"] for joint in moved) > 97.0
 
 
 def short_study(folder: Path, *springs: Spring) -> Study:

@@ -18,12 +18,10 @@ from benchmarks.claims import (
     claims_of,
     figures_of,
     main,
+    measure,
     runs_of,
 )
 
-from benchmarks import claims
-
-MEASURED = cache(claims.measure)
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted(ROOT.glob("docs/**/*.md"))]
 CLAIMS = """\
 [[run]]
@@ -52,6 +50,9 @@ Of 1 arms
 without a fault.
 """
 
+measured = cache(measure)
+"""Tables of a command, which runs once for all documents."""
+
 
 @pytest.mark.parametrize(
     ("change", "code"),
@@ -72,7 +73,7 @@ def test_a_changed_document_is_reported(
     capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(claims, "measure", MEASURED)  # only the document changes
+    monkeypatch.setattr("benchmarks.claims.measure", measured)
     (tmp_path / "claims.toml").write_text(CLAIMS)
     (tmp_path / "page.md").write_text(PAGE.replace(*change))
     assert main(["--short"], table=tmp_path / "claims.toml", root=tmp_path) == code

@@ -123,18 +123,3 @@ def test_a_three_slope_gear_lies_between_its_slopes(shared_data: Path) -> None:
                     mode_of(soft).frequency_hz < mode.frequency_hz < mode_of(stiff).frequency_hz
                 ), name
             assert "equivalent-stiffness" in {w.code for w in model.warnings}
-
-
-def test_a_real_flexible_arm(shared_data: Path) -> None:
-    """Published values: anti-resonance at 3.4 to 3.5 Hz, resonance at 4.0 to 4.5 Hz."""
-    study = read_study(shared_data / "real" / "ist-flexible-arm" / "study.toml")
-    link_signals = links.prepare_link_signals(
-        read_log(study, study.experiments[0]), Arm.of(study.arm)
-    )
-    (joint,) = decoupling.decouple(link_signals, None, Arm.of(study.arm))
-    mode_pair = identify_record(link_signals, joint, None, Arm.of(study.arm)).modes
-    assert mode_pair is not None
-    assert mode_pair.anti_resonance is not None
-    assert mode_pair.resonance is not None
-    assert 3.4 < mode_pair.anti_resonance.frequency_hz < 3.5
-    assert 4.0 < mode_pair.resonance.frequency_hz < 4.5

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
 import virtual_arms
-from strainwave.domain import FloatArray, RigidOptions, Signals, Study
+from strainwave.domain import FloatArray, RigidModel, RigidOptions, Signals, Study
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import gear_load
 from strainwave.identification import rigid, validation
@@ -37,6 +38,13 @@ def loaded(shares: FloatArray, seed: int = 1, arm: int = 1) -> tuple[Study, Floa
     return study, values, virtual_arms.exact_signals(motion, torque + noise)
 
 
+@cache
+def estimate() -> RigidModel:
+    """Fit to the arm with load-dependent friction."""
+    study, _, signals = loaded(SHARES)
+    return rigid.fit_rigid([signals], Arm.of(study.arm))
+
+
 def named(study: Study, *effects: str) -> Arm:
     """The arm with effects of both joints that the study names."""
     joints = tuple(replace(joint, effects=effects) for joint in study.arm.joints)
@@ -44,8 +52,8 @@ def named(study: Study, *effects: str) -> Arm:
 
 
 def test_the_load_friction_is_recovered() -> None:
-    study, values, signals = loaded(SHARES)
-    model = rigid.fit_rigid([signals], Arm.of(study.arm))
+    _, values, _ = loaded(SHARES)
+    model = estimate()
     (share,) = [term.size for term in model.friction_terms]
     assert (share.name, share.joint, share.unit) == ("load_friction", 1, "1")
     # rigid motion does not show which part of the inertia of axis 1 the gear accelerates
@@ -94,7 +102,7 @@ def test_a_measured_torsion_leaves_inertias_and_friction_as_they_are() -> None:
 def test_the_load_friction_improves_the_prediction() -> None:
     study, _, signals = loaded(SHARES)
     _, _, other_signals = loaded(SHARES, seed=2)
-    models = [rigid.fit_rigid([signals], arm) for arm in (Arm.of(study.arm), named(study))]
+    models = [estimate(), rigid.fit_rigid([signals], named(study))]
     fits = [
         validation.predict_rigid(m, other_signals, Arm.of(study.arm)).fit_percent["torque1"]
         for m in models

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
+from math import cos, tanh
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ from strainwave.io.logs import read_logs
 from strainwave.signals.motor import prepare_motor_signals
 
 SAMPLE_TIME, SUBSTEPS = 1e-3, 10
+SAMPLES, LEAD = 20_000, 100  # of a log, and before it
 # the torque of a sample is held until the next one, and so acts half a period later on average
 HALF_HOLD = 0.5 * SAMPLE_TIME
 
@@ -37,31 +40,43 @@ class Pendulum:
     ) -> dict[str, FloatArray]:
         """A multisine under a PD servo; the angle reads q - zero, the torque `delay` late."""
         rng = np.random.default_rng(seed)
-        n, lead = 20_000, 100
-        frequency = 2.0 * np.pi * np.array([0.3, 0.7, 1.3])
-        amplitude, phase = np.array([0.8, 0.4, 0.2]), rng.uniform(0.0, 2.0 * np.pi, 3)
-        angle, torque = np.zeros(n + lead), np.zeros(n + lead)
-        q, v, step = centre, 0.0, SAMPLE_TIME / SUBSTEPS
-        for i in range(n + lead):
-            turn = frequency * i * SAMPLE_TIME + phase
-            error = centre + amplitude @ np.sin(turn) - q
-            rate_error = amplitude * frequency @ np.cos(turn) - v
-            held = 120.0 * error + 12.0 * rate_error + self.gravity * np.cos(q)
-            angle[i], torque[i] = q, held
-            for _ in range(SUBSTEPS):
-                friction = self.viscous * v + self.coulomb * np.tanh(v / 1e-3)
-                middle = q + 0.5 * step * v
-                load = self.gravity * np.cos(middle) + self.stiffness * middle
-                change = step * (held - friction - load) / self.inertia
-                q += step * (v + 0.5 * change)
-                v += change
-        time = np.arange(n + lead) * SAMPLE_TIME
+        phases = tuple(rng.uniform(0.0, 2.0 * np.pi, 3).tolist())
+        angle, torque = _motion(self, centre, phases)
+        time = np.arange(len(angle)) * SAMPLE_TIME
         late = np.interp(time - delay, time, torque)
         return {
-            "t": time[:n],
-            "theta_m1": angle[lead:] - zero + rng.normal(0.0, 2e-5, n),
-            "torque1": late[lead:] + rng.normal(0.0, 0.02, n),
+            "t": time[:SAMPLES],
+            "theta_m1": angle[LEAD:] - zero + rng.normal(0.0, 2e-5, SAMPLES),
+            "torque1": late[LEAD:] + rng.normal(0.0, 0.02, SAMPLES),
         }
+
+
+@cache
+def _motion(
+    pendulum: Pendulum, centre: float, phases: tuple[float, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """Angle and torque without noise; plain floats, which are several times faster here."""
+    frequency = 2.0 * np.pi * np.array([0.3, 0.7, 1.3])
+    amplitude = np.array([0.8, 0.4, 0.2])
+    turns = np.outer(np.arange(SAMPLES + LEAD) * SAMPLE_TIME, frequency) + np.array(phases)
+    positions = (centre + np.sin(turns) @ amplitude).tolist()
+    rates = (np.cos(turns) @ (amplitude * frequency)).tolist()
+    inertia, viscous, coulomb = pendulum.inertia, pendulum.viscous, pendulum.coulomb
+    gravity, stiffness = pendulum.gravity, pendulum.stiffness
+    angle, torque = list[float](), list[float]()
+    q, v, step = centre, 0.0, SAMPLE_TIME / SUBSTEPS
+    for position, rate in zip(positions, rates, strict=True):
+        held = 120.0 * (position - q) + 12.0 * (rate - v) + gravity * cos(q)
+        angle.append(q)
+        torque.append(held)
+        for _ in range(SUBSTEPS):
+            friction = viscous * v + coulomb * tanh(v / 1e-3)
+            middle = q + 0.5 * step * v
+            load = gravity * cos(middle) + stiffness * middle
+            change = step * (held - friction - load) / inertia
+            q += step * (v + 0.5 * change)
+            v += change
+    return np.array(angle), np.array(torque)
 
 
 def study_of(folder: Path, *, gravity: bool = True, joint: str = "") -> sw.Study:

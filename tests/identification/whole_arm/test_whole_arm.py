@@ -1,4 +1,4 @@
-"""Whole-arm fit of all parameters, on records of virtual arms and lab arms."""
+"""Whole-arm fit of all parameters, on records of virtual arms."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from strainwave.domain import (
     ArmModel,
     Experiment,
     Joint,
-    JointModel,
     Log,
     SearchEnd,
     Servo,
@@ -27,18 +26,12 @@ from strainwave.domain.kinds import single_joint
 from strainwave.domain.parameter_table import SETTLING
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.identification import decoupling, rigid, validation
-from strainwave.identification import joint_model as physical
+from strainwave.identification import validation
 from strainwave.identification.whole_arm import WholeArmOptions, fit_whole_arm
 from strainwave.identification.whole_arm.problem import starting_values
 from strainwave.identification.whole_arm.search import solver
-from strainwave.io import logs
-from strainwave.io.parameters import read_parameters
-from strainwave.io.study import read_study
 from strainwave.numerics import trust_region
 from strainwave.numerics.trust_region import Minimum
-from strainwave.signals import link_motion as links
-from strainwave.signals import motor as signals
 from strainwave.virtual.experiments import derived
 from tuning_runs import (
     JOINT_NAMES,
@@ -423,7 +416,7 @@ def test_too_few_iterations_are_reported() -> None:
     model = whole_arm(WholeArmOptions(max_iterations=2))
     assert model.status == "iteration-limit"
     assert "iteration-limit" in [warning.code for warning in model.warnings]
-    assert model.iterations < standard().iterations
+    assert model.iterations <= 2 < standard().iterations
 
 
 @pytest.mark.parametrize(
@@ -445,10 +438,6 @@ def test_the_result_states_why_its_last_search_ended(
     assert (model.end, model.status) == (end, status)
     codes = {warning.code for warning in model.warnings}
     assert codes & {"no-descent", "iteration-limit"} == warned
-
-
-def test_iterations_stay_below_their_limit() -> None:
-    assert whole_arm(WholeArmOptions(max_iterations=4)).iterations <= 4
 
 
 def test_the_other_options_change_the_outcome() -> None:
@@ -552,64 +541,6 @@ def test_undetermined_starting_values_are_refused() -> None:
         fit_whole_arm(records, negative_beta, [joints[0], negative_inertia], Arm.of(study.arm))
 
 
-@cache
-def lab_model(folder: Path) -> tuple[Study, list[Log], ArmModel]:
-    """Whole-arm fit of a lab study, started from one frequency record per joint."""
-    study = read_study(folder / "study.toml")
-    records = [logs.read_log(study, e) for e in study.experiments if e.use != "sweep"]
-    motion = [
-        signals.prepare_motor_signals(r, Arm.of(study.arm))
-        for r in records
-        if r.experiment.use == "motion"
-    ]
-    model = rigid.fit_rigid(motion, Arm.of(study.arm))
-    joints: list[JointModel] = []
-    for joint in (1, 2):
-        log = next(r for r in records if r.name == f"prbs-j{joint}")
-        link_signals = links.prepare_link_signals(log, Arm.of(study.arm))
-        decoupled_joint = decoupling.decouple(link_signals, model, Arm.of(study.arm))[joint - 1]
-        joints.append(
-            physical.identify_joint([(link_signals, decoupled_joint)], model, Arm.of(study.arm))
-        )
-    return study, records, fit_whole_arm(records, model, joints, Arm.of(study.arm))
-
-
-@pytest.mark.parametrize(
-    ("arm", "inertia", "damping"),
-    [("scara-linear-5kg", 0.002, 0.006), ("vertical-linear-0kg", 0.005, 0.02)],
-)
-def test_a_lab_arm(arm: str, inertia: float, damping: float, shared_data: Path) -> None:
-    folder = shared_data / "lab" / arm
-    study, records, model = lab_model(folder)
-    values = read_parameters(folder / "truth.json")
-    true_values = derived(
-        {**values, ("friction_offset", 1): 0.0, ("friction_offset", 2): 0.0}, study.arm
-    )
-    limits: dict[str, float] = {
-        **dict.fromkeys(("alpha", "beta", "gamma"), inertia),
-        **dict.fromkeys(("motor_inertia", "link_inertia", "gear_stiffness"), inertia),
-        "gear_damping": damping,
-        "motor_coulomb_friction": 0.003,
-        "total_viscous_friction": 0.02,
-        **dict.fromkeys(("gravity_torque_1", "gravity_torque_2"), inertia),
-    }
-    errors = errors_of(model, true_values)
-    for (name, joint), (relative, _) in errors.items():
-        assert abs(relative) < limits.get(name, np.inf), (name, joint, relative)
-    reported = {name for name, _ in errors}
-    assert {"alpha", "gear_stiffness", "gear_damping", "motor_coulomb_friction"} <= reported
-    for log in records:
-        if log.experiment.use == "check":
-            fits = validation.predict_elastic(model, log, Arm.of(study.arm)).fit_percent
-            excited = [log.experiment.joint] if log.experiment.joint else [1, 2]
-            assert min(fits[f"omega_m{joint}"] for joint in excited) > 97.0
-
-
-@pytest.mark.parametrize("arm", ["scara-linear-5kg", "vertical-linear-0kg"])
-def test_a_lab_arm_is_searched_to_the_end(arm: str, shared_data: Path) -> None:
-    assert lab_model(shared_data / "lab" / arm)[2].status == "converged"
-
-
 def test_a_curve_with_a_start_knee_beyond_the_load_is_recovered() -> None:
     """A knee at twice the largest torque does not affect the records: its derivative is zero."""
     study, true_values, records = shaken("three-slope", 10.0)
@@ -621,10 +552,17 @@ def test_a_curve_with_a_start_knee_beyond_the_load_is_recovered() -> None:
             assert abs(errors[name, joint][0]) < 0.02, (name, joint)
 
 
+@cache
+def from_true_start(spring: str) -> ArmModel:
+    """Fit that starts at the true values."""
+    study, true_values, records = shaken(spring) if spring == "three-slope" else rig_records()
+    return from_wrong_starts(records, study, true_values, share=0.2, start=true_values)
+
+
 def test_a_start_may_be_given() -> None:
     """A fit that starts at the true values needs fewer iterations."""
-    study, true_values, records = rig_records()
-    model = from_wrong_starts(records, study, true_values, share=0.2, start=true_values)
+    _, true_values, _ = rig_records()
+    model = from_true_start("linear")
     assert model.status == "converged"
     assert model.iterations < 0.7 * standard().iterations
     for (name, joint), (_, normalised) in errors_of(model, true_values).items():
@@ -645,8 +583,8 @@ def test_starts_from_far_end_at_the_same_place(spring: str, seed: int) -> None:
             up = 3.0 if key[0] == "gear_damping" else 1.3
             down = 1.0 / 3.0 if key[0] == "gear_damping" else 0.7
             start[key] = value * float(rng.choice([up, down]))
-    reference = from_wrong_starts(records, study, true_values, start=true_values)
-    model = from_wrong_starts(records, study, true_values, start=start)
+    reference = from_true_start(spring)
+    model = from_wrong_starts(records, study, true_values, share=0.2, start=start)
     assert model.status == "converged"
     ends = {(p.name, p.joint): p for p in model.parameters}
     for p in reference.parameters:

@@ -10,7 +10,7 @@ import pytest
 
 from effect_runs import whole_arm
 from mount_runs import OnMount
-from strainwave.domain import ArmModel, EffectName, Log, Study, WholeArmOptions
+from strainwave.domain import ArmModel, Log, Study, WholeArmOptions
 from strainwave.domain.keys import Key, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import MountResonance
@@ -22,7 +22,11 @@ from tuning_runs import joint_models, rigid_model, shaken, shaken_study, simulat
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
 CUTOFF = 80.0
-HELD = ("accelerometer_mount_frequency",)
+FEW_RIVALS = 0.1
+"""Effort for a mount at 55 Hz, whose fits leave residuals: fits with effects would take 90 % of it.
+
+The other mounts are fitted with the default effort.
+"""
 
 
 def names(joint: int) -> tuple[Key, Key]:
@@ -40,12 +44,16 @@ def mounted(joint: int, frequency: float, damping: float) -> tuple[Study, Values
 
 @cache
 def fit_of(
-    joint: int, frequency: float, damping: float, hold: tuple[str, ...] = ()
+    joint: int, frequency: float, damping: float, *, is_held: bool = False
 ) -> tuple[Values, ArmModel]:
+    """True values and the fit; `is_held` ignores the resonance of the mount."""
     study, true_values, logs = mounted(joint, frequency, damping)
     joints = joint_models(study, true_values, 0.05, FACTORS)
     rigid = rigid_model(study, true_values, 0.01, 1.0)
-    options = WholeArmOptions(hold=hold)
+    options = WholeArmOptions(
+        hold=("accelerometer_mount_frequency",) if is_held else (),
+        rival_effort=FEW_RIVALS if (joint, frequency) == (1, 55.0) else 1.0,
+    )
     return true_values, fit_whole_arm(logs, rigid, joints, Arm.of(study.arm), options)
 
 
@@ -77,8 +85,8 @@ def test_a_mount_resonance_is_detected_named_and_corrected(
 
 def test_an_ignored_mount_resonance_resembles_a_delay_and_widens_intervals() -> None:
     """Gear errors stay below 0.1 % in stiffness and 0.5 % in damping."""
-    _, with_mount = fit_of(1, 55.0, 0.04)  # shared with the test above
-    true_values, ignored = fit_of(1, 55.0, 0.04, HELD)
+    _, with_mount = fit_of(1, 55.0, 0.04)
+    true_values, ignored = fit_of(1, 55.0, 0.04, is_held=True)
     assert ignored.status == "at-bounds"
     assert "at-bounds" in {w.code for w in ignored.warnings if "delay" in w.where}
     assert max(errors(true_values, ignored, "gear_stiffness")) < 0.001
@@ -108,22 +116,13 @@ def test_no_mount_is_tested_if_residuals_are_noise(monkeypatch: pytest.MonkeyPat
     assert not {p.name for p in model.parameters if "mount" in p.name}
 
 
-@pytest.mark.parametrize("frequency", [18.0, 40.0, 65.0])
+@pytest.mark.parametrize("frequency", [18.0, 65.0])
 def test_a_flexible_link_is_no_mount(frequency: float) -> None:
     model = whole_arm(("flexible-link",), (), shapes=((("flexible_frequency", 1), frequency),))
     mount_warnings = [
         w for w in model.warnings if w.code in ("flexible-link-likely", "sensor-mount")
     ]
     assert [(w.code, w.where) for w in mount_warnings] == [("flexible-link-likely", "joint 1")]
-
-
-@pytest.mark.parametrize("effect", ["hysteresis", "kinematic-error", "backlash", "torque-ripple"])
-def test_effects_of_a_gear_are_no_mounts(effect: EffectName) -> None:
-    assert "sensor-mount" not in {w.code for w in whole_arm((effect,), ()).warnings}
-
-
-def test_a_soft_base_is_no_mount() -> None:
-    assert "sensor-mount" not in {w.code for w in whole_arm(("soft-base",), ()).warnings}
 
 
 def test_a_sensor_of_unknown_place_may_ring_as_well() -> None:
