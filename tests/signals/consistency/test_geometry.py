@@ -122,6 +122,9 @@ def test_a_wrong_geometry_is_named(name: str, given: tuple[tuple[Log, ...], Stud
     wrong = replace(study, arm=change(study.arm))
     suspicion = check_consistency(logs, wrong).suspected[0]
     assert (suspicion.code, suspicion.where) == (code, where)
+    if name == "ratio":  # the record determines it to 1.3 %: 99, 100 or 101
+        assert suspicion.corrections == ()
+        return
     corrected = apply_corrections(wrong, suspicion.corrections)
     assert check_consistency(logs, corrected).suspected == ()
 

@@ -45,7 +45,7 @@ class Hypothesis:
     has_estimated_factor: bool = False  # not a unit, a sign or an exchange
     moves_frames: bool = False
     is_fitted: bool = False  # the fit estimates it: no reason to stop
-    is_undecided: bool = False  # a rival of the same kind is as likely
+    is_undecided: bool = False  # no value to obey: a rival is as likely, or it is inaccurate
     excluded: tuple[str, ...] = ()  # records with the fault; the others do not have it
     rivals: tuple[Hypothesis, ...] = ()  # that explain the contradictions equally well
     # of the torques alone
@@ -109,6 +109,11 @@ class Hypothesis:
             return self
         remedy, corrections = Clause("remedy/either"), other.corrections
         return replace(self, remedy=remedy, alternative=corrections, is_undecided=True)
+
+    def estimate(self) -> Hypothesis:
+        """The hypothesis with values that the torques determine too inaccurately to obey."""
+        remedy = self.remedy if self.moves_frames else Clause("remedy/estimate")
+        return replace(self, remedy=remedy, is_undecided=True)
 
     def as_rival(self) -> Hypothesis:
         """The hypothesis as one that is as likely as the one before it."""

@@ -91,6 +91,7 @@ class FitQuality:
 
     shares: FloatArray  # (n_folds, n_joints) squared prediction errors over the squared torques
     rows: FloatArray  # (n_folds, n_joints) independent rows beyond the parameters
+    coordinate_std: FloatArray  # (n,) of the fitted coordinates of the arm
 
     @property
     def unexplained(self) -> FloatArray:
@@ -265,12 +266,15 @@ def predict_stretches(
     product = product + precision * expected
     joints = sorted(system.total)
     squares = np.zeros((len(system.records), len(joints)))
+    n_fitted = 0 if fitted is None else len(fitted[0])
+    estimates = np.zeros((len(system.records), n_fitted))
     for k in range(len(system.records)):
         rows = system.fold == k
         block, target = columns[rows], torque[rows]
         kept = float(system.records[k] not in without)
         left = gram - kept * block.T @ block, product - kept * block.T @ target
         links = np.linalg.solve(left[0] + np.diag(precision), left[1])
+        estimates[k] = links[len(links) - n_fitted :]
         errors = (target - block @ links) / fit.weight[rows]
         for j, joint in enumerate(joints):
             squares[k, j] = float(np.sum(errors[system.joint[rows] == joint] ** 2))
@@ -280,7 +284,20 @@ def predict_stretches(
         [np.bincount(system.fold[system.joint == j], minlength=len(squares)) for j in joints]
     )
     rows = n_rows * (counts / counts.sum(axis=1, keepdims=True)).T
-    return FitQuality(shares, rows)
+    return FitQuality(shares, rows, _jackknife(estimates, system.records))
+
+
+def _jackknife(estimates: FloatArray, records: Sequence[str]) -> FloatArray:
+    """Standard deviations (n,) of estimates (n_folds, n), each without one stretch.
+
+    The jackknife (Efron and Stein, 1981) over stretches, or over records if these differ more:
+    errors of the model do not average out within a record. The effect of a record is the sum of
+    those of its stretches, to first order.
+    """
+    effects, names = estimates - estimates.mean(axis=0), np.array(records)
+    of_records = np.array([effects[names == name].sum(axis=0) for name in dict.fromkeys(records)])
+    variances = [(len(x) - 1) / len(x) * np.sum(x**2, axis=0) for x in (effects, of_records)]
+    return np.asarray(np.sqrt(np.max(variances, axis=0)))
 
 
 def _inverse_root(gram: FloatArray) -> FloatArray:

@@ -19,7 +19,6 @@ from strainwave.domain.effects import OF_RIGID_JOINTS
 from strainwave.domain.kinds import arm_keys, kind_of
 from strainwave.signals.consistency.evidence import Evidence
 from strainwave.signals.consistency.hypothesis import (
-    STEPS,
     Case,
     Hypothesis,
     angle_unit,
@@ -88,10 +87,16 @@ def propose_explanations(case: Case) -> Iterator[Hypothesis]:
     if good[0].kind == "delay":  # efforts of a set-point are early
         yield from desired
     for each in good:
-        others = tuple(other for other in rivals if other.places != each.places)
+        others = tuple(other for other in rivals if _is_rival(other, each))
         is_estimated = each.kind in _ESTIMATED and each.factor != -1.0
         yield replace(each, rivals=others, has_estimated_factor=is_estimated)
     yield from desired
+
+
+def _is_rival(other: Hypothesis, each: Hypothesis) -> bool:
+    """Whether the other is at another place, or predicts exactly the same with other values."""
+    is_equal = bool(np.isclose(other.cost, each.cost)) and other.corrections != each.corrections
+    return other.places != each.places or is_equal
 
 
 def _in_words(each: Hypothesis) -> Hypothesis:
@@ -269,8 +274,7 @@ def _torque(evidence: Evidence, i: int, factor: float) -> Hypothesis:
     code = "wrong-unit" if is_unit else "wrong-torque-constant"
     clause = Clause(f"{code}/torques", joint=i, factor=factor)
     changes = (replace(stated, value=stated.number * factor),)
-    remedy = STEPS if is_unit else Clause("remedy/torque-estimate")
-    return Hypothesis(code, clause, changes, remedy, factor=1.0 / factor, kind="torque")
+    return Hypothesis(code, clause, changes, factor=1.0 / factor, kind="torque")
 
 
 def propose_families(evidence: Evidence) -> Iterator[Family]:
@@ -346,9 +350,15 @@ def _delay(
 
 
 def _zero(evidence: Evidence, i: int, x: FloatArray, *, is_final: bool = False) -> Hypothesis:
-    """Another zero of an encoder; the fit finds that of one of several joints near the stated."""
+    """Another zero of an encoder, finally a quarter turn if one is near.
+
+    The fit finds that of one of several joints near the stated.
+    """
     name, ratio = f"theta_m{i}", evidence.study.arm.joints[i - 1].gear_ratio
     angle = _ANGLE_STD * float(x[0])
+    turns = round(angle / _QUARTER_TURNS[0])
+    if is_final and turns and abs(angle - turns * _QUARTER_TURNS[0]) < _TOLERATED_ANGLE:
+        angle = turns * _QUARTER_TURNS[0]
     change = Correction("channels", name, "offset", evidence.channel(name).offset + angle / ratio)
     is_near = evidence.arm.n_joints == 1 or abs(angle) < _MAX_FITTED_ZERO
     return Hypothesis(

@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import FloatArray
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.consistency.evidence import Evidence, is_slow
 from strainwave.signals.consistency.hypothesis import Hypothesis
@@ -90,6 +91,10 @@ def search_explanations(evidence: Evidence) -> tuple[Hypothesis, ...] | None:
         tried += exchanges
         jobs = [partial(search.discrete, each) for each in exchanges]
         found += [each for each in run_parallel(jobs) if each is not None]
+    # a quarter turn, proposed and estimated, is one explanation
+    found = [
+        *{(each.excluded, each.corrections or each.kind): each for each in found[::-1]}.values()
+    ]
     # each kind of explanation has the same share of the probability, whatever their number
     n_tried = Counter((each.kind, bool(each.excluded)) for each in tried)
     limits = {group: _MAX_CHANCE / len(n_tried) / n for group, n in n_tried.items()}
@@ -205,6 +210,10 @@ class _Search:
         # a scale changes the torque itself, not its explanation
         quality = predict_stretches(system, fitted=None if found.kind == "torque" else (x, slope))
         is_tolerated = bool(np.all(np.abs(x) < family.tolerated))
+        # a torque constant is at best as accurate as those of the other joints
+        is_accurate = np.all(CI95_STDS * quality.coordinate_std <= family.tolerated)
+        if found.code == "wrong-torque-constant" or not is_accurate:
+            found = found.estimate()
         found = replace(found, is_tolerated=is_tolerated, n_coordinates=size)
         least = _MIN_GAIN_OF_COORDINATE if found.kind in _MEASURED else _MIN_GAIN
         return self._gaining(found, quality, least, is_pooled=True)
