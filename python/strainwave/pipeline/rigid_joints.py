@@ -77,7 +77,6 @@ def fit_rigid_joints(
                 warning = Diagnostic("no-rigid-model", inputs.place, reason=str(failure))
                 return RigidStage(warnings=(*warnings, warning))
             return RigidStage(warnings=warnings, failures=(Clause("text", text=str(failure)),))
-        model = replace(model, motion=rigid.sample_motion(motion, model.bandwidth_hz))
         warnings += (*model.warnings, *_assumed_units(inputs, motion_logs))
     if model.status == "not-identifiable":
         return RigidStage(model, warnings=warnings)

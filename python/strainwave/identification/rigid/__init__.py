@@ -62,7 +62,7 @@ from strainwave.identification.rigid.trial_warnings import warnings_of
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 from strainwave.signals.repetition import period_of
 
-__all__ = ["RigidOptions", "estimate_drive_gains", "fit_rigid", "sample_motion"]
+__all__ = ["RigidOptions", "estimate_drive_gains", "fit_rigid"]
 
 # alternatives to the motors' usual shares, about one standard deviation away
 _ALTERNATIVE_INERTIA_SHARE = 0.3
@@ -137,7 +137,8 @@ def _fit(
         plain = fit.trial
     ratios = torque_ratios(trials, fit.trial, plain)
     fits = {s.experiment.name: _fits(fit.trial, s, further) for s in signals}
-    return _model(fit, noise, further, ratios, fits)
+    motion = sample_motion(signals, fit.trial.bandwidth_hz)
+    return _model(fit, noise, further, ratios, fits, motion)
 
 
 def _search(
@@ -252,10 +253,12 @@ def _model(
     terms: tuple[FrictionTerm, ...],
     ratios: dict[int, tuple[float, float]],
     fit_percent: dict[str, dict[str, float]],
+    motion: FloatArray,
 ) -> RigidModel:
     """Result of a fit; parameters that are not identified are None.
 
-    `noise` (n_parameters,) is the part of the variances that is not model error.
+    `noise` (n_parameters,) is the part of the variances that is not model error. `motion` is that
+    of `sample_motion`.
     """
     best, covariance = fit.trial, fit.covariance
     identified = best.determined
@@ -293,6 +296,7 @@ def _model(
         torque_ratios=ratios,
         torque_errors=best.torque_errors,
         friction_terms=terms,
+        motion=motion,
     )
 
 

@@ -110,7 +110,7 @@ class Hypothesis:
         remedy, corrections = Clause("remedy/either"), other.corrections
         return replace(self, remedy=remedy, alternative=corrections, is_undecided=True)
 
-    def estimate(self) -> Hypothesis:
+    def as_estimate(self) -> Hypothesis:
         """The hypothesis with values that the torques determine too inaccurately to obey."""
         remedy = self.remedy if self.moves_frames else Clause("remedy/estimate")
         return replace(self, remedy=remedy, is_undecided=True)

@@ -213,7 +213,7 @@ class _Search:
         # a torque constant is at best as accurate as those of the other joints
         is_accurate = np.all(CI95_STDS * quality.coordinate_std <= family.tolerated)
         if found.code == "wrong-torque-constant" or not is_accurate:
-            found = found.estimate()
+            found = found.as_estimate()
         found = replace(found, is_tolerated=is_tolerated, n_coordinates=size)
         least = _MIN_GAIN_OF_COORDINATE if found.kind in _MEASURED else _MIN_GAIN
         return self._gaining(found, quality, least, is_pooled=True)
