@@ -34,12 +34,12 @@ $(VENV)/.develop: requirements.lock $(VENV)/.installed
 	@touch $@
 
 demo: setup
-	$(BIN)/strainwave demo --out $(DEMO) $(DEMO_ARGS)
+	$(BIN)/python -m reproduction --out $(DEMO) $(DEMO_ARGS)
 
 # Renews the pages of the comparisons and their images from ten seeds of both arms: about 25 minutes.
 comparisons: setup
 	for arm in soft stiff; do \
-	  $(BIN)/strainwave demo --arm $$arm --as-published --seeds 10 --figures --quiet \
+	  $(BIN)/python -m reproduction --arm $$arm --as-published --seeds 10 --figures \
 	    --out build/comparisons/$$arm && \
 	  cp build/comparisons/$$arm/images/comparisons/*.png docs/images/comparisons/ || exit 1; \
 	done

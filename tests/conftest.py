@@ -47,7 +47,7 @@ LONGEST = (
 
 SHARED_FITS = {
     f"{WHOLE_ARM}/inference/test_residual_analysis.py": f"{WHOLE_ARM}/selection/test_causes.py",
-    "tests/paper/test_page.py": "tests/paper/test_claims.py",
+    "tests/reproduction/test_page.py": "tests/reproduction/test_claims.py",
 }
 """Files that use the same cached fits as another file, and that other file."""
 

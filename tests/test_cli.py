@@ -41,7 +41,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Folder and output of the demonstration."""
     folder = tmp_path_factory.mktemp("demo") / "out"
-    process = run("demo", "--quick", "--out", str(folder))
+    process = run("demo", "--out", str(folder))
     assert process.returncode == 0, process.stderr
     assert process.stderr == ""
     return folder, process.stdout

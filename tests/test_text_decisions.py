@@ -26,7 +26,6 @@ READERS = (
 WRITERS = (
     "presentation/html.py",
     "presentation/report/",
-    "paper/document.py",
     "export/flat.py",
     "experiment_design/written.py",
     "virtual/experiments.py",

@@ -367,21 +367,17 @@ def trend(
     raise typer.Exit(CHANGED if result.concern else DONE)
 
 
-@app.command(epilog="Example: strainwave demo --as-published --seeds 10 --out demo")
+@app.command(epilog="Example: strainwave demo --out demo")
 def demo(
     out: Out,
     seed: Seed = 0,
-    quick: Annotated[bool, _option("demo.quick", "--quick")] = False,
-    seeds: Annotated[int, _option("demo.seeds", min=1)] = 1,
-    as_published: Annotated[bool, _option("demo.as-published", "--as-published")] = False,
     arm: Annotated[Literal["soft", "stiff"], _option("demo.arm", "--arm")] = "soft",
     figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
     """Identify the built-in virtual arm. Compares the estimates with the true parameters."""
-    from strainwave.paper.run import write_comparisons
     from strainwave.presentation.matplotlib_backend import require_matplotlib
-    from strainwave.presentation.terminal import print_comparisons, print_summary
+    from strainwave.presentation.terminal import print_summary
     from strainwave.virtual.experiments import demonstrate
     from strainwave.virtual.scara import ARMS
 
@@ -393,20 +389,6 @@ def demo(
         )
     if not quiet:
         print_summary(identification, out, truth=truth, figures=figures)
-    if not quick:
-        with _progress(quiet) as report:
-            comparisons = write_comparisons(
-                identification,
-                out,
-                seed=seed,
-                seeds=seeds,
-                as_published=as_published,
-                arm=arm,
-                figures=figures,
-                progress=report,
-            )
-        if not quiet:
-            print_comparisons(comparisons, out)
     raise typer.Exit(identification.verdict.exit_code)
 
 

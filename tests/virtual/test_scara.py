@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from reproduction.rig import Rig, equivalent, run_steps
 from strainwave.dynamics.two_inertia import anti_resonance
 from strainwave.errors import InvalidInput
-from strainwave.paper.rig import Rig, equivalent, run_steps
 from strainwave.virtual import scara
 
 

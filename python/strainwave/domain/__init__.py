@@ -41,14 +41,6 @@ from strainwave.domain.arrays import FloatArray as FloatArray
 from strainwave.domain.arrays import IntArray as IntArray
 from strainwave.domain.base_parameters import BaseParameters as BaseParameters
 from strainwave.domain.combinations import SharedViscousFriction as SharedViscousFriction
-from strainwave.domain.comparison import OUTCOME_TEXTS as OUTCOME_TEXTS
-from strainwave.domain.comparison import Comparison as Comparison
-from strainwave.domain.comparison import Criterion as Criterion
-from strainwave.domain.comparison import Evidence as Evidence
-from strainwave.domain.comparison import Outcome as Outcome
-from strainwave.domain.comparison import Protocol as Protocol
-from strainwave.domain.comparison import Tally as Tally
-from strainwave.domain.comparison import outcomes_text as outcomes_text
 from strainwave.domain.consistency import CheckStatus as CheckStatus
 from strainwave.domain.consistency import Consistency as Consistency
 from strainwave.domain.consistency import InputCheck as InputCheck

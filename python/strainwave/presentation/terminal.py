@@ -19,7 +19,6 @@ from strainwave.domain import (
     InputCheck,
     Parameter,
     Suspicion,
-    Tally,
     Verdict,
 )
 from strainwave.domain.formatting import percent, plus_minus
@@ -261,20 +260,3 @@ def _truth_cells(parameter: Parameter, true: float | None) -> list[str]:
     if parameter.value is None or true == 0.0:
         return [f"{true:.4g}", ""]
     return [f"{true:.4g}", f"{100.0 * (parameter.value / true - 1.0):+.2f}"]
-
-
-def print_comparisons(
-    tallies: Sequence[Tally], folder: Path, *, console: Console | None = None
-) -> None:
-    """Print each claim with its verdict and numbers, and the files in `folder`."""
-    console = console or Console(highlight=False)
-    for tally in tallies:
-        c = tally.first
-        protocol = "" if c.protocol == "own" else " (as published)"
-        line = Text(f"Fig. {c.figure:>2}{protocol}: {c.claim} {tally.verdict}: {c.message}")
-        is_shown = tally.count("shown") == len(tally.runs)
-        console.print(line, style="" if is_shown else "yellow", soft_wrap=True)
-        for reason in c.reasons:
-            console.print(Text(f"         {reason}"), style="yellow", soft_wrap=True)
-    for name in ("comparisons.html", "comparisons.json", "comparisons.md"):
-        console.print(Text(f"written: {folder / name}"), soft_wrap=True)

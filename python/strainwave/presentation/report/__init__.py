@@ -1,7 +1,6 @@
 """The report: an identification as one self-contained HTML file."""
 
 from strainwave.presentation.report.blocks import FIGURE_KINDS, FigureKind, FigureName, slug
-from strainwave.presentation.report.comparisons import render_comparisons
 from strainwave.presentation.report.page import figures_of, find_figure, render
 from strainwave.presentation.report.remedies import advice, by_severity, is_note, sentence
 from strainwave.presentation.report.rig import gain_sentences
@@ -19,7 +18,6 @@ __all__ = [
     "gain_sentences",
     "is_note",
     "render",
-    "render_comparisons",
     "scale_note",
     "sentence",
     "slug",

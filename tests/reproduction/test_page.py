@@ -12,19 +12,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
+import reproduction as package
+from reproduction import Settings, run
+from reproduction import __main__ as command
+from reproduction.page import render_comparisons
+from reproduction.records import Comparison, Criterion, Evidence, Tally
+from reproduction.run import print_comparisons
 from results import identification
-from strainwave import cli
-from strainwave import paper as package
-from strainwave.domain import Comparison, Criterion, Diagnostic, Evidence, Place, Tally
-from strainwave.paper import Settings, run
+from strainwave.domain import Diagnostic, Place
 from strainwave.presentation.figures import curves
 from strainwave.presentation.matplotlib_backend import draw
-from strainwave.presentation.report import render_comparisons
-from strainwave.presentation.terminal import print_comparisons
-from strainwave.virtual import experiments as virtual
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 SEED = 1  # of the comparisons in the fixture
@@ -176,14 +177,16 @@ def test_quick_omits_the_comparisons(
         return tuple(Tally(tally.runs * len(seeds)) for tally in tallies)
 
     monkeypatch.setattr(run, "compare_seeds", compare)
-    monkeypatch.setattr(virtual, "demonstrate", lambda *_, **__: (identification(), {}))
+    monkeypatch.setattr(command, "demonstrate", lambda *_, **__: (identification(), {}))
+    app = typer.Typer()
+    app.command()(command.reproduce)
     written = {f"comparisons.{ending}" for ending in ("html", "json", "md")}
     for arguments, expected in (
         (["--quick"], set()),
         (["--seeds", "3", "--seed", "5"], written),
         (["--as-published"], written),
     ):
-        result = CliRunner().invoke(cli.app, ["demo", "--out", str(tmp_path), *arguments])
+        result = CliRunner().invoke(app, ["--out", str(tmp_path), *arguments])
         assert result.exit_code == identification().verdict.exit_code, result.output
         assert {path.name for path in tmp_path.iterdir()} == expected
         assert ("Fig. 15" in result.output) == bool(expected)

@@ -7,15 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from strainwave.domain import Comparison, Evidence, FloatArray
-from strainwave.domain.keys import Values
-from strainwave.dynamics.two_inertia import TwoInertia, joint_of
-from strainwave.errors import NotIdentifiable
-from strainwave.identification.closed_loop import restrict_to_values
-from strainwave.identification.joint_model.agreement import vector_of
-from strainwave.numerics.filters import band_pass, low_pass
-from strainwave.paper.document import comparison_of, criterion_of
-from strainwave.paper.joint_estimates import (
+from reproduction.document import comparison_of, criterion_of
+from reproduction.joint_estimates import (
     JointEstimate,
     curve,
     distance_db,
@@ -23,7 +16,15 @@ from strainwave.paper.joint_estimates import (
     growth_of,
     response_of,
 )
-from strainwave.paper.rig import Rig, WholeArmEstimate, equivalent, ideal_log, run_steps
+from reproduction.records import Comparison, Evidence
+from reproduction.rig import Rig, WholeArmEstimate, equivalent, ideal_log, run_steps
+from strainwave.domain import FloatArray
+from strainwave.domain.keys import Values
+from strainwave.dynamics.two_inertia import TwoInertia, joint_of
+from strainwave.errors import NotIdentifiable
+from strainwave.identification.closed_loop import restrict_to_values
+from strainwave.identification.joint_model.agreement import vector_of
+from strainwave.numerics.filters import band_pass, low_pass
 from strainwave.presentation.figures import Figure
 from strainwave.presentation.figures.curves import Series, bode, pair
 from strainwave.signals.link_motion import prepare_link_signals

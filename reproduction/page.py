@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 
-from strainwave.domain import Comparison, Evidence, Outcome, Protocol, Tally
+from reproduction.records import Comparison, Evidence, Outcome, Protocol, Tally
 from strainwave.presentation.figures import Figure
 from strainwave.presentation.report.blocks import (
     Block,

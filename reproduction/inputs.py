@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import Comparison, Control, Criterion, FloatArray
+from reproduction.document import comparison_of, criterion_of
+from reproduction.records import Comparison, Criterion
+from reproduction.rig import CLOCK_PERIOD, MAX_AMPLITUDE, PRBS_ORDER, Rig, Run
+from strainwave.domain import Control, FloatArray
 from strainwave.dynamics.interaction_torque import interaction_torques
 from strainwave.numerics.filters import apply_lags
-from strainwave.paper.document import comparison_of, criterion_of
-from strainwave.paper.rig import CLOCK_PERIOD, MAX_AMPLITUDE, PRBS_ORDER, Rig, Run
 from strainwave.presentation.figures import Figure
 from strainwave.presentation.figures.curves import Series, lines, spectrum
 

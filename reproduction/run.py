@@ -1,13 +1,14 @@
-"""Write the comparisons as HTML, JSON and Markdown."""
+"""Write the comparisons as HTML, JSON and Markdown; print their verdicts."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from strainwave.domain import Identification, Tally
-from strainwave.io.atomic_files import write_whole
-from strainwave.paper import (
+from rich.console import Console
+from rich.text import Text
+
+from reproduction import (
     OWN_SETTINGS,
     PUBLISHED_SETTINGS,
     compare_seeds,
@@ -15,7 +16,10 @@ from strainwave.paper import (
     to_json,
     to_markdown,
 )
-from strainwave.presentation.report import render_comparisons
+from reproduction.page import render_comparisons
+from reproduction.records import Tally
+from strainwave.domain import Identification
+from strainwave.io.atomic_files import write_whole
 from strainwave.virtual.scara import ARMS
 
 _RESOLUTION = 72  # [1/in] of the images, which the page shows side by side
@@ -73,3 +77,20 @@ def _images(tallies: Sequence[Tally], arm: str) -> dict[str, bytes]:
         for t in tallies
         if t.first.plots
     }
+
+
+def print_comparisons(
+    tallies: Sequence[Tally], folder: Path, *, console: Console | None = None
+) -> None:
+    """Print each claim with its verdict and numbers, and the files in `folder`."""
+    console = console or Console(highlight=False)
+    for tally in tallies:
+        c = tally.first
+        protocol = "" if c.protocol == "own" else " (as published)"
+        line = Text(f"Fig. {c.figure:>2}{protocol}: {c.claim} {tally.verdict}: {c.message}")
+        is_shown = tally.count("shown") == len(tally.runs)
+        console.print(line, style="" if is_shown else "yellow", soft_wrap=True)
+        for reason in c.reasons:
+            console.print(Text(f"         {reason}"), style="yellow", soft_wrap=True)
+    for name in ("comparisons.html", "comparisons.json", "comparisons.md"):
+        console.print(Text(f"written: {folder / name}"), soft_wrap=True)

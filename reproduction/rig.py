@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
+from reproduction.joint_estimates import JointEstimate, estimate, evidence_of, growth_of
+from reproduction.records import Evidence, Protocol
 from strainwave.domain import (
     ArmDescription,
     Control,
     Decoupled,
-    Evidence,
     Experiment,
     FloatArray,
     JointModel,
@@ -25,7 +26,6 @@ from strainwave.domain import (
     LinkSignals,
     Log,
     Prbs,
-    Protocol,
     RigidModel,
     WholeArmOptions,
 )
@@ -42,7 +42,6 @@ from strainwave.identification import rigid
 from strainwave.identification.decoupling import decouple
 from strainwave.identification.joint_model import from_state_space, identify_joint, rigid_knowledge
 from strainwave.identification.whole_arm import fit_whole_arm
-from strainwave.paper.joint_estimates import JointEstimate, estimate, evidence_of, growth_of
 from strainwave.signals import motor as signals
 from strainwave.signals.link_motion import prepare_link_signals
 from strainwave.virtual.plans import STEP_HOLD, smooth_reference

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from reproduction.records import Evidence
 from strainwave.domain import (
     ArmModel,
     ComplexArray,
     ContinuousStateSpace,
     Decoupled,
     Diagnostic,
-    Evidence,
     FloatArray,
     FrequencyResponse,
     JointModel,

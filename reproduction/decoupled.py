@@ -6,10 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from strainwave.domain import Comparison, Control, Criterion, Evidence
-from strainwave.domain.options import Channels, EstimationMethod
-from strainwave.paper.document import comparison_of, criterion_of
-from strainwave.paper.joint_estimates import (
+from reproduction.document import comparison_of, criterion_of
+from reproduction.joint_estimates import (
     JointErrors,
     JointEstimate,
     curve,
@@ -17,7 +15,10 @@ from strainwave.paper.joint_estimates import (
     estimated_curve,
     response_of,
 )
-from strainwave.paper.rig import CLASSICAL_METHOD, Rig
+from reproduction.records import Comparison, Criterion, Evidence
+from reproduction.rig import CLASSICAL_METHOD, Rig
+from strainwave.domain import Control
+from strainwave.domain.options import Channels, EstimationMethod
 from strainwave.presentation.figures.curves import Curve, bode
 
 _OUTPUTS: tuple[tuple[str, Channels], ...] = (("one output", "motor"), ("two outputs", "both"))

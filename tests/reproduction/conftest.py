@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from strainwave.domain import Comparison, Tally
-from strainwave.paper import ComparisonOptions, compare_seeds
+from reproduction import ComparisonOptions, compare_seeds
+from reproduction.records import Comparison, Tally
 
 SEED = 1
 SHORT = ComparisonOptions(amplitudes=(4.0, 10.0), payloads=(5, 3), records=2)

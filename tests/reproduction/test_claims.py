@@ -8,11 +8,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from strainwave.domain import Comparison, Decoupled, Evidence, InputOutput, LinearOptions, Tally
-from strainwave.dynamics.two_inertia import TwoInertia
-from strainwave.errors import NotIdentifiable
-from strainwave.identification.joint_model import linear, stretches
-from strainwave.paper import (
+from reproduction import (
     PUBLISHED_SETTINGS,
     ComparisonOptions,
     amplitude,
@@ -22,8 +18,13 @@ from strainwave.paper import (
     refinement,
     to_json,
 )
-from strainwave.paper.joint_estimates import LINES_HZ, distance_db, response_of
-from strainwave.paper.rig import CLASSICAL_METHOD, Rig, WholeArmEstimate, joint_with
+from reproduction.joint_estimates import LINES_HZ, distance_db, response_of
+from reproduction.records import Comparison, Evidence, Tally
+from reproduction.rig import CLASSICAL_METHOD, Rig, WholeArmEstimate, joint_with
+from strainwave.domain import Decoupled, InputOutput, LinearOptions
+from strainwave.dynamics.two_inertia import TwoInertia
+from strainwave.errors import NotIdentifiable
+from strainwave.identification.joint_model import linear, stretches
 from strainwave.virtual import scara
 
 ByFigure = dict[int, Comparison]

@@ -6,13 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from strainwave.domain import ArmModel, Comparison, Protocol, Tally
+from reproduction import amplitude, decoupled, inputs, refinement
+from reproduction.document import document_of, failed_comparison, to_json, to_markdown
+from reproduction.joint_estimates import evidence_of
+from reproduction.records import Comparison, Protocol, Tally
+from reproduction.rig import OWN_SETTINGS, PUBLISHED_SETTINGS, Rig, Settings, WholeArmEstimate
+from strainwave.domain import ArmModel
 from strainwave.errors import StrainwaveError
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
-from strainwave.paper import amplitude, decoupled, inputs, refinement
-from strainwave.paper.document import document_of, failed_comparison, to_json, to_markdown
-from strainwave.paper.joint_estimates import evidence_of
-from strainwave.paper.rig import OWN_SETTINGS, PUBLISHED_SETTINGS, Rig, Settings, WholeArmEstimate
 from strainwave.virtual.scara import SOFT, BuiltInArm
 
 __all__ = [

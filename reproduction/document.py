@@ -16,8 +16,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from strainwave import __version__
-from strainwave.domain import (
+from reproduction.page import PROTOCOL_TEXTS
+from reproduction.records import (
     OUTCOME_TEXTS,
     Comparison,
     Criterion,
@@ -26,10 +26,10 @@ from strainwave.domain import (
     Tally,
     outcomes_text,
 )
+from strainwave import __version__
 from strainwave.errors import StrainwaveError
 from strainwave.io.templates import fill_text
 from strainwave.presentation.figures import Figure
-from strainwave.presentation.report.comparisons import PROTOCOL_TEXTS
 
 SCHEMA = "strainwave/comparisons/3"
 
@@ -159,7 +159,7 @@ ByProtocol = dict[str, Any]
 
 
 def to_markdown(document: Mapping[str, Any]) -> str:
-    """The page of a run of `strainwave demo`: verdicts, then the criteria of every figure.
+    """The page of a run of `python -m reproduction`: verdicts, then the criteria of every figure.
 
     `document` comes from `document_of` or from comparisons.json.
     """

@@ -12,18 +12,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import Comparison, Criterion, Evidence, FloatArray, JointModel, Mode
-from strainwave.dynamics.two_inertia import NAMES, TwoInertia, anti_resonance, jacobian, joint_of
-from strainwave.identification.joint_model.agreement import vector_of
-from strainwave.paper.document import comparison_of, criterion_of
-from strainwave.paper.joint_estimates import (
+from reproduction.document import comparison_of, criterion_of
+from reproduction.joint_estimates import (
     JointEstimate,
     curve,
     estimated_curve,
     evidence_of,
     response_of,
 )
-from strainwave.paper.rig import Rig, Run, gear_torque, slopes
+from reproduction.records import Comparison, Criterion, Evidence
+from reproduction.rig import Rig, Run, gear_torque, slopes
+from strainwave.domain import FloatArray, JointModel, Mode
+from strainwave.dynamics.two_inertia import NAMES, TwoInertia, anti_resonance, jacobian, joint_of
+from strainwave.identification.joint_model.agreement import vector_of
 from strainwave.presentation.figures import Figure
 from strainwave.presentation.figures.curves import Series, bode, scatter
 
