@@ -1,6 +1,6 @@
 """Robustness of campaigns on virtual arms: `python -m benchmarks.robustness STORE...`.
 
-The store of a campaign with a `[family]` has true values and estimates. A *primary* parameter is an
+The store of `benchmarks.families` has true values and estimates. A *primary* parameter is an
 inertia, a stiffness, a knee, Coulomb friction or gear damping. It is *accurate* if its error is at
 most 1 % (damping: 5 %) or its 95 % interval contains the true value, and *wrong* if its error
 exceeds 5 % and it is outside that interval. A wrong value in a run with the verdict "determined" is

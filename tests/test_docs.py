@@ -129,7 +129,7 @@ def run(arguments: list[str], folder: Path) -> str:
         capture_output=True,
         text=True,
         check=False,
-        env={**os.environ, "PYTHONWARNINGS": "error"},
+        env={**os.environ, "PYTHONWARNINGS": "error", "PYTHONPATH": str(ROOT)},
     )
     assert process.returncode == 0, process.stderr
     return process.stdout

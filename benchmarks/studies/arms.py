@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.families.rigs import Rig
 from strainwave.domain import Experiment, Prbs, Spring, Study
 from strainwave.domain.keys import Values
 from strainwave.dynamics.simulation import simulate
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import simulate_study
-from strainwave.virtual.families.rigs import Rig
 from strainwave.virtual.records import Simulator
 
 Work = Callable[[Path, Values], dict[str, Any]]

@@ -17,6 +17,8 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.console import Console, share_of
+from benchmarks.families import catalogue as gear_catalogue
+from benchmarks.families.rigs import Rig
 from benchmarks.studies import arms
 from benchmarks.studies.arms import run_all, run_on_logs
 from strainwave.domain import Parameter
@@ -25,8 +27,6 @@ from strainwave.dynamics.simulation import simulate
 from strainwave.io.study import read_study
 from strainwave.pipeline import identify
 from strainwave.virtual.experiments import derived
-from strainwave.virtual.families import catalogue as gear_catalogue
-from strainwave.virtual.families.rigs import Rig
 from strainwave.virtual.records import Simulator
 
 EXACT_STEP = 4e-6

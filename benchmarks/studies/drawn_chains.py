@@ -25,6 +25,8 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.console import Console, share_of
+from benchmarks.families.catalogue import GEAR_CATALOGUE, GEAR_RATIOS
+from benchmarks.families.rigs import between
 from benchmarks.studies.arms import run_all
 from benchmarks.studies.engine import in_mujoco
 from strainwave.domain import (
@@ -47,8 +49,6 @@ from strainwave.dynamics.simulation import SensorNoise, simulate
 from strainwave.io.study import read_study
 from strainwave.pipeline import STAGES, identify
 from strainwave.virtual.experiments import derived, simulate_study
-from strainwave.virtual.families.catalogue import GEAR_CATALOGUE, GEAR_RATIOS
-from strainwave.virtual.families.rigs import between
 from strainwave.virtual.records import Simulator
 
 _MAX_STDS, _MAX_ERROR = 3.0, 0.05

@@ -22,6 +22,7 @@ from rich.table import Table
 from scipy.signal import butter, cont2discrete, lfilter, lfilter_zi
 
 from benchmarks.console import Console, share_of
+from benchmarks.families.rigs import Rig
 from benchmarks.studies.arms import draw_arm, run_all, run_on_logs
 from strainwave.domain import Control, Experiment, FloatArray, Joint, Parameter, Prbs, Study, Use
 from strainwave.domain.keys import Values
@@ -35,7 +36,6 @@ from strainwave.io.study import read_study
 from strainwave.pipeline import identify
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import derived
-from strainwave.virtual.families.rigs import Rig
 
 STEP = 5e-5  # [s] time step of MuJoCo
 

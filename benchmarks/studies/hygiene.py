@@ -20,6 +20,8 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.console import Console
+from benchmarks.families import catalogue
+from benchmarks.families.sensor_defects import DEFECT_SIZES, Injected, injected
 from benchmarks.studies import arms
 from strainwave.domain import Identification, Log, Study
 from strainwave.domain.keys import Values
@@ -28,8 +30,6 @@ from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study
 from strainwave.pipeline import identify
 from strainwave.signals import hygiene
-from strainwave.virtual.families import catalogue
-from strainwave.virtual.families.sensor_defects import DEFECT_SIZES, Injected, injected
 
 _OF_INTEREST = ("inertia", "alpha", "beta", "gamma", "gear_stiffness")
 _MAX_CHANGE = 0.01  # harmless relative change of a value

@@ -22,6 +22,7 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.console import Console, share_of
+from benchmarks.families.rigs import Rig
 from benchmarks.studies.arms import run_all, run_on_logs
 from benchmarks.studies.coverage import (
     ENGINE_PARAMETER,
@@ -40,7 +41,6 @@ from strainwave.io import logs
 from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import identify
 from strainwave.virtual.experiments import derived
-from strainwave.virtual.families.rigs import Rig
 from strainwave.virtual.records import Simulator
 
 LINKS: Mapping[str, tuple[str, ...]] = {

@@ -13,13 +13,13 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.console import Console
+from benchmarks.families import catalogue
+from benchmarks.families.catalogue import plans, with_short_records
 from strainwave.domain import Suspicion
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.io.logs import read_logs
 from strainwave.signals.consistency import check_consistency
-from strainwave.virtual.families import catalogue
-from strainwave.virtual.families.catalogue import plans, with_short_records
 from strainwave.virtual.records import record_experiment
 
 _SERIES = 7500  # of the catalogue

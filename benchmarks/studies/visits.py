@@ -16,6 +16,9 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.console import Console
+from benchmarks.families import catalogue
+from benchmarks.families.catalogue import plans, with_short_records
+from benchmarks.families.rigs import Rig
 from benchmarks.studies.arms import run_all
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
@@ -25,9 +28,6 @@ from strainwave.io.results import to_document
 from strainwave.monitoring.comparison import DIFFERS, compare
 from strainwave.monitoring.result_estimates import ResultEstimates, estimates_of
 from strainwave.pipeline import identify
-from strainwave.virtual.families import catalogue
-from strainwave.virtual.families.catalogue import plans, with_short_records
-from strainwave.virtual.families.rigs import Rig
 from strainwave.virtual.records import record_experiment
 
 _SERIES = 9000  # of the catalogue

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.families.catalogue import plans
+from benchmarks.families.causes import NO_CAUSE, OwnPlant
 from benchmarks.studies.causes.evaluation import (
     evaluate,
     matters,
@@ -19,8 +21,6 @@ from benchmarks.studies.causes.tables import tables
 
 from strainwave.domain import FloatArray
 from strainwave.dynamics.arm import Arm
-from strainwave.virtual.families.catalogue import plans
-from strainwave.virtual.families.causes import NO_CAUSE, OwnPlant
 from strainwave.virtual.plans import Plan
 from strainwave.virtual.records import Simulator
 

@@ -7,14 +7,14 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
 
 import strainwave as sw
 from campaign_rigs import inertia_of, log, rig
-from strainwave.campaign import tasks, worker
+from strainwave.campaign import worker
 from strainwave.campaign.runner import Plan
 from strainwave.campaign.store import Store
 from strainwave.campaign.study_files import Hashes, Opened
@@ -30,7 +30,6 @@ class DrawnCase:
 
     number: int
     bandwidth_hz: float | None = None
-    kind: ClassVar[str] = "drawn"
 
     @property
     def name(self) -> str:
@@ -55,11 +54,6 @@ class DrawnCase:
         data = {"motion": dict(zip(names.split(","), columns, strict=True))}
         truth: Truth = {("inertia", 1): inertia_of(self.number), ("friction_offset", 1): 0.0}
         yield Opened(study, data, truth, {"fault": None, "size": "small"})
-
-
-@pytest.fixture(autouse=True)
-def known(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(tasks.KINDS, DrawnCase.kind, DrawnCase)
 
 
 def task_of(case: DrawnCase, store: Path, **options: Any) -> Task:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from benchmarks.families.catalogue import drawn
 
 from strainwave.domain import ArmDescription, Joint, Parameter
 from strainwave.domain.kinds import single_joint
 from strainwave.domain.ranges import implausible_joints, is_physical
-from strainwave.virtual.families.catalogue import drawn
 
 GEAR_CATALOGUE = {
     8: (440.0, 1200.0),

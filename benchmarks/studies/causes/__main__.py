@@ -8,13 +8,13 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks.console import Console
+from benchmarks.families.causes import NO_CAUSE
 from benchmarks.studies.arms import run_all
 from benchmarks.studies.causes.evaluation import Engine, evaluate_in_turn
 from benchmarks.studies.causes.runs import causes
 from benchmarks.studies.causes.stated_causes import STATED, evaluate_stated, stated_table
 from benchmarks.studies.causes.tables import tables
 from strainwave import __version__
-from strainwave.virtual.families.causes import NO_CAUSE
 
 _WIDTH = 200
 

@@ -9,6 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from benchmarks.families.catalogue import plans
+from benchmarks.families.causes import NO_CAUSE, Cause, OwnPlant
 from benchmarks.studies.causes.runs import Run, can_be_named, draw_run
 from strainwave.domain import FloatArray, Identification, Study
 from strainwave.domain.keys import Values
@@ -17,8 +19,6 @@ from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.problem.effect_unknowns import effects_among
 from strainwave.pipeline import identify
 from strainwave.virtual.experiments import derived
-from strainwave.virtual.families.catalogue import plans
-from strainwave.virtual.families.causes import NO_CAUSE, Cause, OwnPlant
 from strainwave.virtual.records import Simulator, record_experiment
 
 Engine = Literal["own", "mujoco"]

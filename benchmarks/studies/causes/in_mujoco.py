@@ -16,18 +16,18 @@ from xml.etree import ElementTree as ET
 import mujoco
 import numpy as np
 
+from benchmarks.families.causes import (
+    NO_CAUSE,
+    Cause,
+    with_encoder_zero,
+    with_sensor_mount,
+)
 from benchmarks.studies.engine import STEP, Plant, in_mujoco
 from strainwave.domain import FloatArray
 from strainwave.domain.keys import Values
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Trajectory
-from strainwave.virtual.families.causes import (
-    NO_CAUSE,
-    Cause,
-    with_encoder_zero,
-    with_sensor_mount,
-)
 
 _SETTLING_STEPS = 8000
 _SETTLING_FACTOR = 0.995  # of the links' velocities per settling step

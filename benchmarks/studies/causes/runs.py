@@ -7,11 +7,11 @@ from zlib import crc32
 
 import numpy as np
 
+from benchmarks.families import catalogue
+from benchmarks.families.catalogue import with_short_records
+from benchmarks.families.causes import Cause, cause_names, joint_of, sizes_of
+from benchmarks.families.rigs import Rig
 from strainwave.domain.effects import names
-from strainwave.virtual.families import catalogue
-from strainwave.virtual.families.catalogue import with_short_records
-from strainwave.virtual.families.causes import Cause, cause_names, joint_of, sizes_of
-from strainwave.virtual.families.rigs import Rig
 
 _SEEDS = 1_000_000  # even, so that an arm that is drawn again has the same kind of spring
 _SERIES = 7000  # first series of the catalogue

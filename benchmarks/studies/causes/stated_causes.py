@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from benchmarks.families.causes import Cause, slower
 from benchmarks.studies.causes.evaluation import Engine, error_percent, evaluate, is_accurate
 from benchmarks.studies.causes.runs import Run, draw_run
 from benchmarks.studies.causes.tables import TextTable
-from strainwave.virtual.families.causes import Cause, slower
 
 Sizes = Mapping[str, float]
 _MAX_DRAWS = 60

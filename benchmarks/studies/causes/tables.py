@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from benchmarks.families.causes import NO_CAUSE
 from benchmarks.studies.causes.evaluation import (
     OUTCOMES,
     SELECTIONS,
@@ -18,7 +19,6 @@ from benchmarks.studies.causes.evaluation import (
     naming_outcome,
     selection_outcome,
 )
-from strainwave.virtual.families.causes import NO_CAUSE
 
 _NOT_NAMED = "nothing"
 _FITS = ("plain", "with_effect", "auto")

@@ -22,6 +22,8 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.console import Console
+from benchmarks.families import catalogue
+from benchmarks.families.input_faults import INPUT_FAULTS, SERIAL_FAULTS, Fault
 from benchmarks.studies import arms
 from strainwave.domain.keys import Values
 from strainwave.errors import InvalidInput
@@ -30,8 +32,6 @@ from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import STAGES, identify
 from strainwave.signals.consistency import check_consistency
 from strainwave.virtual.experiments import derived
-from strainwave.virtual.families import catalogue
-from strainwave.virtual.families.input_faults import INPUT_FAULTS, SERIAL_FAULTS, Fault
 
 _MAX_HARMLESS = 0.03  # relative error of a value
 _SOURCES = {"rig": arms.draw_rig, "catalogue": catalogue.drawn}

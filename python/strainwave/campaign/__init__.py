@@ -62,13 +62,14 @@ class Summary:
         return 0 if not self.ended_early and tally.by_status["determined"] == tally.total else 3
 
 
-def run(studies: Sequence[str], settings: Settings) -> Summary:
+def run(studies: Sequence[str] | Selection, settings: Settings) -> Summary:
     """Identify many studies, and record each run in the store when it ends.
 
-    `studies` are study files, folders, globs, tables of paths, URLs, or one campaign.toml. Raises
-    `InvalidInput` if there is no study to run or an argument is invalid.
+    `studies` are study files, folders, globs, tables of paths, URLs, or one campaign.toml; or cases
+    of any class that the workers can import. Raises `InvalidInput` if there is no study to run or
+    an argument is invalid.
     """
-    selection = find(studies)
+    selection = studies if isinstance(studies, Selection) else find(studies)
     if not selection.cases:
         raise InvalidInput("there is no study to run", remedy="give study files, folders or a glob")
     plan = _plan(selection, settings)

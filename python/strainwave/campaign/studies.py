@@ -10,16 +10,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from strainwave.campaign.drawn_arms import arms_of
 from strainwave.campaign.places import file_system, is_url, resolved
 from strainwave.campaign.study_files import Case, StudyFile
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.atomic_files import check_keys, decode, parse_toml, read_bytes
-from strainwave.virtual.families import family_of
 
 _STUDY = "study.toml"
 _GLOB = set("*?[")
-_KEYS = ("stages", "options", "studies", "family")
+_KEYS = ("stages", "options", "studies")
 
 
 @dataclass(frozen=True)
@@ -168,7 +166,7 @@ class _Url:
 
 
 def _is_campaign(path: Path) -> bool:
-    """Whether a file is a campaign.toml: it has studies or a family, but no arm."""
+    """Whether a file is a campaign.toml: it has studies, but no arm."""
     if path.suffix != ".toml" or not path.is_file():
         return False
     if path.name == "campaign.toml":
@@ -177,7 +175,7 @@ def _is_campaign(path: Path) -> bool:
         document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError):
         return False  # its reader reports the fault
-    return "arm" not in document and bool({"studies", "family"} & set(document))
+    return "arm" not in document and "studies" in document
 
 
 def _read_campaign(path: Path) -> Selection:
@@ -190,28 +188,20 @@ def _read_campaign(path: Path) -> Selection:
     if not isinstance(options, dict) or not all(isinstance(o, dict) for o in options.values()):
         raise _invalid_key(path, "options", "one table per stage, as in a study file")
     return Selection(
-        _collect_cases(document, path, text),
+        _collect_listed(document, path),
         stages=None if stages is None else tuple(stages),
         options=options,
     )
 
 
-def _collect_cases(document: Mapping[str, Any], path: Path, text: str) -> Sequence[Case]:
-    """Cases of `[studies]`, or the arms of `[family]`."""
-    if "family" not in document:
-        table = document.get("studies")
-        if not isinstance(table, dict) or set(table) != {"paths"} or not table["paths"]:
-            raise _invalid_key(path, "studies", '[studies] with paths = ["rigs/*/study.toml", ...]')
-        if not _is_list_of_text(table["paths"]):
-            raise _invalid_key(path, "studies.paths", "a list of paths, folders, globs or URLs")
-        return _collect_studies([resolved(item, str(path)) for item in table["paths"]])
-    if "studies" in document or not isinstance(document["family"], dict):
-        raise InvalidInput(
-            "has both [family] and [studies], or [family] is not a table",
-            where=str(path),
-            remedy="give one of the two tables",
-        )
-    return arms_of(family_of(document["family"], path, text), path)
+def _collect_listed(document: Mapping[str, Any], path: Path) -> Sequence[Case]:
+    """Cases of `[studies]`."""
+    table = document.get("studies")
+    if not isinstance(table, dict) or set(table) != {"paths"} or not table["paths"]:
+        raise _invalid_key(path, "studies", '[studies] with paths = ["rigs/*/study.toml", ...]')
+    if not _is_list_of_text(table["paths"]):
+        raise _invalid_key(path, "studies.paths", "a list of paths, folders, globs or URLs")
+    return _collect_studies([resolved(item, str(path)) for item in table["paths"]])
 
 
 def _is_list_of_text(value: Any) -> bool:

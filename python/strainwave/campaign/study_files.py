@@ -47,8 +47,6 @@ class Opened:
 class Case(Protocol):
     """One study of a campaign: a frozen dataclass of plain JSON values."""
 
-    kind: ClassVar[str]
-
     @property
     def name(self) -> str:
         """Value of the column `study`."""
@@ -73,7 +71,6 @@ class StudyFile:
 
     name: str
     location: str  # absolute path, or URL
-    kind: ClassVar[str] = "study-file"
     options: ClassVar[Mapping[str, Any]] = MappingProxyType({})  # the study file contains them
 
     def hashes(self) -> Hashes:

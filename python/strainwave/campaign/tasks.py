@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import pkgutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from strainwave import __version__
-from strainwave.campaign.drawn_arms import DrawnArm
-from strainwave.campaign.study_files import Case, StudyFile
+from strainwave.campaign.study_files import Case
 from strainwave.domain import Stage
-
-KINDS: dict[str, type] = {kind.kind: kind for kind in (StudyFile, DrawnArm)}
-"""Class of each kind; a worker creates a case from its kind and its fields."""
 
 FAILED_STATUS = "failed"
 """Status of a run without a verdict: wrong input, a crash, or the time limit."""
@@ -69,14 +66,16 @@ class Task:
     def to_json(self) -> str:
         """One line."""
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return json.dumps(fields | {"case": {"kind": self.case.kind, **vars(self.case)}})
+        kind = type(self.case)
+        case = {"kind": f"{kind.__module__}:{kind.__qualname__}", "fields": vars(self.case)}
+        return json.dumps(fields | {"case": case})
 
     @classmethod
     def from_json(cls, text: str) -> Task:
         """The task of a line."""
         fields = json.loads(text)
-        kind = KINDS[fields["case"].pop("kind")]
-        fields |= {"case": kind(**fields["case"]), "stages": tuple(fields["stages"])}
+        kind = pkgutil.resolve_name(fields["case"]["kind"])
+        fields |= {"case": kind(**fields["case"]["fields"]), "stages": tuple(fields["stages"])}
         return cls(**fields)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.families.sensor_defects import DEFECT_SIZES, Injected, injected
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -17,7 +18,6 @@ from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study
 from strainwave.signals import hygiene
 from strainwave.virtual import scara
-from strainwave.virtual.families.sensor_defects import DEFECT_SIZES, Injected, injected
 
 SMALL_ARM = Path(__file__).parents[2] / "data" / "small-arm" / "study.toml"
 SHARED = Path(__file__).parents[4] / "shared" / "data"

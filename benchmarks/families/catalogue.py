@@ -16,6 +16,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from annotated_types import Ge, Le, MinLen
 
+from benchmarks.families.rigs import Rig, between, rig_experiments
 from strainwave.domain import Control, Joint, Prbs, Servo, Spring, Study
 from strainwave.domain.arm import NonNegative, Positive
 from strainwave.domain.keys import Values
@@ -23,7 +24,6 @@ from strainwave.domain.kinds import planar_two_link
 from strainwave.domain.kinds.base import in_plane_gravity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
-from strainwave.virtual.families.rigs import Rig, between, rig_experiments
 from strainwave.virtual.plans import Plan, default_plan
 
 GEAR_CATALOGUE = {

@@ -7,14 +7,14 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
+from benchmarks.families.catalogue import Friction
+from benchmarks.families.drawing import FAULTS, Sensors
 
+from benchmarks.families import Family, family_of, fields_of
 from strainwave.errors import InvalidInput
-from strainwave.virtual.families import Family, family_of, fields_of
-from strainwave.virtual.families.catalogue import Friction
-from strainwave.virtual.families.drawing import FAULTS, Sensors
 
 PATH = Path("campaign.toml")
-EXAMPLES = Path(__file__).parents[3] / "examples" / "campaigns"
+EXAMPLES = Path(__file__).parents[3] / "benchmarks" / "families"
 
 
 def read(text: str) -> Family:

@@ -8,10 +8,10 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from benchmarks.families.drawing import FAULTS, LinkSensors, Sensors, VirtualArm
 
+from benchmarks.families import Family, Recorded, draw, record
 from strainwave.domain import FloatArray
-from strainwave.virtual.families import Family, Recorded, draw, record
-from strainwave.virtual.families.drawing import FAULTS, LinkSensors, Sensors, VirtualArm
 
 BASE = Family(arms=1, sizes=(14,), sample_times=(1e-3,), springs=("linear",))
 Pair = tuple[FloatArray, FloatArray]  # without and with the fault

@@ -11,8 +11,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
 
+from benchmarks.families import Family, draw, family_of, fields_of, record
 from strainwave.campaign.study_files import Hashes, Opened
-from strainwave.virtual.families import Family, draw, family_of, fields_of, record
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,6 @@ class DrawnArm:
     name: str  # campaign.toml#number
     family: Mapping[str, Any]  # as in `[family]`
     number: int  # from 0
-    kind: ClassVar[str] = "drawn-arm"
     options: ClassVar[Mapping[str, Any]] = MappingProxyType({})  # the campaign contains them
 
     def hashes(self) -> Hashes:

@@ -6,7 +6,7 @@ memory. Some arms have a fault in their input, or an effect that their study doe
 
 from __future__ import annotations
 
-from strainwave.virtual.families.drawing import (
+from benchmarks.families.drawing import (
     Family,
     Recorded,
     VirtualArm,

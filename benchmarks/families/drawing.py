@@ -1,6 +1,6 @@
 """Draw the arms of a family and simulate their experiments in memory.
 
-Description of a family of virtual arms: `[family]` of a campaign.toml.
+`[family]` of a file describes a family of virtual arms.
 """
 
 from __future__ import annotations
@@ -14,16 +14,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from annotated_types import Ge, Le, MinLen
 
-from strainwave.domain import Channel, FloatArray, Log, Study
-from strainwave.domain.arm import Joint
-from strainwave.domain.keys import Values
-from strainwave.dynamics.arm import Arm
-from strainwave.errors import InvalidInput, suggest_name
-from strainwave.io.logs import read_logs
-from strainwave.io.study.reader import Reader
-from strainwave.signals.hygiene import Kind
-from strainwave.virtual.experiments import derived
-from strainwave.virtual.families.catalogue import (
+from benchmarks.families.catalogue import (
     GEAR_CATALOGUE,
     SPRINGS,
     Choices,
@@ -33,7 +24,7 @@ from strainwave.virtual.families.catalogue import (
     plans,
     with_short_records,
 )
-from strainwave.virtual.families.causes import (
+from benchmarks.families.causes import (
     NO_CAUSE,
     Cause,
     OwnPlant,
@@ -41,9 +32,18 @@ from strainwave.virtual.families.causes import (
     joint_of,
     sizes_of,
 )
-from strainwave.virtual.families.input_faults import INPUT_FAULTS, Fault
-from strainwave.virtual.families.rigs import Rig, between
-from strainwave.virtual.families.sensor_defects import DEFECT_SIZES, injected
+from benchmarks.families.input_faults import INPUT_FAULTS, Fault
+from benchmarks.families.rigs import Rig, between
+from benchmarks.families.sensor_defects import DEFECT_SIZES, injected
+from strainwave.domain import Channel, FloatArray, Log, Study
+from strainwave.domain.arm import Joint
+from strainwave.domain.keys import Values
+from strainwave.dynamics.arm import Arm
+from strainwave.errors import InvalidInput, suggest_name
+from strainwave.io.logs import read_logs
+from strainwave.io.study.reader import Reader
+from strainwave.signals.hygiene import Kind
+from strainwave.virtual.experiments import derived
 from strainwave.virtual.records import record_experiment
 
 Share = Annotated[float, Ge(0.0), Le(1.0)]

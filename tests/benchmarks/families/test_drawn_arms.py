@@ -6,21 +6,21 @@ import json
 from pathlib import Path
 
 import pytest
+from benchmarks.families.__main__ import cases_of
 
 import strainwave as sw
 from strainwave.campaign import worker
 from strainwave.campaign.runner import Plan
 from strainwave.campaign.store import Store
-from strainwave.campaign.studies import find
 from strainwave.campaign.study_files import Case
 from strainwave.campaign.tasks import Task
 from strainwave.errors import InvalidInput
 
 
 def cases(folder: Path, text: str) -> list[Case]:
-    path = folder / "campaign.toml"
+    path = folder / "family.toml"
     path.write_text(text)
-    return list(find([str(path)]).cases)
+    return list(cases_of(path).cases)
 
 
 def task_of(case: Case, store: Path) -> Task:
@@ -31,7 +31,7 @@ def task_of(case: Case, store: Path) -> Task:
 
 def test_a_family_has_one_case_per_arm(tmp_path: Path) -> None:
     found = cases(tmp_path, "[family]\narms = 12\n")
-    assert [case.name for case in found] == [f"{tmp_path}/campaign.toml#{n}" for n in range(12)]
+    assert [case.name for case in found] == [f"{tmp_path}/family.toml#{n}" for n in range(12)]
     assert len({case.hashes().inputs_sha256 for case in found}) == 12
 
 
@@ -70,11 +70,11 @@ def test_a_refused_run_has_the_fault_as_message(
     ("text", "message"),
     [
         ("[family]\narms = 1\nseeds = 3\n", "the key 'seeds' is unknown"),
-        ('[family]\narms = 1\n[studies]\npaths = ["a"]\n', "both [family] and [studies]"),
-        ("family = 3\n", "is not a table"),
+        ('[family]\narms = 1\n[studies]\npaths = ["a"]\n', "unknown key 'studies'"),
+        ("family = 3\n", "has no table [family]"),
     ],
 )
 def test_a_wrong_family_is_refused(tmp_path: Path, text: str, message: str) -> None:
-    with pytest.raises(InvalidInput, match=r"campaign\.toml") as refused:
+    with pytest.raises(InvalidInput, match=r"family\.toml") as refused:
         cases(tmp_path, text)
     assert message in str(refused.value)

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.families.catalogue import GEAR_CATALOGUE, Friction
+from benchmarks.families.causes import cause_names
+from benchmarks.families.drawing import FAULTS, Sensors, VirtualArm
 
-from strainwave.virtual.families import Family, Recorded, draw, record
-from strainwave.virtual.families.catalogue import GEAR_CATALOGUE, Friction
-from strainwave.virtual.families.causes import cause_names
-from strainwave.virtual.families.drawing import FAULTS, Sensors, VirtualArm
+from benchmarks.families import Family, Recorded, draw, record
 
 BASE = Family(arms=6)
 CHANGED: dict[str, Any] = {

@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.families.catalogue import plans
+from benchmarks.families.rigs import Rig, between
 from strainwave.domain import ArmDescription, FloatArray, Study
 from strainwave.domain.effects import KnownJoint, all_effects, effect_named, names
 from strainwave.domain.keys import Values
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Trajectory, simulate
-from strainwave.virtual.families.catalogue import plans
-from strainwave.virtual.families.rigs import Rig, between
 
 NO_CAUSE = "none"
 _SIZE_FACTORS = (0.3, 3.0)  # over the typical sizes of an effect
