@@ -35,7 +35,6 @@ from strainwave.domain import (
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import StrainwaveError
 from strainwave.identification.joint_model.agreement import compare_response
-from strainwave.identification.joint_model.bands import FIRST_BAND_HZ, Band, resonances_of
 from strainwave.identification.joint_model.grey_box import Solved, solve
 from strainwave.identification.joint_model.linear import (
     LinearFit,
@@ -50,7 +49,13 @@ from strainwave.identification.joint_model.motor_side import (
     models_from_motors,
 )
 from strainwave.identification.joint_model.rigid_knowledge import RigidKnowledge, rigid_knowledge
-from strainwave.identification.joint_model.stretches import band_for, other_bands
+from strainwave.identification.joint_model.stretches import (
+    FIRST_BAND_HZ,
+    Band,
+    band_for,
+    other_bands,
+    resonances_of,
+)
 from strainwave.identification.joint_model.transfer import from_state_space
 from strainwave.numerics.parallel import one_blas_thread
 

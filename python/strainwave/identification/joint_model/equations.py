@@ -14,8 +14,8 @@ import numpy as np
 from strainwave.domain import Decoupled, FloatArray, IntArray, LinkSignals
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, joint_of
-from strainwave.identification.joint_model.bands import Band
 from strainwave.identification.joint_model.rigid_knowledge import RigidKnowledge
+from strainwave.identification.joint_model.stretches import Band
 from strainwave.numerics import least_squares as ls
 from strainwave.numerics.filters import apply_lags_without_aliases, band_pass, band_passes
 from strainwave.numerics.linalg import Banded

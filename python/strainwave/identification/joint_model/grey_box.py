@@ -29,13 +29,6 @@ from strainwave.domain.parameter_table import COULOMB
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, anti_resonance, jacobian, resonance
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.joint_model.bands import (
-    FIRST_BAND_HZ,
-    Band,
-    limit_band,
-    neighbouring_bands,
-    same_band,
-)
 from strainwave.identification.joint_model.equations import (
     PHYSICAL_COLUMNS,
     Records,
@@ -45,6 +38,13 @@ from strainwave.identification.joint_model.equations import (
 )
 from strainwave.identification.joint_model.joint_estimate import JointEstimate
 from strainwave.identification.joint_model.rigid_knowledge import RigidKnowledge
+from strainwave.identification.joint_model.stretches import (
+    FIRST_BAND_HZ,
+    Band,
+    limit_band,
+    neighbouring_bands,
+    same_band,
+)
 from strainwave.numerics import least_squares as ls
 
 Columns = TypeVar("Columns", LinkSignals, Decoupled)

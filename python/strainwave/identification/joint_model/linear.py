@@ -24,19 +24,17 @@ from strainwave.domain import (
     StateSpace,
 )
 from strainwave.errors import NotIdentifiable, StrainwaveError
-from strainwave.identification.joint_model.bands import (
+from strainwave.identification.joint_model.stretches import (
     FIRST_BAND_HZ,
     Band,
-    resonances_of,
-    same_band,
-)
-from strainwave.identification.joint_model.stretches import (
     band_around,
     band_for,
     decimated_hz,
     input_output_of,
     limit_to_rate,
     limit_to_records,
+    resonances_of,
+    same_band,
 )
 from strainwave.signals.channels import check_alike
 from strainwave.statespace import (

@@ -25,15 +25,13 @@ from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.published import published_search
 from strainwave.identification.whole_arm.search.solver import (
     Progress,
+    are_exceptions,
     coarse_search,
+    find_undescribed,
     fine_search,
     polish,
     refine,
     report_progress,
-)
-from strainwave.identification.whole_arm.search.undescribed_records import (
-    are_exceptions,
-    find_undescribed,
 )
 from strainwave.identification.whole_arm.selection.candidate import Selection
 from strainwave.identification.whole_arm.selection.causes import Comparison, include_effects

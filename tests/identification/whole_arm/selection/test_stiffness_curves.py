@@ -9,7 +9,7 @@ import pytest
 
 from strainwave.domain.gear_laws.three_slope import KNEES, SLOPES, ThreeSlope
 from strainwave.domain.keys import Values
-from strainwave.identification.whole_arm.selection.stiffness_curves import alternative_curves
+from strainwave.identification.whole_arm.selection.gear_laws import alternative_curves
 
 LAW, LARGEST = ThreeSlope(), 40.0
 NAMES = (*SLOPES, *KNEES)

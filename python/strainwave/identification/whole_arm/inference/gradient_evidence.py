@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import FloatArray, IntArray
-from strainwave.identification.whole_arm.problem.error_correlation import noise_autocovariances
 from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD
-from strainwave.identification.whole_arm.problem.weighted_rows import Rows
+from strainwave.identification.whole_arm.problem.weighted_rows import Rows, noise_autocovariances
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.numerics.spectra import spectrum_and_autocovariance
 

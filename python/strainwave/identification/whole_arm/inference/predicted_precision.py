@@ -19,12 +19,12 @@ from strainwave.identification.whole_arm.inference.covariance import (
     inverse_information,
 )
 from strainwave.identification.whole_arm.inference.gradient_evidence import gradient_covariances
-from strainwave.identification.whole_arm.problem.error_correlation import (
+from strainwave.identification.whole_arm.problem.objective import MIN_ERROR_SHARE
+from strainwave.identification.whole_arm.problem.prior import combination, reference_sizes
+from strainwave.identification.whole_arm.problem.weighted_rows import (
     filtered_rows_per_error,
     noise_autocovariances,
 )
-from strainwave.identification.whole_arm.problem.objective import MIN_ERROR_SHARE
-from strainwave.identification.whole_arm.problem.prior import combination, reference_sizes
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.preparation import (
     cutoff_of,

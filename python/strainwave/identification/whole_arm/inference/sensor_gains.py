@@ -23,10 +23,9 @@ from strainwave.identification.whole_arm.inference.covariance import (
     confidence_of,
     inverse_information,
 )
-from strainwave.identification.whole_arm.problem.error_correlation import filtered_rows_per_error
 from strainwave.identification.whole_arm.problem.objective import MIN_ERROR_SHARE
 from strainwave.identification.whole_arm.problem.prior import combination
-from strainwave.identification.whole_arm.problem.weighted_rows import Rows
+from strainwave.identification.whole_arm.problem.weighted_rows import Rows, filtered_rows_per_error
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.numerics.linalg import triangular_factor

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray
+from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.numerics.linalg import triangular_factor
+from strainwave.numerics.spectra import rows_per_error
 from strainwave.numerics.trust_region import Linearised
 
 # maximum updates of the robust weights in the solution for record parameters
@@ -194,3 +196,23 @@ def _losses(residual: FloatArray, weights: Weights) -> FloatArray:
 def _robust_weight(residual: FloatArray, weights: Weights) -> FloatArray:
     """Weights (1 + r^2)^(-1/2) / rows per independent error (soft L1 loss)."""
     return np.asarray(1.0 / (np.sqrt(1.0 + residual**2) * weights.rows_per_error))
+
+
+def white_noise_autocovariance(taps: FloatArray, step: int) -> FloatArray:
+    """Autocovariance (n_lags,) of filtered and decimated white noise of unit variance.
+
+    `taps` (n_taps,) are those of the filter; a row follows every `step` samples. The first lag is
+    zero.
+    """
+    return np.array([taps[: len(taps) - k] @ taps[k:] for k in range(0, len(taps), step)])
+
+
+def noise_autocovariances(record: Dataset) -> list[FloatArray]:
+    """Autocovariance (n_lags,) of each channel's noise for white sensor noise of unit variance."""
+    taps = (record.kernels.taps(rate=channel.rate) for channel in record.channels)
+    return [white_noise_autocovariance(one, record.kernels.step) for one in taps]
+
+
+def filtered_rows_per_error(record: Dataset) -> FloatArray:
+    """Rows per independent error (n_channels,) of filtered white noise."""
+    return np.array([rows_per_error(lags) for lags in noise_autocovariances(record)])

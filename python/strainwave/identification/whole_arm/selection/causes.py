@@ -61,7 +61,7 @@ from strainwave.identification.whole_arm.records.loads import Loads, gear_torque
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search, polish, search_minimum
 from strainwave.identification.whole_arm.selection.candidate import Selection
-from strainwave.identification.whole_arm.selection.search_ranges import extend_ranges
+from strainwave.identification.whole_arm.selection.further_unknowns import extend_ranges
 from strainwave.identification.whole_arm.selection.sensor_constants import (
     add_significant_sensor_constants,
     remove_insignificant_sensor_constants,

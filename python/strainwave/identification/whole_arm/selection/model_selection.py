@@ -11,35 +11,31 @@ from functools import partial
 
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection
-from strainwave.identification.whole_arm.selection.gear_laws import select_gear_laws
-from strainwave.identification.whole_arm.selection.initial_motion import (
+from strainwave.identification.whole_arm.selection.further_unknowns import (
+    add_named_effects,
+    add_settling_times,
     add_significant_initial_motion,
+    extend_ranges,
+    remove_insignificant_effects,
+    remove_insignificant_settling_times,
+)
+from strainwave.identification.whole_arm.selection.gear_laws import (
+    remove_insignificant_stiffness_terms,
+    restart_coarse_fit,
+    restart_fine_fit,
+    select_gear_laws,
+    straighten_curves,
 )
 from strainwave.identification.whole_arm.selection.mountings import (
     add_significant_tilts,
     improve_mountings,
 )
-from strainwave.identification.whole_arm.selection.named_effects import (
-    add_named_effects,
-    remove_insignificant_effects,
-)
-from strainwave.identification.whole_arm.selection.search_ranges import extend_ranges
 from strainwave.identification.whole_arm.selection.sensor_constants import (
     add_sensor_bandwidths,
     add_significant_sensor_constants,
     remove_insignificant_sensor_constants,
 )
 from strainwave.identification.whole_arm.selection.sensor_mounts import add_mount_resonances
-from strainwave.identification.whole_arm.selection.settling_times import (
-    add_settling_times,
-    remove_insignificant_settling_times,
-)
-from strainwave.identification.whole_arm.selection.stiffness_curves import (
-    remove_insignificant_stiffness_terms,
-    restart_coarse_fit,
-    restart_fine_fit,
-    straighten_curves,
-)
 
 COARSE: tuple[Candidate, ...] = (
     add_significant_initial_motion,
