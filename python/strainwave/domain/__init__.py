@@ -33,6 +33,8 @@ from strainwave.domain.arm_model import ResidualTest as ResidualTest
 from strainwave.domain.arm_model import SensorGain as SensorGain
 from strainwave.domain.arm_model import StageDifference as StageDifference
 from strainwave.domain.arm_model import TorqueHistogram as TorqueHistogram
+from strainwave.domain.base_parameters import BaseParameters as BaseParameters
+from strainwave.domain.combinations import SharedViscousFriction as SharedViscousFriction
 from strainwave.domain.consistency import Consistency as Consistency
 from strainwave.domain.consistency import Correction as Correction
 from strainwave.domain.consistency import InputCheck as InputCheck
@@ -74,9 +76,14 @@ from strainwave.domain.options import LinearOptions as LinearOptions
 from strainwave.domain.options import LinkOptions as LinkOptions
 from strainwave.domain.options import Options as Options
 from strainwave.domain.options import PhysicalOptions as PhysicalOptions
+from strainwave.domain.options import ProgressEvent as ProgressEvent
 from strainwave.domain.options import RigidOptions as RigidOptions
 from strainwave.domain.options import Stage as Stage
 from strainwave.domain.options import WholeArmOptions as WholeArmOptions
+from strainwave.domain.parameter_table import ParameterDescription as ParameterDescription
+from strainwave.domain.ranges import ImplausibleJoint as ImplausibleJoint
+from strainwave.domain.ranges import PlausibleRange as PlausibleRange
+from strainwave.domain.ranges import SizedValue as SizedValue
 from strainwave.domain.ranges import is_physical as is_physical
 from strainwave.domain.ranges import physical_range as physical_range
 from strainwave.domain.signals import Activity as Activity
@@ -96,6 +103,7 @@ from strainwave.domain.stage_results import JointModel as JointModel
 from strainwave.domain.stage_results import RecordModel as RecordModel
 from strainwave.domain.stage_results import Resonance as Resonance
 from strainwave.domain.stage_results import RigidModel as RigidModel
+from strainwave.domain.stage_results import StageResults as StageResults
 from strainwave.domain.stage_results import Sweep as Sweep
 from strainwave.domain.stage_results import SweepPoint as SweepPoint
 from strainwave.domain.stage_results import TorsionFit as TorsionFit
@@ -105,6 +113,7 @@ from strainwave.domain.study import Experiment as Experiment
 from strainwave.domain.study import Payload as Payload
 from strainwave.domain.study import Prbs as Prbs
 from strainwave.domain.study import Study as Study
+from strainwave.domain.study import StudyKey as StudyKey
 from strainwave.domain.study import TopicChannel as TopicChannel
 from strainwave.domain.study import Use as Use
 from strainwave.domain.study import channel_kinds as channel_kinds

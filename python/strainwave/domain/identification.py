@@ -99,8 +99,14 @@ def _unused_checks(results: StageResults) -> Iterator[Clause]:
         if simulated and not channel:
             yield Clause("check/rest", joint=joint)
         elif simulated and effect < MIN_STIFFNESS_EFFECT:
-            sizes = {"effect": effect, "limit": MIN_STIFFNESS_EFFECT}
-            yield Clause("check/insensitive", joint=joint, channel=channel, record=record, **sizes)
+            yield Clause(
+                "check/insensitive",
+                joint=joint,
+                channel=channel,
+                record=record,
+                effect=effect,
+                limit=MIN_STIFFNESS_EFFECT,
+            )
 
 
 def merge_by_cause(warnings: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
