@@ -14,7 +14,7 @@ from textwrap import fill
 from strainwave.commands import command_texts
 from strainwave.domain.messages import catalogue
 from strainwave.domain.options import option_texts
-from strainwave.domain.study_keys import study_keys
+from strainwave.domain.study import study_keys
 
 HERE = Path(__file__).parent
 _WIDTH = 120  # columns

@@ -213,7 +213,7 @@ def _square_std(model: JointModel, joint: TwoInertia) -> float:
     """Standard deviation of the squared anti-resonance."""
 
     def square(vector: FloatArray) -> FloatArray:
-        return np.array([_square(joint.with_vector(vector))])
+        return np.array([_square(joint_of(vector, joint.gear_ratio))])
 
     count = len(NAMES)
     J = jacobian(square, joint.vector)

@@ -31,8 +31,8 @@ from strainwave.domain import (
 )
 from strainwave.domain.gear_laws import gear_law
 from strainwave.domain.keys import Values
+from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.domain.options import PUBLISHED_OPTIONS, Channels, EstimationMethod
-from strainwave.domain.quantities import Quantity
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory, measure, simulate
@@ -44,7 +44,7 @@ from strainwave.identification.joint_model import from_state_space, identify_joi
 from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.signals import motor as signals
 from strainwave.signals.link_motion import prepare_link_signals
-from strainwave.virtual.plans import STEP_HOLD, smooth_reference
+from strainwave.virtual.records import STEP_HOLD, smooth_reference
 from strainwave.virtual.scara import SOFT, BuiltInArm
 
 

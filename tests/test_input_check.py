@@ -14,7 +14,7 @@ import strainwave as sw
 from strainwave.cli import app
 from strainwave.domain import Channel, Clause, Consistency, InputCheck, Place, Suspicion
 from strainwave.domain.messages import templates
-from strainwave.io.check_document import check_document
+from strainwave.io.results import check_document
 from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import identify
 from strainwave.presentation.terminal import print_check

@@ -23,9 +23,8 @@ from strainwave.domain import (
 )
 from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import Axis
-from strainwave.domain.link_sensors.accelerometer import Accelerometer
-from strainwave.domain.link_sensors.encoders import LinkEncoder
-from strainwave.domain.quantities import Quantity
+from strainwave.domain.link_sensors.link_space import Quantity
+from strainwave.domain.link_sensors.single_axis import Accelerometer, LinkEncoder
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, simulate
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown

@@ -34,7 +34,7 @@ from strainwave.domain import (
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.formatting import percent, plus_minus
 from strainwave.domain.keys import label_of
-from strainwave.domain.progress import Progress, ProgressEvent, ignore_progress
+from strainwave.domain.options import Progress, ProgressEvent, ignore_progress
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import inverse_dynamics
 from strainwave.errors import Cancelled, InvalidInput, import_optional, suggest_name
@@ -268,7 +268,6 @@ class Parameters(Sequence[Parameter]):
         return next((p for p in self._parameters if p.label == label), None)
 
     def _describe_unknown(self, key: Key) -> str:
-        """Message that names the nearest keys."""
         import difflib
 
         name, joint = (key, None) if isinstance(key, str) else key
@@ -686,7 +685,6 @@ class Result:
         return arm_of(self._document, self.source)
 
     def _rigid_model(self) -> tuple[Arm, RigidModel]:
-        """The arm with its drives, and its rigid model."""
         arm = Arm.of(self._arm().with_identified_drives().study.arm)
         model = results.rigid_model_of(self._document, len(arm.rigid_columns))
         if model is None:

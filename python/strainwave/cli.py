@@ -111,7 +111,6 @@ def init(
 def _verdict_of_check(study: Path) -> str:
     """The verdict of the consistency check in one line; a draft with a fault remains a draft."""
     from strainwave import pipeline
-    from strainwave.errors import InvalidInput
 
     try:
         result = pipeline.check_input(study)
@@ -184,8 +183,7 @@ def check(
         report("checking the input")
         result = pipeline.check_input(study, options=_accepted(accept) or None)
     if as_json:
-        from strainwave.io.check_document import check_document
-        from strainwave.io.results import to_json
+        from strainwave.io.results import check_document, to_json
 
         typer.echo(to_json(check_document(result)).decode(), nl=False)
     elif not quiet:

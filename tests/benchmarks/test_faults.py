@@ -37,7 +37,7 @@ def suspicion(code: str, *corrections: Correction, channel: str = "theta_m2") ->
 
 
 def answer(*suspected: Suspicion, unchecked: tuple[str, ...] = ()) -> InputCheck:
-    return InputCheck(NOTHING, (), suspected, (), unchecked, 0.0)
+    return InputCheck(study=NOTHING, suspected=suspected, unchecked=unchecked, seconds=0.0)
 
 
 def ratio(factor: float, given: Input) -> Input:

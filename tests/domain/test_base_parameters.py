@@ -8,8 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from strainwave.domain import ArmDescription, FloatArray, Joint, Motion, Origin
-from strainwave.domain.base_parameters import base_parameters
-from strainwave.domain.core_arm import core_arm
+from strainwave.domain.base_parameters import base_parameters, core_arm
 from strainwave.domain.keys import Key
 from strainwave.domain.kinds import kind_of, planar_two_link, single_joint
 from strainwave.dynamics.arm import Arm

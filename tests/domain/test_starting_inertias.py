@@ -5,7 +5,7 @@ from benchmarks.studies.drawn_chains import draw_chain
 
 from strainwave.domain.combinations import value_of
 from strainwave.domain.kinds import kind_of
-from strainwave.domain.kinds.bodies import StageInertias
+from strainwave.domain.kinds.base import StageInertias
 from strainwave.dynamics.arm import Arm
 
 

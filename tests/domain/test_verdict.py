@@ -33,9 +33,9 @@ from strainwave.domain import (
     half_width,
     is_physical,
 )
-from strainwave.domain.diagnostics import merge_by_cause
+from strainwave.domain.arm import unit_of
+from strainwave.domain.identification import merge_by_cause
 from strainwave.domain.messages import Clause
-from strainwave.domain.units import unit_of
 from strainwave.domain.verdict import model_defects
 from strainwave.virtual import scara
 from virtual_arms import rigid_drive, rigid_two_link

@@ -24,7 +24,7 @@ from strainwave.domain.link_sensors import (
     with_bandwidths,
     with_estimates,
 )
-from strainwave.domain.link_sensors.encoders import MotorEncoder
+from strainwave.domain.link_sensors.single_axis import MotorEncoder
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import apply_sensor_model, differentiate_rows, shift_samples
 from strainwave.signals.hygiene.defects import count_of

@@ -13,15 +13,15 @@ from strainwave.domain.kinds import change_arm_keys
 from strainwave.domain.link_sensors import Axis, mounted_axes, unknowns_of
 from strainwave.domain.link_sensors.imu import ImuAccelerometers
 from strainwave.domain.link_sensors.link_space import (
+    Quantity,
     accelerometer_weights,
     angles,
     attitude,
     rotation,
 )
-from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
-from strainwave.signals.imu_attitude import estimate_imu_starts
+from strainwave.signals.imu_attitude import imu_candidates
 from strainwave.signals.link_readings import JointMotion
 from strainwave.signals.mounting_start import estimate_mounting_starts, link_quantities
 from strainwave.virtual import scara
@@ -234,7 +234,7 @@ def test_the_search_recovers_a_random_mounting(
         parts = link_quantities(axis, Arm.of(true.arm), JointMotion(q, dq, ddq))
         rows = np.column_stack([parts, parts @ axis.weights({})])
         tables.append(rows - rows.mean(axis=0))
-    starts = estimate_imu_starts(imu_axes, tables)
+    starts = imu_candidates(imu_axes, tables)[0]
     for axis, true_axis, table in zip(imu_axes, true_axes, tables, strict=True):
         counts, expected = axis.weights(starts), true_axis.weights({})
         is_excited = np.linalg.norm(table[:, :-1], axis=0) > 1e-9

@@ -10,7 +10,7 @@ import pytest
 from strainwave.domain import Experiment, FloatArray, Prbs, Study
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import change_arm_keys
-from strainwave.domain.quantities import Quantity
+from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics.arm import MAX_TIME_STEP, Arm
 from strainwave.dynamics.simulation import (
     Drive,

@@ -15,7 +15,7 @@ from strainwave import experiment_design as design
 from strainwave.domain import ArmDescription, Experiment, JointLimits, Study
 from strainwave.domain.combinations import value_of
 from strainwave.domain.keys import Values
-from strainwave.domain.rigid_model import ASSUMED_TORQUE_ERROR
+from strainwave.domain.stage_results import ASSUMED_TORQUE_ERROR
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design import rigid_motion

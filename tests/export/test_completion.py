@@ -16,7 +16,7 @@ import exports
 from strainwave.domain import FloatArray, FrictionTerm, Parameter, RigidModel, Study
 from strainwave.domain.combinations import rigid_columns, value_of
 from strainwave.domain.keys import Values
-from strainwave.domain.rigid_model import ASSUMED_TORQUE_ERROR
+from strainwave.domain.stage_results import ASSUMED_TORQUE_ERROR
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import inverse_dynamics
 from strainwave.export import IdentifiedArm, export_arm, export_file

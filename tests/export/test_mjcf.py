@@ -16,7 +16,7 @@ from strainwave.domain.arm import Matrix
 from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import mounted_axes
 from strainwave.domain.link_sensors.imu import IMU_ATTITUDE, IMU_POSITION
-from strainwave.domain.quantities import Quantity
+from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate

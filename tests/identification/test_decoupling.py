@@ -209,7 +209,9 @@ def test_a_single_joint_has_gravity_or_nothing_beside_its_motor(
             "valid",
         )
     }
-    sensor_signals = replace(sensor_signals, **columns, held=(False,), fusion=(None,))
+    sensor_signals = replace(
+        sensor_signals, **columns, held=(False,), links=sensor_signals.links[:1]
+    )
     model = true_model(two_link, rig_values(two_link))
     parameters = tuple(
         replace(model.parameters[0], name=name, joint=number, value=value)

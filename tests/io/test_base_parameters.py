@@ -17,7 +17,7 @@ from strainwave.domain.arm import ArmDescription, LinkPrior, Urdf
 from strainwave.domain.base_parameters import BaseParameters, base_parameters
 from strainwave.domain.consistent_links import consistent_links, is_consistent, priors_of
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.kinds.bodies import LINK_PARAMETERS
+from strainwave.domain.kinds.base import LINK_PARAMETERS
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NumericalFailure
 from strainwave.io import base_parameters as module

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from elastic_runs import SAMPLE, log_of, prbs_run, rig
-from strainwave.domain import FloatArray, Fusion, Lag, Log, Study
-from strainwave.domain.quantities import Quantity
+from strainwave.domain import FloatArray, Fusion, Lag, LinkOptions, Log, Study
+from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Trajectory
 from strainwave.errors import InvalidInput
@@ -26,6 +26,7 @@ from strainwave.numerics.filters import (
     differentiate,
 )
 from strainwave.signals import link_motion as links
+from strainwave.signals.delays import build_delay_warnings, list_removed_delays
 from strainwave.signals.link_motion import bias_of, complement, fuse
 
 INNER = slice(400, -400)  # samples without filter transients
@@ -132,8 +133,8 @@ def test_band_passes_give_integrals_and_derivatives_of_several_signals() -> None
     wanted = [(0, 0), (0, -1), (0, -2), (1, 0), (1, 1)]
     passed = band_passes(signals, wanted, 5.0, 80.0, SAMPLE)
     for column, (k, integrals) in enumerate(wanted[::3]):
-        alone = band_pass(signals[:, k], 5.0, 80.0, SAMPLE, integrals=integrals)
-        assert passed[:, 3 * column] == pytest.approx(alone, abs=1e-12)
+        alone = band_passes(signals[:, [k]], [(0, integrals)], 5.0, 80.0, SAMPLE)
+        assert passed[:, [3 * column]] == pytest.approx(alone, abs=1e-12)
     sine, velocity, acceleration = passed[2400:-2400, :3].T
     gain = (1.0 + 0.25**8) ** -2.0
     assert sine == pytest.approx(gain * np.sin(w * t)[2400:-2400], abs=1e-4)
@@ -213,7 +214,10 @@ def test_biases_are_subtracted_and_reported() -> None:
         replace(log, channels={**log.channels, "a1": a1, "a2": a2}), Arm.of(study.arm)
     )
     plain = links.prepare_link_signals(log, Arm.of(study.arm))
-    assert motion.bias - plain.bias == pytest.approx([0.12 / 0.33, -0.20 / 0.27 - 0.0], abs=2e-3)
+    biases = [
+        after.bias - before.bias for after, before in zip(motion.links, plain.links, strict=True)
+    ]
+    assert biases == pytest.approx([0.12 / 0.33, -0.20 / 0.27 - 0.0], abs=2e-3)
     assert motion.link_velocity == pytest.approx(plain.link_velocity, abs=5e-3)
 
 
@@ -223,12 +227,13 @@ def test_the_estimated_fusion_error_agrees_with_the_true_error() -> None:
     truth = apply_lags(run["link_velocity"], SHARED, SAMPLE)
     errors = []
     for order, time_constant in ((1, 0.05), (1, 0.2), (2, 0.2)):
-        options = links.LinkOptions(time_constant, 1 if order == 1 else 2)
+        options = LinkOptions(time_constant, 1 if order == 1 else 2)
         motion = links.prepare_link_signals(log_of(run), Arm.of(study.arm), options)
         error = (motion.link_velocity - truth)[INNER].std(axis=0)
-        assert motion.fusion == (Fusion(time_constant, options.order),) * 2
+        assert {link.fusion for link in motion.links} == {Fusion(time_constant, options.order)}
         # The error estimate uses the fused velocity in place of the true one.
-        assert np.all(np.abs(np.log(motion.fusion_error / error)) < np.log(1.6))
+        estimates = [link.fusion_error for link in motion.links]
+        assert np.all(np.abs(np.log(estimates / error)) < np.log(1.6))
         errors.append(error)
     assert np.all(errors[0] > errors[1])
     assert np.all(errors[1] > errors[2])
@@ -259,14 +264,14 @@ def test_every_kind_of_link_sensor_gives_the_link_motion(channel: str) -> None:
     log = log_of(run)
     channels = {k: v for k, v in log.channels.items() if not k.startswith("a")}
     channels |= {f"{channel}{i + 1}": reading[:, i] for i in range(2)}
-    options = links.LinkOptions(bandwidth_hz=200.0)
+    options = LinkOptions(bandwidth_hz=200.0)
     motion = links.prepare_link_signals(
         replace(log, channels=channels),
         Arm.of(replace(study, arm=replace(study.arm, joints=joints)).arm),
         options,
     )
     assert set(motion.sources) == {"encoder" if channel == "theta_l" else channel}
-    assert motion.fusion == (None, None)
+    assert [link.fusion for link in motion.links] == [None, None]
     assert motion.bandwidth_hz == 200.0
     error = (motion.link_velocity - velocity)[INNER].std(axis=0) / velocity.std(axis=0)
     assert np.all(error < 0.01)
@@ -290,10 +295,11 @@ def test_aligned_channels_give_no_warning(joint: int) -> None:
     study, run = run_of(joint=joint)
     motion = links.prepare_link_signals(log_of(run, joint, seed=3), Arm.of(study.arm))
     assert not motion.warnings
-    for delay in (*motion.sensor_delay, motion.drive_delay[joint - 1]):
+    delays = [link.sensor_delay for link in motion.links]
+    for delay in (*delays, motion.links[joint - 1].drive_delay):
         assert delay is not None
         assert abs(delay.value) < 0.3 * SAMPLE
-    assert motion.drive_delay[2 - joint] is None  # this joint is not excited
+    assert motion.links[2 - joint].drive_delay is None  # this joint is not excited
 
 
 @pytest.mark.parametrize("joint", [1, 2])
@@ -305,7 +311,7 @@ def test_a_delay_is_estimated_and_reported(joint: int, samples: int) -> None:
     reference = links.prepare_link_signals(log, Arm.of(study.arm))
     late = links.prepare_link_signals(shifted(log, f"a{joint}", samples), Arm.of(study.arm))
     assert "misaligned" in {w.code for w in late.warnings}
-    delay, reference_delay = late.sensor_delay[joint - 1], reference.sensor_delay[joint - 1]
+    delay, reference_delay = (x.links[joint - 1].sensor_delay for x in (late, reference))
     assert delay is not None
     assert reference_delay is not None
     reference_samples = reference_delay.value / SAMPLE
@@ -314,7 +320,7 @@ def test_a_delay_is_estimated_and_reported(joint: int, samples: int) -> None:
     assert late.motor_velocity == pytest.approx(reference.motor_velocity)
     drive = links.prepare_link_signals(shifted(log, "u", -samples), Arm.of(study.arm))
     assert "misaligned" in {w.code for w in drive.warnings}
-    drive_delay = drive.drive_delay[joint - 1]
+    drive_delay = drive.links[joint - 1].drive_delay
     assert drive_delay is not None
     assert drive_delay.value / SAMPLE == pytest.approx(samples, rel=0.35)
 
@@ -327,13 +333,13 @@ def test_delays_of_link_sensors_are_removed_in_all_records() -> None:
     reference, no_delays = links.compute_link_signals(logs, Arm.of(study.arm))
     corrected, delays = links.compute_link_signals(late, Arm.of(study.arm))
     assert [delay.value for delay in no_delays] == [0.0, 0.0]
-    assert not list(links.build_delay_warnings(no_delays))
+    assert not list(build_delay_warnings(no_delays))
     for delay, samples in zip(delays, (8, -4), strict=True):
         assert delay.value == pytest.approx(samples * SAMPLE, abs=4.0 * delay.std)
         assert delay.std < 0.1e-3
-    constants = links.list_removed_delays(corrected, delays)
+    constants = list_removed_delays(corrected, delays)
     assert constants == {("accelerometer_delay", j): d.value for j, d in enumerate(delays, 1)}
-    warnings = list(links.build_delay_warnings(delays))
+    warnings = list(build_delay_warnings(delays))
     assert [(c.code, c.where) for c in warnings] == [("sensor-delay", f"joint {j}") for j in (1, 2)]
     for before, after in zip(reference, corrected, strict=True):
         assert not after.warnings
@@ -351,7 +357,7 @@ def test_an_implausibly_long_delay_is_not_corrected() -> None:
     (motion,), delays = links.compute_link_signals([shifted(log, "a", 24)], Arm.of(study.arm))
     assert [delay.value for delay in delays] == [0.0, 0.0]
     assert "misaligned" in {w.code for w in motion.warnings}
-    assert not list(links.build_delay_warnings(delays))
+    assert not list(build_delay_warnings(delays))
 
 
 @pytest.mark.parametrize("joint", [1, 2])
@@ -364,10 +370,10 @@ def test_a_nonlinear_spring_gives_a_delay_only_for_the_excited_joint(joint: int)
         log_of(run, joint, seed=3),
         Arm.of(replace(study, arm=replace(study.arm, joints=joints)).arm),
     )
-    delay = motion.sensor_delay[joint - 1]
+    delay = motion.links[joint - 1].sensor_delay
     assert delay is not None
     assert abs(delay.value) < 0.3 * SAMPLE
-    assert motion.sensor_delay[2 - joint] is None
+    assert motion.links[2 - joint].sensor_delay is None
 
 
 def test_a_bandwidth_missing_from_the_study_is_reported_as_a_delay() -> None:
@@ -376,7 +382,7 @@ def test_a_bandwidth_missing_from_the_study_is_reported_as_a_delay() -> None:
     motion = links.prepare_link_signals(
         log_of(run, seed=1), Arm.of(replace(study, arm=replace(study.arm, joints=joints)).arm)
     )
-    delay = motion.sensor_delay[0]
+    delay = motion.links[0].sensor_delay
     assert delay is not None
     assert delay.value == pytest.approx(np.sqrt(2.0) / (2.0 * np.pi * 300.0), rel=0.15)
     assert any("accelerometer_hz" in w.message for w in motion.warnings)

@@ -12,7 +12,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.identification import rigid
 from strainwave.identification.rigid.bandwidth import bandwidths_of
 from strainwave.signals import motor as signals
-from strainwave.signals.repetition import period_of
+from strainwave.signals.motor import period_of
 
 CLOCK = virtual_arms.CLOCK
 PERIOD = 4.0

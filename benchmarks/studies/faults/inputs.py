@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from strainwave.domain import Correction, FloatArray, Lag, Study, channel_parts
-from strainwave.domain.corrections import apply_corrections
+from strainwave.domain.consistency import apply_corrections
 from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study

@@ -11,12 +11,15 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from annotated_types import Ge, Gt
 
 from strainwave.domain.effects import all_effects
 from strainwave.domain.gear_laws import AUTO, RIGID, GearLaw, determined_law, stated_law
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import LinkSensor, sensors_of
+from strainwave.domain.link_sensors.link_space import are_parallel, attitude
+from strainwave.domain.parameter_table import base_name, parameter_table
 
 Positive = Annotated[float, Gt(0.0)]
 NonNegative = Annotated[float, Ge(0.0)]
@@ -183,25 +186,6 @@ class Urdf:
 _MAX_SINE = 1e-3  # of the angle between an axis and gravity that count as parallel
 
 
-def _turned(rpy: Vector, axis: Vector) -> Vector:
-    """An axis of a frame that is turned by roll, pitch and yaw, as in URDF."""
-    x, y, z = axis
-    for angle, plane in zip(rpy, ("yz", "zx", "xy"), strict=True):
-        c, s = math.cos(angle), math.sin(angle)
-        if plane == "yz":
-            y, z = c * y - s * z, s * y + c * z
-        elif plane == "zx":
-            z, x = c * z - s * x, s * z + c * x
-        else:
-            x, y = c * x - s * y, s * x + c * y
-    return x, y, z
-
-
-def _is_parallel(a: Vector, b: Vector) -> bool:
-    cross = (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-    return math.hypot(*cross) < _MAX_SINE * math.hypot(*a) * math.hypot(*b)
-
-
 @dataclass(frozen=True, slots=True)
 class Transmission:
     """Coupling between motors and joints: `[transmission]`."""
@@ -263,7 +247,8 @@ class ArmDescription:
         joint = self.joints[number - 1]
         if joint.motion == "prismatic" or number > 1 or not self.gravity:
             return joint.motion == "prismatic" or number == 1
-        return _is_parallel(_turned(joint.origin.rpy, joint.axis), self.gravity)
+        axis = attitude(joint.origin.rpy) @ joint.axis
+        return are_parallel(axis, np.array(self.gravity), _MAX_SINE)
 
     @property
     def has_planar_program(self) -> bool:
@@ -311,3 +296,19 @@ class ArmDescription:
     def behind_rigid_gears(self) -> Self:
         """Copy of the arm with rigid gears and without effects."""
         return self.with_joints(replace(j, spring=RIGID, effects=()) for j in self.joints)
+
+
+def unit_of(name: str, joint: Joint | None = None) -> str:
+    """SI unit of a parameter, by its name in docs/notation.md; None for a parameter of the arm.
+
+    Raises KeyError if there is no parameter of that name.
+    """
+    return parameter_table()[base_name(name)].units[
+        joint is not None and joint.motion == "prismatic"
+    ]
+
+
+def unit_in(arm: ArmDescription, key: Key) -> str:
+    """SI unit of a parameter of an arm, by name and joint, from 1."""
+    name, joint = key
+    return unit_of(name, None if joint is None else arm.joints[joint - 1])

@@ -9,12 +9,10 @@ from typing import Literal
 
 from strainwave.display import Displayed
 from strainwave.domain.arm import EffectName
-from strainwave.domain.arrays import ComplexArray, FloatArray
 from strainwave.domain.distributions import chi_square_tail
-from strainwave.domain.estimates import Diagnostic, Parameter, Prediction
-from strainwave.domain.keys import Key, Keyed
+from strainwave.domain.estimates import Diagnostic, Parameter, Prediction, SearchEnd
+from strainwave.domain.keys import ComplexArray, FloatArray, Key, Keyed
 from strainwave.domain.messages import Clause
-from strainwave.domain.search_end import SearchEnd
 
 
 @dataclass(frozen=True, slots=True)

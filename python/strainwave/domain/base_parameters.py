@@ -1,8 +1,9 @@
 """Base parameters: the combinations of parameters that the torques of rigid motion identify.
 
 The torques are linear in the parameters of the links and in the motor inertias. Columns of the
-regressor that depend on others are grouped with them: with the independent columns W_b and the
-dependent ones W_d = W_b K, the base parameters are b = pi_b + K pi_d (Gautier, 1991).
+regressor of the compiled arm that depend on others are grouped with them: with the independent
+columns W_b and the dependent ones W_d = W_b K, the base parameters are b = pi_b + K pi_d (Gautier,
+1991).
 """
 
 from __future__ import annotations
@@ -10,17 +11,38 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
-from strainwave.domain.arm import ArmDescription, Joint
-from strainwave.domain.arrays import FloatArray
-from strainwave.domain.core_arm import core_arm, transmission
-from strainwave.domain.keys import Key, Row
+from strainwave._core import Arm as CoreArm
+from strainwave.domain.arm import ArmDescription, Joint, unit_in
+from strainwave.domain.keys import FloatArray, Key, Row
 from strainwave.domain.kinds import RigidColumn, kind_of
 from strainwave.domain.parameter_table import grouped_name
-from strainwave.domain.units import unit_in
+
+
+def core_arm(arm: ArmDescription, springs: Sequence[str], **constants: Any) -> CoreArm:
+    """The equations of motion of an arm; `constants` are those of its electronics and sensors.
+
+    Planar arms have compiled programs of their own, which are faster than those of a chain.
+    """
+    return CoreArm(
+        [(j.motion, j.origin.xyz, j.origin.rpy, j.axis) for j in arm.joints],
+        springs,
+        [joint.gear_ratio for joint in arm.joints],
+        program=arm.kind if arm.has_planar_program else "serial",
+        gravity=arm.gravity or (0.0, 0.0, 0.0),
+        transmission=arm.coupling,
+        **constants,
+    )
+
+
+def transmission(arm: ArmDescription) -> FloatArray:
+    """C N: link angles per motor angle, (n_joints, n_joints)."""
+    coupling = np.eye(arm.n_joints) if arm.coupling is None else np.array(arm.coupling)
+    return np.asarray(coupling * np.array([joint.gear_ratio for joint in arm.joints]))
+
 
 MOTOR_INERTIA = "motor_inertia"
 
@@ -173,19 +195,16 @@ def _base_parameters(arm: ArmDescription) -> BaseParameters:
     )
 
 
-class _Grouping(NamedTuple):
-    """Independent columns of a table, and the weights of each column over them."""
-
-    independent: list[int]  # ascending
-    weights: FloatArray  # (n_independent, n_columns)
-
-
-def _grouping(columns: FloatArray, order: Sequence[tuple[int, float]]) -> _Grouping:
+def _grouping(
+    columns: FloatArray, order: Sequence[tuple[int, float]]
+) -> tuple[list[int], FloatArray]:
     """Group columns of norm one with independent ones that come before them in `order`.
 
-    A column is independent if its part across the independent columns before it exceeds the limit
-    beside it in `order`. Nearly dependent columns, such as those of nearly parallel axes, do not
-    take that part from columns after them. Parts of other columns as small are rounded to zero.
+    Returns the independent columns, ascending, and the weights of each column over them,
+    (n_independent, n_columns). A column is independent if its part across the independent columns
+    before it exceeds the limit beside it in `order`. Nearly dependent columns, such as those of
+    nearly parallel axes, do not take that part from columns after them. Parts of other columns as
+    small are rounded to zero.
     """
     basis, kept = np.zeros((len(columns), 0)), list[int]()
     coefficients = np.zeros((columns.shape[1],) * 2)  # row k: along the k-th vector of the basis
@@ -208,7 +227,7 @@ def _grouping(columns: FloatArray, order: Sequence[tuple[int, float]]) -> _Group
     parts[:, kept] = triangular
     weights = np.asarray(np.linalg.solve(triangular, parts))
     ascending = np.argsort(kept)
-    return _Grouping([kept[k] for k in ascending], weights[ascending])
+    return [kept[k] for k in ascending], weights[ascending]
 
 
 def link_inertia(arm: ArmDescription, joint: int, posture: FloatArray | None = None) -> Row:

@@ -7,14 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain.arm import ArmDescription
-from strainwave.domain.arrays import FloatArray
-from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters, link_inertia
-from strainwave.domain.core_arm import transmission
-from strainwave.domain.keys import Key, Row, Values
+from strainwave.domain.arm import ArmDescription, unit_in
+from strainwave.domain.base_parameters import (
+    MOTOR_INERTIA,
+    base_parameters,
+    link_inertia,
+    transmission,
+)
+from strainwave.domain.keys import FloatArray, Key, Row, Values
 from strainwave.domain.kinds import RigidColumn
 from strainwave.domain.parameter_table import grouped_name
-from strainwave.domain.units import unit_in
 
 LINK_INERTIA = "link_inertia"
 

@@ -1,15 +1,154 @@
-"""Result of the input check: relations between channels and study, and suspected faults."""
+"""Result of the input check: relations, suspected faults, and corrections of study and logs."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
-from strainwave.domain.estimates import Diagnostic, Suspicion
+from strainwave.domain.arm import Matrix
+from strainwave.domain.estimates import Diagnostic
+from strainwave.domain.kinds import change_arm_keys
 from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.domain.messages import Clause, Place, places_text, text_of
-from strainwave.domain.study import Study, channel_parts
+from strainwave.domain.study import Channel, Study, channel_parts
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """One key of study.toml, or one property of the logs, and its corrected value."""
+
+    table: Literal["arm", "joint", "channels", "experiment", "transmission", "log"]
+    entry: str  # number of the joint, name of the channel or experiment; "" of other tables
+    key: str  # of a log: "delay_s", "clock", "high_pass_hz", "unusable"
+    value: float | str | tuple[float, ...] | Matrix | None  # None: the key is removed
+
+    @property
+    def number(self) -> float:
+        """The value as a number; zero if it is none."""
+        return self.value if isinstance(self.value, float | int) else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Suspicion:
+    """Possible cause of a contradiction between channels, or between a channel and the study."""
+
+    code: str  # one of the input faults of docs/troubleshooting.md: "wrong-unit", "wrong-sign", ...
+    places: tuple[Place, ...]
+    clause: Clause  # observation, with the measured value
+    remedy_clause: Clause  # lines of study.toml, or action at the rig, that correct it
+    factor: float | None = None  # ratio of the data to the value that the study implies
+    delay_s: float | None = None  # delay of the channel [s]
+    corrections: tuple[Correction, ...] = ()  # machine-readable remedy; empty if unknown
+    accepted: bool = False  # by `accept`, or estimated by the fit: it does not decide the status
+
+    @property
+    def where(self) -> str:
+        """Text of the places: "a1", "joint 2 gear_ratio"."""
+        return places_text(self.places)
+
+    @property
+    def message(self) -> str:
+        """The observation in one sentence."""
+        return text_of(self.clause)
+
+    @property
+    def remedy(self) -> str:
+        """What corrects the fault, as a sentence."""
+        text = text_of(self.remedy_clause)
+        return text[:1].upper() + text[1:]
+
+
+def exchange_corrections(pairs: Iterable[tuple[str, str]], study: Study) -> tuple[Correction, ...]:
+    """Corrections that exchange the columns of two channels, with their scales and offsets."""
+    corrections = []
+    for first, second in pairs:
+        for name, other in ((first, second), (second, first)):
+            source = study.channels.get(other) or Channel(other)
+            for key in ("column", "scale", "offset"):
+                corrections.append(Correction("channels", name, key, getattr(source, key)))
+    return tuple(corrections)
+
+
+def apply_corrections(study: Study, corrections: Sequence[Correction]) -> Study:
+    """Return the study with all corrections of its keys. Corrections of logs do not change it."""
+    for correction in corrections:
+        if correction.table == "arm":
+            arm = change_arm_keys(study.arm, **{correction.key: correction.value})
+            study = replace(study, arm=arm)
+        elif correction.table == "joint":
+            joints = list(study.arm.joints)
+            at = int(correction.entry) - 1
+            joints[at] = _with_value(joints[at], correction)
+            study = replace(study, arm=study.arm.with_joints(joints))
+        elif correction.table == "transmission":
+            changes = {correction.key: correction.value}
+            study = replace(study, arm=replace(study.arm, **changes))  # type: ignore[arg-type]
+        elif correction.table == "channels":
+            before = study.channels.get(correction.entry) or Channel(correction.entry)
+            after = replace(before, **{correction.key: correction.value})  # type: ignore[arg-type]
+            study = replace(study, channels={**study.channels, correction.entry: after})
+        elif correction.table == "experiment":
+            named = correction.entry
+            experiments = [
+                _with_value(each, correction) if each.name == named else each
+                for each in study.experiments
+            ]
+            study = replace(study, experiments=tuple(experiments))
+    return study
+
+
+def _with_value(record: Any, correction: Correction) -> Any:
+    """A record with another value of a key, or of a part of it: "origin.xyz", "prbs.clock"."""
+    value: Any = correction.value
+    key, _, part = correction.key.partition(".")
+    if part:
+        value = replace(getattr(record, key), **{part: value})
+    return replace(record, **{key: value})
+
+
+def steps_of(study: Study, corrections: Sequence[Correction]) -> tuple[Clause, ...]:
+    """Instructions for the corrections, with the corrected lines of study.toml."""
+    after = apply_corrections(study, corrections)
+    return tuple(dict.fromkeys(_step(after, correction) for correction in corrections))
+
+
+def _step(after: Study, correction: Correction) -> Clause:
+    entry, key, value = correction.entry, correction.key, correction.value
+    if correction.table == "channels":
+        return Clause("step/channel", line=channel_line(after, entry))
+    if correction.table == "log":
+        change = correction.number
+        side = "earlier" if change > 0.0 else "later"
+        step = f"step/{key}"
+        return Clause(step, channel=entry, delay=abs(change), side=side, spacing=1.0 + change)
+    table = Clause(f"table/{correction.table}", entry=entry)
+    if after.arm.urdf is not None and key.partition(".")[0] in ("origin", "axis"):
+        table = Clause("table/urdf", entry=entry, file=after.arm.urdf.file)
+    if value is None:
+        return Clause("step/remove", key=key, table=table)
+    if isinstance(value, tuple):
+        return Clause("step/set-list", key=key, value=_list_text(value), table=table)
+    step = "step/set" if isinstance(value, float) else "step/set-count"
+    return Clause(step, key=key, value=value, table=table)
+
+
+def _list_text(value: tuple[float, ...] | Matrix) -> str:
+    """A vector or a matrix as a TOML value."""
+    entries = (f"{e:.5g}" if isinstance(e, float | int) else _list_text(e) for e in value)
+    return f"[{', '.join(entries)}]"
+
+
+def channel_line(study: Study, name: str) -> str:
+    """Line of a channel in [channels]."""
+    channel = study.channels.get(name) or Channel(name)
+    scale = f", scale = {channel.scale:.7g}" if channel.scale != 1.0 else ""
+    offset = f", offset = {channel.offset:.7g}" if channel.offset else ""
+    meaning = f', meaning = "{channel.meaning}"' if channel.meaning != "motor" else ""
+    if not scale and not offset and not meaning:
+        return f'channels.{name} = "{channel.column}"'
+    return f'channels.{name} = {{ column = "{channel.column}"{scale}{offset}{meaning} }}'
+
 
 Bound = Literal["equal", "least", "most"]
 """What the expected value of a relation is."""
@@ -59,7 +198,13 @@ class Consistency:
     @property
     def motors_agree(self) -> bool:
         """Whether all deciding faults concern link sensors, their positions or the link length."""
-        return all(_is_on_link(place) for suspicion in self.deciding for place in suspicion.places)
+        places = [place for suspicion in self.deciding for place in suspicion.places]
+        kinds = link_channel_kinds()
+        return all(
+            place.key in _LINK_GEOMETRY
+            or (place.channel is not None and channel_parts(place.channel)[0] in kinds)
+            for place in places
+        )
 
     def suspecting(self, *further: Suspicion, accept: Collection[str]) -> Consistency:
         """With further suspicions; those with a code in `accept` are marked as accepted."""
@@ -68,32 +213,20 @@ class Consistency:
         return replace(self, suspected=tuple(marked))
 
 
-def _is_on_link(place: Place) -> bool:
-    is_link_channel = (
-        place.channel is not None and channel_parts(place.channel)[0] in link_channel_kinds()
-    )
-    return is_link_channel or place.key in _LINK_GEOMETRY
-
-
 CheckStatus = Literal["consistent", "inconsistent-input"]
 
 
-@dataclass(frozen=True, slots=True)
-class InputCheck:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InputCheck(Consistency):
     """Consistency of the input of a study, without any identification."""
 
     study: Study
-    relations: tuple[Relation, ...]
-    suspected: tuple[Suspicion, ...]
-    warnings: tuple[Diagnostic, ...]
-    unchecked: tuple[str, ...]  # channels that occur in no relation
     seconds: float  # for reading and checking
 
     @property
     def status(self) -> CheckStatus:
         """Whether a fault of the input is suspected and not accepted."""
-        is_decided = all(each.accepted for each in self.suspected)
-        return "consistent" if is_decided else "inconsistent-input"
+        return "inconsistent-input" if self.deciding else "consistent"
 
     @property
     def exit_code(self) -> int:

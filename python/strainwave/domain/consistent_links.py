@@ -16,7 +16,7 @@ from functools import cache
 import numpy as np
 
 from strainwave.domain.arm import ArmDescription, LinkPrior
-from strainwave.domain.arrays import FloatArray
+from strainwave.domain.keys import FloatArray
 from strainwave.errors import NumericalFailure
 
 _MAX_STEPS = 50  # for one weight; usually 5 to 20
@@ -95,23 +95,20 @@ def _minimise(
     return None
 
 
-def guessed_priors(arm: ArmDescription) -> tuple[LinkPrior, ...]:
-    """Priors of links without inertial values: a body along the line to the next joint."""
-    ends = [np.array(joint.origin.xyz) for joint in arm.joints[1:]]
-    ends.append(np.zeros(3))
-    radii = [_GUESSED_RADIUS * (float(np.linalg.norm(end)) or _GUESSED_LENGTH) for end in ends]
-    return tuple(
-        standard_parameters(_GUESSED_MASS, 0.5 * end, _GUESSED_MASS * radius**2 * np.eye(3))
-        for end, radius in zip(ends, radii, strict=True)
-    )
-
-
 def priors_of(arm: ArmDescription) -> tuple[LinkPrior, ...]:
-    """Priors of the links: those of the URDF, and guesses where it has no consistent ones."""
-    guesses = guessed_priors(arm)
+    """Priors of the links: those of the URDF, and guesses where it has no consistent ones.
+
+    The guess is a body along the line to the next joint.
+    """
+    ends = [*(np.array(joint.origin.xyz) for joint in arm.joints[1:]), np.zeros(3)]
     given = arm.urdf.priors if arm.urdf else (None,) * arm.n_joints
-    pairs = zip(given, guesses, strict=True)
-    return tuple(prior if prior and is_consistent(prior) else guess for prior, guess in pairs)
+    priors = []
+    for prior, end in zip(given, ends, strict=True):
+        radius = _GUESSED_RADIUS * (float(np.linalg.norm(end)) or _GUESSED_LENGTH)
+        inertia = _GUESSED_MASS * radius**2 * np.eye(3)
+        guess = standard_parameters(_GUESSED_MASS, 0.5 * end, inertia)
+        priors.append(prior if prior and is_consistent(prior) else guess)
+    return tuple(priors)
 
 
 def is_consistent(link: LinkPrior) -> bool:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain.arrays import BoolArray, ComplexArray, FloatArray
+from strainwave.domain.keys import BoolArray, ComplexArray, FloatArray
 from strainwave.errors import InvalidInput
 
 INPUTS = ("reference_angle", "reference_velocity", "motor_angle")

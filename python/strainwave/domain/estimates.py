@@ -1,18 +1,32 @@
-"""Records that every stage can return: parameters, predictions, warnings and faults."""
+"""Records that stages return: parameters, predictions, warnings, faults, ends of searches."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 from strainwave.display import Displayed
-from strainwave.domain.arrays import FloatArray
-from strainwave.domain.corrections import Correction
 from strainwave.domain.distributions import CI95_STDS
-from strainwave.domain.keys import Key, Keyed
+from strainwave.domain.keys import FloatArray, Key, Keyed
 from strainwave.domain.messages import Clause, Place, Value, observation_of, places_text, text_of
-from strainwave.domain.progress import Stage
+from strainwave.domain.options import Stage
 from strainwave.domain.study import channel_parts
+
+
+class SearchEnd(StrEnum):
+    """Why a search ended; the values are the words of the result file."""
+
+    CONVERGED = "converged"  # the predicted decrease is below the tolerance
+    STALLED = "stalled"  # a decrease is predicted, but no step achieves it
+    NO_DESCENT = "no-descent"  # the same, and the predicted decrease is large
+    EVALUATION_LIMIT = "iteration-limit"
+    BOUND = "at-bounds"  # at a minimum, with an unknown at a limit of its range
+
+    @property
+    def is_minimum(self) -> bool:
+        """Whether the last point is a minimum within the accuracy of a rough objective."""
+        return self in (SearchEnd.CONVERGED, SearchEnd.STALLED, SearchEnd.BOUND)
 
 
 @dataclass(frozen=True, slots=True, init=False)
@@ -80,36 +94,6 @@ class PublishedWarning:
     where: str
     message: str
     experiments: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Suspicion:
-    """Possible cause of a contradiction between channels, or between a channel and the study."""
-
-    code: str  # one of the input faults of docs/troubleshooting.md: "wrong-unit", "wrong-sign", ...
-    places: tuple[Place, ...]
-    clause: Clause  # observation, with the measured value
-    remedy_clause: Clause  # lines of study.toml, or action at the rig, that correct it
-    factor: float | None = None  # ratio of the data to the value that the study implies
-    delay_s: float | None = None  # delay of the channel [s]
-    corrections: tuple[Correction, ...] = ()  # machine-readable remedy; empty if unknown
-    accepted: bool = False  # by `accept`, or estimated by the fit: it does not decide the status
-
-    @property
-    def where(self) -> str:
-        """Text of the places: "a1", "joint 2 gear_ratio"."""
-        return places_text(self.places)
-
-    @property
-    def message(self) -> str:
-        """The observation in one sentence."""
-        return text_of(self.clause)
-
-    @property
-    def remedy(self) -> str:
-        """What corrects the fault, as a sentence."""
-        text = text_of(self.remedy_clause)
-        return text[:1].upper() + text[1:]
 
 
 @dataclass(frozen=True, slots=True)

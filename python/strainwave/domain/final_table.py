@@ -12,28 +12,24 @@ from dataclasses import dataclass, replace
 
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.arm_model import ArmModel
-from strainwave.domain.base_parameters import (
-    base_parameters,
-    link_inertia,
-    torque_per_parameter,
-)
+from strainwave.domain.base_parameters import base_parameters, link_inertia, torque_per_parameter
 from strainwave.domain.combinations import (
     LINK_INERTIA,
     change_from,
     inertias_of_links,
     lumped_inertias,
 )
-from strainwave.domain.estimates import Parameter, Suspicion
+from strainwave.domain.consistency import Suspicion
+from strainwave.domain.estimates import Parameter
 from strainwave.domain.gear_laws import STIFFNESS
-from strainwave.domain.joint_models import JointModel
 from strainwave.domain.keys import Key, Row
 from strainwave.domain.kinds import kind_of
-from strainwave.domain.link_sensors import constant_of, link_channel_kinds, link_keys
+from strainwave.domain.link_sensors import constant_of, key_texts, link_channel_kinds
 from strainwave.domain.messages import Clause
 from strainwave.domain.parameter_table import VISCOUS, base_name, family_of, parameter_table
 from strainwave.domain.ranges import is_physical, physical_range
 from strainwave.domain.signals import Activity
-from strainwave.domain.stage_results import StageResults
+from strainwave.domain.stage_results import JointModel, StageResults
 from strainwave.domain.study import Study, channel_parts
 
 _RIGID, _DECOUPLED, _TUNED, _NONE = range(4)
@@ -128,8 +124,11 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
     else:
         _make_consistent(table, study.arm, accepted)
     _reject_contradictions(table, study.arm)
-    for key in [key for key in table if key[0] in _FRICTIONS and _is_calculated(study, key[1])]:
-        table[key] = table[key].reject(Clause("reason/calculated-effort"))
+    for key, entry in table.items():
+        channel = study.channels.get(f"torque{key[1]}")
+        is_calculated = channel is not None and channel.meaning in ("without-friction", "desired")
+        if is_calculated and key[0] in _FRICTIONS:  # the model that calculates it has no friction
+            table[key] = entry.reject(Clause("reason/calculated-effort"))
     drives = {p.key: _Entry(p) for p in results.drive_gains}
     levels_by_joint = {level.joint: level for level in results.activity}
     rows = [_decide_row(entry, study, levels_by_joint) for entry in (drives | table).values()]
@@ -143,12 +142,6 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
     return tuple(sorted(rows, key=place))
 
 
-def _is_calculated(study: Study, joint: int | None) -> bool:
-    """Whether the effort of a joint is calculated by a model, so that it has no friction."""
-    channel = study.channels.get(f"torque{joint}")
-    return channel is not None and channel.meaning in ("without-friction", "desired")
-
-
 def first_affected_stage(suspicion: Suspicion, study: Study) -> int:
     """First stage that a suspected fault affects: 0 rigid, 1 decoupled, 2 tuned, 3 none.
 
@@ -160,7 +153,7 @@ def first_affected_stage(suspicion: Suspicion, study: Study) -> int:
     kinds = {channel_parts(place.channel)[0] for place in places if place.channel is not None}
     is_on_link = (
         not kinds.isdisjoint(link_channel_kinds())
-        or any(place.key in ("link_length", *link_keys()) for place in places)
+        or any(place.key in ("link_length", *key_texts()) for place in places)
         or suspicion.code == "wrong-geometry"
     )
     is_on_motor = not kinds.isdisjoint(_MOTOR_CHANNELS)
@@ -276,7 +269,6 @@ def _remove_equivalent_stiffness(table: _Table, study: Study) -> None:
 
 
 def _reject_contradictions(table: _Table, arm: ArmDescription) -> None:
-    """Reject values of link parameters that contradict the others."""
     accepted = [e.parameter for e in table.values() if not e.rejected]
     values = {p.key: p.value for p in accepted if p.value is not None}
     for key, reason in kind_of(arm).contradictions(values).items():

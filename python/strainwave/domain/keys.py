@@ -1,8 +1,17 @@
-"""Keys of parameters, and mappings over them."""
+"""Types that records share: arrays, and keys of parameters with mappings over them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int_]
+ComplexArray = NDArray[np.complex128]
+
 
 Key = tuple[str, int | None]
 """Name of a parameter and its joint, from 1; None for parameters of the whole arm."""

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from strainwave.display import Displayed
-from strainwave.domain.arrays import FloatArray
-from strainwave.domain.estimates import Diagnostic
-from strainwave.domain.search_end import SearchEnd
+from strainwave.domain.estimates import Diagnostic, SearchEnd
+from strainwave.domain.keys import FloatArray
 
 Hold = Literal["zero", "first"]  # zero-order or first-order hold between samples
 

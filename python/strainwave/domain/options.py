@@ -1,13 +1,16 @@
-"""Options of each stage. `strainwave.io.study` checks the constraints of `annotated_types`."""
+"""Options of each stage, the stages of a run, and its progress.
+
+`strainwave.io.study` checks the constraints of `annotated_types`.
+"""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from annotated_types import Ge, Gt, Le
 
@@ -31,7 +34,6 @@ class _Checked:
     __slots__ = ()
 
     def __new__(cls, *_: object, **given: object) -> Self:
-        """An instance, whose fields the dataclass sets."""
         known = list(getattr(cls, "__dataclass_fields__", given))
         for name in given:
             if name not in known:
@@ -169,3 +171,30 @@ def changed_options(options: Options) -> list[str]:
 def option_texts() -> dict[str, dict[str, Any]]:
     """By stage its `title` and its `options`: by key `meaning`, `default` and `reason`."""
     return tomllib.loads(Path(__file__).with_name("options.toml").read_text(encoding="utf-8"))
+
+
+@dataclass(frozen=True, slots=True)
+class ProgressEvent:
+    """Start of a part of a run, or a step within it."""
+
+    stage: str  # "read", "consistency", "rigid", "checks", "decoupled", "tuned", "report"
+    fraction: float  # completed parts over all parts, from 0 to 1
+    message: str  # current activity
+    part: int  # from 1; parts that cannot run are skipped
+    parts: int
+
+    def __str__(self) -> str:
+        return f"{self.part} of {self.parts}: {self.message}"
+
+
+Progress = Callable[[ProgressEvent], None]
+"""Called at the start of each part of a run, and at each evaluation of the whole-arm fit."""
+
+
+def ignore_progress(_event: ProgressEvent) -> None:
+    """Ignore progress events."""
+
+
+Stage = Literal["rigid", "decoupled", "tuned"]
+STAGES: tuple[Stage, ...] = get_args(Stage)
+"""All stages in order; a run executes a prefix of them."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from strainwave.domain.arm import ArmDescription, Joint
+from strainwave.domain.arm import ArmDescription
 from strainwave.domain.base_parameters import base_parameters
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.keys import Values
@@ -63,22 +63,18 @@ def complete_values(values: Values, arm: ArmDescription) -> Values:
     """
     known = dict(values)
     for number, joint in enumerate(arm.joints, start=1):
-        _complete_joint(known, number, joint)
+        total = known.get(("total_viscous_friction", number))
+        if total is not None:
+            link = known.setdefault(("link_viscous_friction", number), 0.0)
+            of_motor = total - joint.gear_ratio**2 * link
+            known.setdefault(("motor_viscous_friction", number), of_motor)
+        if not joint.elastic:
+            known.setdefault(("link_viscous_friction", number), 0.0)
+        if (STIFFNESS, number) in known:
+            for name, value in joint.law.straight(known[STIFFNESS, number]).items():
+                known.setdefault((name, number), value)
     kind_of(arm).complete(known, arm)
     return known
-
-
-def _complete_joint(known: Values, number: int, joint: Joint) -> None:
-    n2 = joint.gear_ratio**2
-    total = known.get(("total_viscous_friction", number))
-    if total is not None:
-        link = known.setdefault(("link_viscous_friction", number), 0.0)
-        known.setdefault(("motor_viscous_friction", number), total - n2 * link)
-    if not joint.elastic:
-        known.setdefault(("link_viscous_friction", number), 0.0)
-    if (STIFFNESS, number) in known:
-        for name, value in joint.law.straight(known[STIFFNESS, number]).items():
-            known.setdefault((name, number), value)
 
 
 def parameter_descriptions() -> Mapping[str, ParameterDescription | SensorConstant]:

@@ -49,7 +49,7 @@ MAX_GEARED_RATIO = 0.1
 
 _TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 PLAUSIBLE_RANGES = tuple(PlausibleRange(**table) for table in _TABLES["range"])
-_QUANTITIES: Mapping[str, str] = _TABLES["quantities"]
+_QUANTITIES: dict[str, str] = _TABLES["quantities"]
 _TORQUE_UNITS: Mapping[str, float] = _TABLES["units"]
 
 _PER_ANGLE = ("link inertia", "motor inertia", "stiffness", "viscous friction")
@@ -135,7 +135,10 @@ def _pair_with_ranges(
     number: int, joint: Joint, parameters: Sequence[Parameter]
 ) -> Iterator[SizedValue]:
     """Yield each value with the intersection of its ranges."""
-    rows = [(p.label, p.value or 0.0, p.unit, _quantity_of(p.name)) for p in parameters]
+    rows = []
+    for p in parameters:
+        quantity = _QUANTITIES.get(p.name, "stiffness" if is_slope(p.name) else None)
+        rows.append((p.label, p.value or 0.0, p.unit, quantity))
     constant = joint.known_torque_per_volt
     if constant is not None:
         rows.insert(0, (f"torque_per_volt {number}", constant, "N m/V", "torque per volt"))
@@ -150,11 +153,6 @@ def _pair_with_ranges(
             minimum = max(r.minimum * ratio**r.power for r in ranges)
             maximum = min(r.maximum * ratio**r.power for r in ranges)
             yield SizedValue(label, value, unit, minimum, maximum, quantity in _PER_ANGLE)
-
-
-def _quantity_of(name: str) -> str | None:
-    """Quantity of `PLAUSIBLE_RANGES` that a parameter belongs to; None if there is none."""
-    return _QUANTITIES.get(name, "stiffness" if is_slope(name) else None)
 
 
 def _explain_values(

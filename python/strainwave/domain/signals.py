@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from strainwave.display import Displayed
-from strainwave.domain.arrays import BoolArray, FloatArray
 from strainwave.domain.estimates import Diagnostic
+from strainwave.domain.keys import BoolArray, FloatArray
 from strainwave.domain.study import Experiment
 
 
@@ -110,11 +110,11 @@ class LinkSummary:
     experiment: str
     joint: int  # from 1
     source: LinkSource
-    fusion: Fusion | None  # None: a sensor measures the velocity
-    fusion_error: float  # [rad/s] estimated rms error of (10)
-    bias: float  # [rad/s^2] removed from the link acceleration
-    sensor_delay: Delay | None  # link sensor relative to encoder; None: not identifiable
-    drive_delay: Delay | None  # torque relative to the log; None: not identifiable
+    fusion: Fusion | None = None  # None: a sensor measures the velocity
+    fusion_error: float = 0.0  # [rad/s] estimated rms error of (10)
+    bias: float = 0.0  # [rad/s^2] removed from the link acceleration
+    sensor_delay: Delay | None = None  # link sensor relative to encoder; None: not identifiable
+    drive_delay: Delay | None = None  # torque relative to the log; None: not identifiable
 
 
 LinkSource = Literal["accelerometer", "encoder", "deflection", "gyro", "motor", "rigid"]
@@ -142,31 +142,14 @@ class LinkSignals:
     link_velocity: FloatArray  # (n_samples, n_joints) [rad/s]
     link_acceleration: FloatArray  # (n_samples, n_joints) [rad/s^2]
     valid: BoolArray  # (n_samples, n_joints): False at edges and drive saturation
-    sources: tuple[LinkSource, ...]  # one per joint
+    links: tuple[LinkSummary, ...]  # one per joint
     held: tuple[bool, ...]  # one per joint: zero-order hold of the torque
     shared: tuple[Lag, ...]  # low-passes applied to every signal
     bandwidth_hz: float | None  # of a zero-phase filter of all signals; None: no filter
-    fusion: tuple[Fusion | None, ...]  # one per joint; None: a sensor measures the velocity
-    fusion_error: FloatArray  # (n_joints,) [rad/s] estimated rms error of (10)
-    bias: FloatArray  # (n_joints,) [rad/s^2] removed from the link acceleration
-    sensor_delay: tuple[Delay | None, ...]  # link sensor relative to encoder; see `LinkSummary`
-    drive_delay: tuple[Delay | None, ...]  # torque relative to the log; see `LinkSummary`
     warnings: tuple[Diagnostic, ...] = ()
     removed_delay: tuple[Delay, ...] = ()  # of link sensors, one per joint; (): none removed
 
     @property
-    def summaries(self) -> tuple[LinkSummary, ...]:
-        """One summary per joint."""
-        return tuple(
-            LinkSummary(
-                experiment=self.experiment.name,
-                joint=i + 1,
-                source=source,
-                fusion=self.fusion[i],
-                fusion_error=float(self.fusion_error[i]),
-                bias=float(self.bias[i]),
-                sensor_delay=self.sensor_delay[i],
-                drive_delay=self.drive_delay[i],
-            )
-            for i, source in enumerate(self.sources)
-        )
+    def sources(self) -> tuple[LinkSource, ...]:
+        """Sources of the links' accelerations."""
+        return tuple(link.source for link in self.links)

@@ -1,12 +1,15 @@
-"""A study: an arm and its experiments.
+"""A study: an arm and its experiments, and what checks, forms and documentation know of its keys.
 
-`strainwave.io.study` checks the constraints of `annotated_types`.
+`strainwave.io.study` checks the constraints of `annotated_types`. The ranges of the keys are wide:
+they detect a wrong unit or an inverted ratio, not an unusual machine.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -15,6 +18,40 @@ from annotated_types import Ge, MinLen
 from strainwave.domain.arm import ArmDescription, Positive, Vector
 from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.domain.options import Options
+
+KeyKind = Literal["number", "numbers", "text", "choice"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudyKey:
+    """One key of a table; `study_keys.toml` describes the fields."""
+
+    key: str  # dotted for a table in the table: "imu.xyz"
+    title: str = ""
+    kind: KeyKind = "number"
+    serial: bool | None = None
+    unit: str = ""
+    range: Sequence[float] | None = None  # smallest and largest
+    other_unit: str = ""
+    other_scale: float | None = None
+    default: str = ""
+    meaning: str = ""
+
+
+@cache
+def study_keys() -> dict[str, tuple[StudyKey, ...]]:
+    """Keys by the name of their table."""
+    text = Path(__file__).with_name("study_keys.toml").read_text(encoding="utf-8")
+    tables = tomllib.loads(text)
+    return {name: tuple(StudyKey(**entry) for entry in table) for name, table in tables.items()}
+
+
+def accepted_range(name: str) -> tuple[float, float]:
+    """Smallest and largest value of a key of [arm] or [[joint]]."""
+    keys = (*study_keys()["joint"], *study_keys()["arm"])
+    low, high = next(key.range for key in keys if key.key == name and key.range)
+    return low, high
+
 
 Use = Literal["motion", "frequency", "sweep", "tuning", "check"]
 Control = Literal["open", "servo"]

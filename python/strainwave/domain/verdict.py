@@ -10,13 +10,14 @@ from typing import Literal
 from strainwave.domain.arm_model import ArmModel, ResidualTest
 from strainwave.domain.base_parameters import base_parameters
 from strainwave.domain.combinations import is_uncoupled, viscous_friction
+from strainwave.domain.consistency import Suspicion
 from strainwave.domain.effects import effect_named
-from strainwave.domain.estimates import Diagnostic, Prediction, Suspicion
+from strainwave.domain.estimates import Diagnostic, Prediction
 from strainwave.domain.final_table import Decision
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.keys import Key, grouped_labels
 from strainwave.domain.messages import Clause, Place, text_of
-from strainwave.domain.progress import Stage
+from strainwave.domain.options import Stage
 from strainwave.domain.ranges import implausible_joints
 from strainwave.domain.stage_results import StageResults
 
@@ -59,31 +60,23 @@ class Verdict:
         return 0 if self.status == "determined" else 3
 
 
-@dataclass(frozen=True, slots=True)
-class _Requirements:
-    """Stages and parameters that the requested stages and the study require."""
-
-    stages: tuple[Stage, ...]
-    primary: tuple[Key, ...]
-
-
 def compute_verdict(results: StageResults, decisions: Sequence[Decision]) -> Verdict:
     """Compute the verdict on a run, as defined in docs/result.md."""
-    required = _required_stages(results)
+    stages, primary = _requirements(results)
     keys = {d.parameter.key for d in decisions}
     identified = tuple(d.parameter.key for d in decisions if d.identified)
     rejected = tuple(d.parameter.key for d in decisions if d.rejected)
     undecided = [d.parameter.key for d in decisions if not d.identified and not d.rejected]
-    reasons = tuple(_failure_reasons(results, decisions, required))
+    reasons = tuple(_failure_reasons(results, decisions, stages, primary))
     status: Status = "partly-determined" if reasons else "determined"
-    if set(identified).isdisjoint(required.primary):
+    if set(identified).isdisjoint(primary):
         status = "not-determined"
     if any(not each.accepted for each in results.suspected):
         status = "inconsistent-input"
     return Verdict(
         status=status,
         identified=identified,
-        not_identified=(*undecided, *(key for key in required.primary if key not in keys)),
+        not_identified=(*undecided, *(key for key in primary if key not in keys)),
         rejected=rejected,
         validated=_validate_models(results),
         suspected=results.suspected,
@@ -91,7 +84,7 @@ def compute_verdict(results: StageResults, decisions: Sequence[Decision]) -> Ver
     )
 
 
-def _required_stages(results: StageResults) -> _Requirements:
+def _requirements(results: StageResults) -> tuple[list[Stage], list[Key]]:
     """Required stages among those requested, and the primary parameters that they estimate."""
     study = results.study
     arm, base = study.arm, base_parameters(study.arm)
@@ -120,11 +113,14 @@ def _required_stages(results: StageResults) -> _Requirements:
         stages.append("tuned")
     if has_whole_arm and not base.has_groups:
         keys += [key for key in base.effective if key not in base.separate_links]
-    return _Requirements(tuple(stages), tuple(dict.fromkeys(keys)))
+    return stages, list(dict.fromkeys(keys))
 
 
 def _failure_reasons(
-    results: StageResults, decisions: Sequence[Decision], required: _Requirements
+    results: StageResults,
+    decisions: Sequence[Decision],
+    stages: Sequence[Stage],
+    primary: Sequence[Key],
 ) -> Iterator[Clause]:
     """Yield the reasons why a run is not determined, most important first."""
     deciding = [each.clause for each in results.suspected if not each.accepted]
@@ -132,33 +128,23 @@ def _failure_reasons(
         yield from deciding
         return
     yield from results.failures
-    yield from _missing_stages(results, required)
+    yield from _missing_stages(results, stages)
     for defect in model_defects(results):
         yield Clause("defect", places=defect.places, defect=defect.clause)
     parameters = [decision.parameter for decision in decisions]
     sizes = implausible_joints(results.study.arm, parameters)
     yield from (size.warning.clause for size in sizes)
-    if results.whole_arm is not None:
-        yield from _contradiction_reasons(results.whole_arm)
+    for test in results.whole_arm.contradictions if results.whole_arm else ():
+        size, causes = test.deviations, _likely_causes(results.whole_arm)
+        yield Clause("disagreement", deviations=size, subject=test.subject, causes=causes)
     rejected = {d.parameter.key for d in decisions if d.rejected}
     decided = rejected.union(d.parameter.key for d in decisions if d.identified)
-    rejected_primary = [key for key in required.primary if key in rejected]
+    rejected_primary = [key for key in primary if key in rejected]
     if rejected_primary:
         yield Clause("primary/rejected", parameters=grouped_labels(rejected_primary))
-    missing = [key for key in required.primary if key not in decided]
+    missing = [key for key in primary if key not in decided]
     if missing:
         yield Clause("primary/not-identified", parameters=grouped_labels(missing))
-
-
-def _contradiction_reasons(whole_arm: ArmModel) -> Iterator[Clause]:
-    """Yield the disagreements of the stages, with likely causes and experiments to test them."""
-    for test in whole_arm.contradictions:
-        yield Clause(
-            "disagreement",
-            deviations=test.deviations,
-            subject=test.subject,
-            causes=_likely_causes(whole_arm),
-        )
 
 
 def _likely_causes(whole_arm: ArmModel | None) -> Clause:
@@ -177,18 +163,18 @@ def _likely_causes(whole_arm: ArmModel | None) -> Clause:
     return Clause("suspects", causes=causes) if causes else Clause("suspects/none")
 
 
-def _missing_stages(results: StageResults, required: _Requirements) -> Iterator[Clause]:
+def _missing_stages(results: StageResults, required: Sequence[Stage]) -> Iterator[Clause]:
     elastic = [n for n, j in enumerate(results.study.arm.joints, start=1) if j.elastic]
     fitted = {joint.joint for joint in results.joints}
     if results.failures:
         return  # failures are reported separately; later stages depend on them
-    if "rigid" in required.stages and results.rigid is None:
+    if "rigid" in required and results.rigid is None:
         yield Clause("no-rigid-stage")
-    if "decoupled" in required.stages and not fitted.issuperset(elastic):
+    if "decoupled" in required and not fitted.issuperset(elastic):
         yield Clause("no-decoupled-model", joints=tuple(n for n in elastic if n not in fitted))
-    if "tuned" in required.stages and results.whole_arm is None:
+    if "tuned" in required and results.whole_arm is None:
         yield Clause("no-whole-arm-fit")
-    if "tuned" in required.stages and results.whole_arm and not results.whole_arm.end.is_minimum:
+    if "tuned" in required and results.whole_arm and not results.whole_arm.end.is_minimum:
         yield Clause("not-converged")
 
 
@@ -252,7 +238,17 @@ def model_defects(results: StageResults) -> Iterator[Diagnostic]:
     """
     for check in _decisive_checks(results):
         if check.unexplained:
-            yield _prediction_error(results, check)
+            fits = check.fit_percent
+            worst = min(check.unexplained, key=fits.__getitem__)
+            cause = "rigid" if check.of_drive else "servo" if check.is_servo_at_fault else "elastic"
+            yield Diagnostic(
+                "not-predicted",
+                Place.in_records(check.experiment),
+                cause,
+                channel=worst,
+                fit=float(fits[worst]),
+                ratio=float(check.unexplained[worst]),
+            )
     worst_residual = _worst_residual(results)
     if worst_residual is not None:
         ratio, test = worst_residual
@@ -264,20 +260,6 @@ def model_defects(results: StageResults) -> Iterator[Diagnostic]:
             share=ratio,
             advice=_likely_causes(results.whole_arm),
         )
-
-
-def _prediction_error(results: StageResults, check: Prediction) -> Diagnostic:
-    """Warn of the worst channel of a validation record."""
-    channel = min(check.unexplained, key=lambda name: check.fit_percent[name])
-    cause = "rigid" if check.of_drive else "servo" if check.is_servo_at_fault else "elastic"
-    return Diagnostic(
-        "not-predicted",
-        Place.in_records(check.experiment),
-        cause,
-        channel=channel,
-        fit=float(check.fit_percent[channel]),
-        ratio=float(check.unexplained[channel]),
-    )
 
 
 def _worst_residual(results: StageResults) -> tuple[float, ResidualTest] | None:

@@ -16,7 +16,9 @@ from strainwave.domain.base_parameters import (
     MOTOR_INERTIA,
     BaseParameters,
     base_parameters,
+    core_arm,
     link_inertia,
+    transmission,
 )
 from strainwave.domain.combinations import (
     FRICTION_COLUMNS,
@@ -25,7 +27,6 @@ from strainwave.domain.combinations import (
     rigid_columns,
     shared_viscous_friction,
 )
-from strainwave.domain.core_arm import core_arm, transmission
 from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
 from strainwave.domain.keys import Key, Row, Values
 from strainwave.domain.kinds import RigidColumn
@@ -178,7 +179,11 @@ class Arm(ArmDescription):
 
         Raises InvalidInput if a required parameter is missing.
         """
-        known = self._effects_by_default | complete_values(values, self)
+        known: Values = {}
+        for number, joint in enumerate(self.joints, start=1):
+            for effect in map(effect_named, joint.named_effects):
+                known |= {(name, number): value for name, value in effect.defaults.items()}
+        known |= complete_values(values, self)
         for number, joint in enumerate(self.joints, start=1):
             if not joint.elastic and known.get((MOTOR_INERTIA, number)) == 0.0:
                 known[MOTOR_INERTIA, number] = _NO_INERTIA
@@ -192,16 +197,6 @@ class Arm(ArmDescription):
                 remedy="add these parameters; docs/notation.md describes them",
             )
         return np.array([known.get(key, 0.0) for key in self.parameter_names])
-
-    @property
-    def _effects_by_default(self) -> Values:
-        """Default values of parameters of effects."""
-        return {
-            (name, number): value
-            for number, joint in enumerate(self.joints, start=1)
-            for effect in map(effect_named, joint.named_effects)
-            for name, value in effect.defaults.items()
-        }
 
     def base_regressor(
         self, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
@@ -245,11 +240,7 @@ class Arm(ArmDescription):
         return vector
 
     def payload_torques(
-        self,
-        payload: Payload,
-        angle: FloatArray,
-        velocity: FloatArray,
-        acceleration: FloatArray,
+        self, payload: Payload, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> FloatArray:
         """Motor torques that move a payload behind rigid gears: (n_samples, n_joints) [N m]."""
         vector = self.payload_vector(payload)
@@ -442,7 +433,6 @@ class _GearEquations(NamedTuple):
 
 
 def _core_effects(joint: Joint) -> list[str]:
-    """Names of the core's effects of a joint, without duplicates."""
     effects = map(effect_named, joint.named_effects)
     known = (
         e.core_name

@@ -164,5 +164,4 @@ def smooth_motion(
     velocity -= velocity.mean() * lead_in / lead_in.mean()  # returns to the start
     angle = np.cumsum(velocity) * clock
     scale = min(speed / np.abs(velocity).max(), excursion / np.abs(angle).max())
-    result: FloatArray = velocity * scale
-    return result
+    return np.asarray(velocity * scale)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, FrictionTerm, Payload, RigidModel, Signals
-from strainwave.domain.kinds.bodies import MOTOR_SHARE
+from strainwave.domain.kinds.base import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
 
@@ -114,22 +114,13 @@ def additional_friction(
     return friction
 
 
-def spring_torque(arm: Arm, terms: Sequence[FrictionTerm], angle: FloatArray) -> FloatArray:
-    """Motor torques of the springs between links and ground at link angles: (n, n_joints)."""
-    stiffness = np.zeros(arm.n_joints)
+def _sizes_of(effect: str, arm: Arm, terms: Sequence[FrictionTerm]) -> FloatArray:
+    """Sum of the sizes of an effect in each joint: (n_joints,)."""
+    sizes = np.zeros(arm.n_joints)
     for term in terms:
-        if term.effect == SPRING and term.joint is not None:
-            stiffness[term.joint - 1] += term.size.value or 0.0
-    return arm.motors_of(stiffness * angle)
-
-
-def encoder_zeros(arm: Arm, terms: Sequence[FrictionTerm]) -> FloatArray:
-    """Joint angle minus encoder reading of each joint [rad or m]: (n_joints,)."""
-    zeros = np.zeros(arm.n_joints)
-    for term in terms:
-        if term.effect == ZERO and term.joint is not None:
-            zeros[term.joint - 1] += term.size.value or 0.0
-    return zeros
+        if term.effect == effect and term.joint is not None:
+            sizes[term.joint - 1] += term.size.value or 0.0
+    return sizes
 
 
 def corrected_signals(signals: Signals, arm: Arm, terms: Sequence[FrictionTerm]) -> Signals:
@@ -312,7 +303,8 @@ def torque_parts(
         smooth += arm.shared_friction_regressor(velocity) @ solution[-arm.n_shared :]
     load = gear_load(arm, solution, links, payload)
     dry = coulomb + additional_friction(friction_terms, velocity, load)
-    return TorqueParts(body + spring_torque(arm, friction_terms, links[0]), smooth, dry)
+    springs = arm.motors_of(_sizes_of(SPRING, arm, friction_terms) * links[0])
+    return TorqueParts(body + springs, smooth, dry)
 
 
 def inverse_dynamics(arm: Arm, model: RigidModel, motion: Motion | FloatArray) -> FloatArray:
@@ -320,7 +312,7 @@ def inverse_dynamics(arm: Arm, model: RigidModel, motion: Motion | FloatArray) -
 
     Dry friction is zero where the velocity is exactly zero. Angles are those of the encoders.
     """
-    zero = arm.motor_accelerations(encoder_zeros(arm, model.friction_terms))
+    zero = arm.motor_accelerations(_sizes_of(ZERO, arm, model.friction_terms))
     corrected = [motion[0] + zero, *motion[1:]]
     parts = torque_parts(arm, model.solution, corrected, model.friction_terms)
     return np.asarray(parts.body + parts.friction(np.sign(motion[1])))

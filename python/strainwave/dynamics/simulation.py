@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from strainwave.domain import ControlLaw, FloatArray, LinearServo, Payload, Servo
+from strainwave.domain import FloatArray, LinearServo, Payload, Servo
 from strainwave.domain.effects import Input, RecordEffect, all_effects, effect_named
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.link_sensors.accelerometer import ACCELEROMETER_DENSITY
-from strainwave.domain.link_sensors.link_space import ACCELEROMETER_QUANTITIES
+from strainwave.domain.link_sensors.link_space import ACCELEROMETER_QUANTITIES, Quantity
+from strainwave.domain.link_sensors.single_axis import ACCELEROMETER_DENSITY
 from strainwave.domain.parameter_table import base_name, of_record
-from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import MAX_TIME_STEP, Arm, core_errors
 from strainwave.errors import InvalidInput
 from strainwave.numerics.parallel import raise_if_stopped
@@ -175,7 +174,6 @@ def sensitivities(
 def _experiment(
     arm: Arm, drive: Drive, sample_time: float, samples: int, max_time_step: float
 ) -> dict[str, Any]:
-    """Arguments of the core for an experiment."""
     servo = drive.linear_servo or arm.servo if any(drive.servo) else None
     if any(drive.servo) and servo is None:
         raise InvalidInput(
@@ -206,15 +204,15 @@ def _experiment(
 
 
 def _servo_arguments(servo: Servo | LinearServo, active: tuple[bool, ...]) -> tuple[Any, ...]:
-    """Servo for the core, with the joints under servo."""
     if isinstance(servo, Servo):
         return servo.kp, servo.ki, servo.limit, active, servo.position_gain
-    laws = zip(servo.laws, active, strict=True)
-    return [_law_arguments(law) if one else None for law, one in laws], servo.limit
-
-
-def _law_arguments(law: ControlLaw) -> tuple[Any, ...]:
-    return law.A, law.B, law.C, law.D.tolist(), law.E, law.holds.tolist(), law.rest()
+    laws = [
+        (law.A, law.B, law.C, law.D.tolist(), law.E, law.holds.tolist(), law.rest())
+        if is_active
+        else None
+        for law, is_active in zip(servo.laws, active, strict=True)
+    ]
+    return laws, servo.limit
 
 
 def common_step(clocks: Sequence[float], longest: float = MAX_TIME_STEP) -> float:

@@ -35,10 +35,6 @@ class TwoInertia:
         """The six parameters in the order of the fields."""
         return np.array([getattr(self, name) for name in NAMES])
 
-    def with_vector(self, vector: FloatArray) -> TwoInertia:
-        """The same joint with other parameters (6,)."""
-        return joint_of(vector, self.gear_ratio)
-
 
 def joint_of(vector: FloatArray, gear_ratio: float) -> TwoInertia:
     """A joint from its six parameters in the order of the fields."""
@@ -139,7 +135,7 @@ def _mode(
     """Mode of the least damped root of a polynomial of the parameters."""
 
     def frequency_and_damping(vector: FloatArray) -> FloatArray:
-        root = _least_damped(polynomial(p.with_vector(vector)))
+        root = _least_damped(polynomial(joint_of(vector, p.gear_ratio)))
         return np.array([abs(root) / (2.0 * np.pi), -root.real / abs(root)])
 
     root = _least_damped(polynomial(p))

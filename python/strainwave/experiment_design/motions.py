@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from strainwave.domain import Experiment, FloatArray, Parameter, Use
-from strainwave.domain.quantities import Quantity
+from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics.simulation import Drive, Trajectory, simulate
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design.plan import (

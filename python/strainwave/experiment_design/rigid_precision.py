@@ -13,9 +13,9 @@ from strainwave.domain import FloatArray, Log, Parameter, Study
 from strainwave.domain.combinations import value_of
 from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import installed_axes
+from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.domain.parameters import complete_values
-from strainwave.domain.quantities import Quantity
-from strainwave.domain.rigid_model import ASSUMED_TORQUE_ERROR
+from strainwave.domain.stage_results import ASSUMED_TORQUE_ERROR
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise, measure, simulate
 from strainwave.errors import InvalidInput, NumericalFailure

@@ -15,9 +15,9 @@ from strainwave.domain.base_parameters import link_inertia
 from strainwave.domain.combinations import value_of
 from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import installed_axes
-from strainwave.domain.link_sensors.accelerometer import Accelerometer
+from strainwave.domain.link_sensors.link_space import Quantity
+from strainwave.domain.link_sensors.single_axis import Accelerometer
 from strainwave.domain.parameters import complete_values
-from strainwave.domain.quantities import Quantity
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory

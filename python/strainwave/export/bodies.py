@@ -13,7 +13,7 @@ from strainwave.domain.base_parameters import MOTOR_INERTIA
 from strainwave.domain.combinations import is_rigid_drive
 from strainwave.domain.consistent_links import standard_parameters
 from strainwave.domain.kinds import arm_keys, kind_of
-from strainwave.domain.kinds.bodies import Body
+from strainwave.domain.kinds.base import Body
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm

@@ -13,13 +13,13 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, RigidModel
+from strainwave.domain.arm import unit_in
 from strainwave.domain.base_parameters import MOTOR_INERTIA
 from strainwave.domain.combinations import LINK_INERTIA, rigid_columns
 from strainwave.domain.effects import all_effects
 from strainwave.domain.keys import Key, Values, label_of
 from strainwave.domain.parameter_table import family_of
 from strainwave.domain.ranges import is_physical
-from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import inverse_dynamics
 from strainwave.errors import InvalidInput

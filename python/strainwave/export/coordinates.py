@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import ArmDescription, FloatArray
-from strainwave.domain.core_arm import transmission
+from strainwave.domain.base_parameters import transmission
 
 
 @dataclass(frozen=True, slots=True, eq=False)

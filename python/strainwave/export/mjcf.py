@@ -18,12 +18,11 @@ from xml.etree import ElementTree as ET
 from strainwave.domain import Diagnostic, FloatArray, Joint, Place
 from strainwave.domain.arm import Vector
 from strainwave.domain.kinds import kind_of
-from strainwave.domain.kinds.bodies import Body
+from strainwave.domain.kinds.base import Body
 from strainwave.domain.link_sensors import Axis, installed_axes
-from strainwave.domain.link_sensors.accelerometer import Accelerometer
-from strainwave.domain.link_sensors.gyro import Gyro
 from strainwave.domain.link_sensors.imu import IMU_ATTITUDE, IMU_POSITION
 from strainwave.domain.link_sensors.link_space import axes_about, link_space
+from strainwave.domain.link_sensors.single_axis import Accelerometer, Gyro
 from strainwave.export.bodies import (
     chain_of,
     effective_gravity,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from strainwave.domain.link_sensors import link_keys, sensor_constants
+from strainwave.domain.link_sensors import key_texts, sensor_constants
 from strainwave.domain.parameter_table import base_name, family_of
 from strainwave.export.source import IdentifiedArm
 
@@ -36,7 +36,7 @@ def omission_note(arm: IdentifiedArm, held: Collection[str]) -> tuple[str, ...]:
             parts.setdefault(part, set()).update(() if p.joint is None else (p.joint,))
     for number, joint in enumerate(arm.study.arm.joints, start=1):
         drive = [key for key in ("torque_per_volt", "current_loop_hz") if getattr(joint, key)]
-        has_sensor = any(getattr(joint, key) for key in ("encoder_counts", *link_keys()))
+        has_sensor = any(getattr(joint, key) for key in ("encoder_counts", *key_texts()))
         for part in (*joint.named_effects, *drive, *[SENSORS] * has_sensor):
             parts.setdefault(part, set()).add(number)
     description = arm.study.arm

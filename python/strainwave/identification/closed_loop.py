@@ -16,9 +16,9 @@ from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import determined_law
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.link_sensors import Axis, compared_axes
-from strainwave.domain.link_sensors.encoders import MotorEncoder
+from strainwave.domain.link_sensors.link_space import Quantity
+from strainwave.domain.link_sensors.single_axis import MotorEncoder
 from strainwave.domain.parameter_table import base_name
-from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import apply_sensor_model
 from strainwave.dynamics.rigid_prediction import fit_percent

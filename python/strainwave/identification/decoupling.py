@@ -111,7 +111,7 @@ def decouple(
                 ),
                 bandwidth_hz=signals.bandwidth_hz,
                 shared=signals.shared,
-                fusion=signals.fusion[i],
+                fusion=signals.links[i].fusion,
                 richness_hz=frequency[inside],
                 checks=tuple(checks),
                 warnings=tuple(_warnings(signals, arm, i, checks)),

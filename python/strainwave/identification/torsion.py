@@ -29,16 +29,15 @@ from strainwave.domain import (
     RigidModel,
     TorsionFit,
 )
+from strainwave.domain.arm import unit_in
 from strainwave.domain.distributions import student_quantile
 from strainwave.domain.gear_laws import STIFFNESS
-from strainwave.domain.kinds.bodies import MOTOR_SHARE
-from strainwave.domain.units import unit_in
+from strainwave.domain.kinds.base import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import link_motion, torsion_motion
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
-from strainwave.signals.motor import measured_torsion, prepare_motor_signals
-from strainwave.signals.repetition import period_of
+from strainwave.signals.motor import measured_torsion, period_of, prepare_motor_signals
 
 _BLOCKS = 20  # of the jackknife, of all records together
 _ROWS_PER_CUTOFF = 4.0  # rows per period of the filter's cut-off

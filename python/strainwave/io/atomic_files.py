@@ -5,6 +5,7 @@ TOML documents that a user writes.
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
 import threading
@@ -103,6 +104,15 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
         raise InvalidInput(
             f"is not valid TOML ({error})", where=str(path), remedy="correct that line"
         ) from error
+
+
+def read_json(path: Path, description: str, remedy: str) -> Any:
+    """The parsed file; `InvalidInput` with `remedy` if it is not JSON."""
+    text = decode(read_bytes(path, description), path)
+    try:
+        return json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InvalidInput(f"is not JSON ({error})", where=str(path), remedy=remedy) from error
 
 
 def check_keys(document: dict[str, Any], known: Sequence[str], path: Path) -> None:

@@ -9,13 +9,11 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Identification, Parameter, RigidModel
 from strainwave.domain.arm import ArmDescription
-from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters
+from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters, core_arm, transmission
 from strainwave.domain.consistent_links import consistent_links, priors_of
-from strainwave.domain.core_arm import core_arm, transmission
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.kinds import RigidColumn
-from strainwave.domain.kinds.bodies import LINK_PARAMETERS
-from strainwave.domain.rigid_model import ASSUMED_TORQUE_ERROR
+from strainwave.domain.kinds.base import LINK_PARAMETERS
+from strainwave.domain.stage_results import ASSUMED_TORQUE_ERROR
 from strainwave.errors import NumericalFailure
 
 _PREFIXES = {"link_mass": "m", "link_first_moment_": "m", "link_inertia_": "I"}
@@ -46,11 +44,6 @@ def standard_key(name: str) -> Key | None:
     return _LONG_NAMES[short], int(name.removeprefix(short))
 
 
-def base_name_of(column: RigidColumn, leading: Key) -> str:
-    """Name of a base parameter: that of its leading parameter, with R if it is a combination."""
-    return standard_name(leading) + (_REGROUPED if len(column.parts) > 1 else "")
-
-
 _LONG_NAMES = {
     standard_name((long, 1)).removesuffix("1"): long
     for long in (*(f"link_{name}" for name in LINK_PARAMETERS), MOTOR_INERTIA)
@@ -61,7 +54,7 @@ _LONG_NAMES = {
 class BaseParameter:
     """A base parameter under its name in the literature."""
 
-    name: str
+    name: str  # of its leading parameter, with R if it is a combination
     combination: Mapping[str, float]  # weights of standard parameters by `standard_name`
     estimate: Parameter
 
@@ -77,7 +70,7 @@ def base_parameter_list(
     final = {p.key: p for p in parameters}
     return [
         BaseParameter(
-            base_name_of(column, keys[at]),
+            standard_name(keys[at]) + (_REGROUPED if len(column.parts) > 1 else ""),
             {standard_name(key): weight for key, weight in column.parts.items()},
             final[column.key],
         )

@@ -50,21 +50,21 @@ def joint_covariance(identification: Identification) -> JointCovariance | None:
     """
     published = {p.label: p for p in identification.parameters}
     stage, blocks = _blocks(identification)
-    selected = [
-        block
-        for parameters, covariance in blocks
-        if (block := _published_block(parameters, covariance, published)) is not None
-    ]
-    if not selected:
-        return None
-    names = tuple(name for labels, _ in selected for name in labels)
-    matrix = np.zeros((len(names), len(names)))
-    start = 0
-    for labels, submatrix in selected:
-        stop = start + len(labels)
-        matrix[start:stop, start:stop] = submatrix
-        start = stop
-    return JointCovariance(stage, names, matrix)
+    names: list[str] = []
+    matrix = np.zeros((0, 0))
+    for parameters, covariance in blocks:
+        selected = [
+            k
+            for k, p in enumerate(parameters[: len(covariance)])
+            if (final := published.get(p.label)) is not None
+            and _is_equal(p.value, final.value)
+            and _is_equal(float(np.sqrt(max(covariance[k, k], 0.0))), final.std)
+        ]
+        n = len(names)
+        names += [parameters[k].label for k in selected]
+        matrix = np.pad(matrix, (0, len(selected)))
+        matrix[n:, n:] = covariance[np.ix_(selected, selected)]
+    return JointCovariance(stage, tuple(names), matrix) if names else None
 
 
 def covariance_of(document: Mapping[str, Any]) -> JointCovariance | None:
@@ -90,7 +90,6 @@ def covariance_of(document: Mapping[str, Any]) -> JointCovariance | None:
 def _blocks(
     identification: Identification,
 ) -> tuple[Stage, Iterator[tuple[Sequence[Parameter], FloatArray]]]:
-    """The last stage and its groups of correlated parameters with their covariances."""
     if identification.whole_arm is not None:
         whole_arm = identification.whole_arm
         return "tuned", iter([(whole_arm.parameters, whole_arm.covariance)])
@@ -101,24 +100,6 @@ def _blocks(
         )
     rigid = identification.rigid
     return "rigid", iter([(rigid.parameters, rigid.covariance)] if rigid is not None else [])
-
-
-def _published_block(
-    parameters: Sequence[Parameter], covariance: FloatArray, published: Mapping[str, Parameter]
-) -> tuple[list[str], FloatArray] | None:
-    """Names and covariance of the parameters whose value and standard deviation are published."""
-    selected = [
-        k
-        for k, p in enumerate(parameters)
-        if k < len(covariance)
-        and (final := published.get(p.label)) is not None
-        and _is_equal(p.value, final.value)
-        and final.std is not None
-        and _is_equal(float(np.sqrt(max(covariance[k, k], 0.0))), final.std)
-    ]
-    if not selected:
-        return None
-    return [parameters[k].label for k in selected], covariance[np.ix_(selected, selected)]
 
 
 def _is_equal(first: float | None, second: float | None) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 from strainwave.domain import gear_laws
 from strainwave.domain.keys import Values
 from strainwave.errors import InvalidInput
-from strainwave.io.atomic_files import decode, read_bytes
+from strainwave.io.atomic_files import read_json
 from strainwave.io.base_parameters import standard_key
 from strainwave.io.joint_covariance import noise_of
 from strainwave.io.results import parameters_of, rigid_model_of
@@ -71,15 +70,7 @@ def read_assumptions(path: Path) -> Values:
 
 
 def _document(path: Path) -> Any:
-    text = decode(read_bytes(path, "the file of parameters"), path)
-    try:
-        return json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise InvalidInput(
-            f"is not JSON ({error})",
-            where=str(path),
-            remedy="use a result.json or a parameter file",
-        ) from error
+    return read_json(path, "the file of parameters", "use a result.json or a parameter file")
 
 
 def _from_list(entries: list[Any], path: Path) -> Values:

@@ -10,21 +10,22 @@ from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import cache
 from itertools import starmap
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from strainwave import __version__
 from strainwave.domain import (
     ArmDescription,
     ArmModel,
     Clause,
     Correction,
-    Criticism,
     Diagnostic,
     FloatArray,
     FrequencyResponse,
     FrictionTerm,
     Identification,
+    InputCheck,
     JointModel,
     Mode,
     Modes,
@@ -44,7 +45,7 @@ from strainwave.domain import (
 from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters
 from strainwave.domain.keys import Key, Values, label_of
 from strainwave.errors import InvalidInput
-from strainwave.io.atomic_files import decode, read_bytes
+from strainwave.io.atomic_files import read_json
 from strainwave.io.base_parameters import (
     base_parameter_list,
     standard_name,
@@ -53,6 +54,8 @@ from strainwave.io.base_parameters import (
 from strainwave.io.joint_covariance import joint_covariance
 from strainwave.io.study import document_of
 from strainwave.io.study.reader import Reader
+
+T = TypeVar("T")
 
 SCHEMA = "strainwave/result/1"
 NOT_A_RESULT = "give a result.json that strainwave identify has written"
@@ -65,12 +68,8 @@ _MAX_RESPONSE_LINES = 500  # frequencies of one published response
 _RESPONSE_DIGITS = 6  # significant digits of a published response; its noise exceeds 1e-6
 _INPUTS = ("motor_torque", "interaction_torque")
 _OUTPUTS = ("motor_velocity", "link_velocity")
-_RIG_TABLES = (
-    "arm",
-    "joint",
-    "transmission",
-    "servo",
-)  # tables of the study file that result.json repeats
+_DECISIONS = ("identified", "not_identified", "rejected")
+_RIG_TABLES = ("arm", "joint", "transmission", "servo")  # of the study file, which results repeat
 
 
 def to_document(identification: Identification) -> dict[str, Any]:
@@ -95,6 +94,15 @@ def to_document(identification: Identification) -> dict[str, Any]:
             _motor_response(each) for each in identification.motor_responses
         ]
     verdict, covariance = identification.verdict, joint_covariance(identification)
+    base = base_parameter_entries(identification.study.arm, identification.parameters)
+    of_chain: dict[str, Any] = {}
+    if base:
+        standard = standard_parameter_entries(identification)
+        of_chain = {"base_parameters": base, "standard_parameters": standard}
+    # drive signals by the rigid model, motion by the elastic model
+    fits: dict[str, dict[str, float]] = {}
+    for check in identification.checks:
+        fits.setdefault(check.experiment, {}).update(check.fit_percent)
     document = {
         "schema": SCHEMA,
         "version": identification.version,
@@ -103,15 +111,16 @@ def to_document(identification: Identification) -> dict[str, Any]:
         "options": identification.study.options,
         "status": verdict.status,
         "reason": "; ".join(verdict.reasons) or None,
-        "verdict": _verdict(verdict),
+        "verdict": {
+            **{name: [*starmap(label_of, getattr(verdict, name))] for name in _DECISIONS},
+            "validated": verdict.validated,
+            "suspected": suspicion_entries(verdict.suspected),
+        },
         "parameters": identification.parameters,
         "covariance": covariance and _entry(covariance, "stage names matrix"),
-        **_base_parameters(identification),
+        **of_chain,
         "stages": stages,
-        "checks": [
-            {"experiment": name, "fit_percent": fits}
-            for name, fits in _check_fits(identification).items()
-        ],
+        "checks": [{"experiment": name, "fit_percent": fit} for name, fit in fits.items()],
         "warnings": identification.warnings,
         "timing_s": identification.timing_s,
     }
@@ -119,13 +128,25 @@ def to_document(identification: Identification) -> dict[str, Any]:
     return values
 
 
-def _base_parameters(identification: Identification) -> dict[str, Any]:
-    """Base and standard parameters of a serial arm; nothing for other arms."""
-    base = base_parameter_entries(identification.study.arm, identification.parameters)
-    if not base:
-        return {}
-    standard = standard_parameter_entries(identification)
-    return {"base_parameters": base, "standard_parameters": standard}
+def check_document(check: InputCheck) -> dict[str, Any]:
+    """An input check as plain JSON values, in the layout of docs/result.md."""
+    relations = [
+        {"relation": each.kind}
+        | _entry(each, "where measured std expected accuracy bound")
+        | {"consistent": each.is_consistent}
+        for each in check.relations
+    ]
+    document = {
+        "schema": "strainwave/check/1",
+        "version": __version__,
+        "study": {"path": str(check.study.path), "sha256": check.study.sha256},
+        "status": check.status,
+        "relations": relations,
+        "suspected": suspicion_entries(check.suspected),
+        **_entry(check, "unchecked warnings seconds"),
+    }
+    values: dict[str, Any] = plain(document)
+    return values
 
 
 def to_json(document: Mapping[str, Any]) -> bytes:
@@ -138,13 +159,7 @@ def to_json(document: Mapping[str, Any]) -> bytes:
 def read_document(path: Path) -> dict[str, Any]:
     """Read a result.json, or the one in a directory; `InvalidInput` if it is not a result."""
     path = result_path(path)
-    text = decode(read_bytes(path, "the result"), path)
-    try:
-        document = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise InvalidInput(
-            f"is not JSON ({error})", where=str(path), remedy=NOT_A_RESULT
-        ) from error
+    document = read_json(path, "the result", NOT_A_RESULT)
     schema = document.get("schema") if isinstance(document, dict) else None
     if schema != SCHEMA:
         problem = 'has no key "schema"' if schema is None else f"has the schema {schema!r}"
@@ -176,15 +191,14 @@ def study_of(document: Mapping[str, Any], path: Path) -> Study | None:
 
 def parameters_of(document: Mapping[str, Any], source: str = "the result") -> tuple[Parameter, ...]:
     """The final table of a result; `source` names it in messages."""
-    entries: tuple[Parameter, ...] = _validated(
-        tuple[Parameter, ...], document.get("parameters", []), f"{source}: parameters"
-    )
+    place = f"{source}: parameters"
+    entries = _validated(tuple[Parameter, ...], document.get("parameters", []), place)
     for number, parameter in enumerate(entries, start=1):
         for value in (parameter.value, parameter.std):
             if value is not None and not math.isfinite(value):
                 raise InvalidInput(
                     f"{value!r} is not a finite number",
-                    where=f"{source}: parameters, entry {number}",
+                    where=f"{place}, entry {number}",
                     remedy="write a number or null",
                 )
     return entries
@@ -210,9 +224,7 @@ def standard_parameters_of(
     Files of earlier versions do not contain motor inertias without estimate.
     """
     place = f"{source}: standard_parameters"
-    entries: dict[str, float] = _validated(
-        dict[str, float], document.get("standard_parameters") or {}, place
-    )
+    entries = _validated(dict[str, float], document.get("standard_parameters") or {}, place)
     names = {standard_name(key): key for key in base_parameters(arm).links} if entries else {}
     for name in names:
         if not math.isfinite(entries.get(name, math.nan)):
@@ -226,16 +238,14 @@ def standard_parameters_of(
 
 def warnings_of(document: Mapping[str, Any]) -> tuple[PublishedWarning, ...]:
     """The warnings of a result."""
-    entries: tuple[PublishedWarning, ...] = _validated(
-        tuple[PublishedWarning, ...], document.get("warnings", []), "the result: warnings"
-    )
-    return entries
+    entries = document.get("warnings", [])
+    return _validated(tuple[PublishedWarning, ...], entries, "the result: warnings")
 
 
 def verdict_of(document: Mapping[str, Any]) -> Verdict:
     """The verdict of a result."""
     table = {"status": document.get("status"), **document.get("verdict", {})}
-    entry: _VerdictEntry = _validated(_VerdictEntry, table, "the result: verdict")
+    entry = _validated(_VerdictEntry, table, "the result: verdict")
     reason = document.get("reason")
     return Verdict(
         status=entry.status,
@@ -243,7 +253,15 @@ def verdict_of(document: Mapping[str, Any]) -> Verdict:
         not_identified=tuple(map(_key_of, entry.not_identified)),
         rejected=tuple(map(_key_of, entry.rejected)),
         validated=entry.validated,
-        suspected=tuple(map(_suspicion, entry.suspected)),
+        suspected=tuple(
+            Suspicion(
+                places=(Place(part=each.where),),
+                clause=_plain(each.message),
+                remedy_clause=_plain(each.remedy),
+                **_entry(each, "code factor delay_s corrections accepted"),
+            )
+            for each in entry.suspected
+        ),
         reason_clauses=tuple(map(_plain, reason.split("; ") if reason else ())),
     )
 
@@ -257,7 +275,7 @@ def rigid_model_of(document: Mapping[str, Any], n_parameters: int) -> RigidModel
     table = document.get("stages", {}).get("rigid") or {}
     if "prediction" not in table or table.get("status") == "not-identifiable":
         return None
-    entry: _RigidEntry = _validated(_RigidEntry, table, "the result: stages.rigid")
+    entry = _validated(_RigidEntry, table, "the result: stages.rigid")
     solution, motion = np.array(entry.prediction.solution), np.array(entry.prediction.motion)
     if solution.shape != (n_parameters,) or motion.ndim != 3 or len(motion) != 3:
         raise InvalidInput(
@@ -334,19 +352,6 @@ class _VerdictEntry:
     suspected: tuple[_SuspicionEntry, ...] = ()
 
 
-def _suspicion(entry: _SuspicionEntry) -> Suspicion:
-    return Suspicion(
-        code=entry.code,
-        places=(Place(part=entry.where),),
-        clause=_plain(entry.message),
-        remedy_clause=_plain(entry.remedy),
-        factor=entry.factor,
-        delay_s=entry.delay_s,
-        corrections=entry.corrections,
-        accepted=entry.accepted,
-    )
-
-
 def _plain(text: str) -> Clause:
     return Clause("text", text=text)
 
@@ -386,12 +391,14 @@ def response_of(document: Mapping[str, Any], joint: int) -> FrequencyResponse | 
     )
 
 
-def _validated(kind: Any, value: Any, place: str) -> Any:
+def _validated(kind: type[T], value: Any, place: str) -> T:
     """A JSON value as a record; keys that this version does not know are ignored."""
     from pydantic import ValidationError
 
     try:
-        return _adapter(kind).validate_json(json.dumps(value), strict=True)
+        record: T = _adapter(kind).validate_json(  # type: ignore[arg-type]
+            json.dumps(value), strict=True
+        )
     except ValidationError as error:
         first = error.errors()[0]
         keys: list[Any] = list(first["loc"])
@@ -404,6 +411,7 @@ def _validated(kind: Any, value: Any, place: str) -> Any:
             where=place,
             remedy=NOT_A_RESULT,
         ) from error
+    return record
 
 
 @cache
@@ -484,7 +492,6 @@ def _motor_response(response: MotorResponse) -> dict[str, Any]:
 
 
 def _short(values: FloatArray) -> list[float]:
-    """Numbers rounded to `_RESPONSE_DIGITS` significant digits."""
     return [float(f"{value:.{_RESPONSE_DIGITS}g}") for value in values.tolist()]
 
 
@@ -492,23 +499,12 @@ def suspicion_entries(suspicions: Iterable[Suspicion]) -> list[dict[str, Any]]:
     """Suspected faults as JSON values."""
     suspected = []
     for one in suspicions:
-        texts = {"where": one.where, "message": one.message, "remedy": one.remedy}
-        sizes = {"factor": one.factor, "delay_s": one.delay_s}
-        sizes = {key: size for key, size in sizes.items() if size is not None}
-        corrections = [asdict(each) for each in one.corrections]
+        sizes = {k: size for k, size in _entry(one, "factor delay_s").items() if size is not None}
         accepted = {"accepted": True} if one.accepted else {}
-        entry = {"code": one.code, **texts, **sizes, **accepted, "corrections": corrections}
-        suspected.append(entry)
+        corrections = {"corrections": [asdict(each) for each in one.corrections]}
+        texts = _entry(one, "code where message remedy")
+        suspected.append(texts | sizes | accepted | corrections)
     return suspected
-
-
-def _verdict(verdict: Verdict) -> dict[str, Any]:
-    labels = {
-        name: [*starmap(label_of, getattr(verdict, name))]
-        for name in ("identified", "not_identified", "rejected")
-    }
-    suspected = suspicion_entries(verdict.suspected)
-    return labels | {"validated": verdict.validated, "suspected": suspected}
 
 
 def _rigid(model: RigidModel) -> dict[str, Any]:
@@ -534,14 +530,6 @@ def _rigid(model: RigidModel) -> dict[str, Any]:
     }
 
 
-def _check_fits(identification: Identification) -> dict[str, dict[str, float]]:
-    """Fits per record: drive signals by the rigid model, motion by the elastic model."""
-    fits: dict[str, dict[str, float]] = {}
-    for check in identification.checks:
-        fits.setdefault(check.experiment, {}).update(check.fit_percent)
-    return fits
-
-
 def _record(record: RecordModel) -> dict[str, Any]:
     """The physical model and the state-space model of one excited record."""
     chosen = record.joint_model
@@ -551,9 +539,14 @@ def _record(record: RecordModel) -> dict[str, Any]:
     entry["fit_percent"] = record.state_space and _simulated_fit(record.state_space)
     entry["state_space"] = None
     if record.state_space is not None:
-        entry["state_space"] = _state_space(record.state_space, record.modes)
-        names = "fit_percent prediction_fit_percent tests"
-        entry["state_space"]["held_out"] = record.check and _entry(record.check, names)
+        names = "A B C D K sample_time method order status hold input_names output_names"
+        entry["state_space"] = {
+            **_entry(record.state_space, f"{names} prediction_fit_percent warnings"),
+            "fit_percent": entry["fit_percent"],
+            **_frequencies(record.modes),
+            "held_out": record.check
+            and _entry(record.check, "fit_percent prediction_fit_percent tests"),
+        }
     entry["transfer_function"] = None if record.transfer is None else _joint(record.transfer)
     entry["checks"] = [asdict(check) for check in record.signals.checks]
     entry["warnings"] += record.warnings
@@ -602,12 +595,6 @@ def _frequencies(model: JointModel | Modes | None) -> dict[str, Any]:
     return entry
 
 
-def _state_space(model: StateSpace, modes: Modes | None) -> dict[str, Any]:
-    names = "A B C D K sample_time method order status hold input_names output_names"
-    entry = _entry(model, f"{names} prediction_fit_percent warnings")
-    return entry | {"fit_percent": _simulated_fit(model)} | _frequencies(modes)
-
-
 def _simulated_fit(model: StateSpace) -> tuple[float, ...] | None:
     """Fits of the simulated model; None if the model is unstable."""
     unstable = any(warning.code == "unstable-model" for warning in model.warnings)
@@ -615,23 +602,20 @@ def _simulated_fit(model: StateSpace) -> tuple[float, ...] | None:
 
 
 def _whole_arm(model: ArmModel) -> dict[str, Any]:
+    """The fit with its correlations; residuals without their spectra, and causes."""
     names = "status end iterations parameters fit_percent initial_fit_percent warnings"
+    residual = "experiment channel deviation noise sample_noise worst_hz whiteness"
+    residual += " input_joint input_correlation input_delay input_probability"
+    cause = "joint effect parameters gain share shifts weight is_included is_linearised"
     return _entry(model, names) | {
         "correlations": _correlations(model),
         "gear_laws": [asdict(choice) for choice in model.gear_laws],
         "sensor_gains": [asdict(gain) for gain in model.sensor_gains],
-        "criticism": model.criticism and _criticism(model.criticism),
-    }
-
-
-def _criticism(criticism: Criticism) -> dict[str, Any]:
-    """Residuals without their spectra, and causes."""
-    residual = "experiment channel deviation noise sample_noise worst_hz whiteness"
-    residual += " input_joint input_correlation input_delay input_probability"
-    cause = "joint effect parameters gain share shifts weight is_included is_linearised"
-    return {
-        "residuals": [_entry(each, residual) for each in criticism.residuals],
-        "causes": [_entry(each, cause) for each in criticism.causes],
+        "criticism": model.criticism
+        and {
+            "residuals": [_entry(each, residual) for each in model.criticism.residuals],
+            "causes": [_entry(each, cause) for each in model.criticism.causes],
+        },
     }
 
 
@@ -665,18 +649,13 @@ def base_parameter_entries(
     return entries
 
 
-def warning_entry(warning: Diagnostic) -> dict[str, Any]:
-    """A warning as JSON values."""
-    entry = {"code": warning.code, "where": warning.where, "message": warning.message}
-    return entry | ({"experiments": warning.experiments} if warning.experiments else {})
-
-
 def plain(value: Any) -> Any:
     """A record as JSON values; numbers that are not finite become null."""
     if isinstance(value, Parameter):
         value = parameter_entry(value)
     elif isinstance(value, Diagnostic):
-        value = warning_entry(value)
+        experiments = {"experiments": value.experiments} if value.experiments else {}
+        value = _entry(value, "code where message") | experiments
     elif isinstance(value, np.ndarray):
         value = value.tolist()
     elif is_dataclass(value):

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 from xml.dom import minidom
 from xml.etree import ElementTree
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, JointLimits, LinkPrior, Motion, Origin
 from strainwave.domain.consistent_links import is_consistent, standard_parameters
-from strainwave.domain.kinds.bodies import Body
+from strainwave.domain.kinds.base import Body
 from strainwave.domain.link_sensors.link_space import angles, attitude
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
@@ -93,7 +93,7 @@ def patch_urdf(
     (robot,) = _children(document, "robot")
     elements = {each.getAttribute("name"): each for each in _children(robot, "link")}
     joints = {each.getAttribute("name"): each for each in _children(robot, "joint")}
-    for joint, link, values in zip(reader.moving_elements(), links, friction, strict=True):
+    for (_, joint), link, values in zip(reader.moving(), links, friction, strict=True):
         fixed = reader.fixed_to(joint.child)
         rest = tuple((np.array(link) - reader.merged(fixed)).tolist())
         has_rest = is_consistent(rest)
@@ -191,38 +191,40 @@ class _Reader:
             raise self._fault(f"there is no joint {unknown[0]!r} to hold", "correct its name")
 
     def chain(self) -> tuple[UrdfJoint, ...]:
-        """The moving joints from the base."""
-        link = self._base()
-        self._check_mimics()
-        frame, joints = np.eye(4), list[UrdfJoint]()
-        self._merged(link)  # the base has no parameters, but its joints are checked
-        while (found := self._next(link)) is not None:
-            frame, joint = found
-            prior = self._merged(joint.child)
-            joints.append(self._moving(joint, frame, prior))
-            link = joint.child
+        base = self._base()
+        for name in self.mimics():
+            raise self._fault(
+                f"joint {name!r} mimics another joint",
+                'set its type to "fixed", or hold it at zero: arm.held in the study',
+            )
+        self._merged(base)  # the base has no parameters, but its joints are checked
+        joints = [
+            self._moving(joint, frame, self._merged(joint.child)) for frame, joint in self.moving()
+        ]
         if not joints:
             raise self._fault("no joint moves", "set the types of the moving joints")
         return tuple(joints)
 
-    def moving_elements(self) -> list[_Element]:
-        """The joints that move, from the base."""
-        link, elements = self._base(), list[_Element]()
-        while (found := self._next(link)) is not None:
-            elements.append(found[1])
-            link = found[1].child
-        return elements
+    def moving(self) -> Iterator[tuple[FloatArray, _Element]]:
+        """Yield the joints that move, from the base, and the frames in which they are placed."""
+        link = self._base()
+        while (placed := self._next(link)) is not None:
+            yield placed
+            link = placed[1].child
+
+    def mimics(self) -> list[str]:
+        """Names of the moving joints that follow another joint."""
+        return [j.name for j in self._joints if j.moves and j.xml.find("mimic") is not None]
 
     def fixed_to(self, link: str) -> dict[str, FloatArray]:
         """Links that are fixed to a link, with their frames in its frame (4, 4)."""
-        return dict(self._fixed(link, np.eye(4)))
-
-    def _fixed(self, link: str, frame: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+        frames: dict[str, FloatArray] = {}
         for joint in self._joints:
             if joint.parent == link and not joint.moves:
-                placed = frame @ self._placement(joint.xml)
-                yield joint.child, placed
-                yield from self._fixed(joint.child, placed)
+                frame = self._placement(joint.xml)
+                others = self.fixed_to(joint.child).items()
+                frames |= {joint.child: frame, **{name: frame @ inner for name, inner in others}}
+        return frames
 
     def merged(self, frames: Mapping[str, FloatArray]) -> FloatArray:
         """Sum of the inertial values of links with their frames in one frame: (10,)."""
@@ -230,8 +232,7 @@ class _Reader:
         return np.asarray(np.sum([np.zeros(10), *map(np.array, inertials)], axis=0))
 
     def chains(self) -> Chains:
-        """Names of the moving joints from the base to each end, and of mimic joints."""
-        mimics = [j.name for j in self._joints if j.moves and j.xml.find("mimic") is not None]
+        mimics = self.mimics()
         links, chains = [(self._base(), tuple[str, ...]())], list[tuple[str, ...]]()
         while links:
             link, chain = links.pop(0)
@@ -241,14 +242,6 @@ class _Reader:
             if not moving:
                 chains.append(chain)
         return Chains(tuple(chains), tuple(mimics))
-
-    def _check_mimics(self) -> None:
-        for joint in self._joints:
-            if joint.moves and joint.xml.find("mimic") is not None:
-                raise self._fault(
-                    f"joint {joint.name!r} mimics another joint",
-                    'set its type to "fixed", or hold it at zero: arm.held in the study',
-                )
 
     def _element(self, xml: ElementTree.Element) -> _Element:
         name, kind = xml.get("name", ""), xml.get("type", "")
@@ -342,16 +335,10 @@ class _Reader:
         if inertial is None:
             return (0.0,) * 10
         mass = self._number(inertial.find("mass"), "value", link) or 0.0
-        tensor, entries = inertial.find("inertia"), dict[str, float]()
-        for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"):
-            entries[key] = self._number(tensor, key, link) or 0.0
-        about_centre = np.array(
-            [
-                [entries["ixx"], entries["ixy"], entries["ixz"]],
-                [entries["ixy"], entries["iyy"], entries["iyz"]],
-                [entries["ixz"], entries["iyz"], entries["izz"]],
-            ]
-        )
+        tensor, about_centre = inertial.find("inertia"), np.zeros((3, 3))
+        for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
+            entry = self._number(tensor, f"i{'xyz'[i]}{'xyz'[j]}", link) or 0.0
+            about_centre[i, j] = about_centre[j, i] = entry
         placed = frame @ self._placement(inertial)
         axes = placed[:3, :3]
         return standard_parameters(mass, placed[:3, 3], axes @ about_centre @ axes.T)
@@ -373,28 +360,27 @@ class _Reader:
         default: tuple[float, float, float],
         name: str,
     ) -> tuple[float, float, float]:
-        text = None if xml is None else xml.get(key)
-        if text is None:
-            return default
-        try:
-            x, y, z = (float(part) for part in text.split())
-        except ValueError:
-            x = y = z = np.nan
-        if not np.isfinite([x, y, z]).all():
-            raise self._fault(f"{key}={text!r} of {name!r} is not three numbers", "correct it")
-        return x, y, z
+        values = self._numbers(xml, key, name, 3)
+        return default if values is None else (values[0], values[1], values[2])
 
     def _number(self, xml: ElementTree.Element | None, key: str, name: str) -> float | None:
+        values = self._numbers(xml, key, name, 1)
+        return None if values is None else values[0]
+
+    def _numbers(
+        self, xml: ElementTree.Element | None, key: str, name: str, count: Literal[1, 3]
+    ) -> list[float] | None:
         text = None if xml is None else xml.get(key)
         if text is None:
             return None
         try:
-            value = float(text)
+            values = [float(part) for part in text.split()]
         except ValueError:
-            value = np.nan
-        if not np.isfinite(value):
-            raise self._fault(f"{key}={text!r} of {name!r} is not a number", "correct it")
-        return value
+            values = []
+        if len(values) != count or not np.isfinite(values).all():
+            expected = "a number" if count == 1 else "three numbers"
+            raise self._fault(f"{key}={text!r} of {name!r} is not {expected}", "correct it")
+        return values
 
     def _fault(self, problem: str, remedy: str) -> InvalidInput:
         return InvalidInput(problem, where=str(self._path), remedy=remedy)

@@ -252,7 +252,8 @@ def apply_lags_without_aliases(
     if not lags and between == "smooth":
         return signal
     n = len(signal)
-    pad = min(n - 1, max(_MIN_SAMPLES, round(_settling_time(lags) / sample_time)))
+    slowest = min((lag.cutoff_hz for lag in lags), default=np.inf)
+    pad = min(n - 1, max(_MIN_SAMPLES, round(_SETTLING_PERIODS / slowest / sample_time)))
     before, after = np.repeat(signal[:1], pad, axis=0), np.repeat(signal[-1:], pad, axis=0)
     if between == "smooth":
         after = 2.0 * after - signal[-2 : -pad - 2 : -1]
@@ -262,11 +263,6 @@ def apply_lags_without_aliases(
     passed, slope = _filter_about_line(extended, response, slice(pad, pad + n))
     # the response to a straight line is a delayed line
     return np.asarray(passed - slope * (delay / sample_time))
-
-
-def _settling_time(lags: Sequence[Lag]) -> float:
-    """Time [s] after which the transient of the slowest low-pass filter is below rounding."""
-    return max((_SETTLING_PERIODS / lag.cutoff_hz for lag in lags), default=0.0)
 
 
 @lru_cache(maxsize=32)
@@ -318,26 +314,9 @@ def _discrete_transfer_function(
     return np.real(np.poly(A - np.outer(B, C)) + (D - 1.0) * poles), np.real(poles)
 
 
-def band_pass(
-    signal: FloatArray, low_hz: float, high_hz: float, sample_time: float, *, integrals: int = 0
-) -> FloatArray:
-    """Zero-phase band-pass, combined with integration over time.
-
-    H = 1 / ((1 + (low/f)^8) (1 + (f/high)^8)) (2 pi j f)^-integrals multiplies the spectrum of the
-    signal, extended at both ends by point reflection. Integration without a high-pass would drift.
-
-    `signal` (n_samples, ...).
-    `low_hz, high_hz` [Hz].
-    `sample_time` [s].
-    `integrals`: Number of integrations over time.
-
-    Returns (n_samples, ...). The first and last 1.5 / low_hz seconds contain transients.
-    """
-
-    def response(f: FloatArray) -> ComplexArray:
-        return np.asarray((2j * np.pi * f) ** -integrals * _band_gain(f, low_hz, high_hz))
-
-    return by_spectrum(signal, response, sample_time, 3.0 / low_hz)
+def band_pass(signal: FloatArray, low_hz: float, high_hz: float, sample_time: float) -> FloatArray:
+    """Zero-phase band-pass of one signal (n_samples,); see `band_passes`."""
+    return band_passes(signal[:, None], [(0, 0)], low_hz, high_hz, sample_time)[:, 0]
 
 
 def band_passes(
@@ -347,7 +326,10 @@ def band_passes(
     high_hz: float,
     sample_time: float,
 ) -> FloatArray:
-    """Band-pass of several signals, their integrals and their derivatives; see `band_pass`.
+    """Zero-phase band-pass of several signals, their integrals and their derivatives.
+
+    H = 1 / ((1 + (low/f)^8) (1 + (f/high)^8)) (2 pi j f)^-integrals multiplies the spectra of the
+    signals, extended at both ends by point reflection. Integration without a high-pass would drift.
 
     `signals` (n_samples, n_signals).
     `requests`: For each result, the column of the signal and the number of integrations; negative
@@ -355,22 +337,16 @@ def band_passes(
     `low_hz, high_hz` [Hz].
     `sample_time` [s].
 
-    Returns (n_samples, n_requests).
+    Returns (n_samples, n_requests). The first and last 1.5 / low_hz seconds contain transients.
     """
     padded = _padded_spectrum(signals, sample_time, 3.0 / low_hz)
     f = padded.frequency
-    gain = _band_gain(f, low_hz, high_hz)
+    gain = 1.0 / ((1.0 + _eighth_power(low_hz / f)) * (1.0 + _eighth_power(f / high_hz)))
     filtered = np.empty((len(signals), len(requests)))
     for column, (k, integrals) in enumerate(requests):
         response = gain if integrals == 0 else gain * (2j * np.pi * f) ** -integrals
         filtered[:, column] = padded.inverse(response * padded.spectrum[:, k])
     return filtered
-
-
-def _band_gain(f: FloatArray, low_hz: float, high_hz: float) -> FloatArray:
-    return np.asarray(
-        1.0 / ((1.0 + _eighth_power(low_hz / f)) * (1.0 + _eighth_power(f / high_hz)))
-    )
 
 
 def _eighth_power(x: FloatArray) -> FloatArray:

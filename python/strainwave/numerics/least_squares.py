@@ -188,11 +188,12 @@ def rows_of(
     local_leverage = np.zeros(len(root))
     local_coefficients: list[FloatArray] = [np.zeros((0, columns.shape[1]))]
     for part, Z in _weighted_parts(equations, root):
-        eliminated = _eliminate(Z, columns[part.rows], leverage=leverage)
-        columns[part.rows] = eliminated.remainder
-        local_coefficients.append(eliminated.coefficients)
+        coefficients, columns[part.rows], of_part = _eliminate(
+            Z, columns[part.rows], leverage=leverage
+        )
+        local_coefficients.append(coefficients)
         if leverage:
-            local_leverage[part.rows] = eliminated.leverage
+            local_leverage[part.rows] = of_part
     return Rows(scale, columns, np.concatenate(local_coefficients), local_leverage)
 
 
@@ -222,21 +223,18 @@ def rows_of_local(equations: Equations) -> IntArray:
     return np.concatenate(rows) if rows else np.zeros(0, dtype=np.int64)
 
 
-@dataclass(frozen=True, slots=True)
-class _Elimination:
-    """Ridge regression of columns on banded regressors Z."""
+def _eliminate(
+    Z: Banded, right: FloatArray, *, leverage: bool
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Ridge regression of columns on banded regressors Z.
 
-    coefficients: FloatArray  # (Z'Z + I)^-1 Z' right
-    remainder: FloatArray  # of the columns
-    leverage: FloatArray  # (n_rows,) diagonal of Z (Z'Z + I)^-1 Z'
-
-
-def _eliminate(Z: Banded, right: FloatArray, *, leverage: bool) -> _Elimination:
+    Returns the coefficients (Z'Z + I)^-1 Z' right, the remainder of the columns, and the leverage
+    (n_rows,), the diagonal of Z (Z'Z + I)^-1 Z'.
+    """
     if not Z.entries.size:
-        none = np.zeros((Z.n_columns, right.shape[1]))
-        return _Elimination(none, right, np.zeros(len(right)))
+        return np.zeros((Z.n_columns, right.shape[1])), right, np.zeros(len(right))
     right = np.ascontiguousarray(right)
-    return _Elimination(*_core.eliminate(Z.first, Z.entries, Z.n_columns, right, leverage))
+    return _core.eliminate(Z.first, Z.entries, Z.n_columns, right, leverage)
 
 
 def _parts(equations: Equations) -> Iterator[tuple[Local, slice]]:
@@ -309,10 +307,12 @@ def jackknife(equations: Equations, factor: Factor) -> tuple[FloatArray, FloatAr
     basis = factor.directions[factor.is_resolved].T / factor.scale[:, None]
     to_parameters = basis / factor.singular[factor.is_resolved]
     normal = _NormalEquations.of(equations, factor.root, to_parameters)
-    reference = normal.solution()
+    reference = np.linalg.solve(normal.gram[:, :-1], normal.gram[:, -1])
     shifts = [normal.without(label) - reference for label in normal.block_grams]
     m = len(shifts)
-    inner_covariance = (m - 1) / m * np.array(shifts).T @ np.array(shifts) + normal.lean()
+    inverse = np.linalg.inv(normal.gram[:, :-1])
+    of_priors = inverse @ normal.priors @ inverse
+    inner_covariance = (m - 1) / m * np.array(shifts).T @ np.array(shifts) + of_priors
     k = to_parameters.shape[1]
     covariance: FloatArray = to_parameters @ inner_covariance[:k, :k] @ to_parameters.T
     return covariance, np.asarray(np.diag(inner_covariance)[k:] * equations.common_deviation**2)
@@ -324,7 +324,7 @@ class _NormalEquations:
 
     gram: FloatArray  # (k, k + 1), the last column is the right-hand side
     block_grams: dict[int, FloatArray]  # contribution of each block to the gram matrix
-    priors: FloatArray  # (k, k) contribution of the errors of the priors
+    priors: FloatArray  # (k, k) contribution of the errors of the priors, of unit variance
 
     @staticmethod
     def of(equations: Equations, root: FloatArray, back: FloatArray) -> _NormalEquations:
@@ -339,7 +339,7 @@ class _NormalEquations:
         for part, Z in _weighted_parts(equations, root):
             if not Z.entries.size:
                 continue
-            coefficients = _eliminate(Z, rows[part.rows], leverage=False).coefficients
+            coefficients, _, _ = _eliminate(Z, rows[part.rows], leverage=False)
             part_gram, without = _without_blocks(Z, rows[part.rows], equations.block[part.rows])
             gram += part_gram
             priors += coefficients.T @ coefficients
@@ -356,23 +356,14 @@ class _NormalEquations:
         priors += prior_rows.T @ prior_rows
         return _NormalEquations(gram[:-1], block_grams, priors[:-1, :-1])
 
-    def solution(self) -> FloatArray:
-        """Estimate of w and the common nuisance parameters."""
-        return np.asarray(np.linalg.solve(self.gram[:, :-1], self.gram[:, -1]))
-
     def without(self, label: int) -> FloatArray:
-        """Estimate without the rows of one block.
+        """Estimate of w and the common nuisance parameters without the rows of one block.
 
         A small ridge keeps a direction that only these rows determine at a finite value.
         """
         gram = self.gram - self.block_grams[label][:-1]
         gram[np.diag_indices(len(gram))] += 1e-9
         return np.asarray(np.linalg.solve(gram[:, :-1], gram[:, -1]))
-
-    def lean(self) -> FloatArray:
-        """Covariance due to the errors of the priors, which have unit variance."""
-        S = np.linalg.inv(self.gram[:, :-1])
-        return np.asarray(S @ self.priors @ S)
 
 
 def _without_blocks(

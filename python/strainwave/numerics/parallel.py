@@ -93,7 +93,6 @@ _thread = threading.local()
 
 
 def _group() -> _Group | None:
-    """Group of the job that runs on this thread."""
     group: _Group | None = getattr(_thread, "group", None)
     return group
 

@@ -41,11 +41,7 @@ class Fit:
         return (value / scale, std / abs(scale)) if scale else (0.0, np.inf)
 
 
-def regress(
-    target: FloatArray,
-    columns: FloatArray,
-    prior: FloatArray | None = None,
-) -> Fit | None:
+def regress(target: FloatArray, columns: FloatArray, prior: FloatArray | None = None) -> Fit | None:
     """Least squares by QR with a free constant. The covariance allows for correlated residuals.
 
     `target` has shape (n_rows,), `columns` (n_rows, n_columns). `prior`, of shape (n_columns,),
@@ -75,8 +71,7 @@ def regress(
     inverse = np.linalg.inv(R)
     root = inverse * residual_std * np.sqrt(ROWS_PER_INDEPENDENT_ROW)
     factor = np.maximum(
-        1.0,
-        long_run_std(X @ (inverse @ inverse.T), residual) / np.linalg.norm(root, axis=1),
+        1.0, long_run_std(X @ (inverse @ inverse.T), residual) / np.linalg.norm(root, axis=1)
     )
     return Fit(
         value=value / norms,

@@ -17,11 +17,6 @@ Trend = Literal["mean", "line"]
 """Trend that is removed from each window before the transform."""
 
 
-def periodic_hann(samples: int) -> FloatArray:
-    """Periodic Hann window; copies shifted by half its length sum to one."""
-    return np.asarray(0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(samples) / samples))
-
-
 def window_spectra(
     columns: FloatArray, window: FloatArray, step: int, *, trend: Trend = "mean"
 ) -> ComplexArray:
@@ -53,7 +48,7 @@ def cross_spectral_densities(
     Returns frequencies (n_frequencies,) [Hz] and densities (n_frequencies, n_columns, n_columns)
     [1/Hz] with conj(x_i) x_j at (i, j).
     """
-    weight = periodic_hann(segment)
+    weight = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(segment) / segment)
     spectra = window_spectra(columns, weight, segment - segment // 2, trend=trend)
     by_frequency = np.moveaxis(spectra, 0, 2)  # (n_frequencies, n, n_windows)
     density = by_frequency.conj() @ np.swapaxes(by_frequency, 1, 2)
@@ -77,13 +72,11 @@ def correlate_residuals(
     """
     n = len(residual)
     lags = max(1, min(MAX_LAGS, n // 4))
-    residual_spectrum = _padded_spectrum(residual)
-    autocovariance = np.fft.irfft(np.abs(residual_spectrum) ** 2, 2 * n)[:n]
+    residual_spectrum, autocovariance = spectrum_and_autocovariance(residual)
     power = float(autocovariance[0]) or 1.0  # the correlation of a constant signal is zero
     cross, std = [], []
     for column in inputs.T:
-        input_spectrum = _padded_spectrum(column)
-        input_autocovariance = np.fft.irfft(np.abs(input_spectrum) ** 2, 2 * n)[:n]
+        input_spectrum, input_autocovariance = spectrum_and_autocovariance(column)
         input_power = float(input_autocovariance[0]) or 1.0
         products = (
             np.fft.irfft(residual_spectrum * input_spectrum.conj(), 2 * n)
@@ -131,11 +124,6 @@ def expected_autocorrelation(
     return rho[zero : zero + lags + 1], std
 
 
-def _padded_spectrum(column: FloatArray) -> np.ndarray:
-    """Spectrum without the mean, zero-padded so that correlations are not circular."""
-    return np.asarray(np.fft.rfft(column - column.mean(), 2 * len(column)))
-
-
 def estimate_rows_per_error(column: FloatArray) -> float:
     """Rows per independent error of a series (n_rows,), from its autocorrelation."""
     return rows_per_error(spectrum_and_autocovariance(column)[1][: len(column) // 2])
@@ -144,7 +132,8 @@ def estimate_rows_per_error(column: FloatArray) -> float:
 def spectrum_and_autocovariance(column: FloatArray) -> tuple[ComplexArray, FloatArray]:
     """Zero-padded spectrum (n + 1,) and autocovariance times n (n,) of a series (n,).
 
-    Both are without the mean; the autocovariance starts at lag zero.
+    Both are without the mean; the autocovariance starts at lag zero. Because of the padding,
+    correlations are not circular.
     """
     n = len(column)
     spectrum = np.asarray(np.fft.rfft(column - column.mean(), 2 * n))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -28,9 +29,8 @@ _MIN_PREDICTED_TOLERANCES, _MIN_PREDICTED_COST_SHARE = 1000.0, 0.2
 # Evaluations without sufficient decrease after which the iteration ends in any case: the cost is
 # discontinuous.
 _MAX_STALL_EVALUATIONS = 12
-_MIN_ACCEPTED_GAIN_RATIO = (
-    1e-4  # smallest ratio of actual to predicted decrease for which a step is accepted
-)
+# smallest ratio of actual to predicted decrease for which a step is accepted
+_MIN_ACCEPTED_GAIN_RATIO = 1e-4
 # Smallest damping, and smallest damping after a rejected step.
 _MIN_DAMPING, _MIN_DAMPING_AFTER_REJECTION = 1e-9, 1e-3
 _STEP_REDUCTION = 0.3  # factor on the trusted step length after a rejected step
@@ -66,11 +66,11 @@ class Flat:
         """Sum x + step."""
         return np.asarray(x + step)
 
-    def at_bounds(self, x: FloatArray, _: FloatArray) -> BoolArray:
+    def at_bounds(self, x: FloatArray, gradient: FloatArray) -> BoolArray:
         """No coordinate is at a bound."""
         return np.zeros(len(x), dtype=bool)
 
-    def limit_step(self, _x: FloatArray, step: FloatArray, _share: float) -> FloatArray:
+    def limit_step(self, x: FloatArray, step: FloatArray, share: float) -> FloatArray:
         """The unchanged step."""
         return step
 
@@ -126,14 +126,9 @@ def minimise(
         gain_tolerance = tolerance + relative * current.cost
         if gain < gain_tolerance:
             return Minimum(x, current, evaluations, SearchEnd.CONVERGED)
-        stalled = (
-            len(costs) > _STALL_EVALUATIONS
-            and costs[-_STALL_EVALUATIONS - 1] - current.cost < _MAX_STALL_DECREASE * gain_tolerance
-        )
-        is_discontinuous = (
-            len(costs) > _MAX_STALL_EVALUATIONS
-            and costs[-_MAX_STALL_EVALUATIONS - 1] - current.cost
-            < _MAX_STALL_DECREASE * gain_tolerance
+        stalled, is_discontinuous = (
+            len(costs) > n and costs[-n - 1] - current.cost < _MAX_STALL_DECREASE * gain_tolerance
+            for n in (_STALL_EVALUATIONS, _MAX_STALL_EVALUATIONS)
         )
         is_small_gain = gain < max(
             _MIN_PREDICTED_TOLERANCES * tolerance, _MIN_PREDICTED_COST_SHARE * current.cost
@@ -142,9 +137,8 @@ def minimise(
             return Minimum(x, current, evaluations, SearchEnd.STALLED)
         if evaluations >= max_evaluations:
             return Minimum(x, current, evaluations, SearchEnd.EVALUATION_LIMIT)
-        predicted, step = _trusted_step(
-            current.factor, damping, is_free, _StepLimit(space, x, trusted_share)
-        )
+        limit = partial(space.limit_step, x, share=trusted_share)
+        predicted, step = _trusted_step(current.factor, damping, is_free, limit)
         trial = space.move(x, step)
         evaluations += 1
         gain_ratio = -np.inf
@@ -173,22 +167,12 @@ def minimise(
 def full_step(at: Linearised, x: FloatArray, space: Space) -> FloatArray:
     """Point (n,) after the Gauss-Newton step from x, limited to the range of the space."""
     is_free = ~space.at_bounds(x, at.factor[:, :-1].T @ at.factor[:, -1])
-    _, step = _trusted_step(at.factor, 0.0, is_free, _StepLimit(space, x, 1.0))
+    _, step = _trusted_step(at.factor, 0.0, is_free, partial(space.limit_step, x, share=1.0))
     return space.move(x, step)
 
 
-@dataclass(frozen=True, slots=True)
-class _StepLimit:
-    space: Space
-    x: FloatArray
-    share: float  # share of the range in which the problem is nearly linear
-
-
 def _trusted_step(
-    factor: FloatArray,
-    damping: float,
-    free: BoolArray,
-    trust: _StepLimit,
+    factor: FloatArray, damping: float, free: BoolArray, limit: Callable[[FloatArray], FloatArray]
 ) -> tuple[float, FloatArray]:
     """Damped step with limited components held at their limits; the others are re-optimised.
 
@@ -198,7 +182,7 @@ def _trusted_step(
     fixed_step = np.zeros(len(free))
     while True:
         predicted, step = _step(factor, damping, free, fixed_step)
-        limited = trust.space.limit_step(trust.x, step, trust.share)
+        limited = limit(step)
         is_limited = free & (limited != step)
         if not np.any(is_limited):
             return predicted, step

@@ -28,7 +28,7 @@ from strainwave.domain import (
     Suspicion,
 )
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.progress import Progress, ProgressEvent, ignore_progress
+from strainwave.domain.options import Progress, ProgressEvent, ignore_progress
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.identification import amplitude_sweep as sweep
 from strainwave.identification import whole_arm
@@ -55,7 +55,7 @@ from strainwave.pipeline.rigid_joints import (
     fit_rigid_joints,
 )
 from strainwave.presentation.matplotlib_backend import images
-from strainwave.signals.activity import activity_of
+from strainwave.signals.motor import activity_of
 from strainwave.signals.torque_constants import (
     find_doubtful_torque_constant,
     suspect_torque_constants,

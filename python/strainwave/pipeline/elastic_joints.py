@@ -36,6 +36,7 @@ from strainwave.numerics.parallel import run_parallel
 from strainwave.pipeline.inputs import Inputs
 from strainwave.pipeline.reporter import Reporter
 from strainwave.signals import link_motion as links
+from strainwave.signals.delays import build_delay_warnings, list_removed_delays
 from strainwave.signals.mounting_start import substitute_equivalent_sensors
 
 _DecoupledRecord = tuple[Log, LinkSignals, tuple[Decoupled, ...]]
@@ -79,8 +80,8 @@ def fit_elastic_joints(
         placed_logs, placed_arm = substitute_equivalent_sensors(excited, inputs.arm, inputs.logs)
         options = inputs.study.options
         sides, delays = links.compute_link_signals(placed_logs, placed_arm, options.links)
-        removed = links.list_removed_delays(sides, delays)
-        warnings = list(links.build_delay_warnings(delays))
+        removed = list_removed_delays(sides, delays)
+        warnings = list(build_delay_warnings(delays))
         # the motion of a coupled link follows several motors: no joint has a model of its own
         if inputs.arm.is_coupled or any("motor" in side.sources for side in sides):
             warnings += [warning for side in sides for warning in side.warnings]
@@ -105,7 +106,7 @@ def fit_elastic_joints(
                 ]
             stage = _fit_joints(inputs, rigid_model, decoupled_records)
     warnings += [*stage.warnings, *(w for joint in stage.joints for w in joint.warnings)]
-    summaries = tuple(summary for side in sides for summary in side.summaries)
+    summaries = tuple(summary for side in sides for summary in side.links)
     return replace(stage, delays=removed, links=summaries, warnings=tuple(warnings))
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from strainwave.domain import Consistency, Diagnostic, InputCheck, Log, Place, Stage, Study, Use
-from strainwave.domain.diagnostics import merge_by_cause
+from strainwave.domain.identification import merge_by_cause
 from strainwave.domain.keys import Key, Values, label_of
 from strainwave.domain.parameters import complete_values
 from strainwave.dynamics.arm import Arm

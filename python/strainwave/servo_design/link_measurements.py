@@ -15,14 +15,16 @@ import numpy as np
 from strainwave.domain import FloatArray, Joint
 from strainwave.domain.arm import Imu
 from strainwave.domain.link_sensors import Axis, axes_of, with_estimates
-from strainwave.domain.link_sensors.accelerometer import Accelerometer
-from strainwave.domain.link_sensors.encoders import LinkEncoder
-from strainwave.domain.link_sensors.gear_sensors import TorqueSensor, TorsionSensor
-from strainwave.domain.link_sensors.gyro import Gyro
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros
 from strainwave.domain.link_sensors.interface import LinkSensor
-from strainwave.domain.link_sensors.link_space import attitude, axes_about
-from strainwave.domain.quantities import Quantity
+from strainwave.domain.link_sensors.link_space import Quantity, attitude, axes_about
+from strainwave.domain.link_sensors.single_axis import (
+    Accelerometer,
+    Gyro,
+    LinkEncoder,
+    TorqueSensor,
+    TorsionSensor,
+)
 from strainwave.dynamics.arm import Arm
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise

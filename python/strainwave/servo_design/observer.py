@@ -21,7 +21,7 @@ import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
 from strainwave.domain import FloatArray
-from strainwave.domain.quantities import Quantity
+from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm

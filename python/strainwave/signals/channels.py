@@ -1,4 +1,4 @@
-"""Channels of a log: their names, sliding directions of the motors, saturation of the drives."""
+"""Channels of a log: names, counts of encoders, sliding directions, saturation of the drives."""
 
 from __future__ import annotations
 
@@ -183,3 +183,57 @@ def sensor_lags(joint: Joint, kind: str) -> tuple[Lag, ...]:
     """Low-pass of the sensor of a joint with a channel of this kind, as the study gives it."""
     sensor = sensor_of(joint, kind)
     return (Lag(sensor.low_pass_order, sensor.hz),) if sensor and sensor.hz else ()
+
+
+# Minimum number of steps for an estimate.
+_MIN_STEPS = 40
+# Maximum step in counts. Rounding of the logged digits hides the count in larger steps.
+_MAX_STEP_COUNTS = 12.0
+# Maximum distance of a step from a whole number of counts, in counts.
+_MAX_COUNT_DISTANCE = 0.12
+# Minimum share of the steps within `_MAX_COUNT_DISTANCE` of a whole number of counts.
+_MIN_WHOLE_SHARE = 0.97
+# Minimum share of the steps that are odd multiples of a count.
+_MIN_ODD_SHARE = 0.25
+# Maximum number of samples evaluated per record.
+_MAX_SAMPLES = 40_000
+
+
+def estimate_encoder_count(angles: Sequence[FloatArray]) -> float | None:
+    """Size of one encoder count of a motor angle, in the unit of the channel.
+
+    The count is the smallest step between consecutive samples, provided that nearly all small
+    steps are whole multiples of it. `angles` holds the same channel of several records, each of
+    shape (n_samples,). Returns None if the angle shows no quantisation.
+    """
+    steps = np.concatenate(
+        [np.zeros(0), *(np.abs(np.diff(angle[:_MAX_SAMPLES])) for angle in angles)]
+    )
+    largest = steps.max(initial=0.0)
+    steps = steps[steps > 1e-9 * largest]
+    if len(steps) < _MIN_STEPS:
+        return None
+    sorted_steps = np.sort(steps)
+    smallest = sorted_steps[: max(1, len(sorted_steps) // 1000) + 4]
+    min_step = float(np.median(smallest))
+    if min_step == 0.0:
+        return None
+    count = float(np.median(sorted_steps[sorted_steps < 1.5 * min_step]))
+    small_steps = sorted_steps[sorted_steps < _MAX_STEP_COUNTS * count]
+    if len(small_steps) < _MIN_STEPS or len(small_steps) < 0.001 * len(sorted_steps):
+        return None
+    multiples = np.round(small_steps / count)
+    if multiples.min() < 1.0:
+        return None
+    if np.mean(multiples % 2.0 == 1.0) < _MIN_ODD_SHARE:  # interpolated samples halve a count
+        count, multiples = 2.0 * count, 0.5 * multiples
+        whole = multiples % 1.0 == 0.0
+        small_steps, multiples = small_steps[whole], multiples[whole]
+    count = float(multiples @ small_steps / (multiples @ multiples))
+    distance = np.abs(small_steps / count - multiples)
+    distinct = len(np.unique(multiples))
+    return (
+        count
+        if np.mean(distance < _MAX_COUNT_DISTANCE) > _MIN_WHOLE_SHARE and distinct > 1
+        else None
+    )

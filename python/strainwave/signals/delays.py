@@ -14,9 +14,7 @@ from strainwave.domain import Delay, Diagnostic, FloatArray, LinkSignals, Place
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import ConstantKind, LinkSensor
-from strainwave.domain.link_sensors.accelerometer import Accelerometer
-from strainwave.domain.link_sensors.encoders import LinkEncoder
-from strainwave.domain.link_sensors.gyro import Gyro
+from strainwave.domain.link_sensors.single_axis import Accelerometer, Gyro, LinkEncoder
 from strainwave.domain.signals import LinkSource
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
@@ -37,24 +35,18 @@ def estimate_sensor_delays(records: Sequence[LinkSignals], n_joints: int) -> tup
     common to all records, so the standard deviation of the mean is at least the smallest one of the
     records; it is larger if the records scatter more. Returns one delay per joint.
     """
-    combined = []
+    combined = [Delay(0.0, 0.0)] * n_joints
     for i in range(n_joints):
-        estimates = [d for record in records if (d := record.sensor_delay[i]) is not None]
-        combined.append(_combine_delays(estimates))
+        delays = [d for record in records if (d := record.links[i].sensor_delay) is not None]
+        if delays:
+            value, std = np.array([d.value for d in delays]), np.array([d.std for d in delays])
+            weight = std**-2.0 / np.sum(std**-2.0)
+            mean = float(weight @ value)
+            scatter = float(np.sqrt(weight @ (value - mean) ** 2 / len(value)))
+            combined_std = max(float(np.min(std)), scatter)
+            is_significant = abs(mean) > _MIN_SIGNIFICANCE * combined_std
+            combined[i] = Delay(mean if is_significant else 0.0, combined_std)
     return tuple(combined)
-
-
-def _combine_delays(delays: Sequence[Delay]) -> Delay:
-    """Weighted mean of the delays of one sensor; its value is zero if it is not significant."""
-    if not delays:
-        return Delay(0.0, 0.0)
-    value, std = (np.array(x) for x in zip(*((d.value, d.std) for d in delays), strict=True))
-    weight = std**-2.0 / np.sum(std**-2.0)
-    mean = float(weight @ value)
-    scatter = float(np.sqrt(weight @ (value - mean) ** 2 / len(value)))
-    combined_std = max(float(np.min(std)), scatter)
-    is_significant = abs(mean) > _MIN_SIGNIFICANCE * combined_std
-    return Delay(mean if is_significant else 0.0, combined_std)
 
 
 def build_misalignment_warnings(
@@ -232,7 +224,6 @@ def _torque_columns(signals: LinkSignals, arm: Arm, acceleration: FloatArray) ->
 
 
 def _differentiate_repeatedly(signal: FloatArray, sample_time: float, order: int) -> FloatArray:
-    """Time derivative of the given order."""
     for _ in range(order):
         signal = differentiate(signal, sample_time)
     return signal

@@ -38,23 +38,16 @@ _MIN_COLUMN_NORM = 1e-9  # minimum column norm relative to the largest one
 _MAX_STEP = 0.7  # [rad or m] maximum step of any unknown
 
 
-def estimate_imu_starts(axes: Sequence[Axis], tables: Sequence[FloatArray]) -> dict[Key, float]:
-    """Estimate the unknowns of an IMU mounting by least squares over its readings.
-
-    `axes` belong to one link. Each table is (n_rows, n_quantities + 1): the quantities of an axis
-    and, in the last column, its reading. Returns (name, joint) -> value for
-    `strainwave.domain.link_sensors.unknowns_of` and for the attitude at which the rotation starts.
-    """
-    return imu_candidates(axes, tables)[0]
-
-
 def imu_candidates(
     axes: Sequence[Axis], tables: Sequence[FloatArray], *, flat: bool = False
 ) -> list[dict[Key, float]]:
-    """Distinct local minima of the mounting of an IMU, the smallest objective first.
+    """Estimates of an IMU mounting by least squares over its readings, the best first.
 
-    The arguments are as for `estimate_imu_starts`. With `flat`, the x and y axes of the IMU lie in
-    the plane of motion.
+    They are the distinct local minima. `axes` belong to one link. Each table is (n_rows,
+    n_quantities + 1): the quantities of an axis and, in the last column, its reading. With `flat`,
+    the x and y axes of the IMU lie in the plane of motion. Each estimate has (name, joint) -> value
+    for `strainwave.domain.link_sensors.unknowns_of` and for the attitude at which the rotation
+    starts.
     """
     problems = [_AxisProblem.of(axis, table) for axis, table in zip(axes, tables, strict=True)]
     minima: list[tuple[float, dict[Key, float]]] = []
@@ -111,7 +104,6 @@ def _turned(values: Mapping[Key, float], axis: Axis, signs: Sequence[float]) -> 
 
 
 def _start_attitude(matrix: FloatArray, joint: int) -> dict[Key, float]:
-    """Starting attitude of a rotation matrix."""
     rpy = zip(IMU_START_ATTITUDE, angles(matrix).tolist(), strict=True)
     return {(name, joint): angle for name, angle in rpy}
 
@@ -199,13 +191,11 @@ def _linear_rotation(problems: Sequence[_AxisProblem]) -> FloatArray:
 
 
 def _residual(problems: Sequence[_AxisProblem], values: dict[Key, float]) -> FloatArray:
-    """Residuals of all axes for a mounting."""
     parts = [problem.root @ problem.axis.weights(values) - problem.target for problem in problems]
     return np.concatenate(parts)
 
 
 def _cost(problems: Sequence[_AxisProblem], values: dict[Key, float]) -> float:
-    """Sum of squared residuals of a mounting."""
     return float(np.sum(_residual(problems, values) ** 2))
 
 

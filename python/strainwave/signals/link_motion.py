@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -18,6 +18,7 @@ from strainwave.domain import (
     LinkOptions,
     LinkSignals,
     LinkSource,
+    LinkSummary,
     Log,
     Place,
 )
@@ -34,12 +35,10 @@ from strainwave.numerics.filters import (
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.channels import check_length, sensor_lags, unmeasured
 from strainwave.signals.delays import (
-    build_delay_warnings,
     build_misalignment_warnings,
     estimate_drive_delay,
     estimate_sensor_delay,
     estimate_sensor_delays,
-    list_removed_delays,
 )
 from strainwave.signals.link_readings import (
     JointMotion,
@@ -91,14 +90,6 @@ def bias_of(acceleration: FloatArray, velocity: FloatArray, sample_time: float, 
     slope = 4.0 * np.sin(phase) ** 3 * np.cos(phase) * np.pi / (len(a) * sample_time)
     return float((weight @ a + slope @ v) / weight.sum())
 
-
-__all__ = [
-    "LinkOptions",
-    "build_delay_warnings",
-    "compute_link_signals",
-    "list_removed_delays",
-    "prepare_link_signals",
-]
 
 _EDGE_PERIODS = 2.0  # excluded edge of a record, in periods of the slowest low-pass (its transient)
 _MAX_DELAY_STD = 5e-4  # [s] standard deviation above which a delay estimate is discarded
@@ -173,7 +164,7 @@ def prepare_link_signals(
     view = _FilteredLog(prepare_record(log, arm), chosen, delays or ())
     torque = np.column_stack([view.torque(i) for i in range(arm.n_joints)])
     motor_velocity = differentiate(view.motor_angle, log.sample_time)
-    links = _compute_link_motion(view, motor_velocity)
+    motion, links = _compute_link_motion(view, motor_velocity)
     sliding, direction = view.directions()
     valid, warnings = _find_valid_samples(view)
     signals = LinkSignals(
@@ -185,19 +176,14 @@ def prepare_link_signals(
         motor_velocity=motor_velocity,
         direction=direction,
         sliding=sliding,
-        link_angle=links.motion.angle,
-        link_velocity=links.motion.velocity,
-        link_acceleration=links.motion.acceleration,
+        link_angle=motion.angle,
+        link_velocity=motion.velocity,
+        link_acceleration=motion.acceleration,
         valid=valid,
-        sources=view.sources,
+        links=tuple(links),
         held=tuple(view.held(i) for i in range(arm.n_joints)),
         shared=view.shared,
         bandwidth_hz=view.bandwidth_hz,
-        fusion=tuple(links.fusion),
-        fusion_error=links.fusion_error,
-        bias=links.bias,
-        sensor_delay=(None,) * arm.n_joints,
-        drive_delay=(None,) * arm.n_joints,
     )
     return _with_delays(signals, arm, view, warnings, is_single_record=delays is None)
 
@@ -269,29 +255,20 @@ class _FilteredLog:
             return self.smooth(law.command(motor.values))
         return self.smooth(law.torque_without_aliases(motor.values, T, self.shared))
 
-    def _velocity_noise(self, noise: FloatArray) -> FloatArray:
-        """Standard deviation of the noise of the low-pass filtered velocities.
-
-        White noise with standard deviation s of an angle, sampled with period T and filtered at f,
-        gives s 2 pi f sqrt(2 f T / 3). The standard deviation of an encoder angle is at least
-        1/sqrt(12) counts.
-        """
-        counts = [joint.encoder_resolution for joint in self.arm.joints]
-        quantization_noise = np.array(counts) / np.sqrt(12.0)
-        f, T = self.band, self.log.sample_time
-        return np.asarray(
-            np.maximum(noise, quantization_noise) * 2.0 * np.pi * f * np.sqrt(2.0 * f * T / 3.0)
-        )
-
     def directions(self) -> tuple[FloatArray, FloatArray]:
         """Certain sliding direction of each motor, and the filtered direction used as a signal.
 
         At samples without a certain direction, the latter is the velocity over four standard
-        deviations of its noise.
+        deviations of its noise. White noise with standard deviation s of an angle, sampled with
+        period T and filtered at f, gives s 2 pi f sqrt(2 f T / 3). The standard deviation of an
+        encoder angle is at least 1/sqrt(12) counts.
         """
-        T, certain, noise = self.log.sample_time, self.record.sliding, self.record.angle_noise
-        velocity = differentiate(low_pass(self.record.motor_angle, self.band, T), T)
-        width = np.maximum(_MIN_VELOCITY_SIGNIFICANCE * self._velocity_noise(noise), 1e-12)
+        f, T, certain = self.band, self.log.sample_time, self.record.sliding
+        velocity = differentiate(low_pass(self.record.motor_angle, f, T), T)
+        counts = np.array([joint.encoder_resolution for joint in self.arm.joints])
+        noise = np.maximum(self.record.angle_noise, counts / np.sqrt(12.0))
+        noise = noise * 2.0 * np.pi * f * np.sqrt(2.0 * f * T / 3.0)
+        width = np.maximum(_MIN_VELOCITY_SIGNIFICANCE * noise, 1e-12)
         direction = np.where(certain != 0.0, certain, np.clip(velocity / width, -1.0, 1.0))
         return certain, self.through(direction, between="straight")
 
@@ -316,29 +293,15 @@ def _source(log: Log, arm: Arm, joint: int) -> LinkSource:
     return "gyro" if f"gyro{joint}" in log.channels else "motor"
 
 
-@dataclass
-class _LinkMotion:
-    """Motion of the links, computed from the base outward."""
-
-    motion: JointMotion
-    bias: FloatArray  # (n_joints,)
-    fusion: list[Fusion | None]
-    fusion_error: FloatArray  # (n_joints,)
-
-
-def _compute_link_motion(view: _FilteredLog, motor_velocity: FloatArray) -> _LinkMotion:
+def _compute_link_motion(
+    view: _FilteredLog, motor_velocity: FloatArray
+) -> tuple[JointMotion, list[LinkSummary]]:
     """Compute the motion of the links in order, from the base outward."""
     arm, T = view.arm, view.log.sample_time
     motor_angle, motor_side = arm.links_of(view.motor_angle), arm.links_of(motor_velocity)
     # Initialise all joints with the motor-side motion; the loop replaces it joint by joint.
-    n = arm.n_joints
-    links = _LinkMotion(
-        motion=JointMotion(motor_angle.copy(), motor_side.copy(), differentiate(motor_side, T)),
-        bias=np.zeros(n),
-        fusion=[None] * n,
-        fusion_error=np.zeros(n),
-    )
-    motion = links.motion
+    motion = JointMotion(motor_angle.copy(), motor_side.copy(), differentiate(motor_side, T))
+    links = [LinkSummary(view.log.name, i, source) for i, source in enumerate(view.sources, 1)]
     for i, source in enumerate(view.sources):
         angle, slow = _low_frequency_motion(view, i, motor_angle[:, i])
         if source in ("accelerometer", "gyro"):
@@ -352,8 +315,9 @@ def _compute_link_motion(view: _FilteredLog, motor_velocity: FloatArray) -> _Lin
             continue
         still = replace(motion, acceleration=motion.without(i).acceleration)
         acceleration = (read - read_accelerometer(arm, still, i)) / acceleration_gain(arm.joints[i])
-        links.bias[i] = bias_of(acceleration, slow, T, view.edge)
-        acceleration = acceleration - links.bias[i]
+        bias = bias_of(acceleration, slow, T, view.edge)
+        links[i] = replace(links[i], bias=bias)
+        acceleration = acceleration - bias
         fusion = Fusion(view.options.time_constant, view.options.order)
         motion.velocity[:, i] = fuse(acceleration, slow, fusion, T)
         motion.angle[:, i] = fuse(motion.velocity[:, i], angle, Fusion(fusion.time_constant, 1), T)
@@ -361,8 +325,9 @@ def _compute_link_motion(view: _FilteredLog, motor_velocity: FloatArray) -> _Lin
         # With a measured link angle, (10) has no fusion error.
         if not {f"theta_l{i + 1}", f"deflection{i + 1}"} & view.log.channels.keys():
             error = complement(slow - motion.velocity[:, i], fusion, T)[view.edge : -view.edge]
-            links.fusion[i], links.fusion_error[i] = fusion, np.sqrt(np.mean(error**2))
-    return links
+            rms = float(np.sqrt(np.mean(error**2)))
+            links[i] = replace(links[i], fusion=fusion, fusion_error=rms)
+    return motion, links
 
 
 def _low_frequency_motion(
@@ -413,21 +378,20 @@ def _with_delays(
     For a single record (`is_single_record`) this includes the delays of link sensors; otherwise
     they are estimated from all records.
     """
-    joints, place = range(arm.n_joints), Place.in_records(signals.experiment.name)
-    sensor = tuple(_discard_uncertain(estimate_sensor_delay(signals, arm, i)) for i in joints)
-    drive = tuple(
-        _discard_uncertain(estimate_drive_delay(signals, arm, i, view.band)) for i in joints
-    )
-    for i in joints:
+    place, links = Place.in_records(signals.experiment.name), []
+    for i, link in enumerate(signals.links):
+        sensor, drive = (
+            delay if delay is not None and delay.std < _MAX_DELAY_STD else None
+            for delay in (
+                estimate_sensor_delay(signals, arm, i),
+                estimate_drive_delay(signals, arm, i, view.band),
+            )
+        )
+        links.append(replace(link, sensor_delay=sensor, drive_delay=drive))
         if is_single_record:
-            warnings.extend(
-                build_misalignment_warnings(sensor[i], f"the link sensor of joint {i + 1}", place)
+            warnings += build_misalignment_warnings(
+                sensor, f"the link sensor of joint {i + 1}", place
             )
         description = f"motor {i + 1}'s response to the channel {view.record.channels[i]}"
-        warnings.extend(build_misalignment_warnings(drive[i], description, place))
-    return replace(signals, sensor_delay=sensor, drive_delay=drive, warnings=tuple(warnings))
-
-
-def _discard_uncertain(delay: Delay | None) -> Delay | None:
-    """The delay, or None if its standard deviation exceeds `_MAX_DELAY_STD`."""
-    return delay if delay is not None and delay.std < _MAX_DELAY_STD else None
+        warnings += build_misalignment_warnings(drive, description, place)
+    return replace(signals, links=tuple(links), warnings=tuple(warnings))

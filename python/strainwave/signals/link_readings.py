@@ -158,7 +158,6 @@ def angle_derivatives(arm: Arm, motion: JointMotion, i: int) -> FloatArray:
 
 
 def _direction(joint: Joint) -> FloatArray:
-    """Direction of a link's accelerometer in the frame of the link."""
     return np.asarray(axes_about(joint.axis)[2 if joint.motion == "prismatic" else 1])
 
 

@@ -15,7 +15,6 @@ import numpy as np
 from strainwave.domain import FloatArray, Joint, Log
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import Axis, mounted_axes, unknowns_of
-from strainwave.domain.link_sensors.accelerometer import ACCELEROMETER_DISTANCE, Accelerometer
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros, ImuSensor
 from strainwave.domain.link_sensors.link_space import (
     ACCELEROMETER_QUANTITIES,
@@ -24,10 +23,11 @@ from strainwave.domain.link_sensors.link_space import (
     accelerometer_weights,
     axes_about,
 )
+from strainwave.domain.link_sensors.single_axis import ACCELEROMETER_DISTANCE, Accelerometer
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import low_pass
 from strainwave.signals.channels import unmeasured
-from strainwave.signals.imu_attitude import estimate_imu_starts
+from strainwave.signals.imu_attitude import imu_candidates
 from strainwave.signals.link_readings import JointMotion
 from strainwave.signals.prepared_record import prepare_record
 
@@ -67,7 +67,7 @@ def estimate_mounting_starts(
             if isinstance(axes[0].sensor, Accelerometer):
                 starting_values[ACCELEROMETER_DISTANCE, joint] = distance_of(axes[0], tables[0])
             else:
-                starting_values |= estimate_imu_starts(axes, tables)
+                starting_values |= imu_candidates(axes, tables)[0]
     return starting_values
 
 
@@ -86,7 +86,7 @@ def linear_factors(logs: Sequence[Log], arm: Arm, axes: Sequence[Axis]) -> list[
     """
     tables = _axis_tables(logs, arm, axes)
     if axes[0].space.axis is None and isinstance(axes[0].sensor, ImuSensor):
-        values = estimate_imu_starts(axes, tables) if unknowns_of(axes) else {}
+        values = imu_candidates(axes, tables)[0] if unknowns_of(axes) else {}
         return [axis.sensor.weights(axis, values) for axis in axes]
     return [_fit_factors(axis, table) for axis, table in zip(axes, tables, strict=True)]
 
@@ -114,7 +114,6 @@ def _cutoff_hz(log: Log) -> float:
 
 
 def _motion_from_motors(log: Log, arm: Arm) -> JointMotion:
-    """Motion of the joints at low frequencies, from the motors."""
     motors = low_pass(prepare_record(log, arm).motor_angle, _cutoff_hz(log), log.sample_time)
     return JointMotion.of_motors(motors, arm, log.sample_time)
 
@@ -166,29 +165,22 @@ def substitute_equivalent_sensors(
         )
         if not axes or has_direct_sensor:
             continue
-        linear = linear_factors(known, arm, axes)
         is_long_enough = any(
             _cutoff_hz(log) == _MAX_FREQUENCY_HZ for log in known if axes[0].channel in log.channels
         )
-        if not is_long_enough:  # an inaccurate position is worse than no sensor
-            logs_then = _without_accelerometer(logs_then, joint)
-            continue
-        sensor = _equivalent_sensor(arm_then, axes, linear)
+        sensor = None
+        if is_long_enough:  # an inaccurate position is worse than no sensor
+            sensor = _equivalent_sensor(arm_then, axes, linear_factors(known, arm, axes))
         if sensor is None:
-            logs_then = _without_accelerometer(logs_then, joint)
+            logs_then = [
+                replace(log, channels={k: x for k, x in log.channels.items() if k != f"a{joint}"})
+                for log in logs_then
+            ]
             continue
         logs_then = [sensor.added_to(log, arm_then) for log in logs_then]
         before, after = arm_then.joints[: joint - 1], arm_then.joints[joint:]
         arm_then = arm_then.with_joints((*before, sensor.description, *after))
     return logs_then, arm_then
-
-
-def _without_accelerometer(logs: Sequence[Log], joint: int) -> list[Log]:
-    """Logs without the tangential accelerometer of a joint."""
-    return [
-        replace(log, channels={k: x for k, x in log.channels.items() if k != f"a{joint}"})
-        for log in logs
-    ]
 
 
 @dataclass(frozen=True, slots=True)

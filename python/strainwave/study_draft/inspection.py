@@ -6,7 +6,7 @@ Find the time stamps of a table of unknown layout, and their unit.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain, product
 from pathlib import Path
 from typing import get_args
@@ -206,14 +206,12 @@ def _read_table(path: Path) -> Record:
         for name, values in columns.items()
         if name not in table.clocks and not _repeats_time(name, values, time)
     }
-    track = Track("", source.seconds_per_unit * time, columns, table.row_name)
-    whole_record = Experiment(path.name, path.name, "motion", ())
     quantities = {name: parse(name).quantity for name in columns}
-    roles = Roles(
-        clock=next((n for n, q in quantities.items() if q in ("angle", "velocity")), ""),
-        commands={n for n, q in quantities.items() if q not in ("angle", "velocity", "torque")},
-    )
-    segments, warnings = segment_table(track, roles, whole_record, path)
+    commands = {n for n, q in quantities.items() if q not in ("angle", "velocity", "torque")}
+    clock = next((n for n, q in quantities.items() if q in ("angle", "velocity")), "")
+    track = Track("", source.seconds_per_unit * time, columns, table.row_name, commands)
+    whole_record = Experiment(path.name, path.name, "motion", ())
+    segments, warnings = segment_table(track, Roles(clock), whole_record, path)
     longest, *others = max(segments, key=lambda tracks: len(tracks[0].time))
     if others:  # columns of several rates: all rows show their relations
         longest = track
@@ -261,18 +259,18 @@ def _read_bag(path: Path) -> Record:
         columns, value_faults = _valid_columns(track.columns)
         faults += value_faults
         if columns and len(track.time) >= MIN_SAMPLES:
-            usable.append(Track(track.name, track.time, columns, track.row_name))
+            commands = {n for n in columns if parse(n).quantity in ("voltage", "torque")}
+            usable.append(replace(track, columns=columns, commands=commands))
     usable.sort(key=lambda track: all(parse(n).quantity != "angle" for n in track.columns))
-    commanded = {n for t in usable for n in t.columns if parse(n).quantity in ("voltage", "torque")}
     if not usable:
         raise InvalidInput(
             "the topics are too short", where=str(path), remedy="record a longer motion"
         )
     whole_record = Experiment(path.name, path.name, "motion", ())
     clock = next(iter(usable[0].columns))
-    segments, split_warnings = segment_tracks(usable, Roles(clock, commanded), whole_record, path)
+    segments, split_warnings = segment_tracks(usable, Roles(clock), whole_record, path)
     longest = max(segments, key=lambda tracks: len(tracks[0].time))
-    time, columns, clock_warnings = resample_tracks(longest, commanded, whole_record, path)
+    time, columns, clock_warnings = resample_tracks(longest, whole_record, path)
     notes += [warning.message for warning in (*split_warnings, *clock_warnings)]
     return Record(path, time, None, columns, tuple(notes), tuple(faults))
 

@@ -16,8 +16,8 @@ from strainwave import pipeline
 from strainwave.domain import ArmDescription, Experiment, Identification, Study
 from strainwave.domain.combinations import reported, value_of
 from strainwave.domain.keys import Values
+from strainwave.domain.options import ProgressEvent
 from strainwave.domain.parameters import with_known_constants
-from strainwave.domain.progress import ProgressEvent
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise, simulate
 from strainwave.errors import InvalidInput
@@ -26,8 +26,7 @@ from strainwave.io import logs
 from strainwave.io import study as studies
 from strainwave.io.parameters import read_parameters
 from strainwave.signals.recorded_input import recorded_drive
-from strainwave.virtual.plans import Plan, default_plan
-from strainwave.virtual.records import Simulator, record_experiment
+from strainwave.virtual.records import Plan, Simulator, default_plan, record_experiment
 from strainwave.virtual.scara import SOFT, BuiltInArm
 
 Progress = Callable[[str], None]
@@ -92,15 +91,7 @@ def simulate_study(
         plan = plan or default_plan(study.path, arm, experiment, values, rng, sample_time)
         logs_columns.append(
             record_experiment(
-                study,
-                arm,
-                plan,
-                values,
-                noise,
-                rng,
-                simulator,
-                experiment.name,
-                experiment.payload,
+                study, arm, plan, values, noise, rng, simulator, experiment.name, experiment.payload
             )
         )
         file = Path(experiment.file).name

@@ -1,39 +1,123 @@
-"""Sensor readings of a virtual arm in one experiment: its log by channel."""
+"""Default excitation of an experiment of a virtual arm, and the sensor readings of one: its log."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Payload, Study
+from strainwave.domain import Experiment, FloatArray, Payload, Prbs, Study
 from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import Axis, installed_axes
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros, ImuSensor
-from strainwave.domain.quantities import Quantity
+from strainwave.domain.link_sensors.link_space import Quantity
+from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory, measure, record_inputs
 from strainwave.errors import InvalidInput
-from strainwave.virtual.plans import Plan
+
+MOTION_DURATION = 10.0  # [s]
+_MAX_MOTION_HZ = 1.0  # 1/10 of the lowest anti-resonance of the built-in rig
+_MAX_LINK_SPEED = 1.8  # [rad/s] of a motion
+_MAX_LINK_EXCURSION = 1.2  # [rad] of a motion
+_STEP_VOLTAGE_SHARES = {"tuning": 0.48, "check": 0.72}  # kp times the step over the limit
+STEP_HOLD = 0.5  # [s] per level
 
 
-class Simulator(Protocol):
-    """Engine of a virtual arm: `strainwave.dynamics.simulation.simulate` or another one."""
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """One experiment to simulate."""
 
-    def __call__(
-        self,
-        arm: Arm,
-        values: Values,
-        drive: Drive,
-        /,
-        *,
-        sample_time: float,
-        samples: int,
-        record: Sequence[Quantity],
-    ) -> Trajectory:
-        """Motion of the arm."""
+    drive: Drive
+    sample_time: float  # [s]
+    samples: int
+
+
+def default_plan(
+    path: Path,
+    arm: Arm,
+    experiment: Experiment,
+    values: Values,
+    rng: np.random.Generator,
+    fast_sample: float,
+) -> Plan:
+    """Excitation of an experiment by its use.
+
+    `path` is the study's, for messages; `values` give the voltage that holds the arm at the start.
+    `fast_sample` [s] is the largest sample time of records that resolve the vibration of the gears.
+    Raises InvalidInput if the experiment needs a missing servo, or if it would move joints in open
+    loop without an input.
+    """
+    period = arm.servo.period if arm.servo else 1e-3
+    if experiment.use in ("frequency", "sweep"):
+        prbs = experiment.prbs or Prbs(10, 1e-3, 4, arm.servo.limit if arm.servo else 10.0)
+        tick, excited = prbs.clock, excitation.prbs(prbs)
+        sample_time = min(fast_sample, tick)
+    elif experiment.joint is not None:
+        tick, excited = period, _steps(path, arm, experiment)
+        sample_time = min(fast_sample, tick)
+    else:
+        tick, excited = period, np.zeros(round(MOTION_DURATION / period))
+        sample_time = tick
+    voltage = np.zeros((len(excited), arm.n_joints))
+    reference = np.zeros_like(voltage)
+    for i in range(arm.n_joints):
+        if experiment.joint == i + 1:
+            (voltage if experiment.use in ("frequency", "sweep") else reference)[:, i] = excited
+        elif experiment.joint is None and experiment.control[i] == "servo":
+            reference[:, i] = smooth_reference(arm.joints[i].gear_ratio, tick, rng)
+        elif experiment.joint is None:
+            raise InvalidInput(
+                f"experiment {experiment.name!r} moves joint {i + 1} in open loop and has no log",
+                where=str(path),
+                remedy='set its control to "servo", or provide a log with the input to apply',
+            )
+    start = (0.0,) * arm.n_joints
+    drive = Drive(
+        tick=tick,
+        voltage=voltage,
+        reference=reference,
+        servo=tuple(control == "servo" for control in experiment.control),
+        motor_angle=start,
+        initial_voltage=arm.holding_voltage(values, start),
+    )
+    return Plan(drive, sample_time, round(len(excited) * tick / sample_time))
+
+
+def smooth_reference(gear_ratio: float, tick: float, rng: np.random.Generator) -> FloatArray:
+    """Velocity reference [rad/s, motor side] of a rigid-motion record, one value per tick."""
+    return excitation.smooth_motion(
+        duration=MOTION_DURATION,
+        clock=tick,
+        top_hz=_MAX_MOTION_HZ,
+        excursion=_MAX_LINK_EXCURSION / abs(gear_ratio),
+        speed=_MAX_LINK_SPEED / abs(gear_ratio),
+        rng=rng,
+    )
+
+
+def _steps(path: Path, arm: Arm, experiment: Experiment) -> FloatArray:
+    """A step of the reference and back that does not saturate the servo."""
+    if arm.servo is None:
+        raise InvalidInput(
+            f"experiment {experiment.name!r} needs a servo",
+            where=str(path),
+            remedy="add a [servo] table",
+        )
+    kp = arm.servo.kp[(experiment.joint or 1) - 1]
+    level = (
+        _STEP_VOLTAGE_SHARES.get(experiment.use, _STEP_VOLTAGE_SHARES["tuning"])
+        * arm.servo.limit
+        / max(kp, 1e-9)
+    )
+    levels = np.array([0.0, level, 0.0])
+    return excitation.steps(levels, hold=STEP_HOLD, clock=arm.servo.period)
+
+
+Simulator = Callable[..., Trajectory]
+"""Engine of a virtual arm: `simulate`, or another function of the same arguments."""
 
 
 def record_experiment(
@@ -57,7 +141,14 @@ def record_experiment(
     axes = [
         axis for i in range(1, arm.n_joints + 1) for axis in installed_axes(arm, i, study.channels)
     ]
-    _check_imus(study.path, axes)
+    for axis in axes:
+        sensor = axis.sensor
+        if isinstance(sensor, ImuSensor) and (sensor.xyz is None or sensor.rpy is None):
+            raise InvalidInput(
+                f"the IMU on link {axis.joint} has no position and attitude for the simulation",
+                where=str(study.path),
+                remedy="set its xyz and rpy; identification does not need them",
+            )
     record: list[Quantity] = ["voltage", "encoder", "link_angle"]
     record += [name for axis in axes for name in axis.quantities]
     is_hanging = plan.drive.link_angle is None
@@ -79,36 +170,15 @@ def record_experiment(
         columns[name] = measured["voltage"][:, i]
     for i in range(arm.n_joints):
         columns[f"theta_m{i + 1}"] = measured["encoder"][:, i]
-    columns |= _readings([axis for axis in axes if not axis.is_mounted], measured)
+    for axis in (axis for axis in axes if not axis.is_mounted):
+        reading, count = axis.reading(measured, {}), axis.sensor.resolution
+        columns[axis.channel] = count * np.round(reading / count) if count else reading
     imu_axes = [axis for axis in axes if axis.is_mounted]
     columns |= _imu_readings(imu_axes, trajectory, noise, rng)
     if any(plan.drive.servo):
         tick = np.floor(trajectory.time / plan.drive.tick + 1e-9).astype(int)
         for i in range(arm.n_joints):
             columns[f"ref{i + 1}"] = plan.drive.reference[tick, i]
-    return columns
-
-
-def _check_imus(path: Path, axes: Sequence[Axis]) -> None:
-    """Raise InvalidInput if an IMU has no position and attitude."""
-    for axis in axes:
-        sensor = axis.sensor
-        if isinstance(sensor, ImuSensor) and (sensor.xyz is None or sensor.rpy is None):
-            raise InvalidInput(
-                f"the IMU on link {axis.joint} has no position and attitude for the simulation",
-                where=str(path),
-                remedy="set its xyz and rpy; identification does not need them",
-            )
-
-
-def _readings(
-    axes: Sequence[Axis], measured: Mapping[Quantity, FloatArray]
-) -> dict[str, FloatArray]:
-    """Readings by channel, rounded to the counts of the sensors."""
-    columns: dict[str, FloatArray] = {}
-    for axis in axes:
-        reading, count = axis.reading(measured, {}), axis.sensor.resolution
-        columns[axis.channel] = count * np.round(reading / count) if count else reading
     return columns
 
 

@@ -12,7 +12,8 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+
+from pydantic import TypeAdapter
 
 from strainwave.domain import Control, Experiment, Joint, Prbs, Servo, Spring, Study, Use
 from strainwave.domain.gear_laws import gear_law
@@ -105,23 +106,9 @@ class BuiltInArm:
         )
 
 
-def _built_in() -> dict[str, BuiltInArm]:
-    tables = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-    arms = {}
-    for name, table in tables.items():
-        parts = {key: _pairs(part) for key, part in table.items() if isinstance(part, dict)}
-        servo = Servo(**parts.pop("servo"))
-        arms[name] = BuiltInArm(**_pairs(table) | parts, servo=servo)
-    return arms
-
-
-def _pairs(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of a table other than tables, with tuples for lists."""
-    plain = {key: value for key, value in table.items() if not isinstance(value, dict)}
-    return {key: tuple(v) if isinstance(v, list) else v for key, v in plain.items()}
-
-
-ARMS = _built_in()
+ARMS = TypeAdapter(dict[str, BuiltInArm]).validate_python(
+    tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+)
 """Built-in arms by name, the default first."""
 
 SOFT, STIFF = ARMS["soft"], ARMS["stiff"]

@@ -14,8 +14,7 @@ from typing import Any, Literal
 from strainwave import pipeline
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import write_whole
-from strainwave.io.check_document import check_document
-from strainwave.io.results import to_json
+from strainwave.io.results import check_document, to_json
 from strainwave.workbench.cached_files import fingerprint, study_at
 from strainwave.workbench.workspace import runs_folder
 

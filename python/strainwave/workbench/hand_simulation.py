@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray, Log, Parameter, Study, channel_parts
+from strainwave.domain.arm import unit_in
 from strainwave.domain.keys import Key, Values, label_of
-from strainwave.domain.kinds.bodies import LINK_PARAMETERS
+from strainwave.domain.kinds.base import LINK_PARAMETERS
 from strainwave.domain.parameter_table import base_name, parameter_table
 from strainwave.domain.parameters import complete_values
-from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import TwoInertia, resonance
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure

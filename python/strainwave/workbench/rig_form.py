@@ -14,7 +14,7 @@ from tomlkit.items import Whitespace
 from strainwave.domain import gear_laws, kinds
 from strainwave.domain.arm import Motion
 from strainwave.domain.link_sensors import key_texts
-from strainwave.domain.study_keys import KeyKind, StudyKey, study_keys
+from strainwave.domain.study import KeyKind, StudyKey, study_keys
 from strainwave.errors import InvalidInput
 from strainwave.workbench.study_edit import TODO, parse_draft, table_of, tables_of
 

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from extensions import added
 from strainwave import _core
 from strainwave.domain import FloatArray, Joint, gear_laws, is_physical
+from strainwave.domain.arm import unit_of
 from strainwave.domain.gear_laws import STIFFNESS, GearLaw, gear_law
-from strainwave.domain.gear_laws.smooth import Linear
+from strainwave.domain.gear_laws.laws import Linear
 from strainwave.domain.kinds import single_joint
+from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.domain.parameters import parameter_descriptions, whole_arm_parameter_names
-from strainwave.domain.quantities import Quantity
-from strainwave.domain.units import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.errors import InvalidInput

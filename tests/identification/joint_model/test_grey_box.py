@@ -11,7 +11,7 @@ import pytest
 from elastic_runs import SAMPLE, log_of, prbs_run, rig, rig_values, true_model
 from joint_records import Case, case, truth_of
 from strainwave.domain import Decoupled, Delay, FloatArray, Joint, JointModel, LinkSignals, Mode
-from strainwave.domain.units import unit_of
+from strainwave.domain.arm import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.errors import NotIdentifiable
@@ -224,7 +224,8 @@ def test_without_a_rigid_model_the_data_speak_alone() -> None:
 
 def test_a_link_without_sensor_is_refused() -> None:
     joint_case = case(1, 1)
-    blind = replace(joint_case.signals, sources=("motor", "motor"))
+    links = tuple(replace(link, source="motor") for link in joint_case.signals.links)
+    blind = replace(joint_case.signals, links=links)
     with pytest.raises(NotIdentifiable, match="no sensor"):
         identify_joint(
             [(blind, joint_case.decoupled)], joint_case.model, Arm.of(joint_case.study.arm)

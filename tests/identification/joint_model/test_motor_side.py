@@ -18,6 +18,7 @@ from strainwave.domain import (
     FloatArray,
     Joint,
     LinkSignals,
+    LinkSummary,
     Origin,
     Study,
 )
@@ -340,15 +341,10 @@ def _signals(study: Study, still: FloatArray, n: int) -> LinkSignals:
         link_velocity=still,
         link_acceleration=still,
         valid=np.ones(n, dtype=bool),
-        sources=("motor", "motor"),
+        links=(LinkSummary("", 1, "motor"), LinkSummary("", 2, "motor")),
         held=(True, True),
         shared=(),
         bandwidth_hz=None,
-        fusion=(None, None),
-        fusion_error=np.zeros(2),
-        bias=np.zeros(2),
-        sensor_delay=(None, None),
-        drive_delay=(None, None),
     )
 
 

@@ -180,7 +180,8 @@ def test_a_record_shows_both_ways() -> None:
 def test_a_failed_estimate_is_a_warning() -> None:
     """Without a link sensor there is no torsion; a band with too short sections gives no model."""
     joint_case = case(1, 1)
-    blind = replace(joint_case.signals, sources=("motor", "motor"))
+    links = tuple(replace(link, source="motor") for link in joint_case.signals.links)
+    blind = replace(joint_case.signals, links=links)
     options = RecordOptions(linear=LinearOptions(band_hz=(0.5, 60.0)))
     record_model = identify_record(
         blind, joint_case.decoupled, joint_case.model, Arm.of(joint_case.study.arm), options

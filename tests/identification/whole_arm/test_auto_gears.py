@@ -19,7 +19,7 @@ from strainwave.domain import (
     WholeArmOptions,
 )
 from strainwave.domain.gear_laws import AUTO
-from strainwave.domain.gear_laws.smooth import CUBIC
+from strainwave.domain.gear_laws.laws import CUBIC
 from strainwave.domain.keys import Key, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise

@@ -13,7 +13,7 @@ from elastic_results import elastic_identification
 from extensions import added
 from strainwave.domain import ArmModel, FloatArray, Log, Study, gear_laws
 from strainwave.domain.gear_laws import STIFFNESS, GearLaw, GearParameter
-from strainwave.domain.gear_laws.smooth import CUBIC
+from strainwave.domain.gear_laws.laws import CUBIC
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise

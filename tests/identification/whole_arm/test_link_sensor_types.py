@@ -13,8 +13,8 @@ from extensions import added
 from strainwave.domain import ArmModel, Channel, Joint, Log, link_sensors
 from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import LinkSensor, optional_constants
+from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.domain.parameters import parameter_descriptions
-from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import fit_whole_arm

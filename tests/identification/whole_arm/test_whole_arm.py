@@ -20,7 +20,7 @@ from strainwave.domain import (
     Servo,
     Study,
 )
-from strainwave.domain.gear_laws.three_slope import KNEES, SLOPES
+from strainwave.domain.gear_laws.laws import KNEES, SLOPES
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import single_joint
 from strainwave.domain.parameter_table import SETTLING

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from strainwave.errors import InvalidInput
-from strainwave.io.logs import mat
+from strainwave.io.logs.array_files import read_mat
 from strainwave.io.logs.tables import open_table
 
 COLUMN = np.linspace(0.0, 1.0, 31)
@@ -33,7 +33,7 @@ def written(variables: dict[str, Any], **how: Any) -> bytes:
 
 
 def read(data: bytes) -> dict[str, Any]:
-    return dict(mat.read(data, lambda size: None))
+    return dict(read_mat(data, lambda size: None))
 
 
 @pytest.mark.parametrize("compressed", [False, True])

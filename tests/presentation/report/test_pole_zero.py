@@ -10,7 +10,7 @@ import pytest
 from elastic_results import JOINT, SPREAD, joint_model, sampled
 from figure_parts import marks
 from strainwave.domain import Modes
-from strainwave.dynamics.two_inertia import coefficients
+from strainwave.dynamics.two_inertia import coefficients, joint_of
 from strainwave.presentation.figures import Figure, Line, Markers
 from strainwave.presentation.report.bode import JointFit, pole_zero_map
 from strainwave.statespace import modes
@@ -64,7 +64,7 @@ def test_95_percent_of_random_parameters_lie_in_the_ellipse() -> None:
     rng = np.random.default_rng(4)
     inside = 0
     for _ in range(1000):
-        moved = JOINT.with_vector(JOINT.vector * (1.0 + SPREAD * rng.standard_normal(6)))
+        moved = joint_of(JOINT.vector * (1.0 + SPREAD * rng.standard_normal(6)), JOINT.gear_ratio)
         pole = max(np.roots(coefficients(moved)[1][::-1]), key=lambda root: root.imag) - centre
         x = np.array([pole.real, pole.imag])
         inside += float(x @ np.linalg.solve(P, x)) <= limit

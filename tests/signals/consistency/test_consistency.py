@@ -18,8 +18,8 @@ from strainwave.dynamics.arm import Arm
 from strainwave.identification import rigid
 from strainwave.io.logs import read_logs, write_log
 from strainwave.io.study import read_study, write_study
+from strainwave.signals.channels import estimate_encoder_count
 from strainwave.signals.consistency import check_consistency
-from strainwave.signals.encoder_counts import estimate_encoder_count
 from strainwave.signals.motor import prepare_motor_signals
 
 DEGREE = np.pi / 180.0

@@ -21,8 +21,8 @@ from strainwave.domain import (
     Use,
 )
 from strainwave.domain.arm import Imu, Origin, Urdf
+from strainwave.domain.consistency import apply_corrections
 from strainwave.domain.consistent_links import standard_parameters
-from strainwave.domain.corrections import apply_corrections
 from strainwave.domain.kinds import single_joint
 from strainwave.domain.study import Payload
 from strainwave.dynamics.arm import Arm

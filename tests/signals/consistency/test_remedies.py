@@ -11,7 +11,7 @@ import pytest
 
 from consistency_inputs import Input
 from strainwave.domain import Correction, Lag, Log
-from strainwave.domain.corrections import apply_corrections, steps_of
+from strainwave.domain.consistency import apply_corrections, steps_of
 from strainwave.domain.messages import text_of
 from strainwave.io.logs import read_logs
 from strainwave.numerics.filters import apply_lags

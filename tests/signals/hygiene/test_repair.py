@@ -16,8 +16,8 @@ from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.records.preparation import coarsen_steps, dataset_of
 from strainwave.signals import hygiene
 from strainwave.signals.channels import unmeasured
+from strainwave.signals.hygiene import interpolate_masked, repair_record
 from strainwave.signals.hygiene.defects import Defect
-from strainwave.signals.hygiene.repair import interpolate_masked, repair_record
 from strainwave.signals.link_motion import prepare_link_signals
 from strainwave.signals.motor import prepare_motor_signals
 

@@ -2,7 +2,7 @@
 
 A new effect needs an entry in `effects.toml`, and its equations in `rust/core/src/joint`. One that
 changes parameters and initial states of the core in a record needs no equations, but a
-`RecordEffect` in `subclasses.py`. All other code loops over the effects.
+`RecordEffect` in `interface.py`. All other code loops over the effects.
 """
 
 from __future__ import annotations
@@ -10,18 +10,17 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
+from strainwave.domain.effects.interface import SUBCLASSES
 from strainwave.domain.effects.interface import Effect as Effect
 from strainwave.domain.effects.interface import Input as Input
 from strainwave.domain.effects.interface import KnownJoint as KnownJoint
 from strainwave.domain.effects.interface import RecordEffect as RecordEffect
-from strainwave.domain.effects.subclasses import SUBCLASSES
 from strainwave.errors import entry_of
 
 _TABLES = tomllib.loads(Path(__file__).with_name("effects.toml").read_text(encoding="utf-8"))
 
 
 def _effects(group: str) -> tuple[Effect, ...]:
-    """Effects of a group of `effects.toml`."""
     effects = []
     for name, table in _TABLES[group].items():
         core_name = name if group == "core" else table.pop("core_name", None)

@@ -13,8 +13,7 @@ from types import MappingProxyType
 from strainwave.domain.gear_laws.interface import STIFFNESS as STIFFNESS
 from strainwave.domain.gear_laws.interface import GearLaw as GearLaw
 from strainwave.domain.gear_laws.interface import GearParameter as GearParameter
-from strainwave.domain.gear_laws.smooth import Cubic, Linear, Rigid
-from strainwave.domain.gear_laws.three_slope import ThreeSlope
+from strainwave.domain.gear_laws.laws import Cubic, Linear, Rigid, ThreeSlope
 from strainwave.errors import entry_of
 
 RIGID = Rigid.name

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain.arrays import FloatArray
 from strainwave.domain.formatting import plus_minus
+from strainwave.domain.keys import FloatArray
 from strainwave.domain.parameter_table import ParameterDescription, parameter_table
 
 STIFFNESS = "gear_stiffness"

@@ -1,7 +1,7 @@
 """Arm kinds: one file for each value of `kind` in a study's `[arm]` table.
 
 A new kind needs a file in this package and its entry in `KINDS`. It is simulated as a chain, unless
-`strainwave.domain.core_arm` names a compiled program for it.
+`strainwave.domain.arm` names a compiled program for it.
 """
 
 from __future__ import annotations
@@ -26,14 +26,9 @@ KINDS: dict[str, Kind[Any]] = {
 """Kinds of arms that study files describe, by name."""
 
 
-def kind_named(name: str) -> Kind[Any]:
-    """The kind with a name in a study file. Raises InvalidInput if there is none."""
-    return entry_of(KINDS, name, "arm kind", "kind")
-
-
 def kind_of(arm: ArmDescription) -> Kind[Any]:
-    """Kind of an arm."""
-    return kind_named(arm.kind)
+    """Kind of an arm. Raises InvalidInput if there is none of its name."""
+    return entry_of(KINDS, arm.kind, "arm kind", "kind")
 
 
 def arm_keys(arm: ArmDescription) -> tuple[str, ...]:

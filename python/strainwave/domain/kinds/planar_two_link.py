@@ -13,20 +13,18 @@ import numpy as np
 from strainwave.domain.arm import ArmDescription, Joint, NonNegative, Origin, Positive, Servo
 from strainwave.domain.keys import Key, Row, Values
 from strainwave.domain.kinds.base import (
-    Fault,
-    Kind,
-    in_plane_gravity,
-    negative_ratios,
-    wrong_number_of_joints,
-)
-from strainwave.domain.kinds.bodies import (
     MOTOR_SHARE,
     Body,
+    Fault,
+    Kind,
     ParameterLookup,
     StageInertias,
     about_axis,
+    in_plane_gravity,
     is_positive,
+    negative_ratios,
     require_positive,
+    wrong_number_of_joints,
 )
 from strainwave.domain.messages import Clause
 from strainwave.errors import InvalidInput

@@ -7,20 +7,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain.arm import ArmDescription, Joint, Servo, Vector
+from strainwave.domain.arm import ArmDescription, Joint, Servo, Vector, unit_in
 from strainwave.domain.consistent_links import consistent_links, priors_of
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.kinds.base import Fault, Kind
-from strainwave.domain.kinds.bodies import (
+from strainwave.domain.kinds.base import (
     LINK_PARAMETERS,
+    MAX_JOINTS,
     MOTOR_SHARE,
+    Fault,
+    Kind,
     StageInertias,
     is_positive,
     require_positive,
 )
-from strainwave.domain.units import unit_in
 
-_MAX_JOINTS = 7  # of the compiled core
 # standard deviation of a base parameter at the start, apart from its own, relative to
 # the largest of its unit and joint
 _START_TOLERANCE = 1e-3
@@ -44,9 +44,9 @@ class SerialChain(Kind[SerialTable]):
 
     def faults(self, table: SerialTable, joints: Sequence[Joint]) -> Iterator[Fault]:
         """Too many joints, or an axis of length zero."""
-        if len(joints) > _MAX_JOINTS:
+        if len(joints) > MAX_JOINTS:
             yield Fault(
-                f"there are {len(joints)} [[joint]] tables, but a chain has at most {_MAX_JOINTS}",
+                f"there are {len(joints)} [[joint]] tables, but a chain has at most {MAX_JOINTS}",
                 "describe the joints that move",
                 "joint",
             )

@@ -8,21 +8,19 @@ from dataclasses import dataclass, replace
 from strainwave.domain.arm import ArmDescription, Joint, NonNegative, Servo
 from strainwave.domain.keys import Key, Row, Values
 from strainwave.domain.kinds.base import (
-    Fault,
-    Kind,
-    in_plane_gravity,
-    negative_ratios,
-    wrong_number_of_joints,
-)
-from strainwave.domain.kinds.bodies import (
     ASSUMED_LENGTH,
     MOTOR_SHARE,
     Body,
+    Fault,
+    Kind,
     ParameterLookup,
     StageInertias,
     about_axis,
+    in_plane_gravity,
     is_positive,
+    negative_ratios,
     require_positive,
+    wrong_number_of_joints,
 )
 from strainwave.errors import InvalidInput
 

@@ -14,10 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors.accelerometer import Accelerometer
-from strainwave.domain.link_sensors.encoders import LinkEncoder, MotorEncoder
-from strainwave.domain.link_sensors.gear_sensors import TorqueSensor, TorsionSensor
-from strainwave.domain.link_sensors.gyro import Gyro
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros
 from strainwave.domain.link_sensors.interface import Axis as Axis
 from strainwave.domain.link_sensors.interface import ConstantKind as ConstantKind
@@ -26,6 +22,14 @@ from strainwave.domain.link_sensors.interface import LinkSensor as LinkSensor
 from strainwave.domain.link_sensors.interface import SensorConstant as SensorConstant
 from strainwave.domain.link_sensors.interface import TypicalSensor as TypicalSensor
 from strainwave.domain.link_sensors.link_space import link_space
+from strainwave.domain.link_sensors.single_axis import (
+    Accelerometer,
+    Gyro,
+    LinkEncoder,
+    MotorEncoder,
+    TorqueSensor,
+    TorsionSensor,
+)
 from strainwave.domain.parameter_table import base_name
 
 if TYPE_CHECKING:
@@ -51,13 +55,8 @@ def link_channel_kinds() -> tuple[str, ...]:
     return tuple(kind for sensor in all_types() for kind in sensor.channel_kinds)
 
 
-def link_keys() -> tuple[str, ...]:
-    """Keys of a `[[joint]]` table that describe sensors of the link."""
-    return tuple(key_texts())
-
-
 def key_texts() -> Mapping[str, tuple[str, str]]:
-    """Title in reports and unit of these keys."""
+    """Keys of a `[[joint]]` table that describe sensors of the link: title in reports, and unit."""
     return {key: text for sensor in all_types() for key, text in sensor.keys.items()}
 
 

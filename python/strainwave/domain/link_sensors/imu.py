@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from strainwave.domain.arrays import FloatArray
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import FloatArray, Key
 from strainwave.domain.link_sensors.interface import (
     Axis,
     ConstantKind,
@@ -30,12 +29,12 @@ from strainwave.domain.link_sensors.link_space import (
     ACCELEROMETER_QUANTITIES,
     GYRO_QUANTITIES,
     LinkSpace,
+    Quantity,
     accelerometer_weights,
     angles,
     attitude,
     rotation,
 )
-from strainwave.domain.quantities import Quantity
 
 if TYPE_CHECKING:
     from strainwave.domain.arm import Imu, Joint

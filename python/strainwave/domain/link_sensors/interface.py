@@ -15,15 +15,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, cast
 
 import numpy as np
 
-from strainwave.domain.arrays import FloatArray
-from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors.link_space import LINK_SIGNALS, PLANE, LinkSpace
+from strainwave.domain.keys import FloatArray, Key
+from strainwave.domain.link_sensors.link_space import LINK_SIGNALS, PLANE, LinkSpace, Quantity
 from strainwave.domain.parameter_table import of_record
-from strainwave.domain.quantities import Quantity
 
 if TYPE_CHECKING:
     from strainwave.domain.arm import Joint
@@ -70,18 +68,6 @@ class ConstantKind(Enum):
 
 K = ConstantKind
 Kinds = tuple[ConstantKind, ...]
-_OPTIONAL = frozenset(
-    {
-        K.DELAY,
-        K.SCALE,
-        K.DRIFT,
-        K.HOLD,
-        K.BANDWIDTH,
-        K.MOUNT_FREQUENCY,
-        K.MOUNT_DAMPING,
-        K.TILT,
-    }
-)
 _HIDDEN = frozenset({K.BEARING, K.ROTATION_X, K.ROTATION_Y, K.ROTATION_Z, K.SHARE})
 _MOUNTING = _HIDDEN | {K.DISTANCE, K.TILT, K.POSITION_X, K.POSITION_Y, K.POSITION_Z}
 _NOMINAL = {K.SCALE: 1.0, K.BANDWIDTH: np.inf, K.MOUNT_FREQUENCY: np.inf}
@@ -96,6 +82,7 @@ _COMMON_TEXTS = {
     K.SCALE: ("1", "s", "scale factor of the {}"),
     K.DRIFT: ("", "r", "drift of the bias of the {} in one record"),
 }
+_OPTIONAL = frozenset({*_COMMON_TEXTS, K.TILT})
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,11 +271,9 @@ class LinkSensor(ABC):
     @classmethod
     def _constant(cls, owner: str, noun: str, kind: ConstantKind) -> SensorConstant:
         unit, symbol, text = _COMMON_TEXTS[kind]
-        has_symbol = cls.symbols or kind in (K.MOUNT_FREQUENCY, K.MOUNT_DAMPING)
         unit = _PER_SECOND[cls.unit] if kind is K.DRIFT else unit
-        return SensorConstant(
-            owner, kind, unit, text.format(noun, cls.time_reference), symbol if has_symbol else ""
-        )
+        constant = SensorConstant(owner, kind, unit, text.format(noun, cls.time_reference), symbol)
+        return constant if cls.symbols or constant.is_of_mount else replace(constant, symbol="")
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,17 +289,6 @@ class TypicalSensor:
         """Standard deviation of the noise of a sample."""
         noise = self.noise_density * np.sqrt(0.5 / sample_time)
         return float(np.hypot(noise, self.resolution / np.sqrt(12.0)))
-
-
-_SUMMED: Mapping[str, Quantity] = {
-    "a": "imu_a",
-    "ax": "imu_ax",
-    "ay": "imu_ay",
-    "az": "imu_az",
-    "gx": "imu_gx",
-    "gy": "imu_gy",
-    "gz": "imu_gz",
-}
 
 
 @dataclass(frozen=True)
@@ -354,8 +328,9 @@ class Axis:
     @cached_property
     def summed_quantity(self) -> Quantity:
         """The quantity that the core records instead of several that it sums with weights."""
-        several = len(self.quantities) > 1
-        return _SUMMED[self.sensor.channel_kinds[self.number]] if several else self.quantities[0]
+        if len(self.quantities) == 1:
+            return self.quantities[0]
+        return cast(Quantity, f"imu_{self.sensor.channel_kinds[self.number]}")
 
     @cached_property
     def is_simulated(self) -> list[bool]:

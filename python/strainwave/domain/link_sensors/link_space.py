@@ -18,18 +18,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from strainwave.domain.arrays import FloatArray
-from strainwave.domain.quantities import Quantity
+from strainwave.domain.keys import FloatArray
 
 if TYPE_CHECKING:
     from strainwave.domain.arm import ArmDescription
 
 
-ACCELEROMETER_QUANTITIES: tuple[Quantity, ...] = (
+_AccelerometerQuantity = Literal[
     "specific_force_x",
     "specific_force_y",
     "specific_force_z",
@@ -42,10 +41,44 @@ ACCELEROMETER_QUANTITIES: tuple[Quantity, ...] = (
     "rate_product_xy",
     "rate_product_xz",
     "rate_product_yz",
-)
+]
+_GyroQuantity = Literal["angular_rate_x", "angular_rate_y", "angular_rate_z"]
+
+Quantity = Literal[
+    "voltage",
+    "motor_torque",
+    "motor_angle",
+    "motor_velocity",
+    "link_angle",
+    "link_velocity",
+    "link_acceleration",
+    "gear_torque",
+    "torsion",
+    "encoder",
+    "accelerometer",
+    "gyro",
+    _AccelerometerQuantity,
+    _GyroQuantity,
+    "imu_a",
+    "imu_ax",
+    "imu_ay",
+    "imu_az",
+    "imu_gx",
+    "imu_gy",
+    "imu_gz",
+    "sliding",
+]
+"""Quantities that a simulation can record.
+
+`imu_ax` and the like are readings of a kind of sensor on each link: weighted sums of signals of the
+link, whose weights the simulation is given.
+"""
+
+
+ACCELEROMETER_QUANTITIES: tuple[Quantity, ...] = get_args(_AccelerometerQuantity)
 """Signals of a link: f, dw and the products of w."""
 
-GYRO_QUANTITIES: tuple[Quantity, ...] = ("angular_rate_x", "angular_rate_y", "angular_rate_z")
+GYRO_QUANTITIES: tuple[Quantity, ...] = get_args(_GyroQuantity)
 """The same for gyros: w."""
 
 LINK_SIGNALS = (*ACCELEROMETER_QUANTITIES, *GYRO_QUANTITIES)
@@ -186,19 +219,22 @@ def link_space(arm: ArmDescription, number: int) -> LinkSpace:
         attitude_in_base = attitude_in_base @ attitude(joint.origin.rpy)
         if joint.motion == "revolute":
             axes.append(attitude_in_base @ joint.axis / np.linalg.norm(joint.axis))
-    is_one_axis = bool(axes) and all(_are_parallel(axes[-1], axis) for axis in axes[:-1])
+    is_one_axis = bool(axes) and all(are_parallel(axes[-1], axis) for axis in axes[:-1])
     axis = attitude_in_base.T @ axes[-1] if is_one_axis else None
     is_axis_fixed = number == 1 and is_one_axis
     return LinkSpace(
         axis=None if axis is None else (float(axis[0]), float(axis[1]), float(axis[2])),
         is_axis_fixed=is_axis_fixed,
         has_varying_force=not is_axis_fixed
-        or (arm.gravity is not None and not _are_parallel(axes[0], np.array(arm.gravity))),
+        or (arm.gravity is not None and not are_parallel(axes[0], np.array(arm.gravity))),
         is_flat=arm.has_planar_program,
     )
 
 
-def _are_parallel(a: FloatArray, b: FloatArray) -> bool:
-    """Whether two vectors have the same or the opposite direction, or one is zero."""
-    limit = _MIN_SINE * np.linalg.norm(a) * np.linalg.norm(b)
+def are_parallel(a: FloatArray, b: FloatArray, sine: float = _MIN_SINE) -> bool:
+    """Whether two vectors have the same or the opposite direction, or one is zero.
+
+    `sine` is that of the largest angle between parallel directions.
+    """
+    limit = sine * np.linalg.norm(a) * np.linalg.norm(b)
     return bool(np.linalg.norm(np.cross(a, b)) <= limit)

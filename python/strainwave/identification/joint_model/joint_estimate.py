@@ -18,9 +18,9 @@ from strainwave.domain import (
     Parameter,
     Place,
 )
+from strainwave.domain.arm import unit_of
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.parameter_table import VISCOUS
-from strainwave.domain.units import unit_of
 
 # relative standard deviation up to which a viscous friction is reported
 _MAX_VISCOUS_RELATIVE_STD = 0.3

@@ -60,7 +60,7 @@ from strainwave.identification.rigid.torque_constants import torque_ratios
 from strainwave.identification.rigid.trial import Trial, fit_trial
 from strainwave.identification.rigid.trial_warnings import warnings_of
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
-from strainwave.signals.repetition import period_of
+from strainwave.signals.motor import period_of
 
 __all__ = ["RigidOptions", "estimate_drive_gains", "fit_rigid"]
 

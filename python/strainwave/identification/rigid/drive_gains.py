@@ -41,7 +41,7 @@ from strainwave.identification.rigid.stretch import Stretch
 from strainwave.identification.rigid.trial import Trial, fit_trial
 from strainwave.numerics import least_squares as ls
 from strainwave.numerics.parallel import one_blas_thread
-from strainwave.signals.repetition import period_of
+from strainwave.signals.motor import period_of
 
 _MAX_ITERATIONS = 15  # of the refinement
 _TOLERANCE = 1e-4  # relative change of the gains at convergence

@@ -15,7 +15,7 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.domain.combinations import FRICTION_COLUMNS
-from strainwave.domain.kinds.bodies import MOTOR_SHARE
+from strainwave.domain.kinds.base import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import (
     DELAY,

@@ -92,7 +92,6 @@ def _read_segments(study: Study, experiment: Experiment, data: Any) -> tuple[Log
     """Read the segments of one experiment; one without pauses keeps its name."""
     table = _open(study, experiment, data)
     sources = _sources(study, experiment, table)
-    commands = _command_columns(sources, experiment)
     segments, warnings = _segments(table, sources, experiment, study.sample_rate)
     warnings += [
         Diagnostic("torque-sensor", Place(file=table.path.name), channel=name)
@@ -105,10 +104,10 @@ def _read_segments(study: Study, experiment: Experiment, data: Any) -> tuple[Log
         filled: dict[str, BoolArray] = {}
         dense = []
         for track in tracks:
-            complete, mask = fill_missing(track, commands)
+            complete, mask = fill_missing(track)
             filled |= mask
             dense.append(complete)
-        time, columns, clock_warnings = resample_tracks(dense, commands, experiment, table.path)
+        time, columns, clock_warnings = resample_tracks(dense, experiment, table.path)
         channels = {}
         for name, channel in sources.items():
             if name != "t":
@@ -163,11 +162,14 @@ def _segments(
         {channel.column for name, channel in sources.items() if channel_parts(name)[0] == kind}
         for kind in ("torque", "temperature")
     )
-    commands = _command_columns(sources, experiment)
-    roles = Roles(clock.column, commands, torques, temperatures)
+    columns_by_name = [(name, channel.column) for name, channel in sources.items()]
+    columns_by_name += experiment.add.items()
+    commands = {column for name, column in columns_by_name if name.startswith(_COMMAND_PREFIXES)}
+    roles = Roles(clock.column, torques, temperatures)
     if isinstance(table, Bag):
         tracks, warnings = table.tracks(required)
-        tracks, missing = drop_missing(tracks, roles, table.path)
+        tracks = [replace(track, commands=commands) for track in tracks]
+        tracks, missing = drop_missing(tracks, table.path)
         segments, split = segment_tracks(tracks, roles, experiment, table.path)
         return segments, [*warnings, *missing, *split]
     columns = table.read(required)
@@ -183,14 +185,8 @@ def _segments(
         }
     else:
         time = np.arange(len(next(iter(columns.values())))) / sample_rate
-    track = Track("", time, columns, table.row_name)
+    track = Track("", time, columns, table.row_name, commands)
     return segment_table(track, roles, experiment, table.path)
-
-
-def _command_columns(sources: dict[str, Channel], experiment: Experiment) -> set[str]:
-    columns = [(name, channel.column) for name, channel in sources.items()]
-    columns += experiment.add.items()
-    return {column for name, column in columns if name.startswith(_COMMAND_PREFIXES)}
 
 
 def _sources(study: Study, experiment: Experiment, table: Table | Bag) -> dict[str, Channel]:

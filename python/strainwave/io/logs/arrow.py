@@ -185,8 +185,6 @@ def open_memory_table(data: Any, where: str) -> Table:
     `where` is the name for messages. Float64 columns are not copied. Raises InvalidInput if `data`
     is not a table or contains no numbers.
     """
-    from strainwave.io.logs.arrays import Arrays, array_table
-
     names = _names(data)
     if names is None:
         raise InvalidInput(

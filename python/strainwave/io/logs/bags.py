@@ -6,23 +6,85 @@ if the message contains joint names.
 
 from __future__ import annotations
 
+import dataclasses
+import re
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from strainwave.domain import Diagnostic, IntArray, Place
 from strainwave.errors import InvalidInput, import_optional, suggest_name
 from strainwave.io.logs.clocks import Track
-from strainwave.io.logs.messages import list_numbers, parse_field, read_number, read_stamp
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
+
+
+_FieldPath = tuple[str, ...]  # in a message: field names, and indices or joint names after `[`
+
+_MAX_ARRAY_ELEMENTS = 64  # maximum number of array elements that become columns
+_IGNORED_FIELDS = ("header", "layout")  # fields that are not columns
+_STEP = re.compile(r"([^.\[\]]+)|\[([^\]]*)\]")
+_ELEMENT = "["  # prefix of an index or joint name in a path
+
+
+def _parse_field(text: str) -> _FieldPath:
+    """Parse a field such as "position[joint1]", "data[0]" or "linear_acceleration.y"."""
+    return tuple(name or _ELEMENT + inside for name, inside in _STEP.findall(text))
+
+
+def _read_number(message: Any, path: _FieldPath) -> float | None:
+    """Return the number at a path, or None if the message has none."""
+    value = message
+    try:
+        for step in path:
+            if not step.startswith(_ELEMENT):
+                value = getattr(value, step)
+                continue
+            inside, names = step[1:], _joint_names(message) if isinstance(value, np.ndarray) else []
+            value = value[names.index(inside) if inside in names else int(inside)]
+        return float(value)
+    except (IndexError, ValueError, AttributeError, TypeError):
+        return None
+
+
+def _joint_names(message: Any) -> list[str]:
+    names = getattr(message, "name", None) or getattr(message, "joint_names", None) or []
+    return [str(name) for name in names] if isinstance(names, (list, tuple)) else []
+
+
+def _read_stamp(message: Any) -> int:
+    """Return the stamp of the header [ns], or 0 if it is missing or not set."""
+    header = getattr(message, "header", None)
+    if header is None:
+        return 0
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+
+
+def _number_names(value: Any, prefix: str, joints: list[str]) -> Iterator[str]:
+    if isinstance(value, (bool, int, float)):
+        yield prefix
+    elif isinstance(value, np.ndarray):
+        if value.dtype.kind in "fiub":
+            indices = range(min(len(value), _MAX_ARRAY_ELEMENTS))
+            named = joints if len(joints) == len(value) else indices
+            yield from (f"{prefix}[{each}]" for each in named)
+    elif isinstance(value, list):
+        if len(value) <= _MAX_ARRAY_ELEMENTS:
+            for k, each in enumerate(value):
+                yield from _number_names(each, f"{prefix}[{k}]", [])
+    elif dataclasses.is_dataclass(value):
+        for name in (each.name for each in dataclasses.fields(value)):
+            if name not in _IGNORED_FIELDS and not name.endswith("covariance"):
+                inner = f"{prefix}.{name}" if prefix else name
+                yield from _number_names(getattr(value, name), inner, joints)
+
 
 BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 """Suffixes of bag files."""
@@ -80,7 +142,7 @@ class Bag:
                     first = islice(reader.messages(info.connections), _MAX_INSPECTED_MESSAGES)
                     for connection, _, raw in first:
                         message = reader.deserialize(raw, connection.msgtype)
-                        names |= dict.fromkeys(list_numbers(message))
+                        names |= dict.fromkeys(_number_names(message, "", _joint_names(message)))
                 # foreign definitions can be invalid in any way
                 except Exception as error:
                     unreadable = f"{type(error).__name__}: {error}".splitlines()[0][:100]
@@ -226,7 +288,7 @@ def _opened(path: Path) -> Iterator[AnyReader]:
 def _read_messages(reader: AnyReader, topics: dict[str, list[str]]) -> dict[str, _TopicContent]:
     """Read every message of the topics once; missing values are skipped."""
     paths = {
-        name: {column: parse_field(column[len(name) + 1 :]) for column in columns}
+        name: {column: _parse_field(column[len(name) + 1 :]) for column in columns}
         for name, columns in topics.items()
     }
     contents = {
@@ -239,9 +301,9 @@ def _read_messages(reader: AnyReader, topics: dict[str, list[str]]) -> dict[str,
         content = contents[connection.topic]
         row = len(content.recorded)
         content.recorded.append(recorded)
-        content.headers.append(read_stamp(message))
+        content.headers.append(_read_stamp(message))
         for column, path in paths[connection.topic].items():
-            value = read_number(message, path)
+            value = _read_number(message, path)
             if value is not None:
                 content.values[column].append(value)
                 content.rows[column].append(row)

@@ -13,15 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from strainwave.domain import (
-    BoolArray,
-    Clause,
-    Diagnostic,
-    Experiment,
-    FloatArray,
-    IntArray,
-    Place,
-)
+from strainwave.domain import BoolArray, Clause, Diagnostic, Experiment, FloatArray, IntArray, Place
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.tables import find_invalid_value
 from strainwave.numerics.filters import noise_std
@@ -53,24 +45,25 @@ class Track:
     time: FloatArray  # (n_samples,) [s]
     columns: Mapping[str, FloatArray]  # name -> (n_samples,)
     row_name: Callable[[int], str]  # index of a sample, from 0 -> its location for messages
+    commands: Collection[str] = ()  # columns that are constant between their ticks
 
-    def has_only(self, names: Collection[str]) -> bool:
-        """Whether the track has no columns but these."""
-        return set(self.columns) <= set(names)
+    @property
+    def is_command(self) -> bool:
+        """Whether all columns are commands."""
+        return set(self.columns) <= set(self.commands)
 
 
 def resample_tracks(
-    tracks: Sequence[Track], command_columns: Collection[str], experiment: Experiment, path: Path
+    tracks: Sequence[Track], experiment: Experiment, path: Path
 ) -> tuple[FloatArray, dict[str, FloatArray], list[Diagnostic]]:
     """Resample all columns to one uniform time base within the experiment's window.
 
     The first track sets the clock. Measured columns are interpolated by monotone cubics, which
-    neither overshoot nor flatten; `command_columns` are held constant between samples. Returns time
+    neither overshoot nor flatten; commands are held constant between samples. Returns time
     (n_samples,) [s], columns (n_samples,) and warnings. Raises InvalidInput if time stamps or
     values are invalid.
     """
-    windowed = [_window(track, command_columns, experiment, path) for track in tracks]
-    windowed = _overlap(windowed, command_columns, path)
+    windowed = _overlap([_window(track, experiment, path) for track in tracks], path)
     grid, ticks, warnings = _grid(windowed[0].time, Place(file=path.name))
     columns: dict[str, FloatArray] = {}
     others = []  # tracks off the grid that do not set it
@@ -79,13 +72,13 @@ def resample_tracks(
         if rows is not None:
             columns |= cut(track, rows).columns
         elif track is windowed[0]:
-            columns |= _resample(grid, track, command_columns, ticks)
+            columns |= _resample(grid, track, ticks)
         else:
             others.append(track)
-            columns |= _resample(grid, track, command_columns, None)
+            columns |= _sample_at(grid, track)
     if others:
         warnings.append(_resampling_warning(windowed[0], others, path))
-        warnings += _silence_warnings(others, command_columns, grid, path)
+        warnings += _silence_warnings(others, grid, path)
     return grid, columns, warnings
 
 
@@ -118,14 +111,12 @@ def check_time(track: Track, path: Path) -> None:
         )
 
 
-def _window(
-    track: Track, command_columns: Collection[str], experiment: Experiment, path: Path
-) -> Track:
+def _window(track: Track, experiment: Experiment, path: Path) -> Track:
     """Return the samples between start and stop; for a command, also the last before start."""
     of = f" of {track.name}" if track.name else ""
     time = track.time
     start, stop = window_of(experiment)
-    inside = cut_between(track, start, stop, command_columns)
+    inside = cut_between(track, start, stop)
     if len(time) and not len(inside.time):
         raise InvalidInput(
             f"no sample{of} is in the window from {start:g} to {stop:g} s: the log extends from "
@@ -133,7 +124,7 @@ def _window(
             where=str(path),
             remedy=f"correct start and stop of experiment {experiment.name!r}",
         )
-    if len(inside.time) < MIN_SAMPLES and not track.has_only(command_columns):
+    if len(inside.time) < MIN_SAMPLES and not track.is_command:
         source = f"the window{of}" if len(time) >= MIN_SAMPLES else track.name or "the log"
         raise InvalidInput(
             f"{source} has {len(inside.time)} row(s); at least {MIN_SAMPLES} are required",
@@ -150,10 +141,10 @@ def window_of(experiment: Experiment) -> tuple[float, float]:
     return start, np.inf if experiment.stop is None else experiment.stop
 
 
-def cut_between(track: Track, start: float, stop: float, commands: Collection[str]) -> Track:
+def cut_between(track: Track, start: float, stop: float) -> Track:
     """Samples from start to stop; of a command also the last one before."""
     first = int(np.searchsorted(track.time, start))
-    if track.has_only(commands):
+    if track.is_command:
         first = max(first - 1, 0)
     last = np.searchsorted(track.time, stop + 1e-12 * abs(stop), side="right")
     return cut(track, slice(first, int(last)))
@@ -163,7 +154,9 @@ def cut(track: Track, rows: slice | BoolArray) -> Track:
     """Some rows of a track."""
     columns = {name: values[rows] for name, values in track.columns.items()}
     index, row_name = np.arange(len(track.time))[rows], track.row_name
-    return Track(track.name, track.time[rows], columns, lambda k: row_name(int(index[k])))
+    return replace(
+        track, time=track.time[rows], columns=columns, row_name=lambda k: row_name(int(index[k]))
+    )
 
 
 def find_gaps(time: FloatArray) -> IntArray:
@@ -172,14 +165,14 @@ def find_gaps(time: FloatArray) -> IntArray:
     return np.flatnonzero(steps > MAX_GAP_PERIODS * float(np.median(steps)))
 
 
-def _overlap(tracks: list[Track], command_columns: Collection[str], path: Path) -> list[Track]:
+def _overlap(tracks: list[Track], path: Path) -> list[Track]:
     """Cut the first track to the time span that all tracks cover."""
     clock, *others = tracks
     if not others:
         return tracks
     tolerance = MAX_STAMP_ERROR_PERIODS * float(np.median(np.diff(clock.time)))
     start = max(track.time[0] for track in others) - tolerance
-    ends = [track.time[-1] for track in others if not track.has_only(command_columns)]
+    ends = [track.time[-1] for track in others if not track.is_command]
     stop = min([clock.time[-1], *ends]) + tolerance
     inside = slice(*(int(k) for k in np.searchsorted(clock.time, [start, stop])))
     if inside.stop - inside.start < MIN_SAMPLES:
@@ -289,37 +282,32 @@ def _round_period(period: float, tolerance: float) -> float:
     return period
 
 
-def _resample(
-    grid: FloatArray, track: Track, command_columns: Collection[str], ticks: FloatArray | None
-) -> dict[str, FloatArray]:
-    """Resample the columns of a track to a grid.
+def _resample(grid: FloatArray, track: Track, ticks: FloatArray | None) -> dict[str, FloatArray]:
+    """Resample the columns of the track that sets the clock to its grid.
 
     Jittering stamps have two causes. If the samples jitter too, they are interpolated. If only the
     stamps jitter, because a busy computer wrote them, the samples belong to the ticks, and
     interpolation would add noise. The column with the largest noise ratio decides.
     """
-    rates = {name: np.diff(v) / np.diff(track.time) for name, v in track.columns.items()}
-    # a column of stamps is smooth by itself and is excluded
-    measured = [
-        n for n, r in rates.items() if n not in command_columns and np.ptp(r) > 1e-6 * abs(r.mean())
-    ]
-    interpolated = _sample_at(grid, track, command_columns)
+    interpolated = _sample_at(grid, track)
     if ticks is None:
         return interpolated
-    on_ticks = _sample_at(grid, replace(track, time=ticks), command_columns)
+    on_ticks = _sample_at(grid, replace(track, time=ticks))
     max_gain = 0.0
-    for name in measured:
+    for name, values in track.columns.items():
+        rate = np.diff(values) / np.diff(track.time)
+        # a column of stamps is smooth by itself and is excluded
+        if name in track.commands or np.ptp(rate) <= 1e-6 * abs(rate.mean()):
+            continue
         noise = noise_std(interpolated[name]), noise_std(on_ticks[name])
         if min(noise) > 0.0:
             gain = float(np.log(noise[0] / noise[1]))
             max_gain = gain if abs(gain) > abs(max_gain) else max_gain
-    commands = {name: on_ticks[name] for name in track.columns if name in command_columns}
+    commands = {name: on_ticks[name] for name in track.columns if name in track.commands}
     return interpolated | commands if max_gain < -_MIN_LOG_NOISE_RATIO else on_ticks
 
 
-def _sample_at(
-    grid: FloatArray, track: Track, command_columns: Collection[str]
-) -> dict[str, FloatArray]:
+def _sample_at(grid: FloatArray, track: Track) -> dict[str, FloatArray]:
     """Columns of a track on a grid: commands held, measured values interpolated."""
     from scipy.interpolate import PchipInterpolator
 
@@ -330,7 +318,7 @@ def _sample_at(
     inside = np.clip(grid, track.time[0] - slack, track.time[-1] + slack)
     return {
         name: values[np.maximum(rows, 0)]
-        if name in command_columns
+        if name in track.commands
         else np.asarray(PchipInterpolator(track.time, values)(inside))
         for name, values in track.columns.items()
     }
@@ -348,13 +336,11 @@ def _resampling_warning(clock: Track, others: list[Track], path: Path) -> Diagno
     return Diagnostic("resampled", place, "topics", topics=topics, clock=topic(clock))
 
 
-def _silence_warnings(
-    tracks: list[Track], command_columns: Collection[str], grid: FloatArray, path: Path
-) -> list[Diagnostic]:
+def _silence_warnings(tracks: list[Track], grid: FloatArray, path: Path) -> list[Diagnostic]:
     """Warn of commands that stop: the value may be held on purpose, or a node failed."""
     warnings = []
     for track in tracks:
-        if not track.has_only(command_columns):
+        if not track.is_command:
             continue
         ends = np.append(track.time, max(grid[-1], track.time[-1]))
         steps = np.diff(ends)

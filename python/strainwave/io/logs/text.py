@@ -83,8 +83,6 @@ def _to_utf8(data: bytes, path: Path) -> tuple[bytes, list[str]]:
 
 @dataclass(frozen=True, slots=True)
 class _Body:
-    """Rows of a text."""
-
     data: bytes  # without a note at the end
     path: Path
     layout: Layout
@@ -166,7 +164,6 @@ class _Body:
         return f"{self.path}, {self.row_name(row)}, column {self.names[index]!r}"
 
     def row_name(self, row: int) -> str:
-        """Return the line of a sample."""
         lines = self._lines()
         return f"line {lines[row][0] if row < len(lines) else row + len(self.layout.head) + 1}"
 

@@ -52,7 +52,6 @@ class Roles:
     """Columns with a special role."""
 
     clock: str  # the column whose samples set the clock: the first motor's angle
-    commands: Collection[str] = ()  # held between their ticks
     torques: Collection[str] = ()  # may be commands
     covariates: Collection[str] = ()  # slow by nature
 
@@ -76,7 +75,7 @@ def separate_slow_columns(
     fast: list[str] = []
     for name, values in track.columns.items():
         valid = ~np.isnan(values)
-        if name in roles.commands or not valid.any():
+        if name in track.commands or not valid.any():
             continue
         is_held = bool(valid.all())
         updates: BoolArray | None = None
@@ -173,9 +172,7 @@ def _merge(sources: list[_Source]) -> list[_Source]:
     return [s._replace(updates=_with_rest(s.updates)) if s.is_held else s for s in merged]
 
 
-def drop_missing(
-    tracks: Sequence[Track], roles: Roles, path: Path
-) -> tuple[list[Track], list[Diagnostic]]:
+def drop_missing(tracks: Sequence[Track], path: Path) -> tuple[list[Track], list[Diagnostic]]:
     """Drop the rows in which a column has no value for long, and warn of missing values.
 
     A column that begins late or ends early narrows the record. A command keeps its last value.
@@ -188,7 +185,7 @@ def drop_missing(
             if len(rows) in (0, len(values)):
                 continue
             keep[: rows[0]] = False
-            if name in roles.commands:
+            if name in track.commands:
                 continue
             missing[name] = len(values) - len(rows)
             keep[rows[-1] + 1 :] = False
@@ -204,16 +201,14 @@ def drop_missing(
     ]
 
 
-def fill_missing(
-    track: Track, command_columns: Collection[str]
-) -> tuple[Track, dict[str, BoolArray]]:
+def fill_missing(track: Track) -> tuple[Track, dict[str, BoolArray]]:
     """Interpolate single missing values, and hold those of commands; returns what was filled."""
     columns, filled = dict(track.columns), {}
     for name, values in track.columns.items():
         rows = np.flatnonzero(~np.isnan(values))
         if len(rows) in (0, len(values)):
             continue
-        if name in command_columns:
+        if name in track.commands:
             last = np.maximum(np.searchsorted(rows, np.arange(len(values)), side="right") - 1, 0)
             columns[name] = values[rows[last]]
         else:
@@ -238,10 +233,10 @@ def segment_table(
     track, warnings = drop_repeats(track, path)
     n_back = int(np.count_nonzero(np.diff(track.time) < 0.0))
     track = replace(track, time=continue_time(track.time))
-    inside = cut_between(track, *window_of(experiment), ())
+    inside = cut_between(track, *window_of(experiment))
     if len(inside.time) < MIN_SAMPLES:
         return [[track]], warnings  # rejected with the window's message
-    (track,), missing = drop_missing([inside], roles, path)
+    (track,), missing = drop_missing([inside], path)
     tracks, slow = separate_slow_columns(track, roles, path.name)
     segments, split = segment_tracks(tracks, roles, experiment, path, n_back)
     return segments, [*warnings, *missing, *slow, *split]
@@ -259,7 +254,7 @@ def segment_tracks(
     spans = [(-np.inf, np.inf)]
     longest = 0.0
     for track in tracks:
-        if track.has_only(roles.commands) or len(track.time) < MIN_SAMPLES:
+        if track.is_command or len(track.time) < MIN_SAMPLES:
             continue
         gaps = find_gaps(track.time)
         longest = max(longest, float(np.max(np.diff(track.time)[gaps], initial=0.0)))
@@ -273,10 +268,10 @@ def segment_tracks(
     if len(spans) == 1:
         return [tracks], []
     low, high = window_of(experiment)
-    parts = [[cut_between(track, *span, roles.commands) for track in tracks] for span in spans]
+    parts = [[cut_between(track, *span) for track in tracks] for span in spans]
     sizes = []
     for part in parts:
-        measured = [track.time for track in part if not track.has_only(roles.commands)]
+        measured = [track.time for track in part if not track.is_command]
         inside = [np.count_nonzero((time >= low) & (time <= high)) for time in measured]
         sizes.append(int(inside[0]) if min(inside) >= MIN_SAMPLES else 0)
     segments = [

@@ -13,7 +13,7 @@ from collections.abc import Collection, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from strainwave.domain import Channel, Options, Study
+from strainwave.domain import Options, Study
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.options import PUBLISHED_OPTIONS
 from strainwave.errors import InvalidInput
@@ -102,9 +102,7 @@ def _as_published(study: Study) -> Study:
         )
     arm = study.arm.with_joints(
         dataclasses.replace(
-            joint,
-            spring="linear" if joint.elastic else joint.spring,
-            effects=joint.named_effects,
+            joint, spring="linear" if joint.elastic else joint.spring, effects=joint.named_effects
         )
         for joint in study.arm.joints
     )
@@ -199,7 +197,11 @@ def document_of(study: Study) -> dict[str, Any]:
     if study.arm.servo is not None:
         document["servo"] = _table(study.arm.servo)
     if study.channels or study.sample_rate is not None:
-        document["channels"] = {name: _channel(each) for name, each in study.channels.items()}
+        document["channels"] = {
+            name: _table(each, without=("second_column",))
+            | ({"column": list(each.columns)} if each.second_column else {})
+            for name, each in study.channels.items()
+        }
     if study.sample_rate is not None:
         document["channels"]["sample_rate"] = study.sample_rate
     document["experiment"] = [_table(experiment) for experiment in study.experiments]
@@ -207,11 +209,6 @@ def document_of(study: Study) -> dict[str, Any]:
     if options:
         document["options"] = options
     return document
-
-
-def _channel(channel: Channel) -> dict[str, Any]:
-    table = _table(channel, without=("second_column",))
-    return table | ({"column": list(channel.columns)} if channel.second_column else {})
 
 
 def _table(record: Any, without: Container[str] = ()) -> dict[str, Any]:

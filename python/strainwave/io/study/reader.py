@@ -32,7 +32,7 @@ from strainwave.domain import (
     gear_laws,
 )
 from strainwave.domain.arm import Matrix, Positive
-from strainwave.domain.kinds import KINDS, Kind, kind_named
+from strainwave.domain.kinds import KINDS, Kind
 from strainwave.domain.messages import fault_codes
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.urdf import UrdfJoint, read_urdf
@@ -85,12 +85,14 @@ class Reader:
         count = len(joints)
         channels = dict(self._one(document, "channels") or {})
         rate = channels.pop("sample_rate", None)
+        if rate is not None:
+            rate = self._value(rate, Positive, "channels", None, "sample_rate")
         return Study(
             path=self.path,
             sha256=sha256,
             arm=self._arm(arm, joints, document),
             channels=self._channels(channels),
-            sample_rate=None if rate is None else self._sample_rate(rate),
+            sample_rate=rate,
             experiments=tuple(
                 self.record(Experiment, {"control": ["open"] * count} | table, "experiment", i)
                 for i, table in enumerate(experiments)
@@ -122,7 +124,6 @@ class Reader:
         return Options(**stages)
 
     def _accepted(self, codes: Any) -> tuple[str, ...]:
-        """Codes of suspected faults that are accepted."""
         for code in codes if isinstance(codes, list | tuple) else [codes]:
             if code not in fault_codes():
                 raise InvalidInput(
@@ -176,9 +177,9 @@ class Reader:
         """The arm from `[arm]`, its `[[joint]]` tables, `[transmission]` and `[servo]`."""
         if "kind" not in arm:
             raise self._missing("kind", "arm")
-        name, known = arm["kind"], [*KINDS]
-        self._check_registered([name], known, name, "arm", None, "kind")
-        kind = kind_named(name)
+        name = arm["kind"]
+        self._check_registered([name], [*KINDS], name, "arm", None, "kind")
+        kind = KINDS[name]
         table = self.record(kind.table, {k: v for k, v in arm.items() if k != "kind"}, "arm")
         file: str = getattr(table, "urdf", None) or ""
         held: tuple[str, ...] = getattr(table, "held", ())
@@ -207,7 +208,6 @@ class Reader:
         )
 
     def _check_names(self, joints: Sequence[Joint]) -> None:
-        """Check that no two joints have the same name."""
         for index, joint in enumerate(joints):
             if joint.name in [other.name for other in joints[:index] if other.name]:
                 raise InvalidInput(
@@ -355,11 +355,6 @@ class Reader:
                 )
             channels[name.replace("torque", "tau_l") if is_sensor else name] = channel
         return channels
-
-    def _sample_rate(self, value: Any) -> float:
-        """The sampling rate that replaces time stamps."""
-        rate: float = self._value(value, Positive, "channels", None, "sample_rate")
-        return rate
 
     def _one(self, document: Mapping[str, Any], name: str) -> dict[str, Any] | None:
         table = document.get(name)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 
 from strainwave.domain import Decision, Identification, Parameter, half_width
-from strainwave.domain.diagnostics import missing_validation
+from strainwave.domain.identification import missing_validation
 from strainwave.domain.keys import Key
 from strainwave.presentation.report.blocks import (
     Block,

@@ -23,13 +23,13 @@ from strainwave.domain import (
     Study,
     channel_parts,
 )
-from strainwave.domain.corrections import apply_corrections
+from strainwave.domain.consistency import apply_corrections
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
+from strainwave.signals.channels import estimate_encoder_count
 from strainwave.signals.consistency.clocks import Clocks, estimate_clocks, find_excited_inputs
 from strainwave.signals.consistency.input_delay import DelayProfile, compute_delay_profile
-from strainwave.signals.encoder_counts import estimate_encoder_count
 from strainwave.signals.motor import detect_standing_motors
 
 # Share of the velocity power, and ratio of the bandwidth to the frequency below which that share

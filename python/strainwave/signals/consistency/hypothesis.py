@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import Clause, Correction, Place, Study, Suspicion, channel_parts
-from strainwave.domain.corrections import exchange_corrections, steps_of
+from strainwave.domain.consistency import exchange_corrections, steps_of
 from strainwave.signals.consistency.evidence import Evidence
 from strainwave.signals.consistency.observations import Observation
 from strainwave.signals.consistency.sensors import LINK_CHANNELS, estimate_rotation_factors

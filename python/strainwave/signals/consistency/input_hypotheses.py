@@ -16,7 +16,7 @@ import numpy as np
 from strainwave.domain import Clause, Correction, Place, channel_parts
 from strainwave.domain.kinds import arm_keys
 from strainwave.domain.messages import Value
-from strainwave.domain.study_keys import accepted_range
+from strainwave.domain.study import accepted_range
 from strainwave.signals.consistency.evidence import Evidence, exchanged_tests
 from strainwave.signals.consistency.hypothesis import (
     STEPS,

@@ -25,7 +25,7 @@ _MIN_SATURATED_SAMPLES = 6
 _MIN_EDGE_STEPS = 4.0  # minimum step into or out of a flat top, in units of the resolution
 
 
-def detect(log: Log, _: Arm) -> list[Defect]:
+def detect_flat_tops(log: Log, _: Arm) -> list[Defect]:
     """Detect flat tops of noisy sensors.
 
     These sensors repeat a value `MIN_REPEATED_SAMPLES` times only in saturation.

@@ -1,9 +1,10 @@
-"""Detection of frozen stretches: a reading that repeats one value while the arm moves.
+"""Frozen stretches, which repeat one value while the arm moves, and steps of encoders.
 
 A motor at standstill, encoder quantization, and a voltage that is held or at its limit are not
 defects. An encoder is frozen if it stops within one sample during motion, or if the missed motion
-appears in one sample. A noisy sensor is frozen if it repeats one value much longer than is likely
-by chance while the motor of the joint moves.
+appears in one sample. Other steps of an encoder are lost counts, a reset by the index pulse or a
+counter overflow. A noisy sensor is frozen if it repeats one value much longer than is likely by
+chance while the motor of the joint moves.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from strainwave.signals.hygiene.defects import (
     resolution_of,
     usual_change,
 )
-from strainwave.signals.hygiene.isolated import Jump, classify_jumps
+from strainwave.signals.hygiene.jumps import Jump, classify_jumps
 from strainwave.signals.standstill import runs_of
 
 _MIN_ZERO_INCREMENTS = 3  # minimum number of zero increments before the step by the missed motion
@@ -50,7 +51,7 @@ _MIN_EDGE_STEPS = 4.0  # minimum difference from adjacent readings, in units of 
 _MIN_MOTION_COUNTS = 6.0
 
 
-def detect(log: Log, arm: Arm) -> list[Defect]:
+def detect_frozen(log: Log, arm: Arm) -> list[Defect]:
     """Detect frozen stretches of encoders, noisy sensors and the voltages of servos."""
     detections = []
     for name, x in of_kinds(log, encoder_kinds()).items():
@@ -82,7 +83,7 @@ def _is_moving(angle: FloatArray, start: int, stop: int, count: float) -> bool:
     return bool(is_beyond_noise and np.count_nonzero(np.diff(stretch)) > _MIN_MOTION_COUNTS)
 
 
-def find_frozen_before(x: FloatArray, jump: Jump, rest_runs: IntArray) -> tuple[int, int] | None:
+def _find_frozen_before(x: FloatArray, jump: Jump, rest_runs: IntArray) -> tuple[int, int] | None:
     """Stretch in which an encoder missed the motion of a jump, or None.
 
     `rest_runs` contains the runs of zero increments, (n_runs, 2). The stretch is frozen if the
@@ -104,17 +105,13 @@ def find_frozen_before(x: FloatArray, jump: Jump, rest_runs: IntArray) -> tuple[
     has_rest_after = k + 1 < len(rest_runs) and rest_runs[k + 1, 0] == end + 1
     rest_after = rest_runs[k + 1, 1] - end - 1 if has_rest_after else 0
     is_moving_after = rest_after < _STANDSTILL_RATIO * length + 2
-    is_plausible = abs(step) < _MAX_SPEED_RATIO * _speed_around(x, start, end) * (length + 1)
+    before = x[max(0, start - _SPEED_INCREMENTS) : start + 1]
+    after = x[end + 1 : end + 2 + _SPEED_INCREMENTS]
+    speed = float(max(np.ptp(before), np.ptp(after))) / _SPEED_INCREMENTS
+    is_plausible = abs(step) < _MAX_SPEED_RATIO * speed * (length + 1)
     min_length = max(_MIN_ZERO_INCREMENTS, _MIN_REST_RATIO * _usual_rest(x, start, end))
     is_frozen = is_predicted or (is_moving_after and is_plausible and length > min_length)
     return (start + 1, end + 1) if is_frozen else None
-
-
-def _speed_around(x: FloatArray, start: int, end: int) -> float:
-    """Larger mean speed [per sample] of both sides of a stretch and its jump."""
-    before = x[max(0, start - _SPEED_INCREMENTS) : start + 1]
-    after = x[end + 1 : end + 2 + _SPEED_INCREMENTS]
-    return float(max(np.ptp(before), np.ptp(after))) / _SPEED_INCREMENTS
 
 
 def _usual_rest(x: FloatArray, start: int, end: int) -> int:
@@ -128,7 +125,6 @@ def _usual_rest(x: FloatArray, start: int, end: int) -> int:
 
 
 def _mean_increment(x: FloatArray, k: int, *, before: bool = False) -> float:
-    """Mean increment on one side of a sample."""
     other = k - _VELOCITY_INCREMENTS if before else k + _VELOCITY_INCREMENTS
     other = min(max(0, other), len(x) - 1)
     return float((x[k] - x[other]) / (k - other)) if k != other else 0.0
@@ -141,7 +137,7 @@ def _find_frozen_encoder(x: FloatArray, count: float) -> Iterator[tuple[int, int
     if not len(rest_runs):
         return
     _, isolated_steps = classify_jumps(x, count)
-    spans = [find_frozen_before(x, jump, rest_runs) for jump in isolated_steps]
+    spans = [_find_frozen_before(x, jump, rest_runs) for jump in isolated_steps]
     frozen = {span for span in spans if span is not None}
     abrupt = _MIN_ABRUPT_RATIO * max(
         usual_change(np.abs(np.diff(increment))), count or resolution_of(x)
@@ -199,3 +195,30 @@ def _find_repeated_runs(x: FloatArray, *, drives: bool) -> Iterator[tuple[int, i
 def _frozen_defect(log: Log, name: str, start: int, stop: int) -> Defect:
     seconds = (stop - start) * log.sample_time
     return Defect("frozen", name, start, stop, seconds)
+
+
+_MAX_OVERFLOW_SPREAD = 0.02  # maximum spread of overflow steps, relative to the largest one
+
+
+def detect_encoder_steps(log: Log, arm: Arm) -> list[Defect]:
+    """Detect permanent steps of an angle that are inconsistent with the motion around them.
+
+    A reading that is repeated once is not a step: the log is written faster than the encoder is
+    read, and the angle is late by up to one sample.
+    """
+    detections = []
+    for name, x in of_kinds(log, encoder_kinds()).items():
+        _, isolated_steps = classify_jumps(x, count_of(name, arm))
+        rest_runs = runs_of(np.diff(x) == 0.0)
+        steps = [
+            jump
+            for jump in isolated_steps
+            if x[jump.sample] != x[jump.sample - 1] and not _find_frozen_before(x, jump, rest_runs)
+        ]
+        size = np.abs([step.size for step in steps])
+        wraps = len(size) > 1 and bool(np.ptp(size) < _MAX_OVERFLOW_SPREAD * size.max())
+        detections += [
+            Defect("encoder-steps", name, step.sample, step.sample + 1, step.size, wraps=wraps)
+            for step in steps
+        ]
+    return detections

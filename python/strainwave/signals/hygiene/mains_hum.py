@@ -26,7 +26,7 @@ _LINE_HALF_WIDTH = 3  # half-width of a line with a Hann window, in spectral lin
 _MAX_AMPLITUDE_RATIO = 2.0  # maximum ratio of the amplitudes of a line in different records
 
 
-def detect(log: Log, _: Arm) -> list[Defect]:
+def detect_hum(log: Log, _: Arm) -> list[Defect]:
     """Detect isolated lines at the mains frequency and its harmonics in the spectra of sensors.
 
     A periodic excitation has other lines of similar amplitude nearby, and a resonance is wider than
@@ -82,12 +82,10 @@ def _amplitude_bound(log: Log, channel: str, hz: float) -> float:
 
 
 def _duration(log: Log) -> float:
-    """Duration [s] of the samples used for the spectrum."""
     return min(len(log), _MAX_SAMPLES) * log.sample_time
 
 
 def _is_long_enough(log: Log) -> bool:
-    """Whether a record is long enough to separate a line from a resonance."""
     return _duration(log) >= _MIN_DURATION
 
 

@@ -10,7 +10,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from strainwave.domain import Clause
-from strainwave.domain.corrections import Correction
+from strainwave.domain.consistency import Correction
 from strainwave.domain.messages import text_of as message_text
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode

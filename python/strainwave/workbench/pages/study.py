@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from strainwave.domain import FloatArray, Use, channel_names
-from strainwave.domain.study_keys import KeyKind
+from strainwave.domain.study import KeyKind
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
 from strainwave.io.logs.bags import Bag, is_bag

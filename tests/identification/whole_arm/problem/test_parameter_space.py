@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import FloatArray, Joint, JointModel, RigidModel, Study
-from strainwave.domain.gear_laws.three_slope import KNEES, SLOPES
+from strainwave.domain.gear_laws.laws import KNEES, SLOPES
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import change_arm_keys, single_joint
 from strainwave.domain.parameter_table import COULOMB, SETTLING, VISCOUS

@@ -32,7 +32,7 @@ from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.selection.mountings import select_mountings
 from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
 from strainwave.numerics.filters import low_pass
-from strainwave.signals.imu_attitude import estimate_imu_starts, mirror_mounting
+from strainwave.signals.imu_attitude import imu_candidates, mirror_mounting
 from strainwave.signals.link_readings import JointMotion, read_accelerometer
 from strainwave.signals.mounting_start import (
     estimate_mounting_starts,
@@ -168,7 +168,7 @@ def test_a_mounting_about_one_axis_of_any_direction(axis: tuple[float, float, fl
         parts = link_quantities(each, arm, motion)
         rows = np.column_stack([parts, parts @ each.weights({})])
         tables.append(rows - rows.mean(axis=0))
-    starts = estimate_imu_starts(unknown, tables)
+    starts = imu_candidates(unknown, tables)[0]
     mirrored = mirror_mounting(starts, unknown[0])
     across = axes_about(axis)[1]
     for each, rows in zip(unknown, tables, strict=True):

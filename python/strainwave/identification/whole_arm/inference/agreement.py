@@ -16,10 +16,10 @@ from strainwave.domain import (
     Place,
     StageDifference,
 )
+from strainwave.domain.arm import unit_in
 from strainwave.domain.distributions import chi_square_tail
 from strainwave.domain.keys import Values
 from strainwave.domain.parameter_table import family_of
-from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.inference.covariance import confidence_of, with_variances
 from strainwave.identification.whole_arm.problem.prior import reference_sizes

@@ -9,13 +9,13 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import FloatArray, Parameter
+from strainwave.domain.arm import unit_in
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import is_by_load
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import constant_of
 from strainwave.domain.parameter_table import VISCOUS
-from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.inference.bounds import at_zero
 from strainwave.identification.whole_arm.inference.covariance import confidence_of, with_variances

@@ -8,11 +8,11 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import FloatArray, Log, Parameter
+from strainwave.domain.arm import unit_in
 from strainwave.domain.combinations import value_of
 from strainwave.domain.keys import Key, Row, Values
 from strainwave.domain.parameter_table import OFFSET, SETTLING
 from strainwave.domain.parameters import complete_values
-from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.inference.covariance import (
     MIN_VARIANCE_SHARE,

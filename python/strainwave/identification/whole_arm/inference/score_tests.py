@@ -24,7 +24,7 @@ from strainwave.domain.effects import (
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.link_sensors import constant_of
-from strainwave.domain.link_sensors.encoders import LinkEncoder
+from strainwave.domain.link_sensors.single_axis import LinkEncoder
 from strainwave.domain.parameter_table import OFFSET, SETTLING, VISCOUS, base_name
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure

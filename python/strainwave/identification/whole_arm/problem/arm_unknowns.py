@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import FloatArray, Joint, JointModel, RigidModel
+from strainwave.domain.arm import unit_in, unit_of
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.keys import Values
 from strainwave.domain.parameter_table import COULOMB, SETTLING, parameter_table
-from strainwave.domain.units import unit_in, unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
 from strainwave.identification.whole_arm.problem.prior import (

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import Diagnostic, JointModel, Place, RigidModel
+from strainwave.domain.arm import unit_in
 from strainwave.domain.combinations import change_from, value_of
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds import kind_of
-from strainwave.domain.kinds.bodies import StageInertias, is_positive
+from strainwave.domain.kinds.base import StageInertias, is_positive
 from strainwave.domain.parameter_table import COULOMB, OFFSET, VISCOUS
-from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 

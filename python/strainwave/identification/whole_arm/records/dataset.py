@@ -22,8 +22,7 @@ from strainwave.domain.link_sensors import (
     is_kind,
     with_bandwidths,
 )
-from strainwave.domain.link_sensors.link_space import LINK_SIGNALS
-from strainwave.domain.quantities import Quantity
+from strainwave.domain.link_sensors.link_space import LINK_SIGNALS, Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import MountResonance, differentiate_rows, mount_resonance
 from strainwave.dynamics.simulation import (

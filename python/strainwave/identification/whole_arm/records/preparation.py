@@ -9,8 +9,8 @@ import numpy as np
 
 from strainwave.domain import BoolArray, Imu, Log, channel_parts
 from strainwave.domain.link_sensors import Axis, compared_axes
-from strainwave.domain.link_sensors.encoders import MotorEncoder
 from strainwave.domain.link_sensors.imu import ImuSensor
+from strainwave.domain.link_sensors.single_axis import MotorEncoder
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput

@@ -67,7 +67,7 @@ from strainwave.identification.whole_arm.selection.sensor_constants import (
     remove_insignificant_sensor_constants,
 )
 from strainwave.numerics.held_out import MIN_WEIGHT, model_weights, weight_over
-from strainwave.signals.activity import activity_of
+from strainwave.signals.motor import activity_of
 
 MAX_RIVAL_EFFECTS = 3  # fitted effects of largest predicted gain
 MAX_OTHER_EFFECTS = 4  # fitted effects of the same joint if the rivals explain too little

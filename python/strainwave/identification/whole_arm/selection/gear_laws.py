@@ -15,7 +15,7 @@ from strainwave.domain import Diagnostic, LawChoice, LawMargin, Place, SearchEnd
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.effects import STIFFNESS_CURVE
 from strainwave.domain.gear_laws import AUTO, STIFFNESS, GearLaw, curved_laws, stated_law
-from strainwave.domain.gear_laws.smooth import CUBIC
+from strainwave.domain.gear_laws.laws import CUBIC
 from strainwave.domain.keys import Key, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure

@@ -14,12 +14,12 @@ import numpy as np
 from strainwave.domain import WholeArmOptions
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import Axis, unknowns_of
-from strainwave.domain.link_sensors.accelerometer import ACCELEROMETER_DISTANCE, Accelerometer
 from strainwave.domain.link_sensors.imu import (
     IMU_ROTATION,
     IMU_START_ATTITUDE,
     ImuAccelerometers,
 )
+from strainwave.domain.link_sensors.single_axis import ACCELEROMETER_DISTANCE, Accelerometer
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.search.fit import Fit

@@ -18,13 +18,13 @@ from strainwave.domain import Diagnostic, FloatArray, Parameter, Place, WholeArm
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.link_sensors import ConstantKind, constant_of, is_kind, nominal
-from strainwave.domain.link_sensors.encoders import MotorEncoder
 from strainwave.domain.link_sensors.imu import (
     IMU_DISTANCE,
     IMU_ROTATION,
     IMU_START_ATTITUDE,
     ImuAccelerometers,
 )
+from strainwave.domain.link_sensors.single_axis import MotorEncoder
 from strainwave.domain.parameter_table import record_of
 from strainwave.dynamics.link_sensors import MAX_SCALE_ERROR, MAX_SENSOR_DELAY
 from strainwave.identification.whole_arm.inference.covariance import confidence_of

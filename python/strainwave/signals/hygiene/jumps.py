@@ -1,4 +1,4 @@
-"""Detection of isolated increments of a channel that motion cannot cause.
+"""Isolated increments of a channel that motion cannot cause, and spikes: outliers of few samples.
 
 The increments of a motion change by its acceleration. An increment that differs from both
 neighbours far more than is usual is due to counting, transmission or a disturbance.
@@ -6,12 +6,23 @@ neighbours far more than is usual is due to counting, transmission or a disturba
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import FloatArray
-from strainwave.signals.hygiene.defects import resolution_of, usual_change
+from strainwave.domain import FloatArray, Log, channel_parts
+from strainwave.dynamics.arm import Arm
+from strainwave.signals.hygiene.defects import (
+    Defect,
+    count_of,
+    encoder_kinds,
+    noisy_kinds,
+    of_kinds,
+    resolution_of,
+    usual_change,
+)
+from strainwave.signals.standstill import runs_of
 
 MAX_SPIKE_SAMPLES = 3
 """Maximum duration of a spike [samples]."""
@@ -81,11 +92,13 @@ def detect_jumps(signal: FloatArray, count: float) -> list[Jump]:
     candidates = np.flatnonzero(contrast > threshold)
     if not 0 < len(candidates) <= _MAX_CANDIDATES:
         return []
-    return [
-        Jump(k + 1, _jump_size(increment, k))
-        for k in candidates.tolist()
-        if contrast[k] > _MIN_LOCAL_RATIO * _usual_nearby(contrast, k)
-    ]
+    jumps = []
+    for k in candidates.tolist():
+        if contrast[k] > _MIN_LOCAL_RATIO * _usual_nearby(contrast, k):
+            before = increment[max(0, k - _EXCLUDED_SAMPLES) : k]
+            adjacent = np.r_[before, increment[k + 1 : k + 1 + _EXCLUDED_SAMPLES]]
+            jumps.append(Jump(k + 1, float(increment[k] - np.median(adjacent))))
+    return jumps
 
 
 def _usual_nearby(contrast: FloatArray, k: int) -> float:
@@ -100,9 +113,45 @@ def _usual_nearby(contrast: FloatArray, k: int) -> float:
     )
 
 
-def _jump_size(increment: FloatArray, k: int) -> float:
-    """Difference of increment k from the median of the adjacent increments."""
-    near = np.r_[
-        increment[max(0, k - _EXCLUDED_SAMPLES) : k], increment[k + 1 : k + 1 + _EXCLUDED_SAMPLES]
-    ]
-    return float(increment[k] - np.median(near))
+# Minimum distance of a spike from the usual voltages, relative to their range.
+_MIN_RANGE_MARGIN = {"open": 0.3, "servo": 1.0}
+_EXCLUDED_SHARE = 1e-3  # share of samples on each side that the usual range excludes
+
+
+def detect_spikes(log: Log, arm: Arm) -> list[Defect]:
+    """Detect spikes of sensors that motion cannot cause, and of voltages outside their usual range.
+
+    A voltage can step, so a spike must be well outside the range of the other samples.
+    """
+    detections = []
+    for name, x in of_kinds(log, (*encoder_kinds(), *noisy_kinds())).items():
+        detections += [
+            _spike_defect(name, x, *span) for span in classify_jumps(x, count_of(name, arm))[0]
+        ]
+    for name, x in of_kinds(log, ("u",)).items():
+        margin = _MIN_RANGE_MARGIN[log.experiment.control[channel_parts(name)[1] - 1]]
+        detections += [_spike_defect(name, x, *span) for span in _find_outside_range(x, margin)]
+    return detections
+
+
+def _spike_defect(name: str, x: FloatArray, start: int, stop: int) -> Defect:
+    """Defect record of a spike; its size is relative to the adjacent samples."""
+    baseline = 0.5 * (x[max(0, start - 1)] + x[min(len(x) - 1, stop)])
+    size = float(np.max(np.abs(x[start:stop] - baseline)))
+    return Defect("spikes", name, start, stop, size)
+
+
+def _find_outside_range(x: FloatArray, min_margin: float) -> Iterator[tuple[int, int]]:
+    """Short runs outside the usual range by at least `min_margin` times this range."""
+    k = max(1, int(_EXCLUDED_SHARE * len(x)))
+    if len(x) <= 4 * k:
+        return
+    ordered = np.partition(x, (k, len(x) - 1 - k))
+    low, high = float(ordered[k]), float(ordered[-1 - k])
+    margin = min_margin * (high - low)
+    for start, stop in runs_of((x > high + margin) | (x < low - margin)).tolist():
+        if start == 0 or stop == len(x) or stop - start > MAX_SPIKE_SAMPLES:
+            continue
+        before = x[start - 1]
+        if abs(x[stop] - before) < MAX_RETURN_ERROR * abs(x[start] - before):
+            yield start, stop

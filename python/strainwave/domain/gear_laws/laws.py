@@ -1,7 +1,9 @@
-"""Three-slope law, Fig. 2: slopes K1, K2, K3 that change at the torques T1 and T2.
+"""Laws: rigid, linear T = K delta, cubic T = k_G delta + k_3 delta^3, and three slopes (Fig. 2).
 
-The core rounds the knees over microradians. If only a part of the curve is known, the values
-contain its first slopes and knees.
+The terms of the cubic law are the first two of any odd smooth law (Tuttle and Seering, IEEE
+Transactions on Robotics and Automation 12(3), 1996). The three slopes K1, K2, K3 change at the
+torques T1 and T2, which the core rounds over microradians. If only a part of the curve is known,
+the values contain its first slopes and knees.
 """
 
 from __future__ import annotations
@@ -11,9 +13,88 @@ from itertools import zip_longest
 
 import numpy as np
 
-from strainwave.domain.arrays import FloatArray
 from strainwave.domain.formatting import plus_minus
 from strainwave.domain.gear_laws.interface import STIFFNESS, GearLaw, GearParameter, Values
+from strainwave.domain.keys import FloatArray
+
+
+class Linear(GearLaw):
+    """One stiffness at all torsions."""
+
+    name = "linear"
+    parameters = (GearParameter(STIFFNESS, is_slope=True),)
+    lists: Mapping[str, tuple[str, ...]] = {STIFFNESS: (STIFFNESS,)}
+
+    def torque(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        """K delta."""
+        return values[STIFFNESS] * torsion
+
+    def stiffness(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        """K."""
+        return np.full_like(torsion, values[STIFFNESS])
+
+    def jacobian(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        """Delta."""
+        return torsion[:, None]
+
+
+CUBIC = "gear_stiffness_cubic"
+
+# Starting values. The equivalent linear stiffness exceeds the stiffness at zero torsion.
+_STARTING_STIFFNESS_SHARE = 0.95  # of the equivalent linear stiffness
+_STARTING_CUBIC_SHARE = 0.1  # cubic torque over linear torque at the largest torsion
+
+
+class Cubic(GearLaw):
+    """A gear that stiffens smoothly."""
+
+    name = "cubic"
+    parameters = (*Linear.parameters, GearParameter(CUBIC, by_load=True))
+    simpler = Linear.name
+    linearised_note = "the gear stiffens; the linear model has the stiffness at zero torsion"
+    equivalent_note = "above the stiffness at zero torsion"
+
+    def torque(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        """k_G delta + k_3 delta^3."""
+        return (values[STIFFNESS] + values[CUBIC] * torsion**2) * torsion
+
+    def stiffness(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        """k_G + 3 k_3 delta^2."""
+        return values[STIFFNESS] + 3.0 * values[CUBIC] * torsion**2
+
+    def jacobian(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        """Delta and delta^3."""
+        return np.column_stack([torsion, torsion**3])
+
+    def starts(self, stiffness: float, largest_torque: float) -> Values:
+        """Slightly lower stiffness at zero torsion, higher stiffness at the largest torque."""
+        initial = _STARTING_STIFFNESS_SHARE * stiffness
+        cubic = _STARTING_CUBIC_SHARE * initial / (largest_torque / initial) ** 2
+        return {STIFFNESS: initial, CUBIC: cubic}
+
+
+class Rigid(GearLaw):
+    """Motor and link move as one body. The law has no parameters."""
+
+    name = "rigid"
+    elastic = False
+
+    def torque(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        """Zero without torsion, otherwise infinite."""
+        return np.where(torsion == 0.0, 0.0, np.copysign(np.inf, torsion))
+
+    def stiffness(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        """Infinite."""
+        return np.full_like(torsion, np.inf)
+
+    def jacobian(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        """No columns."""
+        return np.zeros((len(torsion), 0))
+
+    def torsion(self, values: Mapping[str, float], torque: FloatArray) -> FloatArray:
+        """Zero."""
+        return np.zeros_like(torque)
+
 
 SLOPES = ("gear_stiffness_k1", "gear_stiffness_k2", "gear_stiffness_k3")
 KNEES = ("gear_knee_t1", "gear_knee_t2")
@@ -212,7 +293,6 @@ class ThreeSlope(GearLaw):
 
 
 def _curve(values: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
-    """Known slopes and the knees between them."""
     slopes = [values[name] for name in SLOPES if name in values]
     return np.array(slopes), np.array([values[name] for name in KNEES if name in values])
 
