@@ -258,7 +258,7 @@ def tune(
     """Design the servos of an arm. Writes DIR/tune.html and servo.*, with input shapers."""
     from strainwave.servo_design.design import ServoOptions
     from strainwave.servo_design.margins import Requirements
-    from strainwave.servo_design.report.terminal import print_design
+    from strainwave.servo_design.report.words import print_design
     from strainwave.servo_design.tune import PAGE, read_payloads, read_postures, tune_file
 
     options = ServoOptions(

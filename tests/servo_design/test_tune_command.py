@@ -22,7 +22,7 @@ from strainwave.servo_design.design import design_servo
 from strainwave.servo_design.handover import FILES
 from strainwave.servo_design.report import words
 from strainwave.servo_design.report.page import render
-from strainwave.servo_design.report.terminal import print_design
+from strainwave.servo_design.report.words import print_design
 from strainwave.servo_design.tune import PAGE, read_payloads, read_postures, tune_document
 
 POSTURES = ("0,0", "0.3,1.8")

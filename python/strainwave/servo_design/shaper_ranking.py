@@ -45,6 +45,27 @@ class RankedShaper:
     vibration: float  # the largest share of residual vibration over the modes' intervals
     is_sufficient: bool  # whether the vibration is within the requirement
 
+    @property
+    def title(self) -> str:
+        """Kinds and design frequencies."""
+        parts = [f"{one.kind} at {one.omega / (2.0 * np.pi):.4g} Hz" for one in self.shapers]
+        return " and ".join(parts)
+
+    @property
+    def samples(self) -> list[int]:
+        """Periods of the servo from the first impulse to each that is not zero."""
+        return list(np.flatnonzero(self.impulses.amplitudes).tolist())
+
+    @property
+    def times(self) -> list[float]:
+        """Times [s] of these impulses."""
+        return list(self.impulses.times[self.samples].tolist())
+
+    @property
+    def amplitudes(self) -> list[float]:
+        """Amplitudes of these impulses, sum 1."""
+        return list(self.impulses.amplitudes[self.samples].tolist())
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Interval:

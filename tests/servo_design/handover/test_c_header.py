@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from c_programs import output_of_c
+from servo_arms import correct, predict, state_at_rest
 from strainwave.domain import ControlLaw, FloatArray
-from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.closed_loop import Gains
 from strainwave.servo_design.design import ServoDesign
 from strainwave.servo_design.handover.c_header import to_c_header
 
@@ -165,11 +166,11 @@ def test_the_compiled_observer_is_the_recursion(design: ServoDesign, tmp_path: P
     assert [one.name for one in observer.measurements] == ["motor encoder", "accelerometer"]
     rng = np.random.default_rng(8)
     inputs = rng.normal(size=(300, 4)) * [1.0, 2.0, 0.1, 0.3]
-    x, expected = observer.rest(0.5, 0.01), []
+    x, expected = state_at_rest(observer, 0.5, 0.01), []
     for voltage, torque, *readings in inputs:
-        estimate = observer.correct(x, np.array(readings), torque)
+        estimate = correct(observer, x, np.array(readings), torque)
         expected.append(estimate[2:4])
-        x = observer.predict(estimate, voltage, torque)
+        x = predict(observer, estimate, voltage, torque)
     (tmp_path / "servo.h").write_bytes(to_c_header(design).data)
     text = "\n".join(" ".join(map(repr, row)) for row in inputs.tolist())
     printed = output_of_c(_OBSERVER_PROGRAM, tmp_path, text)

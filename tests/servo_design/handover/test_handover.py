@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from strainwave.domain import Joint
-from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.closed_loop import Gains
 from strainwave.servo_design.design import ServoDesign
 from strainwave.servo_design.handover import FILES
-from strainwave.servo_design.handover.c_header import difference_equations, to_c_header
+from strainwave.servo_design.handover.c_header import to_c_header
 from strainwave.servo_design.handover.json_document import Units
-from strainwave.servo_design.handover.markdown import to_markdown
-from strainwave.servo_design.handover.matlab import to_script
+from strainwave.servo_design.handover.models import difference_equations, to_markdown, to_script
 
 
 def test_numbers_have_no_trace_of_numpy(filtered: ServoDesign) -> None:

@@ -9,17 +9,22 @@ from pathlib import Path
 import numpy as np
 
 from c_programs import output_of_c
+from servo_arms import state_at_rest
 from strainwave.domain import FloatArray
 from strainwave.dynamics.simulation import simulate_arms
 from strainwave.servo_design.design import ServoDesign
 from strainwave.servo_design.handover.c_header import to_c_header
 from strainwave.servo_design.handover.json_document import to_json
-from strainwave.servo_design.handover.markdown import to_markdown
-from strainwave.servo_design.handover.matlab import to_script
-from strainwave.servo_design.link_estimation import estimate_link, planned_inputs, read_runs
+from strainwave.servo_design.handover.models import to_markdown, to_script
 from strainwave.servo_design.link_measurements import with_places
 from strainwave.servo_design.observer import Observer
-from strainwave.servo_design.verification import Simulated, shortest_plan
+from strainwave.servo_design.verification import (
+    Simulated,
+    estimate_link,
+    planned_inputs,
+    read_runs,
+    shortest_plan,
+)
 
 _PROGRAM = """
 #include <stdio.h>
@@ -75,7 +80,7 @@ def test_the_compiled_observer_estimates_a_simulated_link(
     text = first + "\n".join(" ".join(map(repr, row)) for row in inputs.tolist())
     printed = output_of_c(_PROGRAM, tmp_path, text)
     estimates = np.array([line.split() for line in printed.splitlines()], dtype=float)
-    start = one.rest(motor[0], link[0, 0])[None]
+    start = state_at_rest(one, motor[0], link[0, 0])[None]
     expected = estimate_link(one, inputs[None, :, 0], inputs[None, :, 2:], inputs[:, 1], start)[0]
     np.testing.assert_allclose(estimates, expected, rtol=0.0, atol=1e-9)
     rigid = motor * one.gear_ratio - link[:, 0]

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from strainwave.servo_design.closed_loop import Clock
-from strainwave.servo_design.control_law import low_pass, notch
+from strainwave.servo_design.closed_loop import Clock, low_pass, notch
 from strainwave.servo_design.design import ServoDesign
 from strainwave.servo_design.handover.ros2_control import low_pass_hz, to_ros2_control
 

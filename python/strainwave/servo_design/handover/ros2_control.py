@@ -13,7 +13,6 @@ of a joint, as an effort. Position and effort are those of the link: n times the
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,30 +21,23 @@ from strainwave.domain import Joint
 from strainwave.export.omissions import sentence_of
 from strainwave.export.source import Export
 from strainwave.io.templates import fill_text
-from strainwave.servo_design.control_law import Biquad, Gains
+from strainwave.servo_design.closed_loop import Biquad, Gains
 from strainwave.servo_design.design import ServoDesign
 from strainwave.servo_design.handover.json_document import Units
 
 
-@dataclass(frozen=True, slots=True)
-class EffortPid:
-    """Effort per position, per its integral and per velocity of a joint."""
+def effort_pid(gains: Gains, limit: float, joint: Joint, ratio: float) -> dict[str, float]:
+    """Effort per position, per its integral and per velocity of a joint, and its largest effort.
 
-    p: float
-    i: float
-    d: float
-    max_effort: float
-
-
-def effort_pid(gains: Gains, limit: float, joint: Joint, ratio: float) -> EffortPid:
-    """PID gains of a joint with `ratio` n to its motor; filters are neglected."""
+    `ratio` n is that of the joint to its motor; filters are neglected.
+    """
     per_motor = joint.torque_per_command / ratio**2
-    return EffortPid(
-        p=per_motor * (gains.kp * gains.position_gain + gains.ki),
-        i=per_motor * gains.ki * gains.position_gain,
-        d=per_motor * gains.kp,
-        max_effort=joint.torque_per_command * limit / abs(ratio),
-    )
+    return {
+        "p": per_motor * (gains.kp * gains.position_gain + gains.ki),
+        "i": per_motor * gains.ki * gains.position_gain,
+        "d": per_motor * gains.kp,
+        "max_effort": joint.torque_per_command * limit / abs(ratio),
+    }
 
 
 def low_pass_hz(one: Biquad, period: float) -> float | None:

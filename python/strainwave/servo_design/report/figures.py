@@ -27,9 +27,8 @@ from strainwave.presentation.figures import (
     decimate,
 )
 from strainwave.servo_design.design import JointServo, LoopResults, ServoDesign
-from strainwave.servo_design.link_estimation import EstimationError
 from strainwave.servo_design.report.words import shaper_name
-from strainwave.servo_design.verification import Comparison
+from strainwave.servo_design.verification import Comparison, EstimationError
 
 _MAX_ROWS = 500  # of a band, which has three lines
 _LOWEST_SHARE = 0.05  # of the bandwidth: lower frequencies do not matter

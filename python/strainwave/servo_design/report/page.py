@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
+from strainwave.export.omissions import sentence_of
 from strainwave.presentation.report.blocks import (
     Block,
     Callout,
@@ -21,6 +22,7 @@ from strainwave.presentation.report.blocks import (
     table,
 )
 from strainwave.servo_design.design import ServoDesign
+from strainwave.servo_design.handover.json_document import Units
 from strainwave.servo_design.report import figures, words
 
 _TEXTS: dict[str, str] = tomllib.loads(Path(__file__).with_name("page.toml").read_text("utf-8"))
@@ -56,7 +58,7 @@ def _headline(design: ServoDesign) -> Callout:
         "good",
         (
             paragraph(Span(lead, strong=True)),
-            *(paragraph(f"{limit[0].upper()}{limit[1:]}.") for limit in limits),
+            *(paragraph(sentence_of(limit)) for limit in limits),
         ),
     )
 
@@ -76,7 +78,7 @@ def _scope(design: ServoDesign) -> Iterator[Block]:
     has_load = bool(options.payloads)
     heads: Row = (
         "condition",
-        *(number(f"joint {i} [{_unit(design, i)}]") for i in joints),
+        *(number(f"joint {i} [{Units.of(design.arm.joint(i)).angle}]") for i in joints),
         *((number("payload [kg]"), "centre of mass [m]") if has_load else ()),
     )
     rows: list[Row] = []
@@ -93,16 +95,12 @@ def _scope(design: ServoDesign) -> Iterator[Block]:
     yield from table("Postures and payloads", heads, rows)
 
 
-def _unit(design: ServoDesign, joint: int) -> str:
-    return "m" if design.arm.study.arm.joints[joint - 1].motion == "prismatic" else "rad"
-
-
 def _current(design: ServoDesign) -> Iterator[Block]:
     sentences = list(words.current_sentences(design))
     if not sentences:
         yield paragraph(_TEXTS["no-servo"])
     for sentence in sentences:
-        yield paragraph(f"{sentence[0].upper()}{sentence[1:]}.")
+        yield paragraph(sentence_of(sentence))
 
 
 def _designed(design: ServoDesign) -> Iterator[Block]:
@@ -139,8 +137,8 @@ def _shapers(design: ServoDesign) -> Iterator[Block]:
         yield paragraph("No elastic mode remains while the motors are held: no shaper is needed.")
         return
     modes = "; ".join(
-        f"mode {k}: {words.mode_words(interval)}"
-        for k, interval in enumerate(design.modes_hz, start=1)
+        f"mode {k}: {low:.3g} to {high:.3g} Hz"
+        for k, (low, high) in enumerate(design.modes_hz, start=1)
     )
     yield paragraph(_TEXTS["shapers"].format(modes=modes))
     yield from words.shapers(design, "Shapers, best first")
@@ -159,7 +157,7 @@ def _observers(design: ServoDesign) -> Iterator[Block]:
     yield paragraph(_TEXTS["observers"])
     yield from words.readings(design)
     for sentence in words.observer_gaps(design):
-        yield paragraph(f"{sentence[0].upper()}{sentence[1:]}.")
+        yield paragraph(sentence_of(sentence))
     if not design.estimation:
         yield paragraph(f"The observers are not compared in a move: {design.unchecked}.")
         return
@@ -178,7 +176,7 @@ def _damping(design: ServoDesign) -> Iterator[Block]:
     yield paragraph(_TEXTS["damping"])
     yield from words.dampings(design)
     for sentence in words.damping_sentences(design):
-        yield paragraph(f"{sentence[0].upper()}{sentence[1:]}.")
+        yield paragraph(sentence_of(sentence))
 
 
 def _moves(design: ServoDesign) -> Iterator[Block]:

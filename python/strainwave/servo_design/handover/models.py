@@ -1,0 +1,207 @@
+"""The servo as equations for people, and as models of MATLAB and python-control.
+
+Difference equations with numbers; margins, shapers and conditions; `ss` and `tf` models.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from strainwave.domain import FloatArray
+from strainwave.domain.control_law import INPUTS, ControlLaw
+from strainwave.errors import import_optional
+from strainwave.export.omissions import sentence_of
+from strainwave.export.source import Export
+from strainwave.io.templates import fill_text
+from strainwave.servo_design.closed_loop import Gains
+from strainwave.servo_design.design import ServoDesign
+from strainwave.servo_design.handover.json_document import Units
+from strainwave.servo_design.margins import margin_summaries
+from strainwave.servo_design.observer import OUTPUTS, Observer
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+_LIMITS = {
+    "margins": "the margins with period, delay and resonances limit the bandwidth",
+    "encoder": "the resolution of the motor encoder limits the bandwidth",
+}
+_NOTES = (
+    "not in the ss models: the limit of the input, the hold of integrators and the feed-forward",
+    "not in the script: margins, see servo.json",
+)
+HOLD = (
+    "if u[k] is limited, the integral keeps its last value: after u[k] is computed, "
+    "replace s[k] by s[k-1]"
+)
+"""The rule against windup, which the equations lack."""
+
+
+def difference_equations(gains: Gains, limit: float, units: Units) -> list[tuple[str, str]]:
+    """Equations of sample k, in the order of computation, each with a remark and its unit.
+
+    r and w are angle and velocity of the reference, y is the angle of the motor, ff the
+    feed-forward and u the input of the drive.
+    """
+    T, limit = gains.period, float(limit)
+    lines = [
+        (
+            f"e[k] = w[k] + {gains.position_gain!r}*(r[k] - y[k]) - (y[k] - y[k-1])/{T!r}",
+            f"error of the velocity [{units.angle}/s]",
+        ),
+        (f"s[k] = s[k-1] + {T!r}*e[k]", f"integral [{units.angle}]; see below"),
+        (f"g0[k] = {gains.kp!r}*e[k] + {gains.ki!r}*s[k]", f"PI controller [{units.input}]"),
+    ]
+    for i, one in enumerate(gains.filters):
+        (b0, b1, b2), (a1, a2) = one.b, one.a
+        now, last = f"g{i + 1}", f"g{i}"
+        equation = (
+            f"{now}[k] = {b0!r}*{last}[k] + {b1!r}*{last}[k-1] + {b2!r}*{last}[k-2]"
+            f" - ({a1!r})*{now}[k-1] - ({a2!r})*{now}[k-2]"
+        )
+        lines.append((equation, f"{one.kind} at {one.hz:.4g} Hz [{units.input}]"))
+    end = f"g{len(gains.filters)}"
+    lines.append(
+        (
+            f"u[k] = min(max({end}[k] + ff[k], {-limit!r}), {limit!r})",
+            f"input of the drive [{units.input}]",
+        )
+    )
+    return lines
+
+
+def to_markdown(design: ServoDesign) -> Export:
+    """Difference equations, gains with units and margins of each joint; shapers; conditions."""
+    joints = []
+    for each in design.joints:
+        gains, units = each.tuned.gains, Units.of(design.arm.joint(each.joint))
+        joints.append(
+            (
+                each,
+                design.arm.study.arm.joint_names[each.joint - 1],
+                units,
+                difference_equations(gains, design.limits[each.joint - 1], units),
+                [
+                    (one, design.condition[one.plant] + 1)
+                    for one in margin_summaries(each.results.margins, design.options.required)
+                ],
+            )
+        )
+    text = fill_text(
+        Path(__file__).with_name("servo.md.j2"),
+        design=design,
+        joints=joints,
+        limits=_LIMITS,
+        shaper=next(iter(design.shapers), None),
+        hold=HOLD,
+        sentence_of=sentence_of,
+    )
+    return Export(text.encode(), design.arm.warnings)
+
+
+def to_script(design: ServoDesign) -> Export:
+    """Script with `servo(i)`: gains, matrices, `ss` model and the `tf` of each filter."""
+    joints = []
+    for each in design.joints:
+        gains, units = each.tuned.gains, Units.of(design.arm.joint(each.joint))
+        law = gains.law()
+        equations = difference_equations(gains, design.limits[each.joint - 1], units)
+        states = _cell(_state_names(law))
+        joints.append((each.joint, gains, units, _matrices(law), states, equations))
+    text = fill_text(
+        Path(__file__).with_name("servo.m.j2"),
+        design=design,
+        joints=joints,
+        inputs=_cell(INPUTS),
+        observers=[_observer(one) for one in design.observers],
+        damped=[(one, _matrices(one.law)) for one in design.dampings if not one.reason],
+        shaper=next(iter(design.shapers), None),
+        notes=_NOTES,
+        hold=HOLD,
+        sentence_of=sentence_of,
+    )
+    return Export(text.encode(), design.arm.warnings, _NOTES)
+
+
+def _observer(observer: Observer) -> tuple[Observer, dict[str, str], dict[str, str]]:
+    """An observer, its matrices and its names."""
+    system = observer.system
+    names = {
+        "StateName": _cell(system.states),
+        "InputName": _cell(system.inputs),
+        "OutputName": _cell(OUTPUTS),
+    }
+    return observer, {name: _matrix(getattr(system, name)) for name in "ABCD"}, names
+
+
+def _matrices(law: ControlLaw) -> dict[str, str]:
+    rows = {name: _matrix(getattr(law, name)) for name in "ABCD"}
+    return rows | {"E": _matrix(law.E[:, None])}
+
+
+def _matrix(matrix: FloatArray) -> str:
+    rows = (", ".join(map(repr, row)) for row in np.atleast_2d(matrix).tolist())
+    return f"[{'; '.join(rows)}]"
+
+
+def _cell(names: Sequence[str]) -> str:
+    return "{" + ", ".join(f"'{name}'" for name in names) + "}"
+
+
+def _state_names(law: ControlLaw) -> list[str]:
+    """Names of the states of a law as identifiers."""
+    words = (name.replace("-", " ").replace(",", " ").split() for name in law.names)
+    return ["_".join(each) for each in words]
+
+
+def controllers(design: ServoDesign) -> list[StateSpace]:
+    """Discrete state-space system of each joint: `INPUTS` to `voltage`, not limited.
+
+    The limit, the hold of integrators and the feed-forward are not linear parts of the law and are
+    absent. Raises `InvalidInput` if python-control is missing.
+    """
+    control = import_optional("control", "a controller as state-space object", "control")
+    systems = []
+    for number, gains in enumerate(design.gains, start=1):
+        law = gains.law()
+        systems.append(
+            control.ss(
+                law.A + np.outer(law.E, law.C),
+                law.B + np.outer(law.E, law.D),
+                law.C[None],
+                law.D[None],
+                dt=gains.period,
+                name=f"servo_{number}",
+                states=_state_names(law),
+                inputs=list(INPUTS),
+                outputs=["voltage"],
+            )
+        )
+    return systems
+
+
+def observers(design: ServoDesign) -> list[StateSpace]:
+    """Discrete state-space system of each elastic joint, from its inputs to `OUTPUTS`.
+
+    The inputs are that of the drive, the interaction torque and the readings. Raises `InvalidInput`
+    if python-control is missing.
+    """
+    control = import_optional("control", "an observer as state-space object", "control")
+    systems = []
+    for observer in design.observers:
+        system = observer.system
+        systems.append(
+            control.ss(
+                *(system.A, system.B, system.C, system.D),
+                dt=observer.period,
+                name=f"observer_{observer.joint}",
+                states=list(system.states),
+                inputs=list(system.inputs),
+                outputs=list(OUTPUTS),
+            )
+        )
+    return systems
