@@ -19,9 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.statespace._entries import Matrices, balancing
 from strainwave.statespace._evaluate import Evaluator
-from strainwave.statespace._riccati import is_stable
+from strainwave.statespace._matrices import Matrices, balancing, is_stable
 
 # Step of the central differences along an entry of K, in standard deviations: far above rounding,
 # and small against the curvature of log det I_m.

@@ -25,10 +25,19 @@ from strainwave.domain import (
 from strainwave.domain.options import Focus
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.numerics.parallel import raise_if_stopped
-from strainwave.statespace._entries import Matrices, balance, n_entries, rescale, stabilise, unscale
 from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
+from strainwave.statespace._matrices import (
+    Matrices,
+    balance,
+    is_stable,
+    n_entries,
+    reflect_poles,
+    rescale,
+    stabilise,
+    stabilising_gain,
+    unscale,
+)
 from strainwave.statespace._restricted import restrict_steps
-from strainwave.statespace._riccati import is_stable, reflect_poles, stabilising_gain
 from strainwave.statespace._stack import Data, Stack, stack
 from strainwave.statespace.residuals import whiteness
 from strainwave.statespace.subspace import (

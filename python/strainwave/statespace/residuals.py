@@ -11,8 +11,8 @@ import numpy as np
 from strainwave.domain import FloatArray, HypothesisTest, ModelCheck, StateSpace
 from strainwave.domain.distributions import CI99_STDS, chi_square_tail
 from strainwave.errors import InvalidInput
-from strainwave.statespace._entries import Matrices, rescale
 from strainwave.statespace._evaluate import Evaluator, fit_percent
+from strainwave.statespace._matrices import Matrices, rescale
 from strainwave.statespace._stack import Data, Stack, stack
 
 # Significance level of the tests.
