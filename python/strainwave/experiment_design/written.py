@@ -19,8 +19,13 @@ from strainwave.domain import FloatArray, Study
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.link_sensors import installed_axes
 from strainwave.dynamics.arm import Arm
-from strainwave.experiment_design.command_table import applied_columns, table_name
-from strainwave.experiment_design.motions import trajectory_name, trajectory_text
+from strainwave.experiment_design.command_table import (
+    applied_columns,
+    table_name,
+    trajectory_name,
+    trajectory_text,
+)
+from strainwave.experiment_design.guessed_arm import torque_errors_of
 from strainwave.experiment_design.plan import (
     LIMITED,
     Design,
@@ -29,7 +34,6 @@ from strainwave.experiment_design.plan import (
     PredictedMotion,
     clock_of,
 )
-from strainwave.experiment_design.rigid_precision import torque_errors_of
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.results import base_parameter_entries, parameter_entry, to_json
 from strainwave.io.study import copy_to, write_study
@@ -47,8 +51,7 @@ def write(design: Design, folder: Path) -> None:
     Creates the folder. Raises InvalidInput if it cannot be written.
     """
     study = copy_to(design.study, folder)
-    contents = {name: text.encode() for name, text in _texts(design).items()}
-    write_whole(folder, contents)
+    write_whole(folder, {name: text.encode() for name, text in _texts(design).items()})
     write_study(study, study.path)
 
 

@@ -13,7 +13,7 @@ from servo_arms import correct, predict, state_at_rest
 from strainwave.domain import ControlLaw, FloatArray
 from strainwave.servo_design.closed_loop import Gains
 from strainwave.servo_design.design import ServoDesign
-from strainwave.servo_design.handover.c_header import to_c_header
+from strainwave.servo_design.handover.texts import to_c_header
 
 SAMPLES = 2000
 START = (0.7, -1.2)  # motor angle [rad], voltage [V] at rest

@@ -11,9 +11,13 @@ from strainwave.domain import Joint
 from strainwave.servo_design.closed_loop import Gains
 from strainwave.servo_design.design import ServoDesign
 from strainwave.servo_design.handover import FILES
-from strainwave.servo_design.handover.c_header import to_c_header
 from strainwave.servo_design.handover.json_document import Units
-from strainwave.servo_design.handover.models import difference_equations, to_markdown, to_script
+from strainwave.servo_design.handover.texts import (
+    difference_equations,
+    to_c_header,
+    to_markdown,
+    to_script,
+)
 
 
 def test_numbers_have_no_trace_of_numpy(filtered: ServoDesign) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from strainwave.domain import FloatArray
 from strainwave.servo_design.design import ServoDesign
-from strainwave.servo_design.handover.models import to_script
+from strainwave.servo_design.handover.texts import to_script
 
 
 def matrix_of(script: str, name: str) -> FloatArray:

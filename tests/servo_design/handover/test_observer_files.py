@@ -13,9 +13,8 @@ from servo_arms import state_at_rest
 from strainwave.domain import FloatArray
 from strainwave.dynamics.simulation import simulate_arms
 from strainwave.servo_design.design import ServoDesign
-from strainwave.servo_design.handover.c_header import to_c_header
 from strainwave.servo_design.handover.json_document import to_json
-from strainwave.servo_design.handover.models import to_markdown, to_script
+from strainwave.servo_design.handover.texts import to_c_header, to_markdown, to_script
 from strainwave.servo_design.link_measurements import with_places
 from strainwave.servo_design.observer import Observer
 from strainwave.servo_design.verification import (

@@ -1,13 +1,35 @@
-"""The report of a servo design: one self-contained page."""
+"""The report of a servo design: one self-contained page, and its figures."""
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
+
+from strainwave.domain import FloatArray
 from strainwave.export.omissions import sentence_of
+from strainwave.presentation.figures import (
+    DASHES,
+    DOTTED,
+    FREQUENCY_AXIS,
+    PALETTE,
+    SHORT_DASH,
+    SOLID,
+    Area,
+    Axis,
+    Colour,
+    Dash,
+    Figure,
+    Line,
+    Mark,
+    Panel,
+    Upright,
+    decimate,
+)
 from strainwave.presentation.report.blocks import (
     Block,
     Callout,
@@ -21,12 +43,23 @@ from strainwave.presentation.report.blocks import (
     paragraph,
     table,
 )
-from strainwave.servo_design.design import ServoDesign
+from strainwave.servo_design.design import JointServo, LoopResults, ServoDesign
 from strainwave.servo_design.handover.json_document import Units
-from strainwave.servo_design.report import figures, words
+from strainwave.servo_design.report import words
+from strainwave.servo_design.verification import Comparison, EstimationError
 
 _TEXTS: dict[str, str] = tomllib.loads(Path(__file__).with_name("page.toml").read_text("utf-8"))
 """Paragraphs and captions; fields in braces are numbers of the design."""
+
+_MAX_ROWS = 500  # of a band, which has three lines
+_LOWEST_SHARE = 0.05  # of the bandwidth: lower frequencies do not matter
+_GAIN_RANGE = (-60.0, 80.0)  # [dB]; integrators have no upper limit
+_FARTHEST = 2.0  # distance from -1 that is shown
+_SHOWN_SETTLINGS = 1.5  # duration of a figure over the settling time
+_LABEL_STEP = 0.15  # of a panel, between labels that may overlap
+_N_SHAPERS = 3  # lines of a figure
+_N_FREQUENCIES = 400
+_MODE_MARGIN = 1.6  # ratio of the frequencies shown beyond the modes
 
 
 def render(design: ServoDesign) -> str:
@@ -117,7 +150,7 @@ def _loops(design: ServoDesign) -> Iterator[Block]:
         yield Plot(
             f"loop {joint.joint}",
             title,
-            figures.loops_of(joint, design.options.required.modulus),
+            _loops_of(joint, design.options.required.modulus),
             caption,
         )
 
@@ -129,7 +162,7 @@ def _steps(design: ServoDesign) -> Iterator[Block]:
         if joint.current is not None and not joint.current.position_gain:
             text += f" {_TEXTS['pulse-step']}"
         title = f"Joint {joint.joint}: step of the link"
-        yield Plot(f"step {joint.joint}", title, figures.steps_of(joint), text)
+        yield Plot(f"step {joint.joint}", title, _steps_of(joint), text)
 
 
 def _shapers(design: ServoDesign) -> Iterator[Block]:
@@ -145,7 +178,7 @@ def _shapers(design: ServoDesign) -> Iterator[Block]:
     yield Plot(
         "shapers",
         "Residual vibration over the frequency",
-        figures.shapers_of(design),
+        _shapers_of(design),
         _TEXTS["shaper-caption"],
     )
 
@@ -166,7 +199,7 @@ def _observers(design: ServoDesign) -> Iterator[Block]:
     caption = _TEXTS["estimation-caption"]
     for one in design.estimation:
         title = f"Joint {one.joint}: error of the estimated link angle"
-        yield Plot(f"observer {one.joint}", title, figures.estimation_of(one), caption)
+        yield Plot(f"observer {one.joint}", title, _estimation_of(one), caption)
 
 
 def _damping(design: ServoDesign) -> Iterator[Block]:
@@ -189,7 +222,7 @@ def _moves(design: ServoDesign) -> Iterator[Block]:
         yield paragraph(_TEXTS["pulse-move"])
     for move in design.moves:
         title = f"Joint {move.joint}: step and planned move"
-        yield Plot(f"move {move.joint}", title, figures.moves_of(move))
+        yield Plot(f"move {move.joint}", title, _moves_of(move))
 
 
 def _meaning(design: ServoDesign) -> Iterator[Block]:
@@ -213,3 +246,126 @@ def _trial(design: ServoDesign) -> Iterator[Block]:
     yield from table("First gains", heads, rows)
     yield paragraph(_TEXTS["trial-3"])
     yield paragraph(_TEXTS["trial-4"])
+
+
+def _loops_of(joint: JointServo, required: float) -> Figure:
+    """Gain, phase and distance from -1 of the open loop, with the band over all plants.
+
+    `required` is the modulus margin.
+    """
+    gain: list[Mark] = []
+    phase: list[Mark] = []
+    distance: list[Mark] = []
+    servos = list(_servos(joint))
+    lowest = min(float(results.margins.bandwidth_hz.min()) for *_, results in servos)
+    for name, colour, dash, results in servos:
+        band = results.band
+        shown = np.flatnonzero(band.hz >= _LOWEST_SHARE * lowest)
+        rows = shown[decimate(band.gain_db[shown], _MAX_ROWS)]
+        for marks, values in (
+            (gain, band.gain_db),
+            (phase, band.phase_deg),
+            (distance, np.minimum(band.distance, 2.0 * _FARTHEST)),
+        ):
+            marks.extend(_band(band.hz[rows], values[rows], name, colour, dash))
+    ends, level = joint.results.band.hz[shown[[0, -1]]], np.full(2, required)
+    distance.append(Line(ends, level, "required distance", Colour.RESIDUAL, DOTTED))
+    return Figure(
+        FREQUENCY_AXIS,
+        (
+            Panel(Axis("gain [dB]", range=_GAIN_RANGE), tuple(gain)),
+            Panel(Axis("phase [degree]"), tuple(phase)),
+            Panel(Axis("|1 + L|", range=(0.0, _FARTHEST)), tuple(distance)),
+        ),
+    )
+
+
+def _steps_of(joint: JointServo) -> Figure:
+    """Steps of the link, with the band over all plants."""
+    servos = list(_servos(joint))
+    shown = max(_duration(results.steps.settling, results.steps.time) for *_, results in servos)
+    marks: list[Mark] = []
+    for name, colour, dash, results in servos:
+        steps = results.steps
+        marks += _over_time(steps.time, steps.link, shown, name, colour, dash)
+    return Figure(Axis("time [s]"), (Panel(Axis("link angle / step"), tuple(marks)),))
+
+
+def _moves_of(move: Comparison) -> Figure:
+    """A step and the planned move, with the band over the simulated draws."""
+    settling = np.array([move.step.settling, move.planned.settling])
+    shown = _duration(settling, move.time)
+    marks = [
+        *_over_time(move.time, move.step_link, shown, "step", Colour.MEASURED, SHORT_DASH),
+        *_over_time(move.time, move.planned_link, shown, "planned", Colour.MODEL, SOLID),
+    ]
+    return Figure(Axis("time [s]"), (Panel(Axis("link angle / move"), tuple(marks)),))
+
+
+def _estimation_of(one: EstimationError) -> Figure:
+    """Errors of the link angle in a planned move, by the motor alone and by the observer."""
+    rows = np.linspace(0, len(one.time) - 1, min(len(one.time), _MAX_ROWS)).astype(int)
+    servos = (("motor", Colour.MEASURED, SHORT_DASH), ("observer", Colour.MODEL, SOLID))
+    marks = tuple(
+        Line(one.time[rows], 1e6 * one.errors[rows, k], name, colour, dash)
+        for k, (name, colour, dash) in enumerate(servos)
+    )
+    return Figure(Axis("time [s]"), (Panel(Axis("error [1e-6 rad or m]"), marks),))
+
+
+def _shapers_of(design: ServoDesign) -> Figure:
+    """Residual vibration of the best shapers over the frequency of a mode."""
+    low, high = design.modes_hz.min(), design.modes_hz.max()
+    hz = np.geomspace(low / _MODE_MARGIN, high * _MODE_MARGIN, _N_FREQUENCIES)
+    damping = np.full(len(hz), design.shapers[0].shapers[0].damping)
+    lines = [
+        Line(
+            hz,
+            100.0 * ranked.impulses.residual_vibration(2.0 * np.pi * hz, damping),
+            f"{k + 1}: {words.shaper_name(ranked)}",
+            PALETTE[k],
+            DASHES[k],
+        )
+        for k, ranked in enumerate(design.shapers[:_N_SHAPERS])
+    ]
+    intervals = [
+        Area(np.array(ends), np.zeros(2), np.full(2, 100.0), Colour.RESIDUAL, f"mode {k}")
+        for k, ends in enumerate(design.modes_hz.tolist(), start=1)
+    ]
+    labels = tuple(
+        Upright(float(low), f"mode {k + 1}", height=1.0 - _LABEL_STEP * k)
+        for k, (low, _) in enumerate(design.modes_hz)
+    )
+    axis = Axis("vibration [%]", range=(0.0, 100.0))
+    return Figure(FREQUENCY_AXIS, (Panel(axis, (*intervals, *lines)),), labels)
+
+
+def _servos(joint: JointServo) -> Iterator[tuple[str, Colour, Dash, LoopResults]]:
+    """Current and designed servo with their style."""
+    if joint.current_results is not None:
+        yield "current", Colour.MEASURED, SHORT_DASH, joint.current_results
+    yield "designed", Colour.MODEL, SOLID, joint.results
+
+
+def _band(
+    x: FloatArray, values: FloatArray, name: str, colour: Colour, dash: Dash
+) -> tuple[Mark, ...]:
+    """The range and the middle line of values (n, 3): smallest, of the estimates, largest."""
+    low, middle, high = values.T
+    return Area(x, low, high, colour, name), Line(x, middle, name, colour, dash)
+
+
+def _over_time(
+    time: FloatArray, link: FloatArray, shown: float, name: str, colour: Colour, dash: Dash
+) -> tuple[Mark, ...]:
+    """Band and line of motions (n_samples, 3) until a time [s]."""
+    values = link[: int(np.searchsorted(time, shown))]
+    rows = decimate(values, _MAX_ROWS)
+    return _band(time[rows], values[rows], name, colour, dash)
+
+
+def _duration(settling: FloatArray, time: FloatArray) -> float:
+    """Time [s] to show, until all plants have settled."""
+    longest = float(settling.max())
+    end = float(time[-1])
+    return min(end, _SHOWN_SETTLINGS * longest) if math.isfinite(longest) else end

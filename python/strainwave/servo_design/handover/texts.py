@@ -1,7 +1,4 @@
-"""The servo as equations for people, and as models of MATLAB and python-control.
-
-Difference equations with numbers; margins, shapers and conditions; `ss` and `tf` models.
-"""
+"""The servo as equations for people, C99, and models of MATLAB and python-control."""
 
 from __future__ import annotations
 
@@ -14,6 +11,7 @@ import numpy as np
 from strainwave.domain import FloatArray
 from strainwave.domain.control_law import INPUTS, ControlLaw
 from strainwave.errors import import_optional
+from strainwave.export.flat import HEADER_PREFIX
 from strainwave.export.omissions import sentence_of
 from strainwave.export.source import Export
 from strainwave.io.templates import fill_text
@@ -26,11 +24,15 @@ from strainwave.servo_design.observer import OUTPUTS, Observer
 if TYPE_CHECKING:
     from control import StateSpace
 
+_C_NOTES = (
+    "the delay from a reading to its input is a property of the task that calls the servo",
+    "the feed-forward is an argument; the header does not compute it",
+)
 _LIMITS = {
     "margins": "the margins with period, delay and resonances limit the bandwidth",
     "encoder": "the resolution of the motor encoder limits the bandwidth",
 }
-_NOTES = (
+_MATLAB_NOTES = (
     "not in the ss models: the limit of the input, the hold of integrators and the feed-forward",
     "not in the script: margins, see servo.json",
 )
@@ -103,6 +105,54 @@ def to_markdown(design: ServoDesign) -> Export:
     return Export(text.encode(), design.arm.warnings)
 
 
+def to_c_header(design: ServoDesign) -> Export:
+    """Laws of all joints, their step and reset, observers, and the first shaper if there is one.
+
+    States beyond those of a law are zero, so that all joints have one type.
+    """
+    laws = [(f"{i}", i, gains.law()) for i, gains in enumerate(design.gains, start=1)]
+    laws += [
+        (f"{one.joint}_DAMPED", one.joint, one.law) for one in design.dampings if not one.reason
+    ]
+    n_states = max(len(law.A) for _, _, law in laws)
+    entries = []
+    for macro, number, law in laws:
+        rows = {name: getattr(law, name) for name in "ABCDE"}
+        rows |= {"holds": law.holds.astype(int), "rest": law.rest()}
+        values = {name: _initializer(row) for name, row in rows.items()}
+        unit = Units.of(design.arm.joint(number)).input
+        name = design.arm.study.arm.joint_names[number - 1]
+        limit = float(design.limits[number - 1])
+        entries.append((macro, number, name, len(law.A), limit, unit, law.names, values))
+    observers = [
+        (one.joint, one.system, {name: _initializer(getattr(one.system, name)) for name in "ABCD"})
+        for one in design.observers
+    ]
+    text = fill_text(
+        Path(__file__).with_name("servo.h.j2"),
+        prefix=HEADER_PREFIX,
+        period=design.clock.period,
+        delay=design.clock.delay,
+        n_states=n_states,
+        n_joints=len(design.gains),
+        laws=entries,
+        observers=observers,
+        n_observed=max((len(system.A) for _, system, _ in observers), default=0),
+        n_inputs=max((len(system.inputs) for _, system, _ in observers), default=0),
+        shaper=next(iter(design.shapers), None),
+        notes=_C_NOTES,
+        comment=lambda text: text.replace("*/", "* /"),  # which would end it
+    )
+    return Export(text.encode(), design.arm.warnings, _C_NOTES)
+
+
+def _initializer(values: FloatArray) -> str:
+    """Nested braces."""
+    if values.ndim == 0:
+        return repr(values.item())
+    return "{" + ", ".join(_initializer(row) for row in values) + "}"
+
+
 def to_script(design: ServoDesign) -> Export:
     """Script with `servo(i)`: gains, matrices, `ss` model and the `tf` of each filter."""
     joints = []
@@ -120,11 +170,11 @@ def to_script(design: ServoDesign) -> Export:
         observers=[_observer(one) for one in design.observers],
         damped=[(one, _matrices(one.law)) for one in design.dampings if not one.reason],
         shaper=next(iter(design.shapers), None),
-        notes=_NOTES,
+        notes=_MATLAB_NOTES,
         hold=HOLD,
         sentence_of=sentence_of,
     )
-    return Export(text.encode(), design.arm.warnings, _NOTES)
+    return Export(text.encode(), design.arm.warnings, _MATLAB_NOTES)
 
 
 def _observer(observer: Observer) -> tuple[Observer, dict[str, str], dict[str, str]]:
