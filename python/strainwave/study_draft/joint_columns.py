@@ -64,11 +64,6 @@ class JointFacts:
     command: str = ""  # unit of the input if it is a command of the drive: V or A
     link_sensors: set[str] = field(default_factory=set)
 
-    @property
-    def shows_elasticity(self) -> bool:
-        """Whether a sensor on the link shows the gear's elasticity."""
-        return bool(self.link_sensors) and not self.joint_side
-
 
 @dataclass(slots=True)
 class Mapping:
@@ -85,9 +80,14 @@ class Mapping:
     warnings: tuple[str, ...] = ()  # notes that the user needs before completing the study
 
     @property
+    def columns(self) -> set[str]:
+        """Columns that have a channel."""
+        return {guess.column for guess in self.guesses.values()}
+
+    @property
     def shows_elasticity(self) -> bool:
         """Whether a sensor on a link shows the elasticity of a gear."""
-        return any(facts.shows_elasticity for facts in self.joints)
+        return any(facts.link_sensors and not facts.joint_side for facts in self.joints)
 
 
 DEGREE = pi / 180.0
