@@ -177,7 +177,7 @@ def test_an_arm_without_servo_and_voltages_has_torque_gains() -> None:
     assert "your servo" not in text
     assert "0.5 N m" in page
     for to_file in FILES.values():
-        assert not re.search(rb"\b(inf|nan)\b", to_file(design).data)
+        assert not re.search(r"\b(inf|nan)\b", to_file(design))
 
 
 def test_an_unstable_servo_is_reported() -> None:

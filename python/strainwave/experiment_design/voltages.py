@@ -197,8 +197,7 @@ def _design_signal(
     if kind == "prbs":
         shape = excitation.prbs(Prbs(order, clock, 1, 1.0))
     else:
-        rng = np.random.default_rng([seed, joint])
-        period = clock * ticks
+        rng, period = np.random.default_rng([seed, joint]), clock * ticks
         shape = excitation.multisine(
             lines, period=period, clock=clock, periods=1, peak=1.0, rng=rng
         )
@@ -289,10 +288,8 @@ def _required_periods(signal: Signal, drive: Drive, band: ExcitationBand) -> tup
     if required_periods <= MIN_PERIODS:
         return periods, f"{default_reason}; the {sensor} is then {level}"
     count = f"{periods}" if required_periods == periods else f"the maximum of {periods}"
-    return (
-        periods,
-        f"{SETTLING_PERIODS} period to settle and {count}; the {sensor} is then {level}",
-    )
+    reason = f"{SETTLING_PERIODS} period to settle and {count}; the {sensor} is then {level}"
+    return periods, reason
 
 
 def _spectral_lines(
@@ -314,7 +311,6 @@ def _spectral_lines(
 def _describe_excitation(
     signal: Signal, band: ExcitationBand, amplitude: float, control: tuple[Control, ...]
 ) -> str:
-    """Text of the excitation and its reason."""
     low, high = _excited_band(signal)
     kind = f"order {signal.order}, clock {1e3 * signal.clock:g} ms"
     if signal.kind == "multisine":

@@ -149,7 +149,7 @@ def tune_cascades(
         for i, (inertia, largest) in enumerate(zip(inertias, max_kp, strict=True))
     ]
     start = _START_BANDWIDTH / (period + loops.clock.delay)
-    gains = [tuner.gains(start, _START_POSITION_RATIO) for tuner in tuners]
+    gains = [tuner.gains(start) for tuner in tuners]
     for _ in range(_N_SWEEPS):
         for i, tuner in enumerate(tuners):
             gains[i] = tuner.raise_gains(gains, search)
@@ -189,37 +189,53 @@ class _Tuner:
     limit: str = "margins"
     bandwidth: float = 0.0  # [rad/s] that the last search reached; zero: none keeps the margins
 
-    def gains(
-        self, bandwidth: float, position_ratio: float, filters: tuple[Biquad, ...] = ()
-    ) -> Gains:
+    def gains(self, bandwidth: float, filters: tuple[Biquad, ...] = ()) -> Gains:
         """Gains of a velocity bandwidth [rad/s]."""
         kp = bandwidth * self.inertia
         return Gains(
             kp=kp,
             ki=kp * bandwidth / _INTEGRAL_RATIO,
-            position_gain=bandwidth / position_ratio,
+            position_gain=bandwidth / _START_POSITION_RATIO,
             period=self.loops.clock.period,
             filters=filters,
         )
 
     def raise_gains(self, gains: Sequence[Gains], search: IntArray) -> Gains:
         """The largest gains at which the searched plants keep their margins."""
-        trials = _Trials.of(self.loops, self.required, gains, self.joint, search)
+        plant = effective_plants(
+            self.loops.responses(search), self.loops.controllers(gains), self.joint
+        )
+        sampled = sample(self.loops.plants, self.loops.clock, search)
+        trials = _Trials([each.law() for each in gains], plant, sampled)
         best, bandwidth, self.limit = gains[self.joint], 0.0, "margins"
         for make in self._filters(search):
             reached, is_encoder = self._largest_bandwidth(trials, make)
             if reached > bandwidth * (_MIN_GAIN if bandwidth else 1.0):
                 bandwidth, self.limit = reached, "encoder" if is_encoder else "margins"
-                best = self.gains(reached, _START_POSITION_RATIO, make(reached))
+                best = self.gains(reached, make(reached))
         self.bandwidth = bandwidth
         if not bandwidth:
             return best
         # the largest position gain with margins and little overshoot of the link
         for ratio in _POSITION_RATIOS:
             candidate = replace(best, position_gain=bandwidth / ratio)
-            if trials.keep(candidate) and trials.overshoot(candidate) <= _MAX_OVERSHOOT:
-                break
+            if self._keeps(trials, candidate):
+                steps = Steps.of(self._closed(trials, candidate), candidate.period)
+                if steps.overshoot.max() <= _MAX_OVERSHOOT:
+                    break
         return candidate
+
+    def _keeps(self, trials: _Trials, gains: Gains) -> bool:
+        """Whether all plants are stable and keep their margins."""
+        margins = margins_of(trials.plant * gains.response(self.loops.z), self.loops.omega)
+        if margins.share(self.required).min() < 1.0:
+            return False
+        return bool(np.abs(self._closed(trials, gains).poles()).max() < 1.0)
+
+    def _closed(self, trials: _Trials, gains: Gains) -> ClosedLoop:
+        laws = list(trials.laws)
+        laws[self.joint] = gains.law()
+        return close(trials.sampled, laws, self.joint)
 
     def _largest_bandwidth(self, trials: _Trials, make: FilterMaker) -> tuple[float, bool]:
         """The largest bandwidth [rad/s] with margins, and whether the encoder limits it.
@@ -230,8 +246,9 @@ class _Tuner:
         highest = min(encoder, 0.5 * self.loops.clock.nyquist)
 
         def keeps(bandwidth: float) -> bool:
-            gains = self.gains(bandwidth, _START_POSITION_RATIO, make(bandwidth))
-            return bandwidth <= highest and trials.keep(gains)
+            return bandwidth <= highest and self._keeps(
+                trials, self.gains(bandwidth, make(bandwidth))
+            )
 
         reached, bandwidth = 0.0, _LOWEST_BANDWIDTH
         while bandwidth <= highest and (not reached or bandwidth < _COARSE_STEP * reached * 1.001):
@@ -269,40 +286,6 @@ class _Tuner:
 class _Trials:
     """Some plants with the loops of the other joints closed, on which gains are tried."""
 
-    loops: Loops
-    required: Requirements
-    joint: int
-    others: list[ControlLaw]
+    laws: list[ControlLaw]  # of all joints
     plant: ComplexArray  # (n_plants, n_omega) motor angle by voltage
     sampled: SampledPlants
-
-    @classmethod
-    def of(
-        cls,
-        loops: Loops,
-        required: Requirements,
-        gains: Sequence[Gains],
-        joint: int,
-        search: IntArray,
-    ) -> _Trials:
-        """Trials of one joint, from 0, on the searched plants."""
-        plant = effective_plants(loops.responses(search), loops.controllers(gains), joint)
-        laws = [each.law() for each in gains]
-        sampled = sample(loops.plants, loops.clock, search)
-        return cls(loops, required, joint, laws, plant, sampled)
-
-    def keep(self, gains: Gains) -> bool:
-        """Whether all plants are stable and keep their margins."""
-        margins = margins_of(self.plant * gains.response(self.loops.z), self.loops.omega)
-        if margins.share(self.required).min() < 1.0:
-            return False
-        return bool(np.abs(self._closed(gains).poles()).max() < 1.0)
-
-    def overshoot(self, gains: Gains) -> float:
-        """Largest overshoot of the link after a step of the position."""
-        return float(Steps.of(self._closed(gains), self.loops.clock.period).overshoot.max())
-
-    def _closed(self, gains: Gains) -> ClosedLoop:
-        laws = list(self.others)
-        laws[self.joint] = gains.law()
-        return close(self.sampled, laws, self.joint)

@@ -244,7 +244,6 @@ def _drives(arm: IdentifiedArm, options: ServoOptions) -> tuple[Clock, FloatArra
 def _results(
     judged: Sequence[tuple[Margins, LoopBand]], sampled: SampledPlants, gains: Sequence[Gains]
 ) -> list[LoopResults]:
-    """Margins, bands and steps of the reference angles of all joints."""
     laws = [each.law() for each in gains]
 
     def steps(joint: int, part: SampledPlants) -> Steps:
@@ -259,7 +258,6 @@ def _results(
 
 
 def _count_unstable(sampled: SampledPlants, gains: Sequence[Gains]) -> int:
-    """Number of plants with an unstable pole under a servo."""
     laws = [each.law() for each in gains]
 
     def count(part: SampledPlants) -> int:
@@ -300,7 +298,6 @@ def _unless_refused(simulate: Callable[[], tuple[Run, ...]]) -> tuple[tuple[Run,
 
 
 def _check_options(options: ServoOptions) -> None:
-    """Raise InvalidInput if a number is out of its range."""
     required = options.required
     ranges = [
         ("--draws", "the number of draws", options.draws, -1.0, math.inf),
@@ -378,7 +375,6 @@ def _check_posture(posture: FloatArray, limits: Sequence[tuple[float, float]]) -
 def _check_bandwidth(
     tuned: Sequence[TunedJoint], results: Sequence[LoopResults], required_hz: float, clock: Clock
 ) -> None:
-    """Raise InvalidInput if a velocity loop does not reach a bandwidth."""
     for number, (joint, result) in enumerate(zip(tuned, results, strict=True), start=1):
         reached = float(result.margins.bandwidth_hz.min())
         if reached < required_hz:
@@ -396,7 +392,6 @@ def _check_bandwidth(
 
 
 def _current_gains(arm: IdentifiedArm, clock: Clock) -> list[Gains] | None:
-    """Gains of the servo in the study; None without one."""
     servo = arm.study.arm.servo
     if servo is None:
         return None

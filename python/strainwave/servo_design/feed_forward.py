@@ -317,7 +317,6 @@ def _friction_shares(arm: IdentifiedArm) -> FloatArray:
 
 
 def _check_limits(arm: IdentifiedArm, time: FloatArray, at: _Instants) -> None:
-    """Compare a motion with the limits of the joints."""
     for i, joint in enumerate(arm.study.arm.joints):
         if joint.limits is None:
             continue

@@ -239,7 +239,6 @@ def _observer(
     measurements: tuple[Measurement, ...],
     unused: tuple[str, ...],
 ) -> Observer:
-    """Kalman filter of one joint."""
     names = [*_MOTION, _DISTURBANCE]
     if plant.joint.current_loop_hz:
         names.append(_DRIVE_TORQUE)

@@ -140,7 +140,6 @@ class _Choice:
 
 
 def _choices(mode: _Interval, modes: list[_Interval], period: float) -> list[_Choice]:
-    """No shaper, and a shaper of each kind for one of the modes."""
     omega = np.concatenate([one.omega for one in modes])
     damping = np.concatenate([one.damping for one in modes])
     choices = [_Choice(None, np.ones(1), np.ones(len(omega)))]

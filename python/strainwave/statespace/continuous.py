@@ -141,6 +141,11 @@ def _convert(model: StateSpace) -> ContinuousStateSpace:
         joined = model.A @ P2 + P1 - P2
         B[..., is_first_order] = np.linalg.solve(joined, model.B[..., is_first_order])
         D[..., is_first_order] -= model.C @ P2 @ B[..., is_first_order]
+    warnings: tuple[Diagnostic, ...] = ()
+    hz = float(np.abs(np.linalg.eigvals(A).imag).max(initial=0.0)) / (2.0 * np.pi)
+    if hz >= MAX_NYQUIST_SHARE * 0.5 / T:
+        values = {"frequency_hz": hz, "rate_hz": 1.0 / T}
+        warnings = (Diagnostic("pole-near-nyquist", STATE_SPACE_MODEL, **values),)
     return ContinuousStateSpace(
         A=A,
         B=B,
@@ -148,7 +153,7 @@ def _convert(model: StateSpace) -> ContinuousStateSpace:
         D=D,
         input_names=model.input_names,
         output_names=model.output_names,
-        warnings=_alias_warnings(A, T),
+        warnings=warnings,
     )
 
 
@@ -191,11 +196,3 @@ def _hold_integrals(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray]:
     block[n : 2 * n, 2 * n :] = np.eye(n)
     top = exponential(block)[:n]
     return top[:, n : 2 * n], top[:, 2 * n :]
-
-
-def _alias_warnings(A: FloatArray, T: float) -> tuple[Diagnostic, ...]:
-    hz = float(np.abs(np.linalg.eigvals(A).imag).max(initial=0.0)) / (2.0 * np.pi)
-    if hz < MAX_NYQUIST_SHARE * 0.5 / T:
-        return ()
-    place, rate_hz = STATE_SPACE_MODEL, 1.0 / T
-    return (Diagnostic("pole-near-nyquist", place, frequency_hz=hz, rate_hz=rate_hz),)

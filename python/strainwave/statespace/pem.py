@@ -256,7 +256,6 @@ def _starts(
     feedthrough: tuple[bool, ...],
     options: PemOptions,
 ) -> list[Matrices]:
-    """Starting values with stable predictors."""
     if start is None:
         horizon, factors = choose_horizon(data, order or MAX_ORDER), Factors(data)
         realisations = [

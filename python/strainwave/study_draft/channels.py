@@ -350,7 +350,6 @@ def add_channels(
 
 
 def _describe_unused(record: Record, name: str, mapping: Mapping) -> str:
-    """Describe a column that has no channel."""
     if np.ptp(record.columns[name]) == 0.0:
         return "it never changes"
     for guess in mapping.guesses.values():

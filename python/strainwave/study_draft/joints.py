@@ -143,7 +143,6 @@ def _number_by_robot(
 def _number_joints(
     parsed_names: dict[str, ParsedName], motion: str, record: Record
 ) -> dict[str, ParsedName]:
-    """Number the joints from 1, also if the names count from 0 or use labels."""
     keys = _joint_words(parsed_names, motion)
     numbered = dict[str, ParsedName]()
     for name, each in parsed_names.items():

@@ -236,7 +236,6 @@ def _quantity_of_unit(text: str, named: Quantity | None, *, sure: bool = True) -
 
 
 def _trailing_unit(each: ParsedName, words: list[str]) -> tuple[ParsedName, list[str]]:
-    """Read the unit at the end of a name; return the preceding words too."""
     if len(each.word) > 1 and (measure := find_unit(each.word, each.quantity)):
         return replace(each, measure=measure), words  # counts, rpm
     is_symbol = each.word in _SYMBOLS - _PATHS and (each.word,) not in _SIDED

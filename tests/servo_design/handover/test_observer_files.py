@@ -74,7 +74,7 @@ def test_the_compiled_observer_estimates_a_simulated_link(
     one = design.observers[1]
     assert len(one.measurements) == 2
     inputs, link, motor = simulated(design, one)
-    (tmp_path / "servo.h").write_bytes(to_c_header(design).data)
+    (tmp_path / "servo.h").write_text(to_c_header(design))
     first = f"{float(motor[0])!r} {float(link[0, 0])!r}\n"
     text = first + "\n".join(" ".join(map(repr, row)) for row in inputs.tolist())
     printed = output_of_c(_PROGRAM, tmp_path, text)
@@ -113,7 +113,7 @@ def test_the_compiled_servo_with_feedback_is_its_law(design: ServoDesign, tmp_pa
         new = law.A @ x + law.B @ now + law.E * (limited - ff)
         x = np.where(law.holds & (limited != u), x, new)
         expected.append(limited)
-    (tmp_path / "servo.h").write_bytes(to_c_header(design).data)
+    (tmp_path / "servo.h").write_text(to_c_header(design))
     text = "\n".join(" ".join(map(repr, row)) for row in inputs.tolist())
     printed = output_of_c(_SERVO_PROGRAM, tmp_path, text)
     np.testing.assert_allclose(np.array(printed.split(), float), expected, rtol=1e-9, atol=1e-9)
@@ -122,13 +122,13 @@ def test_the_compiled_servo_with_feedback_is_its_law(design: ServoDesign, tmp_pa
 def test_only_feedback_that_is_used_is_in_the_header(design: ServoDesign) -> None:
     first, *others = design.dampings
     changed = replace(design, dampings=(replace(first, reason="it gains nothing"), *others))
-    text = to_c_header(changed).data.decode()
+    text = to_c_header(changed)
     assert "SERVO_1_DAMPED" not in text
     assert ("SERVO_2_DAMPED" in text) == (not others[0].reason)
 
 
 def test_the_document_has_observers_and_damping(design: ServoDesign) -> None:
-    document = json.loads(to_json(design).data)
+    document = json.loads(to_json(design))
     for entry, one in zip(document["observers"], design.observers, strict=True):
         for name in "ABCD":
             assert entry[name] == getattr(one.system, name).tolist()
@@ -148,7 +148,7 @@ def test_the_texts_have_observers_and_reasons(design: ServoDesign) -> None:
     reason = "it gains nothing"
     dampings = (replace(design.dampings[0], reason=reason), *design.dampings[1:])
     changed = replace(design, dampings=dampings)
-    text, script = to_markdown(changed).data.decode(), to_script(changed).data.decode()
+    text, script = to_markdown(changed), to_script(changed)
     assert f"Not used: {reason}." in text
     assert "servo(1).damped" not in script
     for one in design.observers:

@@ -16,7 +16,6 @@ import numpy as np
 
 from strainwave.domain import Joint
 from strainwave.domain.control_law import INPUTS, ControlLaw
-from strainwave.export.source import Export
 from strainwave.servo_design.closed_loop import Gains, Steps
 from strainwave.servo_design.damping import Damping
 from strainwave.servo_design.design import JointServo, ServoDesign
@@ -68,7 +67,7 @@ _ERRORS = (
 )
 
 
-def to_json(design: ServoDesign) -> Export:
+def to_json(design: ServoDesign) -> str:
     """Gains, filters, laws, margins, shapers and the conditions that they hold for.
 
     A number that is not finite, such as the margin of a loop without crossing, is null.
@@ -101,8 +100,7 @@ def to_json(design: ServoDesign) -> Export:
         "observers": [_observer(design, one) for one in design.observers],
         "damping": [_damping(design, one) for one in design.dampings],
     }
-    text = json.dumps(_finite(document), indent=2, allow_nan=False)
-    return Export((text + "\n").encode(), design.arm.warnings)
+    return json.dumps(_finite(document), indent=2, allow_nan=False) + "\n"
 
 
 def _joint(design: ServoDesign, servo: JointServo) -> dict[str, Any]:
@@ -167,7 +165,6 @@ def _margins(design: ServoDesign, margins: Margins) -> dict[str, Any]:
 
 
 def _step(steps: Steps) -> dict[str, Any]:
-    """Settling and overshoot of the link after a step of the reference angle."""
     return {
         name: {"worst": float(values.max()), "median": float(np.median(values))}
         for name, values in (("settling", steps.settling), ("overshoot", steps.overshoot))

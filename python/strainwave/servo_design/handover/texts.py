@@ -13,7 +13,6 @@ from strainwave.domain.control_law import INPUTS, ControlLaw
 from strainwave.errors import import_optional
 from strainwave.export.flat import HEADER_PREFIX
 from strainwave.export.omissions import sentence_of
-from strainwave.export.source import Export
 from strainwave.io.templates import fill_text
 from strainwave.servo_design.closed_loop import Gains
 from strainwave.servo_design.design import ServoDesign
@@ -76,7 +75,7 @@ def difference_equations(gains: Gains, limit: float, units: Units) -> list[tuple
     return lines
 
 
-def to_markdown(design: ServoDesign) -> Export:
+def to_markdown(design: ServoDesign) -> str:
     """Difference equations, gains with units and margins of each joint; shapers; conditions."""
     joints = []
     for each in design.joints:
@@ -93,7 +92,7 @@ def to_markdown(design: ServoDesign) -> Export:
                 ],
             )
         )
-    text = fill_text(
+    return fill_text(
         Path(__file__).with_name("servo.md.j2"),
         design=design,
         joints=joints,
@@ -102,10 +101,9 @@ def to_markdown(design: ServoDesign) -> Export:
         hold=HOLD,
         sentence_of=sentence_of,
     )
-    return Export(text.encode(), design.arm.warnings)
 
 
-def to_c_header(design: ServoDesign) -> Export:
+def to_c_header(design: ServoDesign) -> str:
     """Laws of all joints, their step and reset, observers, and the first shaper if there is one.
 
     States beyond those of a law are zero, so that all joints have one type.
@@ -128,7 +126,7 @@ def to_c_header(design: ServoDesign) -> Export:
         (one.joint, one.system, {name: _initializer(getattr(one.system, name)) for name in "ABCD"})
         for one in design.observers
     ]
-    text = fill_text(
+    return fill_text(
         Path(__file__).with_name("servo.h.j2"),
         prefix=HEADER_PREFIX,
         period=design.clock.period,
@@ -143,17 +141,15 @@ def to_c_header(design: ServoDesign) -> Export:
         notes=_C_NOTES,
         comment=lambda text: text.replace("*/", "* /"),  # which would end it
     )
-    return Export(text.encode(), design.arm.warnings, _C_NOTES)
 
 
 def _initializer(values: FloatArray) -> str:
-    """Nested braces."""
     if values.ndim == 0:
         return repr(values.item())
     return "{" + ", ".join(_initializer(row) for row in values) + "}"
 
 
-def to_script(design: ServoDesign) -> Export:
+def to_script(design: ServoDesign) -> str:
     """Script with `servo(i)`: gains, matrices, `ss` model and the `tf` of each filter."""
     joints = []
     for each in design.joints:
@@ -162,7 +158,7 @@ def to_script(design: ServoDesign) -> Export:
         equations = difference_equations(gains, design.limits[each.joint - 1], units)
         states = _cell(_state_names(law))
         joints.append((each.joint, gains, units, _matrices(law), states, equations))
-    text = fill_text(
+    return fill_text(
         Path(__file__).with_name("servo.m.j2"),
         design=design,
         joints=joints,
@@ -174,11 +170,9 @@ def to_script(design: ServoDesign) -> Export:
         hold=HOLD,
         sentence_of=sentence_of,
     )
-    return Export(text.encode(), design.arm.warnings, _MATLAB_NOTES)
 
 
 def _observer(observer: Observer) -> tuple[Observer, dict[str, str], dict[str, str]]:
-    """An observer, its matrices and its names."""
     system = observer.system
     names = {
         "StateName": _cell(system.states),

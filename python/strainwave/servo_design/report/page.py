@@ -341,7 +341,6 @@ def _shapers_of(design: ServoDesign) -> Figure:
 
 
 def _servos(joint: JointServo) -> Iterator[tuple[str, Colour, Dash, LoopResults]]:
-    """Current and designed servo with their style."""
     if joint.current_results is not None:
         yield "current", Colour.MEASURED, SHORT_DASH, joint.current_results
     yield "designed", Colour.MODEL, SOLID, joint.results

@@ -135,7 +135,6 @@ def behaviour(design: ServoDesign) -> Iterator[Table]:
 
 
 def _servos(design: ServoDesign) -> Iterator[tuple[str, str, Gains, LoopResults]]:
-    """Joint, name, gains and results of all servos."""
     for joint in design.joints:
         yield str(joint.joint), "designed", joint.tuned.gains, joint.results
         if joint.current is not None and joint.current_results is not None:
