@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import product
 from typing import TypeVar
 
 import numpy as np
@@ -351,8 +352,7 @@ def _conditions(arm: IdentifiedArm, options: ServoOptions) -> tuple[Condition, .
         postures += list(rng.uniform(low, high, (_N_POSTURES, len(joints))))
     for posture in postures:
         _check_posture(posture, limits)
-    loads = (None, *options.payloads)
-    return tuple(Condition(posture, load) for posture in postures for load in loads)
+    return tuple(Condition(*pair) for pair in product(postures, (None, *options.payloads)))
 
 
 def _check_posture(posture: FloatArray, limits: Sequence[tuple[float, float]]) -> None:

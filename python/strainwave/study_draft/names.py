@@ -90,9 +90,6 @@ class ParsedName:
         return default if self.measure is None else self.measure.scale
 
 
-# --- the table --------------------------------------------------------------------------------
-
-
 def _words_in(text: str) -> list[tuple[str, ...]]:
     return [tuple(phrase.split("_")) for phrase in text.split()]
 
@@ -170,9 +167,6 @@ def find_unit(text: str, quantity: Quantity | None, factor: float = 1.0) -> Unit
     factor = float(match[1]) / float(match[2] or 1.0) if match else 1.0
     unit = find_unit(key[match.end() :], quantity, factor) if match else None
     return unit and unit._replace(text=key)
-
-
-# --- names ------------------------------------------------------------------------------------
 
 
 def parse(name: str, joint_words: Sequence[str] = (), unit: str = "") -> ParsedName:

@@ -64,10 +64,16 @@ _MODE_MARGIN = 1.6  # ratio of the frequencies shown beyond the modes
 
 def render(design: ServoDesign) -> str:
     """The design as a page that needs no network."""
-    arm = design.arm
+    arm, required = design.arm, design.options.required
+    current = tuple(map(_sentence, words.current_sentences(design)))
+    meaning = _TEXTS["margins"].format(
+        gain_db=required.gain_db,
+        factor=10.0 ** (required.gain_db / 20.0),
+        amplification=1.0 / required.modulus,
+    )
     sections = (
         Section("scope", "Scope of the design", tuple(_scope(design))),
-        Section("current", "Current servo", tuple(_current(design))),
+        Section("current", "Current servo", current or (paragraph(_TEXTS["no-servo"]),)),
         Section("designed", "Designed servo", tuple(_designed(design))),
         Section("loops", "Open loops", tuple(_loops(design))),
         Section("steps", "Steps of the links", tuple(_steps(design))),
@@ -75,7 +81,7 @@ def render(design: ServoDesign) -> str:
         Section("observers", "Observers of the links", tuple(_observers(design))),
         Section("damping", "Damping of the links", tuple(_damping(design))),
         Section("moves", "Moves", tuple(_moves(design))),
-        Section("margins", "Meaning of the margins", tuple(_meaning(design))),
+        Section("margins", "Meaning of the margins", (paragraph(meaning),)),
         Section("trial", "First trial on the rig", tuple(_trial(design))),
     )
     n = len(design.joints)
@@ -86,14 +92,12 @@ def render(design: ServoDesign) -> str:
 def _headline(design: ServoDesign) -> Callout:
     required = design.options.required
     lead = _TEXTS["headline"].format(**asdict(required), plants=design.n_plants)
-    limits = [words.limit_sentence(design, joint) for joint in design.joints]
-    return Callout(
-        "good",
-        (
-            paragraph(Span(lead, strong=True)),
-            *(paragraph(sentence_of(limit)) for limit in limits),
-        ),
-    )
+    limits = (words.limit_sentence(design, joint) for joint in design.joints)
+    return Callout("good", (paragraph(Span(lead, strong=True)), *map(_sentence, limits)))
+
+
+def _sentence(text: str) -> Block:
+    return paragraph(sentence_of(text))
 
 
 def _scope(design: ServoDesign) -> Iterator[Block]:
@@ -128,14 +132,6 @@ def _scope(design: ServoDesign) -> Iterator[Block]:
     yield from table("Postures and payloads", heads, rows)
 
 
-def _current(design: ServoDesign) -> Iterator[Block]:
-    sentences = list(words.current_sentences(design))
-    if not sentences:
-        yield paragraph(_TEXTS["no-servo"])
-    for sentence in sentences:
-        yield paragraph(sentence_of(sentence))
-
-
 def _designed(design: ServoDesign) -> Iterator[Block]:
     yield from words.gains(design)
     yield from words.behaviour(design)
@@ -144,15 +140,10 @@ def _designed(design: ServoDesign) -> Iterator[Block]:
 
 
 def _loops(design: ServoDesign) -> Iterator[Block]:
-    caption = _TEXTS["loop-caption"]
     for joint in design.joints:
         title = f"Joint {joint.joint}: open loop"
-        yield Plot(
-            f"loop {joint.joint}",
-            title,
-            _loops_of(joint, design.options.required.modulus),
-            caption,
-        )
+        figure = _loops_of(joint, design.options.required.modulus)
+        yield Plot(f"loop {joint.joint}", title, figure, _TEXTS["loop-caption"])
 
 
 def _steps(design: ServoDesign) -> Iterator[Block]:
@@ -175,12 +166,8 @@ def _shapers(design: ServoDesign) -> Iterator[Block]:
     )
     yield paragraph(_TEXTS["shapers"].format(modes=modes))
     yield from words.shapers(design, "Shapers, best first")
-    yield Plot(
-        "shapers",
-        "Residual vibration over the frequency",
-        _shapers_of(design),
-        _TEXTS["shaper-caption"],
-    )
+    title = "Residual vibration over the frequency"
+    yield Plot("shapers", title, _shapers_of(design), _TEXTS["shaper-caption"])
 
 
 def _observers(design: ServoDesign) -> Iterator[Block]:
@@ -189,8 +176,7 @@ def _observers(design: ServoDesign) -> Iterator[Block]:
         return
     yield paragraph(_TEXTS["observers"])
     yield from words.readings(design)
-    for sentence in words.observer_gaps(design):
-        yield paragraph(sentence_of(sentence))
+    yield from map(_sentence, words.observer_gaps(design))
     if not design.estimation:
         yield paragraph(f"The observers are not compared in a move: {design.unchecked}.")
         return
@@ -208,8 +194,7 @@ def _damping(design: ServoDesign) -> Iterator[Block]:
         return
     yield paragraph(_TEXTS["damping"])
     yield from words.dampings(design)
-    for sentence in words.damping_sentences(design):
-        yield paragraph(sentence_of(sentence))
+    yield from map(_sentence, words.damping_sentences(design))
 
 
 def _moves(design: ServoDesign) -> Iterator[Block]:
@@ -225,21 +210,9 @@ def _moves(design: ServoDesign) -> Iterator[Block]:
         yield Plot(f"move {move.joint}", title, _moves_of(move))
 
 
-def _meaning(design: ServoDesign) -> Iterator[Block]:
-    required = design.options.required
-    yield paragraph(
-        _TEXTS["margins"].format(
-            gain_db=required.gain_db,
-            factor=10.0 ** (required.gain_db / 20.0),
-            amplification=1.0 / required.modulus,
-        )
-    )
-
-
 def _trial(design: ServoDesign) -> Iterator[Block]:
     yield paragraph(_TEXTS["trial-1"])
-    share = 100.0 * design.first_share
-    yield paragraph(_TEXTS["trial-2"].format(share=share))
+    yield paragraph(_TEXTS["trial-2"].format(share=100.0 * design.first_share))
     heads: Row = ("joint", *words.gain_heads(design))
     firsts = [gains.slowed(design.first_share) for gains in design.gains]
     rows: list[Row] = [(str(i), *words.gain_cells(each)) for i, each in enumerate(firsts, start=1)]
@@ -253,31 +226,25 @@ def _loops_of(joint: JointServo, required: float) -> Figure:
 
     `required` is the modulus margin.
     """
-    gain: list[Mark] = []
-    phase: list[Mark] = []
-    distance: list[Mark] = []
     servos = list(_servos(joint))
     lowest = min(float(results.margins.bandwidth_hz.min()) for *_, results in servos)
+    gain, phase, distance = list[Mark](), list[Mark](), list[Mark]()
     for name, colour, dash, results in servos:
         band = results.band
         shown = np.flatnonzero(band.hz >= _LOWEST_SHARE * lowest)
         rows = shown[decimate(band.gain_db[shown], _MAX_ROWS)]
-        for marks, values in (
-            (gain, band.gain_db),
-            (phase, band.phase_deg),
-            (distance, np.minimum(band.distance, 2.0 * _FARTHEST)),
-        ):
+        near = np.minimum(band.distance, 2.0 * _FARTHEST)
+        pairs = ((gain, band.gain_db), (phase, band.phase_deg), (distance, near))
+        for marks, values in pairs:
             marks.extend(_band(band.hz[rows], values[rows], name, colour, dash))
     ends, level = joint.results.band.hz[shown[[0, -1]]], np.full(2, required)
     distance.append(Line(ends, level, "required distance", Colour.RESIDUAL, DOTTED))
-    return Figure(
-        FREQUENCY_AXIS,
-        (
-            Panel(Axis("gain [dB]", range=_GAIN_RANGE), tuple(gain)),
-            Panel(Axis("phase [degree]"), tuple(phase)),
-            Panel(Axis("|1 + L|", range=(0.0, _FARTHEST)), tuple(distance)),
-        ),
+    panels = (
+        Panel(Axis("gain [dB]", range=_GAIN_RANGE), tuple(gain)),
+        Panel(Axis("phase [degree]"), tuple(phase)),
+        Panel(Axis("|1 + L|", range=(0.0, _FARTHEST)), tuple(distance)),
     )
+    return Figure(FREQUENCY_AXIS, panels)
 
 
 def _steps_of(joint: JointServo) -> Figure:
