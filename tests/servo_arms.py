@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from strainwave.domain import Parameter, Study
+import numpy as np
+
+from strainwave.domain import FloatArray, Parameter, Study
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import change_arm_keys
 from strainwave.export import IdentifiedArm
+from strainwave.servo_design.observer import Observer
 from strainwave.virtual import scara
 
 REL_STD = 0.03
@@ -40,3 +43,25 @@ def vertical_rig() -> IdentifiedArm:
     moment = values["gamma", None] / scara.STIFF.link_length[0]
     values |= {("gravity_torque_1", None): 31.0, ("gravity_torque_2", None): 9.81 * moment}
     return identified(study, values)
+
+
+def correct(
+    observer: Observer, x: FloatArray, readings: FloatArray, interaction: float
+) -> FloatArray:
+    """Estimate (n,) of a Kalman filter from its prediction and the readings."""
+    expected = observer.C @ x + observer.D * interaction
+    return np.asarray(x + observer.L @ (readings - expected))
+
+
+def predict(
+    observer: Observer, estimate: FloatArray, voltage: float, interaction: float
+) -> FloatArray:
+    """Prediction (n,) for the next period."""
+    return np.asarray(observer.A @ estimate + observer.B @ (voltage, interaction))
+
+
+def state_at_rest(observer: Observer, motor_angle: float, link_angle: float) -> FloatArray:
+    """State (n,) at rest without known torques."""
+    x = np.zeros(len(observer.A))
+    x[[0, 2]] = motor_angle, link_angle
+    return x

@@ -254,10 +254,11 @@ def tune(
     quiet: Quiet = False,
 ) -> None:
     """Design the servos of an arm. Writes DIR/tune.html and servo.*, with input shapers."""
+    from strainwave.io.results import read_document, result_path
     from strainwave.servo_design.design import ServoOptions
     from strainwave.servo_design.margins import Requirements
-    from strainwave.servo_design.report.terminal import print_design
-    from strainwave.servo_design.tune import PAGE, read_payloads, read_postures, tune_file
+    from strainwave.servo_design.report.words import print_design
+    from strainwave.servo_design.tune import PAGE, read_payloads, read_postures, tune_document
 
     options = ServoOptions(
         postures=read_postures(posture or ()),
@@ -270,7 +271,9 @@ def tune(
         required=Requirements(gain_margin, phase_margin, modulus_margin),
     )
     with _progress(quiet) as report:
-        design = tune_file(result, out, options, study=study, progress=report)
+        path = result_path(result)
+        document = read_document(path)
+        design = tune_document(document, path, options, out, study=study, progress=report)
     if not quiet:
         print_design(design, out / PAGE)
 

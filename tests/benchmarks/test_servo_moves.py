@@ -10,7 +10,7 @@ import pytest
 from strainwave.domain.control_law import LinearServo
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
-from strainwave.servo_design.control_law import Gains, low_pass
+from strainwave.servo_design.closed_loop import Gains, low_pass
 from strainwave.servo_design.shapers import Impulses
 from strainwave.virtual import scara
 

@@ -16,8 +16,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, sensitivities, simulate
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
-from strainwave.servo_design.closed_loop import Clock, close, sample
-from strainwave.servo_design.control_law import Gains, notch
+from strainwave.servo_design.closed_loop import Clock, Gains, close, notch, sample
 from strainwave.servo_design.plants import Condition, plants_of
 from strainwave.virtual import scara
 

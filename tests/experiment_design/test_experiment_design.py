@@ -23,11 +23,17 @@ from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics import excitation, simulation
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
-from strainwave.experiment_design import command_table, motions, rigid_motion, voltages
-from strainwave.experiment_design.duration import fit_duration
-from strainwave.experiment_design.plan import GuessedArm, LimitBroken, Limits, Planned, limits_of
-from strainwave.experiment_design.steps import step_records
-from strainwave.experiment_design.voltages import MIN_RESONANCE_LINES, band_of, voltage_record
+from strainwave.experiment_design import (
+    command_table,
+    fit_duration,
+    motions,
+    rigid_motion,
+    voltages,
+)
+from strainwave.experiment_design.guessed_arm import MIN_RESONANCE_LINES, GuessedArm, band_of
+from strainwave.experiment_design.motions import step_records
+from strainwave.experiment_design.plan import LimitBroken, Limits, Planned, limits_of
+from strainwave.experiment_design.voltages import voltage_record
 from strainwave.experiment_design.written import HEADER_FILE, print_design, write
 from strainwave.io import logs
 from strainwave.io.logs.tables import open_table

@@ -11,7 +11,7 @@ from serial_chains import random_joints
 from strainwave.domain import ArmDescription, FloatArray, Joint, Origin
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
-from strainwave.experiment_design.rigid_motion import (
+from strainwave.experiment_design.guessed_arm import (
     _centre_lines,
     _segment_distance,
     smallest_distance,

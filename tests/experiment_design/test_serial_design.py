@@ -19,15 +19,20 @@ from strainwave.domain.stage_results import ASSUMED_TORQUE_ERROR
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design import rigid_motion
-from strainwave.experiment_design.motions import motion_records, run
-from strainwave.experiment_design.plan import GuessedArm, Limits, limits_of
+from strainwave.experiment_design.guessed_arm import (
+    GuessedArm,
+    run,
+    smallest_distance,
+    torque_errors_of,
+)
+from strainwave.experiment_design.motions import motion_records
+from strainwave.experiment_design.plan import Limits, limits_of
 from strainwave.experiment_design.rigid_motion import (
     Fourier,
     Search,
     full_regressor,
-    smallest_distance,
+    standard_deviations,
 )
-from strainwave.experiment_design.rigid_precision import standard_deviations, torque_errors_of
 from strainwave.experiment_design.written import PRECISION_FILE, write
 from strainwave.io.study import read_study
 from strainwave.virtual.experiments import simulate_study

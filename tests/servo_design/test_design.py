@@ -19,8 +19,7 @@ from strainwave.export import IdentifiedArm
 from strainwave.servo_design import cascade_tuning, verification
 from strainwave.servo_design import design as module
 from strainwave.servo_design.cascade_tuning import MAX_RIPPLE_SHARE, Loops
-from strainwave.servo_design.closed_loop import close, sample
-from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.closed_loop import Gains, close, sample
 from strainwave.servo_design.design import ServoDesign, ServoOptions, design_servo
 from strainwave.servo_design.margins import Requirements, effective_plants
 from strainwave.servo_design.plants import Plants, drawn_values, plants_of, without_impossible

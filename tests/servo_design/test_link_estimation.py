@@ -19,20 +19,20 @@ from strainwave.errors import InvalidInput
 from strainwave.export import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise
 from strainwave.servo_design import design as design_module
-from strainwave.servo_design.closed_loop import Clock
-from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.closed_loop import Clock, Gains
 from strainwave.servo_design.design import ServoOptions, design_servo
-from strainwave.servo_design.link_estimation import (
-    EstimationError,
-    estimation_errors,
-    planned_inputs,
-    read_runs,
-)
 from strainwave.servo_design.link_measurements import with_places
 from strainwave.servo_design.observer import Observer, design_observers
 from strainwave.servo_design.plants import Condition, drawn_values
 from strainwave.servo_design.report.page import render
-from strainwave.servo_design.verification import Simulated, shortest_plan
+from strainwave.servo_design.verification import (
+    EstimationError,
+    Simulated,
+    estimation_errors,
+    planned_inputs,
+    read_runs,
+    shortest_plan,
+)
 from strainwave.virtual import scara
 
 CLOCK = Clock(1e-3, 0.0)

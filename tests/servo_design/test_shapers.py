@@ -201,39 +201,3 @@ def test_extra_insensitive_shapers_need_a_slow_decay() -> None:
     with pytest.raises(InvalidInput, match=r"no two-hump EI shaper .* damping ratio of 0\.6"):
         design_shaper(ShaperKind.TWO_HUMP_EI, 1.0, 0.6)
     assert design_shaper(ShaperKind.ZVD, 1.0, 0.6).impulses.duration > 0.0
-
-
-@pytest.mark.parametrize(
-    ("omega", "damping", "tolerance", "message"),
-    [
-        (0.0, 0.1, 0.05, "frequency 0 rad/s of a mode is not positive"),
-        (-3.0, 0.1, 0.05, "frequency -3 rad/s of a mode is not positive"),
-        (np.nan, 0.1, 0.05, "frequency nan rad/s of a mode is not positive and finite"),
-        (np.inf, 0.1, 0.05, "frequency inf rad/s of a mode is not positive and finite"),
-        (3.0, 1.0, 0.05, "damping ratio 1 does not oscillate"),
-        (3.0, -0.1, 0.05, "damping ratio -0.1 does not oscillate"),
-        (3.0, np.nan, 0.05, "damping ratio nan does not oscillate"),
-        (3.0, 0.1, 0.0, "tolerated vibration 0 is outside 0.001 to 1"),
-        (3.0, 0.1, 1.0, "tolerated vibration 1 is outside 0.001 to 1"),
-    ],
-)
-def test_refuses_a_mode_that_no_shaper_serves(
-    omega: float, damping: float, tolerance: float, message: str
-) -> None:
-    with pytest.raises(InvalidInput, match=message):
-        design_shaper(ShaperKind.EI, omega, damping, tolerance)
-
-
-def test_refuses_modes_beyond_half_of_the_sampling_rate() -> None:
-    shaper = design_shaper(ShaperKind.ZV, 2.0 * np.pi * 600.0, 0.01)
-    with pytest.raises(InvalidInput, match=r"vibrates at 600 Hz, but half of the .* 500 Hz"):
-        shaper.sample(1e-3)
-    for period in (0.0, -1e-3, np.nan, np.inf):
-        with pytest.raises(InvalidInput, match=r"sampling period .* is not positive and finite"):
-            shaper.sample(period)
-
-
-def test_refuses_unequal_shapes() -> None:
-    impulses = design_shaper(ShaperKind.ZV, 3.0, 0.01).impulses
-    with pytest.raises(InvalidInput, match=r"frequencies have the shape \(2,\), .* \(3,\)"):
-        impulses.residual_vibration(np.ones(2), np.zeros(3))

@@ -22,7 +22,7 @@ from strainwave.servo_design.design import design_servo
 from strainwave.servo_design.handover import FILES
 from strainwave.servo_design.report import words
 from strainwave.servo_design.report.page import render
-from strainwave.servo_design.report.terminal import print_design
+from strainwave.servo_design.report.words import print_design
 from strainwave.servo_design.tune import PAGE, read_payloads, read_postures, tune_document
 
 POSTURES = ("0,0", "0.3,1.8")
@@ -177,7 +177,7 @@ def test_an_arm_without_servo_and_voltages_has_torque_gains() -> None:
     assert "your servo" not in text
     assert "0.5 N m" in page
     for to_file in FILES.values():
-        assert not re.search(rb"\b(inf|nan)\b", to_file(design).data)
+        assert not re.search(r"\b(inf|nan)\b", to_file(design))
 
 
 def test_an_unstable_servo_is_reported() -> None:

@@ -15,8 +15,8 @@ from scipy.signal import lfilter
 from strainwave.domain import ContinuousStateSpace, FloatArray, InputOutput, StateSpace
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.statespace import PemOptions, modes, pem, propagate, subspace, to_continuous
-from strainwave.statespace._entries import Matrices, balance, rescale
 from strainwave.statespace._evaluate import Evaluator
+from strainwave.statespace._matrices import Matrices, balance, rescale
 from strainwave.statespace._stack import stack
 from strainwave.statespace.subspace import Method
 from two_inertia import TwoInertia, excitation, simulate

@@ -10,8 +10,7 @@ import numpy as np
 from benchmarks.studies.servo_moves.tuned import Tuned, drive_under
 from strainwave.domain import FloatArray
 from strainwave.dynamics.simulation import Drive
-from strainwave.servo_design.feed_forward import FeedForward, feed_forward
-from strainwave.servo_design.link_motion import point_to_point
+from strainwave.servo_design.feed_forward import FeedForward, feed_forward, point_to_point
 from strainwave.servo_design.shapers import Impulses
 from strainwave.servo_design.verification import shortest_plan
 

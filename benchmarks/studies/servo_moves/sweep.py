@@ -11,8 +11,7 @@ import numpy as np
 from benchmarks.studies.servo_moves.tuned import Tuned, drive_under
 from strainwave.domain import ComplexArray, FloatArray
 from strainwave.servo_design.closed_loop import sampled_responses
-from strainwave.servo_design.feed_forward import feed_forward
-from strainwave.servo_design.link_motion import point_to_point
+from strainwave.servo_design.feed_forward import feed_forward, point_to_point
 from strainwave.servo_design.margins import effective_plants, margins_of
 from strainwave.servo_design.plants import Condition, plants_of
 

@@ -1,10 +1,9 @@
 """Design experiments from a study, guessed parameters and limits.
 
-`band` gives the frequencies of a joint's resonances, and `voltages` plans their excitation.
-`rigid_motion` searches the motion that best separates the rigid parameters, and `motions` makes a
-record of it. `predicted_motion` simulates every record on the guessed arm, and `precision` predicts
-the confidence intervals for the declared sensors. `written` writes the files, and `summary` prints
-the table in the terminal.
+`guessed_arm` simulates every record and gives the frequencies of a joint's resonances, whose
+excitation `voltages` plans. `rigid_motion` searches the motion that best separates the rigid
+parameters, and `motions` makes a record of it. `command_table` and `written` have the files and the
+terminal output.
 """
 
 from __future__ import annotations
@@ -21,12 +20,17 @@ from strainwave.domain.keys import Values, label_of
 from strainwave.domain.parameters import complete_values, with_known_constants
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
-from strainwave.experiment_design.duration import fit_duration
-from strainwave.experiment_design.motions import motion_records
+from strainwave.experiment_design.guessed_arm import (
+    ExcitationBand,
+    GuessedArm,
+    band_of,
+    predicted_precision,
+    torque_errors_of,
+)
+from strainwave.experiment_design.motions import motion_records, step_records
 from strainwave.experiment_design.plan import (
     ADD_SERVO,
     Design,
-    GuessedArm,
     LimitBroken,
     Limits,
     Planned,
@@ -34,12 +38,10 @@ from strainwave.experiment_design.plan import (
     follows_angles,
     limits_of,
 )
-from strainwave.experiment_design.rigid_precision import predicted_precision, torque_errors_of
-from strainwave.experiment_design.steps import step_records
 from strainwave.experiment_design.voltages import (
-    ExcitationBand,
+    MIN_PERIODS,
+    SETTLING_PERIODS,
     Kind,
-    band_of,
     sweep_records,
     voltage_record,
 )
@@ -215,10 +217,7 @@ def design(
         for error in failures
     )
     records, omitted = fit_duration(records, longest)
-    known = complete_values(values, arm)
-    warnings += tuple(c for record in records for c in _record_warnings(arm, known, record))
-    warnings += _warn_slow_clocks(bands, records)
-    warnings += _warn_unlimited_torques(arm, limits, records)
+    warnings += tuple(_warnings(guess, bands, records))
     experiments = tuple(record.experiment for record in records)
     progress("predicting the intervals")
     precision = predicted_precision(study, values, records, seed=seed)
@@ -230,36 +229,29 @@ def design(
     return Design(planned, limits, records, warnings, precision, omitted, errors)
 
 
-def _warn_slow_clocks(
-    bands: Mapping[int, ExcitationBand | None], records: Sequence[Planned]
-) -> tuple[Diagnostic, ...]:
-    """Warnings of joints whose excitation the clock limits to less than the required band."""
-    warnings = []
+def _warnings(
+    guess: GuessedArm,
+    bands: Mapping[int, ExcitationBand | None],
+    records: Sequence[Planned],
+) -> Iterator[Diagnostic]:
+    """Yield the warnings of records, of too slow clocks and of torques without a limit."""
+    arm = guess.arm
+    known = complete_values(guess.values, arm)
+    for record in records:
+        yield from _record_warnings(arm, known, record)
     for joint, band in bands.items():
         first = next((r for r in records if r.experiment.joint == joint), None)
         if band and first and first.band_hz[1] < _MIN_BAND_SHARE * band.high_hz:
             hz = {"limit_hz": first.band_hz[1], "needed_hz": band.high_hz}
-            place = Place.in_records(first.experiment.name)
-            warnings.append(Diagnostic("slow-clock", place, **hz))
-    return tuple(warnings)
-
-
-def _warn_unlimited_torques(
-    arm: Arm, limits: Limits, records: Sequence[Planned]
-) -> tuple[Diagnostic, ...]:
-    """Warnings of the largest gear torques for which no limit is given."""
-    warnings = []
-    for i, joint in enumerate(arm.joints):
-        if joint.elastic and not np.isfinite(limits.gear_torque[i]):
+            yield Diagnostic("slow-clock", Place.in_records(first.experiment.name), **hz)
+    for i, each in enumerate(arm.joints):
+        if each.elastic and not np.isfinite(guess.limits.gear_torque[i]):
             torques = {r.experiment.name: float(r.predicted.gear_torque[i]) for r in records}
             worst = max(torques, key=torques.__getitem__)
             place = Place(joint=i + 1)
-            warnings.append(
-                Diagnostic(
-                    "no-torque-limit", place, joint=i + 1, torque=torques[worst], experiment=worst
-                )
+            yield Diagnostic(
+                "no-torque-limit", place, joint=i + 1, torque=torques[worst], experiment=worst
             )
-    return tuple(warnings)
 
 
 def _servo_warnings(study: Study) -> tuple[Diagnostic, ...]:
@@ -270,24 +262,66 @@ def _servo_warnings(study: Study) -> tuple[Diagnostic, ...]:
     return (Diagnostic("no-servo", Place(file=study.path.name), variant, remedy=ADD_SERVO),)
 
 
-def _record_warnings(arm: Arm, known: Values, record: Planned) -> tuple[Diagnostic, ...]:
+def _record_warnings(arm: Arm, known: Values, record: Planned) -> Iterator[Diagnostic]:
     place, motion = Place.in_records(record.experiment.name), record.predicted
-    warnings = []
     condition = record.condition_number
     if condition and condition > _MAX_CONDITION_NUMBER:
-        warnings.append(Diagnostic("poor-excitation", place, "planned", condition=condition))
-    for i in range(arm.n_joints):
-        joint = i + 1
+        yield Diagnostic("poor-excitation", place, "planned", condition=condition)
+    for joint, each in enumerate(arm.joints, start=1):
         is_excited = record.experiment.joint in (None, joint)
         is_step = record.experiment.joint is not None and record.motor_angle is not None
-        share, torque = float(motion.rest_share[i]), float(motion.gear_torque[i])
+        share = float(motion.rest_share[joint - 1])
+        torque = float(motion.gear_torque[joint - 1])
         if is_excited and not is_step and share > _MAX_STICTION_SHARE:
-            warnings.append(Diagnostic("standing", place, "planned", joint=joint, share=share))
-        law = arm.joints[i].law
-        knees = tuple(law.knees(law.of_joint(known, joint)))
+            yield Diagnostic("standing", place, "planned", joint=joint, share=share)
+        knees = tuple(each.law.knees(each.law.of_joint(known, joint)))
         is_strongest = record.experiment.use == "frequency" and record.experiment.joint == joint
         if is_strongest and any(knee > torque for knee in knees):
-            warnings.append(
-                Diagnostic("knee-not-reached", place, joint=joint, torque=torque, knees=knees)
+            yield Diagnostic("knee-not-reached", place, joint=joint, torque=torque, knees=knees)
+
+
+def fit_duration(
+    records: Sequence[Planned], longest: float
+) -> tuple[tuple[Planned, ...], tuple[str, ...]]:
+    """Records of at most `longest` [s] together, and the names of omitted ones.
+
+    Sweeps are omitted first, the last joint's first; then the longest PRBS loses periods, down to
+    those that separate noise from distortion. Raises `InvalidInput` if that does not suffice.
+    """
+    kept, omitted = list(records), list[str]()
+    sweeps = [record for record in records if record.experiment.use == "sweep"]
+    while (total := sum(record.duration for record in kept)) > longest:
+        if sweeps:
+            sweep = sweeps.pop()
+            kept.remove(sweep)
+            omitted.append(sweep.experiment.name)
+            continue
+        spare = [
+            k
+            for k, record in enumerate(kept)
+            if record.experiment.prbs
+            and record.experiment.prbs.periods > SETTLING_PERIODS + MIN_PERIODS
+        ]
+        if not spare:
+            raise InvalidInput(
+                f"the shortest plan takes {total / 60.0:.1f} minutes",
+                where="--minutes",
+                remedy="allow at least as much",
             )
-    return tuple(warnings)
+        k = max(spare, key=lambda k: kept[k].duration)
+        kept[k] = _without_last_period(kept[k])
+    return tuple(kept), tuple(omitted)
+
+
+def _without_last_period(record: Planned) -> Planned:
+    """The record with a period less, whose predicted motion is part of that of the record."""
+    experiment, drive = record.experiment, record.drive
+    assert experiment.prbs is not None
+    periods = experiment.prbs.periods
+    n = len(drive.voltage) * (periods - 1) // periods
+    return replace(
+        record,
+        experiment=replace(experiment, prbs=replace(experiment.prbs, periods=periods - 1)),
+        drive=replace(drive, voltage=drive.voltage[:n], reference=drive.reference[:n]),
+        reasons=(*record.reasons, f"{periods - 1} periods for the duration that is allowed"),
+    )

@@ -1,8 +1,14 @@
-"""Table of the inputs of a planned experiment, apply-NAME.csv, next to the study."""
+"""Inputs of a planned experiment, next to the study: apply-NAME.csv, trajectory-NAME.json.
+
+The latter is a trajectory_msgs/JointTrajectory, which ros2_control's controllers execute.
+"""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,14 +17,22 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
+from strainwave.experiment_design.plan import Waypoints
 from strainwave.io.logs.tables import open_table
 
 _MAX_CLOCK_JITTER = 1e-3  # in ticks
+_NANOSECONDS = 1_000_000_000
+_DIGITS = 9  # significant digits of a number
 
 
 def table_name(experiment: Experiment) -> str:
     """File name of the inputs of an experiment. The log has the experiment's own name."""
     return f"apply-{experiment.name}.csv"
+
+
+def trajectory_name(experiment: Experiment) -> str:
+    """File name of the trajectory of an experiment."""
+    return f"trajectory-{experiment.name}.json"
 
 
 def applied_columns(
@@ -101,3 +115,34 @@ def _tick(time: FloatArray, path: Path) -> float:
         where=str(path),
         remedy="run `strainwave excite` again, or delete the table",
     )
+
+
+def trajectory_text(joint_names: Sequence[str], waypoints: Waypoints) -> str:
+    """The message as JSON, which is YAML as well, one point per line.
+
+    Positions, velocities and accelerations are those of the links.
+    """
+    points = ",\n".join(
+        f"    {json.dumps(_point(waypoints, k))}" for k in range(len(waypoints.time))
+    )
+    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
+    return (
+        f'{{\n  "header": {json.dumps(header)},\n'
+        f'  "joint_names": {json.dumps(list(joint_names))},\n'
+        f'  "points": [\n{points}\n  ]\n}}\n'
+    )
+
+
+def _point(waypoints: Waypoints, row: int) -> dict[str, Any]:
+    """One trajectory_msgs/JointTrajectoryPoint."""
+    seconds, nanoseconds = divmod(round(waypoints.time[row] * _NANOSECONDS), _NANOSECONDS)
+    values = {
+        "positions": waypoints.angle,
+        "velocities": waypoints.velocity,
+        "accelerations": waypoints.acceleration,
+    }
+    point: dict[str, Any] = {
+        name: [float(f"{value:.{_DIGITS}g}") for value in np.asarray(array[row]).tolist()]
+        for name, array in values.items()
+    }
+    return point | {"time_from_start": {"sec": int(seconds), "nanosec": int(nanoseconds)}}

@@ -1,115 +1,44 @@
-"""Record of the rigid motion: lead-in from standstill, periodic motion, lead-out.
+"""Records of servos that follow references: the rigid motion, and steps of one joint.
 
-Motions as trajectory_msgs/JointTrajectory, which ros2_control's controllers execute.
-
-Simulation of a planned drive on the guessed arm.
+The rigid motion has a lead-in from standstill, a periodic motion and a lead-out.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
 
 import numpy as np
 
-from strainwave.domain import Experiment, FloatArray, Parameter, Use
-from strainwave.domain.link_sensors.link_space import Quantity
-from strainwave.dynamics.simulation import Drive, Trajectory, simulate
+from strainwave.domain import Experiment, FloatArray, Use
+from strainwave.dynamics import excitation
 from strainwave.errors import InvalidInput
+from strainwave.experiment_design.guessed_arm import (
+    ExcitationBand,
+    GuessedArm,
+    Motion,
+    followed_motion,
+    predicted_motion,
+    servo_drive,
+    smallest_distance,
+)
 from strainwave.experiment_design.plan import (
     HELD_CONTROL,
-    GuessedArm,
     LimitBroken,
     Planned,
-    PredictedMotion,
     Waypoints,
     clock_of,
 )
 from strainwave.experiment_design.rigid_motion import (
     N_HARMONICS,
     Fourier,
-    Motion,
     Search,
     condition_number,
     optimise,
-    smallest_distance,
-)
-from strainwave.experiment_design.rigid_precision import (
     predicted_rigid_parameters,
     reference_sizes,
     standard_deviations,
 )
-
-_DISTANCE_INTERVAL = 0.01  # [s] between compared postures; links move by millimetres in it
-
-_QUANTITIES: tuple[Quantity, ...] = (
-    "link_angle",
-    "motor_velocity",
-    "voltage",
-    "gear_torque",
-    "sliding",
-    "accelerometer",
-)
-
-
-def servo_drive(guess: GuessedArm, reference: FloatArray) -> Drive:
-    """Drive of servos that follow references (n_ticks, n_joints), from rest."""
-    control = (HELD_CONTROL,) * guess.arm.n_joints
-    return guess.drive(clock_of(guess.arm), control, np.zeros_like(reference), reference)
-
-
-def run(guess: GuessedArm, drive: Drive) -> Trajectory:
-    """Response of the guessed arm to a drive: limited quantities and accelerometers."""
-    clock = clock_of(guess.arm)
-    samples = round(len(drive.voltage) * drive.tick / clock)
-    return simulate(
-        guess.arm, guess.values, drive, sample_time=clock, samples=samples, record=_QUANTITIES
-    )
-
-
-def followed_motion(guess: GuessedArm, motion: Motion) -> PredictedMotion:
-    """Peak values of a motion of the links that a controller follows without error.
-
-    The gears transmit what the motors give.
-    """
-    arm = guess.arm
-    torque = arm.inverse_dynamics(arm.parameter_vector(guess.values), *motion)
-    ratios = np.abs([joint.gear_ratio for joint in arm.joints])
-    return PredictedMotion(
-        **_reach(guess, motion[0]),
-        velocity=np.asarray(np.abs(arm.motor_accelerations(motion[1])).max(axis=0)),
-        voltage=np.asarray(np.abs(torque / arm.torque_per_volt).max(axis=0)),
-        gear_torque=np.asarray(np.abs(torque / ratios).max(axis=0)),
-        rest_share=np.zeros(arm.n_joints),
-    )
-
-
-def predicted_motion(guess: GuessedArm, drive: Drive) -> PredictedMotion:
-    """Peak values of the guessed arm's response, and the share of time in which motors stick."""
-    trajectory = run(guess, drive)
-
-    def peak(name: Quantity) -> FloatArray:
-        return np.asarray(np.abs(trajectory[name]).max(axis=0))
-
-    return PredictedMotion(
-        **_reach(guess, trajectory["link_angle"]),
-        velocity=peak("motor_velocity"),
-        voltage=peak("voltage"),
-        gear_torque=peak("gear_torque"),
-        rest_share=np.asarray((trajectory["sliding"] == 0.0).mean(axis=0)),
-    )
-
-
-def _reach(guess: GuessedArm, angle: FloatArray) -> dict[str, Any]:
-    """Largest angles from the middle of the limits, and smallest distance of two links."""
-    limits = guess.limits
-    compared = angle[:: max(1, int(_DISTANCE_INTERVAL / clock_of(guess.arm)))]
-    distance = smallest_distance(guess.arm, guess.values, compared, limits.distance)
-    largest = np.asarray(np.abs(angle - limits.centre).max(axis=0))
-    return {"angle": largest, "distance": float(distance.min())}
-
 
 _MAX_MOTION_HZ = 1.0  # highest frequency of the motion
 _MIN_RESONANCE_RATIO = 12.0  # anti-resonance over motion: the error of a rigid gear is 1/12^2
@@ -118,7 +47,17 @@ _TARGET_RELATIVE_STD = 0.002  # of each rigid parameter, due to the noise of the
 _WAYPOINTS_PER_CYCLE = 16  # of the highest harmonic; quintic splines then err by less than 1e-6
 _LEAD_TIMES = np.arange(1.0, 10.5, 0.5)  # [s] candidates for lead-in and lead-out
 _REDUCTION_FACTOR = 0.93  # per attempt, if the simulated arm violates a limit
-_MAX_ATTEMPTS = 20  # reduce the motion to 1/4
+_MAX_ATTEMPTS = 20  # reduce a motion to 1/4, steps to 1/8
+_HOLD_PERIODS = 6.0  # of the anti-resonance per level, in which the vibration decays
+_MIN_HOLD, _MAX_HOLD = 0.2, 2.0  # [s] per level
+_STEP_LIMIT_SHARE = 0.9  # of each limit for the step; the rest is for overshoot
+_MAX_STEP_VOLTAGE_SHARE = 0.98  # of the voltage limit; a saturated servo does not control
+_STEP_REDUCTION_FACTOR = 0.9  # per attempt, if the simulated arm violates a limit
+_PLANS: tuple[tuple[str, Use, tuple[float, ...], float], ...] = (
+    # name, use, levels, size: validation starts in the other direction, with smaller steps
+    ("step", "tuning", (0.0, 1.0, 0.0, -1.0, 0.0), 1.0),
+    ("step-check", "check", (0.0, -1.0, 0.0, 1.0, 0.0), 0.7),
+)
 
 
 def motion_records(
@@ -176,14 +115,17 @@ def _record(
     longest: float,
 ) -> Planned:
     """Record of one series, reduced until the simulated arm satisfies all limits."""
-    arm, limits = search.arm, search.limits
+    arm, limits, tick = search.arm, search.limits, clock_of(search.arm)
     allowed = (longest - 2.0 * _LEAD_TIMES[-1]) / series.period
     periods, reason = _periods(search, series, int(np.clip(allowed, 1, _MAX_PERIODS)))
     for _ in range(_MAX_ATTEMPTS):
-        planned = _drive(search, series, periods)
-        drive = planned.drive
+        links, lead = _links(search, series, periods)
+        motor_angle = arm.motor_accelerations(links[0])
+        # the servo differentiates the encoder reading: its reference is the difference of the angle
+        reference = np.diff(motor_angle, axis=0, append=motor_angle[-1:]) / tick
+        drive = servo_drive(search.guess, reference)
         if arm.servo is None:
-            motion = followed_motion(search.guess, planned.links)
+            motion = followed_motion(search.guess, links)
         else:
             motion = predicted_motion(search.guess, drive)
         if motion.use_of(limits) <= 1.0:
@@ -199,72 +141,46 @@ def _record(
             remedy="widen the limit if the arm allows it, or check the servo gains and the "
             "parameters",
         )
-    condition = float(condition_number(arm, limits, series.at(search.time)))
+    steady, top_hz = series.at(search.time), N_HARMONICS / series.period
+    condition = float(condition_number(arm, limits, steady))
+    std = standard_deviations(search, steady, top_hz, torque_errors) / np.sqrt(periods)
+    rest = np.zeros(arm.n_joints)
+    interval = series.period / (N_HARMONICS * _WAYPOINTS_PER_CYCLE)
+    index = np.arange(0, len(links[0]), max(1, int(interval / tick)))
+    ends = zip(links, (limits.centre, rest, rest), strict=True)
+    states = (np.vstack([x[index], last]) for x, last in ends)
     return Planned(
         experiment=Experiment(name, f"{name}.csv", use, (HELD_CONTROL,) * arm.n_joints),
         drive=drive,
-        motor_angle=planned.motor_angle,
-        band_hz=(1.0 / series.period, N_HARMONICS / series.period),
+        motor_angle=motor_angle,
+        band_hz=(1.0 / series.period, top_hz),
         predicted=motion,
         reasons=(
             f"{N_HARMONICS} harmonics of {1.0 / series.period:.3g} Hz, condition number "
             f"{condition:.1f} after scaling of columns",
             reason,
-            f"{planned.lead:g} s of lead-in and of lead-out",
+            f"{lead:g} s of lead-in and of lead-out",
         ),
         condition_number=condition,
-        precision=_precision(search, series, periods, torque_errors),
-        waypoints=planned.waypoints,
+        precision=tuple(predicted_rigid_parameters(arm, search.values, std)),
+        waypoints=Waypoints(tick * np.append(index, len(links[0])), *states),
     )
 
 
-def _precision(
-    search: Search, series: Fourier, periods: int, torque_errors: FloatArray
-) -> tuple[Parameter, ...]:
-    """Predicted rigid parameters of a record."""
-    motion, top_hz = series.at(search.time), N_HARMONICS / series.period
-    std = standard_deviations(search, motion, top_hz, torque_errors)
-    return tuple(predicted_rigid_parameters(search.arm, search.values, std / np.sqrt(periods)))
-
-
-class _PlannedDrive(NamedTuple):
-    drive: Drive
-    motor_angle: FloatArray  # intended
-    links: Motion  # intended
-    lead: float  # [s] before and after the motion
-    waypoints: Waypoints
-
-
-def _drive(search: Search, series: Fourier, periods: int) -> _PlannedDrive:
-    """References of a complete record."""
-    arm = search.arm
-    tick = clock_of(arm)
-    zero = np.zeros(arm.n_joints)
+def _links(search: Search, series: Fourier, periods: int) -> tuple[Motion, float]:
+    """Motion of the links in a complete record, and the time [s] of lead-in and of lead-out."""
+    tick, zero = clock_of(search.arm), np.zeros(search.arm.n_joints)
     rest = (search.limits.centre, zero, zero)
-    joint_state = [x[0] for x in series.at(np.zeros(1))]
-    for lead in _LEAD_TIMES:
+    begin = [x[0] for x in series.at(np.zeros(1))]
+    for lead in _LEAD_TIMES.tolist():
         time = _ticks(lead, tick)
-        lead_in, lead_out = quintic(rest, joint_state, time), quintic(joint_state, rest, time)
+        lead_in, lead_out = quintic(rest, begin, time), quintic(begin, rest, time)
         if search.within(lead_in) and search.within(lead_out):
             break
     steady = series.at(_ticks(periods * series.period, tick))
     parts = zip(lead_in, steady, lead_out, strict=True)
-    angles, velocities, accelerations = (np.concatenate(x) for x in parts)
-    angle = arm.motor_accelerations(angles)
-    links = (angles, velocities, accelerations)
-    interval = series.period / (N_HARMONICS * _WAYPOINTS_PER_CYCLE)
-    index = np.arange(0, len(links[0]), max(1, int(interval / tick)))
-    states = (np.vstack([x[index], last]) for x, last in zip(links, rest, strict=True))
-    waypoints = Waypoints(tick * np.append(index, len(links[0])), *states)
-    # the servo differentiates the encoder reading, so its reference is the difference of the angle
-    reference = np.diff(angle, axis=0, append=angle[-1:]) / tick
-    return _PlannedDrive(
-        servo_drive(search.guess, reference),
-        angle,
-        (angles, velocities, accelerations),
-        float(lead),
-        waypoints,
-    )
+    angle, velocity, acceleration = (np.concatenate(part) for part in parts)
+    return (angle, velocity, acceleration), lead
 
 
 def _ticks(duration: float, tick: float) -> FloatArray:
@@ -307,41 +223,59 @@ def quintic(start: Sequence[FloatArray], stop: Sequence[FloatArray], time: Float
     return angle(time), angle.derivative()(time), angle.derivative(2)(time)
 
 
-_NANOSECONDS = 1_000_000_000
-_DIGITS = 9  # significant digits of a number
+def step_records(guess: GuessedArm, band: ExcitationBand, joint: int) -> tuple[Planned, ...]:
+    """Records of steps of one joint's velocity reference: one to fit, one for validation.
 
-
-def trajectory_name(experiment: Experiment) -> str:
-    """File name of the trajectory of an experiment."""
-    return f"trajectory-{experiment.name}.json"
-
-
-def trajectory_text(joint_names: Sequence[str], waypoints: Waypoints) -> str:
-    """The message as JSON, which is YAML as well, one point per line.
-
-    Positions, velocities and accelerations are those of the links.
+    The arm has a servo. Raises LimitBroken if no step of the guessed arm satisfies the limits.
     """
-    points = ",\n".join(
-        f"    {json.dumps(_point(waypoints, k))}" for k in range(len(waypoints.time))
-    )
-    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
-    return (
-        f'{{\n  "header": {json.dumps(header)},\n'
-        f'  "joint_names": {json.dumps(list(joint_names))},\n'
-        f'  "points": [\n{points}\n  ]\n}}\n'
+    arm, limits = guess.arm, guess.limits
+    assert arm.servo is not None
+    hold = float(np.clip(_HOLD_PERIODS / band.anti_resonance_hz, _MIN_HOLD, _MAX_HOLD))
+    hold = clock_of(arm) * round(hold / clock_of(arm))
+    i = joint - 1
+    by_voltage = limits.voltage[i] / arm.servo.kp[i] if arm.servo.kp[i] > 0.0 else np.inf
+    turns = np.abs(arm.transmission[:, i])  # of the links per turn of the motor
+    moves = turns > 0.0
+    by_angle = float(np.min(np.array(limits.angle)[moves] / (turns[moves] * hold)))
+    largest = _STEP_LIMIT_SHARE * min(limits.velocity[i], by_voltage, by_angle)
+    return tuple(
+        _step_record(guess, joint, f"{name}-j{joint}", use, hold, size * largest * np.array(levels))
+        for name, use, levels, size in _PLANS
     )
 
 
-def _point(waypoints: Waypoints, row: int) -> dict[str, Any]:
-    """One trajectory_msgs/JointTrajectoryPoint."""
-    seconds, nanoseconds = divmod(round(waypoints.time[row] * _NANOSECONDS), _NANOSECONDS)
-    values = {
-        "positions": waypoints.angle,
-        "velocities": waypoints.velocity,
-        "accelerations": waypoints.acceleration,
-    }
-    point: dict[str, Any] = {
-        name: [float(f"{value:.{_DIGITS}g}") for value in np.asarray(array[row]).tolist()]
-        for name, array in values.items()
-    }
-    return point | {"time_from_start": {"sec": int(seconds), "nanosec": int(nanoseconds)}}
+def _step_record(
+    guess: GuessedArm, joint: int, name: str, use: Use, hold: float, levels: FloatArray
+) -> Planned:
+    """One record, reduced until the simulated arm satisfies all limits."""
+    limits, tick, n_joints = guess.limits, clock_of(guess.arm), guess.arm.n_joints
+    for _ in range(_MAX_ATTEMPTS):
+        steps = excitation.steps(levels, hold=hold, clock=tick)
+        reference = np.zeros((len(steps), n_joints))
+        reference[:, joint - 1] = steps
+        drive = servo_drive(guess, reference)
+        motion = predicted_motion(guess, drive)
+        share = float((motion.voltage / np.array(limits.voltage)).max())
+        if share <= _MAX_STEP_VOLTAGE_SHARE and motion.use_of(limits) <= 1.0:
+            break
+        levels = _STEP_REDUCTION_FACTOR * levels
+    else:
+        raise LimitBroken(
+            f"no step of joint {joint} keeps the guessed arm within the limits: even with a small "
+            f"step {motion.broken(limits)}",
+            where=name,
+            remedy="widen the limit if the arm allows it, or check the servo gains",
+        )
+    moved = tick * np.concatenate([np.zeros((1, n_joints)), np.cumsum(reference, axis=0)[:-1]])
+    purpose = "part of the fit" if use == "tuning" else "validation of the elastic model"
+    return Planned(
+        experiment=Experiment(name, f"{name}.csv", use, (HELD_CONTROL,) * n_joints, joint=joint),
+        drive=drive,
+        motor_angle=moved + guess.start,
+        band_hz=(1.0 / (len(levels) * hold), 0.5 / drive.tick),
+        predicted=motion,
+        reasons=(
+            f"steps of {levels.max():.3g} rad/s of the motor in both directions, {hold:.3g} s each",
+            purpose,
+        ),
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,8 +17,6 @@ from strainwave.domain import (
     Parameter,
     Study,
 )
-from strainwave.domain.keys import Values
-from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
 
@@ -59,33 +57,6 @@ class Limits:
     def centre(self) -> FloatArray:
         """Link angles in the middle of the limits: (n_joints,) [rad]."""
         return np.array(self.posture or (0.0,) * len(self.angle))
-
-
-@dataclass(frozen=True, slots=True)
-class GuessedArm:
-    """The arm with guessed parameters and the limits within which it is moved."""
-
-    arm: Arm
-    values: Values
-    limits: Limits
-
-    @property
-    def start(self) -> tuple[float, ...]:
-        """Motor angles [rad] at which records begin: the posture in the middle of the limits."""
-        return tuple(self.arm.motor_accelerations(self.limits.centre).tolist())
-
-    def drive(
-        self, tick: float, control: Sequence[Control], voltage: FloatArray, reference: FloatArray
-    ) -> Drive:
-        """Drive with inputs (n_ticks, n_joints) from rest."""
-        return Drive(
-            tick=tick,
-            voltage=voltage,
-            reference=reference,
-            servo=tuple(each == HELD_CONTROL for each in control),
-            motor_angle=self.start,
-            initial_voltage=self.arm.holding_voltage(self.values, self.start),
-        )
 
 
 @dataclass(frozen=True, slots=True)

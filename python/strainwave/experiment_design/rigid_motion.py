@@ -4,104 +4,27 @@ Each joint follows a Fourier series (Swevers et al. 1997) that minimises the con
 rigid regressor (5)-(7) with scaled columns. The limits of angle, velocity and voltage are not
 constraints of the search: each series is scaled until it satisfies them, and the search varies its
 shape.
-
-Distance between the links of an arm: capsules around the lines between the joints' frames.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
-from strainwave.domain import FloatArray
+from strainwave.domain import FloatArray, Parameter
+from strainwave.domain.combinations import value_of
 from strainwave.domain.keys import Values
-from strainwave.domain.link_sensors.link_space import attitude
+from strainwave.domain.parameters import complete_values
 from strainwave.dynamics.arm import Arm
-from strainwave.experiment_design.plan import GuessedArm, Limits
+from strainwave.experiment_design.guessed_arm import GuessedArm, Motion, smallest_distance
+from strainwave.experiment_design.plan import Limits, clock_of
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 
-_MIN_SQUARED_LENGTH = 1e-12  # [m^2] of a segment; shorter ones are points
-
-
-def smallest_distance(arm: Arm, values: Values, angle: FloatArray, limit: float) -> FloatArray:
-    """Smallest distance [m] between the centre lines of two links: (...); infinite without pairs.
-
-    `angle` (..., n_joints) are link angles. The centre line of a link, and of the base, leads from
-    its joint's frame to that of the next joint; that of the last link ends at its centre of mass if
-    `values` contain it. Neighbours are not compared, nor links that are never further apart than
-    `limit` because the links between them are too short.
-    """
-    starts, ends = _centre_lines(arm, values, angle)
-    rest_starts, rest_ends = _centre_lines(arm, values, np.zeros(arm.n_joints))
-    lengths = np.linalg.norm(rest_ends - rest_starts, axis=-1)
-    smallest = np.full(angle.shape[:-1], np.inf)
-    for first, second in _compared_pairs(lengths, limit):
-        distance = _segment_distance(
-            starts[..., first, :], ends[..., first, :], starts[..., second, :], ends[..., second, :]
-        )
-        smallest = np.minimum(smallest, distance)
-    return smallest
-
-
-def _compared_pairs(lengths: FloatArray, limit: float) -> Iterator[tuple[int, int]]:
-    """Pairs of links, 0 for the base, that can be further apart than a distance."""
-    for second in range(2, len(lengths)):
-        for first in range(second - 1):
-            if lengths[first + 1 : second].sum() > limit:
-                yield first, second
-
-
-def _centre_lines(arm: Arm, values: Values, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Ends of the centre lines of base and links: (..., n_joints + 1, 3) [m], base's frame."""
-    position, axes = np.zeros((*angle.shape[:-1], 3)), np.eye(3)
-    origins = [position]
-    for i, joint in enumerate(arm.joints):
-        position = position + axes @ np.array(joint.origin.xyz)
-        axes = axes @ attitude(joint.origin.rpy)
-        axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
-        if joint.motion == "prismatic":
-            position = position + angle[..., i, None] * (axes @ axis)
-        else:
-            axes = axes @ _turned(axis, angle[..., i])
-        origins.append(position)
-    last = arm.n_joints
-    mass = values.get(("link_mass", last), 0.0)
-    moments = [values.get((f"link_first_moment_{x}", last), 0.0) for x in "xyz"]
-    origins.append(position + axes @ (np.array(moments) / mass) if mass > 0.0 else position)
-    points = np.stack(origins, axis=-2)
-    return points[..., :-1, :], points[..., 1:, :]
-
-
-def _turned(axis: FloatArray, angle: FloatArray) -> FloatArray:
-    """Rotation matrices (..., 3, 3) about a unit vector, by Rodrigues' formula."""
-    x, y, z = axis.tolist()
-    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    sine, cosine = np.sin(angle)[..., None, None], np.cos(angle)[..., None, None]
-    return np.asarray(np.eye(3) + sine * across + (1.0 - cosine) * (across @ across))
-
-
-def _segment_distance(
-    start: FloatArray, end: FloatArray, other_start: FloatArray, other_end: FloatArray
-) -> FloatArray:
-    """Distance of two line segments, arrays (..., 3): (...).
-
-    The nearest points minimise a quadratic function over the unit square (Ericson 2005, 5.1.9).
-    """
-    u, v, w = end - start, other_end - other_start, start - other_start
-    a, b, c, d, e = (np.sum(p * q, axis=-1) for p, q in ((u, u), (u, v), (v, v), (u, w), (v, w)))
-    a, c = np.maximum(a, _MIN_SQUARED_LENGTH), np.maximum(c, _MIN_SQUARED_LENGTH)
-    determinant = a * c - b * b
-    is_skew = determinant > _MIN_SQUARED_LENGTH * a * c
-    s = np.where(is_skew, (b * e - c * d) / np.where(is_skew, determinant, 1.0), 0.0)
-    t = np.clip((b * np.clip(s, 0.0, 1.0) + e) / c, 0.0, 1.0)
-    s = np.clip((b * t - d) / a, 0.0, 1.0)
-    gap = w + s[..., None] * u - t[..., None] * v
-    return np.asarray(np.linalg.norm(gap, axis=-1))
-
+LOW_PASS_RATIO = 5.0
+"""Bandwidth of the rigid step over the highest frequency of the motion."""
 
 N_HARMONICS = 8  # a period of 8 s or more stays below 1 Hz
 _N_SAMPLES = 128  # per period: 16 per period of the highest harmonic
@@ -116,9 +39,6 @@ _MAX_OFFSET_SHARE = 0.8  # of the angle limit for the centre of a series
 _ANGLE_SHARE, _VELOCITY_SHARE, _VOLTAGE_SHARE = 0.95, 0.90, 0.80
 _DISTANCE_FACTOR = 1.1  # distance between links at which the search aims, over its limit
 _DISTANCE_WEIGHT = 100.0  # 10 % less than that distance costs as much as e times the condition
-
-Motion = tuple[FloatArray, FloatArray, FloatArray]
-"""(n_samples, n_joints) link angles, velocities, accelerations."""
 
 Waves = tuple[FloatArray, FloatArray, FloatArray]
 """Angular frequencies of harmonics, their sines and their cosines."""
@@ -233,12 +153,6 @@ def optimise(search: Search, starts: int, seed: int) -> tuple[Fourier, ...]:
     return tuple(search.series(r.x) for r in sorted(results, key=lambda result: result.fun))
 
 
-class _Feasible(NamedTuple):
-    shape: Fourier
-    motion: Motion  # within the limits
-    scale: FloatArray  # (..., 1, n_joints) of the motion over the shape
-
-
 class Search:
     """Unconstrained search space of series with a period [s].
 
@@ -286,23 +200,22 @@ class Search:
 
     def motion_of(self, points: FloatArray) -> Motion:
         """One period of the feasible series of each point; arrays (..., n_samples, n_joints)."""
-        return self._feasible(points).motion
+        return self._feasible(points)[1]
 
     def series(self, point: FloatArray) -> Fourier:
         """Largest feasible series of a point."""
-        feasible = self._feasible(point)
-        return feasible.shape.scaled(feasible.scale)
+        return self._feasible(point)[0]
 
-    def _feasible(self, points: FloatArray) -> _Feasible:
+    def _feasible(self, points: FloatArray) -> tuple[Fourier, Motion]:
+        """Largest feasible series of points, and one period of their motion."""
         n = self.arm.n_joints
         table = points.reshape(*points.shape[:-1], -1, n)
         limit = _ANGLE_SHARE * np.array(self.limits.angle)
         shift = _MAX_OFFSET_SHARE * limit * np.tanh(table[..., :1, :])
         offset = self.limits.centre + shift
         sine, cosine = table[..., 1 : N_HARMONICS + 1, :], table[..., N_HARMONICS + 1 :, :]
-        angle, velocity, acceleration = Fourier(
-            self.period, np.zeros_like(offset), sine, cosine
-        ).of(self.waves)
+        centred = Fourier(self.period, np.zeros_like(offset), sine, cosine)
+        angle, velocity, acceleration = centred.of(self.waves)
         fastest = self.arm.link_velocity_limits(_VELOCITY_SHARE * np.array(self.limits.velocity))
         highest, lowest = (f(angle, axis=-2, keepdims=True) for f in (np.max, np.min))
         room = np.minimum((limit - shift) / highest, (limit + shift) / -lowest)
@@ -310,7 +223,7 @@ class Search:
         scaled = (scale * angle, scale * velocity, scale * acceleration)
         factor = self._voltage_factor(offset, scaled)
         motion = offset + factor * scaled[0], factor * scaled[1], factor * scaled[2]
-        return _Feasible(Fourier(self.period, offset, sine, cosine), motion, factor * scale)
+        return replace(centred.scaled(factor * scale), offset=offset), motion
 
     def _voltage_factor(self, offset: FloatArray, motion: Motion) -> FloatArray:
         """Factor (..., 1, 1) with which series satisfy the voltage limits.
@@ -356,3 +269,68 @@ class Search:
         if not (is_near.all() and is_slow.all()):
             return False
         return bool(self.voltage_use(motion) <= 1.0 + 1e-9)
+
+
+def standard_deviations(
+    search: Search, motion: Motion, top_hz: float, torque_errors: FloatArray | float = 0.0
+) -> FloatArray:
+    """Standard deviations of `Arm.rigid_columns` after one period of a motion.
+
+    The encoder's rounding has the variance q^2/12 at each tick. After the rigid step's low-pass B
+    it becomes an error of the acceleration with variance (2 pi)^4 B^5/5 S, S = 2 tick q^2/12.
+    Multiplied by the rigid inertia it is an error of the torque, independent 2 B times per second.
+    `torque_errors` (n_joints,) are further errors of the torques over their rms values. `motion`
+    has one period of `search`, `top_hz` is its highest frequency. Infinite for parameters that the
+    motion does not determine.
+    """
+    arm = search.arm
+    bandwidth = LOW_PASS_RATIO * top_hz
+    rounding = np.array([joint.encoder_resolution for joint in arm.joints])
+    density = 2.0 * clock_of(arm) * rounding**2 / 12.0
+    acceleration = np.sqrt((2.0 * np.pi) ** 4 * bandwidth**5 / 5.0 * density)
+    torque = arm.inverse_dynamics(search.vector, *motion)
+    further = torque_errors * np.sqrt(np.mean(torque**2, axis=0))
+    n = arm.n_joints
+    rest, of_motors = np.zeros((n, n)), arm.links_of(np.eye(n))
+    accelerated = arm.inverse_dynamics(search.vector, rest, rest, of_motors)
+    static = arm.inverse_dynamics(search.vector, rest, rest, rest)
+    error = np.hypot(np.diagonal(accelerated - static) * acceleration, further)
+    rows = full_regressor(arm, motion) / error[:, None]
+    n_independent = 2.0 * bandwidth * search.period
+    rows = rows.reshape(-1, rows.shape[2]) * np.sqrt(n_independent / len(motion[0]))
+    norms = np.linalg.norm(rows, axis=0)
+    scale = np.where(norms > 0.0, norms, 1.0)
+    _, singular, directions = np.linalg.svd(rows / scale, full_matrices=False)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.linalg.norm(directions / singular[:, None], axis=0) / scale)
+
+
+def predicted_rigid_parameters(arm: Arm, values: Values, std: FloatArray) -> Iterator[Parameter]:
+    """The guessed rigid parameters with their predicted intervals."""
+    known = complete_values(values, arm)
+    for column, each in zip(arm.rigid_columns, std.tolist(), strict=True):
+        parts = {key: weight for key, weight in column.parts.items() if key in known}
+        value = value_of(parts, known)
+        if np.isfinite(each):
+            yield Parameter.estimated(column.key, value, each, column.unit, "rigid")
+        else:
+            yield Parameter(*column.key, None, None, column.unit, "rigid")
+
+
+def reference_sizes(arm: Arm, values: Values) -> dict[int, float]:
+    """Sizes by which standard deviations are judged, by column; parameters of size zero have none.
+
+    They are the guessed magnitudes. Base parameters that combine parameters of links may be nearly
+    zero, so the largest of the same unit counts.
+    """
+    sizes = [abs(values.get(column.key, 0.0)) for column in arm.rigid_columns]
+    if arm.base.has_groups:
+        known = complete_values(values, arm)
+        columns = arm.base.columns
+        of_base = [abs(value_of(column.parts, known)) for column in columns]
+        for k, column in enumerate(columns):
+            alike = [
+                size for size, c in zip(of_base, columns, strict=True) if c.unit == column.unit
+            ]
+            sizes[k] = max(alike)
+    return {k: size for k, size in enumerate(sizes) if size > 0.0}

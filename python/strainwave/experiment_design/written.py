@@ -19,8 +19,13 @@ from strainwave.domain import FloatArray, Study
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.link_sensors import installed_axes
 from strainwave.dynamics.arm import Arm
-from strainwave.experiment_design.command_table import applied_columns, table_name
-from strainwave.experiment_design.motions import trajectory_name, trajectory_text
+from strainwave.experiment_design.command_table import (
+    applied_columns,
+    table_name,
+    trajectory_name,
+    trajectory_text,
+)
+from strainwave.experiment_design.guessed_arm import torque_errors_of
 from strainwave.experiment_design.plan import (
     LIMITED,
     Design,
@@ -29,7 +34,6 @@ from strainwave.experiment_design.plan import (
     PredictedMotion,
     clock_of,
 )
-from strainwave.experiment_design.rigid_precision import torque_errors_of
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.results import base_parameter_entries, parameter_entry, to_json
 from strainwave.io.study import copy_to, write_study
@@ -47,13 +51,11 @@ def write(design: Design, folder: Path) -> None:
     Creates the folder. Raises InvalidInput if it cannot be written.
     """
     study = copy_to(design.study, folder)
-    contents = {name: text.encode() for name, text in _texts(design).items()}
-    write_whole(folder, contents)
+    write_whole(folder, {name: text.encode() for name, text in _texts(design).items()})
     write_study(study, study.path)
 
 
 def _texts(design: Design) -> dict[str, str]:
-    """Contents of the files of a design, by name."""
     texts = {
         table_name(record.experiment): _csv(_columns(design.study, record))
         for record in design.records
@@ -64,7 +66,12 @@ def _texts(design: Design) -> dict[str, str]:
         for record in design.records
         if record.waypoints is not None
     }
-    return texts | {HEADER_FILE: _c_header(design), PRECISION_FILE: _predicted(design)}
+    records = [
+        (re.sub(r"\W", "_", record.experiment.name), record.drive, _columns(design.study, record))
+        for record in design.records
+    ]
+    header = fill_text(Path(__file__).with_name("excitation.h.j2"), records=records, row=_row)
+    return texts | {HEADER_FILE: header, PRECISION_FILE: _predicted(design)}
 
 
 def _predicted(design: Design) -> str:
@@ -73,13 +80,14 @@ def _predicted(design: Design) -> str:
     base = base_parameter_entries(design.study.arm, rigid)
     final = {p.key: p for p in (*rigid, *design.precision)}  # the whole-arm fit comes last
     errors = torque_errors_of(Arm.of(design.study.arm), design.torque_errors)
-    sources = [
-        "measured" if i in design.torque_errors else "assumed" for i in range(1, len(errors) + 1)
-    ]
     document = {
         "torque_errors": [
-            {"joint": i, "value": error, "source": source}
-            for i, (error, source) in enumerate(zip(errors.tolist(), sources, strict=True), start=1)
+            {
+                "joint": i,
+                "value": error,
+                "source": "measured" if i in design.torque_errors else "assumed",
+            }
+            for i, error in enumerate(errors.tolist(), start=1)
         ]
     }
     document |= {"parameters": [parameter_entry(p) for p in final.values()]} | (
@@ -99,15 +107,6 @@ def _csv(columns: dict[str, FloatArray]) -> str:
 
 def _row(values: Iterable[float]) -> str:
     return ",".join(f"{value:.9g}" for value in values)
-
-
-def _c_header(design: Design) -> str:
-    """All columns except time as C arrays, and the tick of each record."""
-    records = [
-        (re.sub(r"\W", "_", record.experiment.name), record.drive, _columns(design.study, record))
-        for record in design.records
-    ]
-    return fill_text(Path(__file__).with_name("excitation.h.j2"), records=records, row=_row)
 
 
 _NAMES = ("gear_stiffness", "gear_damping", "motor_inertia", "link_inertia")

@@ -18,21 +18,25 @@ from strainwave.domain.control_law import ControlLaw
 from strainwave.errors import InvalidInput
 from strainwave.numerics.parallel import run_parallel
 from strainwave.servo_design.closed_loop import (
+    Biquad,
     Clock,
     ClosedLoop,
+    Gains,
     SampledPlants,
     Steps,
     close,
     frequency_grid,
+    low_pass,
+    notch,
     sample,
     sampled_responses,
 )
-from strainwave.servo_design.control_law import Biquad, Gains, low_pass, notch
 from strainwave.servo_design.margins import (
     LoopBand,
     Margins,
     Requirements,
     effective_plants,
+    join,
     margins_of,
 )
 from strainwave.servo_design.plants import Plants
@@ -119,7 +123,8 @@ class Loops:
 
         parts = run_parallel([partial(judge_part, p) for p in np.array_split(plants, n_parts)])
         margins_and_bands = (zip(*pairs, strict=True) for pairs in zip(*parts, strict=True))
-        return [(Margins.join(m), LoopBand.join(b)) for m, b in margins_and_bands]
+        bands = ("gain_db", "phase_deg", "distance")
+        return [(join(m), join(b, "hz", bands)) for m, b in margins_and_bands]
 
 
 def tune_cascades(
@@ -128,13 +133,11 @@ def tune_cascades(
     *,
     resolutions: FloatArray,
     limits: FloatArray,
-    uses_filters: bool = True,
 ) -> tuple[list[TunedJoint], list[tuple[Margins, LoopBand]]]:
     """Gains of all joints, and what `Loops.judge` says of them.
 
     `resolutions` (n_joints,) are counts of the motor encoders [rad], `limits` (n_joints,) are the
-    largest inputs. Without `uses_filters` the loops have gains only. Raises InvalidInput if no
-    gains of a joint keep the margins.
+    largest inputs. Raises InvalidInput if no gains of a joint keep the margins.
     """
     plants, period = loops.plants, loops.clock.period
     inertias = np.median(plants.rigid_inertias(), axis=0) / plants.torque_per_volt
@@ -142,11 +145,11 @@ def tune_cascades(
         max_kp = MAX_RIPPLE_SHARE * limits * period / resolutions
     search = np.flatnonzero(plants.draw <= _N_SEARCH_DRAWS)
     tuners = [
-        _Tuner(loops, required, i, float(inertia), float(largest), uses_filters)
+        _Tuner(loops, required, i, float(inertia), float(largest))
         for i, (inertia, largest) in enumerate(zip(inertias, max_kp, strict=True))
     ]
     start = _START_BANDWIDTH / (period + loops.clock.delay)
-    gains = [tuner.gains(start, _START_POSITION_RATIO) for tuner in tuners]
+    gains = [tuner.gains(start) for tuner in tuners]
     for _ in range(_N_SWEEPS):
         for i, tuner in enumerate(tuners):
             gains[i] = tuner.raise_gains(gains, search)
@@ -158,7 +161,8 @@ def tune_cascades(
         if not failed:
             pairs = zip(gains, tuners, strict=True)
             return [TunedJoint(each, tuner.limit) for each, tuner in pairs], judged
-        search = np.union1d(search, [judged[i][0].worst(required) for i in failed])
+        worst = [int(np.argmin(judged[i][0].share(required))) for i in failed]
+        search = np.union1d(search, worst)
         for i in failed:
             gains[i] = tuners[i].raise_gains(gains, search)
     joint, inertia = failed[0] + 1, plants.rigid_inertias()[:, failed[0]]
@@ -182,34 +186,56 @@ class _Tuner:
     joint: int  # from 0
     inertia: float  # [V s^2/rad] at the motor, without torsion
     max_kp: float  # [V s/rad], by the encoder
-    uses_filters: bool
     limit: str = "margins"
     bandwidth: float = 0.0  # [rad/s] that the last search reached; zero: none keeps the margins
 
-    def gains(
-        self, bandwidth: float, position_ratio: float, filters: tuple[Biquad, ...] = ()
-    ) -> Gains:
+    def gains(self, bandwidth: float, filters: tuple[Biquad, ...] = ()) -> Gains:
         """Gains of a velocity bandwidth [rad/s]."""
         kp = bandwidth * self.inertia
         return Gains(
             kp=kp,
             ki=kp * bandwidth / _INTEGRAL_RATIO,
-            position_gain=bandwidth / position_ratio,
+            position_gain=bandwidth / _START_POSITION_RATIO,
             period=self.loops.clock.period,
             filters=filters,
         )
 
     def raise_gains(self, gains: Sequence[Gains], search: IntArray) -> Gains:
         """The largest gains at which the searched plants keep their margins."""
-        trials = _Trials.of(self.loops, self.required, gains, self.joint, search)
+        plant = effective_plants(
+            self.loops.responses(search), self.loops.controllers(gains), self.joint
+        )
+        sampled = sample(self.loops.plants, self.loops.clock, search)
+        trials = _Trials([each.law() for each in gains], plant, sampled)
         best, bandwidth, self.limit = gains[self.joint], 0.0, "margins"
         for make in self._filters(search):
             reached, is_encoder = self._largest_bandwidth(trials, make)
             if reached > bandwidth * (_MIN_GAIN if bandwidth else 1.0):
                 bandwidth, self.limit = reached, "encoder" if is_encoder else "margins"
-                best = self.gains(reached, _START_POSITION_RATIO, make(reached))
+                best = self.gains(reached, make(reached))
         self.bandwidth = bandwidth
-        return self._set_position_gain(best, trials) if bandwidth else best
+        if not bandwidth:
+            return best
+        # the largest position gain with margins and little overshoot of the link
+        for ratio in _POSITION_RATIOS:
+            candidate = replace(best, position_gain=bandwidth / ratio)
+            if self._keeps(trials, candidate):
+                steps = Steps.of(self._closed(trials, candidate), candidate.period)
+                if steps.overshoot.max() <= _MAX_OVERSHOOT:
+                    break
+        return candidate
+
+    def _keeps(self, trials: _Trials, gains: Gains) -> bool:
+        """Whether all plants are stable and keep their margins."""
+        margins = margins_of(trials.plant * gains.response(self.loops.z), self.loops.omega)
+        if margins.share(self.required).min() < 1.0:
+            return False
+        return bool(np.abs(self._closed(trials, gains).poles()).max() < 1.0)
+
+    def _closed(self, trials: _Trials, gains: Gains) -> ClosedLoop:
+        laws = list(trials.laws)
+        laws[self.joint] = gains.law()
+        return close(trials.sampled, laws, self.joint)
 
     def _largest_bandwidth(self, trials: _Trials, make: FilterMaker) -> tuple[float, bool]:
         """The largest bandwidth [rad/s] with margins, and whether the encoder limits it.
@@ -220,8 +246,9 @@ class _Tuner:
         highest = min(encoder, 0.5 * self.loops.clock.nyquist)
 
         def keeps(bandwidth: float) -> bool:
-            gains = self.gains(bandwidth, _START_POSITION_RATIO, make(bandwidth))
-            return bandwidth <= highest and trials.keep(gains)
+            return bandwidth <= highest and self._keeps(
+                trials, self.gains(bandwidth, make(bandwidth))
+            )
 
         reached, bandwidth = 0.0, _LOWEST_BANDWIDTH
         while bandwidth <= highest and (not reached or bandwidth < _COARSE_STEP * reached * 1.001):
@@ -238,8 +265,6 @@ class _Tuner:
     def _filters(self, search: IntArray) -> Iterator[FilterMaker]:
         """No filter, a low-pass, and a notch over the spread of each resonance."""
         yield lambda _: ()
-        if not self.uses_filters:
-            return
         nyquist = self.loops.clock.nyquist
         yield from (partial(self._low_pass, ratio) for ratio in _LOW_PASS_RATIOS)
         for omega, _ in self.loops.plants.resonances():
@@ -248,63 +273,19 @@ class _Tuner:
                 yield from (partial(self._notch, low, high, width) for width in _NOTCH_WIDTHS)
 
     def _low_pass(self, ratio: float, bandwidth: float) -> tuple[Biquad, ...]:
-        """Low-pass at a multiple of the bandwidth [rad/s]."""
         clock = self.loops.clock
         corner = min(ratio * bandwidth, _HIGHEST_SHARE * clock.nyquist)
         return (low_pass(corner / (2.0 * np.pi), clock.period),)
 
     def _notch(self, low: float, high: float, width: float, _: float) -> tuple[Biquad, ...]:
-        """Notch between two frequencies [rad/s]."""
         hz = float(np.sqrt(low * high)) / (2.0 * np.pi)
         return (notch(hz, max(width, high / low - 1.0), _NOTCH_DEPTH, self.loops.clock.period),)
-
-    def _set_position_gain(self, gains: Gains, trials: _Trials) -> Gains:
-        """The largest position gain with margins and little overshoot of the link."""
-        for ratio in _POSITION_RATIOS:
-            candidate = replace(gains, position_gain=self.bandwidth / ratio)
-            if trials.keep(candidate) and trials.overshoot(candidate) <= _MAX_OVERSHOOT:
-                return candidate
-        return candidate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Trials:
     """Some plants with the loops of the other joints closed, on which gains are tried."""
 
-    loops: Loops
-    required: Requirements
-    joint: int
-    others: list[ControlLaw]
+    laws: list[ControlLaw]  # of all joints
     plant: ComplexArray  # (n_plants, n_omega) motor angle by voltage
     sampled: SampledPlants
-
-    @classmethod
-    def of(
-        cls,
-        loops: Loops,
-        required: Requirements,
-        gains: Sequence[Gains],
-        joint: int,
-        search: IntArray,
-    ) -> _Trials:
-        """Trials of one joint, from 0, on the searched plants."""
-        plant = effective_plants(loops.responses(search), loops.controllers(gains), joint)
-        laws = [each.law() for each in gains]
-        sampled = sample(loops.plants, loops.clock, search)
-        return cls(loops, required, joint, laws, plant, sampled)
-
-    def keep(self, gains: Gains) -> bool:
-        """Whether all plants are stable and keep their margins."""
-        margins = margins_of(self.plant * gains.response(self.loops.z), self.loops.omega)
-        if margins.share(self.required).min() < 1.0:
-            return False
-        return bool(np.abs(self._closed(gains).poles()).max() < 1.0)
-
-    def overshoot(self, gains: Gains) -> float:
-        """Largest overshoot of the link after a step of the position."""
-        return float(Steps.of(self._closed(gains), self.loops.clock.period).overshoot.max())
-
-    def _closed(self, gains: Gains) -> ClosedLoop:
-        laws = list(self.others)
-        laws[self.joint] = gains.law()
-        return close(self.sampled, laws, self.joint)

@@ -1,10 +1,11 @@
-"""Arms under sampled control laws as linear systems in discrete time.
+"""Control laws of joints, and arms under them as linear systems in discrete time.
 
 Responses of plants to a sampled servo: hold, computation delay, current loop, aliasing.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -12,12 +13,108 @@ import numpy as np
 from scipy.linalg import expm
 
 from strainwave.domain import ComplexArray, ControlLaw, FloatArray, IntArray
+from strainwave.servo_design.margins import band_over
 from strainwave.servo_design.plants import Plants
 
 _N_ALIASES = 3  # of each sign; their share falls with the third power of the frequency
 _POINTS_PER_DECADE = 40
 _POINTS_PER_RESONANCE = 24  # over three half-power bandwidths
 _LOWEST_HZ = 0.05
+_PART = 500  # plants
+
+
+@dataclass(frozen=True, slots=True)
+class Biquad:
+    """Second-order filter (b0 + b1 z^-1 + b2 z^-2) / (1 + a1 z^-1 + a2 z^-2)."""
+
+    b: tuple[float, float, float]
+    a: tuple[float, float]
+    kind: str  # "notch" or "low-pass"
+    hz: float
+    width: float = 0.0  # damping ratio of the poles
+    depth: float = 0.0  # gain at the centre
+
+    def response(self, z: ComplexArray) -> ComplexArray:
+        """Response at points of the unit circle."""
+        w = 1.0 / z
+        numerator = self.b[0] + self.b[1] * w + self.b[2] * w**2
+        return np.asarray(numerator / (1.0 + self.a[0] * w + self.a[1] * w**2))
+
+
+def notch(hz: float, width: float, depth: float, period: float) -> Biquad:
+    """Notch (s^2 + 2 depth width w s + w^2) / (s^2 + 2 width w s + w^2), sampled.
+
+    The bilinear transformation is warped so that the centre is exact.
+    """
+    c = 1.0 / math.tan(math.pi * hz * period)
+    low, high = 2.0 * width * c, 2.0 * depth * width * c
+    scale = c * c + low + 1.0
+    b = ((c * c + high + 1.0) / scale, 2.0 * (1.0 - c * c) / scale, (c * c - high + 1.0) / scale)
+    a = (2.0 * (1.0 - c * c) / scale, (c * c - low + 1.0) / scale)
+    return Biquad(b, a, "notch", hz, width, depth)
+
+
+def low_pass(hz: float, period: float) -> Biquad:
+    """Second-order Butterworth low-pass, sampled by the warped bilinear transformation."""
+    c = 1.0 / math.tan(math.pi * hz * period)
+    scale = c * c + math.sqrt(2.0) * c + 1.0
+    b = (1.0 / scale, 2.0 / scale, 1.0 / scale)
+    a = (2.0 * (1.0 - c * c) / scale, (c * c - math.sqrt(2.0) * c + 1.0) / scale)
+    return Biquad(b, a, "low-pass", hz)
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """Gains of a cascade: PI velocity loop, and a position loop around it."""
+
+    kp: float  # [V s/rad]
+    ki: float  # [V/rad]
+    position_gain: float  # [1/s]
+    period: float  # [s]
+    filters: tuple[Biquad, ...] = ()
+
+    def slowed(self, share: float) -> Gains:
+        """Gains of a share of the bandwidth, with the same ratios of all corner frequencies."""
+        kp, ki = share * self.kp, share**2 * self.ki
+        return replace(self, kp=kp, ki=ki, position_gain=share * self.position_gain)
+
+    def law(self) -> ControlLaw:
+        """The cascade u = F(z) (kp e + ki T sum e), e = w + K (r - y) - (y_k - y_k-1) / T."""
+        T, n = self.period, 2 + 2 * len(self.filters)
+        A, B, E = np.zeros((n, n)), np.zeros((n, 3)), np.zeros(n)
+        names = ["last_angle", "integral"]
+        B[0, 2] = 1.0  # the last angle
+        error_x = np.zeros(n)
+        error_x[0] = 1.0 / T
+        error_u = np.array([self.position_gain, 1.0, -self.position_gain - 1.0 / T])
+        A[1] += T * error_x
+        A[1, 1] += 1.0
+        B[1] = T * error_u
+        signal_x = self.kp * error_x + self.ki * A[1]
+        signal_u = self.kp * error_u + self.ki * B[1]
+        for k, one in enumerate(self.filters):
+            first, second = 2 + 2 * k, 3 + 2 * k
+            names += [f"{one.kind} {k + 1}, {i}" for i in (1, 2)]
+            # transposed direct form II: y = b0 s + x1, x1+ = b1 s - a1 y + x2, x2+ = b2 s - a2 y
+            output_x, output_u = one.b[0] * signal_x, one.b[0] * signal_u
+            output_x[first] += 1.0
+            A[first] = one.b[1] * signal_x - one.a[0] * output_x
+            A[first, second] += 1.0
+            B[first] = one.b[1] * signal_u - one.a[0] * output_u
+            A[second] = one.b[2] * signal_x - one.a[1] * output_x
+            B[second] = one.b[2] * signal_u - one.a[1] * output_u
+            signal_x, signal_u = output_x, output_u
+        holds = np.arange(n) == 1
+        return ControlLaw(A, B, signal_x, signal_u, E, holds, tuple(names))
+
+    def response(self, z: ComplexArray) -> ComplexArray:
+        """Response from the motor angle to minus the voltage, without the law's matrices."""
+        T = self.period
+        difference = (1.0 - 1.0 / z) / T
+        loop = (self.kp + self.ki / difference) * (self.position_gain + difference)
+        for one in self.filters:
+            loop = loop * one.response(z)
+        return np.asarray(loop)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +170,6 @@ def _hold(omega: FloatArray, k: int, clock: Clock) -> ComplexArray:
     return np.asarray(held * np.exp(-1j * alias * clock.delay))
 
 
-_PART = 500  # plants
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledPlants:
     """x_k+1 = A x_k + B u_k, motor angles `motors` x, link angles `links` x."""
@@ -116,43 +210,20 @@ def sample(plants: Plants, clock: Clock, chosen: IntArray | slice = slice(None))
         system[:, size : 2 * size, n_states + joint] = 0.0
         system[:, 2 * size + k, 2 * size + k] = -rate
         system[:, 2 * size + k, n_states + joint] = rate * plants.torque_per_volt[joint]
-    A, B, old = _held(system, n_states, clock)
-    motors, links = (_padded(rows, A.shape[1]) for rows in (plants.motors, plants.links))
+    after = expm(system * (clock.period - clock.delay))
+    A, B = after[:, :n_states, :n_states], after[:, :n_states, n_states:]
     if clock.delay:
-        A, B = _with_last_voltage(A, B, old)
-        motors, links = (_padded(rows, A.shape[1]) for rows in (plants.motors, plants.links))
+        before = expm(system * clock.delay)
+        old = A @ before[:, :n_states, n_states:]
+        below = np.zeros((count, n, n_states + n))
+        units = np.broadcast_to(np.eye(n), (count, n, n))
+        A = np.concatenate([A @ before[:, :n_states, :n_states], old], axis=2)
+        A, B = np.concatenate([A, below], axis=1), np.concatenate([B, units], axis=1)
+    motors, links = (
+        np.pad(rows, ((0, 0), (0, A.shape[1] - size))) for rows in (plants.motors, plants.links)
+    )
     ratios = np.diagonal(plants.links @ plants.rigid)
     return SampledPlants(A, B, motors, links, ratios)
-
-
-def _held(
-    system: FloatArray, n_states: int, clock: Clock
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Transition over a period, and responses to the new and to the last voltage."""
-    after = expm(system * (clock.period - clock.delay))
-    new, A = after[:, :n_states, n_states:], after[:, :n_states, :n_states]
-    if not clock.delay:
-        return A, new, np.zeros_like(new)
-    before = expm(system * clock.delay)
-    last = A @ before[:, :n_states, n_states:]
-    return A @ before[:, :n_states, :n_states], new, last
-
-
-def _with_last_voltage(
-    A: FloatArray, B: FloatArray, old: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Adds the last voltages to the states."""
-    count, n, n_inputs = B.shape
-    below = np.zeros((count, n_inputs, n + n_inputs))
-    units = np.broadcast_to(np.eye(n_inputs), (count, n_inputs, n_inputs))
-    return (
-        np.concatenate([np.concatenate([A, old], axis=2), below], axis=1),
-        np.concatenate([B, units], axis=1),
-    )
-
-
-def _padded(rows: FloatArray, n: int) -> FloatArray:
-    return np.hstack([rows, np.zeros((len(rows), n - rows.shape[1]))])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,7 +251,7 @@ class ClosedLoop:
         # rows of a block of samples over the state at its begin
         size = int(np.ceil(np.sqrt(n_samples)))
         rows = np.empty((count, size, n + 1))
-        rows[:, 0] = _end(self.link, n + 1)
+        rows[:, 0] = np.append(self.link, 0.0)
         for k in range(1, size):
             rows[:, k] = (rows[:, k - 1, None] @ system)[:, 0]
         over_block = np.linalg.matrix_power(system, size)
@@ -210,18 +281,22 @@ def close(plants: SampledPlants, laws: Sequence[ControlLaw], joint: int) -> Clos
         if i == joint:
             B[:, :n] = voltage[:, :, None] * law.D[:2]
             B[:, own] = law.B[:, :2] + np.outer(law.E, law.D[:2])
-    size = int(starts[-1])
-    return ClosedLoop(A, B, _end(plants.links[joint], size), float(plants.ratios[joint]))
-
-
-def _end(row: FloatArray, n: int) -> FloatArray:
-    return np.concatenate([row, np.zeros(n - len(row))])
+    link = np.pad(plants.links[joint], (0, starts[-1] - n))
+    return ClosedLoop(A, B, link, float(plants.ratios[joint]))
 
 
 STEP_SECONDS = 2.0
 """Duration of a simulated step."""
 
 _SETTLED = 0.02  # of a step
+
+
+def settling_times(share: FloatArray, period: float) -> FloatArray:
+    """Times [s] to 2 % of steps (n_plants, n_samples); infinite for those that do not settle."""
+    is_apart = np.abs(share - 1.0) > _SETTLED
+    last = share.shape[1] - np.argmax(is_apart[:, ::-1], axis=1)
+    settling = np.where(is_apart.any(axis=1), last, 0) * period
+    return np.where(is_apart[:, -1], np.inf, settling)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -245,23 +320,6 @@ class Steps:
         step, pulse, rest = np.array([1.0, 0.0]), np.array([0.0, 1.0 / period]), np.zeros(2)
         link = loop.step(n, pulse, rest) if by_velocity else loop.step(n, step, step)
         share = link / loop.ratio
-        is_apart = np.abs(share - 1.0) > _SETTLED
-        last = n - np.argmax(is_apart[:, ::-1], axis=1)
-        settling = np.where(
-            is_apart[:, -1], np.inf, np.where(is_apart.any(axis=1), last, 0) * period
-        )
-        band = np.stack([share.min(axis=0), share[0], share.max(axis=0)], axis=1)
         time: FloatArray = period * np.arange(n, dtype=np.float64)
-        return cls(time, band, settling, np.maximum(share.max(axis=1) - 1.0, 0.0))
-
-    @classmethod
-    def join(cls, parts: Sequence[Steps]) -> Steps:
-        """Steps of all plants from those of parts of them, the estimates first."""
-        bands = np.stack([part.link for part in parts])
-        link = np.stack([bands[..., 0].min(0), bands[0, :, 1], bands[..., 2].max(0)], axis=1)
-        return cls(
-            parts[0].time,
-            link,
-            np.concatenate([part.settling for part in parts]),
-            np.concatenate([part.overshoot for part in parts]),
-        )
+        overshoot = np.maximum(share.max(axis=1) - 1.0, 0.0)
+        return cls(time, band_over(share), settling_times(share, period), overshoot)

@@ -23,8 +23,7 @@ from strainwave.domain import ControlLaw, FloatArray, IntArray
 from strainwave.domain.control_law import MAX_LAW_STATES
 from strainwave.numerics.parallel import run_parallel
 from strainwave.servo_design.cascade_tuning import Loops
-from strainwave.servo_design.closed_loop import SampledPlants, close
-from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.closed_loop import Gains, SampledPlants, close
 from strainwave.servo_design.margins import Margins, Requirements
 from strainwave.servo_design.observer import Observer
 
@@ -108,7 +107,7 @@ def damped_law(plain: ControlLaw, observer: Observer, gains: tuple[float, float]
     n, m = len(plain.A), len(observer.A)
     correction = observer.L[:, 0]
     after = np.eye(m) - np.outer(correction, observer.C[0])  # xh = after x + L (y - r)
-    row = gains[0] * observer.torsion + gains[1] * observer.torsion_rate
+    row = np.array(gains) @ observer.torsion
     by_states, by_deviation = row @ after, float(row @ correction)
     deviation = np.array([-1.0, 0.0, 1.0])
     A = np.zeros((n + m, n + m))

@@ -6,22 +6,22 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import product
+from typing import TypeVar
 
 import numpy as np
 
 from strainwave.domain import FloatArray, IntArray, Payload
-from strainwave.domain.keys import Values, label_of
+from strainwave.domain.keys import label_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise, JointCovariance
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 from strainwave.servo_design.cascade_tuning import Loops, TunedJoint, tune_cascades
-from strainwave.servo_design.closed_loop import Clock, SampledPlants, Steps, close, sample
-from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.closed_loop import Clock, Gains, SampledPlants, Steps, close, sample
 from strainwave.servo_design.damping import Damping, design_damping
-from strainwave.servo_design.link_estimation import EstimationError, errors_in_a_move
-from strainwave.servo_design.margins import LoopBand, Margins, Requirements
+from strainwave.servo_design.margins import LoopBand, Margins, Requirements, join
 from strainwave.servo_design.observer import Observer, design_observers
 from strainwave.servo_design.plants import (
     Condition,
@@ -31,7 +31,12 @@ from strainwave.servo_design.plants import (
     without_impossible,
 )
 from strainwave.servo_design.shaper_ranking import COVERAGE, RankedShaper, rank_shapers
-from strainwave.servo_design.verification import Comparison, compare_moves
+from strainwave.servo_design.verification import (
+    Comparison,
+    EstimationError,
+    compare_moves,
+    errors_in_a_move,
+)
 
 _DEFAULT_PERIOD = 1e-3  # [s] of the servo
 _DELAY_SHARE = 0.5  # of the period, if no delay is given
@@ -42,6 +47,8 @@ _FIRST_SHARES = (1.0 / 3.0, 1.0 / 2.0, 2.0 / 3.0)
 _N_ESTIMATION_DRAWS = 7  # whose links the observers estimate
 _N_MOVE_DRAWS = 10  # simulated with friction and the curve of the gear
 _NO_LIMIT = 0.75 * np.pi  # [rad] of a joint without limits in the study
+
+Run = TypeVar("Run")
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,18 +179,17 @@ def design_servo(
         loops, sampled, gains, by_motors, options.required, [each.margins for each in results]
     )
     progress("comparing moves")
-    moves, refusal = _moves(
-        arm, gains, current, draws[: _N_MOVE_DRAWS + 1], conditions[0].posture, limits
+    posture = conditions[0].posture
+    moves, refusal = _unless_refused(
+        lambda: compare_moves(arm, (gains, current), draws[: _N_MOVE_DRAWS + 1], posture, limits)
     )
-    few = draws[: _N_ESTIMATION_DRAWS + 1]
     estimation: tuple[EstimationError, ...] = ()
     unchecked = refusal
     if observers and not refusal:
-        try:
-            pair, posture = (observers, by_encoders), conditions[0].posture
-            estimation = errors_in_a_move(arm, pair, few, gains, posture, limits)
-        except (InvalidInput, NumericalFailure) as error:
-            unchecked = getattr(error, "problem", str(error))
+        pair, few = (observers, by_encoders), draws[: _N_ESTIMATION_DRAWS + 1]
+        estimation, unchecked = _unless_refused(
+            lambda: errors_in_a_move(arm, pair, few, gains, posture, limits)
+        )
     return ServoDesign(
         arm=arm,
         options=options,
@@ -239,12 +245,20 @@ def _drives(arm: IdentifiedArm, options: ServoOptions) -> tuple[Clock, FloatArra
 def _results(
     judged: Sequence[tuple[Margins, LoopBand]], sampled: SampledPlants, gains: Sequence[Gains]
 ) -> list[LoopResults]:
-    """Margins, bands and steps of all joints."""
-    return [LoopResults(*pair, _steps(sampled, gains, i)) for i, pair in enumerate(judged)]
+    laws = [each.law() for each in gains]
+
+    def steps(joint: int, part: SampledPlants) -> Steps:
+        own = gains[joint]
+        return Steps.of(close(part, laws, joint), own.period, by_velocity=not own.position_gain)
+
+    results = []
+    for i, (margins, band) in enumerate(judged):
+        parts = run_parallel([partial(steps, i, part) for part in sampled.parts()])
+        results.append(LoopResults(margins, band, join(parts, "time", ("link",))))
+    return results
 
 
 def _count_unstable(sampled: SampledPlants, gains: Sequence[Gains]) -> int:
-    """Number of plants with an unstable pole under a servo."""
     laws = [each.law() for each in gains]
 
     def count(part: SampledPlants) -> int:
@@ -259,25 +273,10 @@ def _first_share(sampled: SampledPlants, gains: Sequence[Gains]) -> float:
 
     Arms that stand upright need gain.
     """
-    return next(
-        (
-            share
-            for share in _FIRST_SHARES
-            if not _count_unstable(sampled, [each.slowed(share) for each in gains])
-        ),
-        1.0,
-    )
-
-
-def _steps(sampled: SampledPlants, gains: Sequence[Gains], joint: int) -> Steps:
-    """Steps of the reference angle of a joint, from 0."""
-    own, laws = gains[joint], [each.law() for each in gains]
-
-    def steps(part: SampledPlants) -> Steps:
-        loop = close(part, laws, joint)
-        return Steps.of(loop, own.period, by_velocity=not own.position_gain)
-
-    return Steps.join(run_parallel([partial(steps, part) for part in sampled.parts()]))
+    for share in _FIRST_SHARES:
+        if not _count_unstable(sampled, [each.slowed(share) for each in gains]):
+            return share
+    return 1.0
 
 
 def _shapers(plants: Plants, clock: Clock) -> tuple[FloatArray, tuple[RankedShaper, ...]]:
@@ -291,27 +290,15 @@ def _shapers(plants: Plants, clock: Clock) -> tuple[FloatArray, tuple[RankedShap
     return intervals, tuple(rank_shapers(omega, damping, clock.period))
 
 
-def _moves(
-    arm: IdentifiedArm,
-    gains: Sequence[Gains],
-    current: Sequence[Gains] | None,
-    draws: Sequence[Values],
-    posture: FloatArray,
-    limits: FloatArray,
-) -> tuple[tuple[Comparison, ...], str]:
-    """A move of each joint, or the reason why there is none."""
+def _unless_refused(simulate: Callable[[], tuple[Run, ...]]) -> tuple[tuple[Run, ...], str]:
+    """Simulated moves, or the reason why there are none."""
     try:
-        numbers = range(1, len(gains) + 1)
-        moves = (
-            compare_moves(arm, gains, draws, i, posture, limits, current=current) for i in numbers
-        )
-        return tuple(moves), ""
+        return simulate(), ""
     except (InvalidInput, NumericalFailure) as error:
         return (), getattr(error, "problem", str(error))
 
 
 def _check_options(options: ServoOptions) -> None:
-    """Raise InvalidInput if a number is out of its range."""
     required = options.required
     ranges = [
         ("--draws", "the number of draws", options.draws, -1.0, math.inf),
@@ -365,8 +352,7 @@ def _conditions(arm: IdentifiedArm, options: ServoOptions) -> tuple[Condition, .
         postures += list(rng.uniform(low, high, (_N_POSTURES, len(joints))))
     for posture in postures:
         _check_posture(posture, limits)
-    loads = (None, *options.payloads)
-    return tuple(Condition(posture, load) for posture in postures for load in loads)
+    return tuple(Condition(*pair) for pair in product(postures, (None, *options.payloads)))
 
 
 def _check_posture(posture: FloatArray, limits: Sequence[tuple[float, float]]) -> None:
@@ -389,7 +375,6 @@ def _check_posture(posture: FloatArray, limits: Sequence[tuple[float, float]]) -
 def _check_bandwidth(
     tuned: Sequence[TunedJoint], results: Sequence[LoopResults], required_hz: float, clock: Clock
 ) -> None:
-    """Raise InvalidInput if a velocity loop does not reach a bandwidth."""
     for number, (joint, result) in enumerate(zip(tuned, results, strict=True), start=1):
         reached = float(result.margins.bandwidth_hz.min())
         if reached < required_hz:
@@ -407,7 +392,6 @@ def _check_bandwidth(
 
 
 def _current_gains(arm: IdentifiedArm, clock: Clock) -> list[Gains] | None:
-    """Gains of the servo in the study; None without one."""
     servo = arm.study.arm.servo
     if servo is None:
         return None

@@ -23,21 +23,64 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import PPoly
 
-from strainwave.domain import FloatArray, Payload
+from strainwave.domain import FloatArray
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
 from strainwave.servo_design.joint_effects import JointEffects, effects_of
-from strainwave.servo_design.link_motion import LinkMotion, payload_torques
 
 _DIFFERENCE_SHARE = 0.25  # of the period, step of differences in time: truncation and rounding 1e-9
 _FIRST = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0  # fourth-order central differences
 _SECOND = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0
+_REST_TO_REST = (0.0, 0.0, 0.0, 0.0, 0.0, 126.0, -420.0, 540.0, -315.0, 70.0)
+"""Coefficients by rising power of 126 x^5 - 420 x^6 + 540 x^7 - 315 x^8 + 70 x^9.
+
+It rises from 0 to 1 with four derivatives of zero at both ends.
+"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinkMotion:
+    """A motion of all links with four continuous derivatives."""
+
+    time: FloatArray  # (n_samples,) [s] ticks of the servo
+    period: float  # [s] between two ticks
+    angle: PPoly
+
+    def derivatives(self, time: FloatArray) -> FloatArray:
+        """Angles and their first four derivatives: (5, n_times, n_joints).
+
+        Beyond its ends the motion stays at its end values.
+        """
+        inside = np.clip(time, self.time[0], self.time[-1])
+        return np.stack([self.angle(inside, order) for order in range(5)])
+
+
+def point_to_point(
+    begin: FloatArray, end: FloatArray, duration: float, period: float
+) -> LinkMotion:
+    """Motion between two postures (n_joints,) at rest: a polynomial of degree nine.
+
+    The velocity is at most 2.46 times the mean velocity. The duration [s] is rounded to whole
+    periods. Raises InvalidInput if it is shorter than one period.
+    """
+    n_periods = round(duration / period)
+    if n_periods < 1:
+        raise InvalidInput(
+            f"a motion of {duration:g} s is shorter than the servo period of {period:g} s",
+            remedy="give a longer duration",
+        )
+    time: FloatArray = period * np.arange(n_periods + 1, dtype=np.float64)
+    powers = np.array(_REST_TO_REST) / time[-1] ** np.arange(len(_REST_TO_REST))
+    coefficients = powers[::-1, None, None] * (np.asarray(end) - begin)
+    coefficients[-1] += begin
+    return LinkMotion(time, float(time[-1]) / n_periods, PPoly(coefficients, time[[0, -1]]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,15 +89,9 @@ class FeedForward:
 
     time: FloatArray  # (n_samples,) [s]
     link_angle: FloatArray  # [rad]
-    torsion: FloatArray  # [rad]
     motor_angle: FloatArray  # [rad]
-    motor_velocity: FloatArray  # [rad/s] at the tick
     reference_velocity: FloatArray  # [rad/s] difference of the angles, as a servo measures it
     voltage: FloatArray  # [V]
-    friction_voltage: FloatArray  # [V] the part of `voltage` that compensates dry friction
-    friction_velocity: FloatArray  # (n_joints,) [rad/s] at which 76 % of it are reached
-    friction_share: FloatArray  # (n_joints,) of the estimated dry friction
-    notes: tuple[str, ...]  # identified effects without compensation
 
     def extended(self, n_samples: int) -> FeedForward:
         """The motion, cut or held at its end, with a number of samples."""
@@ -63,21 +100,12 @@ class FeedForward:
         def held(rows: FloatArray) -> FloatArray:
             return np.concatenate([rows, np.repeat(rows[-1:], more, axis=0)])[:n_samples]
 
-        period = self.time[1] - self.time[0]
         velocity = held(self.reference_velocity)
         velocity[len(self.time) :] = 0.0
+        period = self.time[1] - self.time[0]
         time: FloatArray = self.time[0] + period * np.arange(n_samples, dtype=np.float64)
-        return replace(
-            self,
-            time=time,
-            link_angle=held(self.link_angle),
-            torsion=held(self.torsion),
-            motor_angle=held(self.motor_angle),
-            motor_velocity=held(self.motor_velocity),
-            reference_velocity=velocity,
-            voltage=held(self.voltage),
-            friction_voltage=held(self.friction_voltage),
-        )
+        angles = held(self.link_angle), held(self.motor_angle)
+        return FeedForward(time, *angles, velocity, held(self.voltage))
 
     def servo_reference(self, position_gain: FloatArray) -> FloatArray:
         """Velocity references [rad/s] of a servo that integrates them to its position reference.
@@ -94,65 +122,43 @@ class FeedForward:
         return self.reference_velocity + position_gain * lag
 
 
-def feed_forward(
-    arm: IdentifiedArm,
-    motion: LinkMotion,
-    *,
-    payload: Payload | None = None,
-    friction_share: FloatArray | None = None,
-    delay: float = 0.0,
-) -> FeedForward:
+def feed_forward(arm: IdentifiedArm, motion: LinkMotion) -> FeedForward:
     """Motor references and voltages of a motion, sampled at its ticks.
 
-    Dry friction is compensated by `friction_share` (n_joints,) tanh(dtheta_M / w) of its estimate,
+    Dry friction is compensated by a share (n_joints,) times tanh(dtheta_M / w) of its estimate,
     with the velocity of the reference, so that encoder noise cannot switch it. w is one encoder
     count per period, the resolution of the measured velocity. Without an encoder in the study it is
-    the largest change of the reference velocity in a period. By default the share is the lower
-    limit of the 95 % interval of `motor_coulomb_friction` over its value, and one without an
-    interval. `delay` [s] is that of a voltage after its tick.
+    the largest change of the reference velocity in a period. The share is the lower limit of the
+    95 % interval of `motor_coulomb_friction` over its value, and one without an interval.
 
     Raises InvalidInput if a parameter is missing, or if the motion exceeds the limits of a joint or
     the voltage of the servo.
     """
-    model = _InverseArm.of(arm, payload)
-    n = model.arm.n_joints
+    model = _InverseArm.of(arm)
     period, ticks = motion.period, motion.time
-    _check_shape(motion, n)
     at_ticks = model.follow(motion, ticks)
     _check_limits(arm, ticks, at_ticks)
     before = model.follow(motion, ticks[:1] - period).motor_angle
     reference_velocity = np.diff(at_ticks.motor_angle, axis=0, prepend=before) / period
 
-    halves = ticks[0] + 0.5 * period * np.arange(2 * len(ticks) + 1) + delay
-    held = model.follow(motion, halves)
-    shares = _friction_shares(arm) if friction_share is None else _checked(friction_share, n)
+    held = model.follow(motion, ticks[0] + 0.5 * period * np.arange(2 * len(ticks) + 1))
     acceleration = np.diff(held.motor_velocity[::2], axis=0) / period
     counts = np.array([joint.encoder_resolution for joint in arm.study.arm.joints])
-    velocity = np.asarray(
-        np.where(counts > 0.0, counts / period, np.abs(acceleration).max(axis=0) * period)
-    )
-    friction = shares * _mean(held.dry_friction * _smooth_sign(held.motor_velocity, velocity))
-    torque = model.column("motor_inertia") * acceleration + _mean(held.steady_torque)
+    largest = np.abs(acceleration).max(axis=0) * period
+    transition = np.where(counts > 0.0, counts / period, largest)
+    # zero for a joint that never moves
+    rest, moves = np.zeros_like(held.motor_velocity), transition > 0.0
+    sign = np.tanh(np.divide(held.motor_velocity, transition, out=rest, where=moves))
+    friction = _friction_shares(arm) * _mean(held.dry_friction * sign)
+    torque = model.columns["motor_inertia"] * acceleration + _mean(held.steady_torque)
     torque = torque + model.lags * np.gradient(torque, period, axis=0)
     voltage = (torque + friction) / model.torque_per_volt
     servo = arm.study.arm.servo
     if servo is not None:
         for i, of_joint in enumerate(np.abs(voltage).T):
             _check_limit("the voltage limit of the servo", "V", ticks, of_joint, servo.limit, i)
-
-    return FeedForward(
-        time=ticks,
-        link_angle=at_ticks.link[0],
-        torsion=at_ticks.torsion,
-        motor_angle=at_ticks.motor_angle,
-        motor_velocity=at_ticks.motor_velocity,
-        reference_velocity=reference_velocity,
-        voltage=voltage,
-        friction_voltage=friction / model.torque_per_volt,
-        friction_velocity=velocity,
-        friction_share=shares,
-        notes=model.notes,
-    )
+    angles = at_ticks.link[0], at_ticks.motor_angle
+    return FeedForward(ticks, *angles, reference_velocity, voltage)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,7 +167,6 @@ class _Instants:
 
     link: FloatArray  # (5, n, n_joints) angle and its derivatives
     link_torque: FloatArray
-    torsion: FloatArray
     motor_angle: FloatArray
     motor_velocity: FloatArray
     steady_torque: FloatArray  # motor torque without inertia of the motor and dry friction
@@ -174,31 +179,30 @@ class _InverseArm:
 
     identified: IdentifiedArm
     arm: Arm
-    payload: Payload | None
     effects: tuple[JointEffects, ...]
-    notes: tuple[str, ...]
 
     @classmethod
-    def of(cls, identified: IdentifiedArm, payload: Payload | None) -> _InverseArm:
+    def of(cls, identified: IdentifiedArm) -> _InverseArm:
         """The arm with the identified torques per volt."""
         model = Arm.of(identified.with_identified_drives().study.arm)
-        return cls(identified, model, payload, *effects_of(identified))
+        return cls(identified, model, effects_of(identified))
 
-    def column(self, name: str) -> FloatArray:
-        """A parameter of all joints: (n_joints,)."""
+    @cached_property
+    def columns(self) -> Mapping[str, FloatArray]:
+        """Parameters of all joints: (n_joints,); an offset that is not identified is zero."""
+        need, known = self.identified.need, self.identified.values
         numbers = range(1, self.arm.n_joints + 1)
-        return np.array([self.identified.need(name, number) for number in numbers])
+        friction = ("motor_viscous_friction", "motor_coulomb_friction", "link_viscous_friction")
+        names = ("motor_inertia", *friction)
+        columns = {name: np.array([need(name, number) for number in numbers]) for name in names}
+        offsets = [known.get(("friction_offset", number), 0.0) for number in numbers]
+        return columns | {"friction_offset": np.array(offsets)}
 
     @cached_property
     def base(self) -> FloatArray:
         """Base parameters: (n_base,)."""
         effective, need = set(self.arm.base.effective), self.identified.need
         return np.array([need(*key) if key in effective else 0.0 for key in self.arm.base_names])
-
-    @cached_property
-    def link_viscous_friction(self) -> FloatArray:
-        """d_L: (n_joints,)."""
-        return self.column("link_viscous_friction")
 
     @cached_property
     def gears(self) -> Mapping[int, tuple[Mapping[str, float], float]]:
@@ -215,14 +219,14 @@ class _InverseArm:
                 gears[i] = values, need("gear_damping", i + 1)
         return gears
 
-    @cached_property
+    @property
     def lags(self) -> FloatArray:
         """Time constants [s] of the drives: (n_joints,)."""
         loops = [joint.current_loop_hz for joint in self.arm.joints]
         times = [1.0 / (math.tau * hz) if hz else 0.0 for hz in loops]
         return np.array(times) + [effects.drive_lag for effects in self.effects]
 
-    @cached_property
+    @property
     def torque_per_volt(self) -> FloatArray:
         """e, with identified errors: (n_joints,)."""
         return self.arm.torque_per_volt * [effects.drive_gain for effects in self.effects]
@@ -232,9 +236,7 @@ class _InverseArm:
     ) -> FloatArray:
         """Torques that the gears transmit: (n, n_joints)."""
         torques = self.arm.link_torques(self.base, angle, velocity, acceleration)
-        torques = torques + self.link_viscous_friction * velocity
-        if self.payload is not None:
-            torques += payload_torques(self.arm, self.payload, angle, velocity, acceleration)
+        torques = torques + self.columns["link_viscous_friction"] * velocity
         is_planar = self.arm.has_planar_program
         for i, effects in enumerate(self.effects):
             torques[:, i] += effects.load(angle[:, i])
@@ -261,7 +263,8 @@ class _InverseArm:
         turning = self.arm.motor_accelerations(link[1] + torsion_rate)
         load = self.arm.motors_of(torque)
         steady, dry = np.empty_like(motor), np.empty_like(motor)
-        viscous, coulomb = self._motor_friction
+        viscous = self.columns["motor_viscous_friction"]
+        coulomb = self.columns["motor_coulomb_friction"]
         for i, (effects, joint) in enumerate(zip(self.effects, self.arm.joints, strict=True)):
             motor[:, i], ratio = effects.motor_angle(motor[:, i], joint.gear_ratio)
             turning[:, i] /= ratio
@@ -269,18 +272,8 @@ class _InverseArm:
             steady[:, i] = load[:, i] + viscous[i] * turning[:, i]
             steady[:, i] += effects.motor_torque(motor[:, i], turning[:, i])
             dry[:, i] = coulomb[i] + effects.dry_friction(turning[:, i], load[:, i])
-        return _Instants(link, torque, torsion, motor, turning, steady + self._offsets, dry)
-
-    @cached_property
-    def _motor_friction(self) -> tuple[FloatArray, FloatArray]:
-        return self.column("motor_viscous_friction"), self.column("motor_coulomb_friction")
-
-    @cached_property
-    def _offsets(self) -> FloatArray:
-        """f_0, zero if it is not identified: (n_joints,)."""
-        known = self.identified.values
-        numbers = range(1, self.arm.n_joints + 1)
-        return np.array([known.get(("friction_offset", number), 0.0) for number in numbers])
+        steady += self.columns["friction_offset"]
+        return _Instants(link, torque, motor, turning, steady, dry)
 
     def _torsions(
         self, torque: FloatArray, rate: FloatArray, change: FloatArray
@@ -313,13 +306,6 @@ def _mean(halves: FloatArray) -> FloatArray:
     return np.asarray((halves[:-1:2] + 4.0 * halves[1::2] + halves[2::2]) / 6.0)
 
 
-def _smooth_sign(velocity: FloatArray, transition: FloatArray) -> FloatArray:
-    """tanh(velocity / transition); zero for a joint that never moves."""
-    return np.tanh(
-        np.divide(velocity, transition, out=np.zeros_like(velocity), where=transition > 0)
-    )
-
-
 def _friction_shares(arm: IdentifiedArm) -> FloatArray:
     """Lower limits of Coulomb friction over the estimates: (n_joints,)."""
     shares = np.ones(arm.study.arm.n_joints)
@@ -330,30 +316,7 @@ def _friction_shares(arm: IdentifiedArm) -> FloatArray:
     return shares
 
 
-def _checked(shares: FloatArray, n_joints: int) -> FloatArray:
-    shares = np.asarray(shares, dtype=float)
-    if shares.shape != (n_joints,) or not np.all((shares >= 0.0) & (shares <= 1.0)):
-        raise InvalidInput(
-            f"the shares of friction compensation are {shares.tolist()}",
-            remedy=f"give {n_joints} numbers from 0 to 1",
-        )
-    return shares
-
-
-def _check_shape(motion: LinkMotion, n_joints: int) -> None:
-    angle = motion.of(motion.time, 0)
-    expected = len(motion.time), n_joints
-    if angle.shape != expected or not np.isfinite(angle).all():
-        raise InvalidInput(
-            f"the motion has angles of the shape {angle.shape}, expected finite numbers of the"
-            f" shape {expected}",
-            where="motion",
-            remedy="give one column per joint",
-        )
-
-
 def _check_limits(arm: IdentifiedArm, time: FloatArray, at: _Instants) -> None:
-    """Compare a motion with the limits of the joints."""
     for i, joint in enumerate(arm.study.arm.joints):
         if joint.limits is None:
             continue

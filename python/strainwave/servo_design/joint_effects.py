@@ -107,26 +107,24 @@ class JointEffects:
         return self.values.get("drive-lag", {}).get("drive_lag", 0.0)
 
 
-def effects_of(arm: IdentifiedArm) -> tuple[tuple[JointEffects, ...], tuple[str, ...]]:
-    """Identified effects of all joints, and notes on those that feed-forward cannot compensate.
+def effects_of(arm: IdentifiedArm) -> tuple[JointEffects, ...]:
+    """Identified effects of all joints that feed-forward can compensate.
 
     Raises InvalidInput if a shape is missing, or if a kinematic error reverses a gear.
     """
     estimated = {(base_name(p.name), p.joint) for p in arm.parameters if p.value is not None}
-    joints, notes = [], []
+    joints = []
     for number in range(1, arm.study.arm.n_joints + 1):
-        values = {}
-        for effect in all_effects():
-            named = effect.name in arm.joint(number).named_effects
-            is_identified = any((size, number) in estimated for size in effect.sizes)
-            if effect.name in COMPENSATED and is_identified:
-                values[effect.name] = _values_of(effect, arm, number)
-            elif named or is_identified:
-                reason = "" if is_identified else ", which is not identified"
-                notes.append(f"joint {number}: no compensation of {effect.name}{reason}")
-        _check_gear(values.get("kinematic-error"), arm, number)
+        values = {
+            effect.name: _values_of(effect, arm, number)
+            for effect in all_effects()
+            if effect.name in COMPENSATED
+            and any((size, number) in estimated for size in effect.sizes)
+        }
+        if error := values.get("kinematic-error"):
+            _check_gear(error, arm, number)
         joints.append(JointEffects(values))
-    return tuple(joints), tuple(notes)
+    return tuple(joints)
 
 
 def _values_of(effect: Effect, arm: IdentifiedArm, number: int) -> Mapping[str, float]:
@@ -141,9 +139,7 @@ def _values_of(effect: Effect, arm: IdentifiedArm, number: int) -> Mapping[str, 
     return values
 
 
-def _check_gear(error: Mapping[str, float] | None, arm: IdentifiedArm, number: int) -> None:
-    if error is None:
-        return
+def _check_gear(error: Mapping[str, float], arm: IdentifiedArm, number: int) -> None:
     size = np.hypot(error["kinematic_error_cos"], error["kinematic_error_sin"])
     slope = error["kinematic_error_order"] * size / abs(arm.joint(number).gear_ratio)
     if slope >= 1.0:

@@ -127,11 +127,10 @@ def known_part(one: Measurement, model: Arm, motion: JointMotion, i: int) -> Flo
         else:
             parts = imu_parts(model, motion, axis.sensor.channel_kinds[axis.number], i) or {}
             total += weight * sum(parts.values())
-    if one.quantity == "link_acceleration":
-        return np.asarray(total - one.factor * motion.acceleration[:, i])
-    if one.quantity == "link_velocity":
-        return np.asarray(total - one.factor * motion.velocity[:, i])
-    return np.zeros(len(motion.angle))
+    own = {"link_acceleration": motion.acceleration, "link_velocity": motion.velocity}
+    if one.quantity not in own:
+        return np.zeros_like(total)
+    return np.asarray(total - one.factor * own[one.quantity][:, i])
 
 
 def _measurement(

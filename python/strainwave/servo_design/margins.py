@@ -1,19 +1,39 @@
-"""Stability margins of servo loops over many plants.
-
-Bands of open-loop responses over many plants.
-
-The smallest and the median margin of a loop over all plants, and where the smallest is.
-"""
+"""Stability margins of servo loops, and the bands of their responses, over many plants."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
+from typing import TypeVar
 
 import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray, IntArray
+
+Record = TypeVar("Record")
+
+
+def join(parts: Sequence[Record], shared: str = "", bands: Sequence[str] = ()) -> Record:
+    """A record over all plants from those of parts of them.
+
+    `shared` is the field that all parts have in common, `bands` are those of `band_over`, of parts
+    that begin with the same plant. The other fields have an entry per plant.
+    """
+
+    def joined(name: str) -> FloatArray:
+        values = [getattr(part, name) for part in parts]
+        if name in bands:
+            low, first, high = np.moveaxis(np.array(values), 2, 0)
+            return np.stack([low.min(axis=0), first[0], high.max(axis=0)], axis=1)
+        return values[0] if name == shared else np.concatenate(values)
+
+    return type(parts[0])(*(joined(field.name) for field in fields(parts[0])))  # type: ignore[arg-type]
+
+
+def band_over(values: FloatArray) -> FloatArray:
+    """Smallest, first and largest value (n, 3) of each column; the first row has the estimates."""
+    return np.stack([values.min(axis=0), values[0], values.max(axis=0)], axis=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +57,6 @@ class Margins:
     modulus_hz: FloatArray
     bandwidth_hz: FloatArray  # highest frequency at which the loop's gain is one
 
-    @classmethod
-    def join(cls, parts: Sequence[Margins]) -> Margins:
-        """Margins of all plants from those of parts of them."""
-        names = (field.name for field in fields(cls))
-        return cls(*(np.concatenate([getattr(one, name) for one in parts]) for name in names))
-
     def share(self, required: Requirements) -> FloatArray:
         """Smallest margin over the required one, per plant; at least one if all are kept."""
         shares = (
@@ -51,10 +65,6 @@ class Margins:
             self.modulus / required.modulus,
         )
         return np.asarray(np.minimum.reduce(shares))
-
-    def worst(self, required: Requirements) -> int:
-        """Index of the plant with the smallest margins."""
-        return int(np.argmin(self.share(required)))
 
 
 def margins_of(loop: ComplexArray, omega: FloatArray) -> Margins:
@@ -93,18 +103,14 @@ def _phase_margins(loop: ComplexArray, hz: FloatArray) -> tuple[FloatArray, Floa
     share = np.divide(-level[:, :-1], span, out=np.zeros_like(span), where=span != 0.0)
     phase = np.angle(-loop)  # zero at -1
     turn = np.angle(loop[:, 1:] / np.where(loop[:, :-1] == 0.0, 1.0, loop[:, :-1]))
-    degrees = np.where(crosses, np.abs(np.degrees(_wrapped(phase[:, :-1] + share * turn))), np.inf)
+    wrapped = (phase[:, :-1] + share * turn + np.pi) % (2.0 * np.pi) - np.pi
+    degrees = np.where(crosses, np.abs(np.degrees(wrapped)), np.inf)
     least, where = _least(degrees, hz, share)
     last = crosses.shape[1] - 1 - np.argmax(crosses[:, ::-1], axis=1)
     every = np.arange(len(loop))
     highest = hz[last] + share[every, last] * (hz[last + 1] - hz[last])
     bandwidth = np.where(crosses.any(axis=1), highest, 0.0)
     return least, where, bandwidth
-
-
-def _wrapped(angle: FloatArray) -> FloatArray:
-    """Angles between -pi and pi."""
-    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def _least(values: FloatArray, hz: FloatArray, share: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -156,25 +162,10 @@ class LoopBand:
         phase -= 2.0 * np.pi * np.round((phase[:, :1] - phase[0, 0]) / (2.0 * np.pi))
         return cls(
             hz=omega / (2.0 * np.pi),
-            gain_db=_range(20.0 * np.log10(np.maximum(np.abs(loop), 1e-300))),
-            phase_deg=_range(np.degrees(phase)),
-            distance=_range(np.abs(1.0 + loop)),
+            gain_db=band_over(20.0 * np.log10(np.maximum(np.abs(loop), 1e-300))),
+            phase_deg=band_over(np.degrees(phase)),
+            distance=band_over(np.abs(1.0 + loop)),
         )
-
-    @classmethod
-    def join(cls, parts: Sequence[LoopBand]) -> LoopBand:
-        """The band over all plants of bands that begin with the same plant."""
-
-        def widest(name: str) -> FloatArray:
-            low, first, high = np.moveaxis(np.array([getattr(part, name) for part in parts]), 2, 0)
-            return np.stack([low.min(axis=0), first[0], high.max(axis=0)], axis=1)
-
-        return cls(parts[0].hz, *map(widest, ("gain_db", "phase_deg", "distance")))
-
-
-def _range(values: FloatArray) -> FloatArray:
-    """Smallest, first and largest value of each column."""
-    return np.stack([values.min(axis=0), values[0], values.max(axis=0)], axis=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,17 +188,14 @@ class MarginSummary:
 
 def margin_summaries(margins: Margins, required: Requirements) -> Iterator[MarginSummary]:
     """Gain, phase and modulus margins, and the bandwidth."""
-    yield _summary("gain", "dB", required.gain_db, margins.gain_db, margins.gain_hz)
-    yield _summary("phase", "deg", required.phase_deg, margins.phase_deg, margins.phase_hz)
-    yield _summary("modulus", "1", required.modulus, margins.modulus, margins.modulus_hz)
-    yield _summary("bandwidth", "Hz", None, margins.bandwidth_hz, None)
-
-
-def _summary(
-    name: str, unit: str, required: float | None, values: FloatArray, hz: FloatArray | None
-) -> MarginSummary:
-    plant = int(np.argmin(values))
-    where = None if hz is None else float(hz[plant])
-    return MarginSummary(
-        name, unit, required, float(values[plant]), float(np.median(values)), where, plant
+    of_margins: tuple[tuple[str, str, float | None, FloatArray, FloatArray | None], ...] = (
+        ("gain", "dB", required.gain_db, margins.gain_db, margins.gain_hz),
+        ("phase", "deg", required.phase_deg, margins.phase_deg, margins.phase_hz),
+        ("modulus", "1", required.modulus, margins.modulus, margins.modulus_hz),
+        ("bandwidth", "Hz", None, margins.bandwidth_hz, None),
     )
+    for name, unit, limit, values, hz in of_margins:
+        plant = int(np.argmin(values))
+        where = None if hz is None else float(hz[plant])
+        least, median = float(values[plant]), float(np.median(values))
+        yield MarginSummary(name, unit, limit, least, median, where, plant)

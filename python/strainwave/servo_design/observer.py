@@ -20,20 +20,13 @@ from typing import Self
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
-from strainwave.domain import FloatArray
+from strainwave.domain import FloatArray, Joint
 from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise
 from strainwave.servo_design.closed_loop import Clock
-from strainwave.servo_design.joint_plant import (
-    DISTURBANCE,
-    DRIVE_TORQUE,
-    LAST_INPUT,
-    MOTION,
-    TwoInertia,
-)
 from strainwave.servo_design.link_measurements import Measurement, measurements_of
 from strainwave.servo_design.plants import Condition, link_inertias
 
@@ -41,6 +34,93 @@ _DEFAULT_BAND_HZ = 5.0  # of torque errors, if the result has none
 _DEFAULT_ERROR_SHARE = 0.02  # of the torque at one volt: torque error, if the result has none
 _INTERACTION_RATIO = 5.0  # of unknown interaction torques over the dry friction, at the motor
 _BIAS_TIME = 10.0  # [s] in which a bias drifts by the noise of one sample
+
+_MOTION = ("motor_angle", "motor_velocity", "link_angle", "link_velocity")
+
+_DISTURBANCE, _DRIVE_TORQUE, _LAST_INPUT = "motor_torque_error", "drive_torque", "last_input"
+"""Names of states."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _TwoInertia:
+    """Motor and link of one joint with the gear between them."""
+
+    number: int
+    joint: Joint
+    motor_inertia: float
+    link_inertia: float
+    stiffness: float
+    gear_damping: float
+    motor_friction: float
+    link_friction: float
+    dry_friction: float
+    torque_per_volt: float
+
+    @classmethod
+    def of(cls, arm: IdentifiedArm, model: Arm, number: int, link_inertia: float) -> Self:
+        """The joint with the geometric mean of the lowest and highest slope of its gear."""
+        joint, values = arm.joint(number), arm.values
+        slopes = joint.law.stiffness_range(joint.law.of_joint(values, number))
+
+        def of(name: str) -> float:
+            return values.get((name, number), 0.0)
+
+        return cls(
+            number=number,
+            joint=joint,
+            motor_inertia=arm.need("motor_inertia", number),
+            link_inertia=link_inertia,
+            stiffness=math.sqrt(slopes[0] * slopes[1]),
+            gear_damping=arm.need("gear_damping", number),
+            motor_friction=of("motor_viscous_friction"),
+            link_friction=of("link_viscous_friction"),
+            dry_friction=of("motor_coulomb_friction"),
+            torque_per_volt=float(model.torque_per_volt[number - 1]),
+        )
+
+    @property
+    def mode_hz(self) -> float:
+        """Frequency of the link while the motor is held."""
+        return math.sqrt(self.stiffness / self.link_inertia) / math.tau
+
+    @property
+    def gear(self) -> FloatArray:
+        """Torque of the gear over angle and velocity of motor and link: (4,)."""
+        n, k, c = self.joint.gear_ratio, self.stiffness, self.gear_damping
+        return np.array([n * k, n * c, -k, -c])
+
+    def at_rest(self, names: Sequence[str]) -> FloatArray:
+        """States at rest over motor angle, interaction torque and input: (n, 3).
+
+        Dry friction holds what gear and drive leave.
+        """
+        n, rest = self.joint.gear_ratio, np.zeros((len(names), 3))
+        rest[0, 0], rest[2, :2] = 1.0, (n, -1.0 / self.stiffness)
+        rest[4] = 0.0, n, -self.torque_per_volt
+        if _DRIVE_TORQUE in names:
+            rest[names.index(_DRIVE_TORQUE), 2] = self.torque_per_volt
+        if _LAST_INPUT in names:
+            rest[names.index(_LAST_INPUT), 2] = 1.0
+        return rest
+
+    def equations(self, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+        """F (n, n) and G (n, 2) of dx = F x + G (u, t_int) for the states of `names`."""
+        F, G = np.zeros((len(names), len(names))), np.zeros((len(names), 2))
+        n, gear = self.joint.gear_ratio, self.gear
+        F[0, 1] = F[2, 3] = 1.0
+        F[1, :4] = -n * gear / self.motor_inertia
+        F[1, 1] -= self.motor_friction / self.motor_inertia
+        F[3, :4] = gear / self.link_inertia
+        F[3, 3] -= self.link_friction / self.link_inertia
+        F[1, names.index(_DISTURBANCE)] = 1.0 / self.motor_inertia
+        G[3, 1] = -1.0 / self.link_inertia
+        if _DRIVE_TORQUE in names:
+            at, rate = names.index(_DRIVE_TORQUE), math.tau * (self.joint.current_loop_hz or 0.0)
+            F[1, at], F[at, at] = 1.0 / self.motor_inertia, -rate
+            G[at, 0] = rate * self.torque_per_volt
+        else:
+            G[1, 0] = self.torque_per_volt / self.motor_inertia
+        return F, G
 
 
 OUTPUTS = ("link_angle", "link_velocity")
@@ -82,7 +162,6 @@ class Observer:
     gear_ratio: float
     mode: float  # [rad/s] of the link while the motor is held
     link_inertia: float  # J_L [kg m^2] at the posture of the design
-    link_std: float  # [rad] of the estimated link angle, by the model
 
     @property
     def system(self) -> ObserverSystem:
@@ -99,39 +178,12 @@ class Observer:
             states=self.names,
         )
 
-    def correct(self, x: FloatArray, readings: FloatArray, interaction: float) -> FloatArray:
-        """Estimate (n,) from the prediction and the readings."""
-        return np.asarray(x + self.L @ (readings - self.C @ x - self.D * interaction))
-
-    def predict(self, estimate: FloatArray, voltage: float, interaction: float) -> FloatArray:
-        """Prediction (n,) for the next period."""
-        return np.asarray(self.A @ estimate + self.B @ (voltage, interaction))
-
-    def rest(self, motor_angle: float, link_angle: float) -> FloatArray:
-        """State (n,) at rest without known torques."""
-        x = np.zeros(len(self.names))
-        x[[0, 2]] = motor_angle, link_angle
-        return x
-
     @property
     def torsion(self) -> FloatArray:
-        """Row (n,) of the torsion, n th - q, over the states."""
-        row = np.zeros(len(self.names))
-        row[0], row[2] = self.gear_ratio, -1.0
-        return row
-
-    @property
-    def torsion_rate(self) -> FloatArray:
-        """Row (n,) of the torsion's rate, n w - v, over the states."""
-        row = np.zeros(len(self.names))
-        row[1], row[3] = self.gear_ratio, -1.0
-        return row
-
-    @property
-    def poles(self) -> FloatArray:
-        """Magnitudes of the poles of the estimation error."""
-        closed = self.A @ (np.eye(len(self.A)) - self.L @ self.C)
-        return np.sort(np.abs(np.linalg.eigvals(closed)))
+        """Rows (2, n) of the torsion, n th - q, and of its rate, n w - v, over the states."""
+        rows = np.zeros((2, len(self.names)))
+        rows[[0, 1], [0, 1]], rows[[0, 1], [2, 3]] = self.gear_ratio, -1.0
+        return rows
 
 
 def design_observers(
@@ -154,58 +206,51 @@ def design_observers(
     for number, joint in enumerate(model.joints, start=1):
         if not joint.elastic or number in model.coupled_joints:
             continue  # a torsion behind a coupled transmission depends on several motors
-        plant = TwoInertia.of(arm, model, number, float(inertias[number - 1]))
+        plant = _TwoInertia.of(arm, model, number, float(inertias[number - 1]))
         used, unused = measurements_of(arm, number, plant.mode_hz, clock.period, noise)
         if not uses_link_sensors:
             used, unused = used[:1], ()
-        densities = _NoiseDensities.of(plant, noise, knows_interaction=knows_interaction)
+        densities = _noise_densities(plant, noise, knows_interaction=knows_interaction)
         observers.append(_observer(plant, clock, densities, used, unused))
     return tuple(observers)
 
 
-@dataclass(frozen=True, slots=True)
-class _NoiseDensities:
-    """Process noise of a joint: densities [unit^2 s] of the rates."""
+def _noise_densities(
+    plant: _TwoInertia, noise: IdentifiedNoise, *, knows_interaction: bool
+) -> tuple[float, float]:
+    """Process noise of link velocity and disturbance: densities [unit^2 s] of the rates.
 
-    disturbance: float
-    link_velocity: float
-
-    @classmethod
-    def of(cls, plant: TwoInertia, noise: IdentifiedNoise, *, knows_interaction: bool) -> Self:
-        """Noise by the torque error of the identification.
-
-        The disturbance is a random walk, so that a constant one leaves no error of the link. It
-        changes by torque error and dry friction together within the band of the torque error.
-        Behind the gear, an error of the same size moves the link; an unknown interaction torque is
-        some times as large as the dry friction.
-        """
-        band = math.tau * (noise.torque_band_hz or _DEFAULT_BAND_HZ)
-        error = noise.torques.get(plant.number) or _DEFAULT_ERROR_SHARE * plant.torque_per_volt
-        unknown = 0.0 if knows_interaction else _INTERACTION_RATIO * plant.dry_friction
-        of_link = math.hypot(error, unknown) / plant.joint.gear_ratio / plant.link_inertia
-        return cls(2.0 * band * (error**2 + plant.dry_friction**2), 2.0 / band * of_link**2)
+    The disturbance is a random walk, so that a constant one leaves no error of the link. It
+    changes by torque error and dry friction together within the band of the torque error.
+    Behind the gear, an error of the same size moves the link; an unknown interaction torque is
+    some times as large as the dry friction.
+    """
+    band = math.tau * (noise.torque_band_hz or _DEFAULT_BAND_HZ)
+    error = noise.torques.get(plant.number) or _DEFAULT_ERROR_SHARE * plant.torque_per_volt
+    unknown = 0.0 if knows_interaction else _INTERACTION_RATIO * plant.dry_friction
+    of_link = math.hypot(error, unknown) / plant.joint.gear_ratio / plant.link_inertia
+    return 2.0 / band * of_link**2, 2.0 * band * (error**2 + plant.dry_friction**2)
 
 
 def _observer(
-    plant: TwoInertia,
+    plant: _TwoInertia,
     clock: Clock,
-    noise: _NoiseDensities,
+    noise: tuple[float, float],
     measurements: tuple[Measurement, ...],
     unused: tuple[str, ...],
 ) -> Observer:
-    """Kalman filter of one joint."""
-    names = [*MOTION, DISTURBANCE]
+    names = [*_MOTION, _DISTURBANCE]
     if plant.joint.current_loop_hz:
-        names.append(DRIVE_TORQUE)
+        names.append(_DRIVE_TORQUE)
     names += [f"{one.label}_bias" for one in measurements if one.has_bias]
     F, G = plant.equations(names)
     densities = np.zeros(len(names))
-    densities[[3, 4]] = noise.link_velocity, noise.disturbance
+    densities[[3, 4]] = noise
     biases = [one.std**2 / _BIAS_TIME for one in measurements if one.has_bias]
     densities[len(names) - len(biases) :] = biases
     A, B, Q = _sampled(F, G, densities, clock)
     if clock.delay:
-        names.append(LAST_INPUT)
+        names.append(_LAST_INPUT)
     C, D = _readings(plant, measurements, names, F, G)
     R = np.diag([one.std**2 for one in measurements])
     try:
@@ -217,7 +262,6 @@ def _observer(
             remedy="check gear_ratio and torque_per_volt of the joint",
         ) from error
     L = np.linalg.solve(C @ P @ C.T + R, C @ P).T
-    remaining = P - L @ C @ P
     return Observer(
         joint=plant.number,
         period=clock.period,
@@ -233,7 +277,6 @@ def _observer(
         gear_ratio=plant.joint.gear_ratio,
         mode=math.tau * plant.mode_hz,
         link_inertia=plant.link_inertia,
-        link_std=float(np.sqrt(max(remaining[2, 2], 0.0))),
     )
 
 
@@ -264,7 +307,7 @@ def _sampled(
 
 
 def _readings(
-    plant: TwoInertia,
+    plant: _TwoInertia,
     measurements: Sequence[Measurement],
     names: Sequence[str],
     F: FloatArray,

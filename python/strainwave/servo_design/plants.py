@@ -11,7 +11,7 @@ of joints that slide.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -24,16 +24,11 @@ from strainwave.errors import NotIdentifiable
 from strainwave.export.coordinates import coordinates_of
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import JointCovariance
-from strainwave.servo_design.link_motion import payload_motion, payload_torques
 
 _MAX_STDS = 4.0  # of a drawn parameter from its estimate
-
 _MIN_SHARE = 0.01  # of the estimate, the smallest value drawn for a positive parameter
-
 _GRAVITY_STEP = 1e-3  # [rad] of central differences; gravity is smooth
-
 _RIGID_SHARE = 1e-3  # of the highest frequency, below which a mode has no torsion
-
 _SIGNED = ("friction_offset",)
 
 
@@ -87,9 +82,8 @@ class Plants:
 
     def motor_inertias(self) -> FloatArray:
         """Inertia that each motor accelerates in the first instant: (n_plants, n_joints)."""
-        compliance = self.motors @ np.linalg.solve(self.mass, np.broadcast_to(
-            self.motors.T, (len(self), *self.motors.T.shape)
-        ))  # fmt: skip
+        motors = np.broadcast_to(self.motors.T, (len(self), *self.motors.T.shape))
+        compliance = self.motors @ np.linalg.solve(self.mass, motors)
         return np.asarray(1.0 / np.diagonal(compliance, axis1=1, axis2=2))
 
     def rigid_inertias(self) -> FloatArray:
@@ -233,13 +227,14 @@ class LinksAt:
 
         inertia = columns(regressor(posture, unit), regressor(posture, rest))
         gravity = columns(regressor(ahead, rest), regressor(behind, rest)) / (2.0 * _GRAVITY_STEP)
-        of_load, load_gravity = np.zeros((n, n)), np.zeros((n, n))
-        if load is not None:
-            jacobian, _ = payload_motion(model, load, posture[:1], rest[:1], rest[:1])
-            of_load = load.mass * jacobian[0].T @ jacobian[0]
-            weights = [payload_torques(model, load, at, rest, rest) for at in (ahead, behind)]
-            load_gravity = columns(*weights) / (2.0 * _GRAVITY_STEP)
-        return cls(inertia, gravity, of_load, load_gravity)
+        if load is None:
+            return cls(inertia, gravity, np.zeros((n, n)), np.zeros((n, n)))
+        # a payload is a part of the last link, whose parameters those of a chain have one by one
+        chain = replace(model, kind="serial")
+        vector = chain.payload_vector(load)
+        torques = (chain.link_torques(vector, at, rest, rest) for at in (ahead, behind))
+        of_load = columns(*torques) / (2.0 * _GRAVITY_STEP)
+        return cls(inertia, gravity, chain.inertia_matrix(vector, q), of_load)
 
     def inertia(self, base: FloatArray) -> FloatArray:
         """M(q), (n_joints, n_joints)."""
@@ -261,30 +256,26 @@ def drawn_values(
     estimates = arm.values
     std = {p.label: p.std for p in arm.parameters if p.value is not None and p.std is not None}
     keys = {p.label: p.key for p in arm.parameters if p.value is not None}
-    names = [] if covariance is None else [name for name in covariance.names if name in keys]
-    at = [] if covariance is None else [covariance.names.index(name) for name in names]
-    root = np.zeros((0, 0))
-    if covariance is not None and names:
+    names, root = list[str](), np.zeros((0, 0))
+    if covariance is not None:
+        names = [name for name in covariance.names if name in keys]
+        at = [covariance.names.index(name) for name in names]
         squares, vectors = np.linalg.eigh(covariance.matrix[np.ix_(at, at)])
         root = vectors * np.sqrt(np.clip(squares, 0.0, None))
     others = [name for name in std if name not in names]
+    least = {
+        key: _MIN_SHARE * value if value > 0.0 and key[0] not in _SIGNED else -np.inf
+        for key, value in estimates.items()
+    }
     draws = [estimates]
     for _ in range(n_draws):
         unit = np.clip(rng.standard_normal(len(names)), -_MAX_STDS, _MAX_STDS)
-        changes = dict(zip(names, (root @ unit).tolist(), strict=True)) if names else {}
-        own = np.clip(rng.standard_normal(len(others)), -_MAX_STDS, _MAX_STDS).tolist()
-        changes |= {name: std[name] * x for name, x in zip(others, own, strict=True)}
-        draws.append(dict(_changed(estimates, {keys[n]: x for n, x in changes.items()})))
+        own = np.clip(rng.standard_normal(len(others)), -_MAX_STDS, _MAX_STDS)
+        sizes = [*(root @ unit).tolist(), *(own * [std[name] for name in others]).tolist()]
+        changes = {keys[name]: x for name, x in zip((*names, *others), sizes, strict=True)}
+        changed = {key: value + changes.get(key, 0.0) for key, value in estimates.items()}
+        draws.append({key: max(value, least[key]) for key, value in changed.items()})
     return draws
-
-
-def _changed(estimates: Values, changes: Values) -> Iterator[tuple[tuple[str, int | None], float]]:
-    """The estimates with changes; positive parameters stay positive."""
-    for key, value in estimates.items():
-        changed = value + changes.get(key, 0.0)
-        if value > 0.0 and key[0] not in _SIGNED:
-            changed = max(changed, _MIN_SHARE * value)
-        yield key, changed
 
 
 def link_inertias(arm: IdentifiedArm, model: Arm, condition: Condition) -> FloatArray:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import reduce
 from heapq import nsmallest
 from itertools import islice, product
-from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -20,8 +19,6 @@ from strainwave.servo_design.shapers import (
     Impulses,
     Shaper,
     ShaperKind,
-    check_modes,
-    check_period,
     design_shaper,
     has_design,
 )
@@ -44,6 +41,27 @@ class RankedShaper:
     impulses: Impulses  # on the clock of the servo
     vibration: float  # the largest share of residual vibration over the modes' intervals
     is_sufficient: bool  # whether the vibration is within the requirement
+
+    @property
+    def title(self) -> str:
+        """Kinds and design frequencies."""
+        parts = [f"{one.kind} at {one.omega / (2.0 * np.pi):.4g} Hz" for one in self.shapers]
+        return " and ".join(parts)
+
+    @property
+    def samples(self) -> list[int]:
+        """Periods of the servo from the first impulse to each that is not zero."""
+        return list(np.flatnonzero(self.impulses.amplitudes).tolist())
+
+    @property
+    def times(self) -> list[float]:
+        """Times [s] of these impulses."""
+        return list(self.impulses.times[self.samples].tolist())
+
+    @property
+    def amplitudes(self) -> list[float]:
+        """Amplitudes of these impulses, sum 1."""
+        return list(self.impulses.amplitudes[self.samples].tolist())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,17 +107,11 @@ def rank_shapers(
     Several modes have the convolution of their shapers; a mode may have none if the shapers of the
     others suffice. Raises `InvalidInput` if a mode does not oscillate, or too fast for the clock.
     """
-    omega, damping = check_modes(np.atleast_2d(omega), np.atleast_2d(damping))
-    if omega.ndim != 2 or not omega.size:
-        raise InvalidInput(
-            f"modes have the shape {omega.shape}, expected (n_modes, n_draws) with at least one",
-            remedy="an arm without elastic modes needs no shaper",
-        )
-    if not 0.0 < required < 1.0:
-        raise InvalidInput(f"the required vibration {required:g} is not between 0 and 1")
+    omega, damping = np.atleast_2d(omega), np.atleast_2d(damping)
+    _check_modes(omega, damping)
     intervals = [_Interval.of(*mode) for mode in zip(omega, damping, strict=True)]
     for interval in intervals:
-        check_period(period, interval.omega, interval.damping)
+        _check_period(period, interval)
     choices = [_choices(one, intervals, period) for one in intervals]
     combinations = islice(product(*choices), 1, None)  # the first has no shaper
     return nsmallest(
@@ -107,6 +119,33 @@ def rank_shapers(
         (_combined(parts, period, required) for parts in combinations),
         key=lambda r: (max(r.vibration, required), r.impulses.duration, r.vibration),
     )
+
+
+def _check_modes(omega: FloatArray, damping: FloatArray) -> None:
+    """Raise `InvalidInput` unless all modes oscillate."""
+    wrong = ~(np.isfinite(omega) & (omega > 0.0))
+    if wrong.any():
+        raise InvalidInput(
+            f"the frequency {omega[wrong][0]:g} rad/s of a mode is not positive and finite",
+            remedy="give angular frequencies in rad/s",
+        )
+    wrong = ~((damping >= 0.0) & (damping < 1.0))
+    if wrong.any():
+        raise InvalidInput(
+            f"a mode with the damping ratio {damping[wrong][0]:g} does not oscillate",
+            remedy="give damping ratios from 0 up to, but not including, 1",
+        )
+
+
+def _check_period(period: float, mode: _Interval) -> None:
+    """Raise `InvalidInput` unless the clock samples a mode at least twice per oscillation."""
+    fastest = float(np.max(mode.omega * np.sqrt(1.0 - mode.damping**2)))
+    if fastest * period >= np.pi:
+        raise InvalidInput(
+            f"a mode vibrates at {fastest / (2.0 * np.pi):.4g} Hz, but half of the sampling rate "
+            f"is {0.5 / period:.4g} Hz",
+            remedy="leave that mode out, or shape the reference at a higher rate",
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +158,6 @@ class _Choice:
 
 
 def _choices(mode: _Interval, modes: list[_Interval], period: float) -> list[_Choice]:
-    """No shaper, and a shaper of each kind for one of the modes."""
     omega = np.concatenate([one.omega for one in modes])
     damping = np.concatenate([one.damping for one in modes])
     choices = [_Choice(None, np.ones(1), np.ones(len(omega)))]
@@ -140,37 +178,32 @@ def _least_vibration(kind: ShaperKind, mode: _Interval, period: float) -> Shaper
         sampled = design_shaper(kind, omega, mode.middle_damping, tolerance).sample(period)
         return float(sampled.residual_vibration(mode.omega, mode.damping).max())
 
-    def best(tolerance: float) -> _Minimum:
+    def best(tolerance: float) -> tuple[float, float]:
         return _minimum(lambda omega: worst(omega, tolerance), low, high)
 
     def worst_of_best(log_ratio: float) -> float:
         tolerance = MIN_TOLERANCE * float(np.exp(log_ratio))
         exists = has_design(kind, mode.middle_damping, tolerance)
-        return best(tolerance).cost if exists else 1.0
+        return best(tolerance)[1] if exists else 1.0
 
     tolerance = MIN_TOLERANCE
     if kind in TOLERANT:
         widest = float(np.log(_MAX_TOLERANCE / MIN_TOLERANCE))
-        tolerance *= float(np.exp(_minimum(worst_of_best, 0.0, widest).argument))
-    return design_shaper(kind, best(tolerance).argument, mode.middle_damping, tolerance)
+        tolerance *= float(np.exp(_minimum(worst_of_best, 0.0, widest)[0]))
+    return design_shaper(kind, best(tolerance)[0], mode.middle_damping, tolerance)
 
 
-class _Minimum(NamedTuple):
-    argument: float
-    cost: float
-
-
-def _minimum(cost: Callable[[float], float], low: float, high: float) -> _Minimum:
-    """Least cost: the best of a grid, then refined between its neighbours."""
+def _minimum(cost: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
+    """Argument and value of the least cost: of a grid, then refined between its neighbours."""
     grid = np.unique(np.linspace(low, high, _N_STARTS)).tolist()
     costs = [cost(x) for x in grid]
     best = int(np.argmin(costs))
     begin, end = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    least = _Minimum(grid[best], costs[best])
+    least = grid[best], costs[best]
     if begin == end:
         return least
     search = minimize_scalar(cost, bounds=(begin, end), method="bounded")
-    return min(least, _Minimum(float(search.x), float(search.fun)), key=lambda m: m.cost)
+    return min(least, (float(search.x), float(search.fun)), key=lambda pair: pair[1])
 
 
 def _combined(parts: tuple[_Choice, ...], period: float, required: float) -> RankedShaper:

@@ -12,27 +12,10 @@ from strainwave.errors import InvalidInput
 from strainwave.export.source import arm_of
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.joint_covariance import covariance_of, noise_of
-from strainwave.io.results import read_document, result_path
 from strainwave.servo_design.design import ServoDesign, ServoOptions, design_servo
 
 PAGE = "tune.html"
 """Name of the report."""
-
-
-def tune_file(
-    result: Path,
-    out: Path,
-    options: ServoOptions,
-    *,
-    study: Path | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> ServoDesign:
-    """Design the servos for a result.json, or the one in a directory; write page and hand-over.
-
-    `study` is a study file with other gear ratios, limits or another servo.
-    """
-    path = result_path(result)
-    return tune_document(read_document(path), path, options, out, study=study, progress=progress)
 
 
 def tune_document(
@@ -44,7 +27,11 @@ def tune_document(
     study: Path | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> ServoDesign:
-    """Design the servos for a result document; `source` names it in messages."""
+    """Design the servos for a result document; write page and hand-over to a directory `out`.
+
+    `source` names the document in messages. `study` is a study file with other gear ratios, limits
+    or another servo.
+    """
     arm = arm_of(document, source, study)
     design = design_servo(arm, covariance_of(document), options, progress, noise_of(document))
     if out is not None:
@@ -52,7 +39,7 @@ def tune_document(
         from strainwave.servo_design.report.page import render
 
         progress("writing the report")
-        files = {name: to_file(design).data for name, to_file in FILES.items()}
+        files = {name: to_file(design).encode() for name, to_file in FILES.items()}
         write_whole(out, {PAGE: render(design).encode(), **files})
     return design
 

@@ -7,7 +7,9 @@ derive quantities from a model with their uncertainty; `propagate` does so for a
 """
 
 from strainwave.statespace._stack import remove_means as remove_means
+from strainwave.statespace.continuous import propagate as propagate
 from strainwave.statespace.continuous import to_continuous as to_continuous
+from strainwave.statespace.modes import frequency_response as frequency_response
 from strainwave.statespace.modes import modes as modes
 from strainwave.statespace.modes import nearest as nearest
 from strainwave.statespace.modes import poles_and_zeros as poles_and_zeros
@@ -17,8 +19,6 @@ from strainwave.statespace.modes import (
 from strainwave.statespace.order import select_order as select_order
 from strainwave.statespace.pem import PemOptions as PemOptions
 from strainwave.statespace.pem import pem as pem
-from strainwave.statespace.propagation import propagate as propagate
 from strainwave.statespace.residuals import check_model as check_model
-from strainwave.statespace.response import frequency_response as frequency_response
 from strainwave.statespace.subspace import subspace as subspace
 from strainwave.statespace.subspace import subspace_orders as subspace_orders

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from strainwave import _core
 from strainwave.domain import Diagnostic, FloatArray, SearchEnd, StateSpace
-from strainwave.statespace._entries import Matrices, unpack, unscale
-from strainwave.statespace._riccati import is_stable
+from strainwave.statespace._matrices import Matrices, is_stable, unpack, unscale
 from strainwave.statespace._stack import Stack
 
 # Relative variance that regularises the innovations' covariance. It corresponds to innovations of

@@ -14,14 +14,14 @@ away.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.statespace._entries import Matrices, balancing
 from strainwave.statespace._evaluate import Evaluator
-from strainwave.statespace._riccati import is_stable
+from strainwave.statespace._matrices import Matrices, balancing, is_stable
 
 # Step of the central differences along an entry of K, in standard deviations: far above rounding,
 # and small against the curvature of log det I_m.
@@ -88,13 +88,12 @@ def _gradient(evaluator: Evaluator, matrices: Matrices, covariance: FloatArray) 
     Q = np.linalg.qr(scaled_directions, mode="complete")[0][:, n * n :]
     basis = np.zeros((n_plant, Q.shape[1]))
     basis[nonzero] = std[nonzero, None] * Q
-    information = _Information.of(evaluator, matrices, basis, states)
-    values, slope = matrices.pack(), np.zeros(len(covariance))
+    half_log = _half_log_information(evaluator, matrices, basis, states)
+    slope = np.zeros(len(covariance))
     for entry in range(n_plant, states):
         step = _GAIN_STEP_STDS * float(np.sqrt(max(covariance[entry, entry], 0.0)))
         for _ in range(_MAX_STEP_HALVINGS if step > 0.0 else 0):
-            plus = information.half_log(values, entry, step)
-            minus = information.half_log(values, entry, -step)
+            plus, minus = half_log(entry, step), half_log(entry, -step)
             if np.isfinite(plus - minus):
                 slope[entry] = 0.5 * (plus - minus) / step
                 break
@@ -119,42 +118,36 @@ def _coordinate_directions(matrices: Matrices) -> FloatArray:
     return np.stack(directions, axis=1)
 
 
-@dataclass(frozen=True, slots=True)
-class _Information:
-    """Information I_m near a model, on the first `_MAX_GRADIENT_SAMPLES` samples."""
+def _half_log_information(
+    evaluator: Evaluator, matrices: Matrices, basis: FloatArray, states: int
+) -> Callable[[int, float], float]:
+    """(1/2) log det I_m near a model after a change of one entry; infinite if predictors diverge.
 
-    evaluator: Evaluator
-    whitener: FloatArray
-    basis: FloatArray  # (n_plant, n_directions)
-    states: int  # index of the first initial state
-    n_values: int  # number of entries with the initial states of the used records
+    The information is that of the first `_MAX_GRADIENT_SAMPLES` samples in the directions `basis`
+    (n_plant, n_directions); `states` is the index of the first initial state.
+    """
+    data, lengths, remaining = evaluator.data, [], _MAX_GRADIENT_SAMPLES
+    for length in data.lengths:
+        if remaining > 0:
+            lengths.append(min(length, remaining))
+            remaining -= length
+    # only the last record is truncated, so the rows are contiguous
+    rows = slice(0, sum(lengths))
+    inputs, outputs = data.inputs[rows], data.outputs[rows]
+    used = replace(data, inputs=inputs, outputs=outputs, lengths=tuple(lengths))
+    core, whitener = Evaluator(used, matrices.order).core, evaluator.whitener(matrices)
+    values = matrices.pack()[: states + matrices.order * len(lengths)]
 
-    @staticmethod
-    def of(
-        evaluator: Evaluator, matrices: Matrices, basis: FloatArray, states: int
-    ) -> _Information:
-        data, lengths, remaining = evaluator.data, [], _MAX_GRADIENT_SAMPLES
-        for length in data.lengths:
-            if remaining > 0:
-                lengths.append(min(length, remaining))
-                remaining -= length
-        # only the last record is truncated, so the rows are contiguous
-        rows = slice(0, sum(lengths))
-        inputs, outputs = data.inputs[rows], data.outputs[rows]
-        used = replace(data, inputs=inputs, outputs=outputs, lengths=tuple(lengths))
-        n_values = states + matrices.order * len(lengths)
-        whitener = evaluator.whitener(matrices)
-        return _Information(Evaluator(used, matrices.order), whitener, basis, states, n_values)
-
-    def half_log(self, values: FloatArray, entry: int, step: float) -> float:
-        """(1/2) log det I_m after a change of one entry; infinite if the predictor diverges."""
-        changed = values[: self.n_values].copy()
+    def half_log(entry: int, step: float) -> float:
+        changed = values.copy()
         changed[entry] += step
-        hessian, _ = self.evaluator.core.normal_equations(changed, self.whitener)
+        hessian, _ = core.normal_equations(changed, whitener)
         if not np.isfinite(hessian).all():
             return float("inf")
-        projected = self.basis.T @ hessian[: len(self.basis)]
-        cross, state_block = projected[:, self.states :], hessian[self.states :, self.states :]
-        information = projected[:, : len(self.basis)] @ self.basis
+        projected = basis.T @ hessian[: len(basis)]
+        cross, state_block = projected[:, states:], hessian[states:, states:]
+        information = projected[:, : len(basis)] @ basis
         information = information - cross @ np.linalg.pinv(state_block, hermitian=True) @ cross.T
         return 0.5 * float(np.linalg.slogdet(information)[1])
+
+    return half_log

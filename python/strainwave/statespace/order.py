@@ -112,7 +112,6 @@ def _held_out_fit(model: StateSpace, held_out: list[InputOutput]) -> tuple[float
 def _choose_order(
     candidates: Sequence[StateSpace], data: Data, among: str, rest: str
 ) -> tuple[int, str]:
-    """Selected order and the reason."""
     names = ", ".join(str(model.order) for model in candidates)
     if len(candidates) == 1:
         return candidates[0].order, f"order {names}: {rest}"

@@ -25,10 +25,19 @@ from strainwave.domain import (
 from strainwave.domain.options import Focus
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.numerics.parallel import raise_if_stopped
-from strainwave.statespace._entries import Matrices, balance, n_entries, rescale, stabilise, unscale
 from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
+from strainwave.statespace._matrices import (
+    Matrices,
+    balance,
+    is_stable,
+    n_entries,
+    reflect_poles,
+    rescale,
+    stabilise,
+    stabilising_gain,
+    unscale,
+)
 from strainwave.statespace._restricted import restrict_steps
-from strainwave.statespace._riccati import is_stable, reflect_poles, stabilising_gain
 from strainwave.statespace._stack import Data, Stack, stack
 from strainwave.statespace.residuals import whiteness
 from strainwave.statespace.subspace import (
@@ -92,74 +101,19 @@ def pem(
     _check(order, start, options)
     stacked = stack(data)
     through = check_feedthrough(options.feedthrough, stacked)
-    candidates = _starts(stacked, order, start, through, options)
-    evaluator = Evaluator(stacked, candidates[0].order)
-    best = _best_fit(evaluator, candidates, through, replace(options, focus="prediction"))
+    starts = _starts(stacked, order, start, through, options)
+    evaluator = Evaluator(stacked, starts[0].order)
+    search = _Search(evaluator, through, replace(options, focus="prediction"))
+    best = search.best_fit(starts)
     if options.focus == "prediction" or is_stable(best.matrices.A):
-        return _model(evaluator, best, through, options)
-    stable = [stabilise(each) for each in (*candidates, best.matrices)]
+        return search.model(best)
+    stable = [stabilise(each) for each in (*starts, best.matrices)]
     starts = [evaluator.linear(each, through, gain=True, solutions=1) for each in stable]
     modulus = float(np.abs(np.linalg.eigvals(best.matrices.A)).max())
     warning = Diagnostic("stability-enforced", STATE_SPACE_MODEL, modulus=modulus)
-    model = _model(evaluator, _best_fit(evaluator, starts, through, options), through, options)
+    search = _Search(evaluator, through, options)
+    model = search.model(search.best_fit(starts))
     return replace(model, warnings=(*model.warnings, warning))
-
-
-def _best_fit(
-    evaluator: Evaluator,
-    starts: list[Matrices],
-    through: tuple[bool, ...],
-    options: PemOptions,
-) -> _Fit:
-    """Best fit from several starting values, without or with restricted gain."""
-    fits = []
-    for start in sorted(starts, key=lambda each: evaluator.cost(each.pack())):
-        fit = _fit(evaluator, start, through, options)
-        fits += [] if fit is None else [fit]
-        if fit is not None and fit.end is SearchEnd.CONVERGED:
-            break
-    if not fits:
-        raise NumericalFailure("no start of the prediction-error fit has a stable predictor")
-    best = min(fits, key=lambda fit: fit.cost)
-    if options.disturbance == "innovations" and best.end is SearchEnd.CONVERGED:
-        without = _fit_without_gain(evaluator, best, through, options)
-        best = without or _restricted(evaluator, best, through, options)
-    return best
-
-
-def _fit_without_gain(
-    evaluator: Evaluator, best: _Fit, feedthrough: tuple[bool, ...], options: PemOptions
-) -> _Fit | None:
-    """Fit with K = 0 if the data do not require a gain, otherwise None.
-
-    If the disturbances are white, K is zero and the predictor is as slow as the plant. In a short
-    record, an estimate of K then only adds variance to all other entries.
-    """
-    without_gain = replace(best.matrices, K=np.zeros_like(best.matrices.K))
-    if best.covariance is None or not is_stable(without_gain.A):
-        return None
-    # Bayesian information criterion, as for the order: the likelihood ratio is not chi-square here.
-    limit = best.cost + 0.5 * without_gain.K.size * np.log(evaluator.data.n_samples)
-    start = evaluator.linear(without_gain, feedthrough, gain=False, solutions=1)
-    if evaluator.cost(start.pack()) > best.cost + _MAX_ZERO_GAIN_COST_FACTOR * (limit - best.cost):
-        return None
-    fit = _fit(evaluator, start, feedthrough, replace(options, disturbance="none"))
-    if fit is None or fit.end is not SearchEnd.CONVERGED or fit.covariance is None:
-        return None
-    return fit if fit.cost < limit else None
-
-
-def _restricted(
-    evaluator: Evaluator, best: _Fit, feedthrough: tuple[bool, ...], options: PemOptions
-) -> _Fit:
-    """Fit with the gain of the restricted likelihood, and its covariance."""
-    restricted_matrices = restrict_steps(evaluator, best.matrices, best.covariance)
-    if restricted_matrices is best.matrices:
-        return best
-    refit = _fit(evaluator, restricted_matrices, feedthrough, replace(options, max_iterations=0))
-    if refit is None or refit.covariance is None:
-        return best
-    return replace(best, matrices=refit.matrices, covariance=refit.covariance, cost=refit.cost)
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +127,128 @@ class _Fit:
     end: SearchEnd
 
 
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """Fits of one data set with the same options."""
+
+    evaluator: Evaluator
+    feedthrough: tuple[bool, ...]
+    options: PemOptions
+
+    def best_fit(self, starts: list[Matrices]) -> _Fit:
+        """Best fit from several starting values, without or with restricted gain."""
+        fits = []
+        for start in sorted(starts, key=lambda each: self.evaluator.cost(each.pack())):
+            fit = self._fit(start)
+            fits += [] if fit is None else [fit]
+            if fit is not None and fit.end is SearchEnd.CONVERGED:
+                break
+        if not fits:
+            raise NumericalFailure("no start of the prediction-error fit has a stable predictor")
+        best = min(fits, key=lambda fit: fit.cost)
+        if self.options.disturbance == "innovations" and best.end is SearchEnd.CONVERGED:
+            best = self._without_gain(best) or self._restricted(best)
+        return best
+
+    def _without_gain(self, best: _Fit) -> _Fit | None:
+        """Fit with K = 0 if the data do not require a gain, otherwise None.
+
+        If the disturbances are white, K is zero and the predictor is as slow as the plant. In a
+        short record, an estimate of K then only adds variance to all other entries.
+        """
+        evaluator = self.evaluator
+        without_gain = replace(best.matrices, K=np.zeros_like(best.matrices.K))
+        if best.covariance is None or not is_stable(without_gain.A):
+            return None
+        # Bayesian information criterion, as for the order: the likelihood ratio is not chi-square
+        limit = best.cost + 0.5 * without_gain.K.size * np.log(evaluator.data.n_samples)
+        start = evaluator.linear(without_gain, self.feedthrough, gain=False, solutions=1)
+        highest = best.cost + _MAX_ZERO_GAIN_COST_FACTOR * (limit - best.cost)
+        if evaluator.cost(start.pack()) > highest:
+            return None
+        fit = replace(self, options=replace(self.options, disturbance="none"))._fit(start)
+        if fit is None or fit.end is not SearchEnd.CONVERGED or fit.covariance is None:
+            return None
+        return fit if fit.cost < limit else None
+
+    def _restricted(self, best: _Fit) -> _Fit:
+        """Fit with the gain of the restricted likelihood, and its covariance."""
+        matrices = restrict_steps(self.evaluator, best.matrices, best.covariance)
+        if matrices is best.matrices:
+            return best
+        refit = replace(self, options=replace(self.options, max_iterations=0))._fit(matrices)
+        if refit is None or refit.covariance is None:
+            return best
+        return replace(best, matrices=refit.matrices, covariance=refit.covariance, cost=refit.cost)
+
+    def _fit(self, start: Matrices) -> _Fit | None:
+        """Fit from one starting value.
+
+        None if the predictor or a model that must be stable is unstable, or innovations are not
+        finite.
+        """
+        options, evaluator = self.options, self.evaluator
+        if options.initial_state == "zero":
+            start = replace(start, initial_states=np.zeros_like(start.initial_states))
+        # Balanced coordinates improve the conditioning and reduce the number of iterations.
+        start = balance(start)
+        raise_if_stopped()
+        try:
+            fit = evaluator.core.fit(
+                start.pack(),
+                gain=options.disturbance == "innovations",
+                feedthrough=list(self.feedthrough),
+                initial_states=options.initial_state == "estimate",
+                # without a gain, the predictor is the model
+                stable=options.focus == "stability" and options.disturbance == "innovations",
+                floor=[MIN_VARIANCE_SHARE] * evaluator.data.n_outputs,
+                max_iterations=options.max_iterations,
+                tolerance=options.tolerance,
+            )
+        except ValueError:  # unstable start or innovations that are not finite
+            return None
+        return _Fit(
+            matrices=evaluator.unpack(fit.values),
+            covariance=fit.covariance,
+            cost=fit.cost,
+            predicted_decrease=fit.predicted_decrease,
+            iterations=fit.iterations,
+            evaluations=fit.evaluations,
+            end=SearchEnd(fit.status),
+        )
+
+    def model(self, fit: _Fit) -> StateSpace:
+        """The result record of a fit."""
+        data = self.evaluator.data
+        method: Literal["pem", "output-error"]
+        method = "pem" if self.options.disturbance == "innovations" else "output-error"
+        status: SearchEnd | Literal["not-determined"]
+        status = fit.end if fit.covariance is not None else "not-determined"
+        warnings = _fit_warnings(fit, self.options)
+        model = assemble(data, fit.matrices, method, status, self.feedthrough, warnings)
+        if fit.covariance is not None:
+            kind = self.options.covariance
+            if kind == "auto":
+                fitted = fit.matrices.K.size if fit.matrices.K.any() else 0
+                white = whiteness(self.evaluator.residuals(fit.matrices), data, fitted)
+                kind = "white" if white.passed else "sandwich"
+            full = fit.covariance
+            if kind == "sandwich":
+                full = _sandwich(self.evaluator, fit.matrices, full)
+            freedom = data.n_samples - model.n_parameters / data.n_outputs
+            full = full * data.n_samples / max(freedom, 1.0)
+            size = n_entries(fit.matrices.order, data.n_inputs, data.n_outputs)
+            scale = unscale(self.evaluator.unpack(np.ones(size)), data).pack()
+            covariance = full[:size, :size] * np.outer(scale, scale)
+            model = replace(model, covariance=covariance, covariance_kind=kind)
+        return replace(
+            model,
+            iterations=fit.iterations,
+            evaluations=fit.evaluations,
+            warnings=model.warnings + _negative_fit_warning(model),
+        )
+
+
 def _starts(
     data: Stack,
     order: int | None,
@@ -180,7 +256,6 @@ def _starts(
     feedthrough: tuple[bool, ...],
     options: PemOptions,
 ) -> list[Matrices]:
-    """Starting values with stable predictors."""
     if start is None:
         horizon, factors = choose_horizon(data, order or MAX_ORDER), Factors(data)
         realisations = [
@@ -207,98 +282,28 @@ def _from_model(start: StateSpace, data: Stack) -> Matrices:
             f"expected a start of {data.n_inputs} inputs and {data.n_outputs} outputs, "
             f"got {shape[0]} and {shape[1]}"
         )
-    states = np.zeros((len(data.lengths), start.order))
-    converted = _resample(start, data.sample_time, states)
-    scaled = rescale(converted, data)
-    noise = start.noise_covariance / np.outer(data.output_scale, data.output_scale)
-    noise = noise + MIN_VARIANCE_SHARE * np.eye(len(noise))
-    K = stabilising_gain(scaled.A, scaled.C, scaled.K, noise)
-    return replace(scaled, K=K)
-
-
-def _resample(start: StateSpace, sample_time: float, states: FloatArray) -> Matrices:
-    """Matrices of a start, converted to another sampling period.
-
-    B and D depend on the hold, so the fit re-estimates them.
-    """
-    A, K, ratio = start.A, start.K, sample_time / start.sample_time
-    if abs(ratio - 1.0) > 1e-9:
+    A, K, ratio = start.A, start.K, data.sample_time / start.sample_time
+    if abs(ratio - 1.0) > 1e-9:  # B and D depend on the hold, so the fit re-estimates them
         values, vectors = np.linalg.eig(A)
         if ((values.imag == 0.0) & (values.real <= 0.0)).any():
             raise InvalidInput(
-                f"expected a start at the data's {1.0 / sample_time:.6g} Hz, for its pole on the "
-                f"negative real axis has no counterpart; got {1.0 / start.sample_time:.6g} Hz"
+                f"expected a start at the data's {1.0 / data.sample_time:.6g} Hz, for its pole on "
+                f"the negative real axis has no counterpart; got {1.0 / start.sample_time:.6g} Hz"
             )
-        powers = values.astype(complex) ** ratio
-        A = np.real((vectors * powers) @ np.linalg.inv(vectors))
+        A = np.real((vectors * values.astype(complex) ** ratio) @ np.linalg.inv(vectors))
         K = ratio * K
-    return Matrices(A, start.B, start.C, start.D, K, states)
-
-
-def _fit(
-    evaluator: Evaluator, start: Matrices, feedthrough: tuple[bool, ...], options: PemOptions
-) -> _Fit | None:
-    """Fit from one starting value.
-
-    None if the predictor or a model that must be stable is unstable, or innovations are not finite.
-    """
-    if options.initial_state == "zero":
-        start = replace(start, initial_states=np.zeros_like(start.initial_states))
-    # Balanced coordinates improve the conditioning and reduce the number of iterations.
-    start = balance(start)
-    raise_if_stopped()
-    try:
-        fit = evaluator.core.fit(
-            start.pack(),
-            gain=options.disturbance == "innovations",
-            feedthrough=list(feedthrough),
-            initial_states=options.initial_state == "estimate",
-            # without a gain, the predictor is the model
-            stable=options.focus == "stability" and options.disturbance == "innovations",
-            floor=[MIN_VARIANCE_SHARE] * evaluator.data.n_outputs,
-            max_iterations=options.max_iterations,
-            tolerance=options.tolerance,
-        )
-    except ValueError:  # unstable start or innovations that are not finite
-        return None
-    return _Fit(
-        matrices=evaluator.unpack(fit.values),
-        covariance=fit.covariance,
-        cost=fit.cost,
-        predicted_decrease=fit.predicted_decrease,
-        iterations=fit.iterations,
-        evaluations=fit.evaluations,
-        end=SearchEnd(fit.status),
-    )
-
-
-def _model(
-    evaluator: Evaluator, fit: _Fit, feedthrough: tuple[bool, ...], options: PemOptions
-) -> StateSpace:
-    method: Literal["pem", "output-error"]
-    method = "pem" if options.disturbance == "innovations" else "output-error"
-    status: SearchEnd | Literal["not-determined"]
-    status = fit.end if fit.covariance is not None else "not-determined"
-    warnings = _fit_warnings(fit, options)
-    model = assemble(evaluator.data, fit.matrices, method, status, feedthrough, warnings)
-    if fit.covariance is not None:
-        covariance, kind = _covariance(evaluator, fit, options, model.n_parameters)
-        model = replace(model, covariance=covariance, covariance_kind=kind)
-    return replace(
-        model,
-        iterations=fit.iterations,
-        evaluations=fit.evaluations,
-        warnings=model.warnings + _negative_fit_warning(model),
-    )
+    states = np.zeros((len(data.lengths), start.order))
+    scaled = rescale(Matrices(A, start.B, start.C, start.D, K, states), data)
+    noise = start.noise_covariance / np.outer(data.output_scale, data.output_scale)
+    noise = noise + MIN_VARIANCE_SHARE * np.eye(len(noise))
+    return replace(scaled, K=stabilising_gain(scaled.A, scaled.C, scaled.K, noise))
 
 
 def _fit_warnings(fit: _Fit, options: PemOptions) -> tuple[Diagnostic, ...]:
     warnings, place, decrease = [], STATE_SPACE_MODEL, fit.predicted_decrease
     if fit.end is SearchEnd.EVALUATION_LIMIT:
-        iterations = fit.iterations
-        warnings.append(
-            Diagnostic("pem-iteration-limit", place, iterations=iterations, decrease=decrease)
-        )
+        values = {"iterations": fit.iterations, "decrease": decrease}
+        warnings.append(Diagnostic("pem-iteration-limit", place, **values))
     if fit.end is SearchEnd.STALLED:
         variant = "" if options.disturbance != "none" else "output-error"
         warnings.append(Diagnostic("pem-stalled", place, variant, decrease=decrease))
@@ -327,27 +332,6 @@ def _negative_fit_warning(model: StateSpace) -> tuple[Diagnostic, ...]:
     return (Diagnostic("negative-fit", STATE_SPACE_MODEL, fits=fits),)
 
 
-def _covariance(
-    evaluator: Evaluator, fit: _Fit, options: PemOptions, n_parameters: int
-) -> tuple[FloatArray, Literal["white", "sandwich"]]:
-    """Covariance of A, B, C, D, K in the units of the data, and its kind."""
-    data = evaluator.data
-    n, m, p = evaluator.order, data.n_inputs, data.n_outputs
-    assert fit.covariance is not None
-    kind = options.covariance
-    if kind == "auto":
-        fitted = n * p if fit.matrices.K.any() else 0
-        white = whiteness(evaluator.residuals(fit.matrices), data, fitted)
-        kind = "white" if white.passed else "sandwich"
-    full = fit.covariance
-    if kind == "sandwich":
-        full = _sandwich(evaluator, fit.matrices, full)
-    full = full * data.n_samples / max(data.n_samples - n_parameters / p, 1.0)
-    size = n_entries(n, m, p)
-    scale = unscale(evaluator.unpack(np.ones(size)), data).pack()
-    return full[:size, :size] * np.outer(scale, scale), kind
-
-
 def _sandwich(evaluator: Evaluator, matrices: Matrices, bread: FloatArray) -> FloatArray:
     """Sandwich covariance H^-1 [sum over lags of E s[t] s[t+lag]'] H^-1 with scores s = e' W psi.
 
@@ -357,8 +341,7 @@ def _sandwich(evaluator: Evaluator, matrices: Matrices, bread: FloatArray) -> Fl
     """
     data = evaluator.data
     residuals = evaluator.residuals(matrices)
-    whitener = evaluator.whitener(matrices)
-    scores = evaluator.core.scores(matrices.pack(), whitener)
+    scores = evaluator.core.scores(matrices.pack(), evaluator.whitener(matrices))
     window = _correlation_window(residuals, data)
     size, entries = len(bread), scores.shape[1] - evaluator.order
     middle = np.zeros((size, size))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -11,8 +10,8 @@ import numpy as np
 from strainwave.domain import FloatArray, HypothesisTest, ModelCheck, StateSpace
 from strainwave.domain.distributions import CI99_STDS, chi_square_tail
 from strainwave.errors import InvalidInput
-from strainwave.statespace._entries import Matrices, rescale
 from strainwave.statespace._evaluate import Evaluator, fit_percent
+from strainwave.statespace._matrices import Matrices, rescale
 from strainwave.statespace._stack import Data, Stack, stack
 
 # Significance level of the tests.
@@ -56,13 +55,15 @@ def check_model(model: StateSpace, data: Data, *, lags: int = DEFAULT_LAGS) -> M
     evaluator, matrices = on_data(model, stacked)
     residuals = evaluator.residuals(matrices)
     lags = max(1, min(lags, max(stacked.lengths) // 4))
-    cross = _cross_tests(residuals, stacked, lags)
+    cross_tests, cross_correlation = _cross_tests(residuals, stacked, lags)
+    scale = np.sqrt(np.sum(residuals**2, axis=0))
+    normaliser = np.maximum(np.outer(scale, scale), np.finfo(float).tiny)
     return ModelCheck(
         fit_percent=fit_percent(stacked.outputs, evaluator.simulated(matrices)),
         prediction_fit_percent=fit_percent(stacked.outputs, stacked.outputs - residuals),
-        tests=(whiteness(residuals, stacked, lags=lags), cross.past, cross.future),
-        autocorrelation=_normalised(_correlations(residuals, residuals, stacked, lags), residuals),
-        cross_correlation=cross.correlations,
+        tests=(whiteness(residuals, stacked, lags=lags), *cross_tests),
+        autocorrelation=_correlations(residuals, residuals, stacked, lags) / normaliser,
+        cross_correlation=cross_correlation,
         confidence_99=CI99_STDS / float(np.sqrt(stacked.n_samples)),
     )
 
@@ -104,17 +105,12 @@ def whiteness(
     return _test_result("white", statistic, degrees)
 
 
-@dataclass(frozen=True, slots=True)
-class _CrossTests:
-    """Tests of residuals against inputs, and their correlations."""
-
-    past: HypothesisTest  # against past inputs
-    future: HypothesisTest  # against future inputs: feedback
-    correlations: FloatArray  # (2 lags + 1, n_outputs, n_inputs), normalised
-
-
-def _cross_tests(residuals: FloatArray, data: Stack, lags: int) -> _CrossTests:
+def _cross_tests(
+    residuals: FloatArray, data: Stack, lags: int
+) -> tuple[tuple[HypothesisTest, HypothesisTest], FloatArray]:
     """Tests of e[k] against u[k - l], l = 0..lags, and against u[k + l], l = 1..lags.
+
+    Also returns the correlations (2 lags + 1, n_outputs, n_inputs), normalised.
 
     r_l = sum e[k] u[k - l] / N has the covariance sum_j R_e(j) (x) R_u(j + l - l') / N (Ljung,
     System Identification, 2nd ed., 16.6). The tests are valid for coloured inputs and residuals.
@@ -135,7 +131,7 @@ def _cross_tests(residuals: FloatArray, data: Stack, lags: int) -> _CrossTests:
     future = _test_result("no-feedback", statistic, degrees)
     cross = np.concatenate([backward[:0:-1], forward])
     scale = np.sqrt(np.mean(residuals**2, axis=0)[:, None] * np.mean(data.inputs**2, axis=0))
-    return _CrossTests(past, future, cross / np.maximum(scale, np.finfo(float).tiny))
+    return (past, future), cross / np.maximum(scale, np.finfo(float).tiny)
 
 
 def _correlation_covariance(
@@ -174,11 +170,6 @@ def _correlations(left: FloatArray, right: FloatArray, data: Stack, lags: int) -
 def _two_sided(correlations: FloatArray) -> FloatArray:
     """Correlations at lags -L..L from those at lags 0..L, with R(-l) = R(l)'."""
     return np.concatenate([np.swapaxes(correlations[:0:-1], 1, 2), correlations])
-
-
-def _normalised(correlations: FloatArray, residuals: FloatArray) -> FloatArray:
-    scale = np.sqrt(np.sum(residuals**2, axis=0))
-    return correlations / np.maximum(np.outer(scale, scale), np.finfo(float).tiny)
 
 
 def _test_result(name: Name, statistic: float, degrees: int) -> HypothesisTest:

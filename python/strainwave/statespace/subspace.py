@@ -16,21 +16,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
+from strainwave import _core
 from strainwave.domain import STATE_SPACE_MODEL, Diagnostic, FloatArray, StateSpace
 from strainwave.domain.options import Focus
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.statespace._entries import Matrices, balance, stabilise
 from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
-from strainwave.statespace._riccati import (
+from strainwave.statespace._matrices import (
+    Matrices,
+    balance,
     innovations_gain,
     is_stable,
-    solve_upper,
+    stabilise,
     stabilising_gain,
-    triangular_factor,
 )
 from strainwave.statespace._stack import Data, Stack, stack
 
@@ -42,6 +43,14 @@ MAX_HORIZON = 40
 
 # Highest order that the singular values can select.
 MAX_ORDER = 10
+
+# Smallest ratio of pivots for which the Gram matrix is used instead of a QR decomposition. The
+# relative error of the weakest direction is then about 1e-16 / 1e-12, below the noise of measured
+# data.
+MIN_PIVOT_RATIO = 1e-6
+
+# Rows of each block of the QR decomposition; the full Hankel matrix is never stored.
+ROWS_PER_BLOCK = 2048
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +163,10 @@ def realise(
     methods = ("moesp", "predictor") if method == "auto" else (method,)
     length = horizon or choose_horizon(data, order or MAX_ORDER)
     _check_length(data, order or 1, length)
-    realisations = [_METHODS[way](factors, order, length, feedthrough) for way in methods]
+    realisations = [
+        _realise(factors, _METHODS[way](factors, order, length), length, feedthrough)
+        for way in methods
+    ]
 
     def cost(realisation: Realisation) -> float:
         evaluator = Evaluator(data, realisation.matrices.order)
@@ -186,7 +198,7 @@ def choose_horizon(data: Stack, order: int) -> int:
     min_horizon = min(max(order + 1, 2), max(max_horizon, 1))
     if max_horizon <= min_horizon:
         return min_horizon
-    R, rows = triangular_factor(data, max_horizon + 1, _regression_order(data, max_horizon))
+    R, rows = _triangular_factor(data, max_horizon + 1, _regression_order(data, max_horizon))
     output_columns = R[:, -data.n_outputs :]
     products = np.einsum("ki,kj->kij", output_columns, output_columns)[::-1].cumsum(axis=0)[::-1]
     starts = data.n_inputs + width * np.arange(1, max_horizon + 1)
@@ -198,7 +210,7 @@ def choose_horizon(data: Stack, order: int) -> int:
 
 def _regression_factor(data: Stack, past: int) -> FloatArray:
     """Triangular factor of [u[k], z[k-1], ..., z[k-past], y[k]]."""
-    return triangular_factor(data, past + 1, _regression_order(data, past))[0]
+    return _triangular_factor(data, past + 1, _regression_order(data, past))[0]
 
 
 def _regression_order(data: Stack, past: int) -> FloatArray:
@@ -219,21 +231,11 @@ def _predictor_directions(factors: Factors, past: int) -> Directions:
     width = m + p
     R = factors.regression(past)
     lead = m + past * width
-    coefficients = solve_upper(R[:lead, :lead], R[:lead, lead:])[m:].T
+    coefficients = _solve_upper(R[:lead, :lead], R[:lead, lead:])[m:].T
     padded = np.hstack([coefficients, np.zeros((p, past * width))])
     rows = np.vstack([padded[:, j * width : (j + past) * width] for j in range(past)])
     U, s, _ = np.linalg.svd(rows @ R[:, m:lead].T, full_matrices=False)
     return Directions(rows, s, U)
-
-
-def _predictor_realisation(
-    factors: Factors, order: int | None, past: int, feedthrough: tuple[bool, ...]
-) -> Realisation:
-    directions = factors.predictor(past)
-    s = directions.singular_values
-    n = order or _largest_gap(s)
-    to_state = (directions.vectors[:, :n].T @ directions.matrix) / np.sqrt(s[:n])[:, None]
-    return _realise_from_states(factors, to_state, past, s, feedthrough, given=None)
 
 
 def _oblique_directions(factors: Factors, past: int) -> Directions:
@@ -244,9 +246,37 @@ def _oblique_directions(factors: Factors, past: int) -> Directions:
     return Directions(L_wy, s, Vt.T)
 
 
-def _moesp_realisation(
-    factors: Factors, order: int | None, past: int, feedthrough: tuple[bool, ...]
-) -> Realisation:
+def _past_and_future_factor(data: Stack, past: int) -> FloatArray:
+    """Triangular factor of [future inputs, past w, future outputs]."""
+    m, width = data.n_inputs, data.n_inputs + data.n_outputs
+    window = np.arange(2 * past * width).reshape(2 * past, width)
+    history, future = window[:past], window[past:]
+    columns = [future[:, :m], history, future[:, m:]]
+    return _triangular_factor(data, 2 * past, np.concatenate([c.ravel() for c in columns]))[0]
+
+
+def _past_columns(data: Stack, past: int) -> tuple[int, int]:
+    """First and last column of the past in the matrix of `_past_and_future_factor`."""
+    m, width = data.n_inputs, data.n_inputs + data.n_outputs
+    return past * m, past * m + past * width
+
+
+class _States(NamedTuple):
+    """States by their coefficients over the past, newest sample first."""
+
+    to_state: FloatArray  # (n, past * width)
+    singular_values: FloatArray
+    given: tuple[FloatArray, FloatArray] | None = None  # A and C; None: by regression on the states
+
+
+def _predictor_states(factors: Factors, order: int | None, past: int) -> _States:
+    directions = factors.predictor(past)
+    s = directions.singular_values
+    n = order or _largest_gap(s)
+    return _States((directions.vectors[:, :n].T @ directions.matrix) / np.sqrt(s[:n])[:, None], s)
+
+
+def _moesp_states(factors: Factors, order: int | None, past: int) -> _States:
     """A and C from the extended observability matrix, states from the oblique projection."""
     p, (start, stop) = factors.data.n_outputs, _past_columns(factors.data, past)
     R, directions = factors.past_and_future(past), factors.oblique(past)
@@ -257,84 +287,55 @@ def _moesp_realisation(
     A = np.asarray(np.linalg.lstsq(observability[:-p], observability[p:], rcond=None)[0])
     # x = O^+ (oblique projection) = O^+ L_wy' L_ww'^-1 w
     targets = directions.matrix @ np.linalg.pinv(observability).T
-    oblique = solve_upper(R[start:stop, start:stop], targets)
-    return _realise_from_oblique(factors, oblique, past, s, feedthrough, given=(A, C))
+    oblique = _solve_upper(R[start:stop, start:stop], targets)
+    return _States(_newest_first(oblique, past), s, given=(A, C))
 
 
-def _n4sid_realisation(
-    factors: Factors, order: int | None, past: int, feedthrough: tuple[bool, ...]
-) -> Realisation:
-    """States from the unweighted oblique projection; A, B, C, D by regression on the states."""
+def _n4sid_states(factors: Factors, order: int | None, past: int) -> _States:
+    """States from the unweighted oblique projection."""
     R, (start, stop) = factors.past_and_future(past), _past_columns(factors.data, past)
-    onto_past = solve_upper(R[start:stop, start:stop], R[start:stop, stop:])
+    onto_past = _solve_upper(R[start:stop, start:stop], R[start:stop, stop:])
     # the projection acts on w itself, not on w after removal of the future inputs
     _, s, Vt = np.linalg.svd(np.linalg.qr(R[:stop, start:stop] @ onto_past, mode="r"))
     n = order or _largest_gap(s)
     observability = Vt[:n].T * np.sqrt(s[:n])
-    oblique = onto_past @ np.linalg.pinv(observability).T
-    return _realise_from_oblique(factors, oblique, past, s, feedthrough, given=None)
+    return _States(_newest_first(onto_past @ np.linalg.pinv(observability).T, past), s)
 
 
-def _past_and_future_factor(data: Stack, past: int) -> FloatArray:
-    """Triangular factor of [future inputs, past w, future outputs]."""
-    m, width = data.n_inputs, data.n_inputs + data.n_outputs
-    window = np.arange(2 * past * width).reshape(2 * past, width)
-    history, future = window[:past], window[past:]
-    columns = [future[:, :m], history, future[:, m:]]
-    return triangular_factor(data, 2 * past, np.concatenate([c.ravel() for c in columns]))[0]
-
-
-def _past_columns(data: Stack, past: int) -> tuple[int, int]:
-    """First and last column of the past in the matrix of `_past_and_future_factor`."""
-    m, width = data.n_inputs, data.n_inputs + data.n_outputs
-    return past * m, past * m + past * width
-
-
-def _realise_from_oblique(
-    factors: Factors,
-    oblique: FloatArray,
-    past: int,
-    singular_values: FloatArray,
-    feedthrough: tuple[bool, ...],
-    given: tuple[FloatArray, FloatArray] | None,
-) -> Realisation:
-    """Realisation from state coefficients (past * width, n) of the past, oldest sample first."""
+def _newest_first(oblique: FloatArray, past: int) -> FloatArray:
+    """State coefficients (n, past * width) from (past * width, n) with the oldest sample first."""
     n = oblique.shape[1]
-    to_state = oblique.T.reshape(n, past, -1)[:, ::-1].reshape(n, -1)
-    return _realise_from_states(factors, to_state, past, singular_values, feedthrough, given)
+    return oblique.T.reshape(n, past, -1)[:, ::-1].reshape(n, -1)
 
 
-def _realise_from_states(
-    factors: Factors,
-    to_state: FloatArray,
-    past: int,
-    singular_values: FloatArray,
-    feedthrough: tuple[bool, ...],
-    given: tuple[FloatArray, FloatArray] | None,
+_METHODS = {"moesp": _moesp_states, "n4sid": _n4sid_states, "predictor": _predictor_states}
+
+
+def _realise(
+    factors: Factors, states: _States, past: int, feedthrough: tuple[bool, ...]
 ) -> Realisation:
     """Regress outputs and next states on states and inputs; K follows from the residuals.
 
     The factor R of [u[k], z[k-1], ..., z[k-past], y[k]] represents the data. It has one sample more
     than the past, so the next state also has a full past.
     """
-    data, R = factors.data, factors.regression(past)
+    data, R, to_state = factors.data, factors.regression(past), states.to_state
     m, p = data.n_inputs, data.n_outputs
-    width = m + p
-    lead = m + past * width
+    lead = m + past * (m + p)
     n = len(to_state)
     u, y = R[:, :m], R[:, lead:]
     x = R[:, m:lead] @ to_state.T
     # For the next state, [u[k], y[k]] is the newest sample and the oldest sample drops out.
-    next_x = np.hstack([u, y, R[:, m : lead - width]]) @ to_state.T
+    next_x = np.hstack([u, y, R[:, m : lead - m - p]]) @ to_state.T
     has_feedthrough = np.array(feedthrough)
     D = np.zeros((p, m))
-    if given is None:
+    if states.given is None:
         AB = _regression(np.hstack([x, u]), next_x)
         CD = _regression(np.hstack([x, u[:, has_feedthrough]]), y)
         A, B, C = AB[:, :n], AB[:, n:], CD[:, :n]
         D[:, has_feedthrough] = CD[:, n:]
     else:
-        A, C = given
+        A, C = states.given
         B = _regression(u, next_x - x @ A.T)
         D[:, has_feedthrough] = _regression(u[:, has_feedthrough], y - x @ C.T)
     residuals = np.hstack([next_x - x @ A.T - u @ B.T, y - x @ C.T - u @ D.T])
@@ -343,7 +344,7 @@ def _realise_from_states(
     K, innovation = innovations_gain(A, C, noise[:n, :n], noise[:n, n:], noise[n:, n:])
     K = stabilising_gain(A, C, K, innovation)
     matrices = Matrices(A, B, C, D, K, initial_states=np.zeros((len(data.lengths), n)))
-    return Realisation(balance(matrices), singular_values, past)
+    return Realisation(balance(matrices), states.singular_values, past)
 
 
 def _regression(regressors: FloatArray, targets: FloatArray) -> FloatArray:
@@ -384,8 +385,46 @@ def _check(order: int | None, horizon: int | None, method: str) -> None:
         )
 
 
-_METHODS = {
-    "moesp": _moesp_realisation,
-    "n4sid": _n4sid_realisation,
-    "predictor": _predictor_realisation,
-}
+def _triangular_factor(data: Stack, depth: int, order: FloatArray) -> tuple[FloatArray, int]:
+    """Triangular factor R with R'R = Z'Z, and the number of rows of the block-Hankel matrix Z.
+
+    Row k of Z is [z[k], ..., z[k + depth - 1]] with z = [u, y]. The displacement structure gives
+    Z'Z, and R is its Cholesky factor. If Z'Z is ill-conditioned, a blocked QR decomposition of Z is
+    used.
+
+    `depth`: Number of samples in a row of Z.
+    `order`: Permutation of the columns of Z.
+    """
+    z = np.ascontiguousarray(np.hstack([data.inputs, data.outputs]))
+    gram, rows = _core.hankel_gram(z, list(data.lengths), depth)
+    try:
+        R = np.linalg.cholesky(gram[np.ix_(order, order)]).T
+        pivots = np.diagonal(R)
+        if pivots.min() >= MIN_PIVOT_RATIO * pivots.max():
+            return np.asarray(R), rows
+    except np.linalg.LinAlgError:
+        pass
+    return _qr_factor(_blocked_qr(data, z, depth)[:, order]), rows
+
+
+def _solve_upper(R: FloatArray, right: FloatArray) -> FloatArray:
+    """Solution of R x = right for triangular R; the minimum-norm solution if R is singular."""
+    pivots = np.abs(np.diagonal(R))
+    if pivots.min() > MIN_PIVOT_RATIO * pivots.max():
+        return np.asarray(np.linalg.solve(R, right))
+    return np.asarray(np.linalg.lstsq(R, right, rcond=1e-12)[0], dtype=np.float64)
+
+
+def _blocked_qr(data: Stack, z: FloatArray, depth: int) -> FloatArray:
+    width = z.shape[1]
+    R = np.zeros((0, depth * width))
+    for record in data.rows():
+        windows = np.lib.stride_tricks.sliding_window_view(z[record].ravel(), depth * width)
+        windows = windows[::width]
+        for start in range(0, len(windows), ROWS_PER_BLOCK):
+            R = _qr_factor(np.vstack([R, windows[start : start + ROWS_PER_BLOCK]]))
+    return R
+
+
+def _qr_factor(matrix: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.qr(matrix, mode="r"))

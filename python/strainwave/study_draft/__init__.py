@@ -1,9 +1,9 @@
 """Draft a study file from logs: `strainwave init`.
 
 `inspection` reads the logs, and `robot` the joints of a URDF. `names` and `signal_features`
-classify a column, `joints` assigns it to a joint, and `joint_columns` (angles), `joint_signals`
-(inputs, sensors) and `channels` map columns to channels. `experiment_type` proposes the use of each
-record, and `study_text` writes the study file with a reason for each guess.
+classify a column, `joints` assigns it to a joint, and `joint_columns` (angles) and `channels`
+(inputs, sensors) map columns to channels. `experiment_type` proposes the use of each record, and
+`study_text` writes the study file with a reason for each guess.
 """
 
 from __future__ import annotations
@@ -18,11 +18,7 @@ import numpy as np
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import write_whole
 from strainwave.study_draft.channels import add_channels, map_channels
-from strainwave.study_draft.experiment_type import (
-    ExperimentProposal,
-    propose_uses,
-    unchecked_joints,
-)
+from strainwave.study_draft.experiment_type import ExperimentProposal, propose_uses
 from strainwave.study_draft.inspection import Record, find_fullest_record, read_record
 from strainwave.study_draft.joint_columns import Guess, Mapping
 from strainwave.study_draft.joints import find_logged_joints
@@ -117,10 +113,12 @@ def _warnings(
         if guess.scale * largest < _MIN_MOTION:
             name = f" ({facts.name})" if facts.name else ""
             yield f"joint {number}{name} stands still in all logs: record a motion of it"
-    unchecked = unchecked_joints(experiments, len(mapping.joints))
+    checked = {each.joint for each in experiments if each.use == "check"}
+    joints = range(1, len(mapping.joints) + 1)
+    unchecked = ", ".join(str(joint) for joint in joints if joint not in checked)
     if is_elastic(mapping, experiments) and unchecked:
         yield (
-            f"no record validates the elastic model of joint {', '.join(map(str, unchecked))}: "
+            f"no record validates the elastic model of joint {unchecked}: "
             "record two or more step responses of each joint alone (strainwave excite plans them)"
         )
 

@@ -26,6 +26,7 @@ from strainwave.study_draft.signal_features import (
 _SLOW_HZ = 5.0  # [Hz] upper frequency of a motion of the whole arm
 _MIN_LOW_FREQUENCY_SHARE = 0.9  # of an input's power below _SLOW_HZ in a motion record
 _MIN_RANDOM_JUMPS = 40  # minimum number of jumps of a random input; step records have fewer
+_EXCITING = ("frequency", "sweep")
 # name of a validation record
 _CHECK_NAME = re.compile(r"check|val(?!ve)|test|verif", re.IGNORECASE)
 
@@ -77,25 +78,6 @@ def propose_uses(records: Sequence[Record], mapping: Mapping) -> list[Experiment
     _assign_sweeps(proposals)
     _assign_checks(proposals, mapping)
     return proposals
-
-
-def _assign_elastic_checks(proposals: list[ExperimentProposal]) -> None:
-    """Use the last step record of each joint for validation, if other records fit the model."""
-    checked = {each.joint for each in proposals if each.use == "check"}
-    excited = {each.joint for each in proposals if each.use in ("frequency", "sweep")}
-    for joint in {each.joint for each in proposals if each.use == "tuning"} - checked:
-        steps = [each for each in proposals if each.use == "tuning" and each.joint == joint]
-        if len(steps) > 1 or joint in excited:
-            steps[-1].become("check", "; used to validate the elastic model")
-
-
-def unchecked_joints(proposals: Sequence[ExperimentProposal], joints: int) -> list[int]:
-    """Return the joints, counted from 1, without a validation record for the elastic model.
-
-    `joints` is the number of joints of the arm.
-    """
-    checked = {each.joint for each in proposals if each.use == "check"}
-    return [joint for joint in range(1, joints + 1) if joint not in checked]
 
 
 def _propose_use(
@@ -222,7 +204,12 @@ def _assign_checks(proposals: list[ExperimentProposal], mapping: Mapping) -> Non
     for each in proposals:
         if each.use == "tuning" and each.joint in excited and "servo" not in each.control:
             each.become("check", " in open loop; used for validation")
-    _assign_elastic_checks(proposals)
+    # the last step record of each joint validates the elastic model, if others fit it
+    checked = {each.joint for each in proposals if each.use == "check"}
+    for joint in {each.joint for each in proposals if each.use == "tuning"} - checked:
+        steps = [each for each in proposals if each.use == "tuning" and each.joint == joint]
+        if len(steps) > 1 or joint in {e.joint for e in proposals if e.use in _EXCITING}:
+            steps[-1].become("check", "; used to validate the elastic model")
     if not any(each.use == "motion" for each in proposals):
         motion_checks = [e for e in proposals if e.use == "check" and e.joint is None]
         if motion_checks:

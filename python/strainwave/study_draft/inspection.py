@@ -41,11 +41,6 @@ class TimeColumn:
     scale: float | None  # [s] per unit; None: unknown, as that of a counter of samples
     step: float = field(default=1.0, compare=False)  # median step, in the unit
 
-    @property
-    def seconds_per_unit(self) -> float:
-        """The scale, or that of the assumed sampling period."""
-        return PLACEHOLDER_PERIOD / self.step if self.scale is None else self.scale
-
 
 def find_time(table: Table, columns: Mapping[str, FloatArray]) -> TimeColumn:
     """Find the time stamps: text, two columns, a column by name, any other clock, a counter."""
@@ -135,7 +130,7 @@ class Record:
 
     path: Path
     time: FloatArray  # (n_samples,) [s]
-    source: TimeColumn | None  # of the time stamps; None: those of a bag
+    source: TimeColumn | None  # of the time stamps; None: those of a bag, with fields of topics
     columns: dict[str, FloatArray]  # name -> (n_samples,)
     notes: tuple[str, ...]
     faults: tuple[str, ...] = ()  # values that `identify` rejects; omitted columns
@@ -153,11 +148,6 @@ class Record:
     def proportion(self, x: str, y: str) -> tuple[float, float]:
         """Correlation of two columns, and change of `y` per change of `x`."""
         return proportion(*(self.columns[n] - self.columns[n].mean() for n in (x, y)))
-
-    @property
-    def is_bag(self) -> bool:
-        """Whether the record is a bag, whose columns are fields of topics."""
-        return self.source is None
 
     @property
     def name(self) -> str:
@@ -206,10 +196,11 @@ def _read_table(path: Path) -> Record:
         for name, values in columns.items()
         if name not in table.clocks and not _repeats_time(name, values, time)
     }
+    scale = PLACEHOLDER_PERIOD / source.step if source.scale is None else source.scale
     quantities = {name: parse(name).quantity for name in columns}
     commands = {n for n, q in quantities.items() if q not in ("angle", "velocity", "torque")}
     clock = next((n for n, q in quantities.items() if q in ("angle", "velocity")), "")
-    track = Track("", source.seconds_per_unit * time, columns, table.row_name, commands)
+    track = Track("", scale * time, columns, table.row_name, commands)
     whole_record = Experiment(path.name, path.name, "motion", ())
     segments, warnings = segment_table(track, Roles(clock), whole_record, path)
     longest, *others = max(segments, key=lambda tracks: len(tracks[0].time))
@@ -217,7 +208,10 @@ def _read_table(path: Path) -> Record:
         longest = track
     notes = (*table.notes, *(warning.message for warning in warnings))
     if source.scale is None:
-        faults.append(_RATE_FAULT)
+        faults.append(
+            "there is no time column, and the sampling rate is unknown: enter it in [channels]."
+            " Scales of velocities and frequencies depend on it"
+        )
     return Record(
         path,
         longest.time,
@@ -234,12 +228,6 @@ def _repeats_time(name: str, values: FloatArray, time: FloatArray) -> bool:
     if parse(name.rpartition(".")[2]).quantity != "time" or np.ptp(values) == 0.0:
         return False
     return bool(np.corrcoef(values, time)[0, 1] > _MIN_CLOCK_CORRELATION)
-
-
-_RATE_FAULT = (
-    "there is no time column, and the sampling rate is unknown: enter it in [channels]. Scales of"
-    " velocities and frequencies depend on it"
-)
 
 
 def _read_bag(path: Path) -> Record:

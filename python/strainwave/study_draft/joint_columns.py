@@ -64,11 +64,6 @@ class JointFacts:
     command: str = ""  # unit of the input if it is a command of the drive: V or A
     link_sensors: set[str] = field(default_factory=set)
 
-    @property
-    def shows_elasticity(self) -> bool:
-        """Whether a sensor on the link shows the gear's elasticity."""
-        return bool(self.link_sensors) and not self.joint_side
-
 
 @dataclass(slots=True)
 class Mapping:
@@ -85,9 +80,14 @@ class Mapping:
     warnings: tuple[str, ...] = ()  # notes that the user needs before completing the study
 
     @property
+    def columns(self) -> set[str]:
+        """Columns that have a channel."""
+        return {guess.column for guess in self.guesses.values()}
+
+    @property
     def shows_elasticity(self) -> bool:
         """Whether a sensor on a link shows the elasticity of a gear."""
-        return any(facts.shows_elasticity for facts in self.joints)
+        return any(facts.link_sensors and not facts.joint_side for facts in self.joints)
 
 
 DEGREE = pi / 180.0
@@ -215,22 +215,18 @@ class JointColumns:
 
     def scaled_angle(self) -> FloatArray:
         """The angle in SI units; zero if its unit is unknown, or if there is none."""
-        scale = None if self.angle is None else self._angle_unit(self.angle).scale
-        if self.angle is None or scale is None:
-            return np.zeros(len(self.record.time))
-        return scale * self.values(self.angle)
+        if self.angle is not None and (scale := next(self._angle_units(self.angle)).scale):
+            return scale * self.values(self.angle)
+        return np.zeros(len(self.record.time))
 
     def largest_torque(self) -> float:
         """Largest known torque [N m]; zero if there is none."""
-        torques = {n: self.parsed_names[n] for n in self.columns_of("torque")}
-        return max(
-            (
-                (each.scale_or(1.0) or 0.0) * float(np.abs(self.values(name)).max())
-                for name, each in torques.items()
-                if each.role != "desired"
-            ),
-            default=0.0,
-        )
+        sizes = [0.0]
+        for name in self.columns_of("torque"):
+            each = self.parsed_names[name]
+            if each.role != "desired":
+                sizes.append((each.scale_or(1.0) or 0.0) * float(np.abs(self.values(name)).max()))
+        return max(sizes)
 
     def is_derivative(self, column: str, source: str) -> bool:
         """Whether a column is the derivative of a velocity, or the second one of an angle."""
@@ -284,7 +280,7 @@ class JointColumns:
         self.angle, self.link_angle = motor, link
 
     def _angle(self, column: str) -> None:
-        each, unit, side = self.parsed_names[column], self._angle_unit(column), ""
+        each, unit, side = self.parsed_names[column], next(self._angle_units(column)), ""
         if not self.facts.name:
             others = [*self.columns_of("torque"), *self.columns_of("velocity")]
             units = {self.parsed_names[name].unit for name in (column, *others)}
@@ -303,9 +299,6 @@ class JointColumns:
         wrap = "" if modulus is None else f"it jumps by one turn of {modulus:.4g}"
         reasons = (self.evidence(column), unit.reason, side, wrap)
         self.add("theta_m", column, *reasons, unit=(unit.scale, unit.todo))
-
-    def _angle_unit(self, column: str) -> _AngleUnit:
-        return next(self._angle_units(column))
 
     def _angle_units(self, column: str) -> Iterator[_AngleUnit]:
         """Yield units of an angle: by name, turn, velocity, limits of the URDF, and size."""
@@ -445,7 +438,7 @@ class JointColumns:
     def _link(self, motor: str, link: str) -> None:
         """Map the link angle and derive the gear ratio: link turns per motor turn."""
         r, ratio = self.record.proportion(motor, link)
-        unit, is_related = self._angle_unit(link), r > MIN_RELATED_CORRELATION
+        unit, is_related = next(self._angle_units(link)), r > MIN_RELATED_CORRELATION
         reasons = (f"{self.evidence(link)}; it correlates with {motor!r} (r = {r:.3f})",)
         sure: Sure = "likely" if is_related else "unsure"
         self.add("theta_l", link, *reasons, unit.reason, unit=(unit.scale, unit.todo), sure=sure)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import permutations
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from strainwave.study_draft.inspection import Record
+from strainwave.study_draft.joint_columns import Mapping
 from strainwave.study_draft.names import (
     MAX_JOINTS,
     ParsedName,
@@ -30,31 +30,26 @@ _MIN_DERIVATIVE_CORRELATION = 0.95  # of an unnamed column that is the derivativ
 _ON_LINK = ("acceleration", "gyro", "deflection")  # quantities of sensors on a link
 
 
-class ColumnAssignment(NamedTuple):
-    """Quantity and joint of each column."""
-
-    columns: dict[str, ParsedName]
-    limit: str = ""  # why joints are omitted; empty if none is
-    notes: tuple[str, ...] = ()
-    unused: Mapping[str, str] = MappingProxyType({})  # columns of no joint, with the reason
-
-
-def assign_columns(record: Record, fullest: Record, robot: Robot | None = None) -> ColumnAssignment:
-    """Assign each column a quantity and a joint number.
+def assign_columns(
+    record: Record, fullest: Record, robot: Robot | None = None
+) -> tuple[dict[str, ParsedName], Mapping]:
+    """Assign each column a quantity and a joint number; a mapping has the columns of no joint.
 
     Joints count from 1. They are those of `robot`; without it, `fullest` is the record of the same
     arm that determines the moving joints, and columns of joints beyond MAX_JOINTS are omitted.
     """
     parsed_names = {name: _parse(name, record) for name in record.columns}
     quantities = {each.quantity for each in parsed_names.values()}
-    notes: list[str] = []
+    mapping = Mapping()
     if quantities.isdisjoint(("angle", "velocity")):
         parsed_names |= _classify_by_data(record, parsed_names)
         quantities |= {each.quantity for each in parsed_names.values()}
-        notes.append("no column name indicates an angle: columns were assigned by their data alone")
+        mapping.notes = (
+            "no column name indicates an angle: columns were assigned by their data alone",
+        )
     if robot is not None:
-        numbers, unused = _number_by_robot(parsed_names, robot, record)
-        return ColumnAssignment(numbers, "", tuple(notes), unused)
+        numbers, mapping.unused = _number_by_robot(parsed_names, robot, record)
+        return numbers, mapping
     motion = "angle" if "angle" in quantities else "velocity"
     numbered = _number_joints(parsed_names, motion, record)
     joints = sorted({each.number or 1 for each in numbered.values() if each.quantity == motion})
@@ -64,12 +59,12 @@ def assign_columns(record: Record, fullest: Record, robot: Robot | None = None) 
         if each.quantity == motion and np.ptp(fullest.columns.get(name, 0.0)) > 0.0
     }
     chosen = sorted(moving or joints)[:MAX_JOINTS]
-    limit = ""
     if len(joints) > len(chosen):
-        limit = (
-            f"these logs have angles of {len(joints)} joints, of which"
-            f" {', '.join(_joint_label(numbered, j) for j in chosen)} are used as joints 1 to"
-            f" {len(chosen)}: those that move, at most {MAX_JOINTS}. The result holds"
+        labels = {e.number: f"{e.number} ({e.label})" for e in numbered.values() if e.label}
+        listed = ", ".join(labels.get(joint, str(joint)) for joint in chosen)
+        mapping.limit = (
+            f"these logs have angles of {len(joints)} joints, of which {listed} are used as joints"
+            f" 1 to {len(chosen)}: those that move, at most {MAX_JOINTS}. The result holds"
             " only if the other joints are at standstill in every record"
         )
     order = {joint: k for k, joint in enumerate(chosen, start=1)}
@@ -84,7 +79,7 @@ def assign_columns(record: Record, fullest: Record, robot: Robot | None = None) 
         for name, each in numbered.items()
         if (each.number or 1) in order and (each.number or each.quantity != "temperature")
     }
-    return ColumnAssignment(kept, limit, tuple(notes))
+    return kept, mapping
 
 
 def find_logged_joints(records: Sequence[Record], fullest: Record, robot: Robot) -> set[int]:
@@ -117,7 +112,7 @@ def _parse(name: str, record: Record, joint_words: Sequence[str] = ()) -> Parsed
 
 
 def _number_by_robot(
-    parsed_names: Mapping[str, ParsedName], robot: Robot, record: Record
+    parsed_names: dict[str, ParsedName], robot: Robot, record: Record
 ) -> tuple[dict[str, ParsedName], dict[str, str]]:
     """Number the joints by their names in a URDF, else by numbers; and list the other columns."""
     matches = robot.named_joints([each.label or name for name, each in parsed_names.items()])
@@ -146,9 +141,8 @@ def _number_by_robot(
 
 
 def _number_joints(
-    parsed_names: Mapping[str, ParsedName], motion: str, record: Record
+    parsed_names: dict[str, ParsedName], motion: str, record: Record
 ) -> dict[str, ParsedName]:
-    """Number the joints from 1, also if the names count from 0 or use labels."""
     keys = _joint_words(parsed_names, motion)
     numbered = dict[str, ParsedName]()
     for name, each in parsed_names.items():
@@ -184,7 +178,7 @@ class _JointWords(NamedTuple):
         return bool(self.words) and set(self.words) <= set(each.rest)
 
 
-def _joint_words(parsed_names: Mapping[str, ParsedName], motion: str) -> list[_JointWords]:
+def _joint_words(parsed_names: dict[str, ParsedName], motion: str) -> list[_JointWords]:
     """The joints that words distinguish, in kinematic or alphabetic order; none if one has none."""
     moving = [each for each in parsed_names.values() if each.quantity == motion and not each.label]
     common = set[str]().union(*(e.rest for e in moving)).intersection(*(e.rest for e in moving))
@@ -204,7 +198,7 @@ def _joint_words(parsed_names: Mapping[str, ParsedName], motion: str) -> list[_J
     return sorted(named, key=lambda key: (joint_rank(key.words), key.number or 0))
 
 
-def _count_from_one(parsed_names: Mapping[str, ParsedName]) -> dict[str, ParsedName]:
+def _count_from_one(parsed_names: dict[str, ParsedName]) -> dict[str, ParsedName]:
     """Increase the numbers of topics and quantities that count from 0."""
     from_zero = {
         _numbering_group(name, each) for name, each in parsed_names.items() if each.number == 0
@@ -222,14 +216,7 @@ def _numbering_group(name: str, each: ParsedName) -> tuple[str, str | None]:
     return (name.partition(".")[0] if name.startswith("/") else "", each.quantity)
 
 
-def _joint_label(parsed_names: Mapping[str, ParsedName], joint: int) -> str:
-    labels = [e.label for e in parsed_names.values() if e.label and e.number == joint]
-    return f"{joint} ({labels[0]})" if labels else str(joint)
-
-
-def _classify_by_data(
-    record: Record, parsed_names: Mapping[str, ParsedName]
-) -> dict[str, ParsedName]:
+def _classify_by_data(record: Record, parsed_names: dict[str, ParsedName]) -> dict[str, ParsedName]:
     """Classify columns by their data.
 
     An angle is the integral of a velocity; a voltage takes few levels. Whether any other column is

@@ -90,9 +90,6 @@ class ParsedName:
         return default if self.measure is None else self.measure.scale
 
 
-# --- the table --------------------------------------------------------------------------------
-
-
 def _words_in(text: str) -> list[tuple[str, ...]]:
     return [tuple(phrase.split("_")) for phrase in text.split()]
 
@@ -172,9 +169,6 @@ def find_unit(text: str, quantity: Quantity | None, factor: float = 1.0) -> Unit
     return unit and unit._replace(text=key)
 
 
-# --- names ------------------------------------------------------------------------------------
-
-
 def parse(name: str, joint_words: Sequence[str] = (), unit: str = "") -> ParsedName:
     """Parse a column name; `joint_words` are those of its words that name the joint.
 
@@ -236,7 +230,6 @@ def _quantity_of_unit(text: str, named: Quantity | None, *, sure: bool = True) -
 
 
 def _trailing_unit(each: ParsedName, words: list[str]) -> tuple[ParsedName, list[str]]:
-    """Read the unit at the end of a name; return the preceding words too."""
     if len(each.word) > 1 and (measure := find_unit(each.word, each.quantity)):
         return replace(each, measure=measure), words  # counts, rpm
     is_symbol = each.word in _SYMBOLS - _PATHS and (each.word,) not in _SIDED

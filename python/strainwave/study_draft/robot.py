@@ -88,9 +88,15 @@ class Robot:
         joints.
         """
         listed = list(names)
+        # a single letter or number is no name: it may mean anything in a column
+        distinct: list[Words] = [
+            words if any(len(word) > 1 and word.isalpha() for word in words) else ()
+            for words in self._stripped
+        ]
+        whole = [words_of(joint.name) for joint in self.joints]
         by_words = [
             {name: match for name in listed if (match := _longest_match(words, name)) is not None}
-            for words in (self._names, self._distinct_words)
+            for words in (whole, distinct)
         ]
         return max(by_words, key=lambda matches: len({m.number for m in matches.values()}))
 
@@ -101,7 +107,8 @@ class Robot:
         """
         if number is None:
             return 1 if len(self.joints) == 1 else None
-        own_numbers = [words[0] for words in self._numbers]
+        own_numbers = [words[0] for words in self._stripped if len(words) == 1]
+        own_numbers = [word for word in own_numbers if word.isdecimal()]
         if len(own_numbers) == len(self.joints):
             zero_based = "0" in own_numbers
             own_numbers = [str(int(each) + zero_based) for each in own_numbers]
@@ -146,28 +153,9 @@ class Robot:
         return bounds[::-1]
 
     @cached_property
-    def _names(self) -> tuple[Words, ...]:
-        return tuple(words_of(joint.name) for joint in self.joints)
-
-    @cached_property
-    def _distinct_words(self) -> tuple[Words, ...]:
-        """Words of each joint without those at the start and the end that all joints share.
-
-        A single letter or number is no name: it may mean anything in a column.
-        """
-        return tuple(
-            words if any(len(word) > 1 and word.isalpha() for word in words) else ()
-            for words in self._stripped
-        )
-
-    @cached_property
-    def _numbers(self) -> tuple[Words, ...]:
-        """Names that differ by a number alone."""
-        return tuple(words for words in self._stripped if len(words) == 1 and words[0].isdecimal())
-
-    @cached_property
     def _stripped(self) -> tuple[Words, ...]:
-        stripped = self._names
+        """Words of each joint without those at the start and the end that all joints share."""
+        stripped = tuple(words_of(joint.name) for joint in self.joints)
         for end, rest in ((0, slice(1, None)), (-1, slice(None, -1))):
             while len(stripped) > 1 and all(len(words) > 1 for words in stripped):
                 if len({words[end] for words in stripped}) > 1:

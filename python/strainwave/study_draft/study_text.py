@@ -52,7 +52,7 @@ def study_text(
         ],
         notes=[note for note in notes if note],
         logs_without=lambda guess: [r.path.name for r in records if guess.column not in r.columns],
-        of_bag=lambda guess: any(r.is_bag for r in records if guess.column in r.columns),
+        of_bag=lambda guess: any(r.source is None and guess.column in r.columns for r in records),
         path_of=lambda path: os.path.relpath(path, out.parent).replace(os.sep, "/"),
         entry=_entry,
         line=_line,

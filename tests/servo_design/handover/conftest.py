@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 import exports
-from strainwave.servo_design.control_law import low_pass, notch
+from strainwave.servo_design.closed_loop import low_pass, notch
 from strainwave.servo_design.design import ServoDesign, ServoOptions, design_servo
 
 

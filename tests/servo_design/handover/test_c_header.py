@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from c_programs import output_of_c
+from servo_arms import correct, predict, state_at_rest
 from strainwave.domain import ControlLaw, FloatArray
-from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.closed_loop import Gains
 from strainwave.servo_design.design import ServoDesign
-from strainwave.servo_design.handover.c_header import to_c_header
+from strainwave.servo_design.handover.texts import to_c_header
 
 SAMPLES = 2000
 START = (0.7, -1.2)  # motor angle [rad], voltage [V] at rest
@@ -107,7 +108,7 @@ def by_hand(law: ControlLaw, inputs: FloatArray, limit: float) -> FloatArray:
 
 def run(design: ServoDesign, inputs: FloatArray, folder: Path) -> FloatArray:
     """Columns that a strictly compiled program with the header prints."""
-    (folder / "servo.h").write_bytes(to_c_header(design).data)
+    (folder / "servo.h").write_text(to_c_header(design))
     text = "\n".join(" ".join(map(repr, row)) for row in inputs.tolist())
     printed = output_of_c(_PROGRAM, folder, text)
     return np.array([line.split() for line in printed.splitlines()], dtype=float)
@@ -137,7 +138,7 @@ def test_the_reset_holds_angle_and_voltage(design: ServoDesign, tmp_path: Path) 
 def test_names_cannot_end_a_comment(design: ServoDesign) -> None:
     arm = design.arm.study.arm.with_joint(1, name="a*/b")
     source = replace(design.arm, study=replace(design.arm.study, arm=arm))
-    assert b"a* /b" in to_c_header(replace(design, arm=source)).data
+    assert "a* /b" in to_c_header(replace(design, arm=source))
 
 
 _OBSERVER_PROGRAM = """
@@ -165,12 +166,12 @@ def test_the_compiled_observer_is_the_recursion(design: ServoDesign, tmp_path: P
     assert [one.name for one in observer.measurements] == ["motor encoder", "accelerometer"]
     rng = np.random.default_rng(8)
     inputs = rng.normal(size=(300, 4)) * [1.0, 2.0, 0.1, 0.3]
-    x, expected = observer.rest(0.5, 0.01), []
+    x, expected = state_at_rest(observer, 0.5, 0.01), []
     for voltage, torque, *readings in inputs:
-        estimate = observer.correct(x, np.array(readings), torque)
+        estimate = correct(observer, x, np.array(readings), torque)
         expected.append(estimate[2:4])
-        x = observer.predict(estimate, voltage, torque)
-    (tmp_path / "servo.h").write_bytes(to_c_header(design).data)
+        x = predict(observer, estimate, voltage, torque)
+    (tmp_path / "servo.h").write_text(to_c_header(design))
     text = "\n".join(" ".join(map(repr, row)) for row in inputs.tolist())
     printed = output_of_c(_OBSERVER_PROGRAM, tmp_path, text)
     found = np.array([line.split() for line in printed.splitlines()], dtype=float)
@@ -178,6 +179,6 @@ def test_the_compiled_observer_is_the_recursion(design: ServoDesign, tmp_path: P
 
 
 def test_the_damped_law_is_a_servo_of_its_own(design: ServoDesign) -> None:
-    text = to_c_header(design).data.decode()
+    text = to_c_header(design)
     for one in design.dampings:
         assert (f"SERVO_{one.joint}_DAMPED" in text) == (not one.reason)

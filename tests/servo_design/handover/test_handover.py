@@ -8,25 +8,28 @@ import numpy as np
 import pytest
 
 from strainwave.domain import Joint
-from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.closed_loop import Gains
 from strainwave.servo_design.design import ServoDesign
 from strainwave.servo_design.handover import FILES
-from strainwave.servo_design.handover.c_header import difference_equations, to_c_header
 from strainwave.servo_design.handover.json_document import Units
-from strainwave.servo_design.handover.markdown import to_markdown
-from strainwave.servo_design.handover.matlab import to_script
+from strainwave.servo_design.handover.texts import (
+    difference_equations,
+    to_c_header,
+    to_markdown,
+    to_script,
+)
 
 
 def test_numbers_have_no_trace_of_numpy(filtered: ServoDesign) -> None:
     for to_file in FILES.values():
-        assert b"np.float" not in to_file(filtered).data
+        assert "np.float" not in to_file(filtered)
 
 
 def test_an_arm_without_shapers_has_every_file(design: ServoDesign) -> None:
     bare = replace(design, shapers=(), modes_hz=np.zeros((0, 2)))
     for to_file in FILES.values():
-        assert b"haper at" not in to_file(bare).data
-    assert b"shaper" not in to_c_header(bare).data
+        assert "haper at" not in to_file(bare)
+    assert "shaper" not in to_c_header(bare)
 
 
 @pytest.mark.parametrize(
@@ -77,7 +80,7 @@ def test_the_printed_equations_are_the_law(filtered: ServoDesign) -> None:
 
 
 def test_script_and_text_print_the_equations(filtered: ServoDesign) -> None:
-    script, text = to_script(filtered).data.decode(), to_markdown(filtered).data.decode()
+    script, text = to_script(filtered), to_markdown(filtered)
     for each in filtered.joints:
         units = Units.of(filtered.arm.joint(each.joint))
         for equation, remark in difference_equations(each.tuned.gains, filtered.limits[0], units):
@@ -86,7 +89,7 @@ def test_script_and_text_print_the_equations(filtered: ServoDesign) -> None:
 
 
 def test_the_text_has_margins_and_what_limits_them(design: ServoDesign) -> None:
-    text = to_markdown(design).data.decode()
+    text = to_markdown(design)
     for each in design.joints:
         margins = each.results.margins
         assert f"| phase [deg] | 30 | {margins.phase_deg.min():.3g} |" in text

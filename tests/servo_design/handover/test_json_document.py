@@ -15,7 +15,7 @@ from strainwave.servo_design.plants import Condition
 
 
 def document_of(design: ServoDesign) -> dict[str, Any]:
-    document: dict[str, Any] = json.loads(to_json(design).data)
+    document: dict[str, Any] = json.loads(to_json(design))
     return document
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from strainwave.domain import FloatArray
 from strainwave.servo_design.design import ServoDesign
-from strainwave.servo_design.handover.matlab import to_script
+from strainwave.servo_design.handover.texts import to_script
 
 
 def matrix_of(script: str, name: str) -> FloatArray:
@@ -22,7 +22,7 @@ def matrix_of(script: str, name: str) -> FloatArray:
 
 
 def test_the_script_has_matrices_filters_and_shaper(filtered: ServoDesign) -> None:
-    script = to_script(filtered).data.decode()
+    script = to_script(filtered)
     assert f"Ts = {filtered.clock.period!r};" in script
     for i, gains in enumerate(filtered.gains, start=1):
         law = gains.law()
@@ -53,7 +53,7 @@ def test_octave_runs_the_script(filtered: ServoDesign, tmp_path: Path) -> None:
     found = shutil.which("octave-cli") or shutil.which("octave")
     if found is None:
         pytest.skip("GNU Octave is not installed")
-    (tmp_path / "servo_file.m").write_bytes(to_script(filtered).data)
+    (tmp_path / "servo_file.m").write_text(to_script(filtered))
     done = subprocess.run(
         [found, "--eval", _ASKED], cwd=tmp_path, capture_output=True, text=True, check=False
     )

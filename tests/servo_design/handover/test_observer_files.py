@@ -9,17 +9,21 @@ from pathlib import Path
 import numpy as np
 
 from c_programs import output_of_c
+from servo_arms import state_at_rest
 from strainwave.domain import FloatArray
 from strainwave.dynamics.simulation import simulate_arms
 from strainwave.servo_design.design import ServoDesign
-from strainwave.servo_design.handover.c_header import to_c_header
 from strainwave.servo_design.handover.json_document import to_json
-from strainwave.servo_design.handover.markdown import to_markdown
-from strainwave.servo_design.handover.matlab import to_script
-from strainwave.servo_design.link_estimation import estimate_link, planned_inputs, read_runs
+from strainwave.servo_design.handover.texts import to_c_header, to_markdown, to_script
 from strainwave.servo_design.link_measurements import with_places
 from strainwave.servo_design.observer import Observer
-from strainwave.servo_design.verification import Simulated, shortest_plan
+from strainwave.servo_design.verification import (
+    Simulated,
+    estimate_link,
+    planned_inputs,
+    read_runs,
+    shortest_plan,
+)
 
 _PROGRAM = """
 #include <stdio.h>
@@ -70,12 +74,12 @@ def test_the_compiled_observer_estimates_a_simulated_link(
     one = design.observers[1]
     assert len(one.measurements) == 2
     inputs, link, motor = simulated(design, one)
-    (tmp_path / "servo.h").write_bytes(to_c_header(design).data)
+    (tmp_path / "servo.h").write_text(to_c_header(design))
     first = f"{float(motor[0])!r} {float(link[0, 0])!r}\n"
     text = first + "\n".join(" ".join(map(repr, row)) for row in inputs.tolist())
     printed = output_of_c(_PROGRAM, tmp_path, text)
     estimates = np.array([line.split() for line in printed.splitlines()], dtype=float)
-    start = one.rest(motor[0], link[0, 0])[None]
+    start = state_at_rest(one, motor[0], link[0, 0])[None]
     expected = estimate_link(one, inputs[None, :, 0], inputs[None, :, 2:], inputs[:, 1], start)[0]
     np.testing.assert_allclose(estimates, expected, rtol=0.0, atol=1e-9)
     rigid = motor * one.gear_ratio - link[:, 0]
@@ -109,7 +113,7 @@ def test_the_compiled_servo_with_feedback_is_its_law(design: ServoDesign, tmp_pa
         new = law.A @ x + law.B @ now + law.E * (limited - ff)
         x = np.where(law.holds & (limited != u), x, new)
         expected.append(limited)
-    (tmp_path / "servo.h").write_bytes(to_c_header(design).data)
+    (tmp_path / "servo.h").write_text(to_c_header(design))
     text = "\n".join(" ".join(map(repr, row)) for row in inputs.tolist())
     printed = output_of_c(_SERVO_PROGRAM, tmp_path, text)
     np.testing.assert_allclose(np.array(printed.split(), float), expected, rtol=1e-9, atol=1e-9)
@@ -118,13 +122,13 @@ def test_the_compiled_servo_with_feedback_is_its_law(design: ServoDesign, tmp_pa
 def test_only_feedback_that_is_used_is_in_the_header(design: ServoDesign) -> None:
     first, *others = design.dampings
     changed = replace(design, dampings=(replace(first, reason="it gains nothing"), *others))
-    text = to_c_header(changed).data.decode()
+    text = to_c_header(changed)
     assert "SERVO_1_DAMPED" not in text
     assert ("SERVO_2_DAMPED" in text) == (not others[0].reason)
 
 
 def test_the_document_has_observers_and_damping(design: ServoDesign) -> None:
-    document = json.loads(to_json(design).data)
+    document = json.loads(to_json(design))
     for entry, one in zip(document["observers"], design.observers, strict=True):
         for name in "ABCD":
             assert entry[name] == getattr(one.system, name).tolist()
@@ -144,7 +148,7 @@ def test_the_texts_have_observers_and_reasons(design: ServoDesign) -> None:
     reason = "it gains nothing"
     dampings = (replace(design.dampings[0], reason=reason), *design.dampings[1:])
     changed = replace(design, dampings=dampings)
-    text, script = to_markdown(changed).data.decode(), to_script(changed).data.decode()
+    text, script = to_markdown(changed), to_script(changed)
     assert f"Not used: {reason}." in text
     assert "servo(1).damped" not in script
     for one in design.observers:

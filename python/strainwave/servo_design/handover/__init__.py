@@ -1,11 +1,14 @@
 """Hand-over of a servo design: JSON, C, MATLAB, text, ros2_control, python-control."""
 
-from strainwave.servo_design.handover.c_header import to_c_header
 from strainwave.servo_design.handover.json_document import to_json
-from strainwave.servo_design.handover.markdown import to_markdown
-from strainwave.servo_design.handover.matlab import to_script
-from strainwave.servo_design.handover.python_control import controllers, observers
 from strainwave.servo_design.handover.ros2_control import to_ros2_control
+from strainwave.servo_design.handover.texts import (
+    controllers,
+    observers,
+    to_c_header,
+    to_markdown,
+    to_script,
+)
 
 __all__ = ["FILES", "controllers", "observers"]
 

@@ -14,18 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Joint
+from strainwave.domain import Joint
 from strainwave.domain.control_law import INPUTS, ControlLaw
-from strainwave.export.source import Export
-from strainwave.servo_design.closed_loop import Steps
-from strainwave.servo_design.control_law import Gains
+from strainwave.servo_design.closed_loop import Gains, Steps
 from strainwave.servo_design.damping import Damping
 from strainwave.servo_design.design import JointServo, ServoDesign
-from strainwave.servo_design.handover.shaper_summary import ShaperSummary
-from strainwave.servo_design.link_measurements import Measurement
 from strainwave.servo_design.margins import Margins, margin_summaries
 from strainwave.servo_design.observer import OUTPUTS, Observer
-from strainwave.servo_design.plants import Condition
 from strainwave.servo_design.shaper_ranking import RankedShaper
 
 
@@ -44,11 +39,6 @@ class Units:
         return cls(angle, torque if joint.torque_per_volt is None else "V", torque)
 
     @property
-    def velocity(self) -> str:
-        """Of the reference's velocity."""
-        return f"{self.angle}/s"
-
-    @property
     def kp(self) -> str:
         """Input per velocity."""
         return f"{self.input} s/{self.angle}"
@@ -62,6 +52,10 @@ class Units:
 SCHEMA = "strainwave/servo/1"
 
 _TEXTS = tomllib.loads(Path(__file__).with_name("servo.toml").read_text(encoding="utf-8"))
+_READING = (
+    *("name", "channels", "weights", "quantity", "factor", "unit", "std", "source"),
+    "has_bias",
+)
 _ERRORS = (
     "by_motor",
     "by_encoder",
@@ -73,7 +67,7 @@ _ERRORS = (
 )
 
 
-def to_json(design: ServoDesign) -> Export:
+def to_json(design: ServoDesign) -> str:
     """Gains, filters, laws, margins, shapers and the conditions that they hold for.
 
     A number that is not finite, such as the margin of a loop without crossing, is null.
@@ -92,7 +86,13 @@ def to_json(design: ServoDesign) -> Export:
         "draws": options.draws,
         "seed": options.seed,
         "plants": design.n_plants,
-        "conditions": [_condition(condition) for condition in design.conditions],
+        "conditions": [
+            {
+                "posture": one.posture.tolist(),
+                "payload": one.payload and {"mass": one.payload.mass, "xyz": one.payload.xyz},
+            }
+            for one in design.conditions
+        ],
         "joints": [_joint(design, joint) for joint in design.joints],
         "modes_hz": design.modes_hz.tolist(),
         "shapers": [_shaper(shaper) for shaper in design.shapers],
@@ -100,16 +100,7 @@ def to_json(design: ServoDesign) -> Export:
         "observers": [_observer(design, one) for one in design.observers],
         "damping": [_damping(design, one) for one in design.dampings],
     }
-    text = json.dumps(_finite(document), indent=2, allow_nan=False)
-    return Export((text + "\n").encode(), design.arm.warnings)
-
-
-def _condition(condition: Condition) -> dict[str, Any]:
-    payload = condition.payload
-    return {
-        "posture": condition.posture.tolist(),
-        "payload": None if payload is None else {"mass": payload.mass, "xyz": payload.xyz},
-    }
+    return json.dumps(_finite(document), indent=2, allow_nan=False) + "\n"
 
 
 def _joint(design: ServoDesign, servo: JointServo) -> dict[str, Any]:
@@ -174,29 +165,23 @@ def _margins(design: ServoDesign, margins: Margins) -> dict[str, Any]:
 
 
 def _step(steps: Steps) -> dict[str, Any]:
-    """Settling and overshoot of the link after a step of the reference angle."""
     return {
-        "settling": _worst_and_median(steps.settling),
-        "overshoot": _worst_and_median(steps.overshoot),
+        name: {"worst": float(values.max()), "median": float(np.median(values))}
+        for name, values in (("settling", steps.settling), ("overshoot", steps.overshoot))
     }
 
 
-def _worst_and_median(values: FloatArray) -> dict[str, float]:
-    return {"worst": float(values.max()), "median": float(np.median(values))}
-
-
 def _shaper(ranked: RankedShaper) -> dict[str, Any]:
-    summary = ShaperSummary.of(ranked)
     return {
         "parts": [
             {"kind": one.kind, "hz": one.omega / (2.0 * np.pi), "damping": one.damping}
             for one in ranked.shapers
         ],
-        "samples": summary.samples,
-        "times": summary.times,
-        "amplitudes": summary.amplitudes,
-        "duration": summary.duration,
-        "vibration": summary.vibration,
+        "samples": ranked.samples,
+        "times": ranked.times,
+        "amplitudes": ranked.amplitudes,
+        "duration": ranked.impulses.duration,
+        "vibration": ranked.vibration,
         "is_sufficient": ranked.is_sufficient,
     }
 
@@ -210,16 +195,13 @@ def _observer(design: ServoDesign, observer: Observer) -> dict[str, Any]:
         "outputs": OUTPUTS,
         "states": system.states,
         **{name: getattr(system, name).tolist() for name in "ABCD"},
-        "readings": [_reading(one) for one in observer.measurements],
+        "readings": [
+            {name: getattr(one, name) for name in _READING} for one in observer.measurements
+        ],
         "unused": observer.unused,
         "link_inertia": observer.link_inertia,
         "rms_errors": {name: getattr(one, name) for one in errors for name in _ERRORS},
     }
-
-
-def _reading(one: Measurement) -> dict[str, Any]:
-    names = ("name", "channels", "weights", "quantity", "factor", "unit", "std", "source")
-    return {name: getattr(one, name) for name in names} | {"has_bias": one.has_bias}
 
 
 def _damping(design: ServoDesign, damping: Damping) -> dict[str, Any]:

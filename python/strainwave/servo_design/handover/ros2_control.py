@@ -13,39 +13,30 @@ of a joint, as an effort. Position and effort are those of the link: n times the
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from strainwave.domain import Joint
 from strainwave.export.omissions import sentence_of
-from strainwave.export.source import Export
 from strainwave.io.templates import fill_text
-from strainwave.servo_design.control_law import Biquad, Gains
+from strainwave.servo_design.closed_loop import Biquad, Gains
 from strainwave.servo_design.design import ServoDesign
 from strainwave.servo_design.handover.json_document import Units
 
 
-@dataclass(frozen=True, slots=True)
-class EffortPid:
-    """Effort per position, per its integral and per velocity of a joint."""
+def effort_pid(gains: Gains, limit: float, joint: Joint, ratio: float) -> dict[str, float]:
+    """Effort per position, per its integral and per velocity of a joint, and its largest effort.
 
-    p: float
-    i: float
-    d: float
-    max_effort: float
-
-
-def effort_pid(gains: Gains, limit: float, joint: Joint, ratio: float) -> EffortPid:
-    """PID gains of a joint with `ratio` n to its motor; filters are neglected."""
+    `ratio` n is that of the joint to its motor; filters are neglected.
+    """
     per_motor = joint.torque_per_command / ratio**2
-    return EffortPid(
-        p=per_motor * (gains.kp * gains.position_gain + gains.ki),
-        i=per_motor * gains.ki * gains.position_gain,
-        d=per_motor * gains.kp,
-        max_effort=joint.torque_per_command * limit / abs(ratio),
-    )
+    return {
+        "p": per_motor * (gains.kp * gains.position_gain + gains.ki),
+        "i": per_motor * gains.ki * gains.position_gain,
+        "d": per_motor * gains.kp,
+        "max_effort": joint.torque_per_command * limit / abs(ratio),
+    }
 
 
 def low_pass_hz(one: Biquad, period: float) -> float | None:
@@ -61,7 +52,7 @@ def low_pass_hz(one: Biquad, period: float) -> float | None:
     return float(-np.log(1.0 - 1.0 / periods) / (2.0 * np.pi * period)) if periods > 1.0 else None
 
 
-def to_ros2_control(design: ServoDesign) -> Export:
+def to_ros2_control(design: ServoDesign) -> str:
     """YAML with `update_rate`, the gains of a trajectory controller, and low-pass filters."""
     arm, period = design.arm.study.arm, design.clock.period
     joints, filters = [], []
@@ -77,18 +68,16 @@ def to_ros2_control(design: ServoDesign) -> Export:
         corners = [hz for one in gains.filters if (hz := low_pass_hz(one, period)) is not None]
         if corners:
             filters.append((f"low_pass_{each.joint}", name, corners))
-    notes = _notes(design)
-    text = fill_text(
+    return fill_text(
         Path(__file__).with_name("ros2_control.yaml.j2"),
         rate=round(1.0 / period),
         joints=joints,
         filters=filters,
         is_coupled=arm.is_coupled,
-        notes=notes,
+        notes=_notes(design),
         quoted=json.dumps,  # a string of JSON is one of YAML
         sentence_of=sentence_of,
     )
-    return Export(text.encode(), design.arm.warnings, notes)
 
 
 def _notes(design: ServoDesign) -> tuple[str, ...]:

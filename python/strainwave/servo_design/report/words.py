@@ -1,17 +1,21 @@
-"""Phrases and tables that the page and the terminal share."""
+"""Phrases and tables that the page and the terminal share, and the output in the terminal."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
+from rich.console import Console
+from rich.text import Text
 
-from strainwave.domain import FloatArray
 from strainwave.presentation.report.blocks import Cell, Row, Table, number, prose, table
+from strainwave.presentation.terminal import print_tables
 from strainwave.servo_design.cascade_tuning import MAX_RIPPLE_SHARE
-from strainwave.servo_design.control_law import Biquad, Gains
+from strainwave.servo_design.closed_loop import Biquad, Gains
 from strainwave.servo_design.design import JointServo, LoopResults, ServoDesign
+from strainwave.servo_design.handover.json_document import Units
 from strainwave.servo_design.margins import Margins, MarginSummary, margin_summaries
 from strainwave.servo_design.shaper_ranking import RankedShaper
 from strainwave.servo_design.verification import MOVE, Move
@@ -20,7 +24,7 @@ N_SHOWN_SHAPERS = 5
 
 _NEGLIGIBLE = 1e-4  # share of a step
 
-_UNIT_WORDS = {"deg": "degrees", "1": ""}
+_UNIT_WORDS = {"dB": "dB", "deg": "degrees", "1": ""}
 
 
 def worst_margins(design: ServoDesign, margins: Margins) -> tuple[MarginSummary, ...]:
@@ -48,11 +52,7 @@ def current_sentences(design: ServoDesign) -> Iterator[str]:
 def _at(margin: MarginSummary) -> str:
     if not math.isfinite(margin.least):
         return f"no limit of the {margin.name}"
-    return f"{margin.least:.3g} {_unit_words(margin)} at {margin.hz:.3g} Hz"
-
-
-def _unit_words(margin: MarginSummary) -> str:
-    return _UNIT_WORDS.get(margin.unit, margin.unit)
+    return f"{margin.least:.3g} {_UNIT_WORDS[margin.unit]} at {margin.hz:.3g} Hz"
 
 
 def limit_sentence(design: ServoDesign, joint: JointServo) -> str:
@@ -84,11 +84,7 @@ def plant_words(design: ServoDesign, plant: int) -> str:
 
 def input_unit(design: ServoDesign) -> str:
     """Unit of the drives' inputs."""
-    units = {
-        "V" if joint.torque_per_volt is not None else "N m" if joint.motion == "revolute" else "N"
-        for joint in design.arm.study.arm.joints
-    }
-    return " or ".join(sorted(units))
+    return " or ".join(sorted({Units.of(joint).input for joint in design.arm.study.arm.joints}))
 
 
 def limits(design: ServoDesign) -> str:
@@ -115,7 +111,7 @@ def gains(design: ServoDesign) -> Iterator[Table]:
             joint,
             servo,
             *gain_cells(each),
-            prose(", ".join(map(filter_words, each.filters)) or "none"),
+            prose(", ".join(map(_filter_words, each.filters)) or "none"),
         )
         for joint, servo, each, _ in _servos(design)
     ]
@@ -139,14 +135,13 @@ def behaviour(design: ServoDesign) -> Iterator[Table]:
 
 
 def _servos(design: ServoDesign) -> Iterator[tuple[str, str, Gains, LoopResults]]:
-    """Joint, name, gains and results of all servos."""
     for joint in design.joints:
         yield str(joint.joint), "designed", joint.tuned.gains, joint.results
         if joint.current is not None and joint.current_results is not None:
             yield str(joint.joint), "current", joint.current, joint.current_results
 
 
-def filter_words(one: Biquad) -> str:
+def _filter_words(one: Biquad) -> str:
     """Kind and frequency of a filter."""
     if one.kind == "notch":
         return f"notch {one.hz:.3g} Hz, width {one.width:.2g}, depth {one.depth:.2g}"
@@ -158,7 +153,7 @@ def worst_margin_table(design: ServoDesign) -> Iterator[Table]:
     rows = []
     for joint in design.joints:
         for worst in worst_margins(design, joint.results.margins):
-            is_finite, unit = math.isfinite(worst.least), _unit_words(worst)
+            is_finite, unit = math.isfinite(worst.least), _UNIT_WORDS[worst.unit]
             rows.append(
                 (
                     str(joint.joint),
@@ -294,6 +289,20 @@ def seconds(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else "does not settle"
 
 
-def mode_words(interval: FloatArray) -> str:
-    """A mode's interval."""
-    return f"{interval[0]:.3g} to {interval[1]:.3g} Hz"
+def print_design(design: ServoDesign, page: Path, *, console: Console | None = None) -> None:
+    """Print current servo, designed gains, margins, limits, shapers, observers and moves."""
+    console = console or Console(highlight=False)
+    for line in current_sentences(design):
+        console.print(Text(line))
+    before = (gains, behaviour, worst_margin_table)
+    print_tables(console, *(each(design) for each in before))
+    for joint in design.joints:
+        console.print(Text(limit_sentence(design, joint)))
+    after = (shapers(design, "Input shapers"), estimation(design))
+    print_tables(console, *after, dampings(design))
+    for line in (*observer_gaps(design), *damping_sentences(design)):
+        console.print(Text(line))
+    print_tables(console, moves(design))
+    if design.refusal:
+        console.print(Text(f"note: no moves are compared: {design.refusal}"), style="yellow")
+    console.print(Text(f"written: {page}"), soft_wrap=True)
