@@ -142,7 +142,6 @@ class _Search:
     highest: float  # [rad/s] of the poles that count as modes of the links
 
     def unused(self, reason: str, without: DampingRatios) -> tuple[Damping, ...]:
-        """The results if the feedback is not used."""
         return tuple(
             Damping(
                 one.joint, (0.0, 0.0), reason, without, without, None, self.plain[one.joint - 1]
@@ -208,7 +207,6 @@ class _Search:
         return float(ratios.min() + _MEAN_WEIGHT * ratios.mean())
 
     def laws(self, pairs: Sequence[Pair]) -> list[ControlLaw]:
-        """Laws of all joints."""
         laws = list(self.plain)
         for one, pair in zip(self.observers, pairs, strict=True):
             if any(pair):

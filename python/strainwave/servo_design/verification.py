@@ -86,19 +86,18 @@ def compare_moves(
         end = posture.copy()
         end[i] += MOVE
         plan = shortest_plan(arm, posture, end, gains[0].period, limits)
-
-        def run(drive: Drive, i: int = i) -> tuple[Move, FloatArray]:
-            return _simulate_all(simulated, draws, drive, i)
-
-        step, step_link = run(simulated.step(gains, plan, end - posture))
-        of_current = current and run(simulated.step(current, plan, end - posture))[0]
-        drive = simulated.follow(gains, plan)
-        planned, planned_link = run(drive)
+        drive, change = simulated.follow(gains, plan), end - posture
+        planned, planned_link = _simulate_all(simulated, draws, drive, i)
+        step, step_link = _simulate_all(simulated, draws, simulated.step(gains, plan, change), i)
+        of_current = None
+        if current is not None:
+            current_drive = simulated.step(current, plan, change)
+            of_current, _ = _simulate_all(simulated, draws, current_drive, i)
         comparisons.append(
             Comparison(
                 joint=i + 1,
                 duration=float(plan.time[-1]),
-                current=of_current or None,
+                current=of_current,
                 step=step,
                 planned=planned,
                 time=drive.tick * np.arange(len(step_link), dtype=np.float64),

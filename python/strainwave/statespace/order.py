@@ -59,8 +59,8 @@ def select_order(
     stack(data)
     fit = fit or (lambda records: partial(pem, records, options=options))
     kept, held_out = _split_records(data, sorted_orders[-1])
-    fits: list[tuple[float, ...]] = [(float("nan"),) * records_of(data)[0].outputs.shape[1]]
-    fits *= len(sorted_orders)
+    n_outputs = records_of(data)[0].outputs.shape[1]
+    fits: list[tuple[float, ...]] = [(float("nan"),) * n_outputs] * len(sorted_orders)
     is_sound = np.ones(len(sorted_orders), dtype=bool)
     model_on_all = fit(records_of(data))
     if held_out:

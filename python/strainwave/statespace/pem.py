@@ -136,7 +136,6 @@ class _Search:
     options: PemOptions
 
     def best_fit(self, starts: list[Matrices]) -> _Fit:
-        """Best fit from several starting values, without or with restricted gain."""
         fits = []
         for start in sorted(starts, key=lambda each: self.evaluator.cost(each.pack())):
             fit = self._fit(start)
@@ -218,7 +217,6 @@ class _Search:
         )
 
     def model(self, fit: _Fit) -> StateSpace:
-        """The result record of a fit."""
         data = self.evaluator.data
         method: Literal["pem", "output-error"]
         method = "pem" if self.options.disturbance == "innovations" else "output-error"

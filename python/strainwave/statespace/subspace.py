@@ -90,9 +90,15 @@ def subspace(
     1, or a horizon too short for the order. Raises `NotIdentifiable` if there are too few samples
     for the order or the horizon.
     """
-    _check(order, horizon, method)
-    stacked = stack(data)
-    return _estimate(Factors(stacked), order, method, horizon, feedthrough, focus)
+    for name, number in (("order", order), ("horizon", horizon)):
+        if number is not None and number < 1:
+            raise InvalidInput(f"expected {name} of at least 1, got {number}")
+    known = ("auto", *_METHODS)
+    if method not in known:
+        raise InvalidInput(
+            f"expected method {', '.join(known[:-1])} or {known[-1]}, got {method!r}"
+        )
+    return _estimate(Factors(stack(data)), order, method, horizon, feedthrough, focus)
 
 
 def subspace_orders(data: Data) -> Callable[[int], StateSpace]:
@@ -371,17 +377,6 @@ def _check_length(data: Stack, order: int, horizon: int) -> None:
         raise NotIdentifiable(
             f"{data.n_samples} samples in {len(data.lengths)} records are too few for a model of "
             f"order {order} with a horizon of {horizon} samples"
-        )
-
-
-def _check(order: int | None, horizon: int | None, method: str) -> None:
-    for name, number in (("order", order), ("horizon", horizon)):
-        if number is not None and number < 1:
-            raise InvalidInput(f"expected {name} of at least 1, got {number}")
-    known = ("auto", *_METHODS)
-    if method not in known:
-        raise InvalidInput(
-            f"expected method {', '.join(known[:-1])} or {known[-1]}, got {method!r}"
         )
 
 
