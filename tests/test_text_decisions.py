@@ -18,9 +18,8 @@ READERS = (
     "export/source.py",
     "workbench/study_edit.py",
     "workbench/workspace.py",
-    "workbench/pages/files.py",
     "workbench/pages/by_hand.py",
-    "workbench/pages/imports.py",
+    "workbench/pages/home.py",
 )
 """Parse files, options and selection patterns."""
 WRITERS = (
@@ -29,7 +28,7 @@ WRITERS = (
     "export/flat.py",
     "experiment_design/written.py",
     "virtual/experiments.py",
-    "workbench/rig_form.py",
+    "workbench/pages/study.py",
 )
 """Typeset names and sentences, make plain text of Markdown, and make file names."""
 SENDERS = (
@@ -39,7 +38,7 @@ SENDERS = (
     "experiment_design/",
     "study_draft/",
     "api.py",
-    "workbench/pages/files.py",
+    "workbench/pages/runs.py",
 )
 """Show or write the messages of warnings."""
 
