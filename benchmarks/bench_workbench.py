@@ -26,8 +26,8 @@ from strainwave.domain import Experiment, Log
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import simulate_study
-from strainwave.workbench.hand_simulation import parameter_document
-from strainwave.workbench.signal_views import time_figure
+from strainwave.workbench.pages.by_hand import parameter_document
+from strainwave.workbench.pages.signals import time_figure
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

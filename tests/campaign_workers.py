@@ -10,9 +10,8 @@ import signal
 import time
 
 from strainwave.campaign import worker
-from strainwave.campaign.records import Record
+from strainwave.campaign.records import Record, Task
 from strainwave.campaign.study_files import StudyFile
-from strainwave.campaign.tasks import Task
 
 
 def poisoned(task: Task) -> Record:

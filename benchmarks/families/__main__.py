@@ -9,7 +9,7 @@ from pathlib import Path
 from benchmarks.families import family_of
 from benchmarks.families.drawn_arms import arms_of
 from strainwave import campaign
-from strainwave.campaign.studies import Selection
+from strainwave.campaign.study_files import Selection
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import check_keys, decode, parse_toml, read_bytes
 

@@ -258,7 +258,7 @@ class Parameters(Sequence[Parameter]):
         return frame
 
     def _repr_html_(self) -> str:
-        from strainwave.presentation.notebook.tables import table_of_parameters
+        from strainwave.presentation.notebook import table_of_parameters
 
         return table_of_parameters(self._parameters)
 

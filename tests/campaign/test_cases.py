@@ -15,10 +15,10 @@ import pytest
 import strainwave as sw
 from campaign_rigs import inertia_of, log, rig
 from strainwave.campaign import worker
+from strainwave.campaign.records import Task
 from strainwave.campaign.runner import Plan
 from strainwave.campaign.store import Store
 from strainwave.campaign.study_files import Hashes, Opened
-from strainwave.campaign.tasks import Task
 from strainwave.domain.kinds import single_joint
 
 Truth = dict[tuple[str, int | None], float]
@@ -89,7 +89,7 @@ def test_options_of_a_case_override_and_are_hashed(tmp_path: Path) -> None:
 
 
 def test_a_study_file_has_no_true_values(tmp_path: Path) -> None:
-    from strainwave.campaign.studies import find
+    from strainwave.campaign.study_files import find
 
     plan = Plan(Store.at(tmp_path / "store"), "test", ("rigid",), {})
     task = plan.next(find([str(rig(tmp_path / "rig"))]).cases[0])

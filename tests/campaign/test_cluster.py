@@ -20,10 +20,10 @@ import strainwave as sw
 from campaign_commands import COUNT, PATIENCE, campaign, records_by_study, running, wait_for
 from campaign_rigs import rig, rigs
 from strainwave.campaign import cluster
+from strainwave.campaign.records import Limits, Task
 from strainwave.campaign.runner import Plan
 from strainwave.campaign.store import Store
-from strainwave.campaign.studies import find
-from strainwave.campaign.tasks import Limits, Task
+from strainwave.campaign.study_files import find
 
 QUIET = {"DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "error"}
 

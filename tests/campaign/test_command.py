@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -11,11 +12,10 @@ from rich.console import Console
 import strainwave as sw
 from campaign_rigs import log, rig, rigs
 from command_line import Finished, run_here
-from strainwave.campaign import Settings, _undetermined
+from strainwave.campaign import MAX_LISTED_RUNS, Settings, Tally, _display, _undetermined, cause
 from strainwave.campaign import run as run_campaign
-from strainwave.campaign.progress import MAX_LISTED_RUNS, Tally, _display, cause
+from strainwave.campaign.records import Outcome
 from strainwave.campaign.store import Store
-from strainwave.campaign.tasks import Outcome
 
 
 def campaign(*arguments: str | Path) -> Finished:
@@ -152,7 +152,14 @@ def test_a_failed_merge_is_reported_and_loses_nothing(
 def outcome(status: str, message: str = "", *, skipped: bool = False) -> Outcome:
     code = 0 if status == "determined" else 3
     return Outcome(
-        run=message, study="s", status=status, exit_code=code, message=message, skipped=skipped
+        run=message,
+        study="s",
+        status=status,
+        exit_code=code,
+        message=message,
+        seconds=0.0,
+        started=datetime(2026, 1, 1),
+        skipped=skipped,
     )
 
 

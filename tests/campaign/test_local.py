@@ -13,11 +13,11 @@ import psutil
 import pytest
 
 from campaign_rigs import inertia_of, rig, rigs
-from strainwave.campaign import local, worker
+from strainwave.campaign import runner, worker
+from strainwave.campaign.records import Limits, Outcome, Task
 from strainwave.campaign.runner import Plan, Runner
 from strainwave.campaign.store import Store, read_parameters, read_runs
-from strainwave.campaign.studies import find
-from strainwave.campaign.tasks import Limits, Outcome, Task
+from strainwave.campaign.study_files import find
 from strainwave.errors import InvalidInput
 
 
@@ -40,7 +40,7 @@ def run(studies: Path, store: Path, workers: int = 2, **changes: Any) -> dict[st
     limits = changes.pop("limits", Limits())
     start = changes.pop("start", Runner)
     cases = find([str(studies)]).cases
-    outcomes = local.run(cases, plan(store, **changes), workers, limits, start)
+    outcomes = runner.run(cases, plan(store, **changes), workers, limits, start)
     return {Path(each.study).parent.name: each for each in outcomes}
 
 
@@ -228,7 +228,7 @@ def test_closing_the_generator_kills_the_processes(tmp_path: Path) -> None:
     rig(tmp_path / "rigs" / "hangs-2")
     rig(tmp_path / "rigs" / "a-whole")
     cases = find([str(tmp_path / "rigs")]).cases
-    outcomes = local.run(cases, plan(tmp_path / "store"), 2, Limits(), POISONED)
+    outcomes = runner.run(cases, plan(tmp_path / "store"), 2, Limits(), POISONED)
     assert next(outcomes).status == "determined"
     start = time.monotonic()
     outcomes.close()

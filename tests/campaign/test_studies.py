@@ -10,9 +10,8 @@ import pytest
 
 import strainwave as sw
 from campaign_rigs import STUDY, rig, rigs
-from strainwave.campaign.studies import Selection, find
-from strainwave.campaign.study_files import StudyFile
-from strainwave.campaign.tasks import Task
+from strainwave.campaign.records import Task
+from strainwave.campaign.study_files import Selection, StudyFile, find
 
 
 def names(found: Selection, folder: Path | str) -> list[str]:

@@ -18,7 +18,7 @@ from strainwave.domain.kinds.base import LINK_PARAMETERS, Body, about_axis
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export import IdentifiedArm
-from strainwave.export.bodies import link_bodies
+from strainwave.export.completion import link_bodies
 from strainwave.export.urdf import to_urdf
 from strainwave.io.urdf import read_urdf
 

@@ -20,9 +20,8 @@ from starlette.routing import Route
 from starlette.testclient import TestClient
 
 import strainwave as sw
-from strainwave.workbench.app import create_app
-from strainwave.workbench.gate import run_check
-from strainwave.workbench.pages import ROUTES
+from strainwave.workbench.app import ROUTES, create_app
+from strainwave.workbench.pages.check import run_check
 from strainwave.workbench.runs import Run, Runs
 from strainwave.workbench.server import ServerOptions
 

@@ -13,7 +13,7 @@ from strainwave.virtual import scara
 
 pytest.importorskip("starlette")
 
-from strainwave.workbench.hand_simulation import parameter_document
+from strainwave.workbench.pages.by_hand import parameter_document
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient

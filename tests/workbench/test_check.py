@@ -12,7 +12,7 @@ pytest.importorskip("starlette")
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
 
-from strainwave.workbench.gate import gate_of
+from strainwave.workbench.pages.check import gate_of
 from strainwave.workbench.study_edit import Change, edit_study
 
 API = "/api/check/arm/study.toml"

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 import strainwave as sw
-from strainwave.workbench.comparison import report_figures
 
 pytest.importorskip("starlette")
 
-from strainwave.workbench import comparison
+from strainwave.workbench.pages import compare
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
@@ -68,8 +67,8 @@ def test_equal_results_agree(client: TestClient, two_runs: Path) -> None:
 
 
 def test_linear_models_of_a_joint_are_those_of_the_parameters(two_runs: Path) -> None:
-    results = comparison.read_results({"a": two_runs / A, "b": two_runs / B})
-    figure = comparison.pole_figure(results, 1)
+    results = compare.read_results({"a": two_runs / A, "b": two_runs / B})
+    figure = compare.pole_figure(results, 1)
     poles, zeros = figure.panels[0].marks[0], figure.panels[0].marks[1]
     model = results[0].result
     k = next(
@@ -81,7 +80,7 @@ def test_linear_models_of_a_joint_are_those_of_the_parameters(two_runs: Path) ->
     assert k is not None
     assert inertia is not None
     assert np.sqrt(k / inertia) == pytest.approx(modulus, rel=1e-3)
-    step: Any = comparison.step_figure(results, 1).panels[0].marks[0]
+    step: Any = compare.step_figure(results, 1).panels[0].marks[0]
     assert step.y[0] == pytest.approx(0.0, abs=1e-9)
     assert step.y[-1] > 0.0
 
@@ -99,8 +98,8 @@ def test_figures_of_reports_are_side_by_side(client: TestClient, two_runs: Path)
 def test_a_damaged_report_has_no_figures(tmp_path: Path, text: str) -> None:
     path = tmp_path / "report.html"
     path.write_bytes(text.encode("utf-8", "surrogateescape"))
-    assert report_figures(path) == {}
-    assert report_figures(tmp_path / "missing.html") == {}
+    assert compare.report_figures(path) == {}
+    assert compare.report_figures(tmp_path / "missing.html") == {}
 
 
 @pytest.mark.parametrize("paths", [[], [A], [A, "../../etc/passwd"], "x", [A, 3]])

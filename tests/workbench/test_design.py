@@ -13,7 +13,7 @@ from strainwave.virtual import scara
 
 pytest.importorskip("starlette")
 
-from strainwave.workbench.hand_simulation import parameter_document
+from strainwave.workbench.pages.by_hand import parameter_document
 from strainwave.workbench.pages.design import option_flags
 from strainwave.workbench.runs import Runs
 

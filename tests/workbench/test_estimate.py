@@ -16,7 +16,7 @@ from strainwave.io.study import read_study
 
 pytest.importorskip("starlette")
 
-from strainwave.workbench.option_form import option_arguments, option_groups
+from strainwave.workbench.pages.estimate import option_arguments, option_groups
 from strainwave.workbench.study_edit import Change, edit_study
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def test_every_option_has_a_text() -> None:
 
 
 def test_choices_are_those_of_the_types() -> None:
-    rows = {row.name: row for group in option_groups(Options()) for row in group.rows}
+    rows = {row.name: row for group in option_groups(Options()).values() for row in group}
     assert rows["statespace.method"].choices == ("pem", "moesp", "n4sid", "subspace")
     assert rows["tuning.settling"].choices == ("true", "false")
     assert rows["links.order"].choices == ("1", "2")
@@ -55,7 +55,7 @@ def test_choices_are_those_of_the_types() -> None:
 def test_values_of_the_study_are_shown(folder: Path) -> None:
     path = folder / "arm" / "study.toml"
     edit_study(path, [Change(("options", "tuning", "hold"), ["gear_damping 2"])])
-    rows = {row.name: row for g in option_groups(read_study(path).options) for row in g.rows}
+    rows = {row.name: row for g in option_groups(read_study(path).options).values() for row in g}
     assert rows["tuning.hold"].value == '["gear_damping 2"]'
     assert rows["links.order"].value == ""
 

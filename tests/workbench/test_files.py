@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("starlette")
 
-from strainwave.workbench.pages.files import EXPORT_FILES, python_script
+from strainwave.workbench.pages.runs import EXPORT_FILES, python_script
 from strainwave.workbench.runs import Run
 
 if TYPE_CHECKING:

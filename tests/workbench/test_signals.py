@@ -15,7 +15,7 @@ from strainwave.io.study import read_study
 
 pytest.importorskip("starlette")
 
-from strainwave.workbench.signal_views import (
+from strainwave.workbench.pages.signals import (
     coherence_figure,
     marks_of,
     sequences_of,

@@ -14,7 +14,7 @@ from strainwave.study_draft import start_study
 
 pytest.importorskip("starlette")
 
-from strainwave.workbench.rig_form import field_groups, value_of
+from strainwave.workbench.pages.study import field_groups, value_of
 from strainwave.workbench.study_edit import Change, changed_text, edit_study, parse_draft
 
 if TYPE_CHECKING:
@@ -116,9 +116,9 @@ def test_a_column_is_mapped_scaled_and_removed(client: TestClient, folder: Path)
 def test_todo_values_are_marked_and_survive_other_changes() -> None:
     document = parse_draft(DRAFT, Path("study.toml"))
     groups = field_groups(document)
-    missing = [f.place for group in groups for f in group.fields if f.is_todo]
+    missing = [f.place for fields in groups.values() for f in fields if f.is_todo]
     assert missing == [("arm", "link_length"), ("joint", 0, "gear_ratio"), ("servo", "kp")]
-    reasons = {f.key.key: f.reason for f in groups[0].fields}
+    reasons = {f.key.key: f.reason for f in groups["Arm"]}
     assert reasons["link_length"] == "[m] measured"
     text = changed_text(DRAFT, [Change(("arm", "link_length"), 0.35)], Path("study.toml"))
     assert text == DRAFT.replace("link_length = TODO", "link_length = 0.35")

@@ -15,8 +15,8 @@ from strainwave.virtual import scara
 
 pytest.importorskip("starlette")
 
+from strainwave.workbench.pages.virtual import virtual_rig
 from strainwave.workbench.runs import Runs
-from strainwave.workbench.virtual_rig import virtual_rig
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient

@@ -14,17 +14,17 @@ import time
 from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import datetime
 from functools import cache
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from strainwave.campaign.records import now
+from strainwave.campaign.records import FAILED_STATUS, Limits, Outcome, Task, now
 from strainwave.campaign.runner import Plan, Runner, failed
 from strainwave.campaign.store import Store
 from strainwave.campaign.study_files import Case
-from strainwave.campaign.tasks import FAILED_STATUS, Limits, Outcome, Task
 from strainwave.errors import InvalidInput, StrainwaveError, import_optional
 from strainwave.io.atomic_files import check_keys, decode, parse_toml, read_bytes
 
@@ -58,7 +58,7 @@ def perform(line: str, limits: dict[str, Any], since: str) -> str:
     if recorded and (
         recorded.status != FAILED_STATUS or recorded.started >= datetime.fromisoformat(since)
     ):
-        return Outcome.of(recorded._asdict()).to_json()
+        return recorded.to_json()
     if getattr(_thread, "limits", None) != limits:
         _thread.limits, _thread.runner = limits, Runner(Limits(**limits))
     runner: Runner = _thread.runner
@@ -80,7 +80,9 @@ def connected(scheduler: str | None, description: Path | None) -> Iterator[Any]:
     not answer, or the cluster cannot be created.
     """
     Client = import_optional("distributed", "a cluster", '"strainwave[cluster]"').Client
-    _silence()
+    for name in list(logging.root.manager.loggerDict):  # `ClusterLost` reports a lost scheduler
+        if name.split(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     cluster = None if description is None else _started(description)
     try:
         try:
@@ -102,15 +104,7 @@ def connected(scheduler: str | None, description: Path | None) -> Iterator[Any]:
                 cluster.close()
 
 
-def _silence() -> None:
-    """Suppress log messages on a lost scheduler, which `ClusterLost` reports."""
-    for name in list(logging.root.manager.loggerDict):
-        if name.split(".")[0] in ("distributed", "tornado", "asyncio"):
-            logging.getLogger(name).setLevel(logging.CRITICAL)
-
-
-@dataclass(frozen=True)
-class _Planned:
+class _Planned(NamedTuple):
     """A task and the time since when it may have been recorded."""
 
     task: Task
@@ -125,7 +119,7 @@ def run(
     `workers` limits the number of submitted tasks. Raises `ClusterLost` if the scheduler is lost,
     and `InvalidInput` if the workers cannot run strainwave or a case cannot be read at all.
     """
-    waiting: Iterator[Case] | None = iter(cases)
+    waiting = iter(cases)
     events: queue.SimpleQueue[Any] = queue.SimpleQueue()
     submitted: dict[str, tuple[_Planned, Any]] = {}
     planning = 0
@@ -133,11 +127,8 @@ def run(
     pool = ThreadPoolExecutor(_N_PLANNERS)
     try:
         while True:
-            while waiting is not None and planning + len(submitted) < capacity.tasks():
-                case = next(waiting, None)
-                if case is None:
-                    waiting = None
-                    break
+            free = max(0, capacity.tasks() - planning - len(submitted))
+            for case in islice(waiting, free):
                 planning += 1
                 pool.submit(_plan, plan, case).add_done_callback(events.put)
             if not planning and not submitted:
@@ -170,15 +161,11 @@ def _plan(plan: Plan, case: Case) -> _Planned | Outcome:
 
 
 def _submit(client: Any, planned: _Planned, limits: Limits) -> Any:
+    task, since = planned
+    key = f"strainwave-{task.run}-{since.timestamp():f}"
+    work = perform, task.to_json(), asdict(limits), since.isoformat()
     with _connected_call(client):
-        return client.submit(
-            perform,
-            planned.task.to_json(),
-            asdict(limits),
-            planned.since.isoformat(),
-            pure=False,
-            key=f"strainwave-{planned.task.run}-{planned.since.timestamp():f}",
-        )
+        return client.submit(*work, pure=False, key=key)
 
 
 @contextmanager
@@ -245,9 +232,7 @@ class _Capacity:
 
 
 def _started(path: Path) -> Any:
-    """The cluster that a TOML file describes."""
-    text = decode(read_bytes(path, "the cluster's description"), path)
-    document = parse_toml(text, path)
+    document = parse_toml(decode(read_bytes(path, "the cluster's description"), path), path)
     check_keys(document, _KEYS, path)
     types = {"class": str, "arguments": dict, "workers": int}
     values: dict[str, Any] = {"arguments": {}, "workers": 0} | document

@@ -113,7 +113,9 @@ class Bucket:
         return self.url
 
     def _at(self, name: str) -> tuple[Any, str]:
-        return file_system(f"{self.url.rstrip('/')}/{name}")
+        system, path = file_system(f"{self.url.rstrip('/')}/{name}")
+        system.invalidate_cache()  # other processes write
+        return system, path
 
     def put(self, name: str, data: bytes) -> None:
         """Write a whole object; on a local file system as `Folder` does."""
@@ -132,7 +134,6 @@ class Bucket:
     def names(self, folder: str, ending: str) -> list[str]:
         """Files of a subfolder by ending."""
         system, path = self._at(folder)
-        system.invalidate_cache()
         try:
             names = [str(each).rsplit("/", 1)[-1] for each in system.ls(path, detail=False)]
         except FileNotFoundError:
@@ -142,7 +143,6 @@ class Bucket:
     def exists(self, name: str) -> bool:
         """Whether the file exists."""
         system, path = self._at(name)
-        system.invalidate_cache()
         return bool(system.exists(path))
 
     def delete(self, names: Iterable[str]) -> None:

@@ -1,23 +1,143 @@
-"""Runs as rows of the tables of a store, whose types do not depend on the values."""
+"""Tasks, their outcomes, and runs as rows of the tables of a store.
+
+Tasks and outcomes are sent as one line of JSON each. The types of rows do not depend on values.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import pkgutil
 import socket
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from itertools import starmap
 from typing import Any
 
 import pyarrow as pa
 
-from strainwave.campaign.study_files import Opened
-from strainwave.campaign.tasks import FAILED_STATUS, Task
-from strainwave.domain import Identification, Parameter
+from strainwave import __version__
+from strainwave.campaign.study_files import Case, Opened
+from strainwave.domain import Identification, Parameter, Stage
 from strainwave.domain.keys import Key, label_of
 from strainwave.io.results import to_document, to_json
+
+FAILED_STATUS = "failed"
+"""Status of a run without a verdict: wrong input, a crash, or the time limit."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a run."""
+
+    time_s: float = 600.0
+    memory_mib: int | None = None  # address space; None: no limit
+    tasks: int = 100  # of one worker process before it is replaced
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """A case with stages, options and store."""
+
+    case: Case
+    study_sha256: str | None
+    inputs_sha256: str
+    stages: tuple[Stage, ...]
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    store: str  # absolute path, or URL
+    campaign: str
+    version: str = __version__
+
+    @property
+    def options_sha256(self) -> str:
+        """Hash of stages and options."""
+        return _digest([self.stages, self.options])
+
+    @property
+    def run(self) -> str:
+        """Name of the run: a hash of case, study, logs, options and version."""
+        identity = [self.case.name, self.study_sha256, self.inputs_sha256]
+        return _digest([*identity, self.options_sha256, self.version])[:32]
+
+    def row(self) -> dict[str, Any]:
+        """Columns of the row of a run that are known before it starts."""
+        return {
+            "run": self.run,
+            "study": self.case.name,
+            "study_sha256": self.study_sha256,
+            "inputs_sha256": self.inputs_sha256,
+            "options_sha256": self.options_sha256,
+            "version": self.version,
+            "campaign": self.campaign,
+            "stages": ",".join(self.stages),
+        }
+
+    def to_json(self) -> str:
+        """One line."""
+        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        kind = type(self.case)
+        case = {"kind": f"{kind.__module__}:{kind.__qualname__}", "fields": vars(self.case)}
+        return json.dumps(fields | {"case": case})
+
+    @classmethod
+    def from_json(cls, text: str) -> Task:
+        """The task of a line."""
+        fields = json.loads(text)
+        kind = pkgutil.resolve_name(fields["case"]["kind"])
+        fields |= {"case": kind(**fields["case"]["fields"]), "stages": tuple(fields["stages"])}
+        return cls(**fields)
+
+
+OUTCOME_COLUMNS = ("run", "study", "status", "exit_code", "message", "seconds", "started")
+"""Columns of a run that the driver needs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """Outcome of a run for the driver, with `OUTCOME_COLUMNS`; the store has the whole record."""
+
+    run: str
+    study: str
+    status: str
+    exit_code: int
+    message: str
+    seconds: float
+    started: datetime  # UTC
+    skipped: bool = False  # recorded before
+    unrecorded: str = ""  # reason why it is not in the store
+
+    @classmethod
+    def of(cls, row: Mapping[str, Any], *, unrecorded: str = "") -> Outcome:
+        """The outcome of a row of the runs."""
+        return cls(**{name: row[name] for name in OUTCOME_COLUMNS}, unrecorded=unrecorded)
+
+    def to_json(self) -> str:
+        """One line."""
+        return json.dumps(asdict(self) | {"started": self.started.isoformat()})
+
+    @classmethod
+    def from_json(cls, text: str) -> Outcome:
+        """The outcome of a line."""
+        fields = json.loads(text)
+        return cls(**fields | {"started": datetime.fromisoformat(fields["started"])})
+
+
+def merged(tables: Sequence[Mapping[str, Mapping[str, Any]]]) -> dict[str, dict[str, Any]]:
+    """Tables of options, stage -> key -> value, merged so that later ones override."""
+    options: dict[str, dict[str, Any]] = {}
+    for table in tables:
+        for stage, values in table.items():
+            options.setdefault(stage, {}).update(values)
+    return options
+
+
+def _digest(values: object) -> str:
+    """SHA-256 of plain JSON values."""
+    text = json.dumps(values, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
 
 TIMED_PARTS = ("read", "consistency", "rigid", "decoupled", "tuned", "checks")
 """Parts of a run whose time has a column, `read_s` and so on."""
@@ -81,11 +201,6 @@ class Record:
     parameters: Sequence[Row] = ()
     result: bytes | None = None
 
-    @property
-    def run(self) -> str:
-        """Name of the run."""
-        return str(self.row["run"])
-
 
 def now() -> datetime:
     """The present time as in the column `started`: UTC, without a zone."""
@@ -102,14 +217,16 @@ def record_of(
 ) -> Record:
     """Record of a run with a verdict; `opened` has the true values of a virtual arm."""
     verdict = identification.verdict
-    task_row = task.row()
-    row = task_row | {
-        "status": verdict.status,
-        "exit_code": verdict.exit_code,
-        "message": "; ".join(verdict.reasons),
-        "started": started,
-        "seconds": (now() - started).total_seconds(),
-        "worker": worker_name(),
+    base = failure_of(
+        task,
+        "; ".join(verdict.reasons),
+        exit_code=verdict.exit_code,
+        started=started,
+        status=verdict.status,
+        classes=opened.classes,
+    )
+    row = {
+        **base.row,
         "result": f"results/{task.run}/result.json",
         "identified": [*starmap(label_of, verdict.identified)],
         "not_identified": [*starmap(label_of, verdict.not_identified)],
@@ -118,10 +235,9 @@ def record_of(
         "validated_elastic": verdict.validated.elastic,
         "suspected": [entry.code for entry in verdict.suspected],
         "warnings": [entry.code for entry in identification.warnings],
-        "classes": json.dumps(dict(opened.classes)) if opened.classes else None,
     }
     row |= {f"{part}_s": identification.timing_s.get(part) for part in TIMED_PARTS}
-    keys = {"run": task_row["run"], "study": task_row["study"]}
+    keys = {"run": row["run"], "study": row["study"]}
     parameters = [keys | _parameter_row(entry, opened.truth) for entry in identification.parameters]
     return Record(row, parameters, to_json(to_document(identification)))
 

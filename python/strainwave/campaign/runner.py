@@ -1,12 +1,14 @@
 """A worker process as its parent sees it: one task at a time, with limits.
 
-The cases that still have to run: those without a recorded run with the same hashes.
+The cases that still have to run: those without a recorded run with the same hashes. A campaign on
+this machine has one worker process per slot.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import queue
 import select
 import signal
 import subprocess
@@ -14,16 +16,25 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import IO, Any
 
-from strainwave.campaign.records import failure_of, now, worker_name
+from strainwave.campaign.records import (
+    FAILED_STATUS,
+    Limits,
+    Outcome,
+    Task,
+    failure_of,
+    merged,
+    now,
+    worker_name,
+)
 from strainwave.campaign.store import Store
 from strainwave.campaign.study_files import Case
-from strainwave.campaign.tasks import FAILED_STATUS, Limits, Outcome, Task, merged
 from strainwave.domain import Stage
 from strainwave.errors import InvalidInput
 
@@ -38,14 +49,6 @@ _FATAL_PREFIXES = ("Fatal", "Timeout", "memory allocation")  # of lines that sta
 
 class Stopping(Exception):  # noqa: N818
     """The campaign ends; the present run is not recorded."""
-
-
-class _ProcessEnded(Exception):  # noqa: N818
-    """The process ended without an answer."""
-
-
-class _TimeLimitExceeded(Exception):  # noqa: N818
-    """The process exceeded the time limit."""
 
 
 class Runner:
@@ -75,19 +78,19 @@ class Runner:
             child = self._start_task(task, until)
             name = worker_name(child.pid)
             answer = self._line(child, until)
-        except _TimeLimitExceeded:
+        except TimeoutError:
             self._end()
             message = f"took longer than {self._limits.time_s:g} s"
             code = TIMEOUT_EXIT_CODE
-        except _ProcessEnded:
+        except EOFError:
             code, message = self._death()
         else:
             self._done += 1
-            limit, resident = self._limits.memory_mib, float(answer.pop("resident_mib"))
+            limit, resident = self._limits.memory_mib, float(answer["resident_mib"])
             allowed = _MAX_RESIDENT_MIB if limit is None else 0.5 * limit
             if self._done >= self._limits.tasks or resident > allowed:
                 self.close()
-            return Outcome(**answer)
+            return Outcome.from_json(answer["outcome"])
         if self._stopped:
             raise Stopping
         return failed(task, message, exit_code=code, started=started, worker=name)
@@ -120,7 +123,7 @@ class Runner:
                 child.stdin.flush()
             try:
                 self._line(child, until)
-            except _ProcessEnded:
+            except EOFError:
                 if self._stopped:
                     raise
                 _, message = self._death()
@@ -144,61 +147,58 @@ class Runner:
         with self._mutex:
             if self._stopped:
                 raise Stopping
+            # so that the worker imports the same modules as this process
+            imports = os.pathsep.join(folder for folder in sys.path if folder)
             self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
             self._child = subprocess.Popen(
                 [sys.executable, *arguments],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._errors,
-                env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": _path()},
+                env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": imports},
                 start_new_session=True,  # so that the parent alone receives Ctrl-C
             )
         self._buffer, self._done = b"", 0
         return self._child
 
     def _line(self, child: subprocess.Popen[bytes], until: float) -> dict[str, Any]:
-        """The next line of the process, as JSON."""
+        """The next line of the process, as JSON; TimeoutError, or EOFError if the process ended."""
         assert child.stdout is not None
         while b"\n" not in self._buffer:
             ready, _, _ = select.select(
                 [child.stdout], [], [], max(0.0, until - time.perf_counter())
             )
             if not ready:
-                raise _TimeLimitExceeded
+                raise TimeoutError
             block = os.read(child.stdout.fileno(), 2**16)
             if not block:
-                raise _ProcessEnded
+                raise EOFError
             self._buffer += block
         line, self._buffer = self._buffer.split(b"\n", 1)
         answer: dict[str, Any] = json.loads(line)
         return answer
 
     def _death(self) -> tuple[int, str]:
-        """Exit code and cause of the death of the process."""
         assert self._child is not None
         try:
             code = self._child.wait(_EXIT_S)
         except subprocess.TimeoutExpired:
             code = -signal.SIGKILL
-        cause = self._fatal_line()
+        cause = ""
+        if self._errors is not None:  # the line on a fatal error, else the last one
+            size = self._errors.seek(0, os.SEEK_END)
+            self._errors.seek(max(0, size - _TAIL_BYTES))
+            lines = self._errors.read().decode(errors="replace").splitlines()
+            printed = [line.strip() for line in lines if line.strip()]
+            fatal = [line for line in printed if line.startswith(_FATAL_PREFIXES)]
+            cause = "".join(f": {line}" for line in (fatal or printed)[-1:])
         self._end()
         if code < 0:
+            name = f"signal {-code}"
             with suppress(ValueError):
-                return 128 - code, f"the process was ended by {signal.Signals(-code).name}{cause}"
-            return 128 - code, f"the process was ended by signal {-code}{cause}"
+                name = signal.Signals(-code).name
+            return 128 - code, f"the process was ended by {name}{cause}"
         return code or 1, f"the process ended with exit code {code}{cause}"
-
-    def _fatal_line(self) -> str:
-        """The line of standard error on a fatal error, else the last one."""
-        if self._errors is None:
-            return ""
-        size = self._errors.seek(0, os.SEEK_END)
-        self._errors.seek(max(0, size - _TAIL_BYTES))
-        lines = self._errors.read().decode(errors="replace").splitlines()
-        printed = [line.strip() for line in lines if line.strip()]
-        fatal = [line for line in printed if line.startswith(_FATAL_PREFIXES)]
-        candidates = [*printed[-1:], *fatal[-1:]]
-        return f": {candidates[-1]}" if candidates else ""
 
     def _end(self) -> None:
         with self._mutex:
@@ -231,21 +231,15 @@ def failed(
     store = store or Store.at(task.store)
     recorded = store.recorded(task.run)
     if recorded is not None and recorded.started >= started:
-        return Outcome.of(recorded._asdict())
+        return recorded
     record = failure_of(task, message, exit_code=exit_code, started=started, worker=worker)
     return Outcome.of(record.row, unrecorded=store.try_write(record))
 
 
 def _kill(child: subprocess.Popen[bytes]) -> None:
-    """Kill a process and its children."""
     if child.poll() is None:
         with suppress(ProcessLookupError):
             os.killpg(child.pid, signal.SIGKILL)
-
-
-def _path() -> str:
-    """PYTHONPATH with which the worker imports the same modules as this process."""
-    return os.pathsep.join(folder for folder in sys.path if folder)
 
 
 @dataclass(frozen=True)
@@ -273,4 +267,45 @@ class Plan:
         recorded = self.store.recorded(task.run)
         if recorded is None or (self.retry_failed and recorded.status == FAILED_STATUS):
             return task
-        return Outcome.of(recorded._asdict(), skipped=True)
+        return replace(recorded, skipped=True)
+
+
+def run(
+    cases: Iterable[Case],
+    plan: Plan,
+    workers: int,
+    limits: Limits,
+    start: Callable[[Limits], Runner] = Runner,
+) -> Generator[Outcome]:
+    """Run cases in `workers` processes, which `start` creates; yield outcomes as they come.
+
+    If the caller closes the generator, the processes are killed and their runs are not recorded.
+    Raises `InvalidInput` if the worker processes do not start or a case cannot be read at all.
+    """
+    runners = [start(limits) for _ in range(workers)]
+    idle: queue.SimpleQueue[Runner] = queue.SimpleQueue()
+    for runner in runners:
+        idle.put(runner)
+
+    def outcome_of(case: Case) -> Outcome:
+        task = plan.next(case)
+        if isinstance(task, Outcome):
+            return task
+        runner = idle.get()
+        try:
+            return runner.run(task)
+        finally:
+            idle.put(runner)
+
+    pool = ThreadPoolExecutor(workers)
+    try:
+        for future in as_completed([pool.submit(outcome_of, case) for case in cases]):
+            yield future.result()
+        for runner in runners:
+            runner.close()
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for runner in runners:
+            runner.stop()
+        for runner in runners:
+            runner.close()

@@ -18,42 +18,32 @@ import threading
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from strainwave.campaign.places import Folder, Place, place_of
-from strainwave.campaign.records import PARAMETERS_SCHEMA, RUNS_SCHEMA, Record, Row
+from strainwave.campaign.records import (
+    OUTCOME_COLUMNS,
+    PARAMETERS_SCHEMA,
+    RUNS_SCHEMA,
+    Outcome,
+    Record,
+    Row,
+)
 from strainwave.errors import InvalidInput
 
 MERGE_AFTER = 1000
 """Number of runs after which a campaign merges small files."""
 
 _MAX_MERGED_ROWS = {"runs": 20_000, "parameters": 500_000}  # larger parts are not rewritten
-
 _MAX_TRIES = 50  # to read a store that other processes merge
-
 _N_READERS = 8  # threads that read small files; more do not speed up a local disk
-
 _SCHEMAS = {"runs": RUNS_SCHEMA, "parameters": PARAMETERS_SCHEMA}
-
 _ORDER = {"runs": ["run", "started"], "parameters": ["run", "name", "joint"]}
-
-
-class Recorded(NamedTuple):
-    """Columns of a run that the driver needs."""
-
-    run: str
-    study: str
-    status: str
-    exit_code: int
-    message: str
-    seconds: float
-    started: datetime
 
 
 @dataclass(frozen=True)
@@ -61,7 +51,7 @@ class Store:
     """A store at a path or a URL."""
 
     place: Place
-    _parts: dict[str, dict[str, Recorded]] = field(default_factory=dict, repr=False)
+    _parts: dict[str, dict[str, Outcome]] = field(default_factory=dict, repr=False)
     _mutex: Any = field(default_factory=threading.Lock, repr=False)
 
     @classmethod
@@ -74,7 +64,7 @@ class Store:
 
         OSError if that fails; no part of it can be read then.
         """
-        run = record.run
+        run = record.row["run"]
         files = {f"runs/{run}.parquet": _table_bytes([record.row], RUNS_SCHEMA)}
         if record.result is not None:
             parameters = _table_bytes(record.parameters, PARAMETERS_SCHEMA)
@@ -100,34 +90,30 @@ class Store:
             return error.strerror or str(error)
         return ""
 
-    def recorded(self, run: str) -> Recorded | None:
-        """Status and start of a recorded run; None if it is not recorded."""
+    def recorded(self, run: str) -> Outcome | None:
+        """The outcome of a recorded run; None if it is not recorded."""
         unmerged = self._of_file(f"runs/{run}.parquet").get(run)
         with self._mutex:
             rows = self._in_parts(run)
             if unmerged is None and not rows:
-                self._read_parts()
+                names = {*filter(_is_part, self.place.names("runs", ".parquet"))}
+                new = names - self._parts.keys()
+                self._parts.update({name: self._of_file(name) for name in new})
+                for name in self._parts.keys() - names:
+                    del self._parts[name]
                 rows = self._in_parts(run)
         rows += [unmerged] if unmerged else []
         return max(rows, key=lambda row: row.started, default=None)
 
-    def _in_parts(self, run: str) -> list[Recorded]:
+    def _in_parts(self, run: str) -> list[Outcome]:
         return [part[run] for part in self._parts.values() if run in part]
 
-    def _read_parts(self) -> None:
-        names = [n for n in self.place.names("runs", ".parquet") if _is_part(n)]
-        for name in names:
-            if name not in self._parts:
-                self._parts[name] = self._of_file(name)
-        for name in set(self._parts) - set(names):
-            del self._parts[name]
-
-    def _of_file(self, name: str) -> dict[str, Recorded]:
+    def _of_file(self, name: str) -> dict[str, Outcome]:
         try:
-            rows = self._table(name, Recorded._fields).to_pylist()
+            rows = self._table(name, OUTCOME_COLUMNS).to_pylist()
         except FileNotFoundError:
             return {}
-        return {row["run"]: Recorded(**row) for row in rows}
+        return {row["run"]: Outcome(**row) for row in rows}
 
     def table(self, kind: str, columns: Sequence[str] | None = None) -> pa.Table:
         """All rows of `runs` or `parameters`, each once: of a repeated run, the last.
@@ -136,32 +122,26 @@ class Store:
         """
         read_columns = None if columns is None else list(dict.fromkeys([*columns, *_ORDER[kind]]))
         for _ in range(_MAX_TRIES):
-            names = self.place.names(kind, ".parquet")
-            if _parts_of(names) != _parts_of(self.place.names(kind, ".parquet")):
+            names, again = (self.place.names(kind, ".parquet") for _ in range(2))
+            if {*filter(_is_part, names)} != {*filter(_is_part, again)}:
                 continue  # merged while the files were listed
             try:
-                table = self._all(names, kind, read_columns)
+                # small files, which are newer, come first
+                with ThreadPoolExecutor(_N_READERS) as pool:
+                    ordered = sorted(names, key=_is_part)
+                    tables = list(pool.map(lambda name: self._table(name, read_columns), ordered))
             except FileNotFoundError:  # merged after the files were listed
                 continue
+            schema = _SCHEMAS[kind]
+            if read_columns is not None:
+                schema = pa.schema([schema.field(name) for name in read_columns])
+            table = _drop_duplicates(_concatenated(tables, schema), kind)
             return table if columns is None else table.select(list(columns))
         raise InvalidInput(
             f"the {kind} change while they are read",
             where=str(self.place),
             remedy="read them again",
         )
-
-    def _all(self, names: Sequence[str], kind: str, columns: list[str] | None) -> pa.Table:
-        """Rows of all files; small files, which are newer, come first."""
-        ordered = sorted(names, key=_is_part)
-        if len(ordered) > _N_READERS:
-            with ThreadPoolExecutor(_N_READERS) as pool:
-                tables = list(pool.map(lambda name: self._table(name, columns), ordered))
-        else:
-            tables = [self._table(name, columns) for name in ordered]
-        schema = _SCHEMAS[kind]
-        if columns is not None:
-            schema = pa.schema([schema.field(name) for name in columns])
-        return _drop_duplicates(_concatenated(tables, schema), kind)
 
     def _table(self, name: str, columns: Sequence[str] | None = None) -> pa.Table:
         try:
@@ -256,10 +236,6 @@ def _open_existing(where: Path | str) -> Store:
 
 def _is_part(name: str) -> bool:
     return name.rsplit("/", 1)[-1].startswith("part-")
-
-
-def _parts_of(names: Sequence[str]) -> set[str]:
-    return {name for name in names if _is_part(name)}
 
 
 def _table_bytes(rows: Sequence[Row], schema: pa.Schema) -> bytes:

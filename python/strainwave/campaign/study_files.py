@@ -1,17 +1,17 @@
-"""Cases of study files at a path or a URL.
+"""Cases of a campaign: studies to identify, small enough to be sent to any worker.
 
-Cases of a campaign: studies to identify, small enough to be sent to any worker.
-
-A worker opens a case and gets a study with its logs. `strainwave.campaign.tasks` lists the kinds:
-study files, and virtual arms of a family.
+A worker opens a case and gets a study with its logs. Study files at a path or a URL are cases; they
+are selected by files, folders, globs, tables, URLs, or one campaign.toml.
 """
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import tempfile
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -21,8 +21,14 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 from strainwave.campaign.places import file_system, is_url, resolved
 from strainwave.domain import Study
 from strainwave.domain.keys import Key
-from strainwave.errors import InvalidInput
+from strainwave.errors import InvalidInput, suggest_name
+from strainwave.io.atomic_files import check_keys, decode, parse_toml, read_bytes
 from strainwave.io.logs.arrow import Data
+
+_VERSIONS = (  # keys with which file systems report the version of a file
+    *("ETag", "etag", "md5", "checksum"),
+    *("LastModified", "last_modified", "mtime", "created"),
+)
 
 
 class Hashes(NamedTuple):
@@ -127,28 +133,19 @@ def _fingerprint(location: str) -> str:
     """A text that changes with the contents of an input; empty if it does not exist."""
     try:
         if is_url(location):
-            return _version_at_url(location)
+            system, path_at_url = file_system(location)
+            info = system.info(path_at_url)
+            known = [str(info[key]) for key in _VERSIONS if info.get(key) is not None]
+            return f"{info.get('size')} {' '.join(known)}"
         path = Path(location)
         files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-        return "/".join(_sha256(entry) for entry in files)
+        hashes = []
+        for each in files:
+            with each.open("rb") as file:
+                hashes.append(hashlib.file_digest(file, "sha256").hexdigest())
+        return "/".join(hashes)
     except (OSError, ValueError):
         return ""
-
-
-def _version_at_url(location: str) -> str:
-    system, path = file_system(location)
-    info = system.info(path)
-    versions = (
-        *("ETag", "etag", "md5", "checksum"),
-        *("LastModified", "last_modified", "mtime", "created"),
-    )
-    known = [str(info[key]) for key in versions if info.get(key) is not None]
-    return f"{info.get('size')} {' '.join(known)}"
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _copy_study(url: str, folder: Path) -> Path:
@@ -174,3 +171,160 @@ def _copy_study(url: str, folder: Path) -> Path:
         if system.exists(source):
             system.get(source, str(target), recursive=bool(system.isdir(source)))
     return path
+
+
+_STUDY = "study.toml"
+_GLOB = set("*?[")
+_KEYS = ("stages", "options", "studies")
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Cases in order, with stages and options of a campaign.toml."""
+
+    cases: Sequence[Case]
+    stages: tuple[str, ...] | None = None
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+def find(arguments: Sequence[str]) -> Selection:
+    """The cases that the arguments name, each once.
+
+    Arguments are study files; folders, searched for files named study.toml; globs; tables, .txt
+    with one path per line or .csv with a column `study`; URLs of these; or one campaign.toml.
+    Raises `InvalidInput` if an argument matches no study or a file is invalid.
+    """
+    documents = [path for path in map(Path, arguments) if _is_campaign(path)]
+    if documents:
+        if len(arguments) > 1:
+            raise InvalidInput(
+                "a campaign.toml is given with other arguments",
+                where=str(documents[0]),
+                remedy="give it alone, or list its studies with the others",
+            )
+        return _read_campaign(documents[0])
+    return Selection(_collect_studies(arguments))
+
+
+def _collect_studies(arguments: Sequence[str]) -> list[Case]:
+    cases = [
+        StudyFile(name, name if is_url(name) else str(Path(name).absolute()))
+        for item in arguments
+        for name in _expand_argument(item)
+    ]
+    return list({case.location: case for case in cases}.values())
+
+
+def _expand_argument(argument: str) -> list[str]:
+    """Paths or URLs of the study files of one argument."""
+    if is_url(argument):
+        system, path = file_system(argument)
+        exists, is_folder = system.exists(path), system.isdir(path)
+    else:
+        exists, is_folder = Path(argument).exists(), Path(argument).is_dir()
+    if _GLOB & set(argument) and not exists:
+        if is_url(argument):
+            matches = [str(system.unstrip_protocol(item)) for item in sorted(system.glob(path))]
+        else:
+            anchor = Path(argument).anchor
+            pattern = str(Path(argument).relative_to(anchor))
+            matches = [str(item) for item in sorted(Path(anchor).glob(pattern))]
+        if not matches:
+            raise InvalidInput("matches no file", where=argument, remedy="check the pattern")
+        return [name for match in matches for name in _expand_argument(match)]
+    if is_folder:
+        names = _search(argument)
+        if not names:
+            raise InvalidInput(
+                f"there is no {_STUDY} in this folder or below",
+                where=argument,
+                remedy="name the study files, or a glob that matches them",
+            )
+        return names
+    if argument.endswith((".txt", ".csv")):
+        return _read_table(argument)
+    if not exists:
+        remedy = "check the URL"
+        if not is_url(argument):
+            file = Path(argument)
+            others = [p.name for p in file.parent.glob("*")]
+            remedy = f"check the name{suggest_name(file.name, others)}"
+        raise InvalidInput("does not exist", where=argument, remedy=remedy)
+    return [argument]
+
+
+def _search(folder: str) -> list[str]:
+    if is_url(folder):
+        system, path = file_system(folder)
+        paths = sorted(p for p in system.find(path) if p.rsplit("/", 1)[-1] == _STUDY)
+        return [str(system.unstrip_protocol(item)) for item in paths]
+    return [str(path) for path in sorted(Path(folder).rglob(_STUDY))]
+
+
+def _read_table(table: str) -> list[str]:
+    """Paths in a table; relative ones refer to its folder."""
+    if is_url(table):
+        system, path = file_system(table)
+        try:
+            data = bytes(system.cat_file(path))
+        except OSError as error:
+            raise InvalidInput(
+                f"cannot be read ({error})", where=table, remedy="check the URL"
+            ) from error
+    else:
+        data = read_bytes(Path(table), "the list of studies")
+    text = decode(data, Path(table))
+    if table.endswith(".csv"):
+        rows = csv.DictReader(io.StringIO(text))
+        if "study" not in (rows.fieldnames or ()):
+            raise InvalidInput(
+                "has no column 'study'",
+                where=table,
+                remedy="give the column of paths the name 'study'",
+            )
+        paths = [(row["study"] or "").strip() for row in rows]
+    else:
+        paths = [line.strip() for line in text.splitlines()]
+    paths_in_table = [path for path in paths if path and not path.startswith("#")]
+    if not paths_in_table:
+        raise InvalidInput("lists no studies", where=table, remedy="write one path per line")
+    return [resolved(path, table) for path in paths_in_table]
+
+
+def _is_campaign(path: Path) -> bool:
+    """Whether a file is a campaign.toml: it has studies, but no arm."""
+    if path.suffix != ".toml" or not path.is_file():
+        return False
+    if path.name == "campaign.toml":
+        return True
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError):
+        return False  # its reader reports the fault
+    return "arm" not in document and "studies" in document
+
+
+def _read_campaign(path: Path) -> Selection:
+    text = decode(read_bytes(path, "the campaign"), path)
+    document = parse_toml(text, path)
+    check_keys(document, _KEYS, path)
+    stages, options = document.get("stages"), document.get("options", {})
+    if stages is not None and not _is_list_of_text(stages):
+        raise _invalid_key(path, "stages", 'a list of names, for example ["rigid"]')
+    if not isinstance(options, dict) or not all(isinstance(o, dict) for o in options.values()):
+        raise _invalid_key(path, "options", "one table per stage, as in a study file")
+    table = document.get("studies")
+    if not isinstance(table, dict) or set(table) != {"paths"} or not table["paths"]:
+        raise _invalid_key(path, "studies", '[studies] with paths = ["rigs/*/study.toml", ...]')
+    if not _is_list_of_text(table["paths"]):
+        raise _invalid_key(path, "studies.paths", "a list of paths, folders, globs or URLs")
+    cases = _collect_studies([resolved(item, str(path)) for item in table["paths"]])
+    return Selection(cases, None if stages is None else tuple(stages), options)
+
+
+def _is_list_of_text(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(item, str) for item in value)
+
+
+def _invalid_key(path: Path, key: str, wanted: str) -> InvalidInput:
+    return InvalidInput(f"'{key}' is missing or invalid", where=str(path), remedy=f"give {wanted}")

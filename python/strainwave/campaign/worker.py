@@ -18,9 +18,16 @@ from collections.abc import Callable, Mapping
 from typing import Any, TextIO
 
 from strainwave import __version__
-from strainwave.campaign.records import Record, failure_of, now, record_of
+from strainwave.campaign.records import (
+    FAILED_STATUS,
+    Outcome,
+    Record,
+    Task,
+    failure_of,
+    now,
+    record_of,
+)
 from strainwave.campaign.store import Store
-from strainwave.campaign.tasks import FAILED_STATUS, Outcome, Task
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 
 Perform = Callable[[Task], Record]
@@ -38,11 +45,7 @@ def perform(task: Task) -> Record:
     started = now()
     classes: Mapping[str, Any] = {}
 
-    def failed(message: str, exit_code: int, status: str = FAILED_STATUS) -> Record:
-        return failure_of(
-            task, message, exit_code=exit_code, started=started, status=status, classes=classes
-        )
-
+    status = FAILED_STATUS
     try:
         if task.version != __version__:
             raise InvalidInput(
@@ -60,13 +63,16 @@ def perform(task: Task) -> Record:
             )
             return record_of(task, opened, identification, started=started)
     except InvalidInput as error:
-        return failed(str(error), 2)
+        message, code = str(error), 2
     except (NotIdentifiable, NumericalFailure) as error:
-        return failed(str(error), 3, "not-determined")
+        message, code, status = str(error), 3, "not-determined"
     except MemoryError:
-        return failed("the run needs more memory than its limit", 1)
+        message, code = "the run needs more memory than its limit", 1
     except Exception as error:  # a bug fails this study, not the campaign
-        return failed(_sentence(error), 1)
+        message, code = _sentence(error), 1
+    return failure_of(
+        task, message, exit_code=code, started=started, status=status, classes=classes
+    )
 
 
 def _sentence(error: Exception) -> str:
@@ -91,17 +97,15 @@ def serve(tasks: TextIO, answers: TextIO, time_limit: float, do: Perform) -> Non
     """
     for line in tasks:
         task = Task.from_json(line)
-        _send(answers, json.dumps({"started": task.run}))
+        _send(answers, {"started": task.run})
         faulthandler.dump_traceback_later(time_limit + _ORPHAN_GRACE_S, exit=True)
         outcome = answer(task, do)
         faulthandler.cancel_dump_traceback_later()
-        _send(
-            answers, json.dumps({"resident_mib": _resident_mib()} | json.loads(outcome.to_json()))
-        )
+        _send(answers, {"resident_mib": _resident_mib(), "outcome": outcome.to_json()})
 
 
-def _send(answers: TextIO, line: str) -> None:
-    answers.write(line + "\n")
+def _send(answers: TextIO, message: Mapping[str, Any]) -> None:
+    answers.write(json.dumps(message) + "\n")
     answers.flush()
 
 

@@ -70,7 +70,19 @@ def export_arm(
     with its warnings and notes. Raises `InvalidInput` if a file or the format is invalid, or a
     parameter that the format needs is missing.
     """
-    form = _checked_format(form, out)
+    if form is None and out.suffix not in _FORMAT_BY_ENDING:
+        raise InvalidInput(
+            f"the ending {out.suffix!r} does not determine a format",
+            where=f"--out {out}",
+            remedy=f"give --format: {', '.join(FORMATS)}",
+        )
+    form = form or _FORMAT_BY_ENDING[out.suffix]
+    if form not in FORMATS:
+        raise InvalidInput(
+            f"there is no format {form!r}",
+            where="--format",
+            remedy=f"use one of {', '.join(FORMATS)}{suggest_name(form, FORMATS)}",
+        )
     if (urdf := arm.study.arm.urdf) is not None:
         inputs = (*inputs, arm.study.path.parent / urdf.file)
     if out.resolve() in [path.resolve() for path in inputs]:
@@ -86,21 +98,3 @@ def export_arm(
         export = _RENDERERS[form](arm)
     write_whole(out.parent, {out.name: export.data})
     return export
-
-
-def _checked_format(form: str | None, out: Path) -> str:
-    format_list = ", ".join(FORMATS)
-    if form is None and out.suffix not in _FORMAT_BY_ENDING:
-        raise InvalidInput(
-            f"the ending {out.suffix!r} does not determine a format",
-            where=f"--out {out}",
-            remedy=f"give --format: {format_list}",
-        )
-    selected_format = form or _FORMAT_BY_ENDING[out.suffix]
-    if selected_format not in FORMATS:
-        raise InvalidInput(
-            f"there is no format {selected_format!r}",
-            where="--format",
-            remedy=f"use one of {format_list}{suggest_name(selected_format, FORMATS)}",
-        )
-    return selected_format

@@ -79,30 +79,26 @@ def _numbers_of_arm(arm: ArmDescription) -> Iterator[Entry]:
         if isinstance(value, float | int):
             yield Entry(field.name, value, None, unit, known=True)
         else:
-            yield from _components(field.name, "", "xyz", value, unit)
+            yield from _components([f"{field.name}_{x}" for x in "xyz"], value, unit)
     if kind_of(arm).places_joints:
         return
-    for number, joint in enumerate(arm.joints, start=1):
-        suffix = f"_{number}"
-        yield from _components("origin", suffix, "xyz", joint.origin.xyz, "m")
-        yield from _components("origin", suffix, ("roll", "pitch", "yaw"), joint.origin.rpy, "rad")
-        yield from _components("axis", suffix, "xyz", joint.axis, "1")
-    for number, row in enumerate(arm.coupling or (), start=1):
-        motors = tuple(str(motor) for motor in range(1, len(row) + 1))
-        yield from _components(f"coupling_{number}", "", motors, row, "1")
+    for i, joint in enumerate(arm.joints, start=1):
+        yield from _components([f"origin_{x}_{i}" for x in "xyz"], joint.origin.xyz, "m")
+        turns = [f"origin_{x}_{i}" for x in ("roll", "pitch", "yaw")]
+        yield from _components(turns, joint.origin.rpy, "rad")
+        yield from _components([f"axis_{x}_{i}" for x in "xyz"], joint.axis, "1")
+    for i, row in enumerate(arm.coupling or (), start=1):
+        names = [f"coupling_{i}_{motor}" for motor in range(1, len(row) + 1)]
+        yield from _components(names, row, "1")
 
 
-def _components(
-    name: str, suffix: str, parts: Sequence[str], values: Sequence[float], unit: str
-) -> Iterator[Entry]:
-    for part, value in zip(parts, values, strict=True):
-        yield Entry(f"{name}_{part}{suffix}", value, None, unit, known=True)
+def _components(names: Sequence[str], values: Sequence[float], unit: str) -> Iterator[Entry]:
+    for name, value in zip(names, values, strict=True):
+        yield Entry(name, value, None, unit, known=True)
 
 
 def _notes(arm: IdentifiedArm) -> tuple[str, ...]:
-    """Notes on omitted parts, and on the meaning of the bodies of a serial arm."""
-    bodies = (_BODIES,) if arm.standard else ()
-    return (*arm.assumptions, CORRELATIONS, *bodies)
+    return (*arm.assumptions, CORRELATIONS, *([_BODIES] if arm.standard else []))
 
 
 def to_json(arm: IdentifiedArm) -> Export:

@@ -50,28 +50,23 @@ def to_mat(arm: IdentifiedArm) -> Export:
         "outputs": np.array(OUTPUTS, dtype=object),
         "notes": np.array(_notes(arm), dtype=object),
     }
-    names = {
-        key: np.array(getattr(models.whole_arm, key), dtype=object)
-        for key in ("states", "inputs", "outputs")
-    }
-    content["whole_arm"] = models.whole_arm.matrices | names
+    names = ("states", "inputs", "outputs")
+    arrays = {key: np.array(getattr(models.whole_arm, key), dtype=object) for key in names}
+    content["whole_arm"] = models.whole_arm.matrices | arrays
     file = io.BytesIO()
     savemat(file, content, long_field_names=True, oned_as="column")
     return Export(file.getvalue(), linearised(arm), _notes(arm))
 
 
 def _joints(count: int, models: Models) -> FloatArray:
-    """A struct array, one element per joint."""
     array = np.zeros(count, dtype=[(name, object) for name in "ABCD"])
     for i in range(count):
-        model = models.joints.get(i + 1)
         for name in "ABCD":
-            array[name][i] = np.zeros((0, 0)) if model is None else getattr(model, name)
+            array[name][i] = getattr(models.joints.get(i + 1), name, np.zeros((0, 0)))
     return array
 
 
 def _notes(arm: IdentifiedArm) -> tuple[str, ...]:
-    """Notes on parts that the matrices neglect and parts that the file omits."""
     omitted = omission_note(arm, (*LINEAR, "servo", ERRORS))
     matrices = (f"{note}: not in the matrices, but in the struct parameters" for note in omitted)
     return (*arm.assumptions, *matrices, CORRELATIONS)
@@ -84,19 +79,15 @@ def to_script(arm: IdentifiedArm) -> Export:
     whole arm. Errors as for `models_of`.
     """
     models = models_of(arm)
-    joints = [(number, joint_model(arm, number)) for number in models.joints]
+    joints = []
+    for number, matrices in models.joints.items():
+        model = joint_model(arm, number)
+        values = {name: getattr(model, name) for name in NAMES}
+        joints.append((number, values, model.gear_ratio, matrices._asdict()))
     text = fill_text(
         Path(__file__).with_name("arm.m.j2"),
         entries=entries(arm),
-        joints=[
-            (
-                number,
-                {name: getattr(joint, name) for name in NAMES},
-                joint.gear_ratio,
-                models.joints[number]._asdict(),
-            )
-            for number, joint in joints
-        ],
+        joints=joints,
         whole_arm=models.whole_arm,
         states=STATES,
         inputs=INPUTS,

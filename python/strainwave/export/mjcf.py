@@ -17,23 +17,30 @@ from xml.etree import ElementTree as ET
 
 from strainwave.domain import Diagnostic, FloatArray, Joint, Place
 from strainwave.domain.arm import Vector
+from strainwave.domain.combinations import is_rigid_drive
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.kinds.base import Body
 from strainwave.domain.link_sensors import Axis, installed_axes
 from strainwave.domain.link_sensors.imu import IMU_ATTITUDE, IMU_POSITION
 from strainwave.domain.link_sensors.link_space import axes_about, link_space
 from strainwave.domain.link_sensors.single_axis import Accelerometer, Gyro
-from strainwave.export.bodies import (
+from strainwave.export.completion import (
+    DAMPING,
     chain_of,
     effective_gravity,
     gravity_warnings,
-    holds_motor,
     link_bodies,
 )
-from strainwave.export.completion import DAMPING
 from strainwave.export.coordinates import Coordinates, coordinates_of
-from strainwave.export.markup import comment, numbers, root, to_bytes
-from strainwave.export.omissions import LINEAR, SENSORS, omission_note
+from strainwave.export.omissions import (
+    LINEAR,
+    SENSORS,
+    comment,
+    numbers,
+    omission_note,
+    root,
+    to_bytes,
+)
 from strainwave.export.source import Export, IdentifiedArm
 
 _STEP_S = 1e-4  # [s] time step; Coulomb friction, a constraint, takes two steps to stop a motor
@@ -73,7 +80,10 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
         parent = _link(parent, arm, number, body, coordinates)
     for number in coordinates.elastic:
         _motor(world, arm, number)
-    shared = [i for i in range(1, arm.study.arm.n_joints + 1) if _is_shared(arm, i, coordinates)]
+    # motors behind rigid gears that turn with several joints
+    numbers_of_joints = range(1, arm.study.arm.n_joints + 1)
+    rigid = [i for i in numbers_of_joints if not arm.joint(i).elastic]
+    shared = [i for i in rigid if not coordinates.has_own_motor(i)]
     if coordinates.elastic or shared:
         tendons = ET.SubElement(mujoco, "tendon")
         for torsion, number in zip(coordinates.torsions, coordinates.elastic, strict=True):
@@ -82,22 +92,15 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
             angle = coordinates.motor_angles[number - 1]
             _shared_motor(tendons, arm, number, _terms(arm, coordinates, angle))
     actuators = ET.SubElement(mujoco, "actuator")
-    for number in range(1, arm.study.arm.n_joints + 1):
+    for number in numbers_of_joints:
         _actuator(actuators, arm, number, is_shared=number in shared)
     sensors = ET.SubElement(mujoco, "sensor")
-    comment(
-        sensors,
-        "Named as channels: a is the second component, gyro the third, imu_a is ax, ay, az.",
-    )
-    for number in range(1, arm.study.arm.n_joints + 1):
+    names = "Named as channels: a is the second component, gyro the third, imu_a is ax, ay, az."
+    comment(sensors, names)
+    for number in numbers_of_joints:
         _sensors(sensors, arm, number, is_shared=number in shared)
     warnings = arm.assumed() + _approximations(arm)
     return Export(to_bytes(mujoco), warnings + gravity_warnings(arm), notes)
-
-
-def _is_shared(arm: IdentifiedArm, number: int, coordinates: Coordinates) -> bool:
-    """Whether the motor of a joint is behind a rigid gear and turns with several joints."""
-    return not (arm.joint(number).elastic or coordinates.has_own_motor(number))
 
 
 def _terms(
@@ -119,9 +122,13 @@ def _link(
     if any(origin.rpy):
         element.set("euler", numbers(*origin.rpy))
     _inertial(element, body)
-    attributes = {"name": arm.study.arm.joint_names[number - 1], **_kind(arm, number)}
-    damping = [arm.need("link_viscous_friction", number)]
     joint = arm.joint(number)
+    attributes = {
+        "name": arm.study.arm.joint_names[number - 1],
+        "type": "slide" if joint.motion == "prismatic" else "hinge",
+        "axis": numbers(*joint.axis),
+    }
+    damping = [arm.need("link_viscous_friction", number)]
     if not joint.elastic and coordinates.has_own_motor(number):
         n2 = joint.gear_ratio**2
         of_motor = _damping(arm, number, 1.0 / abs(joint.gear_ratio))
@@ -130,7 +137,7 @@ def _link(
         offset = arm.values.get(("friction_offset", number), 0.0) / joint.gear_ratio
         attributes |= {"frictionloss": numbers(friction), **_settling(arm, number)}
         attributes |= _constant_torque(offset, "springref")
-        if not holds_motor(arm):
+        if not is_rigid_drive(arm.study.arm):
             attributes["armature"] = numbers(arm.need("motor_inertia", number) / n2)
     ET.SubElement(element, "joint", attributes, damping=numbers(*damping))
     x, y, _ = axes_about(joint.axis)
@@ -146,15 +153,9 @@ def _link(
         ET.SubElement(element, "site", name=f"imu{number}", pos=numbers(*xyz), euler=numbers(*rpy))
     following = arm.study.arm.joints[number:]
     end = following[0].origin.xyz if following else tuple(2.0 * part for part in body.centre)
-    ET.SubElement(
-        element,
-        "geom",
-        type="capsule",
-        fromto=numbers(0, 0, 0, *(end if any(end) else (10.0 * _LINK_RADIUS, 0, 0))),
-        size=numbers(_LINK_RADIUS),
-        contype="0",
-        conaffinity="0",
-    )
+    fromto = numbers(0, 0, 0, *(end if any(end) else (10.0 * _LINK_RADIUS, 0, 0)))
+    drawn = {"type": "capsule", "fromto": fromto, "size": numbers(_LINK_RADIUS)}
+    ET.SubElement(element, "geom", drawn, contype="0", conaffinity="0")
     return element
 
 
@@ -179,12 +180,6 @@ def _inertial(element: ET.Element, body: Body) -> None:
     mass, centre = numbers(body.mass), numbers(*body.centre)
     inertia = numbers(*body.inertia)
     ET.SubElement(element, "inertial", pos=centre, mass=mass, fullinertia=inertia)
-
-
-def _kind(arm: IdentifiedArm, number: int) -> dict[str, str]:
-    joint = arm.joint(number)
-    kind = "slide" if joint.motion == "prismatic" else "hinge"
-    return {"type": kind, "axis": numbers(*joint.axis)}
 
 
 def _settling(arm: IdentifiedArm, number: int) -> dict[str, str]:
@@ -216,7 +211,11 @@ def _gear(
     tendons: ET.Element, arm: IdentifiedArm, number: int, terms: Iterable[tuple[str, float]]
 ) -> None:
     """The spring as parallel tendons, one per slope (1); the first has the damping."""
-    for part, (stiffness, slack) in enumerate(_springs(arm, number), start=1):
+    law = arm.joint(number).law
+    springs = law.parallel_springs(partial(arm.need, joint=number))
+    if springs is None:
+        springs = ((arm.need(law.linearised_by, number), 0.0),)
+    for part, (stiffness, slack) in enumerate(springs, start=1):
         name = f"gear{number}" if part == 1 else f"gear{number}_beyond_t{part - 1}"
         fixed = ET.SubElement(tendons, "fixed", name=name, stiffness=numbers(stiffness))
         fixed.set("springlength", numbers(-slack, slack) if slack else "0")
@@ -232,7 +231,7 @@ def _shared_motor(
     attributes = {"name": f"motor{number}", **_settling(arm, number)}
     offset = arm.values.get(("friction_offset", number), 0.0)
     attributes |= _constant_torque(offset, "springlength")
-    if not holds_motor(arm):
+    if not is_rigid_drive(arm.study.arm):
         attributes["armature"] = numbers(arm.need("motor_inertia", number))
     viscous = numbers(*_damping(arm, number))
     coulomb = numbers(arm.need("motor_coulomb_friction", number))
@@ -245,13 +244,6 @@ def _add_terms(fixed: ET.Element, terms: Iterable[tuple[str, float]]) -> None:
         ET.SubElement(fixed, "joint", joint=joint, coef=numbers(weight))
 
 
-def _springs(arm: IdentifiedArm, number: int) -> tuple[tuple[float, float], ...]:
-    """Parallel springs: stiffness [N m/rad] and torsion [rad] beyond which it acts."""
-    law = arm.joint(number).law
-    exact = law.parallel_springs(partial(arm.need, joint=number))
-    return ((arm.need(law.linearised_by, number), 0.0),) if exact is None else exact
-
-
 def _actuator(actuators: ET.Element, arm: IdentifiedArm, number: int, *, is_shared: bool) -> None:
     """Voltage to torque (1): e u behind the current loop."""
     joint = arm.joint(number)
@@ -261,15 +253,9 @@ def _actuator(actuators: ET.Element, arm: IdentifiedArm, number: int, *, is_shar
     elif not joint.elastic:
         target = {"joint": arm.study.arm.joint_names[number - 1]}
         gear = 1.0 / joint.gear_ratio
-    element = ET.SubElement(
-        actuators,
-        "general",
-        {"name": f"drive{number}", **target},
-        gear=numbers(gear),
-        gainprm=numbers(joint.torque_per_command),
-    )
-    lag = _lag(joint)
-    if lag is not None:
+    drive = {"name": f"drive{number}", **target, "gear": numbers(gear)}
+    element = ET.SubElement(actuators, "general", drive, gainprm=numbers(joint.torque_per_command))
+    if (lag := _lag(joint)) is not None:
         element.set("dyntype", "filterexact")
         element.set("dynprm", numbers(lag))
 
@@ -327,25 +313,18 @@ def _mounting(arm: IdentifiedArm, number: int) -> tuple[Vector, Vector] | None:
         return None
     free = link_space(arm.study.arm, number).free_coordinates
     position = [arm.values.get((name, number)) for name in IMU_POSITION]
-    xyz = imu.xyz or _known(0.0 if k not in free else x for k, x in enumerate(position))
-    rpy = imu.rpy or _known(arm.values.get((name, number)) for name in IMU_ATTITUDE)
-    return None if xyz is None or rpy is None else (xyz, rpy)
-
-
-def _known(values: Iterable[float | None]) -> Vector | None:
-    x, y, z = values
-    return None if x is None or y is None or z is None else (x, y, z)
+    xyz = imu.xyz or tuple(0.0 if k not in free else x for k, x in enumerate(position))
+    rpy = imu.rpy or tuple(arm.values.get((name, number)) for name in IMU_ATTITUDE)
+    return None if None in (*xyz, *rpy) else (xyz, rpy)  # type: ignore[return-value]
 
 
 def _approximations(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     """Warnings on gears and drives that the file approximates."""
     warnings = []
     for number, joint in enumerate(arm.study.arm.joints, start=1):
+        place, hz = Place(joint=number), joint.current_loop_hz
         if joint.elastic and joint.law.parallel_springs(partial(arm.need, joint=number)) is None:
-            note = joint.law.linearised_note
-            warnings.append(Diagnostic("linearised", Place(joint=number), note=note))
-        hz = joint.current_loop_hz
+            warnings.append(Diagnostic("linearised", place, note=joint.law.linearised_note))
         if hz and _lag(joint) is None:
-            place = Place(joint=number)
             warnings.append(Diagnostic("left-out", place, bandwidth_hz=hz, step=_STEP_S))
     return tuple(warnings)

@@ -136,17 +136,17 @@ class IdentifiedArm:
         is_split = bool(kind_of(arm).standard_rows(arm)) and not is_rigid_drive(arm)
         lumped = lumped_inertias(arm) if is_split else {}
         for (name, number), row in lumped.items():
-            if (name, number) in identified and not identified.keys() & {
-                *row,
-                ("link_inertia", number),
-            }:
-                parts = tuple(part for part, _ in row)
+            parts = {*row, ("link_inertia", number)}
+            if (name, number) in identified and identified.keys().isdisjoint(parts):
+                names = tuple(part for part, _ in row)
                 place = Place(joint=number)
-                assumptions.append(Diagnostic("assumed", place, "inertia", parts=parts, sum=name))
+                assumptions.append(Diagnostic("assumed", place, "inertia", parts=names, sum=name))
         columns = base_parameters(arm).columns if self.standard else ()
-        names = tuple(column.label for column in columns if column.key not in identified)
-        bodies = Diagnostic("assumed", Place(file=self.source), "bodies", names=names)
-        return (*self.warnings, *assumptions, *[bodies] * bool(names))
+        labels = tuple(column.label for column in columns if column.key not in identified)
+        if labels:
+            place = Place(file=self.source)
+            assumptions.append(Diagnostic("assumed", place, "bodies", names=labels))
+        return (*self.warnings, *assumptions)
 
     @property
     def identified(self) -> Values:
@@ -214,7 +214,13 @@ def study_file_of(
     document: Mapping[str, Any], path: Path, study_path: Path | str | None = None
 ) -> tuple[Study, tuple[Diagnostic, ...]]:
     """The study file of a result, and a warning if the file has changed since."""
-    named, sha256 = _study_reference(document, path)
+    entry = document.get("study")
+    texts = [entry.get(key) for key in ("path", "sha256")] if isinstance(entry, dict) else []
+    if not texts or not all(isinstance(text, str) for text in texts):
+        raise InvalidInput(
+            "does not name its study file", where=f"{path}: study", remedy=NOT_A_RESULT
+        )
+    named, sha256 = map(str, texts)
     if study_path is None:
         study_path = _find_study(path, named, sha256, _folders(document, path))
     study_file = Path(study_path)
@@ -268,29 +274,16 @@ def _drop_rejected(
 
 def _check_names(parameters: Sequence[Parameter], path: Path) -> None:
     """Check that names are unique identifiers; the name of a record may follow in brackets."""
-    labels: set[str] = set()
-    for number, parameter in enumerate(parameters, start=1):
-        place = f"{path}: parameters, entry {number}"
+    labels = [parameter.label for parameter in parameters]
+    for k, parameter in enumerate(parameters):
+        problem = ""
         if not re.fullmatch(r"[a-z][a-z0-9_]*(\[.*\])?", parameter.name):
-            raise InvalidInput(
-                f"{parameter.name!r} is not a parameter name", where=place, remedy=NOT_A_RESULT
-            )
-        if parameter.label in labels:
-            raise InvalidInput(
-                f"{parameter.label} is listed twice", where=place, remedy=NOT_A_RESULT
-            )
-        labels.add(parameter.label)
-
-
-def _study_reference(document: Mapping[str, Any], path: Path) -> tuple[str, str]:
-    entry = document.get("study")
-    texts = [entry.get(key) for key in ("path", "sha256")] if isinstance(entry, dict) else []
-    if not texts or not all(isinstance(text, str) for text in texts):
-        raise InvalidInput(
-            "does not name its study file", where=f"{path}: study", remedy=NOT_A_RESULT
-        )
-    named, sha256 = map(str, texts)
-    return named, sha256
+            problem = f"{parameter.name!r} is not a parameter name"
+        elif parameter.label in labels[:k]:
+            problem = f"{parameter.label} is listed twice"
+        if problem:
+            place = f"{path}: parameters, entry {k + 1}"
+            raise InvalidInput(problem, where=place, remedy=NOT_A_RESULT)
 
 
 def _find_study(path: Path, named: str, sha256: str, folders: Sequence[Path]) -> Path:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -146,18 +145,12 @@ def to_state_space(arm: IdentifiedArm) -> Export:
         "states": STATES,
         "inputs": INPUTS,
         "outputs": OUTPUTS,
-        "joints": [
-            {"joint": number, **_as_lists(model._asdict())}
-            for number, model in models.joints.items()
-        ],
+        "joints": [{"joint": n, **model._asdict()} for n, model in models.joints.items()],
         "whole_arm": {
             **{name: getattr(models.whole_arm, name) for name in ("states", "inputs", "outputs")},
-            **_as_lists(models.whole_arm.matrices),
+            **models.whole_arm.matrices,
         },
         "notes": notes,
     }
-    return Export((json.dumps(document, indent=2) + "\n").encode(), linearised(arm), notes)
-
-
-def _as_lists(matrices: Mapping[str, FloatArray]) -> dict[str, Any]:
-    return {name: matrix.tolist() for name, matrix in matrices.items()}
+    text = json.dumps(document, indent=2, default=np.ndarray.tolist)
+    return Export((text + "\n").encode(), linearised(arm), notes)

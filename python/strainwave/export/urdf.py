@@ -12,16 +12,18 @@ from strainwave.domain import Joint, JointLimits, LinkPrior
 from strainwave.domain.kinds.base import Body
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NumericalFailure
-from strainwave.export.bodies import (
+from strainwave.export.completion import (
     body_torques,
     chain_of,
     gravity_warnings,
+    loss_note,
+    motion_of,
+    motor_friction,
+    nonnegative_fit,
     rotor_inertias,
     standard_links,
 )
-from strainwave.export.completion import loss_note, motion_of, motor_friction, nonnegative_fit
-from strainwave.export.markup import comment_text, numbers
-from strainwave.export.omissions import omission_note, sentence_of
+from strainwave.export.omissions import comment_text, numbers, omission_note, sentence_of
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.io.base_parameters import links_of_torques, motor_regressor, torque_errors
 from strainwave.io.templates import fill_text
@@ -36,12 +38,9 @@ _NO_LIMIT = 1e6  # of a joint without limits, where URDF requires numbers
 
 def _kind(joint: Joint) -> str:
     """Type of a URDF joint: a revolute joint without limits of its position is continuous."""
-    return "continuous" if joint.motion == "revolute" and not _is_bounded(joint) else joint.motion
-
-
-def _is_bounded(joint: Joint) -> bool:
-    limits = joint.limits
-    return limits is not None and limits.lower is not None and limits.upper is not None
+    limits = joint.limits or JointLimits()
+    is_bounded = limits.lower is not None and limits.upper is not None
+    return "continuous" if joint.motion == "revolute" and not is_bounded else joint.motion
 
 
 def _limits(joint: Joint) -> dict[str, float]:
@@ -69,11 +68,10 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
     """
     model = _projected(arm, has_rotors)
     notes = (*arm.assumptions, *model.notes, *omission_note(arm, _HELD))
-    warnings = arm.assumed() + gravity_warnings(arm)
     urdf, names = arm.study.arm.urdf, arm.study.arm.joint_names
     if urdf is not None:
-        texts = map(sentence_of, notes)
-        comments = ["Inertial values and friction identified by strainwave.", *texts]
+        comments = ["Inertial values and friction identified by strainwave."]
+        comments += map(sentence_of, notes)
         path = arm.study.path.parent / urdf.file
         data = patch_urdf(path, urdf.held, model.links, model.friction, comments)
     else:
@@ -98,7 +96,7 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
         start, end, rest = data.rpartition(b"</robot>")
         element = f"  <rotor_params>\n{joints}  </rotor_params>\n".encode()
         data = start + element + end + rest
-    return Export(data, warnings, notes)
+    return Export(data, arm.assumed() + gravity_warnings(arm), notes)
 
 
 @dataclass(frozen=True, slots=True)

@@ -170,12 +170,12 @@ class ParameterDifference:
     @property
     def change(self) -> float:
         """Second minus first."""
-        return _value(self.second) - _value(self.first)
+        return _estimate(self.second)[0] - _estimate(self.first)[0]
 
     @property
     def std(self) -> float:
         """Standard deviation of the change; the errors of the results are independent."""
-        return float(np.hypot(_std(self.first), _std(self.second)))
+        return float(np.hypot(_estimate(self.first)[1], _estimate(self.second)[1]))
 
     @property
     def percent(self) -> float | None:
@@ -184,8 +184,8 @@ class ParameterDifference:
 
     def of_first(self, size: float) -> float | None:
         """A size in percent of the first value; None if zero is in its 95 % interval."""
-        first = abs(_value(self.first))
-        return 100.0 * size / first if first > CI95_STDS * _std(self.first) else None
+        value, std = _estimate(self.first)
+        return 100.0 * size / abs(value) if abs(value) > CI95_STDS * std else None
 
 
 _Test = TypeVar("_Test", ParameterDifference, JointTest)
@@ -214,7 +214,7 @@ class ResultComparison:
     notes: tuple[str, ...]
 
     def verdict(self, test: ParameterDifference | JointTest) -> str:
-        """`DIFFERS` or `SAME` for one test."""
+        """`DIFFERS` or `AGREES` for one test."""
         return DIFFERS if test.adjusted_p < self.level else AGREES
 
     @property
@@ -306,7 +306,10 @@ def compare(results: Sequence[ResultEstimates], level: float = 0.05) -> ResultCo
             "no comparison is possible: no parameter has a value and a standard deviation in "
             "both results"
         )
-    homogeneity = _test_homogeneity(results) if len(others) > 1 else None
+    homogeneity = None
+    if len(others) > 1:
+        known = [{p.label for p in r.parameters if p.value is not None and p.std} for r in results]
+        homogeneity = _joint_test(results, set.intersection(*known))
     notes = tuple(_notes(results, pairs))
     return _adjust_tests(ResultComparison(level, tuple(results), tuple(pairs), homogeneity, notes))
 
@@ -340,27 +343,18 @@ def _compare_pair(first: ResultEstimates, second: ResultEstimates, level: float)
         if reason or a is None or b is None:
             omitted.append((label, reason))
             continue
-        z, p = welch_test(
-            _value(b) - _value(a),
-            (_std(a), _std(b)),
-            (degrees_of_freedom(a), degrees_of_freedom(b)),
-        )
+        (value_a, std_a), (value_b, std_b) = _estimate(a), _estimate(b)
+        degrees = degrees_of_freedom(a), degrees_of_freedom(b)
+        z, p = welch_test(value_b - value_a, (std_a, std_b), degrees)
         differences.append(ParameterDifference(a, b, z, p))
-    compared = {d.first.label for d in differences}
-    joint = _joint_test((first, second), compared)
-    factor = common_factor(
-        (
-            (_value(d.first), _std(d.first), _value(d.second), _std(d.second))
-            for d in differences
-            if is_torque_like(d.first.unit)
-        ),
-        level,
-    )
+    joint = _joint_test((first, second), {d.first.label for d in differences})
+    torque_like = [d for d in differences if is_torque_like(d.first.unit)]
+    pairs = ((*_estimate(d.first), *_estimate(d.second)) for d in torque_like)
+    factor = common_factor(pairs, level)
     return Pair(first.label, second.label, tuple(differences), joint, tuple(omitted), factor)
 
 
 def _reason_to_omit(a: Parameter | None, b: Parameter | None, first: str, second: str) -> str:
-    """Reason why two entries cannot be compared; empty if they can."""
     for parameter, result in ((a, first), (b, second)):
         if parameter is None or parameter.value is None:
             return f"not identified in {result}"
@@ -369,11 +363,6 @@ def _reason_to_omit(a: Parameter | None, b: Parameter | None, first: str, second
     if a is not None and b is not None and a.unit != b.unit:
         return f"in {a.unit} and in {b.unit}"
     return ""
-
-
-def _test_homogeneity(results: Sequence[ResultEstimates]) -> JointTest | None:
-    known = [{p.label for p in r.parameters if p.value is not None and p.std} for r in results]
-    return _joint_test(results, set.intersection(*known))
 
 
 def _joint_test(results: Sequence[ResultEstimates], compared: set[str]) -> JointTest | None:
@@ -388,7 +377,7 @@ def _joint_test(results: Sequence[ResultEstimates], compared: set[str]) -> Joint
     names = [name for name in covariances[0].names if name in shared]
     if not names:
         return None
-    values = [np.array([_value(r.of(name)) for name in names]) for r in results]
+    values = [np.array([_estimate(r.of(name))[0] for name in names]) for r in results]
     matrices = []
     for covariance in covariances:
         index = [covariance.names.index(name) for name in names]
@@ -402,7 +391,6 @@ def _joint_test(results: Sequence[ResultEstimates], compared: set[str]) -> Joint
 
 
 def _notes(results: Sequence[ResultEstimates], pairs: Sequence[Pair]) -> Iterator[str]:
-    """Limits of the comparison."""
     for result in results:
         if result.covariance is None:
             yield (
@@ -415,9 +403,8 @@ def _notes(results: Sequence[ResultEstimates], pairs: Sequence[Pair]) -> Iterato
     for pair in pairs:
         unequal = [d for d in pair.parameters if d.first.stage != d.second.stage]
         if unequal:
-            listed = ", ".join(
-                f"{d.first.label} ({d.first.stage}, {d.second.stage})" for d in unequal
-            )
+            stages = (f"{d.first.label} ({d.first.stage}, {d.second.stage})" for d in unequal)
+            listed = ", ".join(stages)
             yield f"{pair.second}: estimated by stages with different systematic errors: {listed}"
         if pair.factor is not None:
             yield f"{pair.second}: {pair.factor.sentence}"
@@ -435,13 +422,8 @@ def _notes(results: Sequence[ResultEstimates], pairs: Sequence[Pair]) -> Iterato
             )
 
 
-def _value(p: Parameter) -> float:
-    if p.value is None:
+def _estimate(p: Parameter) -> tuple[float, float]:
+    """Value and standard deviation of a parameter that has both."""
+    if p.value is None or p.std is None:
         raise ValueError(p.label)
-    return p.value
-
-
-def _std(p: Parameter) -> float:
-    if p.std is None:
-        raise ValueError(p.label)
-    return p.std
+    return p.value, p.std

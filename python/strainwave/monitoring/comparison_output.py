@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from strainwave.domain.distributions import CI95_STDS
@@ -106,15 +105,10 @@ def _difference_entry(
 
 
 def _test_entry(comparison: ResultComparison, test: JointTest) -> dict[str, Any]:
-    return {
-        "statistic": test.statistic,
-        "rank": test.rank,
-        "n_values": test.n_values,
-        "degrees_of_freedom": test.degrees if math.isfinite(test.degrees) else None,
-        "p": test.p,
-        "adjusted_p": test.adjusted_p,
-        "verdict": comparison.verdict(test),
-    }
+    entry = asdict(test)
+    degrees = entry.pop("degrees")
+    entry["degrees_of_freedom"] = degrees if math.isfinite(degrees) else None
+    return entry | {"verdict": comparison.verdict(test)}
 
 
 def print_comparison(
@@ -124,28 +118,27 @@ def print_comparison(
     console = console or Console(highlight=False)
     for pair in comparison.pairs:
         console.print(Text(f"{pair.second} against {pair.first}", style="bold"))
-        output.print_table(console, _printed_pair_table(comparison, pair))
-        for line in _joint_test_lines(comparison, pair):
-            console.print(Text(line))
+        labels = (pair.first, pair.second)
+        is_short = all(len(label) <= _MAX_HEADER for label in labels)
+        heads = (*(labels if is_short else ("first", "second")), "change %", "z", "adj. p")
+        printed = printed_table("parameter", *map(number, heads), "verdict")
+        for difference in pair.parameters:
+            verdict = comparison.verdict(difference)
+            values = (plus_minus(p.value, p.std)[0] for p in (difference.first, difference.second))
+            cells = (difference.first.label, *values, *_test_cells(difference), verdict)
+            printed.add_row(*map(Text, cells), style="red" if verdict == DIFFERS else "")
+        output.print_table(console, printed)
+        if pair.joint is not None:
+            console.print(Text(f"{_ALL_PARAMETERS}: {_describe_test(comparison, pair.joint)}"))
+        if pair.left_out:
+            listed = "; ".join(f"{name} {reason}" for name, reason in pair.left_out)
+            console.print(Text(f"not compared: {listed}"))
     if comparison.homogeneity is not None:
         sentence = _describe_test(comparison, comparison.homogeneity)
         console.print(Text(f"all {len(comparison.results)} results, {_ALL_PARAMETERS}: {sentence}"))
     output.print_end(
         console, "comparison", comparison.headline, comparison.notes, folder, bad=comparison.differs
     )
-
-
-def _printed_pair_table(comparison: ResultComparison, pair: Pair) -> Table:
-    labels = (pair.first, pair.second)
-    is_short = all(len(label) <= _MAX_HEADER for label in labels)
-    heads = (*(labels if is_short else ("first", "second")), "change %", "z", "adj. p")
-    table = printed_table("parameter", *map(number, heads), "verdict")
-    for difference in pair.parameters:
-        verdict = comparison.verdict(difference)
-        values = (plus_minus(p.value, p.std)[0] for p in (difference.first, difference.second))
-        cells = (difference.first.label, *values, *_test_cells(difference), verdict)
-        table.add_row(*map(Text, cells), style="red" if verdict == DIFFERS else "")
-    return table
 
 
 def _test_cells(difference: ParameterDifference) -> tuple[str, ...]:
@@ -156,17 +149,7 @@ def _test_cells(difference: ParameterDifference) -> tuple[str, ...]:
     return percent, f"{difference.z:+.1f}", format_p(difference.adjusted_p)
 
 
-def _joint_test_lines(comparison: ResultComparison, pair: Pair) -> Iterator[str]:
-    """Lines below the table of a pair."""
-    if pair.joint is not None:
-        yield f"{_ALL_PARAMETERS}: {_describe_test(comparison, pair.joint)}"
-    if pair.left_out:
-        listed = "; ".join(f"{name} {reason}" for name, reason in pair.left_out)
-        yield f"not compared: {listed}"
-
-
 def _describe_test(comparison: ResultComparison, test: JointTest) -> str:
-    """Describe a joint test in a clause."""
     law = f"chi-square with {test.rank} degrees of freedom"
     if math.isfinite(test.degrees):
         law = f"rank {test.rank}, covariance with {test.degrees:.3g} degrees of freedom"
@@ -183,23 +166,36 @@ def render(comparison: ResultComparison) -> str:
     before = output.page_summary(
         comparison.headline, facts, comparison.notes, bad=comparison.differs
     )
-    sections = [
-        Section(
-            f"pair-{k}",
-            f"{pair.second} against {pair.first}",
-            tuple(_pair_blocks(comparison, pair)),
-        )
-        for k, pair in enumerate(comparison.pairs, start=1)
-    ]
-    sections.append(Section("results", "Results", tuple(_result_blocks(comparison))))
+    sections = []
+    for k, pair in enumerate(comparison.pairs, start=1):
+        title, blocks = f"{pair.second} against {pair.first}", _pair_blocks(comparison, pair)
+        sections.append(Section(f"pair-{k}", title, tuple(blocks)))
+    terms = ("result", "file", "created", "status", "study", "sha256")
+    results = []
+    for result in comparison.results:
+        values = (result.label, result.path, result.created, result.status, *result.study)
+        items = list(zip(terms, values, strict=True))
+        if result.covariance is not None:
+            n = len(result.covariance.names)
+            items.append(("joint covariance", f"{n} parameters, stage {result.covariance.stage}"))
+        results.append(Facts(tuple((term, fact or "unknown") for term, fact in items)))
+    sections.append(Section("results", "Results", tuple(results)))
     title = " and ".join(result.label for result in comparison.results)
     return page_of(title, "Comparison of results", sections, before=(before,))
 
 
 def _pair_blocks(comparison: ResultComparison, pair: Pair) -> Iterator[Block]:
-    numbers = map(number, ("change %", "z", "adjusted p", pair.first, pair.second))
-    heads: Row = ("parameter", "verdict", *numbers, "unit")
-    rows = [_difference_row(comparison, d) for d in pair.parameters]
+    columns = ("change %", "z", "adjusted p", pair.first, pair.second)
+    heads: Row = ("parameter", "verdict", *map(number, columns), "unit")
+    rows: list[Row] = []
+    for difference in pair.parameters:
+        verdict = comparison.verdict(difference)
+        estimates = (difference.first, difference.second)
+        values = (" ± ".join(plus_minus(p.value, p.std)) for p in estimates)
+        name = Cell(difference.first.label, "name")
+        mark = Cell(verdict, mark="bad" if verdict == DIFFERS else "")
+        numbers = (*_test_cells(difference), *values)
+        rows.append((name, mark, *map(number, numbers), difference.first.unit))
     yield from table("Parameters", heads, rows, heading=False)
     if pair.joint is not None:
         yield paragraph(f"All parameters together: {_describe_test(comparison, pair.joint)}.")
@@ -215,18 +211,6 @@ def _pair_blocks(comparison: ResultComparison, pair: Pair) -> Iterator[Block]:
     yield from table("Not compared", heads, rows)
 
 
-def _difference_row(comparison: ResultComparison, difference: ParameterDifference) -> Row:
-    verdict = comparison.verdict(difference)
-    values = (" ± ".join(plus_minus(p.value, p.std)) for p in (difference.first, difference.second))
-    return (
-        Cell(difference.first.label, "name"),
-        Cell(verdict, mark="bad" if verdict == DIFFERS else ""),
-        *map(number, _test_cells(difference)),
-        *map(number, values),
-        difference.first.unit,
-    )
-
-
 def change_figure(comparison: ResultComparison, pair: Pair) -> Figure | None:
     """Changes with their 95 % intervals; None if no change can be given in percent."""
     shown = [difference for difference in pair.parameters if difference.percent is not None]
@@ -237,10 +221,8 @@ def change_figure(comparison: ResultComparison, pair: Pair) -> Figure | None:
     differs = np.array([comparison.verdict(difference) == DIFFERS for difference in shown])
     z = np.array([difference.z for difference in shown])
     upper, lower = [], []
-    for verdict, colour, is_in_group in (
-        (DIFFERS, Colour.MODEL, differs),
-        (AGREES, Colour.MEASURED, ~differs),
-    ):
+    groups = (DIFFERS, Colour.MODEL, differs), (AGREES, Colour.MEASURED, ~differs)
+    for verdict, colour, is_in_group in groups:
         rows = np.flatnonzero(is_in_group)
         if len(rows):
             names = tuple(shown[k].first.label for k in rows)
@@ -255,19 +237,3 @@ def change_figure(comparison: ResultComparison, pair: Pair) -> Figure | None:
         Panel(Axis("z"), tuple(lower), 1.4),
     )
     return Figure(Axis(""), panels)
-
-
-def _result_blocks(comparison: ResultComparison) -> Iterator[Block]:
-    for result in comparison.results:
-        facts = [
-            ("result", result.label),
-            ("file", result.path),
-            ("created", result.created),
-            ("status", result.status),
-            ("study", result.study[0]),
-            ("sha256", result.study[1]),
-        ]
-        if result.covariance is not None:
-            n = len(result.covariance.names)
-            facts.append(("joint covariance", f"{n} parameters, stage {result.covariance.stage}"))
-        yield Facts(tuple((term, fact or "unknown") for term, fact in facts))

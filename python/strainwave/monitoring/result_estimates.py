@@ -46,7 +46,14 @@ def read_estimates(paths: Sequence[Path]) -> tuple[ResultEstimates, ...]:
         raise InvalidInput(
             "a comparison needs two results", remedy="give at least two result.json files"
         )
-    estimates = [_read(results.result_path(path)) for path in paths]
+    estimates = []
+    for path in map(results.result_path, paths):
+        try:
+            estimates.append(estimates_of(results.read_document(path), path))
+        except InvalidInput as error:
+            if error.where != "the result":
+                raise
+            raise InvalidInput(error.problem, where=str(path), remedy=error.remedy) from error
     labels = [one.label for one in estimates]
     return tuple(
         one if labels.count(one.label) == 1 else replace(one, label=one.path) for one in estimates
@@ -89,12 +96,3 @@ def degrees_of_freedom(parameter: Parameter) -> float:
     if quantile <= CI95_STDS + _QUANTILE_TOLERANCE:
         return float("inf")
     return max(1.0, student_degrees(quantile))
-
-
-def _read(path: Path) -> ResultEstimates:
-    try:
-        return estimates_of(results.read_document(path), path)
-    except InvalidInput as error:
-        if error.where != "the result":
-            raise
-        raise InvalidInput(error.problem, where=str(path), remedy=error.remedy) from error

@@ -179,9 +179,7 @@ def cap_union_probability(
     samples = max(8, min(_SAMPLES, _MAX_PRODUCTS // n_directions**2))
     Z = rng.normal(size=(samples, m))
     C = Z @ A  # (samples, n_directions)
-    across = np.sqrt(
-        np.sum(Z * Z, axis=1)[:, None] - C * C
-    )  # length orthogonal to the k-th direction
+    across = np.sqrt(np.sum(Z * Z, axis=1)[:, None] - C * C)  # orthogonal to the k-th direction
     rest = betaincinv(half, 0.5, cap_probability * rng.uniform(size=(samples, n_directions)))
     height, width = np.sqrt(1.0 - rest), np.sqrt(rest) / across
     inverse = np.empty((samples, n_directions))

@@ -72,6 +72,7 @@ def to_document(trend: Trend) -> dict[str, Any]:
 
 def _parameter_entry(trend: Trend, parameter: ParameterTrend) -> dict[str, Any]:
     history, change = parameter.history, parameter.change
+    first = history.visits[change.shape.first]
     return {
         "name": history.name,
         "joint": history.joint,
@@ -82,9 +83,7 @@ def _parameter_entry(trend: Trend, parameter: ParameterTrend) -> dict[str, Any]:
         "adjusted_p": parameter.adjusted_p,
         "change": {
             "kind": change.shape.kind,
-            "at": None
-            if change.shape.kind == "drift"
-            else history.visits[change.shape.first].time.isoformat(),
+            "at": None if change.shape.kind == "drift" else first.time.isoformat(),
             "size": change.size,
             "std": change.size_std,
             "percent": parameter.percent,
@@ -153,6 +152,10 @@ def _test_cells(parameter: ParameterTrend) -> tuple[str, str]:
 
 def render(trend: Trend) -> str:
     """The trend as one self-contained HTML page."""
+    numbers = ("of the level [%]", "adjusted p", "changed parameters", "visits")
+    heads: Row = ("arm", "change", *map(number, numbers), "first", "last")
+    rows = [_fleet_row(trend, arm) for arm in trend.arms]
+    fleet = table("Arms, most significant change first", heads, rows, heading=False)
     changed = [arm for arm in trend.arms if trend.concerns(arm)]
     unchanged = [arm for arm in trend.arms if not trend.concerns(arm)]
     folds = tuple(
@@ -160,9 +163,9 @@ def render(trend: Trend) -> str:
         for arm in unchanged
     )
     sections = [
-        Section("fleet", "Fleet", tuple(_fleet_blocks(trend))),
+        Section("fleet", "Fleet", tuple(fleet)),
         *(
-            Section(_arm_anchor(arm), arm.history.arm, tuple(_arm_blocks(trend, arm)))
+            Section(f"arm-{slug(arm.history.arm)}", arm.history.arm, tuple(_arm_blocks(trend, arm)))
             for arm in changed
         ),
         Section("others", "Arms without a significant change", folds),
@@ -174,31 +177,19 @@ def render(trend: Trend) -> str:
     return page_of("Parameters over time", subtitle, sections, before=(before,))
 
 
-def _arm_anchor(arm: ArmTrend) -> str:
-    return f"arm-{slug(arm.history.arm)}"
-
-
-def _fleet_blocks(trend: Trend) -> Iterator[Block]:
-    numbers = ("of the level [%]", "adjusted p", "changed parameters", "visits")
-    heads: Row = ("arm", "change", *map(number, numbers), "first", "last")
-    rows = [_fleet_row(trend, arm) for arm in trend.arms]
-    yield from table("Arms, most significant change first", heads, rows, heading=False)
-
-
 def _fleet_row(trend: Trend, arm: ArmTrend) -> Row:
     concerns = trend.concerns(arm)
     visits = arm.history.visits
-    name = Cell(arm.history.arm, href=f"#{_arm_anchor(arm)}" if concerns else "#others")
+    name = Cell(arm.history.arm, href=f"#arm-{slug(arm.history.arm)}" if concerns else "#others")
     dates = tuple(f"{visit.time:%Y-%m-%d}" for visit in (visits[0], visits[-1]))
     if not arm.parameters:
         return (name, prose("too few visits"), *[number("")] * 3, number(str(len(visits))), *dates)
     parameter = arm.parameters[0]
     words = f"{parameter.history.label}: {parameter.words}"
+    words = "none" if parameter.is_likely_chance else words
     return (
         name,
-        Cell(
-            "none" if parameter.is_likely_chance else words, "text", mark="bad" if concerns else ""
-        ),
+        Cell(words, "text", mark="bad" if concerns else ""),
         *map(number, _test_cells(parameter)),
         number(str(len(concerns))),
         number(str(len(visits))),
@@ -207,7 +198,6 @@ def _fleet_row(trend: Trend, arm: ArmTrend) -> Row:
 
 
 def _arm_blocks(trend: Trend, arm: ArmTrend) -> Iterator[Block]:
-    """Plots of changed parameters, a table of all parameters, plots of the others."""
     concerns = trend.concerns(arm)
     others = arm.parameters[len(concerns) :]
     name = arm.history.arm
@@ -217,14 +207,11 @@ def _arm_blocks(trend: Trend, arm: ArmTrend) -> Iterator[Block]:
     heads: Row = ("parameter", "change", *tests, "unit", *further)
     rows = [_row(trend, parameter) for parameter in arm.parameters]
     yield from table(f"{name}: all parameters", heads, rows, heading=False)
-    if others:
-        plots = tuple(
-            _plots(trend, arm, others, f"{name} others", f"{name}: no significant change")
-        )
-        if concerns:
-            yield Fold(f"Parameters without a significant change ({len(others)})", plots)
-        else:
-            yield from plots
+    plots = tuple(_plots(trend, arm, others, f"{name} others", f"{name}: no significant change"))
+    if others and concerns:
+        yield Fold(f"Parameters without a significant change ({len(others)})", plots)
+    else:
+        yield from plots
     if arm.too_few:
         listed = ", ".join(f"{label} ({n})" for label, n in arm.too_few)
         yield paragraph(f"Too few visits: {listed}.")
@@ -257,21 +244,20 @@ def _plots(
     )
     for k in range(0, len(parameters), _MAX_PANELS):
         title = label if k == 0 else f"{label}, continued"
-        panels = tuple(_panel(trend, parameter) for parameter in parameters[k : k + _MAX_PANELS])
-        figure = Figure(Axis(f"days since {start}"), panels)
+        panels = []
+        for parameter in parameters[k : k + _MAX_PANELS]:
+            series, is_chance = parameter.history.series, parameter.is_likely_chance
+            time, value = np.array(list(fitted_line(parameter.change, series))).T
+            colour = Colour.MODEL if parameter.adjusted_p < trend.level else Colour.RESIDUAL
+            error = CI95_STDS * series.std
+            points = Markers(
+                series.time, series.value, "estimate", Colour.MEASURED, 5.0, error=error
+            )
+            line = Line(time, value, "change", colour, SOLID, 2.0, legend=False)
+            axis = Axis(f"{parameter.history.label} [{parameter.history.unit}]")
+            panels.append(Panel(axis, (points,) if is_chance else (line, points)))
+        figure = Figure(Axis(f"days since {start}"), tuple(panels))
         yield Plot(f"{name} {1 + k // _MAX_PANELS}", title, figure, caption)
-
-
-def _panel(trend: Trend, parameter: ParameterTrend) -> Panel:
-    series, concern = parameter.history.series, parameter.adjusted_p < trend.level
-    time, value = np.array(list(fitted_line(parameter.change, series))).T
-    colour = Colour.MODEL if concern else Colour.RESIDUAL
-    points = Markers(
-        series.time, series.value, "estimate", Colour.MEASURED, 5.0, error=CI95_STDS * series.std
-    )
-    line = Line(time, value, "change", colour, SOLID, 2.0, legend=False)
-    axis = Axis(f"{parameter.history.label} [{parameter.history.unit}]")
-    return Panel(axis, (points,) if parameter.is_likely_chance else (line, points))
 
 
 def _method_blocks(trend: Trend) -> Iterator[Block]:

@@ -5,16 +5,15 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from strainwave.campaign.store import read_parameters, read_runs
-from strainwave.domain import FloatArray
 from strainwave.domain.keys import Key, Keyed
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.atomic_files import decode, read_bytes
@@ -25,6 +24,8 @@ _USABLE_STATUS = ("determined", "partly-determined", "not-determined")
 _DAY = timedelta(days=1)
 
 Row = Mapping[str, Any]
+_ArmNamer = Callable[[Row], tuple[str | None, str | None]]
+"""The arm of a run, and its time if the expression has that group."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +79,7 @@ class Histories:
 
     arms: tuple[ArmHistory, ...]
     covariates: tuple[str, ...]
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
 
 def read_histories(
@@ -114,24 +115,23 @@ def read_histories(
             "later run"
         )
     arm_namer = _arm_namer(arm, set(runs[0]))
-    visits, started, dropped = _group_visits(latest.values(), arm_namer, conditions)
-    if dropped:
-        notes.append(
-            f"{dropped} visits are omitted: they have no complete row in the table of covariates"
-        )
-    if started:
-        notes.append(
-            "times are those of the runs, not of the recordings; give the recording times in the "
-            "column time of --covariates, or as a group named time in --arm"
-        )
+    visits, more_notes = _group_visits(latest.values(), arm_namer, conditions)
+    notes += more_notes
     by_run: dict[str, list[Row]] = {}
     for row in parameters:
         by_run.setdefault(str(row["run"]), []).append(row)
-    arms = tuple(
-        _arm_history(name, sorted(arm_visits, key=lambda v: (v.time, v.study)), by_run)
-        for name, arm_visits in visits.items()
-    )
-    return Histories(arms, conditions.names, tuple(notes))
+    arms = []
+    for name, unordered in visits.items():
+        arm_visits = sorted(unordered, key=lambda v: (v.time, v.study))
+        rows_by_parameter: dict[Key, list[tuple[Visit, Row]]] = {}
+        for visit in arm_visits:
+            for row in by_run.get(visit.run, ()):
+                if _is_usable(row):
+                    key = row["name"], row["joint"]
+                    rows_by_parameter.setdefault(key, []).append((visit, row))
+        series = _parameter_histories(rows_by_parameter, arm_visits[0].time)
+        arms.append(ArmHistory(name, tuple(arm_visits), tuple(series)))
+    return Histories(tuple(arms), conditions.names, tuple(notes))
 
 
 def read_conditions(path: Path) -> Conditions:
@@ -182,12 +182,15 @@ def _number(cell: str, where: str) -> float:
     return value
 
 
-def _arm_namer(
-    arm: str | None, columns: set[str]
-) -> Callable[[Row], tuple[str | None, str | None]]:
-    """Return a function from a run to its arm, and to its time if the expression has that group."""
+def _arm_namer(arm: str | None, columns: set[str]) -> _ArmNamer:
     if arm is None:
-        return lambda row: (_folder(str(row["study"])), None)
+
+        def name_folder(row: Row) -> tuple[str, None]:
+            """The folder of a study file, or the name of a study without folder."""
+            path = PurePosixPath(str(row["study"]))
+            return path.parent.name or path.stem, None
+
+        return name_folder
     if arm in columns:
         return lambda row: (None if row[arm] is None else str(row[arm]), None)
     try:
@@ -212,30 +215,22 @@ def _arm_namer(
     return name_arm
 
 
-def _folder(study: str) -> str:
-    """Folder of a study file, or the name of a study without folder."""
-    path = PurePosixPath(study)
-    return path.parent.name or path.stem
-
-
-class _GroupedVisits(NamedTuple):
-    visits: dict[str, list[Visit]]  # by arm
-    started: bool  # whether any time is that of a run
-    dropped: int  # visits without covariates
-
-
 def _group_visits(
     rows: Iterable[Row],
-    arm_namer: Callable[[Row], tuple[str | None, str | None]],
+    arm_namer: _ArmNamer,
     conditions: Conditions,
-) -> _GroupedVisits:
+) -> tuple[dict[str, list[Visit]], list[str]]:
+    """Visits by arm, and notes on omitted visits and on their times."""
     visits: dict[str, list[Visit]] = {}
     names = {*conditions.values, *conditions.times}
     dropped = unnamed = n_started = 0
     for row in rows:
         study = str(row["study"])
         arm, time_text = arm_namer(row)
-        key = _find_row(study, names)
+        # the table names a study, or the end of its path
+        parts = PurePosixPath(study).parts
+        ends = ("/".join(parts[k:]) for k in range(1, len(parts)))
+        key = next((name for name in (study, *ends) if name in names), None)
         if arm is None:
             unnamed += 1
             continue
@@ -260,26 +255,17 @@ def _group_visits(
             "no study of the table of covariates is in the store",
             remedy="write the studies as in the column `study` of the store",
         )
-    return _GroupedVisits(visits, n_started > 0, dropped)
-
-
-def _find_row(study: str, names: Collection[str]) -> str | None:
-    """The row of the table for a study: its name or the end of its path."""
-    parts = PurePosixPath(study).parts
-    ends = ("/".join(parts[k:]) for k in range(1, len(parts)))
-    return next((name for name in (study, *ends) if name in names), None)
-
-
-def _arm_history(
-    arm: str, visits: Sequence[Visit], by_run: Mapping[str, Sequence[Row]]
-) -> ArmHistory:
-    start = visits[0].time
-    rows_by_parameter: dict[Key, list[tuple[Visit, Row]]] = {}
-    for visit in visits:
-        for row in by_run.get(visit.run, ()):
-            if _is_usable(row):
-                rows_by_parameter.setdefault((row["name"], row["joint"]), []).append((visit, row))
-    return ArmHistory(arm, tuple(visits), tuple(_parameter_histories(rows_by_parameter, start)))
+    notes = []
+    if dropped:
+        notes.append(
+            f"{dropped} visits are omitted: they have no complete row in the table of covariates"
+        )
+    if n_started:
+        notes.append(
+            "times are those of the runs, not of the recordings; give the recording times in the "
+            "column time of --covariates, or as a group named time in --arm"
+        )
+    return visits, notes
 
 
 def _is_usable(row: Row) -> bool:
@@ -298,14 +284,10 @@ def _parameter_histories(
         stage_visits = tuple(visit for visit, _ in same_stage)
         series = Series(
             time=np.array([(visit.time - start) / _DAY for visit in stage_visits]),
-            value=_column(same_stage, "value"),
-            std=_column(same_stage, "std"),
+            value=np.array([float(row["value"]) for _, row in same_stage]),
+            std=np.array([float(row["std"]) for _, row in same_stage]),
             covariates=np.array([visit.covariates for visit in stage_visits]).reshape(
                 len(stage_visits), -1
             ),
         )
         yield ParameterHistory(name, joint, unit, stage, stage_visits, series)
-
-
-def _column(pairs: Sequence[tuple[Visit, Row]], name: str) -> FloatArray:
-    return np.array([row[name] for _, row in pairs], dtype=np.float64)

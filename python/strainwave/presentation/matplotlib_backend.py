@@ -50,7 +50,13 @@ def draw(figure: Record) -> Figure:
     require_matplotlib()
     from matplotlib.figure import Figure
 
-    canvas = Figure(figsize=(_FIGURE_WIDTH, _height(figure)), layout="constrained")
+    # category names instead of numbers on the horizontal axis, and names of rows need room
+    categories = any(isinstance(m, Markers) and isinstance(m.x, tuple) for m in figure.marks)
+    rows = max((len(m.names) for m in figure.marks if isinstance(m, HeatMap)), default=0)
+    height = _PANEL_HEIGHT * figure.height + _CATEGORY_LABEL_HEIGHT * categories
+    if rows:
+        height = _PANEL_HEIGHT + _HEAT_MAP_ROW_HEIGHT * rows
+    canvas = Figure(figsize=(_FIGURE_WIDTH, _MARGIN_HEIGHT + height), layout="constrained")
     shares = [panel.height for panel in figure.panels]
     grid = canvas.add_gridspec(len(shares), 1, height_ratios=shares)
     axes: list[Axes] = []
@@ -61,7 +67,7 @@ def draw(figure: Record) -> Figure:
         for mark in panel.marks:
             _mark(canvas, axes[k], mark)
         _vertical(axes[k], panel)
-    _horizontal(axes, figure.x, categories=_has_categories(figure))
+    _horizontal(axes, figure.x, categories=categories)
     for line in figure.uprights:
         _upright(axes, line)
     _legend(canvas, axes, figure.legend)
@@ -86,20 +92,6 @@ def images(figure: Record, *, resolution: int = _PNG_RESOLUTION) -> dict[str, by
     return files
 
 
-def _height(figure: Record) -> float:
-    """Height [in], with room for names."""
-    rows = max((len(m.names) for m in figure.marks if isinstance(m, HeatMap)), default=0)
-    if rows:
-        return _MARGIN_HEIGHT + _PANEL_HEIGHT + _HEAT_MAP_ROW_HEIGHT * rows
-    names = _CATEGORY_LABEL_HEIGHT if _has_categories(figure) else 0.0
-    return _MARGIN_HEIGHT + _PANEL_HEIGHT * figure.height + names
-
-
-def _has_categories(figure: Record) -> bool:
-    """Whether the horizontal axis has category names instead of numbers."""
-    return any(isinstance(m, Markers) and isinstance(m.x, tuple) for m in figure.marks)
-
-
 def _mark(canvas: Figure, axes: Axes, mark: Mark) -> None:
     if isinstance(mark, Line | Markers):
         _points(axes, mark)
@@ -110,11 +102,16 @@ def _mark(canvas: Figure, axes: Axes, mark: Mark) -> None:
     elif isinstance(mark, Bars):
         axes.bar(mark.x, mark.y, width=mark.width, color=mark.colour, label=mark.name)
     else:
-        _heat_map(canvas, axes, mark)
+        from matplotlib.colors import LinearSegmentedColormap
+
+        scale = LinearSegmentedColormap.from_list("scale", mark.colours)
+        image = axes.imshow(mark.values, cmap=scale, vmin=mark.low, vmax=mark.high, aspect="auto")
+        axes.set_xticks(range(len(mark.names)), mark.names, rotation=90, fontsize=_FONT_SIZE)
+        axes.set_yticks(range(len(mark.names)), mark.names, fontsize=_FONT_SIZE)
+        canvas.colorbar(image, ax=axes)
 
 
 def _points(axes: Axes, mark: Line | Markers) -> None:
-    """A line, points, or both, with optional error bars."""
     x: Any = list(mark.x) if isinstance(mark.x, tuple) else mark.x
     style: dict[str, Any] = {"label": mark.name, "color": mark.colour}
     if isinstance(mark, Line):
@@ -142,19 +139,8 @@ def _points(axes: Axes, mark: Line | Markers) -> None:
         axes.errorbar(x, mark.y, yerr=mark.error, capsize=2.0, **style)
 
 
-def _heat_map(canvas: Figure, axes: Axes, mark: HeatMap) -> None:
-    from matplotlib.colors import LinearSegmentedColormap
-
-    scale = LinearSegmentedColormap.from_list("scale", mark.colours)
-    image = axes.imshow(mark.values, cmap=scale, vmin=mark.low, vmax=mark.high, aspect="auto")
-    axes.set_xticks(range(len(mark.names)), mark.names, rotation=90, fontsize=_FONT_SIZE)
-    axes.set_yticks(range(len(mark.names)), mark.names, fontsize=_FONT_SIZE)
-    canvas.colorbar(image, ax=axes)
-
-
 def _vertical(axes: Axes, panel: Panel) -> None:
-    """Title, scale and range of a panel's vertical axis."""
-    _set_title(axes.set_ylabel, panel.axis)
+    axes.set_ylabel(panel.axis.title, fontsize=_FONT_SIZE + 1.0, parse_math=False)
     if axes.images:
         return
     if panel.axis.log:
@@ -171,7 +157,6 @@ def _vertical(axes: Axes, panel: Panel) -> None:
 
 
 def _horizontal(axes: list[Axes], axis: Axis, *, categories: bool) -> None:
-    """The shared horizontal axis, labelled below the last panel."""
     last = axes[-1]
     if axis.log:
         last.set_xscale("log")
@@ -185,15 +170,10 @@ def _horizontal(axes: list[Axes], axis: Axis, *, categories: bool) -> None:
         upper.tick_params(labelbottom=False)
     if categories:
         last.tick_params(axis="x", labelrotation=90.0, labelsize=_FONT_SIZE)
-    _set_title(last.set_xlabel, axis)
-
-
-def _set_title(setter: Any, axis: Axis) -> None:
-    setter(axis.title, fontsize=_FONT_SIZE + 1.0, parse_math=False)
+    last.set_xlabel(axis.title, fontsize=_FONT_SIZE + 1.0, parse_math=False)
 
 
 def _upright(axes: list[Axes], line: Upright) -> None:
-    """A vertical line through all panels, with a label in one of them."""
     dashes = _dashes(line.dash, 1.0)
     for panel_axes in axes:
         panel_axes.axvline(
@@ -214,7 +194,6 @@ def _upright(axes: list[Axes], line: Upright) -> None:
 
 
 def _legend(canvas: Figure, axes: list[Axes], names: list[str]) -> None:
-    """One entry per name, above the figure."""
     handles: dict[str, Any] = {}
     for panel_axes in axes:
         for handle, name in zip(*panel_axes.get_legend_handles_labels(), strict=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,8 @@ from strainwave.presentation.figures import (
     Upright,
 )
 
+_Numbers = Callable[[FloatArray], "list[float | None]"]
+
 _PANEL_GAP = 0.08  # free height between panels, as a share of a panel
 _MAX_PANELS_WITH_LONG_TITLES = 3  # with more panels, the unit goes to a second line
 _LOW_PANEL_HEIGHT = 0.6  # panels below this height have few ticks
@@ -46,7 +48,14 @@ def plotly(figure: Figure) -> dict[str, Any]:
     """
     domains = _domains([panel.height for panel in figure.panels])
     legend = figure.legend
-    numbers = _Numbers()
+    lists: dict[int, list[float | None]] = {}
+
+    def numbers(values: FloatArray) -> list[float | None]:
+        """An array as a list; one that several marks share is converted once."""
+        if id(values) not in lists:
+            lists[id(values)] = rounded(values)
+        return lists[id(values)]
+
     data, legend_names = [], set()
     for k, panel in enumerate(figure.panels):
         for mark in panel.marks:
@@ -69,7 +78,12 @@ def plotly(figure: Figure) -> dict[str, Any]:
         if panel.height < _LOW_PANEL_HEIGHT:
             axis["nticks"] = _LOW_PANEL_TICKS
     if figure.uprights:
-        layout["shapes"] = [_vertical_line(line) for line in figure.uprights]
+        layout["shapes"] = [
+            {"type": "line", "xref": "x", "yref": "paper"}
+            | {"x0": line.x, "x1": line.x, "y0": 0, "y1": 1}
+            | {"line": {"color": Colour.RESIDUAL, "width": 1, "dash": _dash(line.dash)}}
+            for line in figure.uprights
+        ]
         layout["annotations"] = [
             _label(line, domains[line.panel], log=figure.x.log)
             for line in figure.uprights
@@ -77,23 +91,15 @@ def plotly(figure: Figure) -> dict[str, Any]:
         ]
     for mark in figure.marks:
         if isinstance(mark, HeatMap):
-            _label_heat_map(layout, mark)
+            # every row and column has its name, and the margin has room for the longest
+            every = {"dtick": 1, "tickfont": {"size": _HEAT_MAP_FONT_SIZE}}
+            layout["yaxis"] |= {"autorange": "reversed", **every}
+            layout["xaxis"] |= {"tickangle": -90, **every}
+            room = 10 + round(0.6 * _HEAT_MAP_FONT_SIZE * max(map(len, mark.names)))
+            layout["margin"] = {"l": room, "b": room}
         elif isinstance(mark, Markers) and isinstance(mark.x, tuple):
             layout["xaxis"]["tickangle"] = -90
     return {"data": data, "layout": layout}
-
-
-class _Numbers:
-    """Arrays as lists; an array that several marks share is converted once."""
-
-    def __init__(self) -> None:
-        self._known: dict[int, tuple[FloatArray, list[float | None]]] = {}
-
-    def __call__(self, values: FloatArray) -> list[float | None]:
-        key = id(values)
-        if key not in self._known:
-            self._known[key] = values, rounded(values)
-        return self._known[key][1]
 
 
 def rounded(values: FloatArray) -> list[float | None]:
@@ -102,9 +108,8 @@ def rounded(values: FloatArray) -> list[float | None]:
     scale = float(np.abs(values).max(initial=0.0, where=finite))
     digits = _SIGNIFICANT_DIGITS - (math.floor(math.log10(scale)) if scale > 0.0 else 0)
     numbers: list[float | None] = np.round(values, digits).tolist()
-    if not finite.all():
-        for gap in np.flatnonzero(~finite).tolist():
-            numbers[gap] = None
+    for gap in np.flatnonzero(~finite).tolist():
+        numbers[gap] = None
     return numbers
 
 
@@ -134,7 +139,6 @@ def _trace(mark: Mark, numbers: _Numbers) -> dict[str, Any]:
 
 
 def _points(mark: Line | Markers, numbers: _Numbers) -> dict[str, Any]:
-    """A line, points, or both, with optional error bars."""
     trace: dict[str, Any] = {
         "type": "scatter",
         "name": mark.name,
@@ -193,7 +197,6 @@ def _axis(axis: Axis) -> dict[str, Any]:
 
 
 def _decades(panel: Panel) -> float:
-    """Range of the positive values in a panel, in powers of ten."""
     lines = [mark.y for mark in panel.marks if not isinstance(mark, Area | HeatMap)]
     y = np.concatenate(lines) if lines else np.zeros(0)
     y = y[np.isfinite(y) & (y > 0.0)]
@@ -202,16 +205,13 @@ def _decades(panel: Panel) -> float:
 
 def _horizontal(axis: Axis) -> dict[str, Any]:
     """The shared axis; a logarithmic one has complete labels at 1, 2 and 5."""
-    ticks = (
-        {"tickvals": list(FREQUENCY_TICKS), "ticktext": list(FREQUENCY_TICKS.values())}
-        if axis.log
-        else {}
-    )
+    if not axis.log:
+        return _axis(axis)
+    ticks = {"tickvals": list(FREQUENCY_TICKS), "ticktext": list(FREQUENCY_TICKS.values())}
     return _axis(axis) | ticks
 
 
 def _domains(heights: Sequence[float]) -> list[list[float]]:
-    """Lower and upper edge of each panel, as shares of the figure."""
     share = np.array(heights, dtype=float)
     free = _PANEL_GAP / len(heights)
     share *= (1.0 - free * (len(heights) - 1)) / share.sum()
@@ -221,12 +221,6 @@ def _domains(heights: Sequence[float]) -> list[list[float]]:
         domains.append([round(bottom, 4), round(top, 4)])
         top = bottom - free
     return domains
-
-
-def _vertical_line(line: Upright) -> dict[str, Any]:
-    look = {"color": Colour.RESIDUAL, "width": 1, "dash": _dash(line.dash)}
-    ends = {"x0": line.x, "x1": line.x, "y0": 0, "y1": 1}
-    return {"type": "line", "xref": "x", "yref": "paper", **ends, "line": look}
 
 
 def _label(line: Upright, domain: Sequence[float], *, log: bool) -> dict[str, Any]:
@@ -242,15 +236,6 @@ def _label(line: Upright, domain: Sequence[float], *, log: bool) -> dict[str, An
         "yanchor": "top",
         "showarrow": False,
     }
-
-
-def _label_heat_map(layout: dict[str, Any], mark: HeatMap) -> None:
-    """Show every row and column name, with a margin for the longest."""
-    every = {"dtick": 1, "tickfont": {"size": _HEAT_MAP_FONT_SIZE}}
-    layout["yaxis"] |= {"autorange": "reversed", **every}
-    layout["xaxis"] |= {"tickangle": -90, **every}
-    room = 10 + round(0.6 * _HEAT_MAP_FONT_SIZE * max(len(name) for name in mark.names))
-    layout["margin"] = {"l": room, "b": room}
 
 
 def _dash(dash: Dash) -> str:

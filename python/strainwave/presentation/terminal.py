@@ -17,24 +17,22 @@ from strainwave.domain import (
     Diagnostic,
     Identification,
     InputCheck,
-    Parameter,
     Suspicion,
-    Verdict,
 )
 from strainwave.domain.formatting import percent, plus_minus
 from strainwave.domain.keys import Key
-from strainwave.presentation.report import (
+from strainwave.presentation.report import blocks
+from strainwave.presentation.report.blocks import Cell, number
+from strainwave.presentation.report.elastic import trend_title
+from strainwave.presentation.report.rig import gain_sentences
+from strainwave.presentation.report.verdict import (
     advice,
-    blocks,
     by_severity,
     drive_note,
-    gain_sentences,
     is_note,
     scale_note,
     sentence,
 )
-from strainwave.presentation.report.amplitudes import trend_title
-from strainwave.presentation.report.blocks import Cell, number
 
 Truth = Mapping[Key, float]
 """Known values of a virtual arm, by name and joint."""
@@ -82,7 +80,12 @@ def print_summary(
         console.print(Text(sentence(clause)))
     _print_warnings(identification.warnings, console)
     console.print()
-    for line, style in _verdict_lines(identification.verdict):
+    verdict = identification.verdict
+    style = _STATUS_STYLES.get(verdict.status, _FAULT_STYLE)
+    lines = [f"verdict: {verdict.status} (exit code {verdict.exit_code})"]
+    if verdict.status != "inconsistent-input":
+        lines += [f"  {sentence(reason)}" for reason in verdict.reasons]
+    for line in (*lines, *_suspicion_lines(verdict.suspected)):
         console.print(Text(line), style=style)
     for name in ("report.html", "result.json", *(["figures"] if figures else [])):
         console.print(Text(f"written: {folder / name}"), soft_wrap=True)
@@ -122,7 +125,6 @@ def print_check(check: InputCheck, *, console: Console | None = None) -> None:
 
 
 def _print_warnings(warnings: Sequence[Diagnostic], console: Console) -> None:
-    """Print the warnings of each code, the most serious first."""
     groups: dict[str, list[Diagnostic]] = {}
     for warning in by_severity(warnings):
         groups.setdefault(warning.code, []).append(warning)
@@ -130,46 +132,27 @@ def _print_warnings(warnings: Sequence[Diagnostic], console: Console) -> None:
         console.print()
         kind, style = ("note", "") if is_note(code) else ("warning", "yellow")
         console.print(Text(f"{kind} [{code}]"), style=style)
-        console.print(_warning_table(same))
+        table = Table.grid(padding=(0, 1))
+        table.add_column(no_wrap=True)
+        table.add_column()
+        for warning in same:
+            table.add_row("  observed", Text(f"{warning.where}: {warning.observation}"))
+        if known := advice().get(code):  # the report has the whole messages
+            table.add_row("  meaning", Text(known.meaning))
+            table.add_row("  what to do", Text(known.remedy))
+        console.print(table)
 
 
 def _suspicion_lines(suspicions: Sequence[Suspicion]) -> Iterator[str]:
-    """Suspected faults with their corrections."""
     for suspicion in suspicions:
         accepted = "accepted: " if suspicion.accepted else ""
         yield f"  {accepted}{suspicion.where}: {suspicion.message}"
         yield f"    correction: {suspicion.remedy}"
 
 
-def _verdict_lines(verdict: Verdict) -> Iterator[tuple[str, str]]:
-    """Status, reasons and corrections, each with its style."""
-    style = _STATUS_STYLES.get(verdict.status, _FAULT_STYLE)
-    yield f"verdict: {verdict.status} (exit code {verdict.exit_code})", style
-    for reason in () if verdict.status == "inconsistent-input" else verdict.reasons:
-        yield f"  {sentence(reason)}", style
-    for line in _suspicion_lines(verdict.suspected):
-        yield line, style
-
-
-def _warning_table(warnings: Sequence[Diagnostic]) -> Table:
-    """Observations of one code, then meaning and remedy; the report has the whole messages."""
-    table = Table.grid(padding=(0, 1))
-    table.add_column(no_wrap=True)
-    table.add_column()
-    for warning in warnings:
-        table.add_row("  observed", Text(f"{warning.where}: {warning.observation}"))
-    known_advice = advice().get(warnings[0].code)
-    if known_advice is not None:
-        table.add_row("  meaning", Text(known_advice.meaning))
-        table.add_row("  what to do", Text(known_advice.remedy))
-    return table
-
-
 def _fit_table(identification: Identification) -> Table:
-    """Fits in percent, one row for each record and one column for each channel."""
     rows: dict[tuple[str, str], dict[str, float]] = {}
-    groups = (("fitted", identification.fitted), ("check", identification.checks))
-    for use, predictions in groups:
+    for use, predictions in (("fitted", identification.fitted), ("check", identification.checks)):
         for prediction in predictions:
             rows.setdefault((prediction.experiment, use), {}).update(prediction.fit_percent)
     if not identification.fitted and identification.whole_arm is not None:
@@ -178,15 +161,11 @@ def _fit_table(identification: Identification) -> Table:
     channels = list(dict.fromkeys(name for fits in rows.values() for name in fits))
     table = printed_table("fit of record", "use", *map(number, channels))
     for (experiment, use), fits in rows.items():
-        cells = (_fit_cell(fits.get(name)) for name in channels)
+        cells = [""] * len(channels)
+        for name, fit in fits.items():
+            cells[channels.index(name)] = percent(fit) if math.isfinite(fit) else "-"
         table.add_row(Text(experiment), use, *cells)
     return table
-
-
-def _fit_cell(fit: float | None) -> str:
-    if fit is None:
-        return ""
-    return percent(fit) if math.isfinite(fit) else "-"
 
 
 def _resonance_table(identification: Identification) -> Table:
@@ -235,7 +214,6 @@ def print_tables(console: Console, *tables: Iterable[blocks.Table]) -> None:
 
 
 def _parameter_table(decisions: Sequence[Decision], truth: Truth | None) -> Table:
-    """The final table, at most 80 columns wide with the true values."""
     heads: list[str | Cell] = ["parameter", "joint", number("value"), number("± std"), "unit"]
     if truth is not None:
         heads += map(number, ("true", "error %"))
@@ -248,15 +226,10 @@ def _parameter_table(decisions: Sequence[Decision], truth: Truth | None) -> Tabl
             value, std = "rejected" if decision.rejected else "not identified", ""
         row = [p.name, str(p.joint or "arm"), value, std, p.unit]
         if truth is not None:
-            row += _truth_cells(p, truth.get(p.key))
+            true = truth.get(p.key)
+            error = ""
+            if true and p.value is not None:
+                error = f"{100.0 * (p.value / true - 1.0):+.2f}"
+            row += ["" if true is None else f"{true:.4g}", error]
         table.add_row(*map(Text, row))
     return table
-
-
-def _truth_cells(parameter: Parameter, true: float | None) -> list[str]:
-    """True value and relative error."""
-    if true is None:
-        return ["", ""]
-    if parameter.value is None or true == 0.0:
-        return [f"{true:.4g}", ""]
-    return [f"{true:.4g}", f"{100.0 * (parameter.value / true - 1.0):+.2f}"]

@@ -1,8 +1,8 @@
 """The workbench: the whole method in a browser, over the public API and the command line.
 
-`app` is the web application. `pages` has one module per page, which answers its requests; `static`
-has the scripts of the pages. `workspace` is the served folder, `runs` are the command lines that
-run in it, and `security` guards both. All state is in the folder: a restart, and a second browser,
+`app` is the web application. `pages` answer requests with their views; `static` has the scripts of
+the pages. `workspace` is the served folder, `runs` are the command lines that run in it, and
+`security` guards both. All state is in the folder: a restart, and a second browser,
 show the same.
 """
 

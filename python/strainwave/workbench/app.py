@@ -10,13 +10,25 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from strainwave.presentation.report.blocks import plotly_script
-from strainwave.workbench.pages import ROUTES
+from strainwave.workbench.pages import (
+    by_hand,
+    check,
+    compare,
+    design,
+    estimate,
+    home,
+    runs,
+    signals,
+    study,
+    virtual,
+)
 from strainwave.workbench.security import Guard, allowed_hosts
 from strainwave.workbench.server import ServerOptions
 from strainwave.workbench.web import HANDLED, HERE, error_response
 from strainwave.workbench.workspace import Workspace
 
-_DAY = "max-age=86400"
+_PAGES = (home, study, check, signals, estimate, compare, by_hand, design, virtual, runs)
+ROUTES = [route for page in _PAGES for route in page.routes]
 
 
 def create_app(options: ServerOptions, port: int) -> Starlette:
@@ -25,7 +37,7 @@ def create_app(options: ServerOptions, port: int) -> Starlette:
     app = Starlette(
         routes=[
             *ROUTES,
-            Route("/plotly.js", _plotly),
+            Route("/plotly.js", _plotly),  # of the installed package, as in reports
             Mount("/static", StaticFiles(directory=HERE / "static")),
         ],
         middleware=[Middleware(Guard, hosts=hosts, token=options.token)],
@@ -36,7 +48,5 @@ def create_app(options: ServerOptions, port: int) -> Starlette:
 
 
 def _plotly(_request: Request) -> Response:
-    """The script of the installed plotly package, which reports contain as well."""
-    return FileResponse(
-        plotly_script(), media_type="text/javascript", headers={"cache-control": _DAY}
-    )
+    headers = {"cache-control": "max-age=86400"}  # a day
+    return FileResponse(plotly_script(), media_type="text/javascript", headers=headers)

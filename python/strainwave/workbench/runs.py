@@ -11,14 +11,17 @@ import fcntl
 import json
 import os
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -95,10 +98,8 @@ class Runs:
 
     def free_name(self, kind: str) -> str:
         """A name that no run has: identify-1."""
-        number = 1
-        while (self.folder / f"{kind}-{number}").exists():
-            number += 1
-        return f"{kind}-{number}"
+        names = (f"{kind}-{number}" for number in count(1))
+        return next(name for name in names if not (self.folder / name).exists())
 
     def prepare(self, name: str) -> Path:
         """Make the folder of a run; raises InvalidInput if the name is taken or none."""
@@ -136,14 +137,15 @@ class Runs:
                 os.killpg(run.group, ending)
             except ProcessLookupError:
                 break
-            if self._wait_for_end(name):
+            limit = time.monotonic() + _PATIENCE
+            while self._is_alive(name) and time.monotonic() < limit:
+                time.sleep(0.02)
+            if not self._is_alive(name):
                 break
         return self._read(name)
 
     def remove(self, name: str) -> None:
         """Delete the folder of a run that has ended; raises InvalidInput if it is running."""
-        import shutil
-
         if self.get(name).state == "running":
             raise InvalidInput(f"the run {name!r} is running", remedy="cancel it first")
         shutil.rmtree(self.path(name))
@@ -193,17 +195,6 @@ class Runs:
             return True
         finally:
             os.close(lock)
-        return False
-
-    def _wait_for_end(self, name: str) -> bool:
-        """Whether the processes of a run end within the patience."""
-        import time
-
-        limit = time.monotonic() + _PATIENCE
-        while time.monotonic() < limit:
-            if not self._is_alive(name):
-                return True
-            time.sleep(0.02)
         return False
 
     def _read(self, name: str) -> Run:

@@ -74,7 +74,6 @@ def serve(options: ServerOptions) -> None:
 
 
 def _listen(options: ServerOptions) -> socket.socket:
-    """A listening socket; raises InvalidInput if the address or the port is not available."""
     family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
     listener = socket.socket(family)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

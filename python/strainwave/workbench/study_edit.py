@@ -49,7 +49,8 @@ def changed_text(text: str, changes: Sequence[Change], path: Path) -> str:
     for change in changes:
         _apply(document, change, path)
     changed = tomlkit.dumps(document)
-    return changed.replace(f'"{TODO}"', TODO) if _unquoted_todos(text) else changed
+    is_draft = any(_TODO.search(_split(line)[0]) for line in text.split("\n"))
+    return changed.replace(f'"{TODO}"', TODO) if is_draft else changed
 
 
 def parse_draft(text: str, path: Path) -> tomlkit.TOMLDocument:
@@ -72,10 +73,6 @@ def tables_of(document: Mapping[str, Any], name: str) -> Sequence[Mapping[str, A
     tables = document.get(name)
     is_array = isinstance(tables, list) and all(isinstance(each, Mapping) for each in tables)
     return tables if is_array else []  # type: ignore[return-value]
-
-
-def _unquoted_todos(text: str) -> bool:
-    return any(_TODO.search(_split(line)[0]) for line in text.split("\n"))
 
 
 def _split(line: str) -> tuple[str, str]:
@@ -118,16 +115,17 @@ def correction_changes(text: str, corrections: Sequence[Correction]) -> list[Cha
     experiments = [e.get("name") for e in tables_of(parse_draft(text, Path()), "experiment")]
     changes = []
     for each in corrections:
-        keys = each.key.split(".")
-        if each.table in ("arm", "transmission"):
-            changes.append(Change((each.table, *keys), _plain(each.value)))
-        elif each.table == "joint":
-            changes.append(Change(("joint", int(each.entry) - 1, *keys), _plain(each.value)))
+        entry: tuple[str | int, ...] = ()
+        if each.table == "joint":
+            entry = (int(each.entry) - 1,)
         elif each.table == "channels":
-            changes.append(Change(("channels", each.entry, *keys), _plain(each.value)))
+            entry = (each.entry,)
         elif each.table == "experiment" and each.entry in experiments:
-            index = experiments.index(each.entry)
-            changes.append(Change(("experiment", index, *keys), _plain(each.value)))
+            entry = (experiments.index(each.entry),)
+        elif each.table not in ("arm", "transmission"):
+            continue
+        place = (each.table, *entry, *each.key.split("."))
+        changes.append(Change(place, _plain(each.value)))
     return changes
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
+from urllib.parse import quote
 
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
@@ -38,8 +39,6 @@ TABS = (
 
 Body = Mapping[str, Any]
 Answer = TypeVar("Answer", bound=Callable[..., Any])
-GetJson = TypeVar("GetJson", bound=Callable[[Request], object])
-PostJson = TypeVar("PostJson", bound=Callable[[Request, Body], object])
 
 
 def workspace_of(request: Request) -> Workspace:
@@ -96,27 +95,21 @@ class Routes(list[BaseRoute]):
 
         return add
 
-    def get(self, path: str) -> Callable[[GetJson], GetJson]:
-        """Let an address return the value of a function as JSON."""
+    def get(self, path: str) -> Callable[[Answer], Answer]:
+        """Let an address return the value of `function(request)` as JSON."""
+        return self._json(path, "GET")
 
-        def add(answer: GetJson) -> GetJson:
+    def post(self, path: str) -> Callable[[Answer], Answer]:
+        """Let an address that gets JSON return the value of `function(request, body)` as JSON."""
+        return self._json(path, "POST")
+
+    def _json(self, path: str, method: str) -> Callable[[Answer], Answer]:
+        def add(answer: Answer) -> Answer:
             async def endpoint(request: Request) -> Response:
-                return json_response(await run_in_threadpool(answer, request))
+                body = [await read_body(request)] if method == "POST" else []
+                return json_response(await run_in_threadpool(answer, request, *body))
 
-            self.append(Route(path, endpoint, methods=["GET"]))
-            return answer
-
-        return add
-
-    def post(self, path: str) -> Callable[[PostJson], PostJson]:
-        """Let an address that gets JSON return the value of a function as JSON."""
-
-        def add(answer: PostJson) -> PostJson:
-            async def endpoint(request: Request) -> Response:
-                body = await read_body(request)
-                return json_response(await run_in_threadpool(answer, request, body))
-
-            self.append(Route(path, endpoint, methods=["POST"]))
+            self.append(Route(path, endpoint, methods=[method]))
             return answer
 
         return add
@@ -177,12 +170,5 @@ def _templates() -> Environment:
         return (HERE / "templates" / name).read_text(encoding="utf-8")
 
     environment = template_environment(read, autoescape=True)
-    environment.filters["address"] = address
+    environment.filters["address"] = quote  # a path of the folder as part of an address
     return environment
-
-
-def address(path: str) -> str:
-    """A path of the folder as part of an address."""
-    from urllib.parse import quote
-
-    return quote(path)

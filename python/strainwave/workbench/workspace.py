@@ -1,18 +1,28 @@
-"""The served folder: its studies, and paths that cannot leave it."""
+"""The served folder: its studies, and paths that cannot leave it.
+
+Studies and logs, which the pages read again and again, are kept until their files change.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import re
 import tempfile
-from collections.abc import AsyncIterator, Iterator
-from dataclasses import dataclass
+from collections import OrderedDict
+from collections.abc import AsyncIterator, Callable, Hashable
+from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import Lock
+from typing import Any
 
+from strainwave.domain import Log, Study
 from strainwave.errors import InvalidInput
+from strainwave.io.logs import read_log
+from strainwave.io.study import read_study
 
 _RUNS = "runs"
-
 _MAX_DEPTH = 3  # of folders in which studies are searched
 _MAX_STUDIES = 500  # listed
 _MAX_STUDY_BYTES = 1 << 20
@@ -29,22 +39,18 @@ class Workspace:
 
     def studies(self) -> list[str]:
         """Paths of the study files, relative to the folder, sorted."""
-        return sorted(str(p.relative_to(self.folder)) for p in self._study_files())
-
-    def _study_files(self) -> Iterator[Path]:
-        count = 0
+        studies: list[str] = []
         for root, folders, files in os.walk(self.folder):
             depth = len(Path(root).relative_to(self.folder).parts)
             is_last = depth >= _MAX_DEPTH
             folders[:] = [
                 f for f in folders if not is_last and not is_runs_folder(f) and f[0] not in "._"
             ]
-            for name in files:
-                if name.endswith(".toml") and _is_study(Path(root) / name):
-                    yield Path(root) / name
-                    count += 1
-                    if count == _MAX_STUDIES:
-                        return
+            paths = [Path(root) / name for name in files if name.endswith(".toml")]
+            studies += [str(p.relative_to(self.folder)) for p in paths if _is_study(p)]
+            if len(studies) >= _MAX_STUDIES:
+                break
+        return sorted(studies[:_MAX_STUDIES])
 
     def resolve(self, relative: str) -> Path:
         """The path of a file or folder inside the folder.
@@ -130,3 +136,69 @@ def check_name(name: str) -> None:
             f"{name!r} cannot be a name here",
             remedy="begin with a letter or digit, and use letters, digits, spaces and .,_-()+=@",
         )
+
+
+_MAX_BYTES = 512 << 20  # of all logs in memory
+
+
+_cache: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()  # value and size by key
+_cache_lock = Lock()
+
+
+def _cached(key: Hashable, make: Callable[[], Any], size: Callable[[Any], int]) -> Any:
+    """A value by key; the least recently used are dropped when all exceed `_MAX_BYTES`."""
+    with _cache_lock:
+        if key in _cache:
+            _cache.move_to_end(key)
+            return _cache[key][0]
+    value = make()
+    with _cache_lock:
+        _cache[key] = value, size(value)
+        while len(_cache) > 1 and sum(n for _, n in _cache.values()) > _MAX_BYTES:
+            _cache.popitem(last=False)
+    return value
+
+
+def study_at(path: Path) -> Study:
+    """The study of a file; raises InvalidInput if it has a fault."""
+    study: Study = _cached(("study", _stamp(path)), lambda: read_study(path), lambda _: 10_000)
+    return study
+
+
+def log_of(path: Path, experiment: str, *, is_whole: bool = False) -> Log:
+    """The log of one experiment of a study file; raises InvalidInput if it has a fault.
+
+    With `is_whole`, the window of the experiment is not cut out.
+    """
+    study = study_at(path)
+    chosen = next((e for e in study.experiments if e.name == experiment), None)
+    if chosen is None:
+        names = ", ".join(e.name for e in study.experiments)
+        raise InvalidInput(f"there is no experiment {experiment!r}", remedy=f"choose from: {names}")
+    if is_whole:
+        chosen = replace(chosen, start=None, stop=None)
+    key = ("log", _stamp(path), experiment, is_whole, _stamp(study.log_path(chosen)))
+    log: Log = _cached(key, lambda: read_log(study, chosen), _size)
+    return log
+
+
+def fingerprint(path: Path) -> str:
+    """A text that changes whenever the study file or one of its logs changes."""
+    study = study_at(path)
+    stamps = [_stamp(study.log_path(each)) for each in study.experiments]
+    text = json.dumps([hashlib.sha256(path.read_bytes()).hexdigest(), stamps])
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _stamp(path: Path) -> tuple[str, int, int]:
+    """Path, size and time of change of a file; of a folder, those of its largest change."""
+    status = path.stat()
+    if path.is_dir():
+        parts = [each.stat() for each in path.iterdir()]
+        size = sum(each.st_size for each in parts)
+        return str(path), size, max((p.st_mtime_ns for p in parts), default=status.st_mtime_ns)
+    return str(path), status.st_size, status.st_mtime_ns
+
+
+def _size(log: Log) -> int:
+    return log.time.nbytes + sum(values.nbytes for values in log.channels.values())

@@ -10,10 +10,10 @@ from benchmarks.families.__main__ import cases_of
 
 import strainwave as sw
 from strainwave.campaign import worker
+from strainwave.campaign.records import Task
 from strainwave.campaign.runner import Plan
 from strainwave.campaign.store import Store
 from strainwave.campaign.study_files import Case
-from strainwave.campaign.tasks import Task
 from strainwave.errors import InvalidInput
 
 

@@ -20,7 +20,7 @@ from strainwave.domain import (
     SweepPoint,
     Use,
 )
-from strainwave.presentation.report import amplitudes, elastic, render
+from strainwave.presentation.report import elastic, render
 
 
 def recorded(name: str, use: Use, amplitude: float) -> RecordModel:
@@ -46,7 +46,7 @@ def swept() -> Identification:
 
 
 def test_joint_models_are_drawn_by_amplitude_within_their_band() -> None:
-    figure = amplitudes.response_figure(amplitudes.swept_records(swept())[1])
+    figure = elastic.response_figure(elastic.swept_records(swept())[1])
     assert names(figure) == names(figure, 1) == ["2 V, slow", "10 V, prbs-j1"]
     slow = line(figure, "2 V, slow")
     f = slow.x
@@ -57,7 +57,7 @@ def test_joint_models_are_drawn_by_amplitude_within_their_band() -> None:
 
 
 def test_without_a_sweep_there_is_no_figure() -> None:
-    assert amplitudes.swept_records(elastic_identification()) == {}
+    assert elastic.swept_records(elastic_identification()) == {}
 
 
 @pytest.mark.parametrize(
@@ -72,11 +72,11 @@ def test_the_stated_trend_follows_from_the_printed_number(rise: float, trend: st
     std = 50.0 / np.sqrt(np.sum((np.array(volts) - 5.0) ** 2))
     verdict = "no-trend" if trend.startswith("no") else trend
     sweep = Sweep(1, points, rise, std, verdict)  # type: ignore[arg-type]
-    title, caption = amplitudes.trend_title(sweep), amplitudes.describe_trend(sweep)
+    title, caption = elastic.trend_title(sweep), elastic.describe_trend(sweep)
     assert title == f"{trend} ({abs(rise) / std:.1f} standard errors)"
     assert f"{abs(rise) / std:.1f} standard errors from zero" in caption
     assert "significant from 3 standard errors" in caption
-    figure = amplitudes.stiffness_figure(sweep)
+    figure = elastic.stiffness_figure(sweep)
     # the line of the squared anti-resonance, scaled to the stiffness, passes through the points
     line_ = line(figure, "weighted line")
     assert line_.y == pytest.approx([4.0 * (6000.0 + rise * v) for v in (2.0, 8.0)])

@@ -11,7 +11,7 @@ import exports
 from strainwave.domain import ArmDescription, Joint, Origin
 from strainwave.presentation.figures import Figure, Line, Markers
 from strainwave.presentation.plotly_backend import plotly
-from strainwave.presentation.report.arm_picture import arm_picture, describe
+from strainwave.presentation.report.rig import arm_picture, describe_arm
 
 CHAIN = exports.chain(Path("nowhere"), motions=exports.MOTIONS[1])[0].arm
 
@@ -61,7 +61,7 @@ def test_joints_in_one_place_share_a_label() -> None:
     (drawn,) = marks(arm_picture(arm), "joints")
     assert isinstance(drawn, Markers)
     assert drawn.labels == ("shoulder", "joint2, joint3")
-    assert "The 3 joints at zero angles" in describe(arm)
+    assert "The 3 joints at zero angles" in describe_arm(arm)
 
 
 def test_both_back_ends_keep_scales_and_labels() -> None:

@@ -18,7 +18,8 @@ from results import arm_model, identification, prediction
 from strainwave.domain import Diagnostic, Identification, Parameter, Place
 from strainwave.domain.parameters import parameter_descriptions
 from strainwave.presentation.html import read_template
-from strainwave.presentation.report import figures_of, remedies, render
+from strainwave.presentation.report import figures_of, render
+from strainwave.presentation.report.verdict import TROUBLESHOOTING_PAGE, advice
 from strainwave.presentation.terminal import print_summary
 
 MOST_BYTES = 8_000_000
@@ -279,9 +280,9 @@ def test_an_unknown_parameter_has_a_row() -> None:
 def test_warning_codes_name_their_section_of_the_documentation() -> None:
     page = render(identification())
     assert "<code>saturated</code>" in page
-    assert f"<code>{remedies.TROUBLESHOOTING_PAGE}</code>" in page
-    sections = (ROOT / remedies.TROUBLESHOOTING_PAGE).read_text(encoding="utf-8")
-    assert [code for code in remedies.advice() if f"\n### `{code}`\n" not in sections] == []
+    assert f"<code>{TROUBLESHOOTING_PAGE}</code>" in page
+    sections = (ROOT / TROUBLESHOOTING_PAGE).read_text(encoding="utf-8")
+    assert [code for code in advice() if f"\n### `{code}`\n" not in sections] == []
 
 
 def test_sections_are_open_and_fitted_records_are_folded() -> None:

@@ -9,7 +9,8 @@ import numpy as np
 from results import arm_model, identification
 from strainwave.domain import Identification, Parameter, SensorGain
 from strainwave.io.results import to_document
-from strainwave.presentation.report import gain_sentences, render
+from strainwave.presentation.report import render
+from strainwave.presentation.report.rig import gain_sentences
 
 STIFFNESS = Parameter("gear_stiffness", 2, 6100.0, 28.0, "N m/rad", "tuned", (6045.0, 6155.0))
 DAMPING = Parameter("gear_damping", 2, 4.0, 0.08, "N m s/rad", "tuned", (3.84, 4.16))

@@ -10,14 +10,14 @@ import pytest
 from elastic_results import decoupled, elastic_identification, record_model
 from figure_parts import marks
 from strainwave.presentation.figures import Line
-from strainwave.presentation.report import torques
+from strainwave.presentation.report import elastic
 
 
 def test_the_record_with_the_largest_share_is_shown() -> None:
-    (record,) = torques.interaction_records(elastic_identification())
+    (record,) = elastic.interaction_records(elastic_identification())
     assert record.experiment.name == "prbs-j1"
-    assert torques.interaction_share(record) == pytest.approx(0.5, rel=1e-6)
-    assert "50 % of the motor torque" in torques.describe(record)
+    assert elastic.interaction_share(record) == pytest.approx(0.5, rel=1e-6)
+    assert "50 % of the motor torque" in elastic.describe_interaction(record)
 
 
 def test_sweeps_and_joints_without_interaction_are_left_out() -> None:
@@ -27,7 +27,7 @@ def test_sweeps_and_joints_without_interaction_are_left_out() -> None:
     single = decoupled("single", 9.0)
     alone = replace(high_variance, signals=replace(single, inputs=single.inputs[:, :1]))
     assert (
-        torques.interaction_records(
+        elastic.interaction_records(
             replace(elastic_identification(), records=(high_variance, alone))
         )
         == []
@@ -35,14 +35,14 @@ def test_sweeps_and_joints_without_interaction_are_left_out() -> None:
 
 
 def test_both_torques_are_drawn_at_the_motor() -> None:
-    motor, other = marks(torques.time_figure(decoupled("a", 0.5)), Line)
+    motor, other = marks(elastic.torque_figure(decoupled("a", 0.5)), Line)
     assert motor.x.max() <= 0.5
     # decimated rows hold the extremes of either line in each bin
     assert (motor.y.max(), other.y.max()) == pytest.approx((1.0, 0.5), rel=3e-3)
 
 
 def test_the_spectra_peak_at_the_frequencies_of_the_torques() -> None:
-    figure = marks(torques.spectrum_figure(decoupled("a", 0.5)), Line)
+    figure = marks(elastic.torque_spectrum(decoupled("a", 0.5)), Line)
     for one, line in zip(figure, (10.0, 20.0), strict=True):
         f, density = one.x, one.y
         assert f[np.argmax(density)] == pytest.approx(line, abs=f[1] - f[0])

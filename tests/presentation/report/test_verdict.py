@@ -20,9 +20,14 @@ from strainwave.domain import (
     Place,
     Suspicion,
 )
-from strainwave.presentation.report import remedies
 from strainwave.presentation.report.blocks import Callout, Facts, Paragraph, Table
-from strainwave.presentation.report.verdict import named, verdict
+from strainwave.presentation.report.verdict import (
+    TROUBLESHOOTING_PAGE,
+    advice,
+    named,
+    verdict,
+    warnings_table,
+)
 from virtual_arms import rigid_drive
 
 PACKAGE = Path(strainwave.__file__).parent
@@ -200,7 +205,7 @@ def test_the_most_serious_warning_is_named() -> None:
 
 
 def test_warnings_are_sorted_by_severity_with_meaning_and_remedy() -> None:
-    warnings, where = remedies.warnings_table(
+    warnings, where = warnings_table(
         [
             Diagnostic("friction-settles", Place(joint=1), time=1e-4),
             Diagnostic("saturated", Place.in_records("b"), channel="u1", share=0.1),
@@ -208,7 +213,7 @@ def test_warnings_are_sorted_by_severity_with_meaning_and_remedy() -> None:
     )
     assert isinstance(warnings, Table)
     assert isinstance(where, Paragraph)
-    assert remedies.TROUBLESHOOTING_PAGE in [span.text for span in where.spans]
+    assert TROUBLESHOOTING_PAGE in [span.text for span in where.spans]
     first, second = ([cell.text for cell in row] for row in warnings.rows if isinstance(row, tuple))
     assert (first[0], second[0]) == ("b", "joint 1")
     assert (
@@ -239,5 +244,5 @@ def codes() -> set[str]:
 
 def test_every_warning_has_a_meaning_and_a_remedy() -> None:
     assert {"saturated", "sliding", "modes-failed"} <= codes()
-    assert all(one.meaning and one.remedy for one in remedies.advice().values())
-    assert codes() - remedies.advice().keys() == set()
+    assert all(one.meaning and one.remedy for one in advice().values())
+    assert codes() - advice().keys() == set()

@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 from strainwave.virtual import scara
-from strainwave.workbench.hand_simulation import parameter_document
+from strainwave.workbench.pages.by_hand import parameter_document
 
 
 def test_a_slider_moves_the_curves(visit: Any) -> None:

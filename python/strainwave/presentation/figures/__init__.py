@@ -237,3 +237,16 @@ def spread_evenly(f: FloatArray, low: float, high: float, limit: int) -> IntArra
 def decibel(modulus: FloatArray) -> FloatArray:
     """20 log10 of a modulus; -6000 dB for zero."""
     return np.asarray(20.0 * np.log10(np.maximum(modulus, 1e-300)))
+
+
+def line_panel(
+    title: str,
+    x: FloatArray,
+    y: FloatArray,
+    name: str,
+    colour: str = Colour.MEASURED,
+    limit: int = MAX_POINTS,
+) -> Panel:
+    """A panel with one line, decimated to about `limit` points."""
+    rows = decimate(y, limit)
+    return Panel(Axis(title), (Line(x[rows], y[rows], name, colour),))

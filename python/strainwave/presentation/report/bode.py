@@ -83,7 +83,15 @@ def bode(
     marks = ResponseMarks()
     below = () if measured is None else _add_measured(marks, measured, low, high)
     for k, (name, model) in enumerate((state_space or {}).items()):
-        _add_state_space(marks, model, joint.band_hz, name, k)
+        top = min(joint.band_hz[1], _MAX_NYQUIST_SHARE * 0.5 / model.sample_time)
+        response = frequency_response(model, np.geomspace(joint.band_hz[0], top, _CURVE_POINTS))
+        G, label = response.response[:, 0, 0], f"state space, {name}"
+        std, phase_std = response.magnitude_std, response.phase_std
+        if std is not None and phase_std is not None:
+            stds = std[:, 0, 0] / np.abs(G), phase_std[:, 0, 0]
+            marks.add_band(response.frequencies_hz, G, stds, label, Colour.LINEAR)
+        dash = _STATE_SPACE_DASHES[k % len(_STATE_SPACE_DASHES)]
+        marks.add_line(response.frequencies_hz, G, label, Colour.LINEAR, dash)
     f: FloatArray = np.geomspace(low, high, _CURVE_POINTS)
     own = JointFit(vector_of(joint), joint.covariance[:6, :6])
     fits: list[tuple[JointFit, str, Colour, Dash]] = [(own, "joint model", Colour.MODEL, SOLID)]
@@ -111,7 +119,7 @@ def response_title(*, is_prismatic: bool) -> str:
 def describe(joint: JointModel, measured: FrequencyResponse | None) -> str:
     """Caption of the Bode plot."""
     parts = []
-    for name, mode in _modes(joint):
+    for name, mode in modes_of(joint):
         value, std = plus_minus(mode.frequency_hz, mode.frequency_std_hz)
         parts.append(f"{name} {value} ± {std} Hz")
     if measured is not None:
@@ -161,29 +169,15 @@ def relative_std(measured: FrequencyResponse) -> FloatArray | None:
     return np.asarray(np.sqrt((1.0 - c) / (2.0 * measured.n_averages * c)))
 
 
-def _add_state_space(
-    marks: ResponseMarks, model: StateSpace, band_hz: tuple[float, float], name: str, k: int
-) -> None:
-    top = min(band_hz[1], _MAX_NYQUIST_SHARE * 0.5 / model.sample_time)
-    f: FloatArray = np.geomspace(band_hz[0], top, _CURVE_POINTS)
-    response = frequency_response(model, f)
-    G, label = response.response[:, 0, 0], f"state space, {name}"
-    std, phase_std = response.magnitude_std, response.phase_std
-    if std is not None and phase_std is not None:
-        stds = std[:, 0, 0] / np.abs(G), phase_std[:, 0, 0]
-        marks.add_band(f, G, stds, label, Colour.LINEAR)
-    dash = _STATE_SPACE_DASHES[k % len(_STATE_SPACE_DASHES)]
-    marks.add_line(f, G, label, Colour.LINEAR, dash)
-
-
-def _modes(joint: JointModel) -> list[tuple[str, Mode]]:
+def modes_of(joint: JointModel) -> list[tuple[str, Mode]]:
+    """Anti-resonance and resonance of a joint model, by name, if it has them."""
     modes = (("anti-resonance", joint.anti_resonance), ("resonance", joint.resonance))
     return [(name, mode) for name, mode in modes if mode is not None]
 
 
 def _uprights(joint: JointModel) -> Iterator[Upright]:
     """Lines at both modes and at the edges of the fit band; labels are in the phase panel."""
-    for name, mode in _modes(joint):
+    for name, mode in modes_of(joint):
         text, is_left = f"{name} {mode.frequency_hz:.4g} Hz", name == "anti-resonance"
         yield Upright(mode.frequency_hz, text, panel=1, before=is_left, dash=SOLID)
     for edge in joint.band_hz:
@@ -194,9 +188,7 @@ _ELLIPSE_POINTS = 40
 _MAX_DAMPING = 0.5  # of the oscillating roots shown: others describe the edge of the band
 _SYMBOL_SIZE = 9.0  # [px]
 _HEIGHT = 2.2  # of the panel, in usual panels: the map is nearly square
-_WIDEST_ELLIPSE = (
-    1.0  # largest standard deviation over the modulus; wider ellipses are not informative
-)
+_WIDEST_ELLIPSE = 1.0  # standard deviation over the modulus; wider ones are not informative
 
 
 def pole_zero_map(
@@ -257,7 +249,7 @@ def _state_space_roots(modes: Modes, band_hz: tuple[float, float]) -> Roots:
     Frequency and damping are taken as uncorrelated: s = w (-d + i sqrt(1 - d^2)).
     """
     groups = [[m for m in group if _is_shown(m, band_hz)] for group in (modes.poles, modes.zeros)]
-    pairs = [[(m, side) for m in group for side in _sides(m)] for group in groups]
+    pairs = [[(m, s) for m in group for s in (1.0, -1.0)[: 1 + m.oscillates]] for group in groups]
     roots = [np.array([_root(*pair) for pair in group], dtype=complex) for group in pairs]
     every = [*pairs[0], *pairs[1]]
     covariance = np.zeros((2 * len(every), 2 * len(every)))
@@ -272,10 +264,6 @@ def _state_space_roots(modes: Modes, band_hz: tuple[float, float]) -> Roots:
         parts = np.stack([J.real, J.imag])
         covariance[np.ix_([i, len(every) + i], [i, len(every) + i])] = parts @ parts.T
     return roots[0], roots[1], covariance
-
-
-def _sides(mode: Mode) -> tuple[float, ...]:
-    return (1.0, -1.0) if mode.oscillates else (1.0,)
 
 
 def _root(mode: Mode, side: float) -> complex:
@@ -312,16 +300,12 @@ def _marks(
     for i, root in enumerate(roots):
         block = covariance[np.ix_([i, n + i], [i, n + i])]
         if np.trace(block) < (_WIDEST_ELLIPSE * abs(root)) ** 2:
-            x, y = _ellipse(root, block)
+            # the 95 % confidence region of real and imaginary part
+            values, vectors = np.linalg.eigh(block)
+            angle = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_POINTS)
+            radii = np.sqrt(chi_square_limit(0.05, 2) * np.clip(values, 0.0, None))
+            x, y = vectors @ (radii[:, None] * np.stack([np.cos(angle), np.sin(angle)]))
             label = f"{'poles' if i < len(poles) else 'zeros'}, {name}"
-            marks.append(Line(x, y, label, colour, DASHES[k % 3], 1.0, legend=False))
+            ellipse = root.real + x, root.imag + y
+            marks.append(Line(*ellipse, label, colour, DASHES[k % 3], 1.0, legend=False))
     return marks
-
-
-def _ellipse(centre: complex, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The 95 % confidence region of real and imaginary part."""
-    values, vectors = np.linalg.eigh(covariance)
-    angle = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_POINTS)
-    radii = np.sqrt(chi_square_limit(0.05, 2) * np.clip(values, 0.0, None))
-    points = vectors @ (radii[:, None] * np.stack([np.cos(angle), np.sin(angle)]))
-    return centre.real + points[0], centre.imag + points[1]

@@ -58,11 +58,6 @@ class StiffnessCurve:
         return "N" if self.is_prismatic else "N m"
 
     @property
-    def stiffness_unit(self) -> str:
-        """Unit of the stiffness."""
-        return "N/m" if self.is_prismatic else "N m/rad"
-
-    @property
     def knees(self) -> FloatArray:
         """Torques [N m] at which the stiffness jumps: (n_knees,)."""
         return np.array(self.law.knees(self.values))
@@ -89,10 +84,13 @@ def stiffness_curves(identification: Identification) -> list[StiffnessCurve]:
         candidates = (_stiffness_curve(number, joint.law, *fit, loads.get(number)) for fit in fits)
         curve = next(filter(None, candidates), None)
         if curve is not None:
-            is_equivalent = joint.law.is_curved and not curve.is_nonlinear
-            is_prismatic = joint.motion == "prismatic"
-            curve = replace(curve, is_equivalent=is_equivalent, is_prismatic=is_prismatic)
-            curves.append(replace(curve, choice=choices.get(number)))
+            curve = replace(
+                curve,
+                is_equivalent=joint.law.is_curved and not curve.is_nonlinear,
+                is_prismatic=joint.motion == "prismatic",
+                choice=choices.get(number),
+            )
+            curves.append(curve)
     return curves
 
 
@@ -104,7 +102,7 @@ def stiffness_figure(curve: StiffnessCurve) -> Figure:
     top = 1.1 * float((stiffness + half).max())
     panels = [
         Panel(
-            Axis(f"stiffness [{curve.stiffness_unit}]", range=(0.0, top)),
+            Axis(f"stiffness [{'N/m' if curve.is_prismatic else 'N m/rad'}]", range=(0.0, top)),
             (
                 Area(torque, stiffness - half, stiffness + half, Colour.MODEL, "stiffness"),
                 Line(torque, stiffness, "stiffness", Colour.MODEL, width=2.0),
@@ -115,7 +113,15 @@ def stiffness_figure(curve: StiffnessCurve) -> Figure:
     if curve.loads is not None:
         # logarithmic: the few samples at large torques determine the last stiffness
         axis = Axis("samples [%]", log=True)
-        panels.append(Panel(axis, (_load_bars(curve.loads),), height=0.9))
+        edges = curve.loads.edges
+        bars = Bars(
+            0.5 * (edges[1:] + edges[:-1]),
+            100.0 * curve.loads.share,
+            float(np.diff(edges)[0]),
+            "torques in the records",
+            Colour.MEASURED,
+        )
+        panels.append(Panel(axis, (bars,), height=0.9))
     knees = (Upright(x, f"{x:.3g} {curve.torque_unit}", height=0.25) for x in curve.knees.tolist())
     axis = Axis(f"absolute gear torque at the link [{curve.torque_unit}]")
     return Figure(axis, tuple(panels), tuple(knees))
@@ -169,24 +175,20 @@ def describe(curve: StiffnessCurve) -> str:
     text = f"{curve.law.sentence(curve.values, std, is_straight=curve.is_prismatic)}."
     if curve.is_equivalent:
         text += " One equivalent stiffness approximates the whole curve."
-    if curve.choice is not None:
-        text += f" {_describe_choice(curve.choice)}"
+    choice = curve.choice
+    if choice is not None and choice.margins:
+        margins = ", ".join(
+            f"{margin.difference:.3g} that of {margin.law} (weight {margin.weight:.2f})"
+            for margin in choice.margins
+        )
+        text += f" The data support the law {choice.law}: its held-out log score exceeds by"
+        text += f" {margins}."
+    elif choice is not None:
+        text += f" The law is {choice.law}: no curve explains a considerable part of the residuals."
     if curve.loads is not None:
         limit = f"{curve.largest_torque:.3g} {curve.torque_unit}"
         text += f" The largest gear torque in the records is {limit}; the curve is unknown above."
     return text
-
-
-def _describe_choice(choice: LawChoice) -> str:
-    """How the data support the selected law."""
-    if not choice.margins:
-        return f"The law is {choice.law}: no curve explains a considerable part of the residuals."
-    margins = (
-        f"{margin.difference:.3g} that of {margin.law} (weight {margin.weight:.2f})"
-        for margin in choice.margins
-    )
-    margin = ", ".join(margins)
-    return f"The data support the law {choice.law}: its held-out log score exceeds by {margin}."
 
 
 def _stiffness_curve(
@@ -233,13 +235,5 @@ def _sample_segments(curve: StiffnessCurve) -> tuple[FloatArray, FloatArray]:
 
 
 def _std(curve: StiffnessCurve, J: FloatArray) -> FloatArray:
-    """Standard deviation of a function of the parameters with the Jacobian J: (n,)."""
     variance = np.einsum("ni,ij,nj->n", J, curve.covariance, J)
     return np.asarray(np.sqrt(np.clip(variance, 0.0, None)))
-
-
-def _load_bars(loads: TorqueHistogram) -> Bars:
-    """Share of the samples in each bin [%]."""
-    centres = 0.5 * (loads.edges[1:] + loads.edges[:-1])
-    width = float(np.diff(loads.edges)[0])
-    return Bars(centres, 100.0 * loads.share, width, "torques in the records", Colour.MEASURED)

@@ -11,7 +11,6 @@ import numpy as np
 from strainwave.domain import (
     CONDITION_TEXTS,
     ArmDescription,
-    ArmModel,
     Identification,
     JointModel,
     Prediction,
@@ -25,20 +24,10 @@ from strainwave.domain.kinds import kind_of
 from strainwave.domain.options import changed_options
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.base_parameters import base_parameter_list
-from strainwave.presentation.figures import MAX_POINTS, Figure
-from strainwave.presentation.report import (
-    amplitudes,
-    arm_picture,
-    bode,
-    correlations,
-    elastic,
-    gears,
-    motors,
-    torques,
-)
+from strainwave.presentation.figures import MAX_POINTS, Axis, Figure, Panel
+from strainwave.presentation.report import bode, elastic, gears, motors
 from strainwave.presentation.report.blocks import (
     Block,
-    Cell,
     Facts,
     FigureKind,
     FigureName,
@@ -55,23 +44,37 @@ from strainwave.presentation.report.blocks import (
 from strainwave.presentation.report.bode import pole_zero_map
 from strainwave.presentation.report.parameters import (
     base_parameter_table,
+    correlations,
+    describe_correlations,
     descriptions_table,
     parameter_table,
 )
 from strainwave.presentation.report.predictions import prediction_figure, recordings
-from strainwave.presentation.report.remedies import warnings_table
 from strainwave.presentation.report.residuals import residual_correlations, residual_tests
-from strainwave.presentation.report.rig import gain_sentences, rig_constants
-from strainwave.presentation.report.verdict import drive_note, verdict
+from strainwave.presentation.report.rig import (
+    arm_picture,
+    describe_arm,
+    gain_sentences,
+    rig_constants,
+)
+from strainwave.presentation.report.verdict import drive_note, verdict, warnings_table
 
 _MAX_PREDICTION_POINTS = 150_000  # of all lines over time: more make a page of many megabytes
 _MAX_RECORDING_POINTS = 60_000
 _MIN_LINE_POINTS = 300  # of one line
+_POLES_CAPTION = (
+    "Crosses are poles, circles are zeros, in continuous time; ellipses are 95 % regions."
+)
 
 
 def render(identification: Identification) -> str:
     """The report as one HTML page that needs no network."""
-    return document(_rig_name(identification), _subtitle(identification), _sections(identification))
+    study = identification.study
+    rig = study.path.resolve().parent.name or study.path.name
+    springs = ", ".join(dict.fromkeys(joint.spring for joint in study.arm.joints))
+    subtitle = f"{study.arm.kind.replace('-', ' ')}, gear springs: {springs}; "
+    subtitle += f"stages: {', '.join(identification.stages)}"
+    return document(rig, subtitle, _sections(identification))
 
 
 def figures_of(identification: Identification) -> dict[str, Figure]:
@@ -93,6 +96,8 @@ def find_figure(identification: Identification, name: FigureName) -> Figure:
 
 
 def _sections(result: Identification) -> list[Section]:
+    n_recorded = sum(len(log.channels) for log in result.logs)
+    recording_points = _line_points(_MAX_RECORDING_POINTS, n_recorded)
     parts = (
         ("verdict", "Verdict", (verdict(result),)),
         ("rig", "Rig constants", _rig_blocks(result.study.arm)),
@@ -105,7 +110,7 @@ def _sections(result: Identification) -> list[Section]:
         ("residuals", "Residual analysis", _residual_blocks(result)),
         ("interaction", "Interaction torques", _interaction_blocks(result)),
         ("correlations", "Parameter correlations", _correlation_blocks(result)),
-        ("recordings", "Recorded data", _recording_blocks(result)),
+        ("recordings", "Recorded data", recordings(result, recording_points)),
         ("warnings", "Warnings", warnings_table(result.warnings)),
         ("making", "Provenance", _provenance_blocks(result)),
     )
@@ -113,15 +118,12 @@ def _sections(result: Identification) -> list[Section]:
 
 
 def _rig_blocks(arm: ArmDescription) -> Iterator[Block]:
-    """A picture of an arm whose joints the study places, and the constants."""
     if not kind_of(arm).places_joints:
-        figure, words = arm_picture.arm_picture(arm), arm_picture.describe(arm)
-        yield Plot(FigureName("arm"), "Joints of the arm", figure, words)
+        yield Plot(FigureName("arm"), "Joints of the arm", arm_picture(arm), describe_arm(arm))
     yield from rig_constants(arm)
 
 
 def _base_parameter_blocks(result: Identification) -> Iterator[Block]:
-    """The combinations of standard parameters that motion determines."""
     parameters = base_parameter_list(result.study.arm, result.parameters)
     if parameters:
         yield paragraph(
@@ -133,7 +135,6 @@ def _base_parameter_blocks(result: Identification) -> Iterator[Block]:
 
 
 def _parameter_blocks(result: Identification) -> Iterator[Block]:
-    """The table, the benefit of further link sensors, and the descriptions."""
     yield from parameter_table(result.decisions)
     for clause in gain_sentences(result):
         yield paragraph(f"{clause[0].upper()}{clause[1:]}.")
@@ -142,51 +143,31 @@ def _parameter_blocks(result: Identification) -> Iterator[Block]:
         yield Fold("Descriptions of the parameters", descriptions)
 
 
-def _rig_name(result: Identification) -> str:
-    path = result.study.path
-    return path.resolve().parent.name or path.name
-
-
-def _subtitle(result: Identification) -> str:
-    study = result.study
-    kind = study.arm.kind.replace("-", " ")
-    springs = ", ".join(dict.fromkeys(joint.spring for joint in study.arm.joints))
-    return f"{kind}, gear springs: {springs}; stages: {', '.join(result.stages)}"
-
-
 def _response_blocks(result: Identification) -> Iterator[Block]:
-    """Bode plots of every joint, resonances, responses of the motors, and amplitude sweeps."""
     for joint in result.joints:
         yield _bode_plot(result, joint)
     heads = ("joint", "records", "anti-resonance [Hz]", "damping", "resonance [Hz]", "damping")
     rows = elastic.resonance_rows(result)
     yield from table("Resonances and anti-resonances", (*heads, "stiffness [N m/rad]"), rows)
     for sweep in result.sweeps:
-        label = f"Joint {sweep.joint}, stiffness over amplitude: {amplitudes.trend_title(sweep)}"
-        figure, caption = amplitudes.stiffness_figure(sweep), amplitudes.describe_trend(sweep)
+        label = f"Joint {sweep.joint}, stiffness over amplitude: {elastic.trend_title(sweep)}"
+        figure, caption = elastic.stiffness_figure(sweep), elastic.describe_trend(sweep)
         yield Plot(FigureName("amplitude", sweep.joint), label, figure, caption)
-    for joint_number, records in amplitudes.swept_records(result).items():
+    for joint_number, records in elastic.swept_records(result).items():
         label = f"Joint {joint_number}, response by amplitude: motor torque to motor velocity"
-        figure = amplitudes.response_figure(records)
+        figure = elastic.response_figure(records)
         caption = "Joint model of each record, within the band of its fit."
         yield Plot(FigureName("sweep", joint_number), label, figure, caption)
-    plots = tuple(_motor_plots(result))
-    if plots:
-        yield Fold(f"Responses of the motors in the complete arm ({len(plots)})", plots)
-
-
-def _motor_plots(result: Identification) -> Iterator[Plot]:
+    plots = []
     for response in result.motor_responses:
-        joint_of_motor = result.study.arm.joints[response.joint - 1]
+        is_prismatic = result.study.arm.joints[response.joint - 1].motion == "prismatic"
         label = f"Motor {response.joint} in {response.experiment},"
         label += f" {CONDITION_TEXTS[response.condition]}: torque to velocity"
-        figure = motors.motor_figure(response, is_prismatic=joint_of_motor.motion == "prismatic")
-        yield Plot(
-            FigureName("motor", experiment=response.experiment),
-            label,
-            figure,
-            motors.describe(response),
-        )
+        name = FigureName("motor", experiment=response.experiment)
+        figure = motors.motor_figure(response, is_prismatic=is_prismatic)
+        plots.append(Plot(name, label, figure, motors.describe(response)))
+    if plots:
+        yield Fold(f"Responses of the motors in the complete arm ({len(plots)})", tuple(plots))
 
 
 def _bode_plot(result: Identification, joint: JointModel) -> Plot:
@@ -218,10 +199,7 @@ def _pole_blocks(result: Identification) -> Iterator[Block]:
         }
         figure = pole_zero_map(joint, ratio, modes, whole_arm=_whole_arm_joint(result, joint))
         label = f"Joint {joint.joint}: poles and zeros of motor torque to motor velocity"
-        caption = (
-            "Crosses are poles, circles are zeros, in continuous time; ellipses are 95 % regions."
-        )
-        yield Plot(FigureName("poles", joint.joint), label, figure, caption)
+        yield Plot(FigureName("poles", joint.joint), label, figure, _POLES_CAPTION)
 
 
 def _full_amplitude(result: Identification, joint: JointModel) -> list[RecordModel]:
@@ -240,10 +218,8 @@ def _whole_arm_joint(result: Identification, joint: JointModel) -> bode.JointFit
     whole_arm = result.whole_arm
     if whole_arm is None:
         return None
-    values = dict(whole_arm.values)
-    values_of_joint = {
-        name: value for (name, number), value in values.items() if number == joint.joint
-    }
+    values = whole_arm.values
+    values_of_joint = {name: x for (name, number), x in values.items() if number == joint.joint}
     if STIFFNESS not in values_of_joint or result.study.arm.joints[joint.joint - 1].law.is_curved:
         values_of_joint[STIFFNESS] = joint.values[STIFFNESS]
     posture = np.array(joint.posture) if joint.posture else None
@@ -275,19 +251,31 @@ def _prediction_blocks(result: Identification) -> Iterator[Block]:
     if fitted:
         plots = [_prediction_plot(result, p, kind, limit) for kind, p in fitted]
         yield Fold(f"Fitted records ({len(plots)})", tuple(plots))
-    if whole_arm is not None:
-        yield from _fit_blocks(whole_arm)
+    if whole_arm is None:
+        return
+    # fits of each record before and after the whole-arm fit
+    names = list(dict.fromkeys(name for fits in whole_arm.fit_percent.values() for name in fits))
+    rows: list[Row] = []
+    for experiment, fits in whole_arm.fit_percent.items():
+        cells = [number("")] * len(names)
+        for name, after in fits.items():
+            before = whole_arm.initial_fit_percent.get(experiment, {}).get(name, math.nan)
+            change = f"{percent(before)} → {percent(after)}"
+            text = change if math.isfinite(before + after) else _format_fit(after)
+            cells[names.index(name)] = number(text)
+        rows.append((experiment, *cells))
+    outcome = f"{whole_arm.end}, {whole_arm.iterations} evaluations"
+    title = f"Fits before → after the whole-arm fit ({outcome})"
+    yield from table(title, ("record", *map(number, names)), rows)
 
 
 def _line_points(total: int, lines: int) -> int:
-    """Points of one line, such that all lines have about `total`."""
     return min(MAX_POINTS, max(_MIN_LINE_POINTS, total // max(lines, 1)))
 
 
 def _prediction_plot(
     result: Identification, prediction: Prediction, kind: FigureKind, limit: int
 ) -> Plot:
-    """One record over time, with its fits."""
     use = "check record" if kind == "check" else "fitted record"
     fits = [f"{name} {_format_fit(fit)}" for name, fit in prediction.fit_percent.items()]
     model = "drive by the rigid model" if prediction.of_drive else "motion by the elastic model"
@@ -303,38 +291,17 @@ def _format_fit(fit: float) -> str:
     return percent(fit) if math.isfinite(fit) else "no fit (standstill)"
 
 
-def _fit_change_cell(before: float, after: float | None) -> Cell:
-    if after is None:
-        return number("")
-    if not math.isfinite(before) or not math.isfinite(after):
-        return number(_format_fit(after))
-    return number(f"{percent(before)} → {percent(after)}")
-
-
-def _fit_blocks(whole_arm: ArmModel) -> Iterator[Block]:
-    """Fits of each record before and after the whole-arm fit."""
-    channels = list(dict.fromkeys(name for fits in whole_arm.fit_percent.values() for name in fits))
-    rows: list[Row] = []
-    for experiment, fits in whole_arm.fit_percent.items():
-        before = whole_arm.initial_fit_percent.get(experiment, {})
-        cells = [_fit_change_cell(before.get(name, math.nan), fits.get(name)) for name in channels]
-        rows.append((experiment, *cells))
-    outcome = f"{whole_arm.end}, {whole_arm.iterations} evaluations"
-    title = f"Fits before → after the whole-arm fit ({outcome})"
-    yield from table(title, ("record", *map(number, channels)), rows)
-
-
 def _interaction_blocks(result: Identification) -> Iterator[Block]:
-    for record in torques.interaction_records(result):
+    for record in elastic.interaction_records(result):
         where = f"Joint {record.joint}, {record.experiment.name}"
         name = FigureName("interaction", record.joint)
         yield Plot(
             replace(name, part="time"),
             f"{where}: torques over time",
-            torques.time_figure(record),
-            torques.describe(record),
+            elastic.torque_figure(record),
+            elastic.describe_interaction(record),
         )
-        figure = torques.spectrum_figure(record)
+        figure = elastic.torque_spectrum(record)
         yield Plot(replace(name, part="spectrum"), f"{where}: spectra", figure)
     heads = ("joint", "record", "source", "bias [rad/s²]", "error of (10) [rad/s]")
     delays = ("link sensor delay [ms]", "motor response delay [ms]")
@@ -374,15 +341,11 @@ def _residual_blocks(result: Identification) -> Iterator[Block]:
 
 
 def _correlation_blocks(result: Identification) -> Iterator[Block]:
-    errors = correlations.correlations(result)
+    errors = correlations(result)
     if errors is not None:
-        label, caption = "Correlations of the parameter errors", correlations.describe(errors)
-        yield Plot(FigureName("correlations"), label, correlations.heat_map(errors), caption)
-
-
-def _recording_blocks(result: Identification) -> Iterator[Block]:
-    lines = sum(len(log.channels) for log in result.logs)
-    return recordings(result, _line_points(_MAX_RECORDING_POINTS, lines))
+        label, caption = "Correlations of the parameter errors", describe_correlations(errors)
+        figure = Figure(Axis(""), (Panel(Axis(""), (errors,)),))
+        yield Plot(FigureName("correlations"), label, figure, caption)
 
 
 def _provenance_blocks(result: Identification) -> Iterator[Block]:
@@ -399,16 +362,11 @@ def _provenance_blocks(result: Identification) -> Iterator[Block]:
     ]
     model = result.rigid
     if model is not None:
-        facts.append(
-            (
-                "rigid step",
-                f"{model.n_rows} equations, zero-phase low-pass {model.bandwidth_hz:.3g} Hz,"
-                f" decimation {model.decimation}, condition number {model.condition_number:.3g}",
-            )
-        )
+        text = f"{model.n_rows} equations, zero-phase low-pass {model.bandwidth_hz:.3g} Hz,"
+        text += f" decimation {model.decimation}, condition number {model.condition_number:.3g}"
+        facts.append(("rigid step", text))
         for joint, (value, std) in model.torque_ratios.items():
+            term = f"torque ratio of joints 1 and {joint}, by symmetry of the inertia matrix"
             text = f"{value:.4f} ± {std:.2g}; 1 if both torque constants are correct"
-            facts.append(
-                (f"torque ratio of joints 1 and {joint}, by symmetry of the inertia matrix", text)
-            )
+            facts.append((term, text))
     yield Facts(tuple(facts))

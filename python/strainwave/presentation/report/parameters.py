@@ -1,15 +1,26 @@
-"""The table of parameters: first those of the arm, then joint by joint."""
+"""The table of parameters, arm first, then joint by joint; correlations of their errors."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from strainwave.domain import Clause, Decision, Parameter
+import numpy as np
+
+from strainwave.domain import (
+    ArmDescription,
+    Clause,
+    Decision,
+    FloatArray,
+    Identification,
+    Parameter,
+)
+from strainwave.domain.combinations import reported
 from strainwave.domain.formatting import plus_minus
 from strainwave.domain.messages import text_of
 from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import parameter_descriptions
 from strainwave.io.base_parameters import BaseParameter
+from strainwave.presentation.figures import Colour, HeatMap
 from strainwave.presentation.report.blocks import (
     Cell,
     Group,
@@ -111,7 +122,8 @@ def _numbers(p: Parameter, rejected: Clause | None = None) -> list[Cell]:
     else:
         low, high = p.ci95
         interval = f"{_like(value, low)} … {_like(value, high)}"
-        half = _relative(0.5 * (high - low), p.value)
+        share = 50.0 * (high - low) / abs(p.value) if p.value else np.inf
+        half = "over 100" if share >= 100.0 else two_digits(share)
     return [number(text) for text in (value, std, interval, half)]
 
 
@@ -120,15 +132,7 @@ def _unit(p: Parameter) -> str:
 
 
 def _key(name: str) -> str:
-    """The id of a parameter's row in the table of descriptions."""
     return f"parameter-{name}"
-
-
-def _relative(half: float, value: float) -> str:
-    """Half-width in percent of the value, to two digits; "over 100" above."""
-    if half >= abs(value):
-        return "over 100"
-    return two_digits(100.0 * half / abs(value))
 
 
 def _like(template: str, value: float) -> str:
@@ -138,3 +142,65 @@ def _like(template: str, value: float) -> str:
     if not exponent:
         return f"{value:.{decimals}f}"
     return f"{value / 10.0 ** int(exponent):.{decimals}f}e{exponent}"
+
+
+MIN_STRONG_CORRELATION = 0.95  # above it, only a combination of the two parameters is identified
+_MAX_LISTED_PAIRS = 8
+
+
+def correlations(identification: Identification) -> HeatMap | None:
+    """Correlations of the parameters that have an interval, from -1 (blue) to +1 (vermilion).
+
+    Of the whole-arm fit, else of the last stage before; None with fewer than two parameters.
+    """
+    whole_arm, joints, rigid = identification.whole_arm, identification.joints, identification.rigid
+    arm = identification.study.arm
+    if whole_arm is not None:
+        return _of(arm, whole_arm.parameters, whole_arm.covariance)
+    if len(joints) == 1:
+        covariance = joints[0].covariance  # without the total viscous friction, the last parameter
+        return _of(arm, joints[0].parameters[: len(covariance)], covariance)
+    return _of(arm, rigid.parameters, rigid.covariance) if rigid is not None else None
+
+
+def describe_correlations(errors: HeatMap) -> str:
+    """Caption of the heat map: strongly correlated pairs, strongest first."""
+    rows, columns = np.triu_indices(len(errors.names), 1)
+    values = errors.values[rows, columns]
+    order = [k for k in np.argsort(-np.abs(values)) if abs(values[k]) >= MIN_STRONG_CORRELATION]
+    pairs = [
+        f"{errors.names[rows[k]]} and {errors.names[columns[k]]} ({values[k]:+.3f})"
+        for k in order[:_MAX_LISTED_PAIRS]
+    ]
+    if not pairs:
+        return f"No two parameters have a correlation of {MIN_STRONG_CORRELATION:g} or more."
+    return (
+        f"Strong correlations: {'; '.join(pairs)}. The data identify a combination of such a pair"
+        " better than either parameter."
+    )
+
+
+def _of(
+    arm: ArmDescription, parameters: Sequence[Parameter], covariance: FloatArray
+) -> HeatMap | None:
+    """Without sums of other parameters, which are correlated with these by definition."""
+    variance = np.diag(covariance)
+    keys = {p.key for p in parameters}
+    sums = {key for key, parts in reported(arm).items() if not keys.isdisjoint(parts)}
+    rows = [
+        k
+        for k, p in enumerate(parameters)
+        if p.value is not None
+        and np.isfinite(variance[k])
+        and variance[k] > 0.0
+        and p.key not in sums
+    ]
+    if len(rows) < 2:
+        return None
+    std = np.sqrt(variance[rows])
+    matrix = covariance[np.ix_(rows, rows)] / np.outer(std, std)
+    labels = []
+    for p in (parameters[k] for k in rows):
+        labels.append(p.name.replace("_", " ") + (f" {p.joint}" if p.joint else ""))
+    colours = (Colour.MEASURED, "#FFFFFF", Colour.MODEL)
+    return HeatMap(tuple(labels), np.clip(matrix, -1.0, 1.0), -1.0, 1.0, colours)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Identification, Joint, Log, Prediction, channel_parts
+from strainwave.domain import Identification, Joint, Log, Prediction, channel_parts
 from strainwave.domain.link_sensors import all_types
 from strainwave.presentation.figures import (
     DASHES,
@@ -41,10 +41,12 @@ def prediction_figure(
     joints: Sequence[Joint] = (),
     limit: int = MAX_POINTS,
     channels: Sequence[str] = (),
+    model: str = "model",
 ) -> Figure:
     """Measured and predicted channels of a record over time, and the residuals of each.
 
-    All channels are shown unless some are named. A line has at most `limit` points.
+    All channels are shown unless some are named. A line has at most `limit` points; `model` names
+    the predicted lines.
     """
     panels: list[Panel] = []
     for channel in channels or prediction.channels:
@@ -55,7 +57,7 @@ def prediction_figure(
         time = prediction.time[rows]
         both = (
             Line(time, measured[rows], "measured", Colour.MEASURED, width=2.5),
-            Line(time, predicted[rows], "model", Colour.MODEL, _MODEL_DASH),
+            Line(time, predicted[rows], model, Colour.MODEL, _MODEL_DASH),
         )
         residual = Line(time, residuals[rows], "residual", Colour.RESIDUAL, width=1.0)
         unit = unit_of(channel, joints)
@@ -123,23 +125,18 @@ def recording_figure(log: Log, joints: Sequence[Joint], limit: int) -> Figure:
 
 
 def _channel_series(log: Log, limit: int) -> Iterator[Series]:
-    """The line of each channel."""
-    channels: Mapping[str, FloatArray] = log.channels
-    for name, values in channels.items():
+    for name, values in log.channels.items():
         kind, number = channel_parts(name)
         if kind == "theta_m":
-            if f"omega_m{number}" not in channels:
-                yield Series(f"omega_m{number}", *_mean_slope(log.time, values, limit))
+            if f"omega_m{number}" not in log.channels:
+                # the mean between evenly spaced rows averages the encoder's quantisation
+                ends = np.linspace(0, len(values) - 1, max(2, limit // 2)).astype(np.intp)
+                t, angle = log.time[np.unique(ends)], values[np.unique(ends)]
+                slope = np.diff(angle) / np.diff(t)
+                yield Series(f"omega_m{number}", 0.5 * (t[1:] + t[:-1]), slope)
         elif kind in _TITLES or kind == "ref":
             rows = decimate(values, limit)
             yield Series(name, log.time[rows], values[rows])
-
-
-def _mean_slope(time: FloatArray, angle: FloatArray, limit: int) -> tuple[FloatArray, FloatArray]:
-    """Mean velocity between evenly spaced rows, which averages the encoder's quantisation."""
-    rows = np.unique(np.linspace(0, len(time) - 1, max(2, limit // 2)).astype(np.intp))
-    t = time[rows]
-    return 0.5 * (t[1:] + t[:-1]), np.diff(angle[rows]) / np.diff(t)
 
 
 def _panel_lines(panel: Sequence[Series]) -> Iterator[Line]:

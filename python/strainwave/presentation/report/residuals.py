@@ -12,8 +12,6 @@ from strainwave.domain import (
     FloatArray,
     Identification,
     Log,
-    ModelCheck,
-    ParameterShift,
     Prediction,
     RecordModel,
     ResidualCorrelation,
@@ -40,7 +38,6 @@ from strainwave.presentation.report.blocks import (
     Block,
     FigureName,
     Fold,
-    Paragraph,
     Plot,
     Row,
     Span,
@@ -76,7 +73,13 @@ def residual_tests(criticism: Criticism) -> Iterator[Block]:
     heads: Row = ("effect", "joint", "its parameters", share, "changes by it", "model")
     title = "Effects that the model includes, and plausible ones that the intervals contain"
     yield from table(title, heads, map(_cause_row, criticism.causes))
-    yield from map(_describe_effect, dict.fromkeys(cause.effect for cause in criticism.causes))
+    for name in dict.fromkeys(cause.effect for cause in criticism.causes):
+        effect = effect_named(name)
+        yield paragraph(
+            Span(effect.name, kind="code"),
+            f" is {effect.description}. Without it in the model, {effect.consequence}."
+            f" To confirm it, {effect.experiment}.",
+        )
     for test in worst:
         label = f"{test.experiment}, {test.channel}: residual spectrum"
         caption = (
@@ -93,18 +96,16 @@ def residual_correlations(identification: Identification) -> Iterator[Block]:
     for test in tests.residuals if tests else ():
         by_record.setdefault(test.experiment, []).append(test)
     yield from _check_correlations(identification, by_record)
-    fitted = tuple(
-        Plot(
-            FigureName("correlation", experiment=name),
-            f"{name}, fitted: residual correlations",
-            figure,
-            _LIMITS,
-        )
-        for name, record in by_record.items()
-        if (figure := _fitted_correlations(record)) is not None
-    )
+    fitted: list[Plot] = []
+    for name, record in by_record.items():
+        panels: list[Panel] = []
+        for test in record:
+            if test.correlation is not None:
+                panels += _residual_panels(test.channel, test.correlation, test)
+        if panels:
+            fitted.append(_correlation_plot(name, "fitted", panels))
     if fitted:
-        yield Fold(f"Residual correlations of fitted records ({len(fitted)})", fitted)
+        yield Fold(f"Residual correlations of fitted records ({len(fitted)})", tuple(fitted))
     models = tuple(_state_space_plots(identification.records))
     if models:
         yield Fold(f"Residual correlations of state-space models ({len(models)})", models)
@@ -136,26 +137,15 @@ def _residual_row(test: ResidualTest) -> Row:
     if test.input_probability < MIN_PROBABILITY:
         input_text = f"joint {test.input_joint}, r = {test.input_correlation:.2f},"
         input_text += f" delay {1e3 * test.input_delay:.3g} ms"
-    numbers = (
-        two_digits(_noise_ratio(test)),
-        f"{test.worst_hz:.3g} Hz",
-        _format_probability(test.whiteness),
-    )
+    p = f"p < {MIN_PROBABILITY:g}"
+    if test.whiteness >= MIN_PROBABILITY:
+        p = f"p = {test.whiteness:.2g}"
+    numbers = two_digits(_noise_ratio(test)), f"{test.worst_hz:.3g} Hz", p
     return (test.experiment, test.channel, *map(number, numbers), input_text)
 
 
 def _noise_ratio(test: ResidualTest) -> float:
     return test.deviation / test.noise if test.noise > 0.0 else 0.0
-
-
-def _format_probability(p: float) -> str:
-    return f"p = {p:.2g}" if p >= MIN_PROBABILITY else f"p < {MIN_PROBABILITY:g}"
-
-
-def _list_sizes(parts: Sequence[str]) -> str:
-    """List the first sizes; some effects have a size for each record."""
-    more = len(parts) - _LISTED_SIZES
-    return ", ".join(parts[:_LISTED_SIZES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _cause_row(cause: Cause) -> Row:
@@ -165,40 +155,23 @@ def _cause_row(cause: Cause) -> Row:
         for p in cause.parameters
         if p.value is not None and p.std is not None
     ]
-    shifts = ", ".join(map(_describe_shift, cause.shifts[:_LISTED_SHIFTS]))
+    more = len(sizes) - _LISTED_SIZES  # some effects have a size for each record
+    listed = ", ".join(sizes[:_LISTED_SIZES]) + (f" and {more} more" if more > 0 else "")
+    shifts = []
+    for shift in cause.shifts[:_LISTED_SHIFTS]:
+        change = f"{shift.deviations:+.2g} standard deviations"
+        if shift.without:
+            change = f"{100.0 * shift.shift / shift.without:+.2g} %"
+        shifts.append(f"{shift.label} {change}")
     share = number(f"{two_digits(100.0 * cause.share)} %")
     return (
         cause.effect,
         str(cause.joint),
-        _list_sizes(sizes) or "not identified",
+        listed or "not identified",
         share,
-        prose(shifts),
+        prose(", ".join(shifts)),
         "included" if cause.is_included else f"weight {two_digits(cause.weight)}",
     )
-
-
-def _describe_shift(shift: ParameterShift) -> str:
-    if not shift.without:
-        return f"{shift.label} {shift.deviations:+.2g} standard deviations"
-    return f"{shift.label} {100.0 * shift.shift / shift.without:+.2g} %"
-
-
-def _describe_effect(name: str) -> Paragraph:
-    effect = effect_named(name)
-    return paragraph(
-        Span(effect.name, kind="code"),
-        f" is {effect.description}. Without it in the model, {effect.consequence}."
-        f" To confirm it, {effect.experiment}.",
-    )
-
-
-def _fitted_correlations(tests: Sequence[ResidualTest]) -> Figure | None:
-    """Panels of every channel of one fitted record."""
-    panels: list[Panel] = []
-    for test in tests:
-        if test.correlation is not None:
-            panels += _residual_panels(test.channel, test.correlation, test)
-    return Figure(Axis("lag [ms]"), tuple(panels)) if panels else None
 
 
 def _check_correlations(
@@ -231,10 +204,16 @@ def _check_correlations(
                     channel, correlation, noise.get((channel, log.sample_time))
                 )
         if panels:
-            label = f"{prediction.experiment}, check: residual correlations"
-            figure = Figure(Axis("lag [ms]"), tuple(panels))
-            name = FigureName("correlation", experiment=prediction.experiment)
-            yield Plot(name, label, figure, _LIMITS)
+            yield _correlation_plot(prediction.experiment, "check", panels)
+
+
+def _correlation_plot(experiment: str, use: str, panels: Sequence[Panel]) -> Plot:
+    return Plot(
+        FigureName("correlation", experiment=experiment),
+        f"{experiment}, {use}: residual correlations",
+        Figure(Axis("lag [ms]"), tuple(panels)),
+        _LIMITS,
+    )
 
 
 def _prediction_correlation(
@@ -257,7 +236,6 @@ def _prediction_correlation(
 def _residual_panels(
     channel: str, correlation: ResidualCorrelation, test: ResidualTest | None
 ) -> list[Panel]:
-    """Autocorrelation above cross-correlation of one channel; limits if its noise is known."""
     auto, limits = correlation.autocorrelation, None
     if test is not None and test.noise > 0.0:
         expected, std = expected_autocorrelation(
@@ -271,18 +249,12 @@ def _residual_panels(
     lag = np.asarray(
         1e3 * correlation.lag_time * np.arange(-len(auto) + 1, len(auto)), dtype=np.float64
     )
-    return _correlation_panels(
-        channel,
-        lag,
-        auto,
-        limits,
-        {
-            f"input of joint {j + 1}": (column, CI99_STDS * limit)
-            for j, (column, limit) in enumerate(
-                zip(correlation.cross_correlation.T, correlation.cross_std.tolist(), strict=True)
-            )
-        },
-    )
+    columns = zip(correlation.cross_correlation.T, correlation.cross_std.tolist(), strict=True)
+    cross = {
+        f"input of joint {j}": (column, CI99_STDS * limit)
+        for j, (column, limit) in enumerate(columns, start=1)
+    }
+    return _correlation_panels(channel, lag, auto, limits, cross)
 
 
 def _correlation_panels(
@@ -316,30 +288,25 @@ def _correlation_panels(
 
 
 def _state_space_plots(records: Sequence[RecordModel]) -> Iterator[Plot]:
-    """Of state-space models on the part of their record that was not fitted."""
+    outputs, inputs = ("motor velocity", "link velocity"), ("motor torque", "interaction torque")
     for record in records:
         if record.check is None or record.state_space is None:
             continue
+        check, sample_time = record.check, record.state_space.sample_time
+        lags = len(check.autocorrelation) - 1
+        lag = np.asarray(1e3 * sample_time * np.arange(-lags, lags + 1), dtype=np.float64)
+        flat = np.full(lags + 1, check.confidence_99)
+        flat[0] = 1.0
+        panels: list[Panel] = []
+        for o in range(check.autocorrelation.shape[1]):
+            cross = {
+                inputs[i]: (check.cross_correlation[:, o, i], check.confidence_99)
+                for i in range(check.cross_correlation.shape[2])
+            }
+            auto = check.autocorrelation[:, o, o]
+            panels += _correlation_panels(outputs[o], lag, auto, (-flat, flat), cross)
+        figure = Figure(Axis("lag [ms]"), tuple(panels))
         name, joint = record.signals.experiment.name, record.signals.joint
-        figure = _state_space_figure(record.check, record.state_space.sample_time)
         label = f"Joint {joint}, {name}: state-space model on the data that were not fitted"
         caption = "Shaded: 99 % limits for white residuals that are independent of the inputs."
         yield Plot(FigureName("correlation", joint, name), label, figure, caption)
-
-
-def _state_space_figure(check: ModelCheck, sample_time: float) -> Figure:
-    outputs, inputs = ("motor velocity", "link velocity"), ("motor torque", "interaction torque")
-    lags = len(check.autocorrelation) - 1
-    lag = np.asarray(1e3 * sample_time * np.arange(-lags, lags + 1), dtype=np.float64)
-    limit = check.confidence_99
-    flat = np.full(lags + 1, limit)
-    flat[0] = 1.0
-    panels: list[Panel] = []
-    for o in range(check.autocorrelation.shape[1]):
-        cross = {
-            inputs[i]: (check.cross_correlation[:, o, i], limit)
-            for i in range(check.cross_correlation.shape[2])
-        }
-        auto = check.autocorrelation[:, o, o]
-        panels += _correlation_panels(outputs[o], lag, auto, (-flat, flat), cross)
-    return Figure(Axis("lag [ms]"), tuple(panels))

@@ -1,18 +1,29 @@
-"""The constants of the rig that the study states: every result depends on them.
-
-Predicted benefit of link sensors that the rig does not have.
-"""
+"""The rig: constants that the study states, benefit of further link sensors, picture of the arm."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import NamedTuple
 
-from strainwave.domain import ArmDescription, Identification, Joint, SensorGain
+import numpy as np
+
+from strainwave.domain import ArmDescription, FloatArray, Identification, Joint, SensorGain
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.link_sensors import all_types, key_texts
+from strainwave.domain.link_sensors.link_space import attitude
+from strainwave.presentation.figures import (
+    SHORT_DASH,
+    SOLID,
+    Axis,
+    Colour,
+    Dash,
+    Figure,
+    Line,
+    Mark,
+    Markers,
+    Panel,
+)
 from strainwave.presentation.report.blocks import Block, Cell, Facts, Row, number, table
 
 _NOT_GIVEN = "not given"
@@ -24,16 +35,15 @@ def rig_constants(arm: ArmDescription) -> Iterator[Block]:
     joints = [f"joint {number}" for number in range(1, arm.n_joints + 1)]
     heads: Row = ("constant", *map(number, joints), "unit", "key in study.toml")
     yield from table("Rig constants", heads, _constant_rows(arm), heading=False)
-    facts = tuple(_arm_facts(arm))
-    if facts:
+    if facts := tuple(_arm_facts(arm)):
         yield Facts(facts)
 
 
 def _constant_rows(arm: ArmDescription) -> Iterator[Row]:
-    for constant in _joint_constants(arm):
-        values = [constant.format(joint) for joint in arm.joints]
+    for title, key, unit, text_of in _joint_constants(arm):
+        values = [text_of(joint) for joint in arm.joints]
         if any(values):
-            yield _constant_row(constant.title, constant.key, constant.unit, values)
+            yield _constant_row(title, key, unit, values)
     servo = arm.servo
     if servo is None:
         return
@@ -47,36 +57,31 @@ def _constant_rows(arm: ArmDescription) -> Iterator[Row]:
             yield _constant_row(title, f"servo.{key}", unit, [f"{value:g}" for value in gain])
 
 
-class _JointConstant(NamedTuple):
-    title: str
-    key: str
-    unit: str
-    format: Callable[[Joint], str]  # empty if not given
+_Constant = tuple[str, str, str, Callable[[Joint], str]]
+"""Title, key, unit, and the text of a joint's value, empty if not given."""
 
 
-def _joint_constants(arm: ArmDescription) -> Iterator[_JointConstant]:
+def _joint_constants(arm: ArmDescription) -> Iterator[_Constant]:
     if not kind_of(arm).places_joints:
-        yield _JointConstant("name", "name", "", lambda joint: joint.name or "")
-        yield _JointConstant("position", "origin.xyz", "m", lambda one: _vector(one.origin.xyz))
-        yield _JointConstant(
-            "orientation", "origin.rpy", "rad", lambda one: _vector(one.origin.rpy)
-        )
-        yield _JointConstant("axis", "axis", "", lambda joint: _vector(joint.axis))
+        yield "name", "name", "", lambda joint: joint.name or ""
+        yield "position", "origin.xyz", "m", lambda joint: _vector(joint.origin.xyz)
+        yield "orientation", "origin.rpy", "rad", lambda joint: _vector(joint.origin.rpy)
+        yield "axis", "axis", "", lambda joint: _vector(joint.axis)
     is_prismatic = any(joint.motion == "prismatic" for joint in arm.joints)
     if is_prismatic:
-        yield _JointConstant("motion", "motion", "", lambda joint: joint.motion)
-    yield _JointConstant("gear spring", "spring", "", lambda joint: joint.spring)
+        yield "motion", "motion", "", lambda joint: joint.motion
+    yield "gear spring", "spring", "", lambda joint: joint.spring
     ratio = "link rad (or m) per motor rad" if is_prismatic else "link turns per motor turn"
-    yield _JointConstant("gear ratio n", "gear_ratio", ratio, _format_ratio)
+    yield "gear ratio n", "gear_ratio", ratio, _format_ratio
     for title, key, unit in (
         ("torque per volt e", "torque_per_volt", "N m/V"),
         ("current loop bandwidth", "current_loop_hz", "Hz"),
         ("motor encoder", "encoder_counts", "counts/turn"),
         *((title, key, unit) for key, (title, unit) in key_texts().items() if unit),
     ):
-        yield _JointConstant(title, key, unit, partial(_format_constant, key))
+        yield title, key, unit, partial(_format_constant, key)
     for title, key, unit in (("IMU position", "xyz", "m"), ("IMU orientation", "rpy", "rad")):
-        yield _JointConstant(title, f"imu.{key}", unit, partial(_format_imu, key))
+        yield title, f"imu.{key}", unit, partial(_format_imu, key)
 
 
 def _format_ratio(joint: Joint) -> str:
@@ -133,12 +138,8 @@ def gain_sentences(identification: Identification) -> list[str]:
     Each names at most two parameters, those whose intervals shrink most in percent of the value.
     The list is empty if every link has a sensor or no sensor would help.
     """
-    return list(_sentences(identification))
-
-
-def _sentences(identification: Identification) -> Iterator[str]:
     published = {
-        (d.parameter.name, d.parameter.joint)
+        d.parameter.key
         for d in identification.decisions
         if d.identified and d.parameter.stage == "tuned"
     }
@@ -148,15 +149,18 @@ def _sentences(identification: Identification) -> Iterator[str]:
         helps = helps and gain.percent > _MIN_HALF_WIDTH_PERCENT
         if helps and gain.key in published:
             groups.setdefault(gain.sensor, {}).setdefault(gain.link, []).append(gain)
+    sentences = []
     nouns = {kind.name.replace("_", "-"): kind.suggested_as for kind in all_types()}
     for sensor, by_link in groups.items():
         best = max(by_link.values(), key=lambda gains: max(map(_improvement, gains)))
         first, *others = sorted(best, key=_improvement, reverse=True)[:_MAX_PARAMETERS]
         text = f"{nouns[sensor]} on link {first.link} ({first.assumed}) would shrink the 95 %"
-        text += f" half-width of {first.label} {_change(first)}"
-        for other in others:
-            text += f", and of {other.label} {_change(other)}"
-        yield text
+        changes = (
+            f"of {gain.label} from {gain.percent:.2g} to {gain.predicted_percent:.2g} %"
+            for gain in (first, *others)
+        )
+        sentences.append(f"{text} half-width {', and '.join(changes)}")
+    return sentences
 
 
 def _improvement(gain: SensorGain) -> float:
@@ -164,5 +168,69 @@ def _improvement(gain: SensorGain) -> float:
     return gain.percent - gain.predicted_percent
 
 
-def _change(gain: SensorGain) -> str:
-    return f"from {gain.percent:.2g} to {gain.predicted_percent:.2g} %"
+_AZIMUTH, _ELEVATION = math.radians(-60.0), math.radians(25.0)  # of the eye, about the base
+_AXIS_SHARE = 0.09  # half-length of a drawn axis over the size of the arm
+_ARROW_SHARE = 0.2  # length of the base's axes and of gravity over the size of the arm
+_SAME_PLACE = 1e-3  # distance of joints with one label over the size of the arm
+_HEIGHT = 2.0  # of the figure, in panels
+_JOINT_SIZE = 9.0  # [px]
+
+
+def arm_picture(arm: ArmDescription) -> Figure:
+    """The arm in parallel projection, seen from the front right and above."""
+    turn, place = np.eye(3), np.zeros(3)
+    origins, axes = list[FloatArray](), list[FloatArray]()
+    for joint in arm.joints:  # in the frame of the base
+        place = place + turn @ joint.origin.xyz
+        turn = turn @ attitude(joint.origin.rpy)
+        origins.append(place)
+        axes.append(turn @ joint.axis / np.linalg.norm(joint.axis))
+    size = float(np.linalg.norm(origins, axis=1).max()) or 1.0
+    base = np.zeros(3)
+    marks: list[Mark] = [_line([base, *origins], "links", Colour.RESIDUAL, width=5.0)]
+    for joint, origin, axis in zip(arm.joints, origins, axes, strict=True):
+        name, colour, dash = "axes of revolute joints", Colour.MEASURED, SOLID
+        if joint.motion == "prismatic":
+            name, colour, dash = "direction of prismatic joints", Colour.TUNED, SHORT_DASH
+        half = size * _AXIS_SHARE * axis
+        marks.append(_line([origin - half, origin + half], name, colour, dash))
+    arrows = {("frame of the base", Colour.LINEAR): dict(zip("xyz", np.eye(3), strict=True))}
+    if arm.gravity:
+        arrows["gravity", Colour.MODEL] = {"g": np.array(arm.gravity) / arm.gravity_size}
+    for (name, colour), directions in arrows.items():
+        tips = [size * _ARROW_SHARE * each for each in directions.values()]
+        marks += [_line([base, tip], name, colour, width=1.5) for tip in tips]
+        marks.append(Markers(*_projected(tips), name, colour, 3.0, labels=tuple(directions)))
+    places: list[tuple[FloatArray, list[str]]] = []  # with the names of all joints there
+    for origin, joint_name in zip(origins, arm.joint_names, strict=True):
+        near = [names for at, names in places if np.linalg.norm(at - origin) < _SAME_PLACE * size]
+        if near:
+            near[0].append(joint_name)
+        else:
+            places.append((origin, [joint_name]))
+    labels = tuple(", ".join(names) for _, names in places)
+    points = _projected([place for place, _ in places])
+    marks.append(Markers(*points, "joints", Colour.MEASURED, _JOINT_SIZE, labels=labels))
+    panel = Panel(Axis("up in the view [m]"), tuple(marks), _HEIGHT)
+    return Figure(Axis("to the right in the view [m]"), (panel,), has_equal_scales=True)
+
+
+def describe_arm(arm: ArmDescription) -> str:
+    """Caption of the picture."""
+    return (
+        f"The {arm.n_joints} joints at zero angles, as the study"
+        f"{' and its URDF place' if arm.urdf else ' places'} them. The last link has no drawn end."
+    )
+
+
+def _line(
+    points: Sequence[FloatArray], name: str, colour: str, dash: Dash = SOLID, width: float = 3.0
+) -> Line:
+    return Line(*_projected(points), name, colour, dash, width)
+
+
+def _projected(points: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Right and up components of points in the view, (n_points,) both."""
+    (ca, sa), (ce, se) = ((math.cos(a), math.sin(a)) for a in (_AZIMUTH, _ELEVATION))
+    right, up = np.array([[-sa, ca, 0.0], [-se * ca, -se * sa, ce]]) @ np.array(points).T
+    return right, up

@@ -1,21 +1,28 @@
-"""Verdict: identified and unidentified parameters, and fits of check records."""
+"""Verdict: identified and unidentified parameters, fits of check records, and warnings.
+
+Each warning has the meaning and the remedy of its code; the most serious come first.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from strainwave.domain import Decision, Identification, Parameter, half_width
+from strainwave.domain import Decision, Diagnostic, Identification, Parameter, half_width
+from strainwave.domain.effects import possible_causes
 from strainwave.domain.identification import missing_validation
 from strainwave.domain.keys import Key
+from strainwave.domain.messages import catalogue, short_place
 from strainwave.presentation.report.blocks import (
     Block,
     Callout,
+    Cell,
     Facts,
     Mark,
-    Paragraph,
     Row,
     Span,
     number,
@@ -23,7 +30,74 @@ from strainwave.presentation.report.blocks import (
     prose,
     table,
 )
-from strainwave.presentation.report.remedies import most_serious, place_of, sentence
+
+TROUBLESHOOTING_PAGE = "docs/troubleshooting.md"
+"""The page with a section for each code."""
+
+
+class Advice(NamedTuple):
+    """Meaning of a warning for the result, and remedy."""
+
+    meaning: str
+    remedy: str
+
+
+def advice() -> Mapping[str, Advice]:
+    """Meaning and remedy by code, the most serious first."""
+    advice = {
+        code: Advice(_plain(entry["meaning"]), _plain(entry["remedy"]))
+        for code, entry in catalogue().items()
+    }
+    effects = {
+        effect.warning_code: Advice(f"Without this effect, {effect.consequence}.", effect.remedy)
+        for effect in possible_causes()
+    }
+    of_result = [c for c, entry in catalogue().items() if entry["severity"] == "result"]
+    return {code: advice[code] for code in of_result} | effects | advice
+
+
+def is_note(code: str) -> bool:
+    """Whether a warning requires no action."""
+    entry = catalogue().get(code, {})
+    return bool(entry.get("is_note", entry.get("severity") == "scope"))
+
+
+def _plain(markdown: str) -> str:
+    return re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", markdown).replace("`", "")
+
+
+def by_severity(warnings: Iterable[Diagnostic]) -> list[Diagnostic]:
+    """The most serious first; of equal severity in their order."""
+    codes = list(advice())
+    return sorted(warnings, key=lambda warning: codes.index(warning.code))
+
+
+def warnings_table(warnings: Iterable[Diagnostic]) -> Iterator[Block]:
+    """Observation, meaning and remedy of every warning, the most serious first."""
+    codes = advice()
+    rows = [
+        (
+            prose(short_place(w.places)),
+            prose(sentence(w.message)),
+            prose(codes[w.code].meaning),
+            prose(codes[w.code].remedy),
+            Cell(w.code, "code"),
+        )
+        for w in by_severity(warnings)
+    ]
+    heads = ("where", "observed", "meaning", "what to do", "code")
+    yield from table("Warnings", heads, rows, heading=False)
+    if rows:
+        yield paragraph("Each code has a section in ", Span(TROUBLESHOOTING_PAGE, kind="code"), ".")
+
+
+def sentence(text: str) -> str:
+    """Text with a capital letter and a full stop; a name at the beginning stays as it is."""
+    first = text.split(" ", 1)[0]
+    is_word = first.isalpha() and first.islower()
+    text = text[:1].upper() + text[1:] if is_word else text
+    return text if text.endswith((".", "?", "!")) else f"{text}."
+
 
 _CLASSES = (
     (0.01, "95 % half-width up to 1 %"),
@@ -52,16 +126,27 @@ def verdict(identification: Identification) -> Callout:
     result = identification.verdict
     title, mark = _TITLES[result.status]
     reasons = () if result.suspected else result.reasons
+    heads = ("channel or key", "observed", "correction")
+    faults: list[Row] = [
+        (suspicion.where, prose(sentence(suspicion.message)), prose(suspicion.remedy))
+        for suspicion in result.suspected
+    ]
     blocks: list[Block] = [
         paragraph(
             Span(title, kind="badge", mark=mark), f" {_count_identified(identification.decisions)}"
         ),
         *(paragraph(sentence(reason)) for reason in reasons),
-        *(paragraph(each) for each in [scale_note(identification)] if each),
-        *_suspicion_blocks(identification),
+        *([paragraph(note)] if (note := scale_note(identification)) else []),
+        *table("Faults of the input", heads, faults, heading=False),
         *_validation_blocks(identification),
-        *_warning_blocks(identification),
     ]
+    warnings = by_severity(identification.warnings)
+    if warnings:
+        count, worst = len(warnings), warnings[0]
+        link = Span("1 warning" if count == 1 else f"{count} warnings", href="#warnings")
+        lead = "; most serious: " if count > 1 else ": "
+        place, text = short_place(worst.places), sentence(worst.message)
+        blocks.append(paragraph(link, f"{lead}{place}: {text}"))
     groups = tuple(_certainty_groups(identification))
     if groups:
         blocks.append(Facts(groups))
@@ -82,18 +167,7 @@ def scale_note(identification: Identification) -> str:
     )
 
 
-def _suspicion_blocks(identification: Identification) -> Iterator[Block]:
-    """Faults of the input and the corrections."""
-    rows: list[Row] = [
-        (suspicion.where, prose(sentence(suspicion.message)), prose(suspicion.remedy))
-        for suspicion in identification.verdict.suspected
-    ]
-    heads = ("channel or key", "observed", "correction")
-    yield from table("Faults of the input", heads, rows, heading=False)
-
-
 def _certainty_groups(identification: Identification) -> Iterator[tuple[str, str]]:
-    """Parameters by certainty, the most certain first."""
     decisions = identification.decisions
     groups: dict[str, list[Parameter]] = {name: [] for _, name in _CLASSES}
     groups |= {_UNCERTAIN: [], _NO_VALUE: [], _REJECTED: []}
@@ -140,7 +214,6 @@ def named(parameters: Iterable[Key]) -> str:
 
 
 def _count_identified(decisions: Sequence[Decision]) -> str:
-    """Count identified parameters, and those accurate enough for simulation."""
     if not decisions:
         return "No parameter was estimated."
     usable = {name for limit, name in _CLASSES if limit <= _USABLE_HALF_WIDTH}
@@ -155,12 +228,16 @@ def _count_identified(decisions: Sequence[Decision]) -> str:
 
 
 def _validation_blocks(identification: Identification) -> Iterator[Block]:
-    """Fits of the check records by each model, and models that are not validated."""
     names = [e.name for e in identification.study.experiments if e.use == "check"]
     if not identification.checks:
-        is_suspected = bool(identification.suspected)
-        reason = "the input is inconsistent" if is_suspected else "no model was estimated"
-        yield paragraph(Span("Not validated: ", strong=True), _describe_unpredicted(names, reason))
+        reason = "the input is inconsistent"
+        if not identification.suspected:
+            reason = "no model was estimated"
+        noun = "check record was" if len(names) == 1 else "check records were"
+        text = f"{len(names)} {noun} not predicted because {reason}: {', '.join(names)}."
+        if not names:
+            text = 'the study has no check record. Record one with use = "check".'
+        yield paragraph(Span("Not validated: ", strong=True), text)
         return
     fits, validated = check_fits(identification), identification.verdict.validated.elastic
     rows = [_fit_row("rigid model, drive", fits["rigid"])] if fits["rigid"] else []
@@ -193,13 +270,6 @@ def drive_note(identification: Identification) -> str:
     )
 
 
-def _describe_unpredicted(names: Sequence[str], reason: str) -> str:
-    if not names:
-        return 'the study has no check record. Record one with use = "check".'
-    noun = "check record was" if len(names) == 1 else "check records were"
-    return f"{len(names)} {noun} not predicted because {reason}: {', '.join(names)}."
-
-
 def _fit_row(model: str, fits: Sequence[Fit]) -> Row:
     lowest, channel, record = min(fits)
     median = np.median([fit for fit, _, _ in fits])
@@ -217,14 +287,3 @@ def check_fits(identification: Identification) -> dict[str, list[Fit]]:
             if math.isfinite(fit)
         ]
     return fits
-
-
-def _warning_blocks(identification: Identification) -> Iterator[Paragraph]:
-    """Number of warnings and the most serious warning."""
-    count = len(identification.warnings)
-    if not count:
-        return
-    worst = most_serious(identification.warnings)
-    link = Span("1 warning" if count == 1 else f"{count} warnings", href="#warnings")
-    lead = "; most serious: " if count > 1 else ": "
-    yield paragraph(link, f"{lead}{place_of(worst)}: {sentence(worst.message)}")

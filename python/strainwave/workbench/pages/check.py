@@ -1,33 +1,126 @@
-"""Page "Check": whether logs and study agree, with remedies."""
+"""Page "Check": whether logs and study agree, with remedies.
+
+It is the gate before an estimate: the check must pass, or be overridden, for this very input. The
+last check of a study is stored next to its runs, with a fingerprint of the study file and its logs.
+Any change of them closes the gate again.
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict
-from typing import Any
+import json
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from starlette.requests import Request
 from starlette.responses import Response
 
+from strainwave import pipeline
 from strainwave.domain import Clause
 from strainwave.domain.consistency import Correction
 from strainwave.domain.messages import text_of as message_text
 from strainwave.errors import InvalidInput
-from strainwave.io.atomic_files import decode
-from strainwave.presentation.figures import Axis, Colour, Figure, Line, Panel, decimate
+from strainwave.io.atomic_files import decode, write_whole
+from strainwave.io.results import check_document, to_json
+from strainwave.presentation.figures import Axis, Figure, line_panel
 from strainwave.presentation.plotly_backend import plotly
 from strainwave.presentation.report.predictions import unit_of
-from strainwave.workbench.cached_files import log_of, study_at
-from strainwave.workbench.gate import Gate, gate_of, override_check, run_check
 from strainwave.workbench.study_edit import correction_changes, edit_study
 from strainwave.workbench.web import Body, Routes, message_of, page, study_of
+from strainwave.workbench.workspace import fingerprint, log_of, runs_folder, study_at
+
+_STORED = ".check.json"
+
+GateState = Literal["unchecked", "consistent", "suspected", "overridden", "invalid"]
+
+REASONS: dict[GateState, str] = {
+    "unchecked": "The study has changed since the last check, or was never checked.",
+    "consistent": "Logs and study agree.",
+    "suspected": "The check suspects a fault of the input. Correct it, or override the check.",
+    "overridden": "The check suspects a fault of the input and was overridden.",
+    "invalid": "The study has an error.",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """The last check of a study, and whether an estimate may start."""
+
+    state: GateState
+    reason: str
+    document: dict[str, Any] | None = None  # of the check, as `strainwave check --json` prints it
+
+    @property
+    def is_open(self) -> bool:
+        """Whether an estimate may start."""
+        return self.state in ("consistent", "overridden")
+
+
+@dataclass(frozen=True, slots=True)
+class _Stored:
+    fingerprint: str
+    document: dict[str, Any]
+    is_overridden: bool = False
+
+
+def gate_of(path: Path) -> Gate:
+    """The gate of a study file."""
+    try:
+        current = fingerprint(path)
+    except InvalidInput as error:
+        return Gate("invalid", str(error))
+    stored = _read(path)
+    if stored is None or stored.fingerprint != current:
+        return Gate("unchecked", REASONS["unchecked"])
+    state: GateState = "consistent" if stored.document["status"] == "consistent" else "suspected"
+    if state == "suspected" and stored.is_overridden:
+        state = "overridden"
+    return Gate(state, REASONS[state], stored.document)
+
+
+def run_check(path: Path) -> Gate:
+    """Check the input of a study and store the result.
+
+    Raises InvalidInput if the study or a log is invalid.
+    """
+    current = fingerprint(path)
+    check = pipeline.check_input(study_at(path))
+    document = check_document(check)
+    for entry, relation in zip(document["relations"], check.relations, strict=True):
+        entry["places"] = [asdict(relation.place)]
+    for entry, suspicion in zip(document["suspected"], check.suspected, strict=True):
+        entry["places"] = [asdict(place) for place in suspicion.places]
+    _write(path, _Stored(current, document))
+    return gate_of(path)
+
+
+def require_open(path: Path) -> Gate:
+    """The gate of a study; raises InvalidInput if an estimate must not start."""
+    gate = gate_of(path)
+    if not gate.is_open:
+        raise InvalidInput(gate.reason, where=path.name, remedy="open the page Check")
+    return gate
+
+
+def _read(path: Path) -> _Stored | None:
+    try:
+        stored = _Stored(**json.loads((runs_folder(path) / _STORED).read_bytes()))
+        entries = [*stored.document["relations"], *stored.document["suspected"]]
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+    return stored if all(isinstance(entry, dict) for entry in entries) else None
+
+
+def _write(path: Path, stored: _Stored) -> None:
+    write_whole(runs_folder(path), {_STORED: to_json(asdict(stored))})
+
 
 routes = Routes()
 
 
 @routes.page("/check/{study:path}")
-def show_check(request: Request) -> Response:
-    """The page."""
+def _show_check(request: Request) -> Response:
     return page(request, "check", "Check")
 
 
@@ -46,7 +139,12 @@ def check_now(request: Request, _body: Body) -> object:
 @routes.post("/api/override-check/{study:path}")
 def override(request: Request, _body: Body) -> object:
     """Allow an estimate in spite of a suspected fault."""
-    return _shown(request, override_check(study_of(request)))
+    path = study_of(request)
+    stored = _read(path)
+    if stored is None or gate_of(path).state != "suspected":
+        raise InvalidInput("there is no check to override", remedy="check the study first")
+    _write(path, replace(stored, is_overridden=True))
+    return _shown(request, gate_of(path))
 
 
 @routes.post("/api/apply-remedy/{study:path}")
@@ -77,25 +175,22 @@ def show_channel(request: Request) -> object:
     log = log_of(path, wanted)
     if name not in log.channels:
         raise InvalidInput(f"the record {wanted!r} has no channel {name!r}")
-    values = log.channels[name]
-    rows = decimate(values)
-    line = Line(log.time[rows], values[rows], name, Colour.MEASURED)
     title = f"{name} [{unit_of(name, study.arm.joints)}]"
-    return plotly(Figure(Axis("time [s]"), (Panel(Axis(title), (line,)),)))
+    panel = line_panel(title, log.time, log.channels[name], name)
+    return plotly(Figure(Axis("time [s]"), (panel,)))
 
 
 def _shown(request: Request, gate: Gate) -> dict[str, Any]:
-    """A gate for the page, with the relations that contradict first."""
     reason = message_of(request, gate.reason)
     shown: dict[str, Any] = asdict(gate) | {"is_open": gate.is_open, "reason": reason}
     if gate.document is None:
         return shown
     relations = _merged(gate.document["relations"])
     for each in gate.document["suspected"]:
-        in_study = [c for c in each["corrections"] if c["table"] != "log"]
         each["lines"] = [
             f"{c['table']} {c['entry']} {c['key']} = {c['value']}".replace("  ", " ")
-            for c in in_study
+            for c in each["corrections"]
+            if c["table"] != "log"
         ]
     shown["document"] = gate.document | {"relations": relations}
     return shown
@@ -109,11 +204,9 @@ def _merged(relations: list[dict[str, Any]]) -> list[dict[str, Any]]:
         value = each["measured"]
         measured = "" if value is None or not np.isfinite(value) else f"{value:.4g}"
         expected = "> 0" if each["expected"] is None else f"{each['expected']:g}"
-        key = text, measured, expected, each["consistent"]
         row: dict[str, Any] = {"text": text, "measured": measured, "expected": expected}
-        row = rows.setdefault(
-            key, row | {"consistent": each["consistent"], "where": [], "places": []}
-        )
+        row["consistent"] = each["consistent"]
+        row = rows.setdefault(tuple(row.values()), row | {"where": [], "places": []})
         row["where"].append(each["where"])
         row["places"] += each["places"]
     return list(rows.values())

@@ -13,12 +13,12 @@ from starlette.responses import Response
 
 from strainwave.commands import command_texts
 from strainwave.errors import InvalidInput
-from strainwave.presentation.figures import Axis, Colour, Figure, Line, Panel, decimate
+from strainwave.presentation.figures import Axis, Figure, line_panel
 from strainwave.presentation.plotly_backend import plotly
-from strainwave.workbench.cached_files import study_at
 from strainwave.workbench.pages.runs import describe, log_lines
 from strainwave.workbench.runs import RUN_FILES, Run, Runs
 from strainwave.workbench.web import Body, Routes, page, study_of, text_of, workspace_of
+from strainwave.workbench.workspace import study_at
 
 routes = Routes()
 
@@ -32,27 +32,22 @@ def options_of(command: Command) -> dict[str, dict[str, Any]]:
 
 
 @routes.page("/design/{study:path}")
-def show_design(request: Request) -> Response:
-    """The page."""
+def _show_design(request: Request) -> Response:
     path = study_of(request)
     workspace = workspace_of(request)
-    results = [workspace.relative(p) for p in _parameter_files(path)]
+    files = [*Runs(path).folder.glob("*/result.json"), *path.parent.glob("*.json")]
+    files.sort(key=lambda p: -p.stat().st_mtime)
+    results = [workspace.relative(p) for p in files]
     options = {command: options_of(command) for command in COMMANDS}
     return page(request, "design", "Design", options=options, results=results)
-
-
-def _parameter_files(path: Path) -> list[Path]:
-    found = [*Runs(path).folder.glob("*/result.json"), *path.parent.glob("*.json")]
-    return sorted(found, key=lambda p: -p.stat().st_mtime)
 
 
 @routes.post("/api/design/{study:path}")
 def start(request: Request, body: Body) -> object:
     """Start `excite` or `tune` with the values of the form."""
-    path, kind = study_of(request), body.get("kind")
-    if kind not in ("excite", "tune"):
+    path, command = study_of(request), body.get("kind")
+    if command not in COMMANDS:
         raise InvalidInput("the request has no kind", where="kind")
-    command: Command = kind
     chosen = text_of(body, "parameters", "")
     source = workspace_of(request).resolve(chosen) if chosen else None
     flags = option_flags(command, body.get("options"))
@@ -63,12 +58,10 @@ def start(request: Request, body: Body) -> object:
     name = runs.free_name(command)
     folder = runs.prepare(name)
     given = os.path.relpath(source, folder)
-    if command == "tune":
-        arguments = ["tune", given, "--out", ".", *flags]
-    else:
-        study = f"../../{path.name}"
-        arguments = ["excite", study, "--out", ".", f"--parameters={given}", *flags]
-    return describe(runs.start(name, command, [arguments]))
+    if command == "excite":
+        flags.insert(0, f"--parameters={given}")
+        given = f"../../{path.name}"
+    return describe(runs.start(name, command, [[command, given, "--out", ".", *flags]]))
 
 
 def option_flags(command: Command, values: object) -> list[str]:
@@ -96,8 +89,7 @@ def list_designs(request: Request) -> object:
 def _shown(runs: Runs, run: Run) -> dict[str, Any]:
     folder = runs.path(run.name)
     files = sorted(p.name for p in folder.iterdir() if p.is_file() and p.name not in RUN_FILES)
-    messages = log_lines(folder)[1]
-    return describe(run) | {"files": files, "messages": messages}
+    return describe(run) | {"files": files, "messages": log_lines(folder)[1]}
 
 
 @routes.get("/api/plan/{study:path}")
@@ -108,20 +100,12 @@ def show_plan(request: Request) -> object:
     path = runs.path(run.name) / Path(file).name
     if path.suffix != ".csv" or not path.is_file():
         raise InvalidInput("there is no such plan", where=file)
-    return plotly(plan_figure(path))
-
-
-def plan_figure(path: Path) -> Figure:
-    """The columns of a table of commands."""
     table = pyarrow.csv.read_csv(path)
     time, *names = table.column_names
     t = table.column(time).to_numpy().astype(float)
-    panels = []
-    for name in names:
-        values = table.column(name).to_numpy().astype(float)
-        rows = decimate(values)
-        panels.append(Panel(Axis(name), (Line(t[rows], values[rows], name, Colour.MEASURED),)))
-    return Figure(Axis(time), tuple(panels))
+    columns = {name: table.column(name).to_numpy().astype(float) for name in names}
+    panels = (line_panel(name, t, values, name) for name, values in columns.items())
+    return plotly(Figure(Axis(time), tuple(panels)))
 
 
 @routes.get("/api/precision/{study:path}")

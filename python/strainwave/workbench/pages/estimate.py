@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import tomlkit
@@ -12,56 +13,109 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from strainwave import pipeline
-from strainwave.domain import RecordModel
+from strainwave.domain.options import Options, option_texts
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.io.atomic_files import decode, write_whole
+from strainwave.io.study import with_options
 from strainwave.pipeline import check_stages
 from strainwave.presentation.figures import DOTTED, Axis, Colour, Figure, Line, Panel, Upright
 from strainwave.presentation.plotly_backend import plotly
-from strainwave.workbench.cached_files import study_at
-from strainwave.workbench.gate import gate_of, require_open
-from strainwave.workbench.option_form import option_arguments, option_groups
-from strainwave.workbench.pages.runs import describe, runs_of
-from strainwave.workbench.runs import Run, Runs, status_of
+from strainwave.workbench.pages.check import gate_of, require_open
+from strainwave.workbench.pages.runs import describe
+from strainwave.workbench.runs import Runs, status_of
 from strainwave.workbench.web import Body, Routes, message_of, page, study_of, text_of
+from strainwave.workbench.workspace import study_at
+
+
+@dataclass(frozen=True, slots=True)
+class OptionRow:
+    """One option of the form."""
+
+    name: str  # "links.order"
+    text: Mapping[str, str]  # `meaning`, `default` and `reason`
+    choices: tuple[str, ...]  # TOML values to choose from; empty: any value
+    value: str  # of the study, if it differs from the default
+
+
+def option_groups(options: Options) -> dict[str, list[OptionRow]]:
+    """The form of all options with the values of a study, by the title of their stage."""
+    defaults = asdict(Options())
+    groups = {}
+    for stage, texts in option_texts().items():
+        record = getattr(options, stage)
+        hints = get_type_hints(type(record), include_extras=False)
+        rows = []
+        for key, text in texts["options"].items():
+            shown, value = "", getattr(record, key)
+            if asdict(options)[stage][key] != defaults[stage][key]:
+                item = tomlkit.item(list(value) if isinstance(value, tuple) else value)
+                shown = str(item.as_string())
+            plain = {kind: words.replace("`", "") for kind, words in text.items()}
+            rows.append(OptionRow(f"{stage}.{key}", plain, _choices(hints[key]), shown))
+        groups[texts["title"]] = rows
+    return groups
+
+
+def option_arguments(values: Mapping[str, Any], study_path: Any) -> list[str]:
+    """Arguments `--set` of a form's values; empty values are left out.
+
+    Raises InvalidInput if an option is unknown or its value invalid.
+    """
+    flags = []
+    names = {f"{stage}.{key}" for stage, each in option_texts().items() for key in each["options"]}
+    for name, value in values.items():
+        if name not in names or not isinstance(value, str):
+            raise InvalidInput(f"there is no option {name!r}", where="options")
+        if value.strip():
+            flags.append(f"{name}={value.strip()}")
+    with_options(study_at(study_path), flags)
+    return [part for flag in flags for part in ("--set", flag)]
+
+
+def _choices(hint: Any) -> tuple[str, ...]:
+    """The values of a literal or of a truth value."""
+    parts = get_args(hint) if get_origin(hint) is not Literal else (hint,)
+    if hint is bool or bool in parts:
+        return ("true", "false")
+    for part in (hint, *parts):
+        if get_origin(part) is Literal:
+            return tuple(str(value) for value in get_args(part))
+    return ()
+
 
 routes = Routes()
 
 _MAX_SHOWN = 24  # singular values; those of the noise follow
 
 
-def order_figures(path: Path) -> list[dict[str, Any]]:
+@routes.get("/api/orders/{study:path}")
+def show_orders(request: Request) -> object:
     """Singular values of the subspace step of each record, with the order and horizon selected.
 
     Takes as long as the stages rigid and decoupled. Raises NotIdentifiable if no record excites a
     joint with link motion as second output.
     """
-    study = study_at(path)
+    study = study_at(study_of(request))
     options = replace(study.options.statespace, method="subspace")
     study = replace(study, options=replace(study.options, statespace=options))
     result = pipeline.identify(study, stages=("rigid", "decoupled"))
-    shown = [_entry(record) for record in result.records if record.state_space is not None]
+    shown = []
+    for record in result.records:
+        model = record.state_space
+        if model is None:
+            continue
+        values = np.asarray(model.singular_values, dtype=float)[:_MAX_SHOWN]
+        index = np.arange(1.0, len(values) + 1.0)
+        line = Line(index, values / values[0], "singular values", Colour.MEASURED, size=7.0)
+        order = Upright(model.order + 0.5, f"order {model.order}", dash=DOTTED)
+        axis = Axis("singular value / largest", log=True)
+        figure = Figure(Axis("number", step=1.0), (Panel(axis, (line,)),), uprights=(order,))
+        entry = {"order": model.order, "horizon": model.horizon, "figure": plotly(figure)}
+        signals = record.signals
+        shown.append(entry | {"experiment": signals.experiment.name, "joint": signals.joint})
     if not shown:
         raise NotIdentifiable("no record excites a joint such that a state-space model exists")
     return shown
-
-
-def _entry(record: RecordModel) -> dict[str, Any]:
-    model = record.state_space
-    assert model is not None
-    values = np.asarray(model.singular_values, dtype=float)[:_MAX_SHOWN]
-    index = np.arange(1.0, len(values) + 1.0)
-    line = Line(index, values / values[0], "singular values", Colour.MEASURED, size=7.0)
-    order = Upright(model.order + 0.5, f"order {model.order}", dash=DOTTED)
-    axis = Axis("singular value / largest", log=True)
-    figure = Figure(Axis("number", step=1.0), (Panel(axis, (line,)),), uprights=(order,))
-    return {
-        "experiment": record.signals.experiment.name,
-        "joint": record.signals.joint,
-        "order": model.order,
-        "horizon": model.horizon,
-        "figure": plotly(figure),
-    }
 
 
 _STAGE_CHOICES = (
@@ -81,8 +135,7 @@ _SNAPSHOT = "study.toml"
 
 
 @routes.page("/estimate/{study:path}")
-def show_estimate(request: Request) -> Response:
-    """The page."""
+def _show_estimate(request: Request) -> Response:
     path = study_of(request)
     groups = option_groups(study_at(path).options)
     name = Runs(path).free_name("identify")
@@ -94,14 +147,14 @@ def estimates(request: Request) -> object:
     """Gate and runs for the page."""
     path = study_of(request)
     gate = gate_of(path)
-    runs = runs_of(request)
-    shown = [_summary(runs, run) for run in reversed(runs.all("identify"))]
+    runs = Runs(path)
+    shown = []
+    for run in reversed(runs.all("identify")):
+        status = status_of(runs.path(run.name)) if run.state == "done" else None
+        shown.append(describe(run) | {"status": status})
+    reason = message_of(request, gate.reason)
     return {
-        "gate": {
-            "is_open": gate.is_open,
-            "reason": message_of(request, gate.reason),
-            "state": gate.state,
-        },
+        "gate": {"is_open": gate.is_open, "reason": reason, "state": gate.state},
         "runs": shown,
         "name": runs.free_name("identify"),
     }
@@ -135,15 +188,3 @@ def snapshot(path: Path) -> str:
     if "urdf" in document.get("arm", {}):
         document["arm"]["urdf"] = f"../../{document['arm']['urdf']}"
     return tomlkit.dumps(document)
-
-
-@routes.get("/api/orders/{study:path}")
-def show_orders(request: Request) -> object:
-    """Singular values of the subspace method for each record that excites a joint."""
-    return order_figures(study_of(request))
-
-
-def _summary(runs: Runs, run: Run) -> dict[str, Any]:
-    """A run with its verdict."""
-    is_done = run.state == "done"
-    return describe(run) | {"status": status_of(runs.path(run.name)) if is_done else None}

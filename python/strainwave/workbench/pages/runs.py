@@ -1,4 +1,7 @@
-"""Requests about runs, and reports of runs in frames."""
+"""Requests about runs, reports of runs in frames, and page "Files".
+
+The page has what a run leaves to take away, and the script that repeats it.
+"""
 
 from __future__ import annotations
 
@@ -6,24 +9,37 @@ import asyncio
 import base64
 import hashlib
 import json
+import tempfile
+import zipfile
+from argparse import ArgumentParser
 from collections.abc import AsyncIterator
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 
+from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import FileResponse, HTMLResponse, Response, StreamingResponse
+from starlette.responses import (
+    FileResponse,
+    HTMLResponse,
+    PlainTextResponse,
+    Response,
+    StreamingResponse,
+)
 
 from strainwave.errors import InvalidInput
+from strainwave.export import export_file
 from strainwave.presentation.report.blocks import page_scripts
-from strainwave.workbench.runs import LOG, Run, Runs
+from strainwave.workbench.runs import LOG, RUN_FILES, Run, Runs
 from strainwave.workbench.security import report_policy
-from strainwave.workbench.web import Body, Routes, study_of, text_of, workspace_of
+from strainwave.workbench.web import Body, Routes, message_of, page, study_of, text_of, workspace_of
 
 routes = Routes()
 
 _POLL = 0.15  # [s] between two looks at the log of a run
+_EXPORTS = "exports"
+_MAX_ZIP = 4 << 30  # [bytes] of the files
 
 
 def runs_of(request: Request) -> Runs:
@@ -58,8 +74,12 @@ def remove_run(request: Request, body: Body) -> object:
 @routes.get("/api/run-log/{study:path}")
 def show_log(request: Request) -> object:
     """Progress and messages of a run."""
-    runs, name = runs_of(request), request.query_params.get("name", "")
-    progress, messages = log_lines(runs.path(runs.get(name).name))
+    runs = runs_of(request)
+    return _state(runs, runs.get(request.query_params.get("name", "")))
+
+
+def _state(runs: Runs, run: Run) -> dict[str, object]:
+    progress, messages = log_lines(runs.path(run.name))
     return {"progress": progress[-1] if progress else None, "messages": messages[-40:]}
 
 
@@ -89,10 +109,7 @@ async def run_events(request: Request) -> Response:
         sent = ""
         while True:
             run = await run_in_threadpool(runs.get, name)
-            progress, messages = await run_in_threadpool(log_lines, runs.path(name))
-            last = progress[-1] if progress else None
-            state = describe(run) | {"progress": last, "messages": messages[-40:]}
-            text = json.dumps(state)
+            text = json.dumps(describe(run) | await run_in_threadpool(_state, runs, run))
             if text != sent:
                 yield f"data: {text}\n\n"
                 sent = text
@@ -137,3 +154,132 @@ def _script_hashes() -> tuple[str, ...]:
         f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}"
         for script in page_scripts()
     )
+
+
+EXPORT_FILES = {
+    "mjcf": "arm.xml",
+    "urdf": "arm.urdf",
+    "state-space": "arm-state-space.json",
+    "matlab": "arm.m",
+    "c": "arm.h",
+    "json": "arm.json",
+}
+"""File of each format of `strainwave export`."""
+
+
+_IDENTIFY = ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+_IDENTIFY.add_argument("study", nargs="?", default="study.toml")
+_IDENTIFY.add_argument("--set", action="append")
+for _option in ("--stages", "--start", "--out"):
+    _IDENTIFY.add_argument(_option)
+
+
+def python_script(run: Run) -> str:
+    """A script that identifies the study again as a run did, in the run's folder."""
+    given, _ = _IDENTIFY.parse_known_args(run.commands[-1][1:])  # the script saves no figures
+    study = Path(given.study).as_posix()
+    keywords = [f"stages={given.stages.split(',')!r}"] if given.stages else []
+    keywords += [f"options={given.set!r}"] if given.set else []
+    keywords += [f"start={given.start!r}"] if given.start else []
+    call = "".join(f"    {keyword},\n" for keyword in keywords)
+    inner = f"\n    {study!r},\n{call}" if keywords else repr(study)
+    return (
+        f'"""Repeat the run {run.name}: start it in the folder of the run.\n\n'
+        f'{chr(10).join(run.lines)}\n"""\n\n'
+        "import strainwave as sw\n\n"
+        f"result = sw.identify({inner})\n"
+        "print(result)\n"
+        'result.save("repeated.json")\n'
+        'result.report("repeated.html")\n'
+        'result.export("repeated.xml", format="mjcf")  # or urdf, state-space, matlab, c, json\n'
+    )
+
+
+@routes.page("/files/{study:path}")
+def _show_files(request: Request) -> Response:
+    study_of(request)
+    return page(request, "files", "Files", formats=list(EXPORT_FILES))
+
+
+@routes.get("/api/files/{study:path}")
+def list_files(request: Request) -> object:
+    """Runs with their files, command lines and scripts, the newest first."""
+    runs = runs_of(request)
+    shown = []
+    for run in reversed(runs.all()):
+        folder = runs.path(run.name)
+        entries = [
+            {"name": p.relative_to(folder).as_posix(), "size": p.stat().st_size}
+            for p in _files(folder)
+        ]
+        script = python_script(run) if _is_repeatable(run) else ""
+        is_result = (folder / "result.json").is_file()
+        shown.append(describe(run) | {"files": entries, "script": script, "has_result": is_result})
+    return shown
+
+
+def _files(folder: Path) -> list[Path]:
+    """Files that the commands of a run wrote; a link could lead out of the served folder."""
+    return [
+        path
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and not path.is_symlink() and path.name not in RUN_FILES
+    ]
+
+
+@routes.post("/api/export/{study:path}")
+def export(request: Request, body: Body) -> object:
+    """Export the result of a run in one format."""
+    runs, form = runs_of(request), text_of(body, "format")
+    if form not in EXPORT_FILES:
+        formats = ", ".join(EXPORT_FILES)
+        raise InvalidInput(f"there is no format {form!r}", remedy=f"choose from: {formats}")
+    run = runs.get(text_of(body, "name"))
+    folder = runs.path(run.name)
+    (folder / _EXPORTS).mkdir(exist_ok=True)
+    target = folder / _EXPORTS / EXPORT_FILES[form]
+    written = export_file(folder / "result.json", target, form=form)
+    warnings = [f"{w.where}: {w.message}" for w in written.warnings]
+    return {
+        "file": target.relative_to(folder).as_posix(),
+        "messages": [message_of(request, text) for text in (*warnings, *written.notes)],
+    }
+
+
+@routes.page("/script/{study:path}")
+def download_script(request: Request) -> Response:
+    """The Python script that repeats a run."""
+    run = _run(request)
+    if not _is_repeatable(run):
+        raise InvalidInput(f"the run {run.name!r} identifies nothing", remedy="choose another run")
+    headers = {"content-disposition": f'attachment; filename="{run.name}.py"'}
+    return PlainTextResponse(python_script(run), headers=headers)
+
+
+def _is_repeatable(run: Run) -> bool:
+    """Whether a script can repeat a run; a run with a damaged record has no commands."""
+    return run.kind == "identify" and bool(run.commands)
+
+
+@routes.page("/zip/{study:path}")
+def download_zip(request: Request) -> Response:
+    """All files of a run in one archive."""
+    runs, run = runs_of(request), _run(request)
+    folder = runs.path(run.name)
+    files = _files(folder)
+    size = sum(path.stat().st_size for path in files)
+    if size > _MAX_ZIP:
+        raise InvalidInput(f"the run has {size >> 20} MiB", remedy="copy its folder")
+    with tempfile.NamedTemporaryFile(suffix=".zip", delete=False) as file:
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+            for path in files:
+                archive.write(path, f"{run.name}/{path.relative_to(folder).as_posix()}")
+        name = Path(file.name)
+    remove = BackgroundTask(name.unlink, missing_ok=True)
+    return FileResponse(
+        name, filename=f"{run.name}.zip", media_type="application/zip", background=remove
+    )
+
+
+def _run(request: Request) -> Run:
+    return runs_of(request).get(request.query_params.get("run", ""))

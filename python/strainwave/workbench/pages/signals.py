@@ -3,30 +3,173 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 from functools import lru_cache
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from starlette.requests import Request
 from starlette.responses import Response
 
 from strainwave import pipeline
-from strainwave.domain import Log, Study
+from strainwave.domain import (
+    ArmDescription,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Log,
+    Study,
+    channel_parts,
+)
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.presentation.plotly_backend import plotly
-from strainwave.presentation.report import torques
-from strainwave.workbench.cached_files import fingerprint, log_of, study_at
-from strainwave.workbench.signal_views import (
-    coherence_figure,
-    marks_of,
-    sequences_of,
-    spectrum_figure,
-    time_figure,
+from strainwave.presentation.figures import (
+    DASHES,
+    FREQUENCY_AXIS,
+    PALETTE,
+    Axis,
+    Figure,
+    Line,
+    Panel,
+    line_panel,
+    spread_evenly,
 )
+from strainwave.presentation.plotly_backend import plotly
+from strainwave.presentation.report import elastic
+from strainwave.presentation.report.predictions import unit_of
+from strainwave.signals import hygiene
+from strainwave.signals.prepared_record import prepare_record
+from strainwave.signals.standstill import runs_of
+from strainwave.study_draft.signal_features import sequence_of, sequence_under_servo
 from strainwave.workbench.study_edit import Change, edit_study
 from strainwave.workbench.web import Body, Routes, page, study_of, text_of
+from strainwave.workbench.workspace import fingerprint, log_of, study_at
+
+_SEGMENTS = 8  # of Welch's method
+_MAX_LINES = 800  # frequencies drawn
+_MAX_MARKS = 200  # listed; the largest
+_MIN_STANDSTILL = 0.05  # [s] shorter ones belong to every reversal
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A stretch of a channel."""
+
+    kind: str
+    channel: str
+    start: float  # [s]
+    stop: float  # [s]
+
+
+def require_channels(log: Log, names: Sequence[str]) -> list[str]:
+    """The names; raises InvalidInput if one is no channel of the log, or if there is none."""
+    unknown = [name for name in names if name not in log.channels]
+    if unknown or not names:
+        raise InvalidInput(
+            f"the record {log.name!r} has no channel {', '.join(unknown) or 'chosen'}",
+            remedy=f"choose from: {', '.join(log.channels)}",
+        )
+    return list(names)
+
+
+def time_figure(
+    log: Log, arm: ArmDescription, names: Sequence[str], span: tuple[float, float], points: int
+) -> Figure:
+    """Channels over time in one panel each, decimated to minimum and maximum per column."""
+    first, last = np.searchsorted(log.time, span)
+    first, last = max(int(first) - 1, 0), min(int(last) + 1, len(log))
+    panels = []
+    for name, colour in zip(require_channels(log, names), cycle(PALETTE), strict=False):
+        values, time = log.channels[name][first:last], log.time[first:last]
+        title = f"{name} [{unit_of(name, arm.joints)}]"
+        panels.append(line_panel(title, time, values, name, colour, points))
+    return Figure(Axis("time [s]", range=span), tuple(panels))
+
+
+def spectrum_figure(log: Log, arm: ArmDescription, names: Sequence[str]) -> Figure:
+    """Amplitude spectral density of channels, by Welch's method."""
+    from scipy import signal  # takes half a second
+
+    panels = []
+    for name, colour in zip(require_channels(log, names), cycle(PALETTE), strict=False):
+        values, rate = log.channels[name], 1.0 / log.sample_time
+        frequency, density = signal.welch(values, rate, nperseg=_segment(log))
+        rows = _shown(frequency)
+        title = f"{name} [{unit_of(name, arm.joints)}/√Hz]"
+        line = Line(frequency[rows], np.sqrt(density[rows]), name, colour)
+        panels.append(Panel(Axis(title, log=True), (line,)))
+    return Figure(FREQUENCY_AXIS, tuple(panels))
+
+
+def coherence_figure(log: Log, n_joints: int) -> Figure:
+    """Coherence of each motor's input and velocity."""
+    from scipy import signal
+
+    lines = []
+    styles = zip(range(1, n_joints + 1), cycle(PALETTE), cycle(DASHES), strict=False)
+    for joint, colour, dash in styles:
+        drive = next((c for c in (f"u{joint}", f"torque{joint}") if c in log.channels), None)
+        if drive is None or not np.ptp(log.channels[drive]):
+            continue
+        velocity = np.gradient(log.channels[f"theta_m{joint}"], log.sample_time)
+        pair, rate = (log.channels[drive], velocity), 1.0 / log.sample_time
+        frequency, share = signal.coherence(*pair, rate, nperseg=_segment(log))
+        rows = _shown(frequency)
+        name = f"{drive} and velocity of motor {joint}"
+        lines.append(Line(frequency[rows], share[rows], name, colour, dash))
+    panel = Panel(Axis("coherence", range=(0.0, 1.02)), tuple(lines))
+    return Figure(FREQUENCY_AXIS, (panel,))
+
+
+def _segment(log: Log) -> int:
+    return min(len(log), max(64, 2 * len(log) // (_SEGMENTS + 1)))
+
+
+def _shown(frequency: FloatArray) -> IntArray:
+    return spread_evenly(frequency, frequency[1], float(frequency[-1]), _MAX_LINES)
+
+
+def marks_of(log: Log, arm: Arm) -> list[Mark]:
+    """Saturation, standstill and defects of sensors, in the order of time."""
+    record = prepare_record(log, arm)
+    marks: list[Mark] = []
+    for channel, at in zip(record.channels, record.saturation.samples.T, strict=True):
+        marks += _stretches(log, "saturation", channel, at)
+    for joint, at in enumerate(record.sliding.T == 0.0, start=1):
+        standing = _stretches(log, "standstill", f"theta_m{joint}", at)
+        marks += [mark for mark in standing if mark.stop - mark.start >= _MIN_STANDSTILL]
+    for defect in hygiene.detect_defects([log], arm)[0]:
+        last = min(defect.stop, len(log) - 1)
+        kind = defect.kind.replace("-", " ")
+        times = float(log.time[defect.start]), float(log.time[last])
+        marks.append(Mark(kind, defect.channel, *times))
+    longest = sorted(marks, key=lambda m: m.start - m.stop)[:_MAX_MARKS]
+    return sorted(longest, key=lambda m: (m.start, m.channel))
+
+
+def _stretches(log: Log, kind: str, channel: str, at: BoolArray) -> Iterator[Mark]:
+    for start, stop in runs_of(at).tolist():
+        last = min(stop, len(log) - 1)
+        yield Mark(kind, channel, float(log.time[start]), float(log.time[last]))
+
+
+def sequences_of(log: Log) -> list[str]:
+    """A sentence about each pseudo-random binary sequence in the inputs."""
+    sentences = []
+    for name, values in log.channels.items():
+        if channel_parts(name)[0] not in ("u", "torque"):
+            continue
+        prbs = sequence_of(values, log.sample_time) or sequence_under_servo(values, log.sample_time)
+        if prbs is not None:
+            sentences.append(
+                f"{name}: PRBS of order {prbs.order}, clock {1e3 * prbs.clock:g} ms,"
+                f" {prbs.periods:g} periods, amplitude {prbs.amplitude:g} {unit_of(name)}"
+            )
+    return sentences
+
 
 routes = Routes()
 
@@ -34,8 +177,7 @@ _POINTS = (200, 6000)  # smallest and largest number of points of a line
 
 
 @routes.page("/signals/{study:path}")
-def show_signals(request: Request) -> Response:
-    """The page."""
+def _show_signals(request: Request) -> Response:
     study = study_at(study_of(request))
     return page(request, "signals", "Signals", experiments=study.experiments)
 
@@ -104,12 +246,9 @@ def _joint_spectra(path: Path, _fingerprint: str) -> list[dict[str, Any]]:
     return [
         {
             "experiment": record.signals.experiment.name,
-            "text": torques.describe(record.signals),
-            "checks": [
-                {"passed": check.passed, "message": check.message}
-                for check in record.signals.checks
-            ],
-            "figure": plotly(torques.spectrum_figure(record.signals)),
+            "text": elastic.describe_interaction(record.signals),
+            "checks": [{"passed": c.passed, "message": c.message} for c in record.signals.checks],
+            "figure": plotly(elastic.torque_spectrum(record.signals)),
         }
         for record in result.records
         if record.signals.inputs.shape[1] == 2
@@ -130,18 +269,13 @@ def set_window(request: Request, body: Body) -> object:
     high = log.time[-1] if ends[1] is None else ends[1]
     if not low < high or low > log.time[-1] or high < log.time[0]:
         raise InvalidInput("the window contains no samples", where="start, stop")
-    edit_study(
-        path,
-        [
-            Change(("experiment", index, key), None if end is None else round(float(end), 6))
-            for key, end in zip(("start", "stop"), ends, strict=True)
-        ],
-    )
+    rounded = [None if end is None else round(float(end), 6) for end in ends]
+    places = [("experiment", index, key) for key in ("start", "stop")]
+    edit_study(path, list(map(Change, places, rounded)))
     return {}
 
 
 def _record(request: Request) -> tuple[Path, Study, Log]:
-    """Study file, study, and the whole log that the request names."""
     path = study_of(request)
     study = study_at(path)
     name = request.query_params.get("experiment", "") or study.experiments[0].name

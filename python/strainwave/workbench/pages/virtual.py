@@ -3,24 +3,143 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
+from typing import Any, Literal
 
 from starlette.requests import Request
 from starlette.responses import Response
 
+from strainwave.domain import Study
+from strainwave.domain.gear_laws import is_slope
+from strainwave.domain.keys import Values, label_of
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import write_whole
-from strainwave.io.study import write_study
-from strainwave.workbench.hand_simulation import parameter_document
+from strainwave.io.parameters import read_parameters
+from strainwave.io.study import read_study, write_study
+from strainwave.virtual.experiments import derived
+from strainwave.virtual.scara import MAX_DISKS, SOFT
+from strainwave.workbench.pages.by_hand import parameter_document
 from strainwave.workbench.pages.runs import describe
 from strainwave.workbench.runs import Runs
-from strainwave.workbench.virtual_rig import (
-    SENSORS,
-    SETTINGS,
-    estimates_against_truth,
-    virtual_rig,
-)
 from strainwave.workbench.web import Body, Routes, page, study_of, workspace_of
+
+Spring = Literal["linear", "three-slope"]
+KNEES = ("gear_knee_t1", "gear_knee_t2")
+FRICTION = ("motor_coulomb_friction", "motor_viscous_friction", "link_viscous_friction")
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One slider of the virtual arm."""
+
+    key: str
+    title: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    step: float
+
+
+SETTINGS = (
+    Setting("disks", "Payload", "disks of 1 kg", 5, 0, MAX_DISKS, 1),
+    Setting("stiffness", "Gear stiffness", "times the usual", 1.0, 0.5, 2.0, 0.05),
+    Setting("knees", "Knee torques of the gears", "times the usual", 1.0, 0.5, 2.0, 0.05),
+    Setting("friction", "Friction", "times the usual", 1.0, 0.0, 3.0, 0.05),
+    Setting("amplitude", "Amplitude of the PRBS", "V", 10.0, 1.0, 10.0, 0.5),
+    Setting("encoder_bits", "Resolution of the motor encoders", "bits per turn", 13, 10, 20, 1),
+)
+SENSORS = (
+    ("accelerometers", "Accelerometers on the links", True),
+    ("gyros", "Gyros on the links", True),
+    ("link_encoders", "Encoders of the link angles (20 bits per turn)", False),
+    ("noise", "Noise of the sensors", True),
+)
+_LINK_COUNTS = 2**20
+
+
+@dataclass(frozen=True, slots=True)
+class VirtualRig:
+    """A study of the virtual arm, and its true parameters."""
+
+    study: Study
+    values: Values
+    has_noise: bool
+
+
+def virtual_rig(body: Any, folder: Path) -> VirtualRig:
+    """The virtual arm with the settings of a request.
+
+    Raises InvalidInput if a setting is missing or out of its range.
+    """
+    sizes = {setting.key: _size(body, setting) for setting in SETTINGS}
+    sensors = {key: body.get(key) is True for key, _, _ in SENSORS}
+    spring: Spring = "linear" if body.get("spring") == "linear" else "three-slope"
+    values = SOFT.parameters(int(sizes["disks"]), spring)
+    for name, joint in values:
+        if is_slope(name):
+            values[name, joint] *= sizes["stiffness"]
+        elif name in KNEES:
+            values[name, joint] *= sizes["knees"]
+        elif name in FRICTION:
+            values[name, joint] *= sizes["friction"]
+    study = SOFT.study(folder, spring)
+    absent: dict[str, Any] = {} if sensors["gyros"] else {"gyro_hz": None}
+    if not sensors["accelerometers"]:
+        absent |= {"accelerometer_distance": None, "accelerometer_hz": None}
+    joints = tuple(
+        replace(
+            joint,
+            encoder_counts=2 ** int(sizes["encoder_bits"]),
+            link_encoder_counts=_LINK_COUNTS if sensors["link_encoders"] else None,
+            **absent,
+        )
+        for joint in study.arm.joints
+    )
+    experiments = tuple(
+        replace(one, prbs=replace(one.prbs, amplitude=sizes["amplitude"])) if one.prbs else one
+        for one in study.experiments
+    )
+    arm = replace(study.arm, joints=joints)
+    return VirtualRig(replace(study, arm=arm, experiments=experiments), values, sensors["noise"])
+
+
+def _size(body: Any, setting: Setting) -> float:
+    value = body.get(setting.key, setting.value)
+    if not isinstance(value, int | float) or not setting.low <= value <= setting.high:
+        raise InvalidInput(
+            f"{setting.title} is {value!r}",
+            remedy=f"set {setting.low:g} to {setting.high:g} {setting.unit}",
+        )
+    return float(value)
+
+
+def estimates_against_truth(study_path: Path, result: Path, truth: Path) -> list[dict[str, Any]]:
+    """Each parameter of a result with its true value and its error."""
+    values = derived(read_parameters(truth), read_study(study_path).arm)
+    rows = []
+    for entry in json.loads(result.read_bytes())["parameters"]:
+        key = entry["name"], entry["joint"]
+        if key not in values:
+            continue
+        true, value, std = values[key], entry["value"], entry["std"]
+        error = None if value is None else value - true
+        rows.append(
+            {
+                "label": label_of(*key),
+                "unit": entry["unit"],
+                "true": true,
+                "value": value,
+                "ci95": entry["ci95"],
+                "percent": 100.0 * error / abs(true) if error is not None and true else None,
+                "stds": error / std if error is not None and std else None,
+            }
+        )
+    return rows
+
 
 routes = Routes()
 
@@ -28,8 +147,7 @@ _RUN, _RIG, _TRUTH = "record-and-identify", "rig.toml", "truth.json"
 
 
 @routes.page("/virtual")
-def show_virtual(request: Request) -> Response:
-    """The page."""
+def _show_virtual(request: Request) -> Response:
     return page(request, "virtual", "Virtual arm", settings=SETTINGS, sensors=SENSORS)
 
 
@@ -59,15 +177,12 @@ def record_and_identify(request: Request, body: Body) -> object:
 
 
 def _new_folder(parent: Path) -> Path:
-    number = 1
-    while True:
+    for number in count(1):
         folder = parent / f"virtual-{number}"
-        try:
+        with suppress(FileExistsError):
             folder.mkdir()
-        except FileExistsError:
-            number += 1
-            continue
-        return folder
+            break
+    return folder
 
 
 @routes.get("/api/virtual/{study:path}")
