@@ -268,15 +268,27 @@ class Choice:
                 for same in self._rivals(chosen)
                 if joint_of[same[0]] == joint
             ]
-            added = sorted((m for m in added if self.is_possible(m)), key=self._total)
-            if len(added) > 1:  # two terms may predict better only together, as of load and speed
-                pair = [*added[-1], added[-2][-1]]
-                added += [pair] if self.is_possible(pair) else []
-            models += added
+            added = [m for m in added if self.is_possible(m)]
+            models += [*added, *self._pairs(added)]
             yield [self.with_shapes(model) for model in models]
         if n_joints > 1:
             first = self.models.equations.common.shape[1] - n_joints
             yield [[*self.with_shapes(chosen), first + joint] for joint in range(n_joints)]
+
+    def _pairs(self, added: Sequence[list[int]]) -> list[list[int]]:
+        """Best pair of each last term of some models, if it predicts better than both alone.
+
+        Two terms may predict better only together, as those of load and speed.
+        """
+        totals = {m[-1]: self._total(m) for m in added}
+        pairs: dict[frozenset[int], list[int]] = {}
+        for model in added:
+            others = [[*model, k] for k in totals if k != model[-1]]
+            pair = max(others, key=self._total, default=model)
+            alone = max(totals[k] for k in pair[-2:] if k in totals)
+            if self._total(pair) > alone and self.is_possible(pair):
+                pairs[frozenset(pair)] = pair
+        return list(pairs.values())
 
     def _rivals(self, chosen: Sequence[int]) -> list[list[int]]:
         """Candidates that a model lacks, those of one effect and joint together.
