@@ -12,7 +12,12 @@ from strainwave.domain import FloatArray, Signals
 from strainwave.domain.kinds.bodies import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.rigid.bandwidth import prepare_all
+from strainwave.identification.rigid import fit_rigid
+from strainwave.identification.rigid.bandwidth import (
+    prepare_all,
+    search_bandwidths,
+    select_bandwidth,
+)
 from strainwave.identification.rigid.equations import ALL_JOINTS, Candidate
 from strainwave.identification.rigid.model_choice import MIN_STDS, Choice
 from strainwave.identification.rigid.trial import Trial, fit_trial
@@ -33,9 +38,10 @@ def signals_of(
     load: float = 0.0,
     stribeck: float = 0.0,
     seed: int = 1,
+    duration: float = 12.0,
 ) -> Signals:
     """A joint with friction by direction, load and speed, whose torque leads by samples."""
-    motion = virtual_arms.exact_motion(1, seed=1)
+    motion = virtual_arms.exact_motion(1, seed=1, duration=duration)
     _, angle, velocity, acceleration = motion
     dry = coulomb + load * np.abs(MOTOR_SHARE * INERTIA * acceleration)
     dry = dry + stribeck * np.exp(-((velocity / STRIBECK_VELOCITY) ** 2))
@@ -114,6 +120,16 @@ def test_two_terms_together_are_plausible() -> None:
     error = np.sqrt(coulomb_of(np.diag(choice.model_error())))
     assert abs(changes[2]) > 1.2 * max(abs(changes[0]), abs(changes[1]))
     assert error == pytest.approx(abs(changes[2]), rel=0.1)
+
+
+def test_the_bandwidth_is_that_of_the_model_with_its_terms() -> None:
+    """Without them, the change of the estimates with the bandwidth favours the lowest one."""
+    signals = signals_of(coulomb=0.02, load=0.3, duration=6.0)
+    plain = select_bandwidth(search_bandwidths([(signals, float(len(signals.time)))], ARM))
+    model = fit_rigid([signals], ARM)
+    assert model.bandwidth_hz > 2.0 * plain.bandwidth_hz
+    assert [term.effect for term in model.friction_terms] == ["load-friction"]
+    assert model.friction_terms[0].size.value == pytest.approx(0.3, rel=0.01)
 
 
 def test_a_record_within_the_edges_of_the_filter_is_refused() -> None:
