@@ -3,7 +3,7 @@
 Terms of rigid joints in addition to inertia, viscous friction, Coulomb friction and offset.
 
 Friction is a size times a law of motor velocity, load and one shape parameter, times the direction
-of motion. A spring acts on the link. Encoder zeros and torque delays correct the signals.
+of motion. A spring acts on the link. Encoder zeros, torque delays and torsions correct the signals.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from strainwave.numerics.filters import differentiate, low_pass
 Motion = Sequence[FloatArray]
 """An angle and its first two derivatives, each (n_samples, n_joints)."""
 
-SPRING, ZERO, DELAY = "ground-spring", "encoder-zero", "torque-delay"
-CORRECTIONS = (ZERO, DELAY)
+SPRING, ZERO = "ground-spring", "encoder-zero"
+DELAY, TORSION = "torque-delay", "gear-torsion"
+CORRECTIONS = (ZERO, DELAY, TORSION)
 """Effects that correct the signals; the others add torques."""
 
 # of (S16), as in the core: velocity [rad/s] of the stated friction, and offset of its ratio
@@ -124,7 +125,7 @@ def _sizes_of(effect: str, arm: Arm, terms: Sequence[FrictionTerm]) -> FloatArra
 
 
 def corrected_signals(signals: Signals, arm: Arm, terms: Sequence[FrictionTerm]) -> Signals:
-    """The signals with encoder zeros added to the angles and delays removed from the torques."""
+    """The signals with encoder zeros added to angles, torques without delays, and torsions."""
     values = [
         (term.effect, (term.joint or 0) - 1, term.size.value or 0.0)
         for term in terms
@@ -134,19 +135,24 @@ def corrected_signals(signals: Signals, arm: Arm, terms: Sequence[FrictionTerm])
 
 
 def correct(signals: Signals, arm: Arm, values: Sequence[tuple[str, int, float]]) -> Signals:
-    """The signals corrected by values of effects, the joints of encoder zeros from 0."""
+    """The signals corrected by values of effects, the joints from 0."""
     if not values:
         return signals
-    zero, torque = np.zeros(arm.n_joints), signals.motor_torque
+    zero, compliance, torque = np.zeros(arm.n_joints), np.zeros(arm.n_joints), signals.motor_torque
     for effect, i, value in values:
         if effect == ZERO:
             zero[i] += value
+        elif effect == TORSION:
+            compliance[i] += value
         else:
             late = signals.time + value
             columns = [np.interp(late, signals.time, column) for column in torque.T]
             torque = np.column_stack(columns)
     angle = signals.motor_angle + arm.motor_accelerations(zero)
-    return replace(signals, motor_angle=angle, motor_torque=torque)
+    torsion = signals.torsion
+    if compliance.any():
+        torsion = compliance * arm.joints_of(torque) + (0.0 if torsion is None else torsion)
+    return replace(signals, motor_angle=angle, motor_torque=torque, torsion=torsion)
 
 
 _BLOCK_SIZE = 1 << 16  # samples per regressor, which limits its memory

@@ -129,6 +129,12 @@ def _check_effects(arm: Arm) -> None:
                 where=f"joint {number}, effects",
                 remedy="set gravity in [arm], or remove 'encoder-zero'",
             )
+        if "gear-torsion" in joint.named_effects and not joint.torque_at_link:
+            raise InvalidInput(
+                "the effect 'gear-torsion' needs the torque of a sensor behind the gear",
+                where=f"joint {number}, effects",
+                remedy=f"log tau_l{number} in place of torque{number}, or remove 'gear-torsion'",
+            )
 
 
 def _prepare_check(log: Log, arm: Arm, options: SignalOptions) -> Signals | Diagnostic:

@@ -168,6 +168,7 @@ def test_a_named_effect_is_part_of_the_model(tmp_path: Path) -> None:
         ("torque-ripple", True, "is part of the whole-arm fit"),
         ("encoder-zero", False, "needs gravity"),
         ("backlash", True, "needs an elastic gear"),
+        ("gear-torsion", True, "needs the torque of a sensor behind the gear"),
     ],
 )
 def test_an_effect_that_cannot_be_used_is_refused(
@@ -221,6 +222,19 @@ def test_a_sensor_behind_an_elastic_gear_shows_link_and_stiffness(tmp_path: Path
     steps = replace(study, experiments=(replace(study.experiments[0], use="tuning"),))
     with pytest.raises(InvalidInput, match="no motor input"):
         sw.identify(steps, data={"m": log})
+
+
+def test_a_sensor_behind_a_gear_called_rigid_shows_its_torsion(tmp_path: Path) -> None:
+    """The anti-resonance is at 4 Hz, three times the highest frequency of the motion."""
+    log = Pendulum(viscous=0.3, coulomb=0.0).log()
+    log["tau_l1"] = log.pop("torque1")
+    log["theta_m1"] = log["theta_m1"] + log["tau_l1"] / 300.0
+    model = model_of(study_of(tmp_path), log)
+    assert size_of(model, "gear-torsion") == pytest.approx(1.0 / 300.0, rel=0.05)
+    result = {p.name: p for p in model.parameters}
+    for name, value in {"link_inertia": 0.5, "gravity_torque_1": 6.0}.items():
+        low, high = result[name].ci95 or (np.inf, -np.inf)
+        assert low < value < high
 
 
 def codes_of(study: sw.Study, log: Mapping[str, FloatArray], *options: str) -> dict[str, str]:

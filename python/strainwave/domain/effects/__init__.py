@@ -44,6 +44,7 @@ OF_RIGID_JOINTS = (
     "ground-spring",
     "encoder-zero",
     "torque-delay",
+    "gear-torsion",
 )
 """Names of the effects of which the rigid step has equations."""
 

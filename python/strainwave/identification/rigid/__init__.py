@@ -104,7 +104,7 @@ def _fit(
     doubt, noise_share = np.zeros_like(best.covariance), np.ones(1)
     changes: list[dict[str, float]] = []
     if candidates:
-        best, nearby, choice = _with_terms(best, nearby, motions, candidates)
+        plain, (best, nearby, choice) = _at_best_bandwidth(trials, motions, candidates)
         start, moved = with_coarse_zeros(plain, motions, candidates)
         if start is not plain:
             zeros = [c for c in moved if c.corrected]
@@ -161,6 +161,23 @@ def _search(
     if insignificant(at_delay, at_delay[0].common_deviation):
         return trials, plain
     return undelayed, candidates
+
+
+def _at_best_bandwidth(
+    trials: Sequence[Trial], motions: Sequence[Motion], candidates: Sequence[Candidate]
+) -> tuple[Trial, tuple[Trial, list[Trial], Choice]]:
+    """Trial without terms, and fits with them, at the best bandwidth of the model with terms.
+
+    Without them, the change of the estimates with the bandwidth favours low bandwidths, at which a
+    short record shows no term. Only higher ones are tried, so the iteration ends.
+    """
+    plain = select_bandwidth(trials)
+    while True:
+        fits = _with_terms(plain, neighbours(trials, plain), motions, candidates)
+        better = select_bandwidth([*fits[1], fits[0]]).bandwidth_hz
+        if better <= plain.bandwidth_hz:
+            return plain, fits
+        plain = next(trial for trial in trials if trial.bandwidth_hz == better)
 
 
 def _with_terms(

@@ -86,9 +86,12 @@ def select_bandwidth(trials: Sequence[Trial]) -> Trial:
     The regret of a bandwidth is the largest ratio of a standard deviation to its minimum over the
     bandwidths. For elastic gears, the lowest bandwidth with a small regret is selected, because
     model error is largest at high frequencies. For rigid gears, the standard deviations include the
-    model error, because noise of the acceleration or a delay biases inertias at high frequencies.
+    model error, because noise of the acceleration or a delay biases inertias at high frequencies;
+    bandwidths with few rows count only if there are no others.
     """
     is_rigid = not n_compliances(trials[0].arm)
+    if is_rigid:
+        trials = [t for t in trials if not t.has_short_blocks] or trials
     spread = np.array([trial.spread for trial in trials])
     for k, trial in enumerate(trials if is_rigid else ()):
         near = neighbours(trials, trial)

@@ -20,6 +20,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import (
     DELAY,
     SPRING,
+    TORSION,
     ZERO,
     body_regressor,
     friction_per_size,
@@ -37,7 +38,8 @@ _JACKKNIFE_BLOCKS = 20  # blocks of the jackknife over all records
 _LOAD_FRICTION_STD = 0.5  # prior standard deviation of the load friction; gears have 0.03 to 0.3
 # prior standard deviations of sizes [rad, m], [s] that have no relation to the torque
 _KNOWN_STDS = {"load-friction": _LOAD_FRICTION_STD, ZERO: 1.0, DELAY: 0.05}
-_ZERO_STEP = 1e-5  # [rad, m] of an angle, for a derivative
+_TORSION_STD = 0.01  # [rad, m] of a gear at its largest torque
+_ANGLE_STEP = 1e-5  # [rad, m] largest change of an angle, for a derivative
 _LOG_SHAPE_STD = 0.7  # prior standard deviation of a shape's logarithm: a factor of two
 _SHAPE_STEP = 1e-3  # of a shape's logarithm, for its derivative
 _COMPLIANCE_STD = 0.25  # prior standard deviation of (bandwidth / anti-resonance)^2
@@ -125,11 +127,13 @@ class Terms:
         )
         return Terms(tuple(candidates), tuple(directions))
 
-    def deviations(self, stretches: Sequence[Stretch]) -> FloatArray:
+    def deviations(self, arm: Arm, stretches: Sequence[Stretch]) -> FloatArray:
         """Prior standard deviations of the sizes, then of the estimated shapes' logarithms.
 
         They correspond to the largest torque of the joint, or to a known size.
         """
+        of_links = [np.max(np.abs(arm.joints_of(s.torque)), axis=0) for s in stretches]
+        at_link = np.max(of_links, axis=0)
         torque = np.max([np.max(np.abs(s.torque), axis=0) for s in stretches], axis=0)
         speed, angle = (
             np.max([np.max(np.abs(s.motion[k]), axis=0) for s in stretches], axis=0) for k in (1, 0)
@@ -142,6 +146,8 @@ class Terms:
                 "load-speed-friction": speed[c.joint] * torque[c.joint] / _LOAD_FRICTION_STD,
                 SPRING: angle[c.joint],
             }.get(c.effect, 1.0)
+            if c.effect == TORSION:
+                return float(_TORSION_STD / max(at_link[c.joint], tiny))
             known = _KNOWN_STDS.get(c.effect)
             return known if known is not None else float(torque[c.joint] / max(per_unit, tiny))
 
@@ -161,23 +167,36 @@ class Terms:
         velocity, direction = stretch.motion[1], self.direction[record]
         interval = stretch.motion_step * stretch.signals.sample_time
 
+        def motor_torque() -> FloatArray:
+            viscous, coulomb, _ = arm.joint_friction(solution).T
+            rotors = arm.motors_of_rigid(share) @ solution[: arm.n_body]
+            body = load + rotors * stretch.motion[2]
+            return np.asarray(body + viscous * velocity + coulomb * direction)
+
+        def torque_per_shift(*shift: FloatArray) -> FloatArray:
+            """Motor torques per shift of the links: an angle and its derivatives."""
+            step = _ANGLE_STEP / max(float(np.max(np.abs(shift[0]))), np.finfo(float).tiny)
+            ahead, behind = (
+                arm.link_torques(
+                    base, *(x + h * dx for x, dx in zip((q, dq, ddq), shift, strict=True))
+                )
+                for h in (step, -step)
+            )
+            return arm.motors_of((ahead - behind) / (2.0 * step))
+
         def regressor(c: Candidate, factor: float = 1.0) -> FloatArray:
             """Torques of all joints per size, or those of the joint alone."""
             i, unit = c.joint, np.eye(arm.n_joints)[c.joint]
             if c.effect == SPRING:
                 return arm.motors_of(q * unit)
             if c.effect == ZERO:
-                ahead, behind = (
-                    arm.link_torques(base, q + step * unit, dq, ddq)
-                    for step in (_ZERO_STEP, -_ZERO_STEP)
-                )
-                return arm.motors_of((ahead - behind) / (2.0 * _ZERO_STEP))
+                return torque_per_shift(np.ones_like(q) * unit, 0.0 * dq, 0.0 * ddq)
             if c.effect == DELAY:
-                viscous, coulomb, _ = arm.joint_friction(solution).T
-                rotors = arm.motors_of_rigid(share) @ solution[: arm.n_body]
-                body = load + rotors * stretch.motion[2]
-                torque = body + viscous * velocity + coulomb * direction
-                return -differentiate(torque, interval)
+                return -differentiate(motor_torque(), interval)
+            if c.effect == TORSION:
+                twist = arm.joints_of(motor_torque()) * unit
+                rate = differentiate(twist, interval)
+                return -torque_per_shift(twist, rate, differentiate(rate, interval))
             law = friction_per_size(c.effect, factor * c.shape, velocity[:, i], load[:, i])
             return np.asarray(law * direction[:, i])
 
@@ -219,7 +238,7 @@ def assemble(
     parts = list(_parts(arm, stretches, around, terms if around is not None else None))
     term_std = np.zeros(0)
     if terms is not None and around is not None:
-        term_std = terms.deviations(stretches)
+        term_std = terms.deviations(arm, stretches)
     compliance_std = np.zeros(0)
     if around is not None and n_elastic:
         compliance_std = _compliance_std(arm, stretches, around)

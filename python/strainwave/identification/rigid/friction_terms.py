@@ -29,10 +29,10 @@ _MAX_ITERATIONS = 12
 MAX_POWER_RATIO = 0.5
 """Ratio of squared residuals from which a delay or a distant encoder zero corrects the signals."""
 
-# change at convergence: of a shape's logarithm, of an angle [rad, m], of a delay [s]
-_TOLERANCES = {STRIBECK: 0.02, ZERO: 1e-4, DELAY: 1e-6}
-# in one iteration
-_MAX_CHANGES = {STRIBECK: 0.7, ZERO: 0.5, DELAY: 0.02}
+# changes at convergence, and largest changes in one iteration: of a shape's logarithm, and of
+# corrections in prior standard deviations
+_SHAPE_TOLERANCE, _MAX_SHAPE_CHANGE = 0.02, 0.7
+_TOLERANCE, _MAX_CHANGE = 1e-4, 0.5
 
 
 def fit_with_terms(trial: Trial, motions: Sequence[Motion], terms: Sequence[Candidate]) -> Trial:
@@ -47,27 +47,25 @@ def fit_with_terms(trial: Trial, motions: Sequence[Motion], terms: Sequence[Cand
             trial.factor.common[: len(terms)].tolist(),
             iter(trial.factor.common[len(terms) :].tolist()),
         )
+        deviations = trial.equations.common_deviation[: len(terms)].tolist()
         moved, has_converged = [], True
-        for c, size in zip(terms, sizes, strict=True):
-            change = 0.0
+        for c, size, deviation in zip(terms, sizes, deviations, strict=True):
             if c.effect in CORRECTIONS:
-                change = size
-            elif c.size is not None:
-                change = next(shapes)
-            limit = _MAX_CHANGES.get(c.effect, 0.0)
-            step = min(max(change, -limit), limit)
-            if c.effect in CORRECTIONS:
+                limit = _MAX_CHANGE * deviation
+                step = min(max(size, -limit), limit)
+                has_converged &= abs(size) <= _TOLERANCE * deviation
                 moved.append(replace(c, corrected=c.corrected + step))
             elif c.effect == STRIBECK:
-                has_converged &= c.size is not None
+                change = 0.0 if c.size is None else next(shapes)
+                step = min(max(change, -_MAX_SHAPE_CHANGE), _MAX_SHAPE_CHANGE)
+                has_converged &= c.size is not None and abs(change) <= _SHAPE_TOLERANCE
                 moved.append(replace(c, shape=c.shape * float(np.exp(step)), size=size))
             else:
                 moved.append(c)
-            has_converged &= abs(change) <= _TOLERANCES.get(c.effect, 0.0)
         possible = [
             c
             for c, size in zip(moved, sizes, strict=True)
-            if size >= 0.0 or _can_be_negative(c) or not is_selected(trial.arm, c)
+            if (c.corrected or size) >= 0.0 or _can_be_negative(c) or not is_selected(trial.arm, c)
         ]
         if has_converged and len(possible) == len(moved):
             break

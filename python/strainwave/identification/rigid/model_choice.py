@@ -17,7 +17,7 @@ from strainwave.domain import BoolArray, FloatArray
 from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
 from strainwave.domain.ranges import physical_range
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.rigid_prediction import DELAY, ZERO
+from strainwave.dynamics.rigid_prediction import DELAY, TORSION, ZERO
 from strainwave.identification.rigid.bounds import MAX_NEGLIGIBLE_SHARE, has_zero_bound
 from strainwave.identification.rigid.equations import ALL_JOINTS, Candidate, Terms, assemble
 from strainwave.identification.rigid.stretch import Stretch, n_compliances
@@ -73,6 +73,7 @@ def candidates_of(arm: Arm, stretches: Sequence[Stretch]) -> list[Candidate]:
         if slides[i] and effect != DELAY
         if effect != ZERO or arm.gravity_size > 0.0
         if effect != POWER or largest[i] > _MIN_POWER_SPEED
+        if effect != TORSION or arm.joints[i].torque_at_link
     ]
     is_delayed = any(DELAY in names for names in effects)
     return [*of_joints, Candidate(DELAY, ALL_JOINTS)] if is_delayed else of_joints
@@ -121,23 +122,27 @@ class Choice:
         return [*terms, *(n + at for at, k in enumerate(estimated) if k in terms)]
 
     def is_possible(self, terms: Sequence[int]) -> bool:
-        """Whether the terms make no size and no parameter impossible that is possible without."""
+        """Whether the terms make no size and no parameter impossible that is possible without.
+
+        A negative value is impossible if its interval, or that without the terms, excludes zero.
+        """
         solution, own = self.models.solution(terms), self.trial.solution
         columns = self.trial.arm.rigid_columns
         negative = [
             k for k, c in enumerate(columns) if solution[k] < 0.0 and has_zero_bound(c.name)
         ]
-        if any(own[k] > 0.0 for k in negative):
-            return False
         if negative:
             width = self.trial.interval_half_width
             upper = solution + width * np.sqrt(np.diag(self.covariance(terms)))
-            own_upper = own + width * self.trial.standard_deviations
-            if any(upper[k] < 0.0 < own_upper[k] for k in negative if self.trial.determined[k]):
+            half = width * self.trial.standard_deviations
+            is_certain = (own > half) | ((upper < 0.0) & (own > -half) & self.trial.determined)
+            if is_certain[negative].any():
                 return False
-        effects = (self.candidates[k].effect for k in terms)
-        sizes = self.models.sizes(terms).tolist()
-        return all(size > self._least(each) for size, each in zip(sizes, effects, strict=True))
+        of_terms = zip(terms, self.models.sizes(terms).tolist(), strict=True)
+        return all(
+            self.candidates[k].corrected + size > self._least(self.candidates[k].effect)
+            for k, size in of_terms
+        )
 
     def _least(self, effect: str) -> float:
         """Lower limit of the size of an effect."""
@@ -263,15 +268,27 @@ class Choice:
                 for same in self._rivals(chosen)
                 if joint_of[same[0]] == joint
             ]
-            added = sorted((m for m in added if self.is_possible(m)), key=self._total)
-            if len(added) > 1:  # two terms may predict better only together, as of load and speed
-                pair = [*added[-1], added[-2][-1]]
-                added += [pair] if self.is_possible(pair) else []
-            models += added
+            added = [m for m in added if self.is_possible(m)]
+            models += [*added, *self._pairs(added)]
             yield [self.with_shapes(model) for model in models]
         if n_joints > 1:
             first = self.models.equations.common.shape[1] - n_joints
             yield [[*self.with_shapes(chosen), first + joint] for joint in range(n_joints)]
+
+    def _pairs(self, added: Sequence[list[int]]) -> list[list[int]]:
+        """Best pair of each last term of some models, if it predicts better than both alone.
+
+        Two terms may predict better only together, as those of load and speed.
+        """
+        totals = {m[-1]: self._total(m) for m in added}
+        pairs: dict[frozenset[int], list[int]] = {}
+        for model in added:
+            others = [[*model, k] for k in totals if k != model[-1]]
+            pair = max(others, key=self._total, default=model)
+            alone = max(totals[k] for k in pair[-2:] if k in totals)
+            if self._total(pair) > alone and self.is_possible(pair):
+                pairs[frozenset(pair)] = pair
+        return list(pairs.values())
 
     def _rivals(self, chosen: Sequence[int]) -> list[list[int]]:
         """Candidates that a model lacks, those of one effect and joint together.

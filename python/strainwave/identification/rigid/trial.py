@@ -96,14 +96,20 @@ class Trial:
         """Whether a parameter is poorly determined or the standard deviations are unreliable.
 
         At low bandwidths, the effect of a poorly determined parameter may be attributed to
-        compliance. Standard deviations are unreliable if the blocks of the jackknife are shorter
-        than the correlation time of the errors.
+        compliance.
         """
         torque = float(np.linalg.norm(self.factor.root * self.equations.target))
         largest = float(np.max(self.standard_deviations * self.factor.scale))
+        return largest / torque > _MAX_UNCERTAIN_TORQUE_SHARE or self.has_short_blocks
+
+    @property
+    def has_short_blocks(self) -> bool:
+        """Whether blocks are shorter than the correlation time of the errors.
+
+        The standard deviations of the jackknife are unreliable then.
+        """
         n_rows = _MIN_ROWS_PER_BLOCK * self.n_blocks * self.arm.n_joints
-        is_vague = largest / torque > _MAX_UNCERTAIN_TORQUE_SHARE
-        return is_vague or len(self.equations.target) < n_rows
+        return len(self.equations.target) < n_rows
 
     @property
     def max_rigid_bandwidth(self) -> float:
