@@ -343,8 +343,8 @@ def _input_delays(case: Case) -> Iterator[Hypothesis]:
 
 def _time_bases(case: Case) -> Iterator[Hypothesis]:
     """A time base in another unit, or a wrong clock rate of the logger."""
-    clocks = case.values(None, "prbs-clock", "servo-clock")
-    if not clocks and not case.contradicts("explained-share", "scale"):
+    clocks = case.values(None, "servo-clock")  # a PRBS may have another clock
+    if not clocks and not case.contradicts("prbs-clock", "explained-share", "scale"):
         return
     for estimate in (*([1.0 / float(np.median(clocks))] if clocks else ()), *_TIMES.values()):
         unit, factor = _match_known_factor(estimate, _TIMES)
@@ -358,7 +358,8 @@ def _time_bases(case: Case) -> Iterator[Hypothesis]:
 def _record_clocks(case: Case) -> Iterator[Hypothesis]:
     """A wrong PRBS clock of the study, or another clock of the logger, in some of the records.
 
-    Without a second clock in these records the two cannot be told apart.
+    Without a second clock in these records the two cannot be told apart, but no logger is wrong by
+    a whole factor.
     """
     clocks = [o for o in case.contradictions if o.kind in ("prbs-clock", "servo-clock")]
     wrong = {o.place.experiments[0]: o for o in clocks}
@@ -379,8 +380,11 @@ def _record_clocks(case: Case) -> Iterator[Hypothesis]:
     clause = Clause("clock-drift/records", records=names, ratio=ratio)
     remedy = Clause("remedy/record-clock", records=names, ratio=1.0 / ratio)
     of_logger = Hypothesis("clock-drift", clause, (), remedy, at=at, factor=ratio, excluded=names)
+    slower = min(ratio, 1.0 / ratio)
+    is_whole = round(1.0 / slower) > 1 and whole_reduction(slower)[1]
+    is_equal = len(wrong) == len(clocked) and not is_whole
     if changes and len(changes) == len(wrong):
-        yield replace(of_prbs, rivals=(of_logger.as_rival(),) * (len(wrong) == len(clocked)))
+        yield replace(of_prbs, is_undecided=is_equal, rivals=(of_logger.as_rival(),) * is_equal)
     if len(wrong) < len(clocked):
         yield of_logger
 
