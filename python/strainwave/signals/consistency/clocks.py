@@ -15,6 +15,8 @@ _MIN_SWITCHES = 24
 # Minimum size of a switch, as a share of the command's range. Less than half, because a servo
 # output can add to the test signal.
 _MIN_JUMP_SHARE = 0.3
+# The same of one sample of a jump that takes several.
+_MIN_PART_SHARE = 0.1
 # Share of the range of a command below which a change is due to rounding.
 _ROUNDING = 1e-9
 # Maximum distance of a switch from a clock tick, in clock periods.
@@ -55,13 +57,13 @@ def estimate_clocks(log: Log, arm: Arm) -> Clocks:
         if control == "open" and experiment.prbs is not None:
             level[name] = 0.5 * float(np.ptp(values))
             if _has_two_levels(values):
-                prbs = prbs or _estimate_clock(values, log, _MIN_JUMP_SHARE)
+                prbs = prbs or _estimate_clock(_jumps(values), log)
                 prbs = prbs or _estimate_clock_from_period(values, log, experiment.prbs)
         elif control == "servo":
             if arm.servo is not None:
-                servo = servo or _estimate_clock(values, log, 0.0)
+                servo = servo or _estimate_clock(_changes(values), log)
             if experiment.prbs is not None and experiment.joint == i:
-                prbs = prbs or _estimate_clock(values, log, _MIN_JUMP_SHARE)
+                prbs = prbs or _estimate_clock(_jumps(values), log)
     return Clocks(prbs, servo, level, find_excited_inputs(log))
 
 
@@ -76,15 +78,35 @@ def find_excited_inputs(log: Log) -> frozenset[str]:
     return frozenset(excited)
 
 
-def _estimate_clock(values: FloatArray, log: Log, least: float) -> float | None:
-    """Clock period [s] of the changes of a command by more than the share `least` of its range.
+def _changes(values: FloatArray) -> FloatArray:
+    """Samples at which a signal changes by more than rounding."""
+    change = np.abs(np.diff(values))
+    return np.flatnonzero(change > _ROUNDING * float(np.ptp(values))).astype(np.float64)
+
+
+def _jumps(values: FloatArray) -> FloatArray:
+    """Samples, with fractions, of jumps by more than `_MIN_JUMP_SHARE` of the range.
+
+    Lags and interpolation spread a jump over some samples; its time is their centroid.
+    """
+    change, size = np.diff(values), float(np.ptp(values))
+    parts = np.flatnonzero(np.abs(change) > _MIN_PART_SHARE * size)
+    if not len(parts):
+        return np.zeros(0)
+    change, is_apart = change[parts], np.diff(parts) > 1
+    starts = np.flatnonzero(np.r_[True, is_apart | (np.diff(np.sign(change)) != 0.0)])
+    total = np.add.reduceat(change, starts)
+    times = np.add.reduceat(parts * change, starts) / total
+    return np.asarray(times[np.abs(total) > _MIN_JUMP_SHARE * size])
+
+
+def _estimate_clock(changes: FloatArray, log: Log) -> float | None:
+    """Clock period [s] of changes at given samples.
 
     The shortest interval between changes gives a starting value. Linear regression of the change
     times on the tick numbers refines it. Returns None unless nearly all intervals are whole
     multiples of the period.
     """
-    change = np.diff(values)
-    changes = np.flatnonzero(np.abs(change) > max(least, _ROUNDING) * float(np.ptp(values))) + 1
     if len(changes) < _MIN_SWITCHES:
         return None
     intervals = np.diff(changes)

@@ -32,6 +32,7 @@ from strainwave.signals.consistency.hypothesis import (
     whole_reduction,
 )
 from strainwave.signals.consistency.motors import effort_channel
+from strainwave.signals.consistency.observations import EXPECTED
 from strainwave.signals.consistency.sensors import (
     IMU_ACCELEROMETERS,
     LINK_CHANNELS,
@@ -317,28 +318,41 @@ def _sensor_delays(case: Case) -> Iterator[Hypothesis]:
 def _input_delays(case: Case) -> Iterator[Hypothesis]:
     """Commands with a delay relative to the encoders, or encoders relative to the commands.
 
-    All commands with one delay, then one command or one motor angle: link sensors tell which of the
-    two is late.
+    All commands with one delay, then one command or one motor angle: link sensors and torques tell
+    which of the two is late. Delays of an angle that are tolerated relative to link sensors are no
+    rivals.
     """
     values = case.by_channel("input-delay")
-    angle_of = {name: f"theta_m{channel_parts(name)[1]}" for name in values}
-    late: list[tuple[str, tuple[str, ...], tuple[str, ...], float]]
-    late = [("command", (name,), (name,), delay) for name, delay in values.items()]
-    late += [("angle", (name,), (angle_of[name],), -delay) for name, delay in values.items()]
     delays = list(values.values())
     if len(values) > 1 and np.ptp(delays) < _MAX_DELAY_DIFFERENCE:
-        late.insert(0, ("command", tuple(values), tuple(values), float(np.mean(delays))))
-    for kind, commands, names, delay in late:
-        clause = Clause(
-            f"misaligned/{kind}",
-            channels=names,
-            delay=abs(delay),
-            side="later" if delay > 0.0 else "earlier",
-            commands=commands,
-            angles=tuple(angle_of[name] for name in commands),
-        )
-        shifts, remedy = of_logs(names, "delay_s", round(delay, 6)), Clause("remedy/command")
-        yield Hypothesis("misaligned", clause, shifts, remedy, delay_s=delay)
+        yield _late_motors("command", tuple(values), tuple(values), float(np.mean(delays)))
+    pairs = []
+    for name, delay in values.items():
+        of_motor = f"theta_m{channel_parts(name)[1]}"
+        command = _late_motors("command", (name,), (name,), delay)
+        pairs.append((command, _late_motors("angle", (name,), (of_motor,), -delay)))
+    tolerated = EXPECTED["delay"].tolerance
+    for command, angle in pairs:
+        is_rival = abs(angle.delay_s or 0.0) > tolerated
+        yield replace(command, rivals=(angle.as_rival(),) * is_rival)
+    for command, angle in pairs:
+        yield replace(angle, rivals=(command.as_rival(),))
+
+
+def _late_motors(
+    kind: str, commands: tuple[str, ...], names: tuple[str, ...], delay: float
+) -> Hypothesis:
+    """Late commands, or angles that respond to them."""
+    clause = Clause(
+        f"misaligned/{kind}",
+        channels=names,
+        delay=abs(delay),
+        side="later" if delay > 0.0 else "earlier",
+        commands=commands,
+        angles=tuple(f"theta_m{channel_parts(name)[1]}" for name in commands),
+    )
+    shifts, remedy = of_logs(names, "delay_s", round(delay, 6)), Clause("remedy/command")
+    return Hypothesis("misaligned", clause, shifts, remedy, delay_s=delay)
 
 
 def _time_bases(case: Case) -> Iterator[Hypothesis]:
