@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from strainwave.domain import Experiment, FloatArray, Joint, Log, Study
+from strainwave.domain import Experiment, FloatArray, Joint, Log, Place, Study
 from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.consistency import stuck_sensors
@@ -110,7 +110,8 @@ def standing(
         for name, table in tables.items()
     ]
     found = stuck_sensors.measure_standing_encoders(logs, arm)
-    return [record for each in found for record in each.unknown]
+    places = [place for _, fault in found if fault is not None for place in fault.places]
+    return [record for place in places for record in place.experiments]
 
 
 RATE = np.asarray(np.cos(2.0 * np.pi * TIME), dtype=np.float64)
@@ -145,7 +146,7 @@ def test_an_encoder_that_follows_no_motion_is_unknown_in_all_records() -> None:
         )
         for name, rate in (("moves", RATE), ("rests", REST))
     ]
-    (encoder,) = stuck_sensors.measure_standing_encoders(logs, arm)
-    assert encoder.unknown == ("moves", "rests")
-    assert encoder.suspicion is not None
-    assert encoder.suspicion.places[0].experiments == ("moves",)
+    ((relation, fault),) = stuck_sensors.measure_standing_encoders(logs, arm)
+    assert not relation.is_consistent
+    assert fault is not None
+    assert fault.places == (Place(channel="theta_m1"),)

@@ -79,12 +79,15 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
             [*measure_clipping(logs, arm)],
             [*measure_standing_encoders(logs, arm)],
         )
-        suspicions = [suspicion for _, suspicion in clippings if suspicion is not None]
-        clipped_channels = [p.channel for each in suspicions for p in each.places if p.channel]
-        suspicions += [each.suspicion for each in encoders if each.suspicion is not None]
+        clipped, standing = (
+            [x for _, x in each if x is not None] for each in (clippings, encoders)
+        )
+        clipped_channels = [p.channel for each in clipped for p in each.places if p.channel]
+        unknown = [place.experiments for each in standing for place in each.places]
+        suspicions = clipped + standing
         # the relations between torques and motion hold for the arm alone, and for known angles
-        unknown = {record for each in encoders for record in each.unknown}
-        bare = [g for g in logs if g.experiment.payload is None and g.name not in unknown]
+        bare = [g for g in logs if not any(not names or g.name in names for names in unknown)]
+        bare = [log for log in bare if log.experiment.payload is None]
         unclipped = collect_evidence(bare, study).without(clipped_channels)
         explanations = search_explanations(unclipped)
         unclipped = replace(unclipped, best_fit=_best_fit(explanations))
@@ -92,7 +95,7 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
         suspicions.extend(_explain_contradictions(unclipped, observations, explanations or ()))
         warnings = tuple(report_impossible_links(study.arm))
         warnings += () if suspicions else tuple(compare_urdf_masses(unclipped))
-    of_sensors = (*(relation for relation, _ in clippings), *(each.relation for each in encoders))
+    of_sensors = (relation for relation, _ in clippings + encoders)
     relations = (*of_sensors, *relations_of(observations))
     return Consistency(tuple(suspicions), relations, warnings, _unchecked(logs, relations))
 

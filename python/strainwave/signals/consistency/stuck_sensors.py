@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -91,20 +90,14 @@ def _clipped_share(log: Log, name: str, travel: float, *, rests: bool) -> float:
     return float(sum(stop - start for start, stop in runs)) / len(values)
 
 
-@dataclass(frozen=True, slots=True)
-class StandingEncoder:
-    """Readings of one motor encoder in the records in which other channels show motion."""
-
-    relation: Relation
-    unknown: tuple[str, ...]  # records in which the angle is unknown
-    suspicion: Suspicion | None
-
-
-def measure_standing_encoders(logs: Sequence[Log], arm: Arm) -> Iterator[StandingEncoder]:
+def measure_standing_encoders(
+    logs: Sequence[Log], arm: Arm
+) -> Iterator[tuple[Relation, Suspicion | None]]:
     """Yield the least number of readings of each motor encoder in a record of motion.
 
-    A reference that a servo follows, a logged rate, a link angle and a test signal show motion; a
-    torque does not, since joints are held against gravity.
+    With a suspicion if an encoder stands still: in some records, or in general. A reference that a
+    servo follows, a logged rate, a link angle and a test signal show motion; a torque does not,
+    since joints are held against gravity.
     """
     moving = _moving_joints(logs, arm.n_joints)
     for i in range(1, arm.n_joints + 1):
@@ -115,7 +108,7 @@ def measure_standing_encoders(logs: Sequence[Log], arm: Arm) -> Iterator[Standin
         if not readings:
             continue
         records = tuple(record for record, n in readings.items() if n < _MIN_READINGS)
-        place = Place(records, name) if records else Place(channel=name)
+        place = Place(records if len(records) < len(readings) else (), name)
         n, least = float(min(readings.values())), float(_MIN_READINGS)
         relation = Relation("readings", place, n, 0.0, least, n >= least, 0.0, "least")
         sources = tuple(dict.fromkeys(moving[record, i] for record in records))
@@ -126,9 +119,7 @@ def measure_standing_encoders(logs: Sequence[Log], arm: Arm) -> Iterator[Standin
             clause=Clause("dead-channel/encoder", **values),
             remedy_clause=Clause("remedy/encoder", **values),
         )
-        is_dead = len(records) == len(readings)
-        unknown = tuple(log.name for log in logs) if is_dead else records
-        yield StandingEncoder(relation, unknown, fault if records else None)
+        yield relation, fault if records else None
 
 
 def _moving_joints(logs: Sequence[Log], n_joints: int) -> dict[tuple[str, int], str]:
