@@ -44,7 +44,7 @@ def printed(check: InputCheck) -> str:
 
 def test_every_kind_of_relation_has_a_text() -> None:
     kinds = {key.partition("/")[2] for key in templates() if key.startswith("relation/")}
-    assert kinds == {"clipped", *EXPECTED}
+    assert kinds == {"clipped", "readings", *EXPECTED}
 
 
 def test_consistent_input() -> None:

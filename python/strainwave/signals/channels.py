@@ -206,11 +206,12 @@ def estimate_encoder_count(angles: Sequence[FloatArray]) -> float | None:
     steps are whole multiples of it. `angles` holds the same channel of several records, each of
     shape (n_samples,). Returns None if the angle shows no quantisation.
     """
-    steps = np.concatenate(
-        [np.zeros(0), *(np.abs(np.diff(angle[:_MAX_SAMPLES])) for angle in angles)]
-    )
-    largest = steps.max(initial=0.0)
-    steps = steps[steps > 1e-9 * largest]
+    used = [angle[:_MAX_SAMPLES] for angle in angles]
+    # interpolation, as of a shifted log, divides a step, but not that between two held readings
+    held = [angle[1:][angle[1:] == angle[:-1]] for angle in used]
+    steps = _nonzero_steps(held)
+    if len(steps) < _MIN_STEPS:
+        steps = _nonzero_steps(used)
     if len(steps) < _MIN_STEPS:
         return None
     sorted_steps = np.sort(steps)
@@ -237,3 +238,8 @@ def estimate_encoder_count(angles: Sequence[FloatArray]) -> float | None:
         if np.mean(distance < _MAX_COUNT_DISTANCE) > _MIN_WHOLE_SHARE and distinct > 1
         else None
     )
+
+
+def _nonzero_steps(angles: Sequence[FloatArray]) -> FloatArray:
+    steps = np.concatenate([np.zeros(0), *(np.abs(np.diff(angle)) for angle in angles)])
+    return np.asarray(steps[steps > 1e-9 * steps.max(initial=0.0)])

@@ -277,3 +277,11 @@ def test_time_in_milliseconds_gives_no_traceback(arm: Input, tmp_path: Path) -> 
 
 def test_no_usable_record_shows_no_encoder_count() -> None:
     assert estimate_encoder_count([]) is None
+
+
+@pytest.mark.parametrize("fraction", [0.05, 0.25, 1.0 / 3.0, 0.5, 0.8])
+def test_interpolated_samples_show_the_count_of_the_encoder(fraction: float) -> None:
+    time = np.arange(20_000) / 4000.0
+    angle = np.floor(200.0 * np.sin(2.0 * np.pi * 3.0 * time) + 2000.0 * time**2) * 1e-3
+    shifted = np.interp(np.arange(len(time)) + fraction, np.arange(len(time)), angle)
+    assert estimate_encoder_count([shifted]) == pytest.approx(1e-3, rel=1e-3)

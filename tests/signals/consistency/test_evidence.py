@@ -8,6 +8,12 @@ import numpy as np
 import pytest
 
 from consistency_inputs import Input
+from strainwave.domain import Experiment, Joint, Lag, Log, Prbs
+from strainwave.domain.kinds import single_joint
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.excitation import prbs
+from strainwave.numerics.filters import apply_lags
+from strainwave.signals.consistency.clocks import estimate_clocks
 from strainwave.signals.consistency.evidence import collect_evidence, motion_bands
 from strainwave.signals.consistency.motors import spread_stretches
 from strainwave.signals.consistency.torque_fit import regress_torques
@@ -71,3 +77,22 @@ def test_a_joint_whose_signals_do_not_change_is_regressed_once(vertical_arm: Inp
     same, other = regress_torques(replace(evidence, records=tuple(scaled)))
     assert same is first
     assert other.inertia == pytest.approx(2.0 * second.inertia)
+
+
+@pytest.mark.parametrize("is_torque", [False, True])
+@pytest.mark.parametrize("clock", [1e-3, 2e-3, 5.25e-3])
+def test_the_jumps_of_a_prbs_show_its_clock_where_a_servo_acts(
+    clock: float, is_torque: bool
+) -> None:
+    """The servo adds a slow motion, and noise in each of its periods; torques lag behind both."""
+    T, test = 2.5e-4, Prbs(order=9, clock=clock, periods=2, amplitude=5.0)
+    time = np.asarray(T * np.arange(round(2 * 511 * clock / T)), dtype=np.float64)
+    switches = prbs(test)[np.minimum((time / clock + 1e-9).astype(int), 2 * 511 - 1)]
+    servo = np.repeat(0.3 * np.random.default_rng(1).standard_normal(len(time)), 4)[: len(time)]
+    voltage = switches + servo + 2.0 * np.sin(2.0 * np.pi * time)
+    name = "torque1" if is_torque else "u1"
+    command = apply_lags(voltage, [Lag(1, 1000.0)], T, held=True) if is_torque else voltage
+    arm = Arm.of(single_joint(Joint(spring="linear", gear_ratio=0.01, torque_per_volt=0.1)))
+    record = Experiment("prbs", "prbs", "frequency", ("servo",), joint=1, prbs=test)
+    estimate = estimate_clocks(Log(record, time, T, {name: command}), arm).prbs
+    assert estimate == pytest.approx(clock, rel=1e-3)

@@ -136,7 +136,6 @@ HORIZONTAL: dict[str, tuple[Fault, tuple[str, ...]]] = {
     ),
     "joint": (keyed(Correction("experiment", "prbs-j1", "joint", 2)), ("swapped-channels",)),
     "voltages exchanged": (exchanged("u"), ("swapped-channels",)),
-    "1 % fast": (timed(0.99), ("clock-drift",)),
     "1.5 ms": (delayed(1.5e-3, "u1", "u2"), ("misaligned",)),
     "3 ms of one": (delayed(3e-3, "u1"), ("misaligned",)),
     "10 ms": (delayed(1e-2, "u1", "u2"), ("misaligned",)),
@@ -200,6 +199,12 @@ def test_applying_the_remedy_of_gravity_makes_the_input_consistent(
 ) -> None:
     change, codes = VERTICAL[fault]
     assert_remedied(change(vertical_arm), codes)
+
+
+def test_a_prbs_alone_does_not_tell_its_clock_from_time_stamps(horizontal_arm: Input) -> None:
+    both = check_consistency(*timed(0.99)(horizontal_arm)).suspected
+    assert [each.code for each in both] == ["wrong-prbs-clock", "clock-drift"]
+    assert [each.corrections for each in both] == [(), ()]
 
 
 def test_the_delay_of_a_command_is_estimated_within_0_1_ms(horizontal_arm: Input) -> None:

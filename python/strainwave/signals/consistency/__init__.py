@@ -24,7 +24,6 @@ from strainwave.domain import (
 )
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.parallel import one_blas_thread
-from strainwave.signals.consistency.clipping import measure_clipping
 from strainwave.signals.consistency.evidence import BestFit, Evidence, collect_evidence
 from strainwave.signals.consistency.hypothesis import MIN_SHARE_OF_GAIN, Case, Hypothesis
 from strainwave.signals.consistency.input_hypotheses import propose_hypotheses
@@ -34,6 +33,10 @@ from strainwave.signals.consistency.observations import (
     Observation,
     compute_observations,
     relations_of,
+)
+from strainwave.signals.consistency.stuck_sensors import (
+    measure_clipping,
+    measure_standing_encoders,
 )
 from strainwave.signals.consistency.torque_search import search_explanations
 from strainwave.signals.consistency.urdf_masses import compare_urdf_masses, report_impossible_links
@@ -71,11 +74,20 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
     causes, most likely first. Warnings are about values of the study that are only a prior.
     """
     with one_blas_thread():
-        clippings = list(measure_clipping(logs, Arm.of(study.arm)))
-        suspicions = [suspicion for _, suspicion in clippings if suspicion is not None]
-        clipped_channels = [p.channel for each in suspicions for p in each.places if p.channel]
-        # the relations between torques and motion hold for the arm alone
-        bare = [log for log in logs if log.experiment.payload is None]
+        arm = Arm.of(study.arm)
+        clippings, encoders = (
+            [*measure_clipping(logs, arm)],
+            [*measure_standing_encoders(logs, arm)],
+        )
+        clipped, standing = (
+            [x for _, x in each if x is not None] for each in (clippings, encoders)
+        )
+        clipped_channels = [p.channel for each in clipped for p in each.places if p.channel]
+        unknown = [place.experiments for each in standing for place in each.places]
+        suspicions = clipped + standing
+        # the relations between torques and motion hold for the arm alone, and for known angles
+        bare = [g for g in logs if not any(not names or g.name in names for names in unknown)]
+        bare = [log for log in bare if log.experiment.payload is None]
         unclipped = collect_evidence(bare, study).without(clipped_channels)
         explanations = search_explanations(unclipped)
         unclipped = replace(unclipped, best_fit=_best_fit(explanations))
@@ -83,7 +95,8 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
         suspicions.extend(_explain_contradictions(unclipped, observations, explanations or ()))
         warnings = tuple(report_impossible_links(study.arm))
         warnings += () if suspicions else tuple(compare_urdf_masses(unclipped))
-    relations = (*(relation for relation, _ in clippings), *relations_of(observations))
+    of_sensors = (relation for relation, _ in clippings + encoders)
+    relations = (*of_sensors, *relations_of(observations))
     return Consistency(tuple(suspicions), relations, warnings, _unchecked(logs, relations))
 
 
@@ -99,7 +112,7 @@ def _unchecked(logs: Sequence[Log], relations: Sequence[Relation]) -> tuple[str,
 
     The relations of sensors and torques compare them with the motor angles.
     """
-    compared = {r.place.channel for r in relations if r.kind != "clipped"}
+    compared = {r.place.channel for r in relations if r.kind not in ("clipped", "readings")}
     joints = {channel_parts(r.place.channel or "")[1] for r in relations if r.kind == "inertia"}
     if any(r.kind == "torque-fit" for r in relations):
         joints |= {channel_parts(name)[1] for log in logs for name in log.channels}

@@ -15,6 +15,10 @@ _MIN_SWITCHES = 24
 # Minimum size of a switch, as a share of the command's range. Less than half, because a servo
 # output can add to the test signal.
 _MIN_JUMP_SHARE = 0.3
+# The same of one sample of a jump that takes several.
+_MIN_PART_SHARE = 0.1
+# Share of the range of a command below which a change is due to rounding.
+_ROUNDING = 1e-9
 # Maximum distance of a switch from a clock tick, in clock periods.
 _MAX_TICK_DISTANCE = 0.2
 # Minimum share of samples or switches that must agree with the hypothesis.
@@ -29,7 +33,7 @@ _MIN_PERIOD_CORRELATION = 0.8
 class Clocks:
     """Clock periods and levels of the commands in one log."""
 
-    prbs: float | None = None  # [s] clock of an open-loop PRBS
+    prbs: float | None = None  # [s] clock of the PRBS
     servo: float | None = None  # [s] update period of the servo output
     level: Mapping[str, float] = field(default_factory=dict)  # half the range of open-loop inputs
     excited: frozenset[str] = frozenset()  # commands that contain a test signal
@@ -52,12 +56,14 @@ def estimate_clocks(log: Log, arm: Arm) -> Clocks:
         values = log.channels[name]
         if control == "open" and experiment.prbs is not None:
             level[name] = 0.5 * float(np.ptp(values))
-            clock = _estimate_clock(values, log, two_levels=True) or _estimate_clock_from_period(
-                values, log, experiment.prbs
-            )
-            prbs = prbs or clock
-        elif control == "servo" and arm.servo is not None:
-            servo = servo or _estimate_clock(values, log, two_levels=False)
+            if _has_two_levels(values):
+                prbs = prbs or _estimate_clock(_jumps(values), log)
+                prbs = prbs or _estimate_clock_from_period(values, log, experiment.prbs)
+        elif control == "servo":
+            if arm.servo is not None:
+                servo = servo or _estimate_clock(_changes(values), log)
+            if experiment.prbs is not None and experiment.joint == i:
+                prbs = prbs or _estimate_clock(_jumps(values), log)
     return Clocks(prbs, servo, level, find_excited_inputs(log))
 
 
@@ -72,17 +78,35 @@ def find_excited_inputs(log: Log) -> frozenset[str]:
     return frozenset(excited)
 
 
-def _estimate_clock(values: FloatArray, log: Log, *, two_levels: bool) -> float | None:
-    """Clock period of a zero-order-hold signal [s].
+def _changes(values: FloatArray) -> FloatArray:
+    """Samples at which a signal changes by more than rounding."""
+    change = np.abs(np.diff(values))
+    return np.flatnonzero(change > _ROUNDING * float(np.ptp(values))).astype(np.float64)
+
+
+def _jumps(values: FloatArray) -> FloatArray:
+    """Samples, with fractions, of jumps by more than `_MIN_JUMP_SHARE` of the range.
+
+    Lags and interpolation spread a jump over some samples; its time is their centroid.
+    """
+    change, size = np.diff(values), float(np.ptp(values))
+    parts = np.flatnonzero(np.abs(change) > _MIN_PART_SHARE * size)
+    if not len(parts):
+        return np.zeros(0)
+    change, is_apart = change[parts], np.diff(parts) > 1
+    starts = np.flatnonzero(np.r_[True, is_apart | (np.diff(np.sign(change)) != 0.0)])
+    total = np.add.reduceat(change, starts)
+    times = np.add.reduceat(parts * change, starts) / total
+    return np.asarray(times[np.abs(total) > _MIN_JUMP_SHARE * size])
+
+
+def _estimate_clock(changes: FloatArray, log: Log) -> float | None:
+    """Clock period [s] of changes at given samples.
 
     The shortest interval between changes gives a starting value. Linear regression of the change
     times on the tick numbers refines it. Returns None unless nearly all intervals are whole
     multiples of the period.
     """
-    size = float(np.ptp(values))
-    if size == 0.0 or (two_levels and not _has_two_levels(values, size)):
-        return None
-    changes = np.flatnonzero(np.abs(np.diff(values)) > (0.5 if two_levels else 1e-9) * size) + 1
     if len(changes) < _MIN_SWITCHES:
         return None
     intervals = np.diff(changes)
@@ -102,9 +126,9 @@ def _estimate_clock(values: FloatArray, log: Log, *, two_levels: bool) -> float 
     )
 
 
-def _has_two_levels(values: FloatArray, size: float) -> bool:
-    """Whether a signal of range `size` has few samples near the middle of its range."""
-    middle = 0.5 * float(values.max() + values.min())
+def _has_two_levels(values: FloatArray) -> bool:
+    """Whether a signal has few samples near the middle of its range."""
+    size, middle = float(np.ptp(values)), 0.5 * float(values.max() + values.min())
     return bool(np.mean(np.abs(values - middle) < 0.2 * size) < 1.0 - _MIN_AGREEING_SHARE)
 
 
@@ -115,7 +139,7 @@ def _estimate_clock_from_period(values: FloatArray, log: Log, prbs: Prbs) -> flo
     elsewhere. Returns None if the record does not repeat the sequence.
     """
     size = float(np.ptp(values))
-    if prbs.periods < 2 or size == 0.0 or not _has_two_levels(values, size):
+    if prbs.periods < 2 or size == 0.0:
         return None
     n = len(values)
     spectrum = np.fft.rfft(values - values.mean(), 2 * n)

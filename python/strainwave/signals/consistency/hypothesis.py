@@ -10,7 +10,7 @@ import numpy as np
 
 from strainwave.domain import Clause, Correction, Place, Study, Suspicion, channel_parts
 from strainwave.domain.consistency import exchange_corrections, steps_of
-from strainwave.signals.consistency.evidence import Evidence
+from strainwave.signals.consistency.evidence import BestFit, Evidence
 from strainwave.signals.consistency.observations import Observation
 from strainwave.signals.consistency.sensors import LINK_CHANNELS, estimate_rotation_factors
 from strainwave.signals.consistency.torque_fit import Gain
@@ -80,6 +80,8 @@ class Hypothesis:
         if self.excluded:  # the explanations of the torques competed on all records
             return replace(evidence.without_records(self.excluded), best_fit=None)
         after = evidence.corrected(self.corrections)
+        if self.gain is not None:  # it competed with the best fit on held-out stretches
+            after = replace(after, best_fit=BestFit(np.inf, 0.0))
         if not self.moves_frames:
             return after
         links = [name for name in after.channels if channel_parts(name)[0] in LINK_CHANNELS]

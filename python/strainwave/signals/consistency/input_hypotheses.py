@@ -32,6 +32,7 @@ from strainwave.signals.consistency.hypothesis import (
     whole_reduction,
 )
 from strainwave.signals.consistency.motors import effort_channel
+from strainwave.signals.consistency.observations import EXPECTED
 from strainwave.signals.consistency.sensors import (
     IMU_ACCELEROMETERS,
     LINK_CHANNELS,
@@ -317,34 +318,47 @@ def _sensor_delays(case: Case) -> Iterator[Hypothesis]:
 def _input_delays(case: Case) -> Iterator[Hypothesis]:
     """Commands with a delay relative to the encoders, or encoders relative to the commands.
 
-    All commands with one delay, then one command or one motor angle: link sensors tell which of the
-    two is late.
+    All commands with one delay, then one command or one motor angle: link sensors and torques tell
+    which of the two is late. Delays of an angle that are tolerated relative to link sensors are no
+    rivals.
     """
     values = case.by_channel("input-delay")
-    angle_of = {name: f"theta_m{channel_parts(name)[1]}" for name in values}
-    late: list[tuple[str, tuple[str, ...], tuple[str, ...], float]]
-    late = [("command", (name,), (name,), delay) for name, delay in values.items()]
-    late += [("angle", (name,), (angle_of[name],), -delay) for name, delay in values.items()]
     delays = list(values.values())
     if len(values) > 1 and np.ptp(delays) < _MAX_DELAY_DIFFERENCE:
-        late.insert(0, ("command", tuple(values), tuple(values), float(np.mean(delays))))
-    for kind, commands, names, delay in late:
-        clause = Clause(
-            f"misaligned/{kind}",
-            channels=names,
-            delay=abs(delay),
-            side="later" if delay > 0.0 else "earlier",
-            commands=commands,
-            angles=tuple(angle_of[name] for name in commands),
-        )
-        shifts, remedy = of_logs(names, "delay_s", round(delay, 6)), Clause("remedy/command")
-        yield Hypothesis("misaligned", clause, shifts, remedy, delay_s=delay)
+        yield _late_motors("command", tuple(values), tuple(values), float(np.mean(delays)))
+    pairs = []
+    for name, delay in values.items():
+        of_motor = f"theta_m{channel_parts(name)[1]}"
+        command = _late_motors("command", (name,), (name,), delay)
+        pairs.append((command, _late_motors("angle", (name,), (of_motor,), -delay)))
+    tolerated = EXPECTED["delay"].tolerance
+    for command, angle in pairs:
+        is_rival = abs(angle.delay_s or 0.0) > tolerated
+        yield replace(command, rivals=(angle.as_rival(),) * is_rival)
+    for command, angle in pairs:
+        yield replace(angle, rivals=(command.as_rival(),))
+
+
+def _late_motors(
+    kind: str, commands: tuple[str, ...], names: tuple[str, ...], delay: float
+) -> Hypothesis:
+    """Late commands, or angles that respond to them."""
+    clause = Clause(
+        f"misaligned/{kind}",
+        channels=names,
+        delay=abs(delay),
+        side="later" if delay > 0.0 else "earlier",
+        commands=commands,
+        angles=tuple(f"theta_m{channel_parts(name)[1]}" for name in commands),
+    )
+    shifts, remedy = of_logs(names, "delay_s", round(delay, 6)), Clause("remedy/command")
+    return Hypothesis("misaligned", clause, shifts, remedy, delay_s=delay)
 
 
 def _time_bases(case: Case) -> Iterator[Hypothesis]:
     """A time base in another unit, or a wrong clock rate of the logger."""
-    clocks = case.values(None, "prbs-clock", "servo-clock")
-    if not clocks and not case.contradicts("explained-share", "scale"):
+    clocks = case.values(None, "servo-clock")  # a PRBS may have another clock
+    if not clocks and not case.contradicts("prbs-clock", "explained-share", "scale"):
         return
     for estimate in (*([1.0 / float(np.median(clocks))] if clocks else ()), *_TIMES.values()):
         unit, factor = _match_known_factor(estimate, _TIMES)
@@ -358,7 +372,8 @@ def _time_bases(case: Case) -> Iterator[Hypothesis]:
 def _record_clocks(case: Case) -> Iterator[Hypothesis]:
     """A wrong PRBS clock of the study, or another clock of the logger, in some of the records.
 
-    Without a second clock in these records the two cannot be told apart.
+    Without a second clock in these records the two cannot be told apart, but no logger is wrong by
+    a whole factor.
     """
     clocks = [o for o in case.contradictions if o.kind in ("prbs-clock", "servo-clock")]
     wrong = {o.place.experiments[0]: o for o in clocks}
@@ -379,8 +394,11 @@ def _record_clocks(case: Case) -> Iterator[Hypothesis]:
     clause = Clause("clock-drift/records", records=names, ratio=ratio)
     remedy = Clause("remedy/record-clock", records=names, ratio=1.0 / ratio)
     of_logger = Hypothesis("clock-drift", clause, (), remedy, at=at, factor=ratio, excluded=names)
+    slower = min(ratio, 1.0 / ratio)
+    is_whole = round(1.0 / slower) > 1 and whole_reduction(slower)[1]
+    is_equal = len(wrong) == len(clocked) and not is_whole
     if changes and len(changes) == len(wrong):
-        yield replace(of_prbs, rivals=(of_logger.as_rival(),) * (len(wrong) == len(clocked)))
+        yield replace(of_prbs, is_undecided=is_equal, rivals=(of_logger.as_rival(),) * is_equal)
     if len(wrong) < len(clocked):
         yield of_logger
 

@@ -56,6 +56,9 @@ _MAX_CHANCE, _LARGE_GAIN, _MIN_LOG_LIKELIHOOD = 1e-3, float(np.log(2.0)), 12.0
 # Probability by chance of a large gain; but for a torque in another unit, whose size lets it
 # determine the parameters of its own joint alone.
 _MAX_CHANCE_OF_LARGE = 0.01
+# Share of the errors of rigid links that looks like a delay: gears and friction delay the torques
+# of a sound log by up to this share of the delay that would explain all errors.
+_LAGGING_SHARE = 0.5
 # Log ratio of unexplained variances from which a hypothesis is listed: of a change with one
 # coordinate, whose size is tested as well; and of other changes.
 _MIN_GAIN_OF_COORDINATE, _MIN_GAIN = 0.1, float(np.log(1.3))
@@ -212,6 +215,10 @@ class _Search:
         is_tolerated = bool(np.all(np.abs(x) < family.tolerated))
         # a torque constant is at best as accurate as those of the other joints
         is_accurate = np.all(CI95_STDS * quality.coordinate_std <= family.tolerated)
+        if found.kind == "delay":  # of errors of the model
+            own = np.any(slope, axis=1)
+            error = np.linalg.norm(fit.residual[own]) / np.linalg.norm(fit.project(slope)[own])
+            is_accurate &= _LAGGING_SHARE * error <= family.tolerated[0]
         if found.code == "wrong-torque-constant" or not is_accurate:
             found = found.as_estimate()
         found = replace(found, is_tolerated=is_tolerated, n_coordinates=size)
