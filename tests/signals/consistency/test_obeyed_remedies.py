@@ -10,6 +10,7 @@ from benchmarks.studies.drawn_chains import draw_chain, simulate_chain
 from benchmarks.studies.faults.cases import faults
 from benchmarks.studies.faults.inputs import Case, Input
 from benchmarks.studies.faults.remedies import obey
+from benchmarks.studies.faults.shared import outcome_of
 
 from consistency_inputs import Input as Records
 from strainwave.pipeline.inputs import check_input
@@ -80,6 +81,8 @@ MET = (
     ("motors only", "torques in A"),
     ("serial", "gear ratio x 1.25, motors only"),
     ("vertical", "angle 20 ms late"),
+    ("vertical", "torque 20 ms late"),
+    ("vertical", "effort without gravity"),
 )
 
 MISSED = "the check does not see the fault"
@@ -89,8 +92,6 @@ UNMET = {
     ("horizontal", "effort without friction"): ASTRAY,
     ("horizontal", "t of PRBS records x 1.05"): ASTRAY,
     ("horizontal", "current loop ten times too slow"): MISSED,
-    ("vertical", "effort without gravity"): MISSED,
-    ("vertical", "torque 20 ms late"): MISSED,
     ("vertical", "encoder stands still"): MISSED,
     ("serial", "torques in A"): ASTRAY,
     ("serial", "effort without friction"): MISSED,
@@ -141,3 +142,20 @@ def test_a_motor_that_stands_in_one_record_does_not_count_as_exchanged(shared_da
     (case,) = (case for case in faults(given, 2) if "stands still in one record" in case.name)
     suspected = check_input(case.given.study, data=case.given.tables).suspected
     assert "swapped-channels" not in {each.code for each in suspected}
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "torque 20 ms late",  # of one of seven torques
+        "torques in A",
+        "motors at a locked output",
+        "payload in one record",
+    ],
+)
+def test_faults_of_a_measured_arm_are_named(shared_data: Path, fault: str) -> None:
+    given = Input.read(shared_data.parent / "serial" / "kinova-gen3" / "study.toml")
+    case = next(case for case in faults(given, 2) if case.name == fault)
+    check = check_input(case.given.study, data=case.given.tables)
+    assert outcome_of(case, check) == "named"
+    assert len(check.suspected) == 1
