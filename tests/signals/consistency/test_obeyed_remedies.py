@@ -147,6 +147,7 @@ def test_a_motor_that_stands_in_one_record_does_not_count_as_exchanged(shared_da
 @pytest.mark.parametrize(
     "fault",
     [
+        "angle reversed",
         "torque 20 ms late",  # of one of seven torques
         "torques in A",
         "motors at a locked output",

@@ -63,7 +63,7 @@ _MEASURED = ("ratio", "zero", "torque", "delay")
 # Delay [s] below which it gains as much as changes of other sizes: torques of measured arms are up
 # to 13 ms early, because gears wind up and loggers lose cycles.
 _USUAL_DELAY = 0.015
-# Share of the largest gain of a joint that another joint may lose.
+# Share of the largest gain of a joint, or of the gains of all, that another joint may lose.
 _MAX_LOSS = 0.25
 # Reduction of a step that does not decrease the cost, and the shortest fraction that is tried.
 _STEP_REDUCTION, _MIN_STEP_FRACTION = 0.4, 0.1
@@ -279,7 +279,7 @@ class _Search:
             gain = replace(gain, by_joint=by_joint)  # the mean is of the torques as they are
         best, worst = float(gain.by_joint.max()), float(gain.by_joint.min())
         is_enough = gain.mean > 0.0 and (gain.mean if is_pooled else best) >= least
-        if not is_enough or worst < -_MAX_LOSS * best:
+        if not is_enough or worst < -_MAX_LOSS * max(best, float(gain.by_joint.sum())):
             return None
         return replace(each, gain=gain, cost=quality.cost)
 
