@@ -7,6 +7,7 @@ record) is no difference.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -139,8 +140,8 @@ def _differing_channels(
             x, y = drives[0, i - 1] * x, drives[1, i - 1] * y
         scale, delay, offset, rest = _compare(x, y, true.sample_time)
         zero = abs(offset) if kind in _ANGLES else 0.0
-        if kind == "theta_m":
-            zero *= abs(study.arm.joints[i - 1].gear_ratio)
+        if kind == "theta_m":  # a whole turn of the link is no difference
+            zero = abs(math.remainder(zero * study.arm.joints[i - 1].gear_ratio, 2.0 * np.pi))
         if (
             abs(scale - 1.0) > tolerance.ratio
             or abs(delay) > tolerance.delay

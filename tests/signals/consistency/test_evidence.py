@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from consistency_inputs import Input
-from strainwave.domain import Experiment, Joint, Lag, Log, Prbs
+from strainwave.domain import Correction, Experiment, Joint, Lag, Log, Prbs
 from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.excitation import prbs
@@ -41,6 +41,22 @@ def test_a_motor_at_standstill_does_not_determine_the_band(vertical_arm: Input) 
     assert still.bandwidth_hz <= 1.5 * moving.bandwidth_hz
     (alone, *_) = collect_evidence([changed], study).records  # no record in which it moves
     assert alone.bandwidth_hz <= 4.0 * moving.bandwidth_hz  # limited by the other motor
+
+
+@pytest.mark.parametrize(("key", "size"), [("delay_s", 0.017), ("delay_s", -0.4), ("clock", 2e-3)])
+def test_a_channel_is_shifted_between_its_rows(vertical_arm: Input, key: str, size: float) -> None:
+    evidence = collect_evidence(*vertical_arm)
+    record = evidence.records[0]
+    time = record.sample_time * np.arange(len(record.inside))
+    wave = 2.0 * np.pi * record.bandwidth_hz
+    channels = {**record.channels, "theta_m1": np.sin(wave * time)}
+    evidence = replace(evidence, records=(replace(record, channels=channels),))
+    (shifted,) = evidence.corrected([Correction("log", "theta_m1", key, size)]).records
+    later = time + size * (time if key == "clock" else 1.0)
+    kept = record.inside & (later > time[4]) & (later < time[-4])
+    np.testing.assert_allclose(
+        shifted.channels["theta_m1"][kept], np.sin(wave * later[kept]), atol=1e-3
+    )
 
 
 @pytest.mark.parametrize("max_rows", [300, 500, 1000])

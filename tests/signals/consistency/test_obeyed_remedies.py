@@ -10,6 +10,7 @@ from benchmarks.studies.drawn_chains import draw_chain, simulate_chain
 from benchmarks.studies.faults.cases import faults
 from benchmarks.studies.faults.inputs import Case, Input
 from benchmarks.studies.faults.remedies import obey
+from benchmarks.studies.faults.shared import outcome_of
 
 from consistency_inputs import Input as Records
 from strainwave.pipeline.inputs import check_input
@@ -83,6 +84,8 @@ MET = (
     ("vertical", "encoder stands still"),
     ("horizontal", "angle 20 ms late"),
     ("horizontal", "t of PRBS records x 1.05"),
+    ("vertical", "torque 20 ms late"),
+    ("vertical", "effort without gravity"),
 )
 
 MISSED = "the check does not see the fault"
@@ -90,7 +93,6 @@ ASTRAY = "the check accepts the input after a correction of another value"
 UNMET = {
     ("horizontal", "effort without friction"): ASTRAY,
     ("horizontal", "current loop ten times too slow"): MISSED,
-    ("vertical", "effort without gravity"): MISSED,
     ("serial", "torques in A"): ASTRAY,
     ("serial", "effort without friction"): MISSED,
     ("serial", "payload in one record"): MISSED,
@@ -149,3 +151,21 @@ def test_a_ratio_that_predicts_as_well_as_frames_is_named_first(shared_data: Pat
     suspected = check_input(case.given.study, data=case.given.tables).suspected
     assert (suspected[0].code, suspected[0].where) == ("wrong-gear-ratio", "joint 2 gear_ratio")
     assert obey(case, suspected).remedy == "right"
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "angle reversed",
+        "torque 20 ms late",  # of one of seven torques
+        "torques in A",
+        "motors at a locked output",
+        "payload in one record",
+    ],
+)
+def test_faults_of_a_measured_arm_are_named(shared_data: Path, fault: str) -> None:
+    given = Input.read(shared_data.parent / "serial" / "kinova-gen3" / "study.toml")
+    case = next(case for case in faults(given, 2) if case.name == fault)
+    check = check_input(case.given.study, data=case.given.tables)
+    assert outcome_of(case, check) == "named"
+    assert len(check.suspected) == 1

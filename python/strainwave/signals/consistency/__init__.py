@@ -142,7 +142,8 @@ def _explain_contradictions(
         equal = (r for r in best.rivals if _weigh(evidence, observations, r) <= least)
         rival = next(equal, None)
         named = [best] if rival is None else [best, rival]
-        if rival is not None and best.kind == rival.kind:  # the same at another place
+        # the same at another place, or the same prediction
+        if rival is not None and (best.kind == rival.kind or np.isclose(best.cost, rival.cost)):
             named = [best.undecided(rival), rival.undecided(best)]
         chosen.extend(each.suspicion(evidence.study) for each in named)
         if not best.has_estimated_factor or best.moves_frames:

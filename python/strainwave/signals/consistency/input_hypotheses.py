@@ -130,7 +130,7 @@ def _exchanged_files(case: Case) -> Iterator[Hypothesis]:
 
 
 def _effort_scales(case: Case) -> Iterator[Hypothesis]:
-    """The efforts of all joints in another unit, or with another sign; or without friction."""
+    """The efforts of all joints in other units, or with another sign; or without friction."""
     joints = range(1, case.evidence.arm.n_joints + 1)
     names = tuple(name for i in joints if (name := effort_channel(case.evidence.channels, i)))
     negative = {o.joint for o in case.contradictions if o.kind == "inertia"}
@@ -140,6 +140,12 @@ def _effort_scales(case: Case) -> Iterator[Hypothesis]:
         code = "wrong-sign" if unit is None else "wrong-unit"
         clause = Clause(f"{code}/efforts", channels=names, unit=unit)
         yield Hypothesis(code, clause, scaled(case.evidence, names, factor), factor=1.0 / factor)
+    sensors = case.by_channel("torque-sensor")
+    if len(sensors) > 1:
+        wrong = {f"torque{channel_parts(name)[1]}": x for name, x in sensors.items()}
+        clause = Clause("wrong-torque-constant/sensors", channels=tuple(wrong))
+        changes = [c for name, x in wrong.items() for c in scaled(case.evidence, [name], x)]
+        yield Hypothesis("wrong-torque-constant", clause, tuple(changes)).as_estimate()
     efforts = tuple(name for name in names if channel_parts(name)[0] == "torque")
     for share in (o.value for o in case.contradictions if o.kind == "friction"):
         clause = Clause("effort-without-friction", channels=efforts, share=share)

@@ -19,6 +19,7 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.domain.distributions import student_tail
+from strainwave.domain.kinds import kind_of
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.regression import ROWS_PER_INDEPENDENT_ROW, long_run_std
@@ -45,8 +46,9 @@ _MAX_ROWS = 2400
 _MIN_SINGULAR_VALUE = 1e-6
 # Iterations of the weights, which are the residuals of the joints.
 _N_ITERATIONS = 3
-# Standard parameters of a link.
-_N_LINK_PARAMETERS = 10
+N_LINK_PARAMETERS = 10
+"""Standard parameters of a link of a chain, or of a load."""
+
 # Rows of a stretch that is predicted by the links fitted to all others: 5 are independent.
 _FOLD_ROWS = 6
 # Torsion moves links by some milliradians, so the torques of a rigid arm are wrong by this share.
@@ -72,6 +74,7 @@ class TorqueSystem:
     total: Mapping[int, float]  # joint -> sum of squares of the torque about its mean
     n_rows: Mapping[int, float]  # joint -> independent rows beyond its own parameters
     grams: Mapping[int, FloatArray] = field(default_factory=dict)  # joint -> columns' columns
+    parameters: FloatArray | None = None  # (n_base, n_links) of the arm per column; None: the same
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +142,7 @@ class FitQuality:
 class TorqueFit:
     """Fit of all torques with one set of link parameters."""
 
-    links: FloatArray  # (n_links,) parameters of the links, of least norm
+    links: FloatArray  # (n_base,) parameters of the links, of least norm
     basis: FloatArray  # (n_rows, n_excited) orthonormal, of the weighted columns
     weight: FloatArray  # (n_rows,) 1 / residual standard deviation of the row's joint
     residual: FloatArray  # (n_rows,) weighted
@@ -232,6 +235,7 @@ def fit_torques(system: TorqueSystem) -> TorqueFit:
         }
         std = {i: float(np.sqrt(shares[i] * system.total[i] / n_rows[i])) for i in std}
     basis = (weight[:, None] * system.columns) @ root
+    links = links if system.parameters is None else system.parameters @ links
     return TorqueFit(links, basis, weight, residual, shares, n_rows)
 
 
@@ -320,26 +324,27 @@ def torque_system(
     """Equations of the slow records; None if there are none, or no torque varies.
 
     The load on the last link in the record `loaded` has parameters of its own. In the records
-    `locked` the motors wind up their gears; None if a torque does not oppose the angle.
+    `locked` the motors wind up their gears; None if the torque of a joint is not that of a spring.
     """
     blocks, joints, folds = [], [], []
     records: list[str] = []
     totals: dict[int, float] = {}
     n_rows: dict[int, float] = {}
     grams: dict[int, FloatArray] = {}
+    wound: dict[int, FloatArray] = {}  # torques of spring and rotor at a locked output
     for each in _blocks(evidence, Arm.base_regressor, "regressor"):
         name = each.record.experiment.name
-        block = each.wound_up() if name in locked else each
-        if block is None:
-            return None
-        i, torque, columns = block.joint, block.torque, block.columns
+        block, i = each, each.joint
+        if name in locked:
+            block, parts = each.wound_up()
+            wound[i] = wound.get(i, np.zeros(2)) + parts
+        torque, columns = block.torque, block.columns
         n_folds = max(2, block.n_rows // _FOLD_ROWS)
         if name not in records:
             records += [name] * n_folds
-        parts = block.at * n_folds // block.n_rows
-        folds.append(records.index(name) + parts)
+        folds.append(records.index(name) + block.at * n_folds // block.n_rows)
         if loaded:
-            of_load = columns[:, -_N_LINK_PARAMETERS:] * (name == loaded)
+            of_load = columns[:, -N_LINK_PARAMETERS:] * (name == loaded)
             columns = np.column_stack([columns, of_load])
         else:
             grams[i] = grams[i] + block.gram if i in grams else block.gram
@@ -348,11 +353,32 @@ def torque_system(
         totals[i] = totals.get(i, 0.0) + float(torque @ torque)
         independent = len(torque) * _ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW
         n_rows[i] = n_rows.get(i, 0.0) + max(independent - block.basis.shape[1] - 1, 1.0)
-    if not blocks:
+    is_moving = any(r > _MAX_ROTOR_SHARE * max(k, 0.0) or k < 0.0 for k, r in wound.values())
+    if not blocks or is_moving:
         return None
     equations, joint = np.concatenate(blocks), np.concatenate(joints)
     columns, torques, fold = equations[:, :-1], equations[:, -1], np.concatenate(folds)
-    return TorqueSystem(columns, torques, joint, fold, tuple(records), totals, n_rows, grams)
+    parameters = _standard_parameters(evidence, columns.shape[1])
+    if parameters is not None:
+        columns = columns @ parameters
+        grams = {i: parameters.T @ gram @ parameters for i, gram in grams.items()}
+    names = tuple(records)
+    return TorqueSystem(columns, torques, joint, fold, names, totals, n_rows, grams, parameters)
+
+
+def _standard_parameters(evidence: Evidence, n: int) -> FloatArray | None:
+    """Parameters of the arm, and of a load, per standard parameter of the links, (n, n_standard).
+
+    Behind the axes of a plane, gravity and inertia act on the same first moments. None without
+    gravity, or for chains, which have the standard parameters.
+    """
+    arm = evidence.study.arm
+    rows = kind_of(arm).standard_rows(arm)
+    if not rows or not arm.gravity:
+        return None
+    standard = [*dict.fromkeys(key for row in rows.values() for key in row)]
+    of_links = [[rows[key].get(s, 0.0) for s in standard] for key in evidence.arm.base_names]
+    return np.asarray(np.kron(np.eye(n // len(of_links)), of_links), dtype=np.float64)
 
 
 def with_friction_laws(evidence: Evidence, system: TorqueSystem, links: FloatArray) -> TorqueSystem:
@@ -371,7 +397,7 @@ def with_friction_laws(evidence: Evidence, system: TorqueSystem, links: FloatArr
         columns[:, each.joint - 1] = laws
         parts.append(columns.reshape(len(laws), -1))
     columns = np.column_stack([system.columns, np.concatenate(parts)])
-    return replace(system, columns=columns, grams={})
+    return replace(system, columns=columns, grams={}, parameters=None)
 
 
 def unexplained_torques(evidence: Evidence, links: FloatArray) -> FloatArray:
@@ -423,11 +449,8 @@ def regress_torques(evidence: Evidence) -> Iterator[TorqueRegression]:
             r.channels[f"theta_m{j}"] for r in chosen for j in range(1, evidence.arm.n_joints + 1)
         ]
         setting = ("inertia", i, *((r.sample_time, r.bandwidth_hz) for r in chosen))
-
-        def compute(i: int = i, chosen: list[SlowRecord] = chosen) -> TorqueRegression | None:
-            return _regress_torque(evidence, chosen, i)
-
         sources = (arm_of_torques(evidence), *efforts, *angles)
+        compute = partial(_regress_torque, evidence, chosen, i)
         estimate = evidence.memory.recall(setting, sources, compute)
         if estimate is not None:
             yield estimate
@@ -500,18 +523,19 @@ class _Block:
         """Normal matrix of the columns, (n, n)."""
         return np.asarray(self.columns.T @ self.columns)
 
-    def wound_up(self) -> _Block | None:
-        """The block of a locked link, with the spring of its gear; None if there is no spring."""
+    def wound_up(self) -> tuple[_Block, FloatArray]:
+        """The block of a locked link, with the spring of its gear; torques of spring and rotor.
+
+        These are lengths (2,) of the least squares; zero if the rows do not determine them.
+        """
         spring = self.remainder(self.angle)
         columns = np.column_stack([self.angle - self.angle.mean(), self.own])
         size = np.linalg.norm(columns, axis=0) + np.finfo(float).tiny
-        of_spring, of_rotor = (np.linalg.lstsq(columns / size, self.torque)[0])[:2].tolist()
-        is_spring = of_spring > 0.0 and abs(of_rotor) < _MAX_ROTOR_SHARE * of_spring
+        parts = np.linalg.lstsq(columns / size, self.torque)[0][:2]
         n_rows = len(spring) * _ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW
-        if not is_spring and n_rows > columns.shape[1]:
-            return None
         basis = np.column_stack([self.basis, spring / max(float(np.linalg.norm(spring)), 1e-300)])
-        return replace(self, basis=basis, of_links=np.zeros_like(self.of_links))
+        block = replace(self, basis=basis, of_links=np.zeros_like(self.of_links))
+        return block, parts * (n_rows > columns.shape[1])
 
     def remainder(self, torques: FloatArray) -> FloatArray:
         """Torques (n_rows,) or (n_rows, n) without that part, about their mean."""
@@ -536,14 +560,7 @@ def _blocks(
         records = [r for r in evidence.records if is_slow(r.experiment)]
     for record, stretches in zip(records, spread_stretches(records, _MAX_ROWS), strict=True):
         motion = recall_motion(record, evidence)
-
-        def compute(
-            record: SlowRecord = record,
-            stretches: Sequence[slice] = stretches,
-            motion: JointMotion = motion,
-        ) -> FloatArray:
-            return _motor_torques(record, stretches, motion, arm, torques_of)
-
+        compute = partial(_motor_torques, record, stretches, motion, arm, torques_of)
         setting = (name, record.sample_time, *(each.start for each in stretches))
         angles = [record.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)]
         is_stated = name is not None and evidence.memory.is_stated(evidence.arm, *angles)

@@ -30,7 +30,7 @@ from strainwave.signals.consistency.hypothesis import (
     whole_reduction,
 )
 from strainwave.signals.consistency.motors import EFFORTS, effort_channel
-from strainwave.signals.consistency.torque_fit import friction_shares
+from strainwave.signals.consistency.torque_fit import N_LINK_PARAMETERS, friction_shares
 
 # Prior standard deviations of the changes: log ratio, angles [rad], lengths [m], gravity [m/s^2].
 _RATIO_STD, _ANGLE_STD, _LENGTH_STD, _GRAVITY_STD = 0.3, 0.5, 0.15, 5.0
@@ -46,15 +46,16 @@ _TORQUE_UNITS, _UNIT_TOLERANCE = (1e3, 1e-3), 0.01
 _QUARTER_TURNS = (0.5 * np.pi, -0.5 * np.pi, np.pi)
 # Largest zero of one of several joints from which the fit of the arm finds the true one [rad].
 _MAX_FITTED_ZERO = 0.5
-# Least share of friction in the torques of gears, from measured arms.
+# Least median share of friction in the torques of gears: measured arms have 0.15 to 0.8, torques of
+# a set-point, with the errors of the model, up to 0.06.
 _MIN_FRICTION_OF_GEARS = 0.1
 _STANDARD_GRAVITY = 9.81  # [m/s^2]
 # Cosine above which two directions are equal.
 _EQUAL_DIRECTIONS = 0.999
-N_LOAD_PARAMETERS, N_FRAME_COORDINATES = 10, 6
+N_FRAME_COORDINATES = 6
 _DIRECTIONS = [tuple(float(s * x) for x in e) for e in np.eye(3) for s in (1.0, -1.0)]
 _ANGLES = ("theta_m", "omega_m", "ref")
-_ESTIMATED = ("ratio", "torque", "gravity", "zero", "frame", "robot")
+_ESTIMATED = ("ratio", "torque", "gravity", "zero", "frame", "robot", "length")
 """Kinds of change with coordinates that are estimated from the torques."""
 
 
@@ -185,7 +186,7 @@ def propose_discrete(evidence: Evidence, doubtful: Sequence[str]) -> Iterator[Hy
             at=(Place(experiments=(record,), key="payload"),),
             excluded=(record,),
             kind="payload",
-            n_coordinates=N_LOAD_PARAMETERS,
+            n_coordinates=N_LINK_PARAMETERS,
         )
         for each in (*_efforts(evidence), *exchanged_joints(evidence)):
             yield replace(each, excluded=(record,))
@@ -292,6 +293,8 @@ def propose_families(evidence: Evidence) -> Iterator[Family]:
         if _torque_scale(evidence, i) is not None:
             tolerated = np.array([_TOLERATED_TORQUE / _RATIO_STD])
             yield Family(tolerated, partial(_constant, evidence, i))
+    if arm.gravity and "link_length" in arm_keys(arm):
+        yield Family(np.array([_TOLERATED_RATIO / _RATIO_STD]), partial(_length, evidence))
     step = max(r.sample_time for r in evidence.records)
     efforts = [name for i in joints if (name := effort_channel(evidence.channels, i))]
     angles = [[n for n in (f"theta_m{i}", f"omega_m{i}") if n in evidence.channels] for i in joints]
@@ -329,6 +332,15 @@ def _ratio(evidence: Evidence, i: int, x: FloatArray, *, is_final: bool = False)
     clause = Clause("wrong-gear-ratio/torques", joint=i, corrected=ratio, stated=stated)
     change, factor = Correction("joint", str(i), "gear_ratio", ratio), stated / ratio
     return Hypothesis("wrong-gear-ratio", clause, (change,), factor=factor, kind="ratio")
+
+
+def _length(evidence: Evidence, x: FloatArray, *, is_final: bool = False) -> Hypothesis:
+    """Another distance of the axes of a planar arm."""
+    stated = float(np.linalg.norm(evidence.study.arm.joints[1].origin.xyz))
+    length = float(f"{stated * np.exp(_RATIO_STD * x[0]):.4g}")
+    clause = Clause("wrong-geometry/torques", corrected=length, stated=stated)
+    change, factor = Correction("arm", "", "link_length", length), stated / length
+    return Hypothesis("wrong-geometry", clause, (change,), factor=factor, kind="length")
 
 
 def _delay(

@@ -19,6 +19,7 @@ from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.consistency.evidence import Evidence, is_slow
 from strainwave.signals.consistency.hypothesis import Hypothesis
 from strainwave.signals.consistency.torque_fit import (
+    N_LINK_PARAMETERS,
     FitQuality,
     TorqueFit,
     TorqueSystem,
@@ -30,7 +31,6 @@ from strainwave.signals.consistency.torque_fit import (
 )
 from strainwave.signals.consistency.torque_hypotheses import (
     N_FRAME_COORDINATES,
-    N_LOAD_PARAMETERS,
     Family,
     all_frames,
     exchanged_joints,
@@ -48,13 +48,13 @@ _N_TRIAL_STEPS, _MAX_TRIAL_UNEXPLAINED = 3, 0.3
 _MAX_UNEXPLAINED = 0.25
 # Decrease of the cost per independent row of the fit below which a change is not used to predict,
 # no search is started, and a search ends.
-_MIN_DECREASE_TO_PREDICT, _MIN_PREDICTED_DECREASE, _MIN_DECREASE = 0.03, 0.03, 2e-3
+_MIN_DECREASE_TO_PREDICT, _MIN_PREDICTED_DECREASE, _MIN_DECREASE = 0.03, 0.02, 2e-3
 # Probability of the gain by chance, for all hypotheses together; and the gain of half the
 # unexplained variance of one torque, which no hypothesis about a sound log reaches, with the
 # difference of the log likelihoods that it needs in a short log: exp(-12) for each of 160.
 _MAX_CHANCE, _LARGE_GAIN, _MIN_LOG_LIKELIHOOD = 1e-3, float(np.log(2.0)), 12.0
 # Probability by chance of a large gain; but for a torque in another unit, whose size lets it
-# determine the parameters of its own joint alone.
+# determine the parameters of its own joint alone, and for a delay that one joint shows.
 _MAX_CHANCE_OF_LARGE = 0.01
 # Share of the errors of rigid links that looks like a delay: gears and friction delay the torques
 # of a sound log by up to this share of the delay that would explain all errors.
@@ -62,8 +62,11 @@ _LAGGING_SHARE = 0.5
 # Log ratio of unexplained variances from which a hypothesis is listed: of a change with one
 # coordinate, whose size is tested as well; and of other changes.
 _MIN_GAIN_OF_COORDINATE, _MIN_GAIN = 0.1, float(np.log(1.3))
-_MEASURED = ("ratio", "zero", "torque")
-# Share of the largest gain of a joint that another joint may lose.
+_MEASURED = ("ratio", "zero", "torque", "delay")
+# Delay [s] below which it gains as much as changes of other sizes: torques of measured arms are up
+# to 13 ms early, because gears wind up and loggers lose cycles.
+_USUAL_DELAY = 0.015
+# Share of the largest gain of a joint, or of the gains of all, that another joint may lose.
 _MAX_LOSS = 0.25
 # Reduction of a step that does not decrease the cost, and the shortest fraction that is tried.
 _STEP_REDUCTION, _MIN_STEP_FRACTION = 0.4, 0.1
@@ -103,8 +106,14 @@ def search_explanations(evidence: Evidence) -> tuple[Hypothesis, ...] | None:
     limits = {group: _MAX_CHANCE / len(n_tried) / n for group, n in n_tried.items()}
     if not any(_is_evident(each, limits[each.kind, bool(each.excluded)]) for each in found):
         return ()
-    rivals = sorted((a for a in found if _is_evident(a, _MAX_CHANCE)), key=lambda a: a.cost)
-    if any(each.is_tolerated and each.is_as_good(rivals[0]) for each in rivals):
+    found.sort(key=lambda each: each.cost)
+    best = next(each for each in found if _is_evident(each, _MAX_CHANCE))
+    rivals = [  # the same fault at another place is as likely, evident or not
+        a
+        for a in found
+        if _is_evident(a, _MAX_CHANCE) or (a.kind == best.kind and a.is_as_good(best))
+    ]
+    if any(each.is_tolerated and each.is_as_good(best) for each in rivals):
         return ()
     # friction of load and direction is no fault: the fit selects it by itself
     friction = predict_stretches(with_friction_laws(evidence, system, search.fit.links))
@@ -116,19 +125,21 @@ def search_explanations(evidence: Evidence) -> tuple[Hypothesis, ...] | None:
 def _is_evident(each: Hypothesis, limit: float) -> bool:
     """Whether the gain is not one of chance, of a probability below `limit`, or large.
 
-    A load must gain much, and on all torques together: it acts on all joints, and its many
-    parameters follow the friction of one.
+    What acts on all joints must gain much on all torques together; a load, whose many parameters
+    follow the friction of a joint, by no chance and much on one torque at least.
     """
     if each.gain is None:
         return False
-    largest = each.gain.mean if each.kind == "payload" else float(each.gain.by_joint.max())
-    max_chance = _MAX_CHANCE if each.code == "wrong-unit" else _MAX_CHANCE_OF_LARGE
+    most, is_rare = float(each.gain.by_joint.max()), each.gain.probability < limit
+    is_of_all = each.kind == "payload" or len(each.joints) > 2
+    is_common = each.code == "wrong-unit" or (each.kind == "delay" and each.gain.mean < _MIN_GAIN)
+    max_chance = _MAX_CHANCE if is_common else _MAX_CHANCE_OF_LARGE
     is_large = (
-        largest > _LARGE_GAIN
+        (each.gain.mean if is_of_all else most) > _LARGE_GAIN
         and each.gain.log_likelihood > _MIN_LOG_LIKELIHOOD
         and each.gain.probability < max_chance
     )
-    return is_large or (each.gain.probability < limit and each.kind != "payload")
+    return is_large or (is_rare and (each.kind != "payload" or most > _LARGE_GAIN))
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,8 +166,8 @@ class _Search:
         fit = fit_torques(system)
         if self.fit.cost - fit.cost < _MIN_DECREASE_TO_PREDICT * self.fit.n_all:
             return None
-        if loaded and is_one and len(fit.links) >= 2 * N_LOAD_PARAMETERS:
-            load = fit.links[-N_LOAD_PARAMETERS:]  # the last parameters of a system with one
+        if loaded and is_one and len(fit.links) >= 2 * N_LINK_PARAMETERS:
+            load = fit.links[-N_LINK_PARAMETERS:]  # the last parameters of a system with one
             if load[[4, 6, 9]].sum() < 0.0:  # the trace of its inertia
                 return None
         return self._gaining(each, predict_stretches(system), _MIN_GAIN, is_pooled=False)
@@ -187,29 +198,29 @@ class _Search:
         `slope` has the derivatives at the stated description.
         """
         size = len(family.tolerated)
-        x, fit = np.zeros(size), self.fit
+        x, system, fit = np.zeros(size), self.system, self.fit
         for k in range(_MAX_STEPS):
             if k == _N_TRIAL_STEPS and np.exp(2.0 * fit.cost / fit.n_all) > _MAX_TRIAL_UNEXPLAINED:
                 return None
-            step, decrease = _gauss_newton(fit, fit.project(slope), x)
-            # the criterion of Akaike
-            if k == 0 and decrease - size / fit.n_all < _MIN_PREDICTED_DECREASE:
+            projected = fit.project(slope)
+            step = _gauss_newton(projected, fit.residual, x)
+            # the criterion of Schwarz
+            penalty = 0.5 * size * float(np.log(fit.n_all)) / fit.n_all
+            if k == 0 and self._decrease(projected @ step) - penalty < _MIN_PREDICTED_DECREASE:
                 return None
             fraction = min(1.0, _MAX_STEP / max(float(np.abs(step).max()), 1e-12))
             before = fit.cost
             while fraction > _MIN_STEP_FRACTION:
-                trial = self._fit(family, x + fraction * step)
-                if trial is not None and trial.cost < fit.cost:
-                    x, fit = x + fraction * step, trial
+                change = family.change(x + fraction * step)
+                tried = torque_system(self.evidence.corrected(change.corrections))
+                if tried is not None and (trial := fit_torques(tried)).cost < fit.cost:
+                    x, system, fit = x + fraction * step, tried, trial
                     slope = self._slope(family, x, fit)
                     break
                 fraction *= _STEP_REDUCTION
             if before - fit.cost < _MIN_DECREASE * fit.n_all:
                 break
         found = family.change(x, is_final=True)
-        system = torque_system(self.evidence.corrected(family.change(x).corrections))
-        if system is None:
-            return None
         # a scale changes the torque itself, not its explanation
         quality = predict_stretches(system, fitted=None if found.kind == "torque" else (x, slope))
         is_tolerated = bool(np.all(np.abs(x) < family.tolerated))
@@ -222,12 +233,20 @@ class _Search:
         if found.code == "wrong-torque-constant" or not is_accurate:
             found = found.as_estimate()
         found = replace(found, is_tolerated=is_tolerated, n_coordinates=size)
-        least = _MIN_GAIN_OF_COORDINATE if found.kind in _MEASURED else _MIN_GAIN
+        is_usual = found.delay_s is not None and abs(found.delay_s) < _USUAL_DELAY
+        is_measured = found.kind in _MEASURED and not is_usual
+        least = _MIN_GAIN_OF_COORDINATE if is_measured else _MIN_GAIN
         return self._gaining(found, quality, least, is_pooled=True)
 
-    def _fit(self, family: Family, x: FloatArray) -> TorqueFit | None:
-        system = torque_system(self.evidence.corrected(family.change(x).corrections))
-        return None if system is None else fit_torques(system)
+    def _decrease(self, change: FloatArray) -> float:
+        """Decrease of the cost per row if weighted torques (n_rows,) are explained as well."""
+        fit, total = self.fit, 0.0
+        for i, n in fit.n_rows.items():
+            rows = self.system.joint == i
+            before = float(np.sum(fit.residual[rows] ** 2))
+            after = float(np.sum((fit.residual[rows] - change[rows]) ** 2))
+            total += 0.5 * n * float(np.log(before / max(after, _MIN_UNEXPLAINED * before)))
+        return total / fit.n_all
 
     def doubtful_records(self) -> list[str]:
         """Records without which the stretches of the others are predicted clearly better.
@@ -266,7 +285,7 @@ class _Search:
             gain = replace(gain, by_joint=by_joint)  # the mean is of the torques as they are
         best, worst = float(gain.by_joint.max()), float(gain.by_joint.min())
         is_enough = gain.mean > 0.0 and (gain.mean if is_pooled else best) >= least
-        if not is_enough or worst < -_MAX_LOSS * best:
+        if not is_enough or worst < -_MAX_LOSS * max(best, float(gain.by_joint.sum())):
             return None
         return replace(each, gain=gain, cost=quality.cost)
 
@@ -286,9 +305,7 @@ class _Search:
         return np.column_stack(changes) / _DERIVATIVE_STEP
 
 
-def _gauss_newton(fit: TorqueFit, slope: FloatArray, x: FloatArray) -> tuple[FloatArray, float]:
-    """Step from x under the prior, and the predicted decrease of the cost per row."""
-    gradient, curvature = slope.T @ fit.residual, slope.T @ slope + np.eye(len(x))
-    explained = float(gradient @ np.linalg.solve(curvature, gradient)) / fit.n_all
-    decrease = -0.5 * float(np.log(max(1.0 - explained, _MIN_UNEXPLAINED)))
-    return np.asarray(np.linalg.solve(curvature, gradient - x)), decrease
+def _gauss_newton(slope: FloatArray, residual: FloatArray, x: FloatArray) -> FloatArray:
+    """Step from x under the prior."""
+    curvature = slope.T @ slope + np.eye(len(x))
+    return np.asarray(np.linalg.solve(curvature, slope.T @ residual - x))
