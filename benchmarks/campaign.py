@@ -27,7 +27,7 @@ from rich.table import Table
 from benchmarks.console import Console
 from strainwave import pipeline
 from strainwave.campaign import Settings, run
-from strainwave.campaign.records import PARAMETERS_SCHEMA, RUNS_SCHEMA, Record
+from strainwave.campaign.records import PARAMETERS_SCHEMA, RUNS_SCHEMA, RunRecord
 from strainwave.campaign.store import Store
 from strainwave.numerics.parallel import configure_process
 
@@ -88,7 +88,7 @@ def store_times(folder: Path) -> list[Figure]:
     store = Store.at(folder / "rows")
     day = datetime(2026, 1, 1)
 
-    def record(number: int) -> Record:
+    def record(number: int) -> RunRecord:
         run_name = f"{number:032x}"
         row: dict[str, Any] = {
             "run": run_name,
@@ -99,7 +99,7 @@ def store_times(folder: Path) -> list[Figure]:
         keys = {"run": run_name, "study": row["study"], "unit": "kg m^2", "stage": "tuned"}
         names = [f"parameter_{k}" for k in range(26)]
         parameters = [keys | {"name": name, "joint": 1, "value": 1.0} for name in names]
-        return Record(row, parameters, b"x" * 200_000)
+        return RunRecord(row, parameters, b"x" * 200_000)
 
     merged = [record(number) for number in range(ROWS - 1000)]
     for kind, schema in (("runs", RUNS_SCHEMA), ("parameters", PARAMETERS_SCHEMA)):

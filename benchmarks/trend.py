@@ -16,7 +16,7 @@ from rich.table import Table
 
 from benchmarks.console import Console
 from strainwave.domain import FloatArray
-from strainwave.monitoring.shapes import Series, fit_change
+from strainwave.monitoring.shapes import ParameterSeries, fit_change
 from strainwave.monitoring.trend import trend
 from strainwave.monitoring.visits import ArmHistory, Histories, ParameterHistory, Visit
 
@@ -69,7 +69,7 @@ def healthy_arm(rng: np.random.Generator, visits: int) -> Histories:
         value = 1000.0 + between * common[:, k] + std * rng.normal(size=visits)
         if warm and k % 2:
             value -= 3.0 * temperature
-        series = Series(time, value, std, covariates)
+        series = ParameterSeries(time, value, std, covariates)
         parameters.append(ParameterHistory(f"p{k}", None, "", "tuned", visit_list, series))
     return Histories(
         (ArmHistory("arm", visit_list, tuple(parameters)),),
@@ -97,7 +97,7 @@ def delay(rng: np.random.Generator, size: float, run_std: float, between: float,
     value += between * rng.normal(size=n) + run_std * rng.normal(size=n)
     for visits in range(HEALTHY + 1, n):
         past = slice(0, visits)
-        series = Series(
+        series = ParameterSeries(
             7.0 * np.arange(visits, dtype=np.float64),
             value[past],
             std[past],

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
-from strainwave.campaign.records import Record
+from strainwave.campaign.records import RunRecord
 from strainwave.campaign.store import Store
 
 DAY = datetime(2026, 1, 1)
 
 
-def record(run: str, seconds: float = 0.0, status: str = "determined") -> Record:
+def record(run: str, seconds: float = 0.0, status: str = "determined") -> RunRecord:
     row = {"run": run, "study": f"{run}/study.toml", "status": status, "exit_code": 0}
     row |= {"started": DAY + timedelta(seconds=seconds), "message": "", "seconds": 1.0}
     parameters = [
         {"run": run, "study": row["study"], "name": name, "joint": joint, "value": 1.5}
         for name, joint in (("beta", None), ("motor_inertia", 1), ("motor_inertia", 2))
     ]
-    return Record(row, parameters, b"{}")
+    return RunRecord(row, parameters, b"{}")
 
 
 def write_many(folder: str, first: int, count: int) -> None:

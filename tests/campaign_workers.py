@@ -10,11 +10,11 @@ import signal
 import time
 
 from strainwave.campaign import worker
-from strainwave.campaign.records import Record, Task
+from strainwave.campaign.records import RunRecord, Task
 from strainwave.campaign.study_files import StudyFile
 
 
-def poisoned(task: Task) -> Record:
+def poisoned(task: Task) -> RunRecord:
     name = task.case.name
     if "exits" in name:
         os._exit(7)

@@ -22,7 +22,7 @@ from strainwave.domain import (
     Study,
 )
 from strainwave.domain.keys import Values
-from strainwave.domain.link_sensors import Axis
+from strainwave.domain.link_sensors import SensorAxis
 from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.domain.link_sensors.single_axis import Accelerometer, LinkEncoder
 from strainwave.dynamics.arm import Arm
@@ -269,7 +269,7 @@ def linear_record(
         arm=Arm.of(study.arm),
         cutoff_hz=100.0,
         drive=Drive(1e-3, still, still, (False, False), (0.0, 0.0), (0.0, 0.0)),
-        channels=(Axis(sensor, 1),) * n_channels,
+        channels=(SensorAxis(sensor, 1),) * n_channels,
         kernels=Kernels(np.ones(1), np.ones(1), 1),
         time=time,
         measured=measured,

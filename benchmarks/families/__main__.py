@@ -9,19 +9,19 @@ from pathlib import Path
 from benchmarks.families import family_of
 from benchmarks.families.drawn_arms import arms_of
 from strainwave import campaign
-from strainwave.campaign.study_files import Selection
+from strainwave.campaign.study_files import CaseSelection
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import check_keys, decode, parse_toml, read_bytes
 
 
-def cases_of(path: Path) -> Selection:
+def cases_of(path: Path) -> CaseSelection:
     """The arms of the `[family]` in a file; raises InvalidInput if it is at fault."""
     text = decode(read_bytes(path, "the family"), path)
     document = parse_toml(text, path)
     check_keys(document, ("family",), path)
     if not isinstance(document.get("family"), dict):
         raise InvalidInput("has no table [family]", where=str(path), remedy="give [family]")
-    return Selection(arms_of(family_of(document["family"], path, text), path))
+    return CaseSelection(arms_of(family_of(document["family"], path, text), path))
 
 
 def main() -> int:

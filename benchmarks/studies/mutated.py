@@ -49,7 +49,7 @@ def main() -> None:
         store=str(folder / "store"),
         stages=options.stages.split(",") if options.stages else None,
         workers=options.workers,
-        limits=campaign.Limits(time_s=_TIME_LIMIT),
+        limits=campaign.RunLimits(time_s=_TIME_LIMIT),
         display=sys.stderr.isatty(),
     )
     campaign.run([str(path) for path in studies], settings)

@@ -423,7 +423,7 @@ def campaign(
         workers=workers,
         scheduler=scheduler,
         cluster=cluster,
-        limits=campaigns.Limits(time_s=time_limit, memory_mib=memory_limit),
+        limits=campaigns.RunLimits(time_s=time_limit, memory_mib=memory_limit),
         retry_failed=retry_failed,
         display=not quiet and sys.stderr.isatty(),
     )

@@ -16,7 +16,7 @@ import strainwave as sw
 from campaign_rigs import inertia_of, log, rig
 from strainwave.campaign import worker
 from strainwave.campaign.records import Task
-from strainwave.campaign.runner import Plan
+from strainwave.campaign.runner import CampaignPlan
 from strainwave.campaign.store import Store
 from strainwave.campaign.study_files import Hashes, Opened
 from strainwave.domain.kinds import single_joint
@@ -57,7 +57,7 @@ class DrawnCase:
 
 
 def task_of(case: DrawnCase, store: Path, **options: Any) -> Task:
-    task = Plan(Store.at(store), "test", ("rigid",), options).next(case)
+    task = CampaignPlan(Store.at(store), "test", ("rigid",), options).next(case)
     assert isinstance(task, Task)
     return Task.from_json(task.to_json())
 
@@ -91,7 +91,7 @@ def test_options_of_a_case_override_and_are_hashed(tmp_path: Path) -> None:
 def test_a_study_file_has_no_true_values(tmp_path: Path) -> None:
     from strainwave.campaign.study_files import find
 
-    plan = Plan(Store.at(tmp_path / "store"), "test", ("rigid",), {})
+    plan = CampaignPlan(Store.at(tmp_path / "store"), "test", ("rigid",), {})
     task = plan.next(find([str(rig(tmp_path / "rig"))]).cases[0])
     assert isinstance(task, Task)
     worker.answer(task)

@@ -20,8 +20,8 @@ import strainwave as sw
 from campaign_commands import COUNT, PATIENCE, campaign, records_by_study, running, wait_for
 from campaign_rigs import rig, rigs
 from strainwave.campaign import cluster
-from strainwave.campaign.records import Limits, Task
-from strainwave.campaign.runner import Plan
+from strainwave.campaign.records import RunLimits, Task
+from strainwave.campaign.runner import CampaignPlan
 from strainwave.campaign.store import Store
 from strainwave.campaign.study_files import find
 
@@ -152,8 +152,8 @@ class Future:
         self.result()
 
 
-def planned(folder: Path) -> tuple[Any, Plan]:
-    plan = Plan(Store.at(folder / "store"), "test", ("rigid",), {})
+def planned(folder: Path) -> tuple[Any, CampaignPlan]:
+    plan = CampaignPlan(Store.at(folder / "store"), "test", ("rigid",), {})
     found = cluster._plan(plan, find([str(rig(folder / "rig"))]).cases[0])
     return found, plan
 
@@ -213,7 +213,7 @@ def test_a_scheduler_lost_before_a_task_is_submitted(
 ) -> None:
     task, _ = planned(tmp_path)
     with pytest.raises(error):
-        cluster._submit(client, task, Limits(time_s=60.0))
+        cluster._submit(client, task, RunLimits(time_s=60.0))
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,8 @@ import pytest
 
 from campaign_rigs import inertia_of, rig, rigs
 from strainwave.campaign import runner, worker
-from strainwave.campaign.records import Limits, Outcome, Task
-from strainwave.campaign.runner import Plan, Runner
+from strainwave.campaign.records import Outcome, RunLimits, Task
+from strainwave.campaign.runner import CampaignPlan, Runner
 from strainwave.campaign.store import Store, read_parameters, read_runs
 from strainwave.campaign.study_files import find
 from strainwave.errors import InvalidInput
@@ -31,13 +31,13 @@ class InProcess(Runner):
 POISONED = partial(Runner, entry=("-m", "campaign_workers"))
 
 
-def plan(store: Path, **changes: Any) -> Plan:
+def plan(store: Path, **changes: Any) -> CampaignPlan:
     settings: dict[str, Any] = {"campaign": "test", "stages": ("rigid",), "options": {}}
-    return Plan(Store.at(store), **(settings | changes))
+    return CampaignPlan(Store.at(store), **(settings | changes))
 
 
 def run(studies: Path, store: Path, workers: int = 2, **changes: Any) -> dict[str, Outcome]:
-    limits = changes.pop("limits", Limits())
+    limits = changes.pop("limits", RunLimits())
     start = changes.pop("start", Runner)
     cases = find([str(studies)]).cases
     outcomes = runner.run(cases, plan(store, **changes), workers, limits, start)
@@ -84,7 +84,7 @@ def poisoned(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, An
     (rig(folder / "rigs" / "no-log").parent / "motion.csv").unlink()
     rig(folder / "rigs" / "no-toml").write_text("[arm")
     rig(folder / "slow" / "hangs")  # apart, because a busy machine is slow with the others too
-    run(folder / "slow", folder / "store", 1, limits=Limits(time_s=4.0), start=POISONED)
+    run(folder / "slow", folder / "store", 1, limits=RunLimits(time_s=4.0), start=POISONED)
     run(folder / "rigs", folder / "store", 1, start=POISONED)
     return rows(folder / "store")
 
@@ -161,7 +161,7 @@ def test_a_worker_of_another_version_refuses(tmp_path: Path) -> None:
     task = plan(tmp_path / "store").next(case)
     assert isinstance(task, Task)
     old = replace(task, version="0.0.1")
-    runner = Runner(Limits())
+    runner = Runner(RunLimits())
     outcome = runner.run(old)
     runner.close()
     assert (outcome.status, outcome.exit_code) == ("failed", 2)
@@ -170,7 +170,7 @@ def test_a_worker_of_another_version_refuses(tmp_path: Path) -> None:
 
 def test_a_process_is_reused_and_replaced(tmp_path: Path) -> None:
     rigs(tmp_path / "rigs", 7)
-    run(tmp_path / "rigs", tmp_path / "store", 1, limits=Limits(tasks=3))
+    run(tmp_path / "rigs", tmp_path / "store", 1, limits=RunLimits(tasks=3))
     ordered = sorted(rows(tmp_path / "store").values(), key=lambda row: row["started"])
     workers = [row["worker"] for row in ordered]
     assert [workers.count(each) for each in dict.fromkeys(workers)] == [3, 3, 1]
@@ -178,7 +178,7 @@ def test_a_process_is_reused_and_replaced(tmp_path: Path) -> None:
 
 def test_a_process_killed_between_studies_is_replaced(tmp_path: Path) -> None:
     rigs(tmp_path / "rigs", 2)
-    runner = Runner(Limits())
+    runner = Runner(RunLimits())
     for case in find([str(tmp_path / "rigs")]).cases:
         task = plan(tmp_path / "store").next(case)
         assert isinstance(task, Task)
@@ -193,7 +193,7 @@ def test_the_memory_limit_fails_one_study(tmp_path: Path) -> None:
     """Without a limit the 8 GiB would be allocated, because they are never written."""
     rig(tmp_path / "rigs" / "hoards")
     rig(tmp_path / "rigs" / "whole")
-    limits = Limits(memory_mib=4096)
+    limits = RunLimits(memory_mib=4096)
     run(tmp_path / "rigs", tmp_path / "store", 1, limits=limits, start=POISONED)
     found = rows(tmp_path / "store")
     assert found["whole"]["status"] == "determined"
@@ -210,7 +210,7 @@ def test_a_worker_that_ends_itself_reports_the_timeout(tmp_path: Path) -> None:
     case = find([str(rig(tmp_path / "one"))]).cases[0]
     task = plan(tmp_path / "store").next(case)
     assert isinstance(task, Task)
-    outcome = Runner(Limits(), entry=("-c", script)).run(task)
+    outcome = Runner(RunLimits(), entry=("-c", script)).run(task)
     assert (outcome.status, outcome.exit_code) == ("failed", 1)
     assert "Timeout (0:00:00.1" in outcome.message
 
@@ -228,7 +228,7 @@ def test_closing_the_generator_kills_the_processes(tmp_path: Path) -> None:
     rig(tmp_path / "rigs" / "hangs-2")
     rig(tmp_path / "rigs" / "a-whole")
     cases = find([str(tmp_path / "rigs")]).cases
-    outcomes = runner.run(cases, plan(tmp_path / "store"), 2, Limits(), POISONED)
+    outcomes = runner.run(cases, plan(tmp_path / "store"), 2, RunLimits(), POISONED)
     assert next(outcomes).status == "determined"
     start = time.monotonic()
     outcomes.close()
@@ -243,7 +243,7 @@ def test_a_worker_has_one_thread_for_blas(tmp_path: Path) -> None:
     rig(tmp_path / "rigs" / "one")
     task = plan(tmp_path / "store").next(find([str(tmp_path / "rigs")]).cases[0])
     assert isinstance(task, Task)
-    runner = Runner(Limits())
+    runner = Runner(RunLimits())
     runner.run(task)
     (child,) = workers()
     assert child.environ()["OPENBLAS_NUM_THREADS"] == "1"

@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 import strainwave as sw
 from campaign_records import DAY, record, write_many
 from strainwave.campaign.places import Folder
-from strainwave.campaign.records import PARAMETERS_SCHEMA, RUNS_SCHEMA, Record
+from strainwave.campaign.records import PARAMETERS_SCHEMA, RUNS_SCHEMA, RunRecord
 from strainwave.campaign.store import Store
 
 
@@ -168,10 +168,10 @@ def test_duckdb_pandas_and_polars_read_the_same_rows(tmp_path: Path) -> None:
     """Also if a column of one file has only nulls."""
     store = Store.at(tmp_path)
     store.write(record("a", 1.0))
-    store.write(Record({"run": "b", "started": DAY, "status": "failed"}))
+    store.write(RunRecord({"run": "b", "started": DAY, "status": "failed"}))
     store.write(record("c", 2.0))
     store.merge()
-    store.write(Record({"run": "d", "started": DAY, "warnings": ["clipped"], "tuned_s": 1.0}))
+    store.write(RunRecord({"run": "d", "started": DAY, "warnings": ["clipped"], "tuned_s": 1.0}))
     for kind, schema in (("runs", RUNS_SCHEMA), ("parameters", PARAMETERS_SCHEMA)):
         pattern = str(tmp_path / kind / "*.parquet")
         own: pa.Table = store.table(kind)

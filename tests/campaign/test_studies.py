@@ -11,10 +11,10 @@ import pytest
 import strainwave as sw
 from campaign_rigs import STUDY, rig, rigs
 from strainwave.campaign.records import Task
-from strainwave.campaign.study_files import Selection, StudyFile, find
+from strainwave.campaign.study_files import CaseSelection, StudyFile, find
 
 
-def names(found: Selection, folder: Path | str) -> list[str]:
+def names(found: CaseSelection, folder: Path | str) -> list[str]:
     return [case.name.removeprefix(f"{folder}/") for case in found.cases]
 
 

@@ -11,7 +11,7 @@ from string import Formatter
 import pytest
 
 import strainwave
-from strainwave.domain import Clause, Diagnostic, Place, Span
+from strainwave.domain import Clause, Diagnostic, Place, ValueRange
 from strainwave.domain.messages import catalogue, place_text, places_text, templates, text_of
 
 PACKAGE = Path(strainwave.__file__).parent
@@ -88,8 +88,8 @@ def test_lists_have_commas_and_a_conjunction() -> None:
 
 
 def test_a_span_is_one_number_where_its_ends_look_equal() -> None:
-    assert f"{Span(0.50, 0.504):.2f}" == "0.50"
-    assert f"{Span(0.5, 0.7):.1f}" == "0.5 to 0.7"
+    assert f"{ValueRange(0.50, 0.504):.2f}" == "0.50"
+    assert f"{ValueRange(0.5, 0.7):.1f}" == "0.5 to 0.7"
 
 
 def test_warnings_can_be_compared_and_sent_to_other_processes() -> None:

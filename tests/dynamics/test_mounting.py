@@ -10,7 +10,7 @@ import pytest
 
 from strainwave.domain import FloatArray, Imu, Study
 from strainwave.domain.kinds import change_arm_keys
-from strainwave.domain.link_sensors import Axis, mounted_axes, unknowns_of
+from strainwave.domain.link_sensors import SensorAxis, mounted_axes, unknowns_of
 from strainwave.domain.link_sensors.imu import ImuAccelerometers
 from strainwave.domain.link_sensors.link_space import (
     Quantity,
@@ -42,7 +42,7 @@ def rig(gravity: float | None, joint: int, imu: Imu | None = IMU) -> Study:
     return replace(study, arm=change_arm_keys(study.arm.with_joints(joints), gravity=gravity))
 
 
-def axes(study: Study, joint: int) -> tuple[Axis, ...]:
+def axes(study: Study, joint: int) -> tuple[SensorAxis, ...]:
     return mounted_axes(study.arm, joint, [f"{name}{joint}" for name in NAMES])
 
 

@@ -113,7 +113,7 @@ def worst_use(study: Study, values: Values, limits: Limits, record: design.Plann
 
 
 def test_the_gradient_of_the_search_is_that_of_the_cost() -> None:
-    search = rigid_motion.Search(GuessedArm(Arm.of(STUDY.arm), GUESS, LIMITS), 8.0)
+    search = rigid_motion.MotionSearch(GuessedArm(Arm.of(STUDY.arm), GUESS, LIMITS), 8.0)
     point = np.random.default_rng(3).normal(size=search.n_unknowns)
     cost, gradient = search.with_gradient(point)
     assert cost == pytest.approx(float(search.cost(point[None])[0]), rel=1e-12)
@@ -183,7 +183,7 @@ def test_a_lead_in_connects_both_states() -> None:
 @pytest.mark.parametrize("volts", [40.0, 2.0])
 def test_every_point_of_the_search_is_feasible(volts: float) -> None:
     limits = replace(LIMITS, voltage=(volts, volts))
-    search = rigid_motion.Search(GuessedArm(Arm.of(STUDY.arm), GUESS, limits), 5.0)
+    search = rigid_motion.MotionSearch(GuessedArm(Arm.of(STUDY.arm), GUESS, limits), 5.0)
     rng = np.random.default_rng(0)
     limited = 0
     for point in 3.0 * rng.normal(size=(30, search.n_unknowns)):

@@ -29,7 +29,7 @@ from strainwave.experiment_design.motions import motion_records
 from strainwave.experiment_design.plan import Limits, limits_of
 from strainwave.experiment_design.rigid_motion import (
     Fourier,
-    Search,
+    MotionSearch,
     full_regressor,
     standard_deviations,
 )
@@ -203,7 +203,7 @@ def test_predicted_intervals_are_those_of_noisy_torques(study: Study) -> None:
     """Least squares of torques with white errors, assumed or measured, scatter as predicted."""
     bare = study.arm.with_joints(replace(j, encoder_counts=None) for j in study.arm.joints)
     arm, values, allowed = Arm.of(bare), values_of(study), limits(study)
-    search = Search(GuessedArm(arm, values, allowed), 8.0)
+    search = MotionSearch(GuessedArm(arm, values, allowed), 8.0)
     series = Fourier(8.0, *np.split(np.random.default_rng(1).normal(size=(17, 3)), [1, 9]))
     motion = series.at(search.time)
     std = standard_deviations(search, motion, 1.0, torque_errors_of(arm, {2: 0.03}))

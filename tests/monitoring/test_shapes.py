@@ -14,8 +14,8 @@ from strainwave.domain import FloatArray
 from strainwave.domain.distributions import student_tail
 from strainwave.monitoring.shapes import (
     MIN_VISITS,
-    Change,
-    Series,
+    DetectedChange,
+    ParameterSeries,
     Shape,
     cap_union_probability,
     estimate_visit_variance,
@@ -29,15 +29,15 @@ FAILURE_P = 1e-4  # probability that a test with a fresh seed fails by chance
 
 def series(
     value: FloatArray, std: FloatArray | float = 1.0, covariates: FloatArray | None = None
-) -> Series:
+) -> ParameterSeries:
     n = len(value)
     covariate_table = np.empty((n, 0)) if covariates is None else covariates
-    return Series(
+    return ParameterSeries(
         7.0 * np.arange(n, dtype=np.float64), value, np.broadcast_to(std, n).copy(), covariate_table
     )
 
 
-def found(one: Series, seed: int = 0) -> Change:
+def found(one: ParameterSeries, seed: int = 0) -> DetectedChange:
     change = fit_change(one, np.random.default_rng(seed))
     assert change is not None
     return change
@@ -141,7 +141,7 @@ def test_too_few_visits_or_equal_times_allow_no_test() -> None:
     rng = np.random.default_rng(0)
     assert fit_change(series(np.zeros(MIN_VISITS)), rng) is None
     assert fit_change(series(rng.normal(size=MIN_VISITS + 1)), rng) is not None
-    equal_times = Series(np.zeros(12), rng.normal(size=12), np.ones(12), np.empty((12, 0)))
+    equal_times = ParameterSeries(np.zeros(12), rng.normal(size=12), np.ones(12), np.empty((12, 0)))
     assert fit_change(equal_times, rng) is None
 
 

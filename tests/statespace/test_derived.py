@@ -10,7 +10,7 @@ import pytest
 from strainwave.domain import FloatArray, StateSpace
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.statespace import frequency_response, modes, pem, propagate, to_continuous
-from strainwave.statespace._matrices import Matrices
+from strainwave.statespace._matrices import ModelMatrices
 from two_inertia import SAMPLE_TIME, TwoInertia, excitation, simulate, state_space
 
 ARM = TwoInertia()
@@ -26,7 +26,7 @@ def fitted(seed: int = 0, samples: int = 1000) -> StateSpace:
 
 def transformed(model: StateSpace, T: FloatArray) -> StateSpace:
     """Model with the state T x and the correspondingly transformed covariance."""
-    matrices = Matrices(model.A, model.B, model.C, model.D, model.K, model.initial_states)
+    matrices = ModelMatrices(model.A, model.B, model.C, model.D, model.K, model.initial_states)
     changed = matrices.transformed(T)
     inverse = np.linalg.inv(T)
     assert model.covariance is not None

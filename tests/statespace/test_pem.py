@@ -16,7 +16,7 @@ from strainwave.domain import ContinuousStateSpace, FloatArray, InputOutput, Sta
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.statespace import PemOptions, modes, pem, propagate, subspace, to_continuous
 from strainwave.statespace._evaluate import Evaluator
-from strainwave.statespace._matrices import Matrices, balance, rescale
+from strainwave.statespace._matrices import ModelMatrices, balance, rescale
 from strainwave.statespace._stack import stack
 from strainwave.statespace.subspace import Method
 from two_inertia import TwoInertia, excitation, simulate
@@ -59,7 +59,7 @@ def information_bound(data: InputOutput) -> FloatArray:
     """
     stacked = stack(data)
     n, m, p = 3, 2, 2
-    true_matrices = Matrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, TRUTH.initial_states)
+    true_matrices = ModelMatrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, TRUTH.initial_states)
     scaled = rescale(true_matrices, stacked).pack()
     J = Evaluator(stacked, n).core.jacobian(scaled)
     J = (J * (stacked.output_scale / NOISE)[:, None]).reshape(-1, J.shape[2])
@@ -89,7 +89,9 @@ def test_jacobian_is_the_derivative_to_second_order() -> None:
     data = stack([first, second])
     evaluator = Evaluator(data, 3)
     rng = np.random.default_rng(0)
-    start = rescale(Matrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((2, 3))), data)
+    start = rescale(
+        ModelMatrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((2, 3))), data
+    )
     values = balance(start).pack() + 0.01 * rng.standard_normal(start.pack().shape)
     J = evaluator.core.jacobian(values)
     entries = J.shape[2] - 3
@@ -113,7 +115,9 @@ def test_a_predictor_that_overflows_is_refused(
     """An overflowing predictor raises an error and prints nothing."""
     data = stack(noisy(1, 2000))
     evaluator = Evaluator(data, 3)
-    unstable = Matrices(3.0 * TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, 0.0 * TRUTH.K, np.zeros((1, 3)))
+    unstable = ModelMatrices(
+        3.0 * TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, 0.0 * TRUTH.K, np.zeros((1, 3))
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with pytest.raises(np.linalg.LinAlgError, match="overflows"):
@@ -125,7 +129,7 @@ def test_a_predictor_that_overflows_is_refused(
 def test_every_entry_has_its_own_derivative() -> None:
     data = stack(noisy(1, 80))
     evaluator = Evaluator(data, 3)
-    matrices = Matrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((1, 3)))
+    matrices = ModelMatrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((1, 3)))
     values = balance(rescale(matrices, data)).pack()
     whitener = evaluator.whitener(evaluator.unpack(values))
     J = evaluator.core.jacobian(values)
@@ -153,7 +157,7 @@ def test_coordinates_of_the_start_do_not_matter() -> None:
     data = noisy(0, 600)
     rng = np.random.default_rng(5)
     T = rng.standard_normal((3, 3))
-    matrices = Matrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((1, 3)))
+    matrices = ModelMatrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((1, 3)))
     changed = matrices.transformed(T)
     other = replace(TRUTH, A=changed.A, B=changed.B, C=changed.C, K=changed.K)
     fits = [pem(data, start=start) for start in (TRUTH, other)]
@@ -394,7 +398,7 @@ def test_starts_that_do_not_fit_are_refused() -> None:
 
 def test_no_start_has_a_stable_predictor(monkeypatch: pytest.MonkeyPatch) -> None:
     """All starting values have an unstable predictor: an error is raised."""
-    unobservable = Matrices(
+    unobservable = ModelMatrices(
         1.5 * TRUTH.A, TRUTH.B, 0.0 * TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((1, 3))
     )
     module = sys.modules["strainwave.statespace.pem"]
@@ -409,8 +413,8 @@ def test_a_start_without_a_stable_predictor_is_passed_over(
     module = sys.modules["strainwave.statespace.pem"]
     starts = module._starts
 
-    def first_unstable(*arguments: Any) -> list[Matrices]:
-        matrices: list[Matrices] = starts(*arguments)
+    def first_unstable(*arguments: Any) -> list[ModelMatrices]:
+        matrices: list[ModelMatrices] = starts(*arguments)
         return [replace(matrices[0], A=1.5 * matrices[0].A, K=0.0 * matrices[0].K), *matrices]
 
     data = noisy(0, 600)
@@ -455,7 +459,7 @@ def test_stability_is_the_best_stable_model() -> None:
         costs = [
             evaluator.cost(
                 evaluator.linear(
-                    Matrices((1.0 - 1e-9) * one, one, one, zero, K * one, zero),
+                    ModelMatrices((1.0 - 1e-9) * one, one, one, zero, K * one, zero),
                     (False,),
                     gain=True,
                 ).pack()

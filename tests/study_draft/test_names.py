@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from command_line import run_here
 from strainwave.domain import FloatArray
 from strainwave.io.logs import write_log
-from strainwave.io.logs.tables import Table
+from strainwave.io.logs.tables import LogTable
 from strainwave.study_draft import start_study
 from strainwave.study_draft.names import UNITS, Quantity, names_accelerometer, parse
 from strainwave.study_draft.signal_features import sign_bit
@@ -481,7 +481,9 @@ def test_a_column_in_any_unit_of_the_table_drafts_back_to_si(
 
 def with_units(path: Path, columns: Mapping[str, FloatArray], units: Mapping[str, str]) -> None:
     """Read the columns with a units row: each name has the unit of its row."""
-    table = Table(path, tuple(columns), lambda names: {n: columns[n] for n in names}, units=units)
+    table = LogTable(
+        path, tuple(columns), lambda names: {n: columns[n] for n in names}, units=units
+    )
     for name in columns:
         unit = parse(name, (), table.units.get(name, "")).unit
         assert (unit is None) == (name not in units)

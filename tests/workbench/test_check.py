@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from starlette.testclient import TestClient
 
 from strainwave.workbench.pages.check import gate_of
-from strainwave.workbench.study_edit import Change, edit_study
+from strainwave.workbench.study_edit import KeyChange, edit_study
 
 API = "/api/check/arm/study.toml"
 
@@ -32,7 +32,7 @@ def test_a_consistent_study_opens_the_gate_and_a_change_closes_it(
     assert checked["state"] == "consistent"
     assert checked["is_open"]
     assert client.get(API).json()["state"] == "consistent"
-    edit_study(study, [Change(("joint", 0, "torque_per_volt"), 0.07)])
+    edit_study(study, [KeyChange(("joint", 0, "torque_per_volt"), 0.07)])
     assert client.get(API).json()["state"] == "unchecked"
 
 
@@ -49,7 +49,9 @@ def test_a_wrong_unit_is_suspected_and_its_remedy_corrects_the_study(
     study = folder / "arm" / "study.toml"
     before = study.read_text()
     study.write_text(f"# my rig\n{before}")
-    edit_study(study, [Change(("channels", "theta_m1"), {"column": "theta_m1", "scale": 57.29578})])
+    edit_study(
+        study, [KeyChange(("channels", "theta_m1"), {"column": "theta_m1", "scale": 57.29578})]
+    )
     suspected = post(client, API).json()
     assert suspected["state"] == "suspected"
     assert not suspected["is_open"]
@@ -64,7 +66,7 @@ def test_a_wrong_unit_is_suspected_and_its_remedy_corrects_the_study(
 def test_an_override_opens_the_gate_until_the_next_change(client: TestClient, folder: Path) -> None:
     study = folder / "arm" / "study.toml"
     assert post(client, "/api/override-check/arm/study.toml").status_code == 400
-    edit_study(study, [Change(("joint", 0, "gear_ratio"), 0.013)])
+    edit_study(study, [KeyChange(("joint", 0, "gear_ratio"), 0.013)])
     assert post(client, API).json()["state"] == "suspected"
     assert post(client, "/api/override-check/arm/study.toml").json()["state"] == "overridden"
     assert gate_of(study).is_open
@@ -75,7 +77,7 @@ def test_an_override_opens_the_gate_until_the_next_change(client: TestClient, fo
 def test_an_invalid_study_gives_the_message_of_the_command_line(
     client: TestClient, folder: Path
 ) -> None:
-    edit_study(folder / "arm" / "study.toml", [Change(("joint", 0, "gear_ratio"), 0.0)])
+    edit_study(folder / "arm" / "study.toml", [KeyChange(("joint", 0, "gear_ratio"), 0.0)])
     gate = client.get(API).json()
     assert gate["state"] == "invalid"
     assert "gear_ratio" in gate["reason"]

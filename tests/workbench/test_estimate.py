@@ -17,7 +17,7 @@ from strainwave.io.study import read_study
 pytest.importorskip("starlette")
 
 from strainwave.workbench.pages.estimate import option_arguments, option_groups
-from strainwave.workbench.study_edit import Change, edit_study
+from strainwave.workbench.study_edit import KeyChange, edit_study
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
@@ -54,7 +54,7 @@ def test_choices_are_those_of_the_types() -> None:
 
 def test_values_of_the_study_are_shown(folder: Path) -> None:
     path = folder / "arm" / "study.toml"
-    edit_study(path, [Change(("options", "tuning", "hold"), ["gear_damping 2"])])
+    edit_study(path, [KeyChange(("options", "tuning", "hold"), ["gear_damping 2"])])
     rows = {row.name: row for g in option_groups(read_study(path).options).values() for row in g}
     assert rows["tuning.hold"].value == '["gear_damping 2"]'
     assert rows["links.order"].value == ""
@@ -86,7 +86,7 @@ def test_a_run_identifies_a_copy_of_the_study_that_can_be_repeated(
     folder_of_run = folder / "arm" / "runs" / "slow"
     result = json.loads((folder_of_run / "result.json").read_bytes())
     assert result["stages"]["rigid"]["bandwidth_hz"] == 4.0
-    edit_study(folder / "arm" / "study.toml", [Change(("joint", 0, "gear_ratio"), 0.02)])
+    edit_study(folder / "arm" / "study.toml", [KeyChange(("joint", 0, "gear_ratio"), 0.02)])
     copy = read_study(folder_of_run / "study.toml")
     assert copy.arm.joints[0].gear_ratio == 0.01
     assert copy.log_path(copy.experiments[0]).resolve().parent == (folder / "arm").resolve()

@@ -15,7 +15,7 @@ from strainwave.study_draft import start_study
 pytest.importorskip("starlette")
 
 from strainwave.workbench.pages.study import field_groups, value_of
-from strainwave.workbench.study_edit import Change, changed_text, edit_study, parse_draft
+from strainwave.workbench.study_edit import KeyChange, changed_text, edit_study, parse_draft
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
@@ -60,7 +60,7 @@ def test_a_change_keeps_comments_and_is_read_by_the_command_line(
 
 
 def test_a_file_of_the_command_line_is_shown(client: TestClient, folder: Path) -> None:
-    edit_study(folder / "arm" / "study.toml", [Change(("joint", 1, "gear_ratio"), 0.0125)])
+    edit_study(folder / "arm" / "study.toml", [KeyChange(("joint", 1, "gear_ratio"), 0.0125)])
     groups = client.get(API).json()["groups"]
     (joint,) = [group for group in groups if group["title"] == "Joint 2"]
     (field,) = [f for f in joint["fields"] if f["key"]["key"] == "gear_ratio"]
@@ -120,7 +120,7 @@ def test_todo_values_are_marked_and_survive_other_changes() -> None:
     assert missing == [("arm", "link_length"), ("joint", 0, "gear_ratio"), ("servo", "kp")]
     reasons = {f.key.key: f.reason for f in groups["Arm"]}
     assert reasons["link_length"] == "[m] measured"
-    text = changed_text(DRAFT, [Change(("arm", "link_length"), 0.35)], Path("study.toml"))
+    text = changed_text(DRAFT, [KeyChange(("arm", "link_length"), 0.35)], Path("study.toml"))
     assert text == DRAFT.replace("link_length = TODO", "link_length = 0.35")
 
 

@@ -22,10 +22,10 @@ from typing import Any
 from strainwave import pipeline
 from strainwave.campaign import cluster, runner
 from strainwave.campaign.places import Folder, is_url
-from strainwave.campaign.records import FAILED_STATUS, Limits, Outcome, merged
-from strainwave.campaign.runner import Plan
+from strainwave.campaign.records import FAILED_STATUS, Outcome, RunLimits, merged
+from strainwave.campaign.runner import CampaignPlan
 from strainwave.campaign.store import MERGE_AFTER, Store
-from strainwave.campaign.study_files import Selection, find
+from strainwave.campaign.study_files import CaseSelection, find
 from strainwave.domain import Options
 from strainwave.errors import InvalidInput
 from strainwave.io import atomic_files
@@ -148,7 +148,7 @@ def _display(tally: Tally, dashboard: str | None) -> Any:
     return Group(ProgressBar(total=max(tally.total, 1), completed=ended), *lines)
 
 
-__all__ = ["Limits", "Settings", "Summary", "run"]
+__all__ = ["RunLimits", "Settings", "Summary", "run"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +161,7 @@ class Settings:
     workers: int | None = None  # None: one per core, or all of the cluster
     scheduler: str | None = None  # address of the Dask scheduler
     cluster: Path | None = None  # description of a Dask cluster to start
-    limits: Limits = field(default_factory=Limits)
+    limits: RunLimits = field(default_factory=RunLimits)
     retry_failed: bool = False
     display: bool = False  # show progress on stderr
 
@@ -182,14 +182,14 @@ class Summary:
         return 0 if not self.ended_early and tally.by_status["determined"] == tally.total else 3
 
 
-def run(studies: Sequence[str] | Selection, settings: Settings) -> Summary:
+def run(studies: Sequence[str] | CaseSelection, settings: Settings) -> Summary:
     """Identify many studies, and record each run in the store when it ends.
 
     `studies` are study files, folders, globs, tables of paths, URLs, or one campaign.toml; or cases
     of any class that the workers can import. Raises `InvalidInput` if there is no study to run or
     an argument is invalid.
     """
-    selection = studies if isinstance(studies, Selection) else find(studies)
+    selection = studies if isinstance(studies, CaseSelection) else find(studies)
     if not selection.cases:
         raise InvalidInput("there is no study to run", remedy="give study files, folders or a glob")
     plan = _plan(selection, settings)
@@ -203,7 +203,7 @@ def run(studies: Sequence[str] | Selection, settings: Settings) -> Summary:
     return Summary(tally, lines, early, "" if early else _merged(plan.store))
 
 
-def _plan(selection: Selection, settings: Settings) -> Plan:
+def _plan(selection: CaseSelection, settings: Settings) -> CampaignPlan:
     stages = pipeline.check_stages(settings.stages or selection.stages or pipeline.STAGES)
     tables = {"options": selection.options}
     tables |= {f"--set {text}": parse_flag(text) for text in settings.options}
@@ -222,12 +222,12 @@ def _plan(selection: Selection, settings: Settings) -> Plan:
                 where=str(store.place),
                 remedy="choose another --out or change its permissions",
             ) from error
-    return Plan(store, name, stages, options, settings.retry_failed)
+    return CampaignPlan(store, name, stages, options, settings.retry_failed)
 
 
 @contextmanager
 def _outcomes(
-    selection: Selection, plan: Plan, settings: Settings
+    selection: CaseSelection, plan: CampaignPlan, settings: Settings
 ) -> Iterator[tuple[Iterator[Outcome], str | None]]:
     if settings.scheduler is None and settings.cluster is None:
         workers = min(settings.workers or os.cpu_count() or 1, len(selection.cases))

@@ -21,8 +21,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from strainwave.campaign.records import FAILED_STATUS, Limits, Outcome, Task, now
-from strainwave.campaign.runner import Plan, Runner, failed
+from strainwave.campaign.records import FAILED_STATUS, Outcome, RunLimits, Task, now
+from strainwave.campaign.runner import CampaignPlan, Runner, failed
 from strainwave.campaign.store import Store
 from strainwave.campaign.study_files import Case
 from strainwave.errors import InvalidInput, StrainwaveError, import_optional
@@ -49,8 +49,8 @@ class ClusterLost(StrainwaveError):  # noqa: N818
 def perform(line: str, limits: dict[str, Any], since: str) -> str:
     """Perform one task in the worker process of this thread, on a Dask worker.
 
-    `line` is a `Task`, `limits` the fields of `Limits`; returns an `Outcome`, both as JSON. A run
-    recorded after `since`, the ISO 8601 time of planning, is that of this task: its Dask worker
+    `line` is a `Task`, `limits` the fields of `RunLimits`; returns an `Outcome`, both as JSON. A
+    run recorded after `since`, the ISO 8601 time of planning, is that of this task: its Dask worker
     died after its worker process had recorded it.
     """
     task = Task.from_json(line)
@@ -60,7 +60,7 @@ def perform(line: str, limits: dict[str, Any], since: str) -> str:
     ):
         return recorded.to_json()
     if getattr(_thread, "limits", None) != limits:
-        _thread.limits, _thread.runner = limits, Runner(Limits(**limits))
+        _thread.limits, _thread.runner = limits, Runner(RunLimits(**limits))
     runner: Runner = _thread.runner
     return runner.run(task).to_json()
 
@@ -104,7 +104,7 @@ def connected(scheduler: str | None, description: Path | None) -> Iterator[Any]:
                 cluster.close()
 
 
-class _Planned(NamedTuple):
+class _PlannedTask(NamedTuple):
     """A task and the time since when it may have been recorded."""
 
     task: Task
@@ -112,7 +112,11 @@ class _Planned(NamedTuple):
 
 
 def run(
-    cases: Iterable[Case], plan: Plan, client: Any, limits: Limits, workers: int | None = None
+    cases: Iterable[Case],
+    plan: CampaignPlan,
+    client: Any,
+    limits: RunLimits,
+    workers: int | None = None,
 ) -> Generator[Outcome]:
     """Run cases on the workers of a scheduler; yield outcomes as they come.
 
@@ -121,7 +125,7 @@ def run(
     """
     waiting = iter(cases)
     events: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    submitted: dict[str, tuple[_Planned, Any]] = {}
+    submitted: dict[str, tuple[_PlannedTask, Any]] = {}
     planning = 0
     capacity = _Capacity(client, workers)
     pool = ThreadPoolExecutor(_N_PLANNERS)
@@ -154,13 +158,13 @@ def run(
         pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _plan(plan: Plan, case: Case) -> _Planned | Outcome:
+def _plan(plan: CampaignPlan, case: Case) -> _PlannedTask | Outcome:
     since = now()
     task = plan.next(case)
-    return task if isinstance(task, Outcome) else _Planned(task, since)
+    return task if isinstance(task, Outcome) else _PlannedTask(task, since)
 
 
-def _submit(client: Any, planned: _Planned, limits: Limits) -> Any:
+def _submit(client: Any, planned: _PlannedTask, limits: RunLimits) -> Any:
     task, since = planned
     key = f"strainwave-{task.run}-{since.timestamp():f}"
     work = perform, task.to_json(), asdict(limits), since.isoformat()
@@ -179,7 +183,7 @@ def _connected_call(client: Any) -> Iterator[None]:
         raise
 
 
-def _outcome(planned: _Planned, future: Any, plan: Plan) -> Outcome:
+def _outcome(planned: _PlannedTask, future: Any, plan: CampaignPlan) -> Outcome:
     """Outcome of a Dask task; a task whose workers died repeatedly is a failed run."""
     from distributed import KilledWorker
 

@@ -29,7 +29,7 @@ FAILED_STATUS = "failed"
 
 
 @dataclass(frozen=True)
-class Limits:
+class RunLimits:
     """Limits of a run."""
 
     time_s: float = 600.0
@@ -194,7 +194,7 @@ Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Record:
+class RunRecord:
     """Row, parameters and result of a run."""
 
     row: Row
@@ -214,7 +214,7 @@ def worker_name(process: int | None = None) -> str:
 
 def record_of(
     task: Task, opened: Opened, identification: Identification, *, started: datetime
-) -> Record:
+) -> RunRecord:
     """Record of a run with a verdict; `opened` has the true values of a virtual arm."""
     verdict = identification.verdict
     base = failure_of(
@@ -239,7 +239,7 @@ def record_of(
     row |= {f"{part}_s": identification.timing_s.get(part) for part in TIMED_PARTS}
     keys = {"run": row["run"], "study": row["study"]}
     parameters = [keys | _parameter_row(entry, opened.truth) for entry in identification.parameters]
-    return Record(row, parameters, to_json(to_document(identification)))
+    return RunRecord(row, parameters, to_json(to_document(identification)))
 
 
 def failure_of(
@@ -251,9 +251,9 @@ def failure_of(
     status: str = FAILED_STATUS,
     worker: str = "",
     classes: Mapping[str, Any] | None = None,
-) -> Record:
+) -> RunRecord:
     """Record of a run without a verdict; `message` is one sentence, `started` in UTC."""
-    return Record(
+    return RunRecord(
         task.row()
         | {
             "status": status,

@@ -25,8 +25,8 @@ from typing import IO, Any
 
 from strainwave.campaign.records import (
     FAILED_STATUS,
-    Limits,
     Outcome,
+    RunLimits,
     Task,
     failure_of,
     merged,
@@ -57,7 +57,7 @@ class Runner:
     `entry` are the arguments of Python that start the worker.
     """
 
-    def __init__(self, limits: Limits, entry: Sequence[str] = _ENTRY) -> None:
+    def __init__(self, limits: RunLimits, entry: Sequence[str] = _ENTRY) -> None:
         self._limits = limits
         self._entry = tuple(entry)
         self._child: subprocess.Popen[bytes] | None = None
@@ -243,7 +243,7 @@ def _kill(child: subprocess.Popen[bytes]) -> None:
 
 
 @dataclass(frozen=True)
-class Plan:
+class CampaignPlan:
     """Stages and options of a campaign, and its store."""
 
     store: Store
@@ -272,10 +272,10 @@ class Plan:
 
 def run(
     cases: Iterable[Case],
-    plan: Plan,
+    plan: CampaignPlan,
     workers: int,
-    limits: Limits,
-    start: Callable[[Limits], Runner] = Runner,
+    limits: RunLimits,
+    start: Callable[[RunLimits], Runner] = Runner,
 ) -> Generator[Outcome]:
     """Run cases in `workers` processes, which `start` creates; yield outcomes as they come.
 

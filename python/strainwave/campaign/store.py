@@ -31,8 +31,8 @@ from strainwave.campaign.records import (
     PARAMETERS_SCHEMA,
     RUNS_SCHEMA,
     Outcome,
-    Record,
     Row,
+    RunRecord,
 )
 from strainwave.errors import InvalidInput
 
@@ -59,7 +59,7 @@ class Store:
         """The store at a path or URL, which need not exist."""
         return cls(place_of(where))
 
-    def write(self, record: Record) -> None:
+    def write(self, record: RunRecord) -> None:
         """Write result, parameters, and last the row that makes the run count.
 
         OSError if that fails; no part of it can be read then.
@@ -82,7 +82,7 @@ class Store:
                 self.place.delete(written_files)
             raise
 
-    def try_write(self, record: Record) -> str:
+    def try_write(self, record: RunRecord) -> str:
         """Write a record; the reason if that fails, or ""."""
         try:
             self.write(record)

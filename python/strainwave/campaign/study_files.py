@@ -179,7 +179,7 @@ _KEYS = ("stages", "options", "studies")
 
 
 @dataclass(frozen=True)
-class Selection:
+class CaseSelection:
     """Cases in order, with stages and options of a campaign.toml."""
 
     cases: Sequence[Case]
@@ -187,7 +187,7 @@ class Selection:
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
-def find(arguments: Sequence[str]) -> Selection:
+def find(arguments: Sequence[str]) -> CaseSelection:
     """The cases that the arguments name, each once.
 
     Arguments are study files; folders, searched for files named study.toml; globs; tables, .txt
@@ -203,7 +203,7 @@ def find(arguments: Sequence[str]) -> Selection:
                 remedy="give it alone, or list its studies with the others",
             )
         return _read_campaign(documents[0])
-    return Selection(_collect_studies(arguments))
+    return CaseSelection(_collect_studies(arguments))
 
 
 def _collect_studies(arguments: Sequence[str]) -> list[Case]:
@@ -304,7 +304,7 @@ def _is_campaign(path: Path) -> bool:
     return "arm" not in document and "studies" in document
 
 
-def _read_campaign(path: Path) -> Selection:
+def _read_campaign(path: Path) -> CaseSelection:
     text = decode(read_bytes(path, "the campaign"), path)
     document = parse_toml(text, path)
     check_keys(document, _KEYS, path)
@@ -319,7 +319,7 @@ def _read_campaign(path: Path) -> Selection:
     if not _is_list_of_text(table["paths"]):
         raise _invalid_key(path, "studies.paths", "a list of paths, folders, globs or URLs")
     cases = _collect_studies([resolved(item, str(path)) for item in table["paths"]])
-    return Selection(cases, None if stages is None else tuple(stages), options)
+    return CaseSelection(cases, None if stages is None else tuple(stages), options)
 
 
 def _is_list_of_text(value: Any) -> bool:

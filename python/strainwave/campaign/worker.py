@@ -21,7 +21,7 @@ from strainwave import __version__
 from strainwave.campaign.records import (
     FAILED_STATUS,
     Outcome,
-    Record,
+    RunRecord,
     Task,
     failure_of,
     now,
@@ -30,12 +30,12 @@ from strainwave.campaign.records import (
 from strainwave.campaign.store import Store
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 
-Perform = Callable[[Task], Record]
+Perform = Callable[[Task], RunRecord]
 
 _ORPHAN_GRACE_S = 30.0  # [s] beyond the time limit before a run without a parent ends
 
 
-def perform(task: Task) -> Record:
+def perform(task: Task) -> RunRecord:
     """Identify a case; every outcome is a record.
 
     Exit code 2 if the input is invalid, 1 after any other error.

@@ -68,8 +68,8 @@ from strainwave.domain.messages import STATE_SPACE_MODEL as STATE_SPACE_MODEL
 from strainwave.domain.messages import WHOLE_ARM_FIT as WHOLE_ARM_FIT
 from strainwave.domain.messages import Clause as Clause
 from strainwave.domain.messages import Place as Place
-from strainwave.domain.messages import Span as Span
 from strainwave.domain.messages import Value as Value
+from strainwave.domain.messages import ValueRange as ValueRange
 from strainwave.domain.options import STAGES as STAGES
 from strainwave.domain.options import FrequencyOptions as FrequencyOptions
 from strainwave.domain.options import LinearOptions as LinearOptions

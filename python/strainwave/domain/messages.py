@@ -42,7 +42,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class Span:
+class ValueRange:
     """Smallest and largest value of one number in merged warnings."""
 
     low: float
@@ -75,7 +75,7 @@ class Clause:
         return Clause(self.template, **{k: _shape_of(v) for k, v in self.values})
 
 
-Value = float | int | str | Place | Span | Clause | tuple["Value", ...] | None
+Value = float | int | str | Place | ValueRange | Clause | tuple["Value", ...] | None
 
 
 def _shape_of(value: Value) -> Value:
@@ -97,7 +97,7 @@ def _merge(values: Sequence[Value]) -> Value:
     first = values[0]
     if isinstance(first, float):
         numbers = [value for value in values if isinstance(value, float)]
-        return Span(min(numbers), max(numbers))
+        return ValueRange(min(numbers), max(numbers))
     if isinstance(first, tuple):
         rows = [value for value in values if isinstance(value, tuple)]
         return tuple(map(_merge, zip(*rows, strict=True)))
@@ -199,8 +199,8 @@ class _Rendering(Formatter):
             items = value if isinstance(value, tuple) else (value,)
             return _List(items, *_LINKS[conversion])
         scale = _SCALES.get(conversion or "", 1.0)
-        if isinstance(value, Span):
-            return Span(scale * value.low, scale * value.high)
+        if isinstance(value, ValueRange):
+            return ValueRange(scale * value.low, scale * value.high)
         return scale * value if conversion and isinstance(value, float | int) else value
 
     def format_field(self, value: Value | _List, format_spec: str) -> str:

@@ -19,7 +19,7 @@ import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors import Axis, ConstantKind
+from strainwave.domain.link_sensors import ConstantKind, SensorAxis
 from strainwave.numerics.filters import fast_length
 
 _DECAY_TIME_CONSTANTS = 7.0  # the response has then decayed to 1/1000
@@ -90,7 +90,7 @@ _KAISER_BETA = 9.0  # of the interpolation window
 _DIFFERENCE_REACH = 10  # rows on each side of a difference
 
 
-def mount_resonance(axis: Axis, values: Mapping[Key, float]) -> MountResonance | None:
+def mount_resonance(axis: SensorAxis, values: Mapping[Key, float]) -> MountResonance | None:
     """Resonance of the mount of a sensor; None if the mount is rigid."""
     names = axis.mount
     if names is None or names[0] not in values:
@@ -137,7 +137,7 @@ def shift_samples(samples: FloatArray, ahead: float) -> FloatArray:
 
 
 def apply_sensor_model(
-    samples: FloatArray, sample_time: float, axis: Axis, values: Mapping[Key, float]
+    samples: FloatArray, sample_time: float, axis: SensorAxis, values: Mapping[Key, float]
 ) -> FloatArray:
     """Reading of a sensor with its mount resonance, delay and scale.
 

@@ -32,7 +32,7 @@ from strainwave.experiment_design.plan import (
 from strainwave.experiment_design.rigid_motion import (
     N_HARMONICS,
     Fourier,
-    Search,
+    MotionSearch,
     condition_number,
     optimise,
     predicted_rigid_parameters,
@@ -80,7 +80,7 @@ def motion_records(
     if anti_resonance_hz:
         top = min(top, anti_resonance_hz / _MIN_RESONANCE_RATIO)
     tick, limits = clock_of(guess.arm), guess.limits
-    search = Search(guess, tick * round(N_HARMONICS / top / tick))
+    search = MotionSearch(guess, tick * round(N_HARMONICS / top / tick))
     posture = limits.centre[None]
     rest = np.zeros_like(posture)
     distance = float(smallest_distance(guess.arm, guess.values, posture, limits.distance)[0])
@@ -107,7 +107,7 @@ def motion_records(
 
 
 def _record(
-    search: Search,
+    search: MotionSearch,
     series: Fourier,
     name: str,
     use: Use,
@@ -167,7 +167,7 @@ def _record(
     )
 
 
-def _links(search: Search, series: Fourier, periods: int) -> tuple[Motion, float]:
+def _links(search: MotionSearch, series: Fourier, periods: int) -> tuple[Motion, float]:
     """Motion of the links in a complete record, and the time [s] of lead-in and of lead-out."""
     tick, zero = clock_of(search.arm), np.zeros(search.arm.n_joints)
     rest = (search.limits.centre, zero, zero)
@@ -188,7 +188,7 @@ def _ticks(duration: float, tick: float) -> FloatArray:
     return time
 
 
-def _periods(search: Search, series: Fourier, most: int) -> tuple[int, str]:
+def _periods(search: MotionSearch, series: Fourier, most: int) -> tuple[int, str]:
     """Number of periods that the noise of the encoders requires, and its reason."""
     arm = search.arm
     single = "1 period, because a repetition only averages noise"

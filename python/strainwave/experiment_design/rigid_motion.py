@@ -126,7 +126,7 @@ def scaled_regressor(arm: Arm, limits: Limits, motion: Motion) -> FloatArray:
     return np.asarray(rows / np.maximum(norms, 1e-300))
 
 
-def optimise(search: Search, starts: int, seed: int) -> tuple[Fourier, ...]:
+def optimise(search: MotionSearch, starts: int, seed: int) -> tuple[Fourier, ...]:
     """Motions of low condition number within the limits, one per start, the best first.
 
     Each search starts from one of the best of many random series.
@@ -153,7 +153,7 @@ def optimise(search: Search, starts: int, seed: int) -> tuple[Fourier, ...]:
     return tuple(search.series(r.x) for r in sorted(results, key=lambda result: result.fun))
 
 
-class Search:
+class MotionSearch:
     """Unconstrained search space of series with a period [s].
 
     A point holds the centre, through tanh, and the coefficients of each joint: n_joints * (2 *
@@ -272,7 +272,7 @@ class Search:
 
 
 def standard_deviations(
-    search: Search, motion: Motion, top_hz: float, torque_errors: FloatArray | float = 0.0
+    search: MotionSearch, motion: Motion, top_hz: float, torque_errors: FloatArray | float = 0.0
 ) -> FloatArray:
     """Standard deviations of `Arm.rigid_columns` after one period of a motion.
 

@@ -33,7 +33,7 @@ _BODIES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class FlatNumber:
     """One number under a name that is an identifier in any language."""
 
     name: str  # as in docs/notation.md, followed by the number of the joint
@@ -43,13 +43,13 @@ class Entry:
     known: bool = False  # from the study, not estimated
 
 
-def entries(arm: IdentifiedArm) -> tuple[Entry, ...]:
+def entries(arm: IdentifiedArm) -> tuple[FlatNumber, ...]:
     """Numbers of the study, then the identified parameters and the bodies of a serial arm."""
     known = list(_numbers_of_arm(arm.study.arm))
     for number, joint in enumerate(arm.study.arm.joints, start=1):
         units = _JOINT_UNITS | ({"torque_per_volt": "N/V"} if joint.motion == "prismatic" else {})
         known += [
-            Entry(f"{key}_{number}", getattr(joint, key), None, unit, known=True)
+            FlatNumber(f"{key}_{number}", getattr(joint, key), None, unit, known=True)
             for key, unit in units.items()
         ]
     entries = {entry.name: entry for entry in known if entry.value is not None}
@@ -59,14 +59,14 @@ def entries(arm: IdentifiedArm) -> tuple[Entry, ...]:
         value = arm.standard.get(p.key, p.value)
         if value is None and arm.completion is not None:
             value = arm.completion.get(p.key)
-        entries[name] = Entry(name, value, p.std, p.unit)
+        entries[name] = FlatNumber(name, value, p.std, p.unit)
     for key, value in arm.standard.items():
         name = "_".join(map(str, key))
-        entries.setdefault(name, Entry(name, value, None, unit_in(arm.study.arm, key)))
+        entries.setdefault(name, FlatNumber(name, value, None, unit_in(arm.study.arm, key)))
     return tuple(entries.values())
 
 
-def _numbers_of_arm(arm: ArmDescription) -> Iterator[Entry]:
+def _numbers_of_arm(arm: ArmDescription) -> Iterator[FlatNumber]:
     """Numbers of the `[arm]` table; placement and coupling of joints that the kind does not place.
 
     The components of a vector have the suffixes x, y and z, roll, pitch and yaw.
@@ -77,7 +77,7 @@ def _numbers_of_arm(arm: ArmDescription) -> Iterator[Entry]:
         if unit is None or value is None:
             continue
         if isinstance(value, float | int):
-            yield Entry(field.name, value, None, unit, known=True)
+            yield FlatNumber(field.name, value, None, unit, known=True)
         else:
             yield from _components([f"{field.name}_{x}" for x in "xyz"], value, unit)
     if kind_of(arm).places_joints:
@@ -92,9 +92,9 @@ def _numbers_of_arm(arm: ArmDescription) -> Iterator[Entry]:
         yield from _components(names, row, "1")
 
 
-def _components(names: Sequence[str], values: Sequence[float], unit: str) -> Iterator[Entry]:
+def _components(names: Sequence[str], values: Sequence[float], unit: str) -> Iterator[FlatNumber]:
     for name, value in zip(names, values, strict=True):
-        yield Entry(name, value, None, unit, known=True)
+        yield FlatNumber(name, value, None, unit, known=True)
 
 
 def _notes(arm: IdentifiedArm) -> tuple[str, ...]:

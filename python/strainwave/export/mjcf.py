@@ -20,7 +20,7 @@ from strainwave.domain.arm import Vector
 from strainwave.domain.combinations import is_rigid_drive
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.kinds.base import Body
-from strainwave.domain.link_sensors import Axis, installed_axes
+from strainwave.domain.link_sensors import SensorAxis, installed_axes
 from strainwave.domain.link_sensors.imu import IMU_ATTITUDE, IMU_POSITION
 from strainwave.domain.link_sensors.link_space import axes_about, link_space
 from strainwave.domain.link_sensors.single_axis import Accelerometer, Gyro
@@ -293,7 +293,7 @@ def _sensors(sensors: ET.Element, arm: IdentifiedArm, number: int, *, is_shared:
         ET.SubElement(sensors, tag, name=axis.channel, site=f"{site}{number}")
 
 
-def _installed(arm: IdentifiedArm, number: int) -> Iterator[tuple[Axis, str, str]]:
+def _installed(arm: IdentifiedArm, number: int) -> Iterator[tuple[SensorAxis, str, str]]:
     """Sensors of a revolute joint's link that the file describes: axis, site, and element."""
     if arm.joint(number).motion == "revolute":
         for axis in installed_axes(arm.study.arm, number, ()):

@@ -15,7 +15,7 @@ from strainwave.domain import FloatArray, Log, Prediction
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import determined_law
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.link_sensors import Axis, compared_axes
+from strainwave.domain.link_sensors import SensorAxis, compared_axes
 from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.domain.link_sensors.single_axis import MotorEncoder
 from strainwave.domain.parameter_table import base_name
@@ -72,14 +72,14 @@ def velocity_band(log: Log, arm: Arm) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Observation:
+class ObservedMotion:
     """Measured motion of a record, with the data that the comparison with a simulation needs."""
 
     log: Log
     drive: Drive
     cutoff_hz: float
     channels: tuple[str, ...]  # omega_m{i} [rad/s], then those of `axes` [m/s^2]
-    axes: tuple[Axis, ...]  # accelerometers
+    axes: tuple[SensorAxis, ...]  # accelerometers
     time: FloatArray  # (n_rows,) [s] without the edges of the filter
     measured: FloatArray  # (n_rows, n_channels)
     noise: FloatArray  # (n_channels,) standard deviation of the filtered sensor noise
@@ -117,8 +117,10 @@ class Observation:
             samples=len(self.log),
             record=record,
         )
-        motors = [Axis(MotorEncoder.of_joint(joint), i) for i, joint in enumerate(arm.joints, 1)]
-        read: list[tuple[Quantity, Axis]] = [("encoder", axis) for axis in motors] + [
+        motors = [
+            SensorAxis(MotorEncoder.of_joint(joint), i) for i, joint in enumerate(arm.joints, 1)
+        ]
+        read: list[tuple[Quantity, SensorAxis]] = [("encoder", axis) for axis in motors] + [
             (_READ, axis) for axis in self.axes
         ]
         columns = []
@@ -131,7 +133,7 @@ class Observation:
         return np.asarray(filtered + shift)
 
 
-def observe(log: Log, arm: Arm, cutoff_hz: float | None = None) -> Observation:
+def observe(log: Log, arm: Arm, cutoff_hz: float | None = None) -> ObservedMotion:
     """Velocities and accelerations of a record, prepared for the comparison.
 
     `cutoff_hz` [Hz] is that of the low-pass; the default is the bandwidth of the measured motion.
@@ -150,7 +152,7 @@ def observe(log: Log, arm: Arm, cutoff_hz: float | None = None) -> Observation:
     derivative_gain = 2.0 * np.pi * cutoff / np.sqrt(3.0)
     gains = np.array([derivative_gain] * arm.n_joints + [1.0] * len(axes))
     noise = np.r_[record.angle_noise, [noise_std(reading) for reading in readings]]
-    return Observation(
+    return ObservedMotion(
         log=log,
         drive=recorded_drive(arm, log),
         cutoff_hz=cutoff,
@@ -181,7 +183,7 @@ def predict_closed_loop(
     return build_prediction(observed, observed.simulate(arm, values))
 
 
-def build_prediction(observation: Observation, predicted: FloatArray) -> Prediction:
+def build_prediction(observation: ObservedMotion, predicted: FloatArray) -> Prediction:
     """Prediction record of a comparison. `predicted` is (n_rows, n_channels)."""
     fits = np.where(observation.moves, fit_percent(observation.measured, predicted), np.nan)
     return Prediction(

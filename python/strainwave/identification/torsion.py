@@ -49,7 +49,7 @@ _EDGE_PERIODS = 2.5  # of the cut-off, after which the filter's response to the 
 
 
 @dataclass(frozen=True, slots=True)
-class _Record:
+class _TorsionRows:
     """One record at the rows of the regression, all low-passed to the rigid model's bandwidth."""
 
     name: str
@@ -87,7 +87,7 @@ def fit_torsions(
     )
 
 
-def _prepare(log: Log, bandwidth_hz: float, arm: Arm) -> _Record | None:
+def _prepare(log: Log, bandwidth_hz: float, arm: Arm) -> _TorsionRows | None:
     """The rows of a record; None if it is shorter than the filter needs."""
     signals, T = prepare_motor_signals(log, arm), log.sample_time
     edge = int(_EDGE_PERIODS / (bandwidth_hz * T))
@@ -113,7 +113,7 @@ def _prepare(log: Log, bandwidth_hz: float, arm: Arm) -> _Record | None:
     gap = round(1.0 / (8.0 * bandwidth_hz * T))
     valid = _clear_of(signals.valid & is_measured, gap)
     span = min(period_of(signals), float(len(log)))
-    return _Record(
+    return _TorsionRows(
         log.name,
         filtered(regressor),
         filtered(added),
@@ -135,7 +135,7 @@ def _clear_of(valid: BoolArray, gap: int) -> BoolArray:
 
 
 @dataclass(frozen=True, slots=True)
-class _Equations:
+class _TorsionRegression:
     """Regression of one joint, all records together."""
 
     per_parameter: FloatArray  # (n_rows, n_body) [N m] torque per base parameter
@@ -146,7 +146,7 @@ class _Equations:
     block: IntArray  # (n_rows,) of the jackknife
 
     @staticmethod
-    def of(records: Sequence[_Record], joint: int) -> _Equations | None:
+    def of(records: Sequence[_TorsionRows], joint: int) -> _TorsionRegression | None:
         """The rows of a joint, from 0; None if there are too few."""
         parts = [(r, r.valid[:, joint]) for r in records if r.valid[:, joint].any()]
         per_record = max(2, round(_BLOCKS / max(1, len(parts))))
@@ -162,7 +162,7 @@ class _Equations:
             np.concatenate([r.rate[at, joint] for r, at in parts]),
             *(number == k for k in range(len(parts))),
         ]
-        return _Equations(
+        return _TorsionRegression(
             np.concatenate([r.torque[at, joint] for r, at in parts]),
             np.concatenate([r.payload[at, joint] for r, at in parts]),
             np.column_stack(others),
@@ -172,11 +172,11 @@ class _Equations:
 
 
 def _fit_joint(
-    records: Sequence[_Record], model: RigidModel, arm: Arm, joint: int
+    records: Sequence[_TorsionRows], model: RigidModel, arm: Arm, joint: int
 ) -> TorsionFit | Diagnostic:
     """The stiffness of one joint, from 1, with its interval; a warning without one."""
     key, lacking = (STIFFNESS, joint), Diagnostic("no-torsion", Place(joint=joint), joint=joint)
-    equations = _Equations.of(records, joint - 1)
+    equations = _TorsionRegression.of(records, joint - 1)
     if equations is None:
         return lacking
     solution = model.solution[: arm.n_body]

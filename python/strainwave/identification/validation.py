@@ -22,7 +22,7 @@ from strainwave.domain.parameter_table import COULOMB, family_of
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_prediction
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
-from strainwave.identification.closed_loop import Observation, build_prediction, observe
+from strainwave.identification.closed_loop import ObservedMotion, build_prediction, observe
 from strainwave.signals.recorded_input import driven_by_voltage
 
 _MIN_PERIODS = 2.5
@@ -211,7 +211,7 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     )
 
 
-def _by_voltage(observed: Observation, values: Values, arm: Arm) -> Prediction:
+def _by_voltage(observed: ObservedMotion, values: Values, arm: Arm) -> Prediction:
     """The same prediction with the recorded voltages instead of the servo."""
     driven, drive = driven_by_voltage(arm, observed.log)
     by_voltage = replace(observed, drive=drive)
@@ -232,7 +232,7 @@ def _typical_motion(model: ArmModel) -> Mapping[str, _TypicalMotion]:
 
 
 def _stiffness_effects(
-    prediction: Prediction, observed: Observation, joint: int, values: Values, arm: Arm
+    prediction: Prediction, observed: ObservedMotion, joint: int, values: Values, arm: Arm
 ) -> Mapping[str, float]:
     """Relative change of each channel with a fit for 20 % more stiffness of one gear.
 

@@ -65,7 +65,7 @@ def read_urdf(path: Path, held: Collection[str] = ()) -> tuple[UrdfJoint, ...]:
     Raises InvalidInput if the file is not a URDF, if its joints are not one serial chain, or if it
     has no joint of a name in `held`.
     """
-    return _Reader(path, _root(path), held).chain()
+    return _LinkWalk(path, _root(path), held).chain()
 
 
 class Chains(NamedTuple):
@@ -88,7 +88,7 @@ def patch_urdf(
     another keep their own if the rest is a body; otherwise the first one has everything. All
     other contents stay; `notes` become comments.
     """
-    reader = _Reader(path, _root(path), held)
+    reader = _LinkWalk(path, _root(path), held)
     document = minidom.parseString(read_bytes(path, "the URDF"))
     (robot,) = _children(document, "robot")
     elements = {each.getAttribute("name"): each for each in _children(robot, "link")}
@@ -145,7 +145,7 @@ def _text(*values: float) -> str:
 
 def read_chains(path: Path) -> Chains:
     """Names of the joints of a URDF file. Raises InvalidInput if it is not a URDF."""
-    return _Reader(path, _root(path), ()).chains()
+    return _LinkWalk(path, _root(path), ()).chains()
 
 
 def _root(path: Path) -> ElementTree.Element:
@@ -179,7 +179,7 @@ def _root(path: Path) -> ElementTree.Element:
     return root
 
 
-class _Reader:
+class _LinkWalk:
     """Walks the links of one file from the base."""
 
     def __init__(self, path: Path, root: ElementTree.Element, held: Collection[str]) -> None:

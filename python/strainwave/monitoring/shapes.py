@@ -32,7 +32,7 @@ _MAX_ITERATIONS = 50  # of Newton's method, which converges monotonically
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Series:
+class ParameterSeries:
     """One parameter over the visits of an arm, by time."""
 
     time: FloatArray  # (n_visits,) [days]
@@ -50,7 +50,7 @@ class Shape:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Change:
+class DetectedChange:
     """The shape that explains a series best, and its significance."""
 
     shape: Shape
@@ -66,7 +66,7 @@ class Change:
     fitted: FloatArray  # (n_visits,) with covariates
 
 
-def fit_change(series: Series, rng: np.random.Generator) -> Change | None:
+def fit_change(series: ParameterSeries, rng: np.random.Generator) -> DetectedChange | None:
     """The shape that explains a series best; None if the series is too short for a test.
 
     Weights are 1/(s^2 + tau^2), with tau by moments without any shape. For each shape t^2 is the
@@ -98,7 +98,7 @@ def fit_change(series: Series, rng: np.random.Generator) -> Change | None:
     column = columns[:, best]
     tau2 = estimate_visit_variance(series.value, series.std, np.column_stack([X, column]))
     fitted = series.value - space.residual_of(series.value - size[best] * column)
-    return Change(
+    return DetectedChange(
         shape=shapes[best],
         size=float(size[best]),
         size_std=float(size_std[best]),
@@ -113,7 +113,7 @@ def fit_change(series: Series, rng: np.random.Generator) -> Change | None:
     )
 
 
-def regressors(series: Series) -> FloatArray:
+def regressors(series: ParameterSeries) -> FloatArray:
     """Columns of the level and of the linearly independent covariates, (n_visits, 1 + n).
 
     Covariates have zero mean and unit standard deviation.
@@ -203,7 +203,7 @@ class _Whitened:
     min_variance: float  # from the standard deviations of the runs alone
 
     @classmethod
-    def of(cls, series: Series, X: FloatArray, tau2: float) -> _Whitened:
+    def of(cls, series: ParameterSeries, X: FloatArray, tau2: float) -> _Whitened:
         w = 1.0 / (series.std**2 + tau2)
         root = np.sqrt(w)
         basis = np.linalg.qr(X * root[:, None], mode="complete")[0]
@@ -254,7 +254,7 @@ def _change_visits(time: FloatArray) -> IntArray:
     return np.asarray(later[later >= _MIN_VISITS_BEFORE])
 
 
-def fitted_line(change: Change, series: Series) -> Iterator[tuple[float, float]]:
+def fitted_line(change: DetectedChange, series: ParameterSeries) -> Iterator[tuple[float, float]]:
     """Points (time, value) of the fitted shape at mean covariates, for a plot."""
     t, k = series.time, change.shape.first
     after = change.level + change.size

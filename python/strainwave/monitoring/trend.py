@@ -14,7 +14,7 @@ from strainwave.monitoring.comparison import (
     common_factor,
     is_torque_like,
 )
-from strainwave.monitoring.shapes import MIN_VISITS, Change, fit_change
+from strainwave.monitoring.shapes import MIN_VISITS, DetectedChange, fit_change
 from strainwave.monitoring.visits import ArmHistory, Histories, ParameterHistory
 
 _MIN_LEVEL_STDS = 2.0  # a level within two standard deviations of zero gives no percentages
@@ -27,7 +27,7 @@ class ParameterTrend:
     """The most significant change of one parameter over the visits of an arm."""
 
     history: ParameterHistory
-    change: Change
+    change: DetectedChange
     adjusted_p: float = 1.0  # by Holm, over all parameters of the arm
 
     @property

@@ -18,7 +18,7 @@ from strainwave.domain.keys import Key, Keyed
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.atomic_files import decode, read_bytes
 from strainwave.monitoring.result_estimates import is_record_parameter
-from strainwave.monitoring.shapes import Series
+from strainwave.monitoring.shapes import ParameterSeries
 
 _USABLE_STATUS = ("determined", "partly-determined", "not-determined")
 _DAY = timedelta(days=1)
@@ -56,7 +56,7 @@ class ParameterHistory(Keyed):
     unit: str
     stage: str
     visits: tuple[Visit, ...]  # by time
-    series: Series
+    series: ParameterSeries
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -282,7 +282,7 @@ def _parameter_histories(
         stage, unit = max(sources, key=sources.__getitem__)
         same_stage = [(v, row) for v, row in pairs if (row["stage"], row["unit"]) == (stage, unit)]
         stage_visits = tuple(visit for visit, _ in same_stage)
-        series = Series(
+        series = ParameterSeries(
             time=np.array([(visit.time - start) / _DAY for visit in stage_visits]),
             value=np.array([float(row["value"]) for _, row in same_stage]),
             std=np.array([float(row["std"]) for _, row in same_stage]),

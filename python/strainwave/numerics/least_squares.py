@@ -162,7 +162,7 @@ class _ReducedEquations:
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class ReducedRows:
     """Weighted rows after elimination of the local parameters.
 
     The columns are those of the common nuisance parameters, in units of their priors, of the scaled
@@ -178,7 +178,7 @@ class Rows:
 
 def rows_of(
     equations: Equations, root: FloatArray, targets: FloatArray, *, leverage: bool = True
-) -> Rows:
+) -> ReducedRows:
     """Eliminate the local parameters part by part."""
     X = equations.shared * root[:, None]
     scale = np.linalg.norm(X, axis=0)
@@ -194,7 +194,7 @@ def rows_of(
         local_coefficients.append(coefficients)
         if leverage:
             local_leverage[part.rows] = of_part
-    return Rows(scale, columns, np.concatenate(local_coefficients), local_leverage)
+    return ReducedRows(scale, columns, np.concatenate(local_coefficients), local_leverage)
 
 
 def _reduce(

@@ -69,12 +69,12 @@ class Stopped(BaseException):
     """
 
 
-class _Group:
+class _JobGroup:
     """Jobs that are stopped together; a group may belong to a job of another group."""
 
     def __init__(
         self,
-        parent: _Group | None,
+        parent: _JobGroup | None,
         threads: int | None,
         cancelled: Callable[[], bool] | None = None,
     ) -> None:
@@ -92,8 +92,8 @@ class _Group:
 _thread = threading.local()
 
 
-def _group() -> _Group | None:
-    group: _Group | None = getattr(_thread, "group", None)
+def _group() -> _JobGroup | None:
+    group: _JobGroup | None = getattr(_thread, "group", None)
     return group
 
 
@@ -110,7 +110,7 @@ def limited(
     Raises `Stopped` after cancellation.
     """
     outer_group = _group()
-    _thread.group = _Group(outer_group, threads, cancelled)
+    _thread.group = _JobGroup(outer_group, threads, cancelled)
     try:
         yield
     finally:
@@ -142,7 +142,7 @@ def run_parallel(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
     if len(jobs) <= 1 or max_threads == 1:  # a thread costs as much as a small job
         return [_run(parent, job) for job in jobs]
     workers = min(max_threads or os.cpu_count() or 1, len(jobs))
-    group = _Group(parent, max_threads and max_threads // workers)
+    group = _JobGroup(parent, max_threads and max_threads // workers)
     pool = ThreadPoolExecutor(workers)
     try:
         results = [pool.submit(_run, group, job) for job in jobs]
@@ -159,7 +159,7 @@ def both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[Firs
     return cast("First", first_result), cast("Second", second_result)
 
 
-def _run(group: _Group | None, job: Callable[[], Result]) -> Result:
+def _run(group: _JobGroup | None, job: Callable[[], Result]) -> Result:
     _thread.group = group
     raise_if_stopped()
     return job()

@@ -18,7 +18,7 @@ _MAX_LAG_ROWS = 200
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class Regression:
     """Coefficients of a regression."""
 
     value: FloatArray  # (n_columns,)
@@ -41,7 +41,9 @@ class Fit:
         return (value / scale, std / abs(scale)) if scale else (0.0, np.inf)
 
 
-def regress(target: FloatArray, columns: FloatArray, prior: FloatArray | None = None) -> Fit | None:
+def regress(
+    target: FloatArray, columns: FloatArray, prior: FloatArray | None = None
+) -> Regression | None:
     """Least squares by QR with a free constant. The covariance allows for correlated residuals.
 
     `target` has shape (n_rows,), `columns` (n_rows, n_columns). `prior`, of shape (n_columns,),
@@ -73,7 +75,7 @@ def regress(target: FloatArray, columns: FloatArray, prior: FloatArray | None = 
     factor = np.maximum(
         1.0, long_run_std(X @ (inverse @ inverse.T), residual) / np.linalg.norm(root, axis=1)
     )
-    return Fit(
+    return Regression(
         value=value / norms,
         root=root * (factor / norms)[:, None],
         explained=1.0 - float(residual @ residual) / total,

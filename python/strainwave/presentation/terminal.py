@@ -206,7 +206,7 @@ def print_tables(console: Console, *tables: Iterable[blocks.Table]) -> None:
     for each in chain(*tables):
         table = printed_table(*each.heads)
         for row in each.rows:
-            if not isinstance(row, blocks.Group):
+            if not isinstance(row, blocks.RowGroup):
                 table.add_row(*(Text(cell.text) for cell in row))
         console.print()
         console.print(Text(each.label, style="bold"))

@@ -206,7 +206,7 @@ class _Tuner:
             self.loops.responses(search), self.loops.controllers(gains), self.joint
         )
         sampled = sample(self.loops.plants, self.loops.clock, search)
-        trials = _Trials([each.law() for each in gains], plant, sampled)
+        trials = _GainTrials([each.law() for each in gains], plant, sampled)
         best, bandwidth, self.limit = gains[self.joint], 0.0, "margins"
         for make in self._filters(search):
             reached, is_encoder = self._largest_bandwidth(trials, make)
@@ -225,19 +225,19 @@ class _Tuner:
                     break
         return candidate
 
-    def _keeps(self, trials: _Trials, gains: Gains) -> bool:
+    def _keeps(self, trials: _GainTrials, gains: Gains) -> bool:
         """Whether all plants are stable and keep their margins."""
         margins = margins_of(trials.plant * gains.response(self.loops.z), self.loops.omega)
         if margins.share(self.required).min() < 1.0:
             return False
         return bool(np.abs(self._closed(trials, gains).poles()).max() < 1.0)
 
-    def _closed(self, trials: _Trials, gains: Gains) -> ClosedLoop:
+    def _closed(self, trials: _GainTrials, gains: Gains) -> ClosedLoop:
         laws = list(trials.laws)
         laws[self.joint] = gains.law()
         return close(trials.sampled, laws, self.joint)
 
-    def _largest_bandwidth(self, trials: _Trials, make: FilterMaker) -> tuple[float, bool]:
+    def _largest_bandwidth(self, trials: _GainTrials, make: FilterMaker) -> tuple[float, bool]:
         """The largest bandwidth [rad/s] with margins, and whether the encoder limits it.
 
         Zero if there is none. Arms that stand upright need some gain to be stable.
@@ -283,7 +283,7 @@ class _Tuner:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Trials:
+class _GainTrials:
     """Some plants with the loops of the other joints closed, on which gains are tried."""
 
     laws: list[ControlLaw]  # of all joints

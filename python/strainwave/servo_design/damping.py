@@ -86,7 +86,7 @@ def design_damping(
     sizes = [len(laws[each.joint - 1].A) + len(each.names) for each in observers]
     modes = loops.plants.locked_resonances()
     highest = _LINK_BAND * max(float(omega.max()) for omega, _ in modes)
-    search = _Search(loops, sampled, laws, tuple(observers), required, highest)
+    search = _GainSearch(loops, sampled, laws, tuple(observers), required, highest)
     plain = search.dampings(np.arange(len(sampled.A)), laws)
     without = DampingRatios.of(plain)
     if max(sizes) > MAX_LAW_STATES:
@@ -131,7 +131,7 @@ Pair = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Search:
+class _GainSearch:
     """Search of the gains of all joints."""
 
     loops: Loops

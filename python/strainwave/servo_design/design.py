@@ -32,8 +32,8 @@ from strainwave.servo_design.plants import (
 )
 from strainwave.servo_design.shaper_ranking import COVERAGE, RankedShaper, rank_shapers
 from strainwave.servo_design.verification import (
-    Comparison,
     EstimationError,
+    MoveComparison,
     compare_moves,
     errors_in_a_move,
 )
@@ -104,7 +104,7 @@ class ServoDesign:
     observers: tuple[Observer, ...]  # of the elastic joints, at the first posture
     dampings: tuple[Damping, ...]  # by feedback of the observed torsion
     estimation: tuple[EstimationError, ...]  # of the observers; empty if unchecked
-    moves: tuple[Comparison, ...]  # one per joint, from the first posture; empty if refused
+    moves: tuple[MoveComparison, ...]  # one per joint, from the first posture; empty if refused
     refusal: str  # why no moves are compared
     unchecked: str  # why the observers are not compared in a move
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Joint
 from strainwave.domain.arm import Imu
-from strainwave.domain.link_sensors import Axis, axes_of, with_estimates
+from strainwave.domain.link_sensors import SensorAxis, axes_of, with_estimates
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros
 from strainwave.domain.link_sensors.interface import LinkSensor
 from strainwave.domain.link_sensors.link_space import Quantity, attitude, axes_about
@@ -53,7 +53,7 @@ class Measurement:
     factor: float = 1.0
     has_bias: bool = False
     resolution: float = 0.0  # one count; zero without
-    axes: tuple[Axis, ...] = ()  # of the sensor on the link, one per channel
+    axes: tuple[SensorAxis, ...] = ()  # of the sensor on the link, one per channel
 
     @property
     def label(self) -> str:
@@ -62,7 +62,7 @@ class Measurement:
 
 
 @dataclass(frozen=True, slots=True)
-class _Source:
+class _SensedQuantity:
     """Direction and quantity that a sensor gives an observer."""
 
     weights: FloatArray  # of its axes
@@ -71,11 +71,11 @@ class _Source:
 
 
 _ONE = np.ones(1)
-_SIMPLE: dict[type[LinkSensor], _Source] = {
-    LinkEncoder: _Source(_ONE, "link_angle"),
-    TorsionSensor: _Source(_ONE, "torsion", -1.0),
-    Gyro: _Source(_ONE, "link_velocity"),
-    TorqueSensor: _Source(_ONE, "gear_torque"),
+_SIMPLE: dict[type[LinkSensor], _SensedQuantity] = {
+    LinkEncoder: _SensedQuantity(_ONE, "link_angle"),
+    TorsionSensor: _SensedQuantity(_ONE, "torsion", -1.0),
+    Gyro: _SensedQuantity(_ONE, "link_velocity"),
+    TorqueSensor: _SensedQuantity(_ONE, "gear_torque"),
 }
 
 
@@ -99,7 +99,7 @@ def measurements_of(
     model = with_places(arm)
     joint = model.joints[number - 1]
     used, unused = [_motor_encoder(joint, number, noise.samples)], []
-    by_sensor: dict[LinkSensor, list[Axis]] = {}
+    by_sensor: dict[LinkSensor, list[SensorAxis]] = {}
     for axis in axes_of(model, number):
         sensor = axis.sensor
         if sensor.is_in_table or sensor.resolution or axis.channel in arm.study.channels:
@@ -135,7 +135,7 @@ def known_part(one: Measurement, model: Arm, motion: JointMotion, i: int) -> Flo
 
 def _measurement(
     sensor: LinkSensor,
-    axes: list[Axis],
+    axes: list[SensorAxis],
     joint: Joint,
     mode_hz: float,
     period: float,
@@ -174,21 +174,21 @@ def _measurement(
     )
 
 
-def _source(sensor: LinkSensor, joint: Joint) -> _Source | str:
+def _source(sensor: LinkSensor, joint: Joint) -> _SensedQuantity | str:
     """What a sensor measures for an observer, or the reason why it is not used."""
     is_prismatic = joint.motion == "prismatic"
     match sensor:
         case Gyro() | ImuGyros() | ImuAccelerometers() if is_prismatic:
-            source: _Source | str = "it is not used on a prismatic joint"
+            source: _SensedQuantity | str = "it is not used on a prismatic joint"
         case Accelerometer(is_at_known_place=True):
             lever = 1.0 if is_prismatic else float(joint.accelerometer_distance or 0.0)
-            source = _Source(_ONE, "link_acceleration", lever)
+            source = _SensedQuantity(_ONE, "link_acceleration", lever)
         case Accelerometer():
             source = "its distance from the axis is not known"
         case ImuAccelerometers():
             source = _of_imu_accelerometers(sensor, joint)
         case ImuGyros(case=Imu(rpy=(_, _, _) as rpy)):
-            source = _Source(_along(rpy, axes_about(joint.axis)[2]), "link_velocity")
+            source = _SensedQuantity(_along(rpy, axes_about(joint.axis)[2]), "link_velocity")
         case ImuGyros():
             source = "its attitude is not in the study"
         case _:
@@ -196,7 +196,7 @@ def _source(sensor: LinkSensor, joint: Joint) -> _Source | str:
     return source
 
 
-def _of_imu_accelerometers(sensor: ImuAccelerometers, joint: Joint) -> _Source | str:
+def _of_imu_accelerometers(sensor: ImuAccelerometers, joint: Joint) -> _SensedQuantity | str:
     """The tangential part of accelerometers at r: (z x r) ddq."""
     if sensor.xyz is None or sensor.rpy is None:
         return "its position and attitude are not in the study"
@@ -204,7 +204,7 @@ def _of_imu_accelerometers(sensor: ImuAccelerometers, joint: Joint) -> _Source |
     lever = float(np.linalg.norm(tangent))
     if lever < _MIN_LEVER:
         return "it is on the axis of the joint"
-    return _Source(_along(sensor.rpy, tangent / lever), "link_acceleration", lever)
+    return _SensedQuantity(_along(sensor.rpy, tangent / lever), "link_acceleration", lever)
 
 
 def _along(rpy: Sequence[float], direction: FloatArray) -> FloatArray:
@@ -214,7 +214,7 @@ def _along(rpy: Sequence[float], direction: FloatArray) -> FloatArray:
 
 
 def _noise(
-    axis: Axis, joint: Joint, period: float, samples: Mapping[str, float]
+    axis: SensorAxis, joint: Joint, period: float, samples: Mapping[str, float]
 ) -> tuple[float, str]:
     """Standard deviation of one sample and its source; zero if it is not known."""
     sensor, channel = axis.sensor, axis.channel

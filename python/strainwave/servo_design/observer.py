@@ -42,7 +42,7 @@ _DISTURBANCE, _DRIVE_TORQUE, _LAST_INPUT = "motor_torque_error", "drive_torque",
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _TwoInertia:
+class _MotorAndLink:
     """Motor and link of one joint with the gear between them."""
 
     number: int
@@ -206,7 +206,7 @@ def design_observers(
     for number, joint in enumerate(model.joints, start=1):
         if not joint.elastic or number in model.coupled_joints:
             continue  # a torsion behind a coupled transmission depends on several motors
-        plant = _TwoInertia.of(arm, model, number, float(inertias[number - 1]))
+        plant = _MotorAndLink.of(arm, model, number, float(inertias[number - 1]))
         used, unused = measurements_of(arm, number, plant.mode_hz, clock.period, noise)
         if not uses_link_sensors:
             used, unused = used[:1], ()
@@ -216,7 +216,7 @@ def design_observers(
 
 
 def _noise_densities(
-    plant: _TwoInertia, noise: IdentifiedNoise, *, knows_interaction: bool
+    plant: _MotorAndLink, noise: IdentifiedNoise, *, knows_interaction: bool
 ) -> tuple[float, float]:
     """Process noise of link velocity and disturbance: densities [unit^2 s] of the rates.
 
@@ -233,7 +233,7 @@ def _noise_densities(
 
 
 def _observer(
-    plant: _TwoInertia,
+    plant: _MotorAndLink,
     clock: Clock,
     noise: tuple[float, float],
     measurements: tuple[Measurement, ...],
@@ -307,7 +307,7 @@ def _sampled(
 
 
 def _readings(
-    plant: _TwoInertia,
+    plant: _MotorAndLink,
     measurements: Sequence[Measurement],
     names: Sequence[str],
     F: FloatArray,

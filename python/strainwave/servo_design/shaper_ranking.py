@@ -149,7 +149,7 @@ def _check_period(period: float, mode: _Interval) -> None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Choice:
+class _ShaperChoice:
     """A shaper for one mode, or none."""
 
     shaper: Shaper | None
@@ -157,16 +157,16 @@ class _Choice:
     vibration: FloatArray  # of all modes, over their intervals
 
 
-def _choices(mode: _Interval, modes: list[_Interval], period: float) -> list[_Choice]:
+def _choices(mode: _Interval, modes: list[_Interval], period: float) -> list[_ShaperChoice]:
     omega = np.concatenate([one.omega for one in modes])
     damping = np.concatenate([one.damping for one in modes])
-    choices = [_Choice(None, np.ones(1), np.ones(len(omega)))]
+    choices = [_ShaperChoice(None, np.ones(1), np.ones(len(omega)))]
     for kind in ShaperKind:
         if has_design(kind, mode.middle_damping, MIN_TOLERANCE):
             shaper = _least_vibration(kind, mode.searched, period)
             sampled = shaper.sample(period)
             vibration = sampled.residual_vibration(omega, damping)
-            choices.append(_Choice(shaper, sampled.amplitudes, vibration))
+            choices.append(_ShaperChoice(shaper, sampled.amplitudes, vibration))
     return choices
 
 
@@ -206,7 +206,7 @@ def _minimum(cost: Callable[[float], float], low: float, high: float) -> tuple[f
     return min(least, (float(search.x), float(search.fun)), key=lambda pair: pair[1])
 
 
-def _combined(parts: tuple[_Choice, ...], period: float, required: float) -> RankedShaper:
+def _combined(parts: tuple[_ShaperChoice, ...], period: float, required: float) -> RankedShaper:
     """Convolution of the shapers; its vibration is the product of theirs."""
     weights = reduce(np.convolve, (part.weights for part in parts))
     vibration = float(reduce(np.multiply, (part.vibration for part in parts)).max())

@@ -54,7 +54,7 @@ class Move:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class MoveComparison:
     """Moves of one joint from one posture."""
 
     joint: int  # from 1
@@ -74,7 +74,7 @@ def compare_moves(
     draws: Sequence[Values],
     posture: FloatArray,
     limits: FloatArray,
-) -> tuple[Comparison, ...]:
+) -> tuple[MoveComparison, ...]:
     """Simulate moves of each joint from a posture [rad], for all draws.
 
     `servos` are the gains of the designed servo, and those of the current one if there is one.
@@ -94,7 +94,7 @@ def compare_moves(
             current_drive = simulated.step(current, plan, change)
             of_current, _ = _simulate_all(simulated, draws, current_drive, i)
         comparisons.append(
-            Comparison(
+            MoveComparison(
                 joint=i + 1,
                 duration=float(plan.time[-1]),
                 current=of_current,

@@ -114,7 +114,7 @@ _MIN_WEIGHT = 1e-12  # of the diagonal, for ticks without samples
 
 
 @dataclass(frozen=True, slots=True)
-class _Clock:
+class _ServoTicks:
     """Samples of a torque, the ticks of the servo, and the lag between command and torque."""
 
     sample_time: float  # [s]
@@ -161,7 +161,7 @@ def held_commands(
     """
     from scipy.optimize import minimize_scalar
 
-    clocks = [_Clock(sample_time, period, 1.0 / (2.0 * np.pi * hz)) for hz in current_loops]
+    clocks = [_ServoTicks(sample_time, period, 1.0 / (2.0 * np.pi * hz)) for hz in current_loops]
     grid = period * (np.arange(_OFFSETS_PER_PERIOD) / _OFFSETS_PER_PERIOD - 0.5)
     pairs = list(zip(clocks, torques, strict=True))
     misfits = np.array([[np.std(c.commands(x, d)[1]) for d in grid] for c, x in pairs])

@@ -15,7 +15,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors import Axis, ConstantKind, is_kind, unknowns_of
+from strainwave.domain.link_sensors import ConstantKind, SensorAxis, is_kind, unknowns_of
 from strainwave.domain.link_sensors.imu import (
     IMU_BEARING,
     IMU_DISTANCE,
@@ -39,7 +39,7 @@ _MAX_STEP = 0.7  # [rad or m] maximum step of any unknown
 
 
 def imu_candidates(
-    axes: Sequence[Axis], tables: Sequence[FloatArray], *, flat: bool = False
+    axes: Sequence[SensorAxis], tables: Sequence[FloatArray], *, flat: bool = False
 ) -> list[dict[Key, float]]:
     """Estimates of an IMU mounting by least squares over its readings, the best first.
 
@@ -61,7 +61,7 @@ def imu_candidates(
     return [_with_positive_distance(values, axes[0]) for _, values in minima]
 
 
-def _with_positive_distance(values: dict[Key, float], axis: Axis) -> dict[Key, float]:
+def _with_positive_distance(values: dict[Key, float], axis: SensorAxis) -> dict[Key, float]:
     """The equivalent mounting with a positive distance: half a turn about the joint axis."""
     joint = axis.joint
     distance = values.get((IMU_DISTANCE, joint), 1.0)
@@ -73,7 +73,7 @@ def _with_positive_distance(values: dict[Key, float], axis: Axis) -> dict[Key, f
     return turned
 
 
-def mirror_mounting(values: Mapping[Key, float], axis: Axis) -> dict[Key, float]:
+def mirror_mounting(values: Mapping[Key, float], axis: SensorAxis) -> dict[Key, float]:
     """The mounting on the other side of a link with one axis, with the same factors of f_y, alpha.
 
     The factors of f_x and w^2 change their sign, which only fast or large motions show. `values`
@@ -92,7 +92,9 @@ def mirror_mounting(values: Mapping[Key, float], axis: Axis) -> dict[Key, float]
     return mirrored
 
 
-def _turned(values: Mapping[Key, float], axis: Axis, signs: Sequence[float]) -> dict[Key, float]:
+def _turned(
+    values: Mapping[Key, float], axis: SensorAxis, signs: Sequence[float]
+) -> dict[Key, float]:
     """The mounting with another attitude, by signs along the directions of the link's space."""
     joint, directions = axis.joint, axis.space.directions
     start = directions.T @ np.diag(signs) @ directions @ attitude_of(values, joint)
@@ -112,12 +114,12 @@ def _start_attitude(matrix: FloatArray, joint: int) -> dict[Key, float]:
 class _AxisProblem:
     """Linear least-squares problem for the factors of one axis."""
 
-    axis: Axis
+    axis: SensorAxis
     root: FloatArray  # (n_factors + 1, n_factors) triangular
     target: FloatArray  # (n_factors + 1,)
 
     @classmethod
-    def of(cls, axis: Axis, rows: FloatArray) -> _AxisProblem:
+    def of(cls, axis: SensorAxis, rows: FloatArray) -> _AxisProblem:
         """R and Q'y of the rows: |R f - Q'y|^2 is the objective of factors f, up to a constant."""
         n = rows.shape[1] - 1
         ridge = (

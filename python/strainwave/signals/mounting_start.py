@@ -14,7 +14,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Joint, Log
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors import Axis, mounted_axes, unknowns_of
+from strainwave.domain.link_sensors import SensorAxis, mounted_axes, unknowns_of
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros, ImuSensor
 from strainwave.domain.link_sensors.link_space import (
     ACCELEROMETER_QUANTITIES,
@@ -41,7 +41,7 @@ _MAX_FACTOR_ERROR = 0.1  # of a sum of axes that replaces a tangential accelerom
 _MIN_DISTANCE = 0.02  # [m] minimum distance from the axis to measure angular acceleration
 
 
-def link_quantities(axis: Axis, arm: Arm, motion: JointMotion) -> FloatArray:
+def link_quantities(axis: SensorAxis, arm: Arm, motion: JointMotion) -> FloatArray:
     """The quantities (n_samples, n_quantities) that an axis reads, from the joints' motion."""
     rates, accelerations, forces = np.split(motion.links(arm)[:, axis.joint - 1], 3, axis=1)
     products = rates[:, [0, 1, 2, 0, 0, 1]] * rates[:, [0, 1, 2, 1, 2, 2]]
@@ -71,13 +71,13 @@ def estimate_mounting_starts(
     return starting_values
 
 
-def axes_on(logs: Sequence[Log], arm: Arm, joint: int) -> tuple[Axis, ...]:
+def axes_on(logs: Sequence[Log], arm: Arm, joint: int) -> tuple[SensorAxis, ...]:
     """Sensor axes on the link of a joint (from 1) in any of the records, without duplicates."""
     axes_per_log = (mounted_axes(arm, joint, log.channels) for log in logs)
     return tuple(dict.fromkeys(axis for axes in axes_per_log for axis in axes))
 
 
-def linear_factors(logs: Sequence[Log], arm: Arm, axes: Sequence[Axis]) -> list[FloatArray]:
+def linear_factors(logs: Sequence[Log], arm: Arm, axes: Sequence[SensorAxis]) -> list[FloatArray]:
     """Estimate the factors of the link signals in the reading of each axis.
 
     The axes belong to one link. Returns one array per axis, in the order of the quantities of its
@@ -91,7 +91,7 @@ def linear_factors(logs: Sequence[Log], arm: Arm, axes: Sequence[Axis]) -> list[
     return [_fit_factors(axis, table) for axis, table in zip(axes, tables, strict=True)]
 
 
-def _axis_tables(logs: Sequence[Log], arm: Arm, axes: Sequence[Axis]) -> list[FloatArray]:
+def _axis_tables(logs: Sequence[Log], arm: Arm, axes: Sequence[SensorAxis]) -> list[FloatArray]:
     """Quantities of each axis and, in the last column, its reading; all centred per record."""
     tables: list[list[FloatArray]] = [[np.zeros((1, len(axis.quantities) + 1))] for axis in axes]
     for log in logs:
@@ -118,7 +118,7 @@ def _motion_from_motors(log: Log, arm: Arm) -> JointMotion:
     return JointMotion.of_motors(motors, arm, log.sample_time)
 
 
-def _fit_factors(axis: Axis, rows: FloatArray) -> FloatArray:
+def _fit_factors(axis: SensorAxis, rows: FloatArray) -> FloatArray:
     """Least squares for the factors of one axis over all records, without negligible columns."""
     if isinstance(axis.sensor, Accelerometer):
         distance: dict[Key, float] = {(ACCELEROMETER_DISTANCE, axis.joint): distance_of(axis, rows)}
@@ -132,7 +132,7 @@ def _fit_factors(axis: Axis, rows: FloatArray) -> FloatArray:
     return estimate
 
 
-def distance_of(axis: Axis, rows: FloatArray) -> float:
+def distance_of(axis: SensorAxis, rows: FloatArray) -> float:
     """Estimate the distance [m] of a tangential accelerometer from the axis of its link.
 
     `rows` is (n_rows, n_quantities + 1): the quantities of the axis, and the reading. The estimate
@@ -189,7 +189,7 @@ class _EquivalentSensor:
 
     channel: str
     description: Joint  # with the constants of the equivalent sensor
-    axes: tuple[Axis, ...]
+    axes: tuple[SensorAxis, ...]
     weights: FloatArray  # (n_axes,)
     # factors of other quantities in the sum, which the motors give; None: not subtracted
     others: FloatArray | None = None
@@ -210,7 +210,7 @@ class _EquivalentSensor:
 
 
 def _equivalent_sensor(
-    arm: Arm, axes: Sequence[Axis], linear: Sequence[FloatArray]
+    arm: Arm, axes: Sequence[SensorAxis], linear: Sequence[FloatArray]
 ) -> _EquivalentSensor | None:
     """The equivalent accelerometer or gyro of one link; None if no sum of axes is one."""
     joint, space = axes[0].joint, axes[0].space
@@ -242,7 +242,10 @@ def _equivalent_sensor(
 
 
 def _along_the_slide(
-    description: Joint, joint: int, accelerometers: Sequence[tuple[Axis, FloatArray]], z: FloatArray
+    description: Joint,
+    joint: int,
+    accelerometers: Sequence[tuple[SensorAxis, FloatArray]],
+    z: FloatArray,
 ) -> _EquivalentSensor | None:
     """The equivalent accelerometer along a prismatic joint, at the origin of its link."""
     if not accelerometers:

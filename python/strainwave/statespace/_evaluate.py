@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from strainwave import _core
 from strainwave.domain import Diagnostic, FloatArray, SearchEnd, StateSpace
-from strainwave.statespace._matrices import Matrices, is_stable, unpack, unscale
+from strainwave.statespace._matrices import ModelMatrices, is_stable, unpack, unscale
 from strainwave.statespace._stack import Stack
 
 # Relative variance that regularises the innovations' covariance. It corresponds to innovations of
@@ -31,11 +31,11 @@ class Evaluator:
         lengths = list(data.lengths)
         self.core = _core.Innovations(order, data.inputs, data.outputs, lengths)
 
-    def unpack(self, values: FloatArray) -> Matrices:
+    def unpack(self, values: FloatArray) -> ModelMatrices:
         """Matrices from a vector in the layout of the core."""
         return unpack(values, self.order, self.data.n_inputs, self.data.n_outputs)
 
-    def residuals(self, matrices: Matrices) -> FloatArray:
+    def residuals(self, matrices: ModelMatrices) -> FloatArray:
         """Scaled innovations (n_samples, n_outputs)."""
         with np.errstate(all="ignore"):
             return self.core.residuals(matrices.pack())
@@ -48,18 +48,18 @@ class Evaluator:
         covariance = limit_covariance(residuals)
         return 0.5 * len(residuals) * float(np.linalg.slogdet(covariance)[1])
 
-    def whitener(self, matrices: Matrices) -> FloatArray:
+    def whitener(self, matrices: ModelMatrices) -> FloatArray:
         """Lower Cholesky factor of the innovations' covariance."""
         return np.asarray(np.linalg.cholesky(limit_covariance(self.residuals(matrices))))
 
     def linear(
         self,
-        matrices: Matrices,
+        matrices: ModelMatrices,
         feedthrough: tuple[bool, ...] | None,
         *,
         gain: bool,
         solutions: int = 2,
-    ) -> Matrices:
+    ) -> ModelMatrices:
         """Estimate B, D and the initial states by linear least squares for given A, C and K.
 
         The innovations are linear in these entries. The first solution weights all outputs equally;
@@ -104,7 +104,7 @@ class Evaluator:
         D = start_d + np.flatnonzero(np.tile(feedthrough, p))
         return np.concatenate([start_b + np.arange(n * m), D, states])
 
-    def simulated(self, matrices: Matrices) -> FloatArray:
+    def simulated(self, matrices: ModelMatrices) -> FloatArray:
         """Scaled outputs simulated from the inputs, with fitted initial states."""
         with np.errstate(all="ignore"):
             simulator = replace(matrices, K=np.zeros_like(matrices.K))
@@ -130,7 +130,7 @@ def fit_percent(measured: FloatArray, modelled: FloatArray) -> tuple[float, ...]
 
 def assemble(
     data: Stack,
-    matrices: Matrices,
+    matrices: ModelMatrices,
     method: Literal["subspace", "pem", "output-error"],
     status: SearchEnd | Literal["estimated", "not-determined"],
     feedthrough: tuple[bool, ...],

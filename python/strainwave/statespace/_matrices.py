@@ -11,7 +11,7 @@ from strainwave.statespace._stack import Stack
 
 
 @dataclass(frozen=True, slots=True)
-class Matrices:
+class ModelMatrices:
     """State-space matrices A, B, C, D, K and the initial state of each record."""
 
     A: FloatArray
@@ -30,10 +30,10 @@ class Matrices:
         parts = (self.A, self.B, self.C, self.D, self.K, self.initial_states)
         return np.concatenate([np.ravel(part) for part in parts])
 
-    def transformed(self, T: FloatArray) -> Matrices:
+    def transformed(self, T: FloatArray) -> ModelMatrices:
         """Model with the state T x."""
         inverse = np.linalg.inv(T)
-        return Matrices(
+        return ModelMatrices(
             A=T @ self.A @ inverse,
             B=T @ self.B,
             C=self.C @ inverse,
@@ -42,7 +42,7 @@ class Matrices:
             initial_states=self.initial_states @ T.T,
         )
 
-    def with_units(self, inputs: FloatArray, outputs: FloatArray) -> Matrices:
+    def with_units(self, inputs: FloatArray, outputs: FloatArray) -> ModelMatrices:
         """Model of channels multiplied by factors (n_inputs,) and (n_outputs,)."""
         column = outputs[:, None]
         return replace(
@@ -65,24 +65,24 @@ def n_entries(order: int, n_inputs: int, n_outputs: int) -> int:
     return sum(rows * columns for rows, columns in _shapes(order, n_inputs, n_outputs))
 
 
-def unpack(values: FloatArray, order: int, n_inputs: int, n_outputs: int) -> Matrices:
+def unpack(values: FloatArray, order: int, n_inputs: int, n_outputs: int) -> ModelMatrices:
     """Matrices from a packed vector; the inverse of `Matrices.pack`."""
     sizes = (*_shapes(order, n_inputs, n_outputs), (-1, order))
     parts = np.split(values, np.cumsum([rows * columns for rows, columns in sizes[:-1]]))
-    return Matrices(*(part.reshape(size) for part, size in zip(parts, sizes, strict=True)))
+    return ModelMatrices(*(part.reshape(size) for part, size in zip(parts, sizes, strict=True)))
 
 
-def unscale(matrices: Matrices, data: Stack) -> Matrices:
+def unscale(matrices: ModelMatrices, data: Stack) -> ModelMatrices:
     """Convert a model of scaled channels to the units of the data."""
     return matrices.with_units(data.input_scale, data.output_scale)
 
 
-def rescale(matrices: Matrices, data: Stack) -> Matrices:
+def rescale(matrices: ModelMatrices, data: Stack) -> ModelMatrices:
     """Convert a model in the units of the data to scaled channels."""
     return matrices.with_units(1.0 / data.input_scale, 1.0 / data.output_scale)
 
 
-def stabilise(matrices: Matrices) -> Matrices:
+def stabilise(matrices: ModelMatrices) -> ModelMatrices:
     """Model with the unstable poles reflected into the unit circle, and a stable predictor.
 
     The reflection of a pole scales the magnitude of the frequency response and changes its phase.
@@ -91,12 +91,12 @@ def stabilise(matrices: Matrices) -> Matrices:
     return replace(matrices, A=A, K=stabilising_gain(A, C, matrices.K, np.eye(len(C))))
 
 
-def balance(matrices: Matrices) -> Matrices:
+def balance(matrices: ModelMatrices) -> ModelMatrices:
     """Model in the balanced coordinates of `balancing`."""
     return matrices.transformed(balancing(matrices))
 
 
-def balancing(matrices: Matrices) -> FloatArray:
+def balancing(matrices: ModelMatrices) -> FloatArray:
     """State transformation T that balances the predictor.
 
     In the coordinates T x, the controllability and observability Gramians of (A - K C, [B, K], C)

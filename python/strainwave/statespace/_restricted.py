@@ -21,7 +21,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.statespace._evaluate import Evaluator
-from strainwave.statespace._matrices import Matrices, balancing, is_stable
+from strainwave.statespace._matrices import ModelMatrices, balancing, is_stable
 
 # Step of the central differences along an entry of K, in standard deviations: far above rounding,
 # and small against the curvature of log det I_m.
@@ -36,8 +36,8 @@ _MAX_STEP_HALVINGS = 5
 
 
 def restrict_steps(
-    evaluator: Evaluator, matrices: Matrices, covariance: FloatArray | None
-) -> Matrices:
+    evaluator: Evaluator, matrices: ModelMatrices, covariance: FloatArray | None
+) -> ModelMatrices:
     """Model that minimises the sum of cost and (1/2) log det I_m, by one Newton step.
 
     `matrices`: Scaled model at the minimum of the cost.
@@ -73,7 +73,7 @@ def _cost(evaluator: Evaluator, values: FloatArray) -> float:
     return evaluator.cost(values) + barrier
 
 
-def _gradient(evaluator: Evaluator, matrices: Matrices, covariance: FloatArray) -> FloatArray:
+def _gradient(evaluator: Evaluator, matrices: ModelMatrices, covariance: FloatArray) -> FloatArray:
     """Gradient of (1/2) log det I_m over all entries, by central differences along K.
 
     The gradient is zero along the basis of I_m and along changes of state coordinates. These
@@ -106,7 +106,7 @@ def _gradient(evaluator: Evaluator, matrices: Matrices, covariance: FloatArray) 
     return slope
 
 
-def _coordinate_directions(matrices: Matrices) -> FloatArray:
+def _coordinate_directions(matrices: ModelMatrices) -> FloatArray:
     """Derivative of the entries of A, B, C, D, K with respect to T at T = I: (n_entries, n^2)."""
     A, B, C, n = matrices.A, matrices.B, matrices.C, matrices.order
     directions = []
@@ -119,7 +119,7 @@ def _coordinate_directions(matrices: Matrices) -> FloatArray:
 
 
 def _half_log_information(
-    evaluator: Evaluator, matrices: Matrices, basis: FloatArray, states: int
+    evaluator: Evaluator, matrices: ModelMatrices, basis: FloatArray, states: int
 ) -> Callable[[int, float], float]:
     """(1/2) log det I_m near a model after a change of one entry; infinite if predictors diverge.
 

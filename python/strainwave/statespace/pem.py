@@ -27,7 +27,7 @@ from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.numerics.parallel import raise_if_stopped
 from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
 from strainwave.statespace._matrices import (
-    Matrices,
+    ModelMatrices,
     balance,
     is_stable,
     n_entries,
@@ -117,8 +117,8 @@ def pem(
 
 
 @dataclass(frozen=True, slots=True)
-class _Fit:
-    matrices: Matrices
+class _PredictionErrorFit:
+    matrices: ModelMatrices
     covariance: FloatArray | None  # of the packed entries and initial states, scaled
     cost: float
     predicted_decrease: float
@@ -135,7 +135,7 @@ class _Search:
     feedthrough: tuple[bool, ...]
     options: PemOptions
 
-    def best_fit(self, starts: list[Matrices]) -> _Fit:
+    def best_fit(self, starts: list[ModelMatrices]) -> _PredictionErrorFit:
         fits = []
         for start in sorted(starts, key=lambda each: self.evaluator.cost(each.pack())):
             fit = self._fit(start)
@@ -149,7 +149,7 @@ class _Search:
             best = self._without_gain(best) or self._restricted(best)
         return best
 
-    def _without_gain(self, best: _Fit) -> _Fit | None:
+    def _without_gain(self, best: _PredictionErrorFit) -> _PredictionErrorFit | None:
         """Fit with K = 0 if the data do not require a gain, otherwise None.
 
         If the disturbances are white, K is zero and the predictor is as slow as the plant. In a
@@ -170,7 +170,7 @@ class _Search:
             return None
         return fit if fit.cost < limit else None
 
-    def _restricted(self, best: _Fit) -> _Fit:
+    def _restricted(self, best: _PredictionErrorFit) -> _PredictionErrorFit:
         """Fit with the gain of the restricted likelihood, and its covariance."""
         matrices = restrict_steps(self.evaluator, best.matrices, best.covariance)
         if matrices is best.matrices:
@@ -180,7 +180,7 @@ class _Search:
             return best
         return replace(best, matrices=refit.matrices, covariance=refit.covariance, cost=refit.cost)
 
-    def _fit(self, start: Matrices) -> _Fit | None:
+    def _fit(self, start: ModelMatrices) -> _PredictionErrorFit | None:
         """Fit from one starting value.
 
         None if the predictor or a model that must be stable is unstable, or innovations are not
@@ -206,7 +206,7 @@ class _Search:
             )
         except ValueError:  # unstable start or innovations that are not finite
             return None
-        return _Fit(
+        return _PredictionErrorFit(
             matrices=evaluator.unpack(fit.values),
             covariance=fit.covariance,
             cost=fit.cost,
@@ -216,7 +216,7 @@ class _Search:
             end=SearchEnd(fit.status),
         )
 
-    def model(self, fit: _Fit) -> StateSpace:
+    def model(self, fit: _PredictionErrorFit) -> StateSpace:
         data = self.evaluator.data
         method: Literal["pem", "output-error"]
         method = "pem" if self.options.disturbance == "innovations" else "output-error"
@@ -253,7 +253,7 @@ def _starts(
     start: StateSpace | None,
     feedthrough: tuple[bool, ...],
     options: PemOptions,
-) -> list[Matrices]:
+) -> list[ModelMatrices]:
     if start is None:
         horizon, factors = choose_horizon(data, order or MAX_ORDER), Factors(data)
         realisations = [
@@ -273,7 +273,7 @@ def _starts(
     return starts
 
 
-def _from_model(start: StateSpace, data: Stack) -> Matrices:
+def _from_model(start: StateSpace, data: Stack) -> ModelMatrices:
     shape = (start.B.shape[1], start.C.shape[0])
     if shape != (data.n_inputs, data.n_outputs):
         raise InvalidInput(
@@ -291,13 +291,13 @@ def _from_model(start: StateSpace, data: Stack) -> Matrices:
         A = np.real((vectors * values.astype(complex) ** ratio) @ np.linalg.inv(vectors))
         K = ratio * K
     states = np.zeros((len(data.lengths), start.order))
-    scaled = rescale(Matrices(A, start.B, start.C, start.D, K, states), data)
+    scaled = rescale(ModelMatrices(A, start.B, start.C, start.D, K, states), data)
     noise = start.noise_covariance / np.outer(data.output_scale, data.output_scale)
     noise = noise + MIN_VARIANCE_SHARE * np.eye(len(noise))
     return replace(scaled, K=stabilising_gain(scaled.A, scaled.C, scaled.K, noise))
 
 
-def _fit_warnings(fit: _Fit, options: PemOptions) -> tuple[Diagnostic, ...]:
+def _fit_warnings(fit: _PredictionErrorFit, options: PemOptions) -> tuple[Diagnostic, ...]:
     warnings, place, decrease = [], STATE_SPACE_MODEL, fit.predicted_decrease
     if fit.end is SearchEnd.EVALUATION_LIMIT:
         values = {"iterations": fit.iterations, "decrease": decrease}
@@ -330,7 +330,7 @@ def _negative_fit_warning(model: StateSpace) -> tuple[Diagnostic, ...]:
     return (Diagnostic("negative-fit", STATE_SPACE_MODEL, fits=fits),)
 
 
-def _sandwich(evaluator: Evaluator, matrices: Matrices, bread: FloatArray) -> FloatArray:
+def _sandwich(evaluator: Evaluator, matrices: ModelMatrices, bread: FloatArray) -> FloatArray:
     """Sandwich covariance H^-1 [sum over lags of E s[t] s[t+lag]'] H^-1 with scores s = e' W psi.
 
     Bartlett weights estimate the middle matrix (Newey and West, Econometrica 55, 1987), computed as

@@ -11,7 +11,7 @@ from strainwave.domain import FloatArray, HypothesisTest, ModelCheck, StateSpace
 from strainwave.domain.distributions import CI99_STDS, chi_square_tail
 from strainwave.errors import InvalidInput
 from strainwave.statespace._evaluate import Evaluator, fit_percent
-from strainwave.statespace._matrices import Matrices, rescale
+from strainwave.statespace._matrices import ModelMatrices, rescale
 from strainwave.statespace._stack import Data, Stack, stack
 
 # Significance level of the tests.
@@ -68,7 +68,7 @@ def check_model(model: StateSpace, data: Data, *, lags: int = DEFAULT_LAGS) -> M
     )
 
 
-def on_data(model: StateSpace, data: Stack) -> tuple[Evaluator, Matrices]:
+def on_data(model: StateSpace, data: Stack) -> tuple[Evaluator, ModelMatrices]:
     """Evaluator and scaled model with initial states fitted to the data."""
     expected, got = (model.B.shape[1], len(model.C)), (data.n_inputs, data.n_outputs)
     if expected != got:
@@ -79,7 +79,7 @@ def on_data(model: StateSpace, data: Stack) -> tuple[Evaluator, Matrices]:
             remedy="resample the data, or fit a model to them",
         )
     states = np.zeros((len(data.lengths), model.order))
-    matrices = Matrices(model.A, model.B, model.C, model.D, model.K, states)
+    matrices = ModelMatrices(model.A, model.B, model.C, model.D, model.K, states)
     evaluator = Evaluator(data, model.order)
     return evaluator, evaluator.linear(rescale(matrices, data), None, gain=True)
 

@@ -26,7 +26,7 @@ from strainwave.domain.options import Focus
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
 from strainwave.statespace._matrices import (
-    Matrices,
+    ModelMatrices,
     balance,
     innovations_gain,
     is_stable,
@@ -57,7 +57,7 @@ ROWS_PER_BLOCK = 2048
 class Realisation:
     """Model of scaled channels, with the singular values and the horizon of the method."""
 
-    matrices: Matrices
+    matrices: ModelMatrices
     singular_values: FloatArray
     horizon: int
 
@@ -349,7 +349,7 @@ def _realise(
     noise[n:, n:] += MIN_VARIANCE_SHARE * np.eye(p)
     K, innovation = innovations_gain(A, C, noise[:n, :n], noise[:n, n:], noise[n:, n:])
     K = stabilising_gain(A, C, K, innovation)
-    matrices = Matrices(A, B, C, D, K, initial_states=np.zeros((len(data.lengths), n)))
+    matrices = ModelMatrices(A, B, C, D, K, initial_states=np.zeros((len(data.lengths), n)))
     return Realisation(balance(matrices), states.singular_values, past)
 
 

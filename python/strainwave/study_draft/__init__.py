@@ -19,7 +19,7 @@ from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import write_whole
 from strainwave.study_draft.channels import add_channels, map_channels
 from strainwave.study_draft.experiment_type import ExperimentProposal, propose_uses
-from strainwave.study_draft.inspection import Record, find_fullest_record, read_record
+from strainwave.study_draft.inspection import InspectedLog, find_fullest_record, read_record
 from strainwave.study_draft.joint_columns import Guess, Mapping
 from strainwave.study_draft.joints import find_logged_joints
 from strainwave.study_draft.robot import Robot
@@ -96,7 +96,7 @@ def start_study(logs: Sequence[Path], out: Path, urdf: Path | None = None) -> St
 
 
 def _warnings(
-    records: Sequence[Record], mapping: Mapping, experiments: Sequence[ExperimentProposal]
+    records: Sequence[InspectedLog], mapping: Mapping, experiments: Sequence[ExperimentProposal]
 ) -> Iterator[str]:
     """Yield the warnings that the user needs before completing the study."""
     for record in records:
@@ -123,7 +123,7 @@ def _warnings(
         )
 
 
-def _check_alike(records: Sequence[Record], fullest: Record, mapping: Mapping) -> None:
+def _check_alike(records: Sequence[InspectedLog], fullest: InspectedLog, mapping: Mapping) -> None:
     """Check that every log has the time, motor angle and input columns of [channels]."""
     required_columns = [
         guess.column

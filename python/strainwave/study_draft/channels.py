@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from strainwave.errors import InvalidInput
-from strainwave.study_draft.inspection import Record
+from strainwave.study_draft.inspection import InspectedLog
 from strainwave.study_draft.joint_columns import (
     DEGREE,
     MIN_RELATED_CORRELATION,
@@ -45,7 +45,10 @@ _INPUT_ORDER = (("torque", False), ("current", False), ("torque", True), ("volta
 
 
 def map_channels(
-    record: Record, fullest: Record, robot: Robot | None = None, others: Sequence[Record] = ()
+    record: InspectedLog,
+    fullest: InspectedLog,
+    robot: Robot | None = None,
+    others: Sequence[InspectedLog] = (),
 ) -> Mapping:
     """Guess the channels of a record; `fullest` is the record with the most columns.
 
@@ -87,7 +90,7 @@ def map_channels(
     return mapping
 
 
-def _describe_joints(joints: Sequence[JointColumns], robot: Robot, record: Record) -> None:
+def _describe_joints(joints: Sequence[JointColumns], robot: Robot, record: InspectedLog) -> None:
     """Set what the URDF states about the joints, and on which side of the gears they are logged."""
     unassigned = [n for n in joints[0].mapping.unused if parse(n).quantity == "angle"]
     missing = [
@@ -309,7 +312,7 @@ def _motion_correlation(joint: JointColumns, column: str, quantity: str) -> floa
     return relation(values - values.mean(), motion, time)[0]
 
 
-def _map_imus(record: Record, mapping: Mapping) -> None:
+def _map_imus(record: InspectedLog, mapping: Mapping) -> None:
     """Map IMU axes only by their channel names: the data do not determine the frame of an axis."""
     used = mapping.columns
     for name, values in record.columns.items():
@@ -322,7 +325,7 @@ def _map_imus(record: Record, mapping: Mapping) -> None:
 
 
 def add_channels(
-    mapping: Mapping, record: Record, fullest: Record, robot: Robot | None = None
+    mapping: Mapping, record: InspectedLog, fullest: InspectedLog, robot: Robot | None = None
 ) -> None:
     """Add the channels whose columns are only in `record`, not in `fullest`.
 
@@ -349,7 +352,7 @@ def add_channels(
             mapping.unused[column] = f"another column of {fullest.path.name} has this channel"
 
 
-def _describe_unused(record: Record, name: str, mapping: Mapping) -> str:
+def _describe_unused(record: InspectedLog, name: str, mapping: Mapping) -> str:
     if np.ptp(record.columns[name]) == 0.0:
         return "it never changes"
     for guess in mapping.guesses.values():

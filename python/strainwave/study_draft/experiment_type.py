@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import Control, FloatArray, Prbs, Use
-from strainwave.study_draft.inspection import Record
+from strainwave.study_draft.inspection import InspectedLog
 from strainwave.study_draft.joint_columns import MIN_RANGE_SHARE, Mapping
 from strainwave.study_draft.signal_features import (
     levels,
@@ -35,7 +35,7 @@ _CHECK_NAME = re.compile(r"check|val(?!ve)|test|verif", re.IGNORECASE)
 class ExperimentProposal:
     """Proposed entry of [[experiment]]."""
 
-    record: Record
+    record: InspectedLog
     use: Use
     reason: str
     joint: int | None = None
@@ -59,7 +59,7 @@ class _JointInput:
     size: float  # standard deviation of the input
 
 
-def propose_uses(records: Sequence[Record], mapping: Mapping) -> list[ExperimentProposal]:
+def propose_uses(records: Sequence[InspectedLog], mapping: Mapping) -> list[ExperimentProposal]:
     """Propose a use for every record.
 
     Gear stiffness is identified if a link sensor or a pseudo-random input shows it.
@@ -81,7 +81,7 @@ def propose_uses(records: Sequence[Record], mapping: Mapping) -> list[Experiment
 
 
 def _propose_use(
-    record: Record, inputs: Sequence[_JointInput], mapping: Mapping, elastic: bool
+    record: InspectedLog, inputs: Sequence[_JointInput], mapping: Mapping, elastic: bool
 ) -> ExperimentProposal:
     control: tuple[Control, ...] = tuple("servo" if each.servo else "open" for each in inputs)
     stepped = [s for s in inputs if s.kind == "steps"]
@@ -109,7 +109,7 @@ def _propose_use(
     return ExperimentProposal(record, "motion", reason, None, control)
 
 
-def _classify_input(record: Record, mapping: Mapping, joint: int) -> _JointInput:
+def _classify_input(record: InspectedLog, mapping: Mapping, joint: int) -> _JointInput:
     drive = _column(record, mapping, f"u{joint}", f"torque{joint}")
     reference = _column(record, mapping, f"ref{joint}")
     if drive is None or np.ptp(drive) == 0.0:
@@ -149,12 +149,12 @@ def _replaceable(
     return [each for each, alone in zip(motions, is_alone, strict=True) if not alone]
 
 
-def _moves_all(record: Record, mapping: Mapping) -> bool:
+def _moves_all(record: InspectedLog, mapping: Mapping) -> bool:
     references = [_column(record, mapping, f"ref{j}") for j in range(1, len(mapping.joints) + 1)]
     return all(each is not None and np.ptp(each) > 0.0 for each in references)
 
 
-def _column(record: Record, mapping: Mapping, *channels: str) -> FloatArray | None:
+def _column(record: InspectedLog, mapping: Mapping, *channels: str) -> FloatArray | None:
     """Return the record's first available channel, in SI units if its scale is known."""
     for channel in channels:
         guess = mapping.guesses.get(channel)

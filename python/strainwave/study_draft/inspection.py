@@ -18,7 +18,7 @@ from strainwave.errors import InvalidInput
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clock_text import time_of
 from strainwave.io.logs.clocks import MIN_SAMPLES, Track, resample_tracks
-from strainwave.io.logs.tables import MAX_MAGNITUDE, Table, find_invalid_value, open_table
+from strainwave.io.logs.tables import MAX_MAGNITUDE, LogTable, find_invalid_value, open_table
 from strainwave.io.logs.updates import Roles, segment_table, segment_tracks
 from strainwave.study_draft.names import UNITS, Quantity, parse
 from strainwave.study_draft.signal_features import proportion, relation
@@ -42,7 +42,7 @@ class TimeColumn:
     step: float = field(default=1.0, compare=False)  # median step, in the unit
 
 
-def find_time(table: Table, columns: Mapping[str, FloatArray]) -> TimeColumn:
+def find_time(table: LogTable, columns: Mapping[str, FloatArray]) -> TimeColumn:
     """Find the time stamps: text, two columns, a column by name, any other clock, a counter."""
     candidates = [*_text(table, columns), *_two_columns(columns)]
     for channel in candidates:
@@ -70,7 +70,7 @@ def find_time(table: Table, columns: Mapping[str, FloatArray]) -> TimeColumn:
     return counter or TimeColumn(None, "rows", None)
 
 
-def _text(table: Table, columns: Mapping[str, FloatArray]) -> Iterator[Channel]:
+def _text(table: LogTable, columns: Mapping[str, FloatArray]) -> Iterator[Channel]:
     """Yield columns of text: dates with clock times, alone or in two columns, and clock times."""
     both, dates, clocks = (
         [n for n in columns if table.clocks.get(n) == kind] for kind in ("datetime", "date", "time")
@@ -125,7 +125,7 @@ _SAMPLED = frozenset(get_args(Quantity)) - {"time", "temperature"}
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class InspectedLog:
     """Readable content of one log."""
 
     path: Path
@@ -155,7 +155,7 @@ class Record:
         return self.path.name.split(".")[0] or self.path.name
 
 
-def read_record(path: Path) -> Record:
+def read_record(path: Path) -> InspectedLog:
     """Read the usable columns of a log.
 
     Raises InvalidInput if the file is not a log, has no time column or has too few samples.
@@ -165,7 +165,7 @@ def read_record(path: Path) -> Record:
     return _read_bag(path) if is_bag(path) else _read_table(path)
 
 
-def _read_table(path: Path) -> Record:
+def _read_table(path: Path) -> InspectedLog:
     table = open_table(path)
     columns = {}
     faults = [f"column {name!r} is not used: {what}" for name, what in table.omitted.items()]
@@ -212,7 +212,7 @@ def _read_table(path: Path) -> Record:
             "there is no time column, and the sampling rate is unknown: enter it in [channels]."
             " Scales of velocities and frequencies depend on it"
         )
-    return Record(
+    return InspectedLog(
         path,
         longest.time,
         source,
@@ -230,7 +230,7 @@ def _repeats_time(name: str, values: FloatArray, time: FloatArray) -> bool:
     return bool(np.corrcoef(values, time)[0, 1] > _MIN_CLOCK_CORRELATION)
 
 
-def _read_bag(path: Path) -> Record:
+def _read_bag(path: Path) -> InspectedLog:
     bag = Bag(path)
     column_names = [name for name in bag.names if parse(name).quantity in _SAMPLED]
     if not column_names:
@@ -260,7 +260,7 @@ def _read_bag(path: Path) -> Record:
     longest = max(segments, key=lambda tracks: len(tracks[0].time))
     time, columns, clock_warnings = resample_tracks(longest, whole_record, path)
     notes += [warning.message for warning in (*split_warnings, *clock_warnings)]
-    return Record(path, time, None, columns, tuple(notes), tuple(faults))
+    return InspectedLog(path, time, None, columns, tuple(notes), tuple(faults))
 
 
 def _valid_columns(columns: Mapping[str, FloatArray]) -> tuple[dict[str, FloatArray], list[str]]:
@@ -293,6 +293,6 @@ def _valid_columns(columns: Mapping[str, FloatArray]) -> tuple[dict[str, FloatAr
     return valid_columns, messages
 
 
-def find_fullest_record(records: Sequence[Record]) -> Record:
+def find_fullest_record(records: Sequence[InspectedLog]) -> InspectedLog:
     """Return the record with the most varying columns, which is used to classify columns."""
     return max(records, key=lambda record: sum(np.ptp(v) > 0.0 for v in record.columns.values()))

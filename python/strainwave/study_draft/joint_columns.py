@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.study_draft.inspection import Record
+from strainwave.study_draft.inspection import InspectedLog
 from strainwave.study_draft.names import LINEAR, ParsedName
 from strainwave.study_draft.signal_features import (
     MAX_UNIT_RATIO_ERROR,
@@ -109,7 +109,7 @@ class _AngleUnit(NamedTuple):
 class JointColumns:
     """Mapping of one joint's columns in progress."""
 
-    record: Record
+    record: InspectedLog
     parsed_names: dict[str, ParsedName]
     number: int
     mapping: Mapping
@@ -203,7 +203,7 @@ class JointColumns:
         else:
             self.mapping.missing[f"theta_m{self.number}"] = "the motor angle [rad at the motor]"
 
-    def choose_record(self, others: Sequence[Record]) -> None:
+    def choose_record(self, others: Sequence[InspectedLog]) -> None:
         """Classify the columns by another record if the joint hardly moves in the fullest."""
         if self.angle is None:
             return

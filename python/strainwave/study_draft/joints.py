@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from strainwave.study_draft.inspection import Record
+from strainwave.study_draft.inspection import InspectedLog
 from strainwave.study_draft.joint_columns import Mapping
 from strainwave.study_draft.names import (
     MAX_JOINTS,
@@ -31,7 +31,7 @@ _ON_LINK = ("acceleration", "gyro", "deflection")  # quantities of sensors on a 
 
 
 def assign_columns(
-    record: Record, fullest: Record, robot: Robot | None = None
+    record: InspectedLog, fullest: InspectedLog, robot: Robot | None = None
 ) -> tuple[dict[str, ParsedName], Mapping]:
     """Assign each column a quantity and a joint number; a mapping has the columns of no joint.
 
@@ -82,7 +82,9 @@ def assign_columns(
     return kept, mapping
 
 
-def find_logged_joints(records: Sequence[Record], fullest: Record, robot: Robot) -> set[int]:
+def find_logged_joints(
+    records: Sequence[InspectedLog], fullest: InspectedLog, robot: Robot
+) -> set[int]:
     """Joints of a robot, from 1, that logs have: with an angle that moves, or with an input."""
     parsed_names = {name: _parse(name, fullest) for name in fullest.columns}
     numbered, _ = _number_by_robot(parsed_names, robot, fullest)
@@ -96,7 +98,7 @@ def find_logged_joints(records: Sequence[Record], fullest: Record, robot: Robot)
     }
 
 
-def _parse(name: str, record: Record, joint_words: Sequence[str] = ()) -> ParsedName:
+def _parse(name: str, record: InspectedLog, joint_words: Sequence[str] = ()) -> ParsedName:
     """Parse a column name, with the unit of its units row or of the robot system of the log."""
     each = parse(name, joint_words, record.units.get(name, ""))
     columns = tuple(record.columns)
@@ -112,7 +114,7 @@ def _parse(name: str, record: Record, joint_words: Sequence[str] = ()) -> Parsed
 
 
 def _number_by_robot(
-    parsed_names: dict[str, ParsedName], robot: Robot, record: Record
+    parsed_names: dict[str, ParsedName], robot: Robot, record: InspectedLog
 ) -> tuple[dict[str, ParsedName], dict[str, str]]:
     """Number the joints by their names in a URDF, else by numbers; and list the other columns."""
     matches = robot.named_joints([each.label or name for name, each in parsed_names.items()])
@@ -141,7 +143,7 @@ def _number_by_robot(
 
 
 def _number_joints(
-    parsed_names: dict[str, ParsedName], motion: str, record: Record
+    parsed_names: dict[str, ParsedName], motion: str, record: InspectedLog
 ) -> dict[str, ParsedName]:
     keys = _joint_words(parsed_names, motion)
     numbered = dict[str, ParsedName]()
@@ -216,7 +218,9 @@ def _numbering_group(name: str, each: ParsedName) -> tuple[str, str | None]:
     return (name.partition(".")[0] if name.startswith("/") else "", each.quantity)
 
 
-def _classify_by_data(record: Record, parsed_names: dict[str, ParsedName]) -> dict[str, ParsedName]:
+def _classify_by_data(
+    record: InspectedLog, parsed_names: dict[str, ParsedName]
+) -> dict[str, ParsedName]:
     """Classify columns by their data.
 
     An angle is the integral of a velocity; a voltage takes few levels. Whether any other column is

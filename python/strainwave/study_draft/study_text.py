@@ -9,7 +9,7 @@ from pathlib import Path
 
 from strainwave.io.templates import fill_text
 from strainwave.study_draft.experiment_type import ExperimentProposal
-from strainwave.study_draft.inspection import Record
+from strainwave.study_draft.inspection import InspectedLog
 from strainwave.study_draft.joint_columns import Mapping
 
 TODO = "TODO"
@@ -18,7 +18,7 @@ _MAX_LISTED = 4  # names in a sentence
 
 
 def study_text(
-    records: Sequence[Record],
+    records: Sequence[InspectedLog],
     mapping: Mapping,
     experiments: Sequence[ExperimentProposal],
     out: Path,

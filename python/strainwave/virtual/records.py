@@ -10,7 +10,7 @@ import numpy as np
 
 from strainwave.domain import Experiment, FloatArray, Payload, Prbs, Study
 from strainwave.domain.keys import Values
-from strainwave.domain.link_sensors import Axis, installed_axes
+from strainwave.domain.link_sensors import SensorAxis, installed_axes
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros, ImuSensor
 from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics import excitation
@@ -183,7 +183,7 @@ def record_experiment(
 
 
 def _imu_readings(
-    axes: Sequence[Axis],
+    axes: Sequence[SensorAxis],
     trajectory: Trajectory,
     noise: SensorNoise | None,
     rng: np.random.Generator,

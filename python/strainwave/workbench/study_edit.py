@@ -23,7 +23,7 @@ _CODE = re.compile(r"""(?:[^#"']|"(?:[^"\\]|\\.)*"|'[^']*')*""")
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class KeyChange:
     """One key of the file and its new value.
 
     `place` has table names, and for arrays of tables their position from 0: ("joint", 0,
@@ -34,7 +34,7 @@ class Change:
     value: Any  # None: the key is removed
 
 
-def edit_study(path: Path, changes: Sequence[Change]) -> None:
+def edit_study(path: Path, changes: Sequence[KeyChange]) -> None:
     """Apply the changes to a study file, which may still have TODO values.
 
     Raises InvalidInput if the file is not TOML, or if it has no such array of tables.
@@ -43,7 +43,7 @@ def edit_study(path: Path, changes: Sequence[Change]) -> None:
     write_whole(path.parent, {path.name: changed_text(text, changes, path).encode()})
 
 
-def changed_text(text: str, changes: Sequence[Change], path: Path) -> str:
+def changed_text(text: str, changes: Sequence[KeyChange], path: Path) -> str:
     """The text of a study file with the changes; `path` is for messages."""
     document = parse_draft(text, path)
     for change in changes:
@@ -82,7 +82,7 @@ def _split(line: str) -> tuple[str, str]:
     return line[:end], line[end:]
 
 
-def _apply(table: Any, change: Change, path: Path) -> None:
+def _apply(table: Any, change: KeyChange, path: Path) -> None:
     *parents, last = change.place
     for position, key in enumerate(parents):
         if isinstance(table, dict) and isinstance(key, str) and key not in table:
@@ -106,11 +106,11 @@ def _apply(table: Any, change: Change, path: Path) -> None:
         table[last] = change.value
 
 
-def _no_place(change: Change, path: Path) -> InvalidInput:
+def _no_place(change: KeyChange, path: Path) -> InvalidInput:
     return InvalidInput(f"has no {'.'.join(map(str, change.place))}", where=str(path))
 
 
-def correction_changes(text: str, corrections: Sequence[Correction]) -> list[Change]:
+def correction_changes(text: str, corrections: Sequence[Correction]) -> list[KeyChange]:
     """Changes of a study file that make the corrections of its keys; others are left out."""
     experiments = [e.get("name") for e in tables_of(parse_draft(text, Path()), "experiment")]
     changes = []
@@ -125,7 +125,7 @@ def correction_changes(text: str, corrections: Sequence[Correction]) -> list[Cha
         elif each.table not in ("arm", "transmission"):
             continue
         place = (each.table, *entry, *each.key.split("."))
-        changes.append(Change(place, _plain(each.value)))
+        changes.append(KeyChange(place, _plain(each.value)))
     return changes
 
 

@@ -11,7 +11,7 @@ from benchmarks.families.__main__ import cases_of
 import strainwave as sw
 from strainwave.campaign import worker
 from strainwave.campaign.records import Task
-from strainwave.campaign.runner import Plan
+from strainwave.campaign.runner import CampaignPlan
 from strainwave.campaign.store import Store
 from strainwave.campaign.study_files import Case
 from strainwave.errors import InvalidInput
@@ -24,7 +24,7 @@ def cases(folder: Path, text: str) -> list[Case]:
 
 
 def task_of(case: Case, store: Path) -> Task:
-    task = Plan(Store.at(store), "test", ("rigid",), {}).next(case)
+    task = CampaignPlan(Store.at(store), "test", ("rigid",), {}).next(case)
     assert isinstance(task, Task)
     return Task.from_json(task.to_json())
 

@@ -31,12 +31,12 @@ from strainwave.identification.joint_model.motor_side import (
     search,
 )
 from strainwave.identification.joint_model.motor_side.arms import (
-    Family,
+    ConsistentArms,
     Posture,
     family_of,
     posture_of,
 )
-from strainwave.identification.joint_model.motor_side.impedance import LinearArm
+from strainwave.identification.joint_model.motor_side.impedance import LinearisedArms
 from strainwave.identification.joint_model.motor_side.search import minima
 from strainwave.identification.joint_model.motor_side.spectra import Piece, pieces, thin_lines
 from strainwave.virtual.experiments import derived
@@ -44,12 +44,12 @@ from strainwave.virtual.experiments import derived
 BASE = ("alpha", "beta", "gamma")
 
 
-def linear_arm(n: int, rng: np.random.Generator) -> LinearArm:
+def linear_arm(n: int, rng: np.random.Generator) -> LinearisedArms:
     """Random arm: parameters over two decades, positive definite inertia, arbitrary gravity."""
     factors = np.exp(rng.uniform(-2.3, 2.3, (6, n)))
     root, gravity = rng.normal(size=(n, n)), rng.normal(size=(n, n))
     coupling = np.eye(n) + np.tril(rng.uniform(-0.5, 0.5, (n, n)), -1)
-    return LinearArm(
+    return LinearisedArms(
         transmission=coupling * rng.uniform(0.005, 0.1, n),
         motor_inertia=1e-4 * factors[0],
         motor_viscous_friction=1e-4 * factors[1],
@@ -61,7 +61,7 @@ def linear_arm(n: int, rng: np.random.Generator) -> LinearArm:
     )
 
 
-def response(arm: LinearArm, s: complex) -> ComplexArray:
+def response(arm: LinearisedArms, s: complex) -> ComplexArray:
     """Response (n, n) of motor velocities to torques, from [theta_M, q_L, dtheta_M, dq_L]."""
     n, T = len(arm.transmission), arm.transmission
     K, D = (np.diag(x) for x in (arm.gear_stiffness, arm.gear_damping))
@@ -94,7 +94,7 @@ def test_the_motor_velocity_follows_from_its_torque_and_the_other_velocities(
         np.testing.assert_allclose(error, 0.0, atol=1e-7 * np.abs(velocity).max())
 
 
-def motion_of(arm: LinearArm, s: ComplexArray, torque: ComplexArray) -> ComplexArray:
+def motion_of(arm: LinearisedArms, s: ComplexArray, torque: ComplexArray) -> ComplexArray:
     """Velocities of the motors at their torques, (n_lines, n)."""
     pairs = zip(s.tolist(), torque, strict=True)
     return np.array([response(arm, each) @ drive for each, drive in pairs])
@@ -114,7 +114,7 @@ def test_the_derivatives_are_limits_of_differences(seed: int, n: int) -> None:
     )
     for i in range(n):
         motion = arm.motor(s, torque, velocity, i)
-        exact = motion.derivatives(LinearArm(arm.transmission, **sizes))
+        exact = motion.derivatives(LinearisedArms(arm.transmission, **sizes))
         high, low = (each.motor(s, torque, velocity, i) for each in (above, below))
         for derivative, name in zip(exact, ("error", "impedance"), strict=True):
             difference = (getattr(high, name) - getattr(low, name)) / 2.0
@@ -126,14 +126,14 @@ def complex_normal(rng: np.random.Generator, shape: tuple[int, ...]) -> ComplexA
     return np.asarray(rng.normal(size=shape) + 1j * rng.normal(size=shape), dtype=np.complex128)
 
 
-def known_family(study: Study, values: Values) -> Family:
+def known_family(study: Study, values: Values) -> ConsistentArms:
     """Arms with the rigid parameters of a drawn arm, which are exact."""
     arm = Arm.of(study.arm)
     parameters, n = derived(values, arm), arm.gear_ratios
     motor = np.array([parameters["motor_inertia", i] for i in (1, 2)])
     link = np.array([parameters["link_inertia", i] for i in (1, 2)])
     total = motor + n**2 * link
-    return Family(
+    return ConsistentArms(
         arm=arm,
         ratio=n,
         total_inertia=total,
@@ -147,7 +147,9 @@ def known_family(study: Study, values: Values) -> Family:
     )
 
 
-def exact_piece(family: Family, values: Values, row: int, rng: np.random.Generator) -> Piece:
+def exact_piece(
+    family: ConsistentArms, values: Values, row: int, rng: np.random.Generator
+) -> Piece:
     """Noise-free spectra of a record section in which one motor is driven and slides."""
     derived_values = derived(values, family.arm)
     angle = rng.uniform(-1.5, 1.5, 2)
@@ -157,7 +159,7 @@ def exact_piece(family: Family, values: Values, row: int, rng: np.random.Generat
 
     base = np.array([derived_values.get(key, 0.0) for key in family.arm.base_names])
     posture = posture_of(family.arm, angle)
-    arm = LinearArm(
+    arm = LinearisedArms(
         transmission=family.arm.transmission,
         motor_inertia=of("motor_inertia"),
         motor_viscous_friction=of("motor_viscous_friction"),
@@ -202,7 +204,7 @@ PLACES = ((0.0, 0.0, 0.2), (0.05, 0.0, 0.1), (0.35, 0.0, 0.0), (0.1, 0.0, 0.05))
 RINGS_HZ = (12.0, 15.0, 18.0, 30.0)  # anti-resonances
 
 
-def chain_arm(n: int) -> tuple[LinearArm, Family, FloatArray]:
+def chain_arm(n: int) -> tuple[LinearisedArms, ConsistentArms, FloatArray]:
     """A chain of random bodies, the family of its exact rigid model, and its link parameters."""
     joints = [
         Joint("linear", 0.01, origin=Origin(place, (0.0, 0.0, 0.0)), axis=axis)
@@ -215,7 +217,7 @@ def chain_arm(n: int) -> tuple[LinearArm, Family, FloatArray]:
     ring = 2.0 * np.pi * np.array(RINGS_HZ[:n])
     motor = ratio**2 * inertia * rng.uniform(0.4, 1.2, n)
     viscous, coulomb = np.full(n, 1e-4), np.full(n, 0.02)
-    linear = LinearArm(
+    linear = LinearisedArms(
         transmission=arm.transmission,
         motor_inertia=motor,
         motor_viscous_friction=0.5 * viscous,
@@ -231,7 +233,7 @@ def chain_arm(n: int) -> tuple[LinearArm, Family, FloatArray]:
     known_share[in_sums] = np.nan
     base = arm.links_of_rigid() @ arm.base.rows @ np.concatenate([link, motor])
     deviation = np.full(n, 0.02)
-    family = Family(
+    family = ConsistentArms(
         arm,
         ratio,
         total,
@@ -247,7 +249,11 @@ def chain_arm(n: int) -> tuple[LinearArm, Family, FloatArray]:
 
 
 def chain_piece(
-    linear: LinearArm, family: Family, link: FloatArray, row: int, rng: np.random.Generator
+    linear: LinearisedArms,
+    family: ConsistentArms,
+    link: FloatArray,
+    row: int,
+    rng: np.random.Generator,
 ) -> Piece:
     """Noise-free spectra with one driven motor, in a random posture."""
     n = family.n_joints
@@ -272,7 +278,9 @@ def test_the_search_finds_the_gears_of_a_spatial_chain(monkeypatch: pytest.Monke
     evaluated = []
     costs = search._costs
 
-    def counted(family: Family, points: FloatArray, piece: tuple[Piece, Posture]) -> FloatArray:
+    def counted(
+        family: ConsistentArms, points: FloatArray, piece: tuple[Piece, Posture]
+    ) -> FloatArray:
         evaluated.append(len(points))
         return costs(family, points, piece)
 

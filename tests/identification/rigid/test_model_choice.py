@@ -18,14 +18,14 @@ from strainwave.identification.rigid.bandwidth import (
     search_bandwidths,
     select_bandwidth,
 )
-from strainwave.identification.rigid.equations import ALL_JOINTS, Candidate
-from strainwave.identification.rigid.model_choice import MIN_STDS, Choice
+from strainwave.identification.rigid.equations import ALL_JOINTS, FurtherTerm
+from strainwave.identification.rigid.model_choice import MIN_STDS, ModelChoice
 from strainwave.identification.rigid.trial import Trial, fit_trial
 
 INERTIA, VISCOUS, COULOMB = 2e-3, 1e-3, 0.05
 NOISE = 5e-3  # [N m]
 STRIBECK_VELOCITY = 10.0  # [rad/s]
-LOAD, STRIBECK = Candidate("load-friction", 0), Candidate("stribeck", 0, STRIBECK_VELOCITY)
+LOAD, STRIBECK = FurtherTerm("load-friction", 0), FurtherTerm("stribeck", 0, STRIBECK_VELOCITY)
 
 ARM = Arm.of(virtual_arms.rigid_drive().arm)
 
@@ -59,19 +59,19 @@ def trial_of(signals: Signals, bandwidth_hz: float = 8.0) -> Trial:
     return fit_trial(ARM, stretches, None)
 
 
-def score(choice: Choice, *terms: int) -> float:
+def score(choice: ModelChoice, *terms: int) -> float:
     return float(np.sum(choice.models.scores(terms)))
 
 
-def significance(choice: Choice) -> FloatArray:
+def significance(choice: ModelChoice) -> FloatArray:
     return np.asarray(np.abs(choice.models.sizes([0])) / choice.models.size_stds([0]))
 
 
 @pytest.mark.parametrize(("asymmetry", "enters"), [(2e-6, False), (2e-5, True)])
 def test_a_term_enters_from_its_significance_on(asymmetry: float, *, enters: bool) -> None:
     """Both predict held-out stretches better; one of 80 candidates does so by chance."""
-    candidate = Candidate("direction-friction", 0, 50.0)
-    choice = Choice.of(trial_of(signals_of(asymmetry=asymmetry)), [candidate])
+    candidate = FurtherTerm("direction-friction", 0, 50.0)
+    choice = ModelChoice.of(trial_of(signals_of(asymmetry=asymmetry)), [candidate])
     assert score(choice, 0) > score(choice)
     assert (significance(choice) > MIN_STDS) == enters
     assert len(choice.select()) == enters
@@ -81,7 +81,9 @@ def test_a_term_enters_from_its_significance_on(asymmetry: float, *, enters: boo
 def test_a_torque_leads_by_its_hold_and_the_order_of_the_log(
     lead: int, *, is_possible: bool
 ) -> None:
-    choice = Choice.of(trial_of(signals_of(lead=lead)), [Candidate("torque-delay", ALL_JOINTS)])
+    choice = ModelChoice.of(
+        trial_of(signals_of(lead=lead)), [FurtherTerm("torque-delay", ALL_JOINTS)]
+    )
     expected = -lead * virtual_arms.CLOCK
     assert choice.models.sizes([0])[0] == pytest.approx(expected, rel=0.2)
     assert significance(choice) > MIN_STDS
@@ -94,7 +96,7 @@ def coulomb_of(solution: FloatArray) -> float:
 
 def test_no_term_makes_a_certain_coulomb_friction_negative() -> None:
     """The friction of the load is then larger than all dry friction."""
-    choice = Choice.of(trial_of(signals_of(coulomb=-0.01, load=0.5)), [LOAD])
+    choice = ModelChoice.of(trial_of(signals_of(coulomb=-0.01, load=0.5)), [LOAD])
     trial = choice.trial
     std = float(ARM.joint_friction(trial.standard_deviations)[0, 1])
     assert coulomb_of(trial.solution) > trial.interval_half_width * std
@@ -107,14 +109,14 @@ def test_no_term_makes_a_certain_coulomb_friction_negative() -> None:
 def test_a_term_may_change_the_sign_of_an_uncertain_coulomb_friction() -> None:
     """Sensors behind gears show almost no dry friction: its estimate is noise around zero."""
     signals = signals_of(coulomb=0.0, asymmetry=-2e-5, seed=2)
-    choice = Choice.of(trial_of(signals), [Candidate("direction-friction", 0, 50.0)])
+    choice = ModelChoice.of(trial_of(signals), [FurtherTerm("direction-friction", 0, 50.0)])
     assert coulomb_of(choice.trial.solution) > 0.0 > coulomb_of(choice.models.solution([0]))
     assert len(choice.select()) == 1
 
 
 def test_two_terms_together_are_plausible() -> None:
     """Each changes the Coulomb friction; the model error contains the change by both."""
-    choice = Choice.of(trial_of(signals_of(load=0.1, stribeck=0.03)), [LOAD, STRIBECK])
+    choice = ModelChoice.of(trial_of(signals_of(load=0.1, stribeck=0.03)), [LOAD, STRIBECK])
     alone = coulomb_of(choice.models.solution([]))
     changes = [coulomb_of(choice.models.solution(m)) - alone for m in ([0], [1], [0, 1])]
     error = np.sqrt(coulomb_of(np.diag(choice.model_error())))

@@ -23,7 +23,7 @@ from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.io.logs import tables as table_module
 from strainwave.io.logs.arrow import open_memory_table
-from strainwave.io.logs.tables import Table, open_table
+from strainwave.io.logs.tables import LogTable, open_table
 
 N = 50
 TIME: FloatArray = np.linspace(0.0, 0.49, N)
@@ -31,7 +31,7 @@ ANGLES: FloatArray = np.sin(np.outer(TIME, [3.0, 5.0, 7.0]))
 TORQUES: FloatArray = np.cos(np.outer(TIME, [3.0, 5.0, 7.0]))
 
 
-def table_of(folder: Path, name: str, data: bytes) -> Table:
+def table_of(folder: Path, name: str, data: bytes) -> LogTable:
     (folder / name).write_bytes(data)
     return open_table(folder / name)
 
@@ -66,7 +66,7 @@ def lines(records: list[dict[str, Any]]) -> bytes:
     return "\n".join(json.dumps(record) for record in records).encode()
 
 
-def expect(table: Table, columns: dict[str, FloatArray]) -> None:
+def expect(table: LogTable, columns: dict[str, FloatArray]) -> None:
     """Compare the columns; the others of the table are named by its notes alone."""
     assert list(table.names) == list(columns)
     for name, values in table.read(table.names).items():

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.io.logs import arrow
-from strainwave.io.logs.tables import Table, open_table
+from strainwave.io.logs.tables import LogTable, open_table
 
 TIME = 0.005 * np.arange(40)
 ANGLE = np.sin(7.0 * TIME)
@@ -24,7 +24,7 @@ TORQUE = np.cos(11.0 * TIME)
 ROWS = np.column_stack([TIME, ANGLE, TORQUE])
 
 
-def table_of(folder: Path, text: str | bytes, name: str = "log.csv") -> Table:
+def table_of(folder: Path, text: str | bytes, name: str = "log.csv") -> LogTable:
     (folder / name).write_bytes(text.encode() if isinstance(text, str) else text)
     return open_table(folder / name)
 
@@ -39,7 +39,7 @@ def rows(delimiter: str = ",", decimal: str = ".", end: str = "") -> str:
     return "\n".join(lines).replace(".", decimal) + "\n"
 
 
-def expect(table: Table, names: list[str], values: FloatArray = ROWS) -> None:
+def expect(table: LogTable, names: list[str], values: FloatArray = ROWS) -> None:
     assert list(table.names) == names
     read = table.read(names)
     for name, column in zip(names, values.T, strict=True):

@@ -15,9 +15,9 @@ from strainwave.presentation.report.blocks import (
     Cell,
     Facts,
     Fold,
-    Group,
     Plot,
     Row,
+    RowGroup,
     Section,
     Span,
     document,
@@ -56,7 +56,7 @@ def test_nested_figures_have_unique_keys() -> None:
 
 def test_each_kind_of_block_becomes_its_elements() -> None:
     cells = (Cell("7", "number", href="#there", mark="bad"), "plain")
-    rows: list[Row | Group] = [Group("arm"), ("alpha", *cells)]
+    rows: list[Row | RowGroup] = [RowGroup("arm"), ("alpha", *cells)]
     page = body(
         Section(
             "there",
@@ -89,7 +89,7 @@ def test_each_kind_of_block_becomes_its_elements() -> None:
 def test_every_text_is_escaped() -> None:
     blocks: tuple[Block, ...] = (
         paragraph(EVIL, Span(EVIL, strong=True)),
-        *table(EVIL, (EVIL,), [Group(EVIL), (EVIL,)]),
+        *table(EVIL, (EVIL,), [RowGroup(EVIL), (EVIL,)]),
         Facts(((EVIL, EVIL),)),
         Fold(EVIL, (Plot(EVIL, EVIL, Figure(Axis("x"), (Panel(Axis("y"), ()),)), EVIL),)),
     )

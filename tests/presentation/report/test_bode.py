@@ -124,7 +124,7 @@ def test_a_prismatic_joint_has_its_own_units() -> None:
 
 def test_the_whole_arm_fit_is_drawn_with_its_band_on_pale_measured_points() -> None:
     covariance = np.diag((0.01 * JOINT.vector) ** 2)
-    whole_arm = bode.JointFit(1.1 * JOINT.vector, covariance)
+    whole_arm = bode.FittedJoint(1.1 * JOINT.vector, covariance)
     figure = bode.bode(joint_model(), RATIO, measured(), whole_arm=whole_arm)
     f, size = line_of(figure, "whole-arm fit")
     expected = motor_response(1.1 * JOINT.vector, JOINT.gear_ratio, f)

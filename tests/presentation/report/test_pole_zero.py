@@ -12,7 +12,7 @@ from figure_parts import marks
 from strainwave.domain import Modes
 from strainwave.dynamics.two_inertia import coefficients, joint_of
 from strainwave.presentation.figures import Figure, Line, Markers
-from strainwave.presentation.report.bode import JointFit, pole_zero_map
+from strainwave.presentation.report.bode import FittedJoint, pole_zero_map
 from strainwave.statespace import modes
 
 RATIO = JOINT.gear_ratio
@@ -73,7 +73,7 @@ def test_95_percent_of_random_parameters_lie_in_the_ellipse() -> None:
 
 def test_the_whole_arm_fit_is_drawn_without_ellipses_if_its_covariance_is_unknown() -> None:
     unknown = replace(joint_model(), covariance=np.full((6, 6), np.nan))
-    figure = pole_zero_map(unknown, RATIO, whole_arm=JointFit(JOINT.vector, None))
+    figure = pole_zero_map(unknown, RATIO, whole_arm=FittedJoint(JOINT.vector, None))
     assert marks(figure, Line) == []
     poles = roots(figure, "poles, whole-arm fit")
     assert poles == pytest.approx(roots(figure, "poles, joint model"))

@@ -13,7 +13,7 @@ from strainwave.domain import ArmDescription, Experiment, Joint, Place
 from strainwave.signals.consistency import report_remaining
 from strainwave.signals.consistency.clocks import Clocks
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, collect_evidence
-from strainwave.signals.consistency.hypothesis import Case
+from strainwave.signals.consistency.hypothesis import UnexplainedEvidence
 from strainwave.signals.consistency.input_hypotheses import propose_hypotheses
 from strainwave.signals.consistency.observations import EXPECTED, Observation
 from strainwave.signals.torque_constants import suspect_torque_constants
@@ -38,7 +38,7 @@ def test_channels_of_any_two_joints_may_be_exchanged() -> None:
     )
     suspicions = [
         cause.suspicion(study)
-        for cause in propose_hypotheses(Case(Evidence(study, (record,), {}), ()))
+        for cause in propose_hypotheses(UnexplainedEvidence(Evidence(study, (record,), {}), ()))
     ]
     exchanged = [each.message for each in suspicions if each.code == "swapped-channels"]
     both = "u{0}, u{1} and theta_m{0}, theta_m{1}: the channels of joints {0} and {1} are exchanged"
@@ -80,7 +80,7 @@ def test_torque_constants_of_any_joint_are_named(evidence: Evidence) -> None:
 
 def test_delays_of_one_kind_are_one_cause(evidence: Evidence) -> None:
     late = Observation("delay", Place(channel="a1"), 0.02, 1e-4)
-    causes = [*propose_hypotheses(Case(evidence, (late,)))]
+    causes = [*propose_hypotheses(UnexplainedEvidence(evidence, (late,)))]
     causes = [each for each in causes if each.code == "misaligned"]
     assert causes[-1].places == (Place(channel="a1"),)
     message = causes[-1].suspicion(evidence.study).message

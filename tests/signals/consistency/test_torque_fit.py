@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from strainwave.signals.consistency.evidence import Memory
+from strainwave.signals.consistency.evidence import HypothesisCache
 from strainwave.signals.consistency.torque_fit import (
     TorqueSystem,
     fit_torques,
@@ -72,7 +72,7 @@ def test_a_record_with_other_torques_is_predicted_better_without_it() -> None:
 
 
 def test_a_result_is_computed_once_per_object() -> None:
-    memory, calls = Memory(), []
+    memory, calls = HypothesisCache(), []
     first, second = np.zeros(3), np.zeros(3)
     for source in (first, second, first):
         memory.recall("sum", (source,), lambda: calls.append("sum"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from strainwave.workbench.study_edit import Change, edit_study
+from strainwave.workbench.study_edit import KeyChange, edit_study
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -21,7 +21,9 @@ def press_until_focus(page: Page, name: str) -> None:
 
 def test_check_remedy_estimate_and_report(visit: Any) -> None:
     study = visit.folder / "arm" / "study.toml"
-    edit_study(study, [Change(("channels", "theta_m1"), {"column": "theta_m1", "scale": 57.29578})])
+    edit_study(
+        study, [KeyChange(("channels", "theta_m1"), {"column": "theta_m1", "scale": 57.29578})]
+    )
     page = visit.open("/estimate/arm/study.toml")
     assert page.locator("#start").is_disabled()
     page = visit.open("/check/arm/study.toml")

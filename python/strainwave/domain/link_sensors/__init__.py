@@ -15,11 +15,11 @@ import numpy as np
 
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros
-from strainwave.domain.link_sensors.interface import Axis as Axis
 from strainwave.domain.link_sensors.interface import ConstantKind as ConstantKind
-from strainwave.domain.link_sensors.interface import Group as Group
 from strainwave.domain.link_sensors.interface import LinkSensor as LinkSensor
+from strainwave.domain.link_sensors.interface import SensorAxis as SensorAxis
 from strainwave.domain.link_sensors.interface import SensorConstant as SensorConstant
+from strainwave.domain.link_sensors.interface import SensorGroup as SensorGroup
 from strainwave.domain.link_sensors.interface import TypicalSensor as TypicalSensor
 from strainwave.domain.link_sensors.link_space import link_space
 from strainwave.domain.link_sensors.single_axis import (
@@ -115,13 +115,15 @@ def low_passes(joint: Joint) -> dict[str, float | None]:
     return passes
 
 
-def axes_of(arm: ArmDescription, number: int) -> tuple[Axis, ...]:
+def axes_of(arm: ArmDescription, number: int) -> tuple[SensorAxis, ...]:
     """Axes of all sensors that the link of a joint, from 1, can have."""
     space, sensors = link_space(arm, number), arm.joints[number - 1].sensors
     return tuple(axis for sensor in sensors for axis in sensor.axes(number, space))
 
 
-def installed_axes(arm: ArmDescription, number: int, channels: Collection[str]) -> tuple[Axis, ...]:
+def installed_axes(
+    arm: ArmDescription, number: int, channels: Collection[str]
+) -> tuple[SensorAxis, ...]:
     """Axes that the link of a joint, from 1, has by its table or by the channels of a study."""
     return tuple(
         axis
@@ -130,27 +132,31 @@ def installed_axes(arm: ArmDescription, number: int, channels: Collection[str]) 
     )
 
 
-def compared_axes(arm: ArmDescription, number: int, channels: Collection[str]) -> tuple[Axis, ...]:
+def compared_axes(
+    arm: ArmDescription, number: int, channels: Collection[str]
+) -> tuple[SensorAxis, ...]:
     """Axes on a link, from 1, that a fit compares if a log has these channels.
 
     Of each group of sensors, in the order of the groups, these are the axes of least rank.
     """
     axes = [axis for axis in axes_of(arm, number) if axis.channel in channels]
-    compared: list[Axis] = []
-    for group in Group:
+    compared: list[SensorAxis] = []
+    for group in SensorGroup:
         of_group = [axis for axis in axes if axis.sensor.group is group]
         least = min((axis.sensor.rank for axis in of_group), default=0)
         compared += [axis for axis in of_group if axis.sensor.rank == least]
     return tuple(compared)
 
 
-def mounted_axes(arm: ArmDescription, number: int, channels: Collection[str]) -> tuple[Axis, ...]:
+def mounted_axes(
+    arm: ArmDescription, number: int, channels: Collection[str]
+) -> tuple[SensorAxis, ...]:
     """The compared axes whose readings depend on a mounting."""
     axes = compared_axes(arm, number, channels)
     return tuple(axis for axis in axes if axis.is_mounted)
 
 
-def unknowns_of(axes: Sequence[Axis]) -> list[Key]:
+def unknowns_of(axes: Sequence[SensorAxis]) -> list[Key]:
     """Unknowns of the mounting of one link's axes, in the coordinates of a fit."""
     return axes[0].sensor.unknowns(axes) if axes else []
 

@@ -19,11 +19,11 @@ import numpy as np
 
 from strainwave.domain.keys import FloatArray, Key
 from strainwave.domain.link_sensors.interface import (
-    Axis,
     ConstantKind,
-    Group,
     LinkSensor,
+    SensorAxis,
     SensorConstant,
+    SensorGroup,
 )
 from strainwave.domain.link_sensors.link_space import (
     ACCELEROMETER_QUANTITIES,
@@ -75,7 +75,7 @@ class ImuSensor(LinkSensor):
     axis_name: ClassVar[str]
     case_key: ClassVar[str]  # of the bandwidth [Hz] in the table of the IMU
     symbols = False
-    group = Group.MOUNTED
+    group = SensorGroup.MOUNTED
 
     @classmethod
     def of_joint(cls, joint: Joint) -> Self | None:
@@ -118,7 +118,9 @@ class ImuSensor(LinkSensor):
         """Attitude (3, 3); its columns are the sensor's axes in the link's frame."""
         return attitude_of(values, joint) if self.rpy is None else attitude(self.rpy)
 
-    def pose(self, axis: Axis, values: Mapping[Key, float]) -> tuple[FloatArray, Sequence[float]]:
+    def pose(
+        self, axis: SensorAxis, values: Mapping[Key, float]
+    ) -> tuple[FloatArray, Sequence[float]]:
         """Attitude (3, 3) and position (3,) [m] in the link's frame, turned by the bearing."""
         joint, matrix = axis.joint, self.attitude(axis.joint, values)
         if self.xyz is not None:
@@ -131,7 +133,7 @@ class ImuSensor(LinkSensor):
         position = distance * (math.cos(bearing) * x + math.sin(bearing) * y)
         return rotation(bearing * z) @ matrix, position.tolist()
 
-    def unknowns(self, axes: Sequence[Axis]) -> list[Key]:
+    def unknowns(self, axes: Sequence[SensorAxis]) -> list[Key]:
         joint, space, count = axes[0].joint, axes[0].space, _count_accelerometers(axes)
         names: list[str] = []
         if count and self.xyz is None:
@@ -144,20 +146,20 @@ class ImuSensor(LinkSensor):
         keys: list[Key] = [(name, joint) for name in names]
         return [*keys, *(key for key in shares if key and self._has_shares(axes))]
 
-    def _turns(self, axes: Sequence[Axis]) -> Sequence[str]:
+    def _turns(self, axes: Sequence[SensorAxis]) -> Sequence[str]:
         """Rotations that change the readings: all, or not that about the only axis."""
         numbers, count = {axis.number for axis in axes}, _count_accelerometers(axes)
         if axes[0].space.axis is None:
             return [name for k, name in enumerate(IMU_ROTATION) if numbers != {k}]
         return IMU_ROTATION if count > 1 else IMU_ROTATION[2:] if count else ()
 
-    def _has_shares(self, axes: Sequence[Axis]) -> bool:
+    def _has_shares(self, axes: Sequence[SensorAxis]) -> bool:
         """Whether too few axes show the attitude, so that gyros have shares of the only rate."""
         has_one_rate = axes[0].space.axis is not None
         return has_one_rate and self.rpy is None and _count_accelerometers(axes) < 2
 
     def report(
-        self, axes: Sequence[Axis], values: Mapping[Key, float]
+        self, axes: Sequence[SensorAxis], values: Mapping[Key, float]
     ) -> dict[str, tuple[float, str]]:
         """Position and attitude as far as they follow from unknowns that are not in results.
 
@@ -209,11 +211,11 @@ class ImuAccelerometers(ImuSensor):
     def quantities(self) -> tuple[Quantity, ...]:
         return ACCELEROMETER_QUANTITIES
 
-    def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:
+    def weights(self, axis: SensorAxis, values: Mapping[Key, float]) -> FloatArray:
         matrix, position = self.pose(axis, values)
         return accelerometer_weights(matrix[:, axis.number].tolist(), position)
 
-    def is_scale_identifiable(self, axis: Axis, axes: Sequence[Axis]) -> bool:
+    def is_scale_identifiable(self, axis: SensorAxis, axes: Sequence[SensorAxis]) -> bool:
         has_varying_force = axis.space.has_varying_force
         return has_varying_force or _count_accelerometers(axes) > 1 or self.xyz is not None
 
@@ -237,13 +239,13 @@ class ImuGyros(ImuSensor):
     def quantities(self) -> tuple[Quantity, ...]:
         return GYRO_QUANTITIES
 
-    def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:
+    def weights(self, axis: SensorAxis, values: Mapping[Key, float]) -> FloatArray:
         share = values.get(axis.key(ConstantKind.SHARE) or ("", None))
         if share is None:
             return self.attitude(axis.joint, values)[:, axis.number]
         return np.asarray(share * axis.space.directions[2])
 
-    def is_scale_identifiable(self, axis: Axis, axes: Sequence[Axis]) -> bool:
+    def is_scale_identifiable(self, axis: SensorAxis, axes: Sequence[SensorAxis]) -> bool:
         """Whether the rate along the axis varies: not across the only axis of the link."""
         if axis.space.axis is not None and self.rpy is not None:
             along = attitude(self.rpy)[:, axis.number] @ axis.space.directions[2]
@@ -267,5 +269,5 @@ def attitude_of(values: Mapping[Key, float], joint: int) -> FloatArray:
     return np.asarray(start @ rotation(turn))
 
 
-def _count_accelerometers(axes: Sequence[Axis]) -> int:
+def _count_accelerometers(axes: Sequence[SensorAxis]) -> int:
     return sum(isinstance(axis.sensor, ImuAccelerometers) for axis in axes)

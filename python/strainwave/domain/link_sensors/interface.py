@@ -125,7 +125,7 @@ class SensorConstant:
         return self.kind in (K.MOUNT_FREQUENCY, K.MOUNT_DAMPING)
 
 
-class Group(Enum):
+class SensorGroup(Enum):
     """Sensors of one joint that replace each other in a fit, in the order of the channels."""
 
     MOTOR = "motor motion"
@@ -168,10 +168,10 @@ class LinkSensor(ABC):
     def quantities(self) -> tuple[Quantity, ...]:
         """Simulated quantities that each axis reads."""
 
-    def axes(self, joint: int, space: LinkSpace = PLANE) -> tuple[Axis, ...]:
+    def axes(self, joint: int, space: LinkSpace = PLANE) -> tuple[SensorAxis, ...]:
         """All axes of the sensor on the link of a joint, which moves in `space`."""
         numbers = range(len(self.channel_kinds))
-        return tuple(Axis(self, joint, number, space) for number in numbers)
+        return tuple(SensorAxis(self, joint, number, space) for number in numbers)
 
     def low_passes(self) -> Mapping[str, float | None]:
         """Low-passes [Hz] of the core that its quantities pass, by argument; None: no low-pass."""
@@ -193,9 +193,9 @@ class LinkSensor(ABC):
         return 0.0
 
     @property
-    def group(self) -> Group | None:
+    def group(self) -> SensorGroup | None:
         """Group of the sensor; None: a fit does not compare its readings as they are."""
-        return Group.MOTION
+        return SensorGroup.MOTION
 
     @property
     def rank(self) -> int:
@@ -216,20 +216,20 @@ class LinkSensor(ABC):
         """A typical sensor for a link of this length [m]; None if none is suggested."""
         return None
 
-    def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:
+    def weights(self, axis: SensorAxis, values: Mapping[Key, float]) -> FloatArray:
         """Weights of all `quantities` for values of the mounting's unknowns."""
         return np.ones(1)
 
-    def unknowns(self, axes: Sequence[Axis]) -> list[Key]:
+    def unknowns(self, axes: Sequence[SensorAxis]) -> list[Key]:
         """Unknowns of the mounting of one link's logged axes, in the coordinates of a fit."""
         return []
 
-    def is_scale_identifiable(self, axis: Axis, axes: Sequence[Axis]) -> bool:
+    def is_scale_identifiable(self, axis: SensorAxis, axes: Sequence[SensorAxis]) -> bool:
         """Whether the scale of an axis is identifiable in addition to the mounting of `axes`."""
         return True
 
     def report(
-        self, axes: Sequence[Axis], values: Mapping[Key, float]
+        self, axes: Sequence[SensorAxis], values: Mapping[Key, float]
     ) -> dict[str, tuple[float, str]]:
         """Position and attitude as far as they follow from unknowns: value and unit by name."""
         return {}
@@ -292,7 +292,7 @@ class TypicalSensor:
 
 
 @dataclass(frozen=True)
-class Axis:
+class SensorAxis:
     """One axis of a sensor on the link of a joint."""
 
     sensor: LinkSensor
@@ -318,7 +318,7 @@ class Axis:
     @property
     def is_mounted(self) -> bool:
         """Whether its reading depends on a mounting."""
-        return self.sensor.group is Group.MOUNTED
+        return self.sensor.group is SensorGroup.MOUNTED
 
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:

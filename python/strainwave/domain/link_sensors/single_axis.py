@@ -11,11 +11,11 @@ import numpy as np
 
 from strainwave.domain.keys import FloatArray, Key
 from strainwave.domain.link_sensors.interface import (
-    Axis,
     ConstantKind,
-    Group,
     LinkSensor,
+    SensorAxis,
     SensorConstant,
+    SensorGroup,
     TypicalSensor,
 )
 from strainwave.domain.link_sensors.link_space import (
@@ -64,8 +64,8 @@ class Accelerometer(LinkSensor):
         return cls(is_known, joint.accelerometer_hz, joint.accelerometer_distance is not None)
 
     @property
-    def group(self) -> Group:
-        return Group.MOTION if self.is_at_known_place else Group.MOUNTED
+    def group(self) -> SensorGroup:
+        return SensorGroup.MOTION if self.is_at_known_place else SensorGroup.MOUNTED
 
     @property
     def rank(self) -> int:
@@ -78,7 +78,7 @@ class Accelerometer(LinkSensor):
         own = "accelerometer_hz" if self.is_at_known_place else "imu_accelerometer_hz"
         return {own: self.hz}
 
-    def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:
+    def weights(self, axis: SensorAxis, values: Mapping[Key, float]) -> FloatArray:
         if self.is_at_known_place:
             return np.ones(1)
         tilt = values.get((ACCELEROMETER_TILT, axis.joint), 0.0)
@@ -101,10 +101,10 @@ class Accelerometer(LinkSensor):
         table = replace(joint, accelerometer_distance=distance, accelerometer_hz=hz)
         return TypicalSensor(table, text, noise_density=ACCELEROMETER_DENSITY)
 
-    def unknowns(self, axes: Sequence[Axis]) -> list[Key]:
+    def unknowns(self, axes: Sequence[SensorAxis]) -> list[Key]:
         return [] if self.is_at_known_place else [(ACCELEROMETER_DISTANCE, axes[0].joint)]
 
-    def is_scale_identifiable(self, axis: Axis, axes: Sequence[Axis]) -> bool:
+    def is_scale_identifiable(self, axis: SensorAxis, axes: Sequence[SensorAxis]) -> bool:
         return self.is_at_known_place or axis.space.has_varying_force
 
     @classmethod
@@ -184,7 +184,7 @@ class MotorEncoder(LinkSensor):
     channel_kinds = ("theta_m",)
     unit = "rad"
     measurand = "motor angle"
-    group = Group.MOTOR
+    group = SensorGroup.MOTOR
     reads_angle = True
     has_bias = False
     common, per_axis = (ConstantKind.DELAY,), (ConstantKind.HOLD,)
@@ -271,7 +271,7 @@ class TorsionSensor(LinkSensor):
     def quantities(self) -> tuple[Quantity, ...]:
         return ("torsion",)
 
-    def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:
+    def weights(self, axis: SensorAxis, values: Mapping[Key, float]) -> FloatArray:
         return np.array([-1.0])
 
 
@@ -286,7 +286,7 @@ class TorqueSensor(LinkSensor):
     measurand = "joint torque"
     prismatic_unit = "N"
     by_channel = True
-    group = Group.TORQUE
+    group = SensorGroup.TORQUE
     common = (ConstantKind.DELAY,)
 
     @classmethod

@@ -47,7 +47,7 @@ _SIGN_FRICTION_STD = 0.058
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class FilteredColumns:
     """Filtered columns of one record at the selected rows."""
 
     ratio: float
@@ -70,7 +70,7 @@ class Piece:
 class WeightedEquations:
     """Equations in one band with the weights of their last solution."""
 
-    pieces: tuple[Piece, ...]
+    pieces: tuple[FilteredColumns, ...]
     equations: ls.Equations
     known: RigidKnowledge  # values of the rigid model, part of the equations
     root: FloatArray  # (n_rows,) square roots of the weights
@@ -159,7 +159,7 @@ class WeightedEquations:
         return fits
 
 
-def _piece(signals: LinkSignals, decoupled: Decoupled, arm: Arm, band: Band) -> Piece:
+def _piece(signals: LinkSignals, decoupled: Decoupled, arm: Arm, band: Band) -> FilteredColumns:
     i, T = decoupled.joint - 1, signals.sample_time
     n = float(arm.gear_ratios[i])
     low, high = band
@@ -191,7 +191,7 @@ def _piece(signals: LinkSignals, decoupled: Decoupled, arm: Arm, band: Band) -> 
         apply_lags_without_aliases(impulse, signals.shared, T, "straight"), low, high, T
     )
     shapes = free_friction(signals.sliding[:, i], max(2, int(1.0 / (_KNOTS_PER_PERIOD * high * T))))
-    return Piece(
+    return FilteredColumns(
         ratio=n,
         band=band,
         sample_time=T,
@@ -231,7 +231,7 @@ def equations_in(
     return WeightedEquations(pieces, equations, known, root, near.x)
 
 
-def _starting_values(pieces: Sequence[Piece]) -> FloatArray:
+def _starting_values(pieces: Sequence[FilteredColumns]) -> FloatArray:
     """Starting values: inertias and friction from (S6), then compliance and damping from (S7)."""
     x = np.zeros(len(COLUMNS))
     motor = np.concatenate([np.hstack([p.motor, p.ratio * p.link[:, :1]]) for p in pieces])
@@ -245,7 +245,10 @@ def _starting_values(pieces: Sequence[Piece]) -> FloatArray:
 
 
 def _assemble(
-    pieces: Sequence[Piece], known: RigidKnowledge, x: FloatArray, standing: float = _STICTION_STD
+    pieces: Sequence[FilteredColumns],
+    known: RigidKnowledge,
+    x: FloatArray,
+    standing: float = _STICTION_STD,
 ) -> ls.Equations:
     """Equations (S6) and (S7) of all records around x, then those of the rigid model."""
     shared, local, target, group, block, free_friction_std = [], [], [], [], [], []

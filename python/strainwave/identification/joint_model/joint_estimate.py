@@ -68,7 +68,7 @@ class JointEstimate:
             posture=self.posture,
         )
 
-    def _entries(self) -> Iterator[_Entry]:
+    def _entries(self) -> Iterator[_ReportedValue]:
         variances = np.clip(np.diag(self.covariance), 0.0, None)
         for (name, value), std, determined in zip(
             self.values.items(), np.sqrt(variances).tolist(), self.determined, strict=True
@@ -76,7 +76,9 @@ class JointEstimate:
             # in fast records only the sum of the viscous frictions is well determined
             is_split = name in VISCOUS
             is_precise = std <= _MAX_VISCOUS_RELATIVE_STD * abs(value)
-            yield _Entry(name, value, std, bool(determined) and (is_precise or not is_split))
+            yield _ReportedValue(
+                name, value, std, bool(determined) and (is_precise or not is_split)
+            )
 
     def _parameters(self) -> Iterator[Parameter]:
         """Each value as a parameter, None if not determined, then the total viscous friction."""
@@ -86,10 +88,10 @@ class JointEstimate:
         weights = dict(zip(VISCOUS, (1.0, ratio**2), strict=True))
         weight = np.array([weights.get(name, 0.0) for name in self.values])
         std = np.sqrt(np.clip(weight @ self.covariance @ weight, 0.0, None))
-        total = _Entry("total_viscous_friction", float(weight @ values), float(std), True)
+        total = _ReportedValue("total_viscous_friction", float(weight @ values), float(std), True)
         yield self._parameter(total)
 
-    def _parameter(self, entry: _Entry) -> Parameter:
+    def _parameter(self, entry: _ReportedValue) -> Parameter:
         key, unit = (entry.name, self.number), unit_of(entry.name, self.joint)
         known = entry.value if entry.is_identified else None
         if known is None or not np.isfinite(entry.std):
@@ -125,7 +127,7 @@ class JointEstimate:
 
 
 @dataclass(frozen=True, slots=True)
-class _Entry:
+class _ReportedValue:
     """One value, and whether it is reported."""
 
     name: str

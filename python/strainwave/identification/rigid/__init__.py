@@ -38,7 +38,7 @@ from strainwave.identification.rigid.bandwidth import (
 )
 from strainwave.identification.rigid.bounds import Bounded, bound
 from strainwave.identification.rigid.drive_gains import estimate_drive_gains, gain_sensitivity
-from strainwave.identification.rigid.equations import Candidate, MotorShares, anti_resonances
+from strainwave.identification.rigid.equations import FurtherTerm, MotorShares, anti_resonances
 from strainwave.identification.rigid.friction_terms import (
     MAX_POWER_RATIO,
     corrected_motions,
@@ -51,7 +51,7 @@ from strainwave.identification.rigid.friction_terms import (
     with_delay,
 )
 from strainwave.identification.rigid.model_choice import (
-    Choice,
+    ModelChoice,
     candidates_of,
     is_selected,
 )
@@ -143,7 +143,7 @@ def _fit(
 
 def _search(
     motions: Sequence[Motion], arm: Arm, chosen: RigidOptions
-) -> tuple[list[Trial], list[Candidate]]:
+) -> tuple[list[Trial], list[FurtherTerm]]:
     """Fits at increasing bandwidths, without a delay of the torques that they show; candidates."""
     if chosen.bandwidth_hz is not None:
         trials = [fit_trial(arm, prepare_all(arm, motions, chosen.bandwidth_hz), None)]
@@ -164,8 +164,8 @@ def _search(
 
 
 def _at_best_bandwidth(
-    trials: Sequence[Trial], motions: Sequence[Motion], candidates: Sequence[Candidate]
-) -> tuple[Trial, tuple[Trial, list[Trial], Choice]]:
+    trials: Sequence[Trial], motions: Sequence[Motion], candidates: Sequence[FurtherTerm]
+) -> tuple[Trial, tuple[Trial, list[Trial], ModelChoice]]:
     """Trial without terms, and fits with them, at the best bandwidth of the model with terms.
 
     Without them, the change of the estimates with the bandwidth favours low bandwidths, at which a
@@ -181,8 +181,8 @@ def _at_best_bandwidth(
 
 
 def _with_terms(
-    best: Trial, nearby: list[Trial], motions: Sequence[Motion], candidates: Sequence[Candidate]
-) -> tuple[Trial, list[Trial], Choice]:
+    best: Trial, nearby: list[Trial], motions: Sequence[Motion], candidates: Sequence[FurtherTerm]
+) -> tuple[Trial, list[Trial], ModelChoice]:
     """Fits with the terms that the records support, and the choice between them and others.
 
     A term changes what is left for others: the choice is made again around each fit. A term that a
@@ -195,7 +195,7 @@ def _with_terms(
     fit, others, rest, left_out = best, nearby, list(candidates), set[tuple[str, int]]()
     tested, largest = {c.key for c in candidates if is_selected(best.arm, c)}, 0
     while True:
-        choice = Choice.of(fit, rest)
+        choice = ModelChoice.of(fit, rest)
         stds = choice.models.size_stds(range(len(fit.candidates)))
         doubtful = [c for c in insignificant([fit, *others], stds) if c.key in tested]
         if not doubtful and len(fit.candidates) > largest:

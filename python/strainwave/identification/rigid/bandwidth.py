@@ -9,7 +9,7 @@ import numpy as np
 from strainwave.domain import FloatArray, Signals
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.rigid.equations import convert_estimate
-from strainwave.identification.rigid.stretch import Stretch, n_compliances, prepare
+from strainwave.identification.rigid.stretch import FilteredRecord, n_compliances, prepare
 from strainwave.identification.rigid.trial import Trial, fit_trial
 
 _BANDWIDTH_RATIO = 2.0**0.5  # ratio of successive bandwidths; squared if no gear is elastic
@@ -75,7 +75,9 @@ def _velocity_power(signals: Signals) -> tuple[FloatArray, FloatArray]:
     return np.asarray(np.fft.rfftfreq(count, signals.sample_time)), power
 
 
-def prepare_all(arm: Arm, motions: Sequence[Motion], bandwidth_hz: float) -> tuple[Stretch, ...]:
+def prepare_all(
+    arm: Arm, motions: Sequence[Motion], bandwidth_hz: float
+) -> tuple[FilteredRecord, ...]:
     """Filter all records for the equations of one bandwidth."""
     return tuple(prepare(arm, s, bandwidth_hz, period) for s, period in motions)
 

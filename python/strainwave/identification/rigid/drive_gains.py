@@ -37,7 +37,7 @@ from strainwave.identification.rigid.bandwidth import (
     select_bandwidth,
 )
 from strainwave.identification.rigid.equations import Estimate, assemble
-from strainwave.identification.rigid.stretch import Stretch
+from strainwave.identification.rigid.stretch import FilteredRecord
 from strainwave.identification.rigid.trial import Trial, fit_trial
 from strainwave.numerics import least_squares as ls
 from strainwave.numerics.parallel import one_blas_thread
@@ -170,7 +170,7 @@ def _extended(equations: ls.Equations, columns: FloatArray) -> ls.Equations:
 
 
 def _torque_rows(
-    arm: Arm, stretches: Sequence[Stretch], around: Estimate | None, equations: ls.Equations
+    arm: Arm, stretches: Sequence[FilteredRecord], around: Estimate | None, equations: ls.Equations
 ) -> FloatArray:
     """The part of the target that is the measured torque: (n_rows,)."""
     unmoved = [replace(s, torque=np.zeros_like(s.torque)) for s in stretches]
@@ -189,7 +189,9 @@ def _scaled(signals: Signals, joints: IntArray, gains: FloatArray) -> Signals:
     return replace(signals, motor_torque=torque)
 
 
-def _scaled_stretch(stretch: Stretch, joints: IntArray, factors: FloatArray) -> Stretch:
+def _scaled_stretch(
+    stretch: FilteredRecord, joints: IntArray, factors: FloatArray
+) -> FilteredRecord:
     """A filtered record with multiplied torques of joints, from 0."""
     torque = stretch.torque.copy()
     torque[:, joints] *= factors

@@ -27,7 +27,7 @@ from strainwave.dynamics.rigid_prediction import (
     gear_load,
 )
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.rigid.stretch import Stretch, motion_of, n_compliances
+from strainwave.identification.rigid.stretch import FilteredRecord, motion_of, n_compliances
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.least_squares import Equations, Factor, Local
 from strainwave.numerics.linalg import Banded
@@ -75,7 +75,7 @@ class Estimate:
 
 
 def convert_estimate(
-    estimate: Estimate, before: Sequence[Stretch], after: Sequence[Stretch]
+    estimate: Estimate, before: Sequence[FilteredRecord], after: Sequence[FilteredRecord]
 ) -> Estimate:
     """Convert an estimate at one bandwidth to a starting value at another.
 
@@ -97,7 +97,7 @@ ALL_JOINTS = -1
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class FurtherTerm:
     """A term of a joint in addition to inertia, viscous and Coulomb friction, and offset."""
 
     effect: str
@@ -116,18 +116,18 @@ class Candidate:
 class Terms:
     """Further terms, with the direction of motion of all joints."""
 
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[FurtherTerm, ...]
     direction: tuple[FloatArray, ...]  # per record (n_motion, n_joints)
 
     @staticmethod
-    def of(candidates: Sequence[Candidate], stretches: Sequence[Stretch]) -> Terms:
+    def of(candidates: Sequence[FurtherTerm], stretches: Sequence[FilteredRecord]) -> Terms:
         """Terms in the records of a fit."""
         directions = (
             motion_of(s.signals.direction, s.bandwidth_hz, s.signals.sample_time) for s in stretches
         )
         return Terms(tuple(candidates), tuple(directions))
 
-    def deviations(self, arm: Arm, stretches: Sequence[Stretch]) -> FloatArray:
+    def deviations(self, arm: Arm, stretches: Sequence[FilteredRecord]) -> FloatArray:
         """Prior standard deviations of the sizes, then of the estimated shapes' logarithms.
 
         They correspond to the largest torque of the joint, or to a known size.
@@ -140,7 +140,7 @@ class Terms:
         )
         tiny = np.finfo(float).tiny
 
-        def deviation(c: Candidate) -> float:
+        def deviation(c: FurtherTerm) -> float:
             per_unit = {
                 "direction-friction": speed[c.joint],
                 "load-speed-friction": speed[c.joint] * torque[c.joint] / _LOAD_FRICTION_STD,
@@ -154,7 +154,9 @@ class Terms:
         sizes = [deviation(c) for c in self.candidates]
         return np.array([*sizes, *(_LOG_SHAPE_STD for c in self.candidates if c.size is not None)])
 
-    def columns(self, arm: Arm, stretch: Stretch, record: int, around: Estimate) -> FloatArray:
+    def columns(
+        self, arm: Arm, stretch: FilteredRecord, record: int, around: Estimate
+    ) -> FloatArray:
         """Regressors in the order of `deviations`, (n_rows, n_joints, n_columns).
 
         The load is that of the gears by the estimate, without friction.
@@ -184,7 +186,7 @@ class Terms:
             )
             return arm.motors_of((ahead - behind) / (2.0 * step))
 
-        def regressor(c: Candidate, factor: float = 1.0) -> FloatArray:
+        def regressor(c: FurtherTerm, factor: float = 1.0) -> FloatArray:
             """Torques of all joints per size, or those of the joint alone."""
             i, unit = c.joint, np.eye(arm.n_joints)[c.joint]
             if c.effect == SPRING:
@@ -221,7 +223,10 @@ class Terms:
 
 
 def assemble(
-    arm: Arm, stretches: Sequence[Stretch], around: Estimate | None, terms: Terms | None = None
+    arm: Arm,
+    stretches: Sequence[FilteredRecord],
+    around: Estimate | None,
+    terms: Terms | None = None,
 ) -> Equations:
     """Assemble the equations of all records and joints.
 
@@ -277,7 +282,7 @@ class _Part:
 
 
 def _parts(
-    arm: Arm, stretches: Sequence[Stretch], around: Estimate | None, terms: Terms | None
+    arm: Arm, stretches: Sequence[FilteredRecord], around: Estimate | None, terms: Terms | None
 ) -> Iterator[_Part]:
     """Equations record by record and joint by joint."""
     first_block, counts = 0, blocks_of(stretches)
@@ -317,7 +322,7 @@ def _parts(
             )
 
 
-def blocks_of(stretches: Sequence[Stretch]) -> list[int]:
+def blocks_of(stretches: Sequence[FilteredRecord]) -> list[int]:
     """Number of blocks of each record, in proportion to the time in which joints slide."""
     total = sum(s.sliding_time for s in stretches)
     if total == 0.0:
@@ -325,7 +330,7 @@ def blocks_of(stretches: Sequence[Stretch]) -> list[int]:
     return [max(2, round(_JACKKNIFE_BLOCKS * s.sliding_time / total)) for s in stretches]
 
 
-def slides_both_ways(stretches: Sequence[Stretch]) -> BoolArray:
+def slides_both_ways(stretches: Sequence[FilteredRecord]) -> BoolArray:
     """Joints, (n_joints,), that slide in both directions in any of the records."""
     forward, backward = (
         np.any([np.any(sign * s.signals.direction > 0.0, axis=0) for s in stretches], axis=0)
@@ -336,7 +341,7 @@ def slides_both_ways(stretches: Sequence[Stretch]) -> BoolArray:
 
 def estimate_of(
     arm: Arm,
-    stretches: Sequence[Stretch],
+    stretches: Sequence[FilteredRecord],
     equations: Equations,
     factor: Factor,
     shares: MotorShares,
@@ -395,7 +400,7 @@ class _BodyEquations:
 
 
 def _body_equations(
-    arm: Arm, stretch: Stretch, around: Estimate | None, record: int
+    arm: Arm, stretch: FilteredRecord, around: Estimate | None, record: int
 ) -> _BodyEquations:
     links = stretch.link_motion(arm)
     if around is None or not n_compliances(arm):
@@ -445,13 +450,17 @@ def _link_viscous_friction(arm: Arm, around: Estimate) -> FloatArray:
     return np.asarray(friction)
 
 
-def _payload_torque(arm: Arm, stretch: Stretch, links: Sequence[FloatArray]) -> FloatArray | float:
+def _payload_torque(
+    arm: Arm, stretch: FilteredRecord, links: Sequence[FloatArray]
+) -> FloatArray | float:
     """Motor torques that move the known payload of a record, filtered: (n_rows, n_joints)."""
     payload = stretch.signals.experiment.payload
     return 0.0 if payload is None else stretch.filtered(arm.payload_torques(payload, *links))
 
 
-def _gear_torque(arm: Arm, stretch: Stretch, around: Estimate, standing: FloatArray) -> FloatArray:
+def _gear_torque(
+    arm: Arm, stretch: FilteredRecord, around: Estimate, standing: FloatArray
+) -> FloatArray:
     """Torque through each gear, link side: motor torque minus friction and motor inertia.
 
     Low-passed at twice the bandwidth of the equations, because it is differentiated twice.
@@ -481,7 +490,7 @@ def _base(arm: Arm, around: Estimate) -> FloatArray:
     return np.asarray(arm.links_of_rigid(around.shares.inertia) @ around.solution[: arm.n_body])
 
 
-def _compliance_std(arm: Arm, stretches: Sequence[Stretch], around: Estimate) -> FloatArray:
+def _compliance_std(arm: Arm, stretches: Sequence[FilteredRecord], around: Estimate) -> FloatArray:
     """Prior standard deviation of the compliances: anti-resonances exceed the bandwidth."""
     w = 2.0 * np.pi * max(s.bandwidth_hz for s in stretches)
     inertia = np.abs(arm.link_inertias(_base(arm, around)))

@@ -20,7 +20,7 @@ from strainwave.identification.rigid.bandwidth import (
     neighbours,
     prepare_all,
 )
-from strainwave.identification.rigid.equations import Candidate
+from strainwave.identification.rigid.equations import FurtherTerm
 from strainwave.identification.rigid.model_choice import MIN_STDS, STRIBECK, is_selected
 from strainwave.identification.rigid.trial import Trial, fit_trial
 
@@ -35,7 +35,7 @@ _SHAPE_TOLERANCE, _MAX_SHAPE_CHANGE = 0.02, 0.7
 _TOLERANCE, _MAX_CHANGE = 1e-4, 0.5
 
 
-def fit_with_terms(trial: Trial, motions: Sequence[Motion], terms: Sequence[Candidate]) -> Trial:
+def fit_with_terms(trial: Trial, motions: Sequence[Motion], terms: Sequence[FurtherTerm]) -> Trial:
     """Fit with terms at the bandwidth of a trial, by Gauss-Newton iterations.
 
     They estimate Stribeck velocities, and the corrections of the signals. Terms that the study
@@ -74,7 +74,7 @@ def fit_with_terms(trial: Trial, motions: Sequence[Motion], terms: Sequence[Cand
     return refit(trial, motions, turned) if turned != list(trial.candidates) else trial
 
 
-def _hanging_down(trial: Trial, c: Candidate) -> Candidate:
+def _hanging_down(trial: Trial, c: FurtherTerm) -> FurtherTerm:
     """A zero of a planar arm half a turn away if gravity pulls its link up there."""
     if c.effect != ZERO or _gravity_torque(trial, c.joint) >= 0.0:
         return c
@@ -88,13 +88,13 @@ def _gravity_torque(trial: Trial, joint: int) -> float:
     return float(dict(zip(keys, trial.solution, strict=True)).get(key, 0.0))
 
 
-def _can_be_negative(candidate: Candidate) -> bool:
+def _can_be_negative(candidate: FurtherTerm) -> bool:
     return physical_range(effect_named(candidate.effect).sizes[0]) == "any"
 
 
 def with_delay(
-    trial: Trial, motions: Sequence[Motion], candidates: Sequence[Candidate]
-) -> list[Candidate]:
+    trial: Trial, motions: Sequence[Motion], candidates: Sequence[FurtherTerm]
+) -> list[FurtherTerm]:
     """Candidates with the torque delay of least residuals, if it is significant and halves them.
 
     A smaller delay is a candidate as others.
@@ -112,8 +112,8 @@ def with_delay(
 
 
 def with_coarse_zeros(
-    trial: Trial, motions: Sequence[Motion], candidates: Sequence[Candidate]
-) -> tuple[Trial, list[Candidate]]:
+    trial: Trial, motions: Sequence[Motion], candidates: Sequence[FurtherTerm]
+) -> tuple[Trial, list[FurtherTerm]]:
     """Candidates whose encoder zeros start at the best eighth of a turn, with the trial there.
 
     From a distant start, the gravity torque vanishes and a spring explains its remainder. Chains
@@ -138,7 +138,7 @@ def with_coarse_zeros(
     return trial, result
 
 
-def refit(trial: Trial, motions: Sequence[Motion], terms: Sequence[Candidate]) -> Trial:
+def refit(trial: Trial, motions: Sequence[Motion], terms: Sequence[FurtherTerm]) -> Trial:
     """Fit at the bandwidth of a trial with terms as they are."""
     stretches = trial.stretches
     if any(c.corrected for c in terms):
@@ -149,7 +149,7 @@ def refit(trial: Trial, motions: Sequence[Motion], terms: Sequence[Candidate]) -
 
 
 def corrected_motions(
-    arm: Arm, motions: Sequence[Motion], terms: Sequence[Candidate]
+    arm: Arm, motions: Sequence[Motion], terms: Sequence[FurtherTerm]
 ) -> list[Motion]:
     """Motions without the encoder zeros and delays by which terms correct the signals."""
     values = [(c.effect, c.joint, c.corrected) for c in terms if c.corrected]
@@ -185,7 +185,7 @@ def estimated_terms(
     return tuple(terms)
 
 
-def insignificant(trials: Sequence[Trial], stds: FloatArray) -> list[Candidate]:
+def insignificant(trials: Sequence[Trial], stds: FloatArray) -> list[FurtherTerm]:
     """Terms of a fit, the first trial, that it and its neighbours do not show, at most one a joint.
 
     `stds` (n_terms, ...) are the standard deviations of the sizes. They are those at the estimated

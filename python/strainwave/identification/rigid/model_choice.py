@@ -19,8 +19,8 @@ from strainwave.domain.ranges import physical_range
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import DELAY, TORSION, ZERO
 from strainwave.identification.rigid.bounds import MAX_NEGLIGIBLE_SHARE, has_zero_bound
-from strainwave.identification.rigid.equations import ALL_JOINTS, Candidate, Terms, assemble
-from strainwave.identification.rigid.stretch import Stretch, n_compliances
+from strainwave.identification.rigid.equations import ALL_JOINTS, FurtherTerm, Terms, assemble
+from strainwave.identification.rigid.stretch import FilteredRecord, n_compliances
 from strainwave.identification.rigid.submodels import Submodels
 from strainwave.identification.rigid.trial import Trial
 from strainwave.numerics import least_squares as ls
@@ -44,7 +44,7 @@ _MAX_LEAD_SAMPLES = 1.5
 _GAIN_STD = 0.3  # prior standard deviation of the relative error of a torque constant
 
 
-def candidates_of(arm: Arm, stretches: Sequence[Stretch]) -> list[Candidate]:
+def candidates_of(arm: Arm, stretches: Sequence[FilteredRecord]) -> list[FurtherTerm]:
     """Terms that the joints of an arm with rigid gears may have, as the study allows.
 
     Joints that stay at rest have none.
@@ -66,7 +66,7 @@ def candidates_of(arm: Arm, stretches: Sequence[Stretch]) -> list[Candidate]:
         for joint in arm.joints
     ]
     of_joints = [
-        Candidate(effect, i, float(shape[i]))
+        FurtherTerm(effect, i, float(shape[i]))
         for i in range(arm.n_joints)
         for effect in effects[i]
         for shape in shapes.get(effect, [np.ones(arm.n_joints)])
@@ -76,10 +76,10 @@ def candidates_of(arm: Arm, stretches: Sequence[Stretch]) -> list[Candidate]:
         if effect != TORSION or arm.joints[i].torque_at_link
     ]
     is_delayed = any(DELAY in names for names in effects)
-    return [*of_joints, Candidate(DELAY, ALL_JOINTS)] if is_delayed else of_joints
+    return [*of_joints, FurtherTerm(DELAY, ALL_JOINTS)] if is_delayed else of_joints
 
 
-def is_selected(arm: Arm, candidate: Candidate) -> bool:
+def is_selected(arm: Arm, candidate: FurtherTerm) -> bool:
     """Whether the data decide about a candidate.
 
     Otherwise the study names it, or it corrects the signals because the residuals halve with it.
@@ -92,15 +92,15 @@ def is_selected(arm: Arm, candidate: Candidate) -> bool:
 
 
 @dataclass(frozen=True)
-class Choice:
+class ModelChoice:
     """Models of a trial with any of the candidates."""
 
     trial: Trial
-    candidates: tuple[Candidate, ...]  # columns of their sizes, of shapes and of gains follow
+    candidates: tuple[FurtherTerm, ...]  # columns of their sizes, of shapes and of gains follow
     models: Submodels
 
     @staticmethod
-    def of(trial: Trial, candidates: Sequence[Candidate]) -> Choice:
+    def of(trial: Trial, candidates: Sequence[FurtherTerm]) -> ModelChoice:
         """Linearise the candidates, and errors of the torque constants, at a trial.
 
         The terms of the trial precede the candidates.
@@ -113,7 +113,7 @@ class Choice:
         equations = assemble(arm, trial.stretches, trial.estimate, terms)
         if arm.n_joints > 1:
             equations = _with_gains(equations, trial, len(trial.candidates))
-        return Choice(trial, tuple(candidates), Submodels(trial, equations))
+        return ModelChoice(trial, tuple(candidates), Submodels(trial, equations))
 
     def with_shapes(self, terms: Sequence[int]) -> list[int]:
         """Columns of the sizes and of the estimated shapes of some candidates."""
@@ -165,7 +165,7 @@ class Choice:
         is_narrow = half < np.abs(self.models.solution(terms))
         return np.asarray((is_narrow | is_negligible) & self.trial.determined)
 
-    def select(self, left_out: Collection[tuple[str, int]] = ()) -> list[Candidate]:
+    def select(self, left_out: Collection[tuple[str, int]] = ()) -> list[FurtherTerm]:
         """Terms of the trial, those that the study names, and those that improve the prediction.
 
         A term enters in addition to those of its joint, or in place of one: a term that resembles

@@ -43,7 +43,7 @@ _MAX_MOTION_SAMPLES = 400  # of the motion in the result; exports have the neare
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
+class FilteredRecord:
     """Parts of one record's equations that do not depend on the parameters."""
 
     signals: Signals  # mirrored at the ends if the record is short
@@ -146,7 +146,7 @@ def _edge_samples(sample_time: float, bandwidth_hz: float) -> int:
     return int(_EDGE_PERIODS / (bandwidth_hz * sample_time))
 
 
-def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> Stretch:
+def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> FilteredRecord:
     """Filter and decimate one record's torque, friction columns and free friction.
 
     `period` [samples] is that of the motion, or the whole record if it does not repeat.
@@ -191,7 +191,7 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> S
     unfiltered = np.stack([torque, velocity, direction, np.ones_like(torque)], axis=2)
     # filter both sides at the same samples, so that edge effects are equal
     filtered = low_pass(unfiltered, bandwidth_hz, T, decimated=step)[rows // step]
-    stretch = Stretch(
+    stretch = FilteredRecord(
         signals=signals,
         bandwidth_hz=bandwidth_hz,
         motion_step=step,

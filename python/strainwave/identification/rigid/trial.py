@@ -13,8 +13,8 @@ from strainwave.domain.parameter_table import family_of, parameter_table
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.equations import (
-    Candidate,
     Estimate,
+    FurtherTerm,
     MotorShares,
     Terms,
     anti_resonances,
@@ -24,7 +24,7 @@ from strainwave.identification.rigid.equations import (
     estimate_of,
     slides_both_ways,
 )
-from strainwave.identification.rigid.stretch import Stretch, n_compliances
+from strainwave.identification.rigid.stretch import FilteredRecord, n_compliances
 from strainwave.numerics import least_squares as ls
 
 MAX_ITERATIONS = 20
@@ -44,14 +44,14 @@ class Trial:
     """Fit at one bandwidth."""
 
     arm: Arm
-    stretches: tuple[Stretch, ...]  # one per record
+    stretches: tuple[FilteredRecord, ...]  # one per record
     estimate: Estimate
     common_deviation: FloatArray  # (n_common,) of the compliances, then of terms of friction
     equations: ls.Equations
     factor: ls.Factor
     covariance: FloatArray
     determined: BoolArray
-    candidates: tuple[Candidate, ...]  # further terms of friction
+    candidates: tuple[FurtherTerm, ...]  # further terms of friction
     last_move: float  # largest change in the last iteration, in standard deviations
     weighed: tuple[int, ...] = ()  # joints whose `friction_offset` is assumed to be near zero
 
@@ -154,10 +154,10 @@ class Trial:
 
 def fit_trial(
     arm: Arm,
-    stretches: tuple[Stretch, ...],
+    stretches: tuple[FilteredRecord, ...],
     around: Estimate | None,
     shares: MotorShares | None = None,
-    candidates: Sequence[Candidate] = (),
+    candidates: Sequence[FurtherTerm] = (),
     weights: FloatArray | None = None,
 ) -> Trial:
     """Fit at one bandwidth: iterate parameters, compliances and weights to convergence.
@@ -215,7 +215,7 @@ def fit_trial(
 
 
 def _weights_of_links(
-    arm: Arm, stretches: Sequence[Stretch], factor: ls.Factor, solution: FloatArray
+    arm: Arm, stretches: Sequence[FilteredRecord], factor: ls.Factor, solution: FloatArray
 ) -> tuple[FloatArray, FloatArray, tuple[int, ...]]:
     """Change of a solution that gives the weights of links to gravity; its covariance; the joints.
 
@@ -239,7 +239,7 @@ def _weights_of_links(
     return change, variance, tuple(offsets)
 
 
-def _determines_friction(arm: Arm, stretches: Sequence[Stretch]) -> BoolArray:
+def _determines_friction(arm: Arm, stretches: Sequence[FilteredRecord]) -> BoolArray:
     """False for Coulomb friction and offset of a joint that never slides in both directions.
 
     The apparent information on them comes from the prior of the stiction torque, not from data.

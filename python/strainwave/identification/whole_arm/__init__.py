@@ -34,7 +34,7 @@ from strainwave.identification.whole_arm.search.solver import (
     report_progress,
 )
 from strainwave.identification.whole_arm.selection.candidate import Selection
-from strainwave.identification.whole_arm.selection.causes import Comparison, include_effects
+from strainwave.identification.whole_arm.selection.causes import ModelComparison, include_effects
 from strainwave.identification.whole_arm.selection.model_selection import COARSE, FINE, select_model
 from strainwave.identification.whole_arm.start import Start, prepare_start
 from strainwave.numerics.parallel import one_blas_thread
@@ -87,7 +87,7 @@ def fit_whole_arm(
         selection = Selection(arm, chosen)
         fit = _fit(prepared, selection)
         if chosen.as_published:
-            comparison = Comparison(score_tests_of(fit, selection.arm))
+            comparison = ModelComparison(score_tests_of(fit, selection.arm))
         else:
             fit, comparison = include_effects(fit, selection)
         return arm_model(fit, comparison, prepared, selection)

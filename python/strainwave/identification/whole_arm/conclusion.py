@@ -38,7 +38,7 @@ from strainwave.identification.whole_arm.records.loads import (
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.selection.candidate import Selection
 from strainwave.identification.whole_arm.selection.causes import (
-    Comparison,
+    ModelComparison,
     effect_warnings,
     list_causes,
 )
@@ -49,7 +49,9 @@ from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.recorded_input import missing_recorded_input
 
 
-def arm_model(fit: Fit, comparison: Comparison, start: Start, selection: Selection) -> ArmModel:
+def arm_model(
+    fit: Fit, comparison: ModelComparison, start: Start, selection: Selection
+) -> ArmModel:
     """Build the result of a whole-arm fit.
 
     `comparison` has the models that were compared with the fit, `start` the starting values,

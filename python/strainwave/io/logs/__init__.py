@@ -30,7 +30,7 @@ from strainwave.io.logs.arrow import Data, open_memory_table
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clock_text import time_of
 from strainwave.io.logs.clocks import Track, resample_tracks
-from strainwave.io.logs.tables import Table, open_table, release_reader_memory, write_table
+from strainwave.io.logs.tables import LogTable, open_table, release_reader_memory, write_table
 from strainwave.io.logs.updates import (
     Roles,
     drop_missing,
@@ -141,7 +141,7 @@ def _read_segments(study: Study, experiment: Experiment, data: Any) -> tuple[Log
     )
 
 
-def _open(study: Study, experiment: Experiment, data: Any) -> Table | Bag:
+def _open(study: Study, experiment: Experiment, data: Any) -> LogTable | Bag:
     if data is not None and not isinstance(data, str | Path):
         return open_memory_table(data, f"data[{experiment.name!r}]")
     path = study.log_path(experiment) if data is None else Path(data)
@@ -149,7 +149,7 @@ def _open(study: Study, experiment: Experiment, data: Any) -> Table | Bag:
 
 
 def _segments(
-    table: Table | Bag,
+    table: LogTable | Bag,
     sources: dict[str, Channel],
     experiment: Experiment,
     sample_rate: float | None,
@@ -189,7 +189,7 @@ def _segments(
     return segment_table(track, roles, experiment, table.path)
 
 
-def _sources(study: Study, experiment: Experiment, table: Table | Bag) -> dict[str, Channel]:
+def _sources(study: Study, experiment: Experiment, table: LogTable | Bag) -> dict[str, Channel]:
     """Return the source column of each channel; required channels must have one."""
     sources = {}
     for name in channel_names(study.arm.n_joints):
@@ -237,11 +237,11 @@ def _check_mapped(study: Study, read: Sequence[Log], data: Data) -> None:
         )
 
 
-def _missing_mapped_column(name: str, column: str, table: Table | Bag) -> InvalidInput:
+def _missing_mapped_column(name: str, column: str, table: LogTable | Bag) -> InvalidInput:
     return table.missing_column_error(column, f"which [channels] names for '{name}'")
 
 
-def _check_required(sources: dict[str, Channel], study: Study, table: Table | Bag) -> None:
+def _check_required(sources: dict[str, Channel], study: Study, table: LogTable | Bag) -> None:
     required = [f"theta_m{i}" for i in range(1, study.arm.n_joints + 1)]
     if isinstance(table, Bag) and ("t" in sources or study.sample_rate is not None):
         name = "t" if "t" in sources else "sample_rate"
@@ -280,7 +280,7 @@ def _check_required(sources: dict[str, Channel], study: Study, table: Table | Ba
 
 
 def _check_inputs(
-    sources: dict[str, Channel], study: Study, experiment: Experiment, table: Table | Bag
+    sources: dict[str, Channel], study: Study, experiment: Experiment, table: LogTable | Bag
 ) -> None:
     """Raise InvalidInput without a motor input.
 

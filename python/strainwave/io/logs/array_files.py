@@ -23,7 +23,7 @@ import numpy as np
 
 from strainwave.errors import InvalidInput, import_optional
 from strainwave.io.logs.arrays import Arrays, Source, array_table
-from strainwave.io.logs.tables import Table, check_unpacked_size, damaged
+from strainwave.io.logs.tables import LogTable, check_unpacked_size, damaged
 
 _HEADER_BYTES = 128  # bytes of text, version and byte order
 _MATRIX, _COMPRESSED = 14, 15  # types of elements
@@ -155,7 +155,7 @@ def _text(data: memoryview) -> str:
     return bytes(data).split(b"\0")[0].decode("latin-1")
 
 
-def open_mat(data: bytes, path: Path) -> Table:
+def open_mat(data: bytes, path: Path) -> LogTable:
     """Open a MAT file; version 7.3 is HDF5."""
     if data[:4] == b"\x89HDF" or b"MATLAB 7.3" in data[:64]:
         return open_hdf5(data, path, separator=".")
@@ -169,7 +169,7 @@ def open_mat(data: bytes, path: Path) -> Table:
     return array_table(path, arrays)
 
 
-def open_numpy(data: bytes, path: Path) -> Table:
+def open_numpy(data: bytes, path: Path) -> LogTable:
     """Open a NumPy file of one or of named arrays; objects are not unpickled."""
     arrays = Arrays()
     try:
@@ -193,7 +193,7 @@ def open_numpy(data: bytes, path: Path) -> Table:
 # --- HDF5 -------------------------------------------------------------------------------------
 
 
-def open_hdf5(data: bytes, path: Path, separator: str = "/") -> Table:
+def open_hdf5(data: bytes, path: Path, separator: str = "/") -> LogTable:
     """Open an HDF5 file; groups are separated by `separator` in the names of columns.
 
     Raises InvalidInput if a link or a dataset refers to another file.
@@ -252,7 +252,7 @@ def _refers_elsewhere(name: str, path: Path) -> InvalidInput:
 # --- JSON -------------------------------------------------------------------------------------
 
 
-def open_json(data: bytes, path: Path) -> Table:
+def open_json(data: bytes, path: Path) -> LogTable:
     """Open a JSON file of records or columns."""
     try:
         document = json.loads(data.removeprefix(codecs.BOM_UTF8))
@@ -263,7 +263,7 @@ def open_json(data: bytes, path: Path) -> Table:
     return _json_table(document, path)
 
 
-def open_json_lines(data: bytes, path: Path) -> Table:
+def open_json_lines(data: bytes, path: Path) -> LogTable:
     """Open a file of one JSON object per line."""
     records = []
     lines = data.removeprefix(codecs.BOM_UTF8).rstrip().splitlines()
@@ -281,7 +281,7 @@ def open_json_lines(data: bytes, path: Path) -> Table:
     return _json_table(records, path)
 
 
-def _json_table(document: Any, path: Path) -> Table:
+def _json_table(document: Any, path: Path) -> LogTable:
     arrays = Arrays()
     try:
         arrays.add("", document)

@@ -17,7 +17,7 @@ import numpy as np
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.clock_text import clock_of, stamp_seconds
-from strainwave.io.logs.tables import Clock, Table, check_unpacked_size
+from strainwave.io.logs.tables import Clock, LogTable, check_unpacked_size
 
 _MAX_LIST_COLUMNS = 256  # of a list or matrix; images and point clouds have more
 _MAX_STEP_CHANGE = 0.5  # of a clock, relative to its median step
@@ -99,7 +99,7 @@ class Arrays:
 
 def array_table(
     path: Path, arrays: Arrays, length: int | None = None, row: str = "element"
-) -> Table:
+) -> LogTable:
     """Make a table of arrays whose samples are along the axis of their common length.
 
     Unless `length` gives it, the common length is the most frequent length of the longest axes; of
@@ -170,7 +170,7 @@ def array_table(
         for column, (name, _) in columns.items()
         if usable[name].dtype.kind == "M"
     }
-    return Table(
+    return LogTable(
         path, list(columns), read, lambda k: f"{row} {k + 1}", clocks=clocks, omitted=omitted
     )
 

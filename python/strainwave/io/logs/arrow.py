@@ -16,7 +16,7 @@ from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.arrays import Arrays, Source, array_table
 from strainwave.io.logs.clock_text import clock_of, stamp_seconds
-from strainwave.io.logs.tables import Clock, Table, check_unique, damaged
+from strainwave.io.logs.tables import Clock, LogTable, check_unique, damaged
 
 _TICKS_PER_SECOND = {"s": 1e0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
@@ -34,7 +34,7 @@ def arrow_reader(data: bytes | memoryview) -> Any:
     return pa.BufferReader(sink.getvalue())
 
 
-def open_parquet(data: bytes, path: Path) -> Table:
+def open_parquet(data: bytes, path: Path) -> LogTable:
     """Open a Parquet file."""
     import pyarrow as pa
     import pyarrow.parquet
@@ -54,7 +54,7 @@ def open_parquet(data: bytes, path: Path) -> Table:
     return _arrow_table(first, file.metadata.num_rows, read, path)
 
 
-def open_ipc(data: bytes, path: Path) -> Table:
+def open_ipc(data: bytes, path: Path) -> LogTable:
     """Open an Arrow IPC file or stream, or a Feather file of version 2."""
     import pyarrow as pa
     import pyarrow.ipc
@@ -68,7 +68,7 @@ def open_ipc(data: bytes, path: Path) -> Table:
     return _arrow_table(content, len(content), lambda name: content.select([name]), path)
 
 
-def _arrow_table(first: Any, n_rows: int, read: Callable[[str], Any], path: Path) -> Table:
+def _arrow_table(first: Any, n_rows: int, read: Callable[[str], Any], path: Path) -> LogTable:
     """Make a table of the columns of an Arrow table, and of the members of its structs.
 
     `first` holds at least the first row, whose texts and lists decide; `read` returns an Arrow
@@ -179,7 +179,7 @@ Data = Mapping[str, Any]
 """Name of an experiment -> its log: a table in memory, or the path of a file."""
 
 
-def open_memory_table(data: Any, where: str) -> Table:
+def open_memory_table(data: Any, where: str) -> LogTable:
     """Open a table in memory: pandas, polars, Arrow, or a mapping of str to arrays.
 
     `where` is the name for messages. Float64 columns are not copied. Raises InvalidInput if `data`

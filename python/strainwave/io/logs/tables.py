@@ -29,7 +29,7 @@ _CHUNK_BYTES = 1 << 24  # [bytes] that are unpacked at a time
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class LogTable:
     """Columns of a file by name, read on demand.
 
     `read` maps names to arrays (n_samples,), with NaN for a missing value; `row_name` maps the
@@ -112,7 +112,7 @@ def check_unique(names: Sequence[str], where: str) -> None:
             )
 
 
-def open_table(path: Path) -> Table:
+def open_table(path: Path) -> LogTable:
     """Open a log file; its suffix, before .gz or .zst, is one of TABLE_SUFFIXES.
 
     Raises InvalidInput if the file is missing or no regular file, has an unknown suffix, does not
@@ -137,7 +137,7 @@ def open_table(path: Path) -> Table:
     if packing:
         data = _unpack(data, path, _PACKINGS[packing])
     module, function = _OPENERS[suffix]
-    opener: Callable[[bytes, Path], Table] = getattr(
+    opener: Callable[[bytes, Path], LogTable] = getattr(
         import_module(f"strainwave.io.logs.{module}"), function
     )
     return opener(data, path)

@@ -18,7 +18,7 @@ from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.arrow import arrow_reader, column_values
 from strainwave.io.logs.clock_text import stamp_seconds
-from strainwave.io.logs.tables import Clock, Table
+from strainwave.io.logs.tables import Clock, LogTable
 from strainwave.io.logs.text_layout import (
     MISSING,
     PROBE_BYTES,
@@ -34,7 +34,7 @@ from strainwave.io.logs.text_layout import (
 _OMITTED = {"empty": "no values", "flag": "flags", "text": "text"}  # kind of cells -> content
 
 
-def open_text(data: bytes, path: Path) -> Table:
+def open_text(data: bytes, path: Path) -> LogTable:
     """Open delimited text.
 
     Raises InvalidInput if the text has no rows of numbers, or if two columns have the same name.
@@ -45,7 +45,7 @@ def open_text(data: bytes, path: Path) -> Table:
     layout = find_layout(data, path)
     header = read_header(layout, path)
     footer, end = _find_footer(data, layout)
-    body = _Body(data[:end], path, layout, header.names)
+    body = _TextRows(data[:end], path, layout, header.names)
     names: dict[str, int] = {}
     clocks: dict[str, Clock] = {}
     omitted: dict[str, str] = {}
@@ -60,7 +60,7 @@ def open_text(data: bytes, path: Path) -> Table:
     if footer:
         notes.append(f"the last {footer} line(s) contain no numbers and are not read")
     units = {name: header.units[k] for name, k in names.items() if header.units.get(k)}
-    return Table(path, list(names), body.read, body.row_name, units, clocks, omitted, notes)
+    return LogTable(path, list(names), body.read, body.row_name, units, clocks, omitted, notes)
 
 
 def _to_utf8(data: bytes, path: Path) -> tuple[bytes, list[str]]:
@@ -82,7 +82,7 @@ def _to_utf8(data: bytes, path: Path) -> tuple[bytes, list[str]]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Body:
+class _TextRows:
     data: bytes  # without a note at the end
     path: Path
     layout: Layout

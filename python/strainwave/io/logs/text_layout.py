@@ -204,7 +204,7 @@ class Header:
     notes: Sequence[str]
 
 
-class _Line(NamedTuple):
+class _TextLine(NamedTuple):
     number: int
     cells: list[str]  # one for each column
 
@@ -255,17 +255,17 @@ def _names_of(layout: Layout, path: Path, notes: list[str]) -> tuple[list[str], 
     return names, units
 
 
-def _header_rows(layout: Layout, path: Path) -> list[_Line]:
+def _header_rows(layout: Layout, path: Path) -> list[_TextLine]:
     """Return the lines above the first row that have its columns, from below; none without header.
 
     Raises InvalidInput if the lowest is a row with a fault, or has another number of columns.
     """
-    rows: list[_Line] = []
+    rows: list[_TextLine] = []
     for number in range(len(layout.head), 0, -1):
         line = layout.head[number - 1]
         cells = _fit(line, layout, shorter=bool(rows))
         if cells is not None:
-            rows.append(_Line(number, cells))
+            rows.append(_TextLine(number, cells))
         elif line.strip() and not _COMMENT.match(line):
             names = _trimmed(split_line(line, layout.delimiter))
             is_header = number == len(layout.head) and all(
@@ -319,18 +319,18 @@ def _trimmed(cells: list[str]) -> list[str]:
     return cells
 
 
-def _used(row: _Line, layout: Layout) -> list[str]:
+def _used(row: _TextLine, layout: Layout) -> list[str]:
     """Return the cells above columns of values."""
     return [cell for cell, kind in zip(row.cells, layout.kinds, strict=True) if kind != "empty"]
 
 
-def _is_name_row(row: _Line, layout: Layout) -> bool:
+def _is_name_row(row: _TextLine, layout: Layout) -> bool:
     cells = _used(row, layout)
     texts = [cell for cell in cells if cell_kind(cell) not in ("number", "empty")]
     return 2 * len(texts) >= len(cells) and not any(cell_kind(cell) == "number" for cell in cells)
 
 
-def _is_unit_row(row: _Line, layout: Layout) -> bool:
+def _is_unit_row(row: _TextLine, layout: Layout) -> bool:
     cells = [cell for cell in _used(row, layout) if cell]
     units = [c for c in cells if re.fullmatch(_UNIT, c) or _BRACKETED.match(c)]
     return bool(cells) and 2 * len(units) >= len(cells) and max(map(len, cells)) <= _MAX_UNIT

@@ -56,7 +56,7 @@ class Roles:
     covariates: Collection[str] = ()  # slow by nature
 
 
-class _Source(NamedTuple):
+class _UpdatedColumns(NamedTuple):
     """Columns with common updates."""
 
     names: list[str]
@@ -71,7 +71,7 @@ def separate_slow_columns(
 
     Commands are held by nature and excluded.
     """
-    sources: list[_Source] = []
+    sources: list[_UpdatedColumns] = []
     fast: list[str] = []
     for name, values in track.columns.items():
         valid = ~np.isnan(values)
@@ -84,7 +84,7 @@ def separate_slow_columns(
         elif is_held and name not in roles.covariates:
             updates = find_updates(values)
         if updates is not None:
-            sources.append(_Source([name], updates, is_held))
+            sources.append(_UpdatedColumns([name], updates, is_held))
         elif name not in roles.covariates and np.ptp(values[valid]) > 0.0:
             fast.append(name)
     sources = _merge(sources)
@@ -157,9 +157,9 @@ def _with_rest(updates: BoolArray) -> BoolArray:
     return updates
 
 
-def _merge(sources: list[_Source]) -> list[_Source]:
+def _merge(sources: list[_UpdatedColumns]) -> list[_UpdatedColumns]:
     """Merge columns with common updates; one with fewer changes keeps its value at the others'."""
-    merged: list[_Source] = []
+    merged: list[_UpdatedColumns] = []
     for each in sorted(sources, key=lambda s: -np.count_nonzero(s.updates)):
         count = np.count_nonzero(each.updates)
         for other in merged:

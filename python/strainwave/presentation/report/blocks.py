@@ -108,7 +108,7 @@ class Cell:
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class RowGroup:
     """A row that titles the rows below it."""
 
     title: str
@@ -121,7 +121,7 @@ class Table:
     kind: ClassVar[str] = "table"
     label: str
     heads: tuple[Cell, ...]
-    rows: tuple[tuple[Cell, ...] | Group, ...]  # the first cell is the head of the row
+    rows: tuple[tuple[Cell, ...] | RowGroup, ...]  # the first cell is the head of the row
     heading: bool = True  # whether the label is visible; screen readers always read it
 
 
@@ -188,10 +188,10 @@ def paragraph(*parts: str | Span) -> Paragraph:
 
 
 def table(
-    label: str, heads: Iterable[str | Cell], rows: Iterable[Row | Group], *, heading: bool = True
+    label: str, heads: Iterable[str | Cell], rows: Iterable[Row | RowGroup], *, heading: bool = True
 ) -> Iterator[Table]:
     """Yield a table, or no block if there are no rows. The first cell of a row is its head."""
-    cells = tuple(row if isinstance(row, Group) else _cells(row) for row in rows)
+    cells = tuple(row if isinstance(row, RowGroup) else _cells(row) for row in rows)
     if cells:
         yield Table(label, _cells(heads), cells, heading)
 

@@ -59,7 +59,7 @@ _POINT_SIZE, _POINT_OPACITY = 5, 0.4  # pale and large, so that lines on top sta
 
 
 @dataclass(frozen=True, slots=True)
-class JointFit:
+class FittedJoint:
     """The parameters of one joint in a fit."""
 
     vector: FloatArray  # (6,) in the order of `TwoInertia`
@@ -72,7 +72,7 @@ def bode(
     measured: FrequencyResponse | None,
     state_space: Mapping[str, StateSpace] | None = None,
     *,
-    whole_arm: JointFit | None = None,
+    whole_arm: FittedJoint | None = None,
     is_prismatic: bool = False,
 ) -> Figure:
     """Motor torque to motor velocity: magnitude, phase, and coherence if it is known.
@@ -93,8 +93,8 @@ def bode(
         dash = _STATE_SPACE_DASHES[k % len(_STATE_SPACE_DASHES)]
         marks.add_line(response.frequencies_hz, G, label, Colour.LINEAR, dash)
     f: FloatArray = np.geomspace(low, high, _CURVE_POINTS)
-    own = JointFit(vector_of(joint), joint.covariance[:6, :6])
-    fits: list[tuple[JointFit, str, Colour, Dash]] = [(own, "joint model", Colour.MODEL, SOLID)]
+    own = FittedJoint(vector_of(joint), joint.covariance[:6, :6])
+    fits: list[tuple[FittedJoint, str, Colour, Dash]] = [(own, "joint model", Colour.MODEL, SOLID)]
     if whole_arm is not None:
         fits.append((whole_arm, "whole-arm fit", Colour.TUNED, _TUNED_DASH))
     for fit, name, colour, dash in fits:
@@ -196,7 +196,7 @@ def pole_zero_map(
     gear_ratio: float,
     state_space: Mapping[str, Modes] | None = None,
     *,
-    whole_arm: JointFit | None = None,
+    whole_arm: FittedJoint | None = None,
 ) -> Figure:
     """Poles (crosses) and zeros (circles) in continuous time.
 

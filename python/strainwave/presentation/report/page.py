@@ -210,7 +210,7 @@ def _full_amplitude(result: Identification, joint: JointModel) -> list[RecordMod
     ]
 
 
-def _whole_arm_joint(result: Identification, joint: JointModel) -> bode.JointFit | None:
+def _whole_arm_joint(result: Identification, joint: JointModel) -> bode.FittedJoint | None:
     """One joint's parameters in the whole-arm fit; None if the fit lacks one of them.
 
     A gear curve is represented by the joint model's equivalent stiffness, without a band.
@@ -232,9 +232,9 @@ def _whole_arm_joint(result: Identification, joint: JointModel) -> bode.JointFit
     rows = {p.name: k for k, p in enumerate(whole_arm.parameters) if p.joint == joint.joint}
     vector = np.array([values_of_joint[name] for name in names])
     if not set(names) <= set(rows):
-        return bode.JointFit(vector, None)
+        return bode.FittedJoint(vector, None)
     order = [rows[name] for name in names]
-    return bode.JointFit(vector, whole_arm.covariance[np.ix_(order, order)])
+    return bode.FittedJoint(vector, whole_arm.covariance[np.ix_(order, order)])
 
 
 def _prediction_blocks(result: Identification) -> Iterator[Block]:

@@ -23,8 +23,8 @@ from strainwave.io.base_parameters import BaseParameter
 from strainwave.presentation.figures import Colour, HeatMap
 from strainwave.presentation.report.blocks import (
     Cell,
-    Group,
     Row,
+    RowGroup,
     Table,
     number,
     prose,
@@ -57,12 +57,12 @@ def descriptions_table(decisions: Sequence[Decision]) -> Iterator[Table]:
 
 def parameter_table(decisions: Sequence[Decision]) -> Iterator[Table]:
     """All parameters of the final table with their intervals."""
-    rows: list[Row | Group] = []
+    rows: list[Row | RowGroup] = []
     group: int | None = -1
     for decision in decisions:
         p = decision.parameter
         if p.joint != group:
-            rows.append(Group(f"Joint {p.joint}" if p.joint else "Arm"))
+            rows.append(RowGroup(f"Joint {p.joint}" if p.joint else "Arm"))
             group = p.joint
         rows.append(_row(decision))
     return table("Parameters", _HEADS, rows, heading=False)

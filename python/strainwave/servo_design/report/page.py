@@ -46,7 +46,7 @@ from strainwave.presentation.report.blocks import (
 from strainwave.servo_design.design import JointServo, LoopResults, ServoDesign
 from strainwave.servo_design.handover.json_document import Units
 from strainwave.servo_design.report import words
-from strainwave.servo_design.verification import Comparison, EstimationError
+from strainwave.servo_design.verification import EstimationError, MoveComparison
 
 _TEXTS: dict[str, str] = tomllib.loads(Path(__file__).with_name("page.toml").read_text("utf-8"))
 """Paragraphs and captions; fields in braces are numbers of the design."""
@@ -258,7 +258,7 @@ def _steps_of(joint: JointServo) -> Figure:
     return Figure(Axis("time [s]"), (Panel(Axis("link angle / step"), tuple(marks)),))
 
 
-def _moves_of(move: Comparison) -> Figure:
+def _moves_of(move: MoveComparison) -> Figure:
     """A step and the planned move, with the band over the simulated draws."""
     settling = np.array([move.step.settling, move.planned.settling])
     shown = _duration(settling, move.time)

@@ -25,7 +25,11 @@ from strainwave.domain import (
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.parallel import one_blas_thread
 from strainwave.signals.consistency.evidence import BestFit, Evidence, collect_evidence
-from strainwave.signals.consistency.hypothesis import MIN_SHARE_OF_GAIN, Case, Hypothesis
+from strainwave.signals.consistency.hypothesis import (
+    MIN_SHARE_OF_GAIN,
+    Hypothesis,
+    UnexplainedEvidence,
+)
 from strainwave.signals.consistency.input_hypotheses import propose_hypotheses
 from strainwave.signals.consistency.motors import EFFORTS
 from strainwave.signals.consistency.observations import (
@@ -132,7 +136,7 @@ def _explain_contradictions(
     likely: list[str] = []
     while any(_needs_cause(o, evidence) for o in observations) and len(chosen) < _MAX_CAUSES:
         contradictions = tuple(o for o in observations if o.contradicts)
-        ranked = _rank(Case(evidence, contradictions, explanations), observations)
+        ranked = _rank(UnexplainedEvidence(evidence, contradictions, explanations), observations)
         if not chosen:
             likely = [each.code for each in ranked if not each.has_estimated_factor]
         if not ranked:
@@ -167,7 +171,7 @@ def _needs_cause(each: Observation, evidence: Evidence) -> bool:
     return each.contradicts and (is_searched or _is_reported(each))
 
 
-def _rank(case: Case, now: Sequence[Observation]) -> list[Hypothesis]:
+def _rank(case: UnexplainedEvidence, now: Sequence[Observation]) -> list[Hypothesis]:
     """Hypotheses that reduce the contradictions, by remaining weight, then by simplicity."""
     limit = sum(o.weight for o in case.contradictions) - _MIN_EXPLAINED_WEIGHT
     weights: list[tuple[float, Hypothesis]] = []

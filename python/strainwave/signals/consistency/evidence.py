@@ -56,7 +56,7 @@ _MAX_SAMPLES = 2**18
 Result = TypeVar("Result")
 
 
-class Memory:
+class HypothesisCache:
     """Results by the identity of the objects that they follow from.
 
     A hypothesis about the input shares all signals that it does not correct, so that only the rest
@@ -105,7 +105,7 @@ class SlowRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class PredictedSignal:
     """A signal of one record compared with its prediction."""
 
     channel: str
@@ -135,7 +135,9 @@ class Evidence:
     counts: Mapping[int, float]  # joint -> encoder count of its motor angle, if quantised
     high_passes: Mapping[str, float] = field(default_factory=dict)  # channel -> cutoff [Hz]
     best_fit: BestFit | None = None  # None without torques
-    memory: Memory = field(default_factory=Memory)  # of all hypotheses about the same logs
+    memory: HypothesisCache = field(
+        default_factory=HypothesisCache
+    )  # of all hypotheses about the same logs
 
     @property
     def arm(self) -> Arm:

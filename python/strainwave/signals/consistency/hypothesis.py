@@ -123,7 +123,7 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class UnexplainedEvidence:
     """Evidence, and the contradictions in it that a hypothesis must explain."""
 
     evidence: Evidence

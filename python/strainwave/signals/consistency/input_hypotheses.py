@@ -20,8 +20,8 @@ from strainwave.domain.study import accepted_range
 from strainwave.signals.consistency.evidence import Evidence, exchanged_tests
 from strainwave.signals.consistency.hypothesis import (
     STEPS,
-    Case,
     Hypothesis,
+    UnexplainedEvidence,
     Unit,
     angle_unit,
     exchanges,
@@ -93,7 +93,7 @@ _CHANNELS: Mapping[str, tuple[str, Mapping[Unit, float]]] = {
 """Signals that determine the scale of each kind of channel, and its other units in SI units."""
 
 
-def propose_hypotheses(case: Case) -> Iterator[Hypothesis]:
+def propose_hypotheses(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     """Yield all hypotheses, structured ones first."""
     of_torques = propose_explanations(case) if case.contradicts("torque-fit") else ()
     if {each.kind for each in case.contradictions} == {"torque-fit"}:
@@ -119,7 +119,7 @@ def propose_hypotheses(case: Case) -> Iterator[Hypothesis]:
 # exchanges, units, signs and meanings
 
 
-def _exchanged_files(case: Case) -> Iterator[Hypothesis]:
+def _exchanged_files(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     """Exchanged files of records with a test signal and records of motion."""
     silent, signalling = map(tuple, exchanged_tests(case.evidence))
     if silent and signalling:
@@ -129,7 +129,7 @@ def _exchanged_files(case: Case) -> Iterator[Hypothesis]:
         yield Hypothesis("swapped-channels", clause, (), remedy, at=at, excluded=names)
 
 
-def _effort_scales(case: Case) -> Iterator[Hypothesis]:
+def _effort_scales(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     """The efforts of all joints in other units, or with another sign; or without friction."""
     joints = range(1, case.evidence.arm.n_joints + 1)
     names = tuple(name for i in joints if (name := effort_channel(case.evidence.channels, i)))
@@ -152,14 +152,14 @@ def _effort_scales(case: Case) -> Iterator[Hypothesis]:
         yield other_meaning(efforts, "without-friction", clause)
 
 
-def _dead_channels(case: Case) -> Iterator[Hypothesis]:
+def _dead_channels(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     """Sensors that show noise alone."""
     for name, size in case.by_channel("presence").items():
         clause = Clause("dead-channel", channel=name, share=size)
         yield Hypothesis("dead-channel", clause, of_logs([name], "unusable", 0.0))
 
 
-def _exchanges(case: Case) -> Iterator[Hypothesis]:
+def _exchanges(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     """Exchanged columns of two joints, of which one has contradictions if any joint has.
 
     All kinds, one side, one kind, or all kinds but one are exchanged.
@@ -177,7 +177,7 @@ def _exchanges(case: Case) -> Iterator[Hypothesis]:
         yield from exchanges(case.evidence, groups, joints)
 
 
-def _angle_units(case: Case) -> Iterator[Hypothesis]:
+def _angle_units(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     """Motor angles of all joints in another unit, alone or with their velocities."""
     evidence, joints = case.evidence, range(1, case.evidence.arm.n_joints + 1)
     if len(joints) < 2 or not case.joints:
@@ -207,7 +207,7 @@ def _angle_scales(evidence: Evidence, name: str) -> dict[Unit, float]:
     return units | {Clause("counts/scaled", factor=f): f * scale for f in _QUADRATURE_FACTORS}
 
 
-def _channel_scales(case: Case, joint: int) -> Iterator[Hypothesis]:
+def _channel_scales(case: UnexplainedEvidence, joint: int) -> Iterator[Hypothesis]:
     """Wrong units, signs or scales of the channels of one joint; the sign first."""
     evidence = case.evidence
     for kind, (basis, si_units) in _CHANNELS.items():
@@ -242,7 +242,7 @@ def _channel_scales(case: Case, joint: int) -> Iterator[Hypothesis]:
         yield from _scales(evidence, name, ratios, units, basis)
 
 
-def _scale_ratios(case: Case, kind: str, joint: int) -> list[float]:
+def _scale_ratios(case: UnexplainedEvidence, kind: str, joint: int) -> list[float]:
     """Estimated ratios of a channel to its SI value."""
     name = f"{kind}{joint}"
     if kind in LINK_CHANNELS:
@@ -278,7 +278,7 @@ def _match_known_factor(factor: float, units: Mapping[Unit, float]) -> tuple[Uni
     return None, factor
 
 
-def _ac_coupling(case: Case) -> Iterator[Hypothesis]:
+def _ac_coupling(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     """AC-coupled accelerometers, for example piezoelectric ones."""
     names = {o.place.channel for o in case.contradictions if o.place.channel and o.kind != "count"}
     cutoffs = {
@@ -298,7 +298,7 @@ def _ac_coupling(case: Case) -> Iterator[Hypothesis]:
 # delays and clocks
 
 
-def _sensor_delays(case: Case) -> Iterator[Hypothesis]:
+def _sensor_delays(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     """Link sensors with a delay or a drift of the delay: all, one kind, or one channel."""
     names = sorted(n for n in case.evidence.channels if channel_parts(n)[0] in _LINK_SIDE)
     by_kind = [[n for n in names if channel_parts(n)[0] == kind] for kind in LINK_CHANNELS]
@@ -321,7 +321,7 @@ def _sensor_delays(case: Case) -> Iterator[Hypothesis]:
             yield Hypothesis("clock-drift", clause, changes, remedy, factor=1.0 - x)
 
 
-def _input_delays(case: Case) -> Iterator[Hypothesis]:
+def _input_delays(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     """Commands with a delay relative to the encoders, or encoders relative to the commands.
 
     All commands with one delay, then one command or one motor angle: link sensors and torques tell
@@ -361,7 +361,7 @@ def _late_motors(
     return Hypothesis("misaligned", clause, shifts, remedy, delay_s=delay)
 
 
-def _time_bases(case: Case) -> Iterator[Hypothesis]:
+def _time_bases(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     """A time base in another unit, or a wrong clock rate of the logger."""
     clocks = case.values(None, "servo-clock")  # a PRBS may have another clock
     if not clocks and not case.contradicts("prbs-clock", "explained-share", "scale"):
@@ -375,7 +375,7 @@ def _time_bases(case: Case) -> Iterator[Hypothesis]:
         yield Hypothesis(code, clause, changes, remedy, factor=1.0 / factor)
 
 
-def _record_clocks(case: Case) -> Iterator[Hypothesis]:
+def _record_clocks(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     """A wrong PRBS clock of the study, or another clock of the logger, in some of the records.
 
     Without a second clock in these records the two cannot be told apart, but no logger is wrong by
@@ -412,7 +412,7 @@ def _record_clocks(case: Case) -> Iterator[Hypothesis]:
 # constants of the study
 
 
-def _excited_joints(case: Case) -> Iterator[Hypothesis]:
+def _excited_joints(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     """Records whose excited joint differs from the study."""
     for each in case.contradictions:
         if each.kind != "excited-joint" or each.joint is None:
@@ -426,7 +426,7 @@ def _excited_joints(case: Case) -> Iterator[Hypothesis]:
                 yield Hypothesis("swapped-channels", clause, (change,))
 
 
-def _voltage_scales(case: Case) -> Iterator[Hypothesis]:
+def _voltage_scales(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     """A wrong PRBS amplitude in the study, or a wrong scale of the voltage.
 
     The amplitude comes first, unless the measured amplitude exceeds the supply of any drive.
@@ -460,7 +460,7 @@ def _voltage_scales(case: Case) -> Iterator[Hypothesis]:
             yield Hypothesis("wrong-unit", clause, first, remedy, other, (place,), factor=ratio)
 
 
-def _gravity(case: Case) -> Iterator[Hypothesis]:
+def _gravity(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     """Gravity stated for a horizontal planar arm, or missing for a vertical one.
 
     The size alone does not state the gravity of a chain.
@@ -475,7 +475,7 @@ def _is_accepted(key: str, value: float) -> bool:
     return minimum <= abs(value) <= maximum
 
 
-def _encoder_counts(case: Case, joint: int) -> Iterator[Hypothesis]:
+def _encoder_counts(case: UnexplainedEvidence, joint: int) -> Iterator[Hypothesis]:
     """A wrong number of encoder counts in the study."""
     name, per_turn = f"theta_m{joint}", case.evidence.arm.joints[joint - 1].encoder_counts
     for ratio in case.values(name, "count") if per_turn else ():
@@ -486,7 +486,7 @@ def _encoder_counts(case: Case, joint: int) -> Iterator[Hypothesis]:
             yield Hypothesis("wrong-unit", clause, (change,), factor=ratio)
 
 
-def _gear_ratios(case: Case, joint: int) -> Iterator[Hypothesis]:
+def _gear_ratios(case: UnexplainedEvidence, joint: int) -> Iterator[Hypothesis]:
     """A wrong gear ratio in the study."""
     n = case.evidence.arm.joints[joint - 1].gear_ratio
     estimates = [scale * n for scale in case.rotation_factors(joint) if scale > 0.0]
@@ -509,7 +509,7 @@ def _gear_ratios(case: Case, joint: int) -> Iterator[Hypothesis]:
         )
 
 
-def _geometry(case: Case, joint: int) -> Iterator[Hypothesis]:
+def _geometry(case: UnexplainedEvidence, joint: int) -> Iterator[Hypothesis]:
     """A wrong accelerometer distance or link length, or an arbitrary accelerometer scale."""
     name, joints = f"a{joint}", case.evidence.arm.joints
     # to a neighbouring axis

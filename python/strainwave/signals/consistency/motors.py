@@ -16,7 +16,7 @@ from strainwave.domain import BoolArray, FloatArray, channel_parts
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate
 from strainwave.numerics.regression import regress
-from strainwave.signals.consistency.evidence import Comparison, Evidence, SlowRecord, is_slow
+from strainwave.signals.consistency.evidence import Evidence, PredictedSignal, SlowRecord, is_slow
 from strainwave.signals.consistency.sensors import recall_motion
 from strainwave.signals.drive_law import DriveLaw
 
@@ -34,7 +34,7 @@ EFFORTS = ("torque", "u", "tau_l")
 """Kinds of channels of the effort of a joint, of which the first present one is compared."""
 
 
-def compare_motor_signals(evidence: Evidence) -> Iterator[Comparison]:
+def compare_motor_signals(evidence: Evidence) -> Iterator[PredictedSignal]:
     """Compare motor velocities with references and with logged velocities, and torque sensors.
 
     A reference is compared where it varies and the servo is not at its limit; a torque behind a
@@ -49,7 +49,7 @@ def compare_motor_signals(evidence: Evidence) -> Iterator[Comparison]:
             yield from evidence.memory.recall(setting, signals, compute)
 
 
-def _compare_motor(evidence: Evidence, record: SlowRecord, i: int) -> list[Comparison]:
+def _compare_motor(evidence: Evidence, record: SlowRecord, i: int) -> list[PredictedSignal]:
     """Comparisons of the signals of motor i, from 1."""
     signals, T, servo = record.channels, record.sample_time, evidence.arm.servo
     angle, velocity, reference = f"theta_m{i}", f"omega_m{i}", signals.get(f"ref{i}")
@@ -73,7 +73,7 @@ def _compare_motor(evidence: Evidence, record: SlowRecord, i: int) -> list[Compa
         fit = regress(target[record.inside], np.column_stack(columns)[record.inside])
         if fit is not None:
             values = {kind: fit.coefficient(0)}
-            each = Comparison(channel, record.experiment.name, fit.explained, values)
+            each = PredictedSignal(channel, record.experiment.name, fit.explained, values)
             comparisons.append(each)
     return comparisons
 

@@ -10,7 +10,7 @@ import numpy as np
 from strainwave.domain import Place, Relation, channel_parts
 from strainwave.domain.consistency import Bound
 from strainwave.numerics.regression import pool_estimates
-from strainwave.signals.consistency.evidence import Comparison, Evidence, exchanged_tests
+from strainwave.signals.consistency.evidence import Evidence, PredictedSignal, exchanged_tests
 from strainwave.signals.consistency.input_delay import pool_delays
 from strainwave.signals.consistency.motors import (
     compare_motor_signals,
@@ -279,8 +279,8 @@ def _observe_friction(evidence: Evidence) -> Iterator[Observation]:
         yield Observation("friction", Place(part="arm"), value, std)
 
 
-def _observe_ratios(ratios: Iterable[Comparison]) -> Iterator[Observation]:
-    by_channel: dict[str, list[Comparison]] = {}
+def _observe_ratios(ratios: Iterable[PredictedSignal]) -> Iterator[Observation]:
+    by_channel: dict[str, list[PredictedSignal]] = {}
     for each in ratios:
         by_channel.setdefault(each.channel, []).append(each)
     for channel, comparisons in by_channel.items():
@@ -292,7 +292,7 @@ def _observe_ratios(ratios: Iterable[Comparison]) -> Iterator[Observation]:
             yield from _pooled(kind, place, [e for e in comparisons if e.explained > 0.8 * best])
 
 
-def _pooled(kind: str, place: Place, records: Sequence[Comparison]) -> Iterator[Observation]:
+def _pooled(kind: str, place: Place, records: Sequence[PredictedSignal]) -> Iterator[Observation]:
     """Mean of one kind of number over the records that have it."""
     estimates = [(each.values[kind], each.seconds) for each in records if kind in each.values]
     if not estimates:
@@ -306,7 +306,7 @@ def _pooled(kind: str, place: Place, records: Sequence[Comparison]) -> Iterator[
     yield Observation(kind, place, *pool_estimates([value for (value, _), _ in estimates], stds))
 
 
-def _observe_sensor(place: Place, records: Sequence[Comparison]) -> Iterator[Observation]:
+def _observe_sensor(place: Place, records: Sequence[PredictedSignal]) -> Iterator[Observation]:
     """Observations of one link channel."""
     silent = [r for r in records if r.signal <= _MIN_SIGNAL_TO_NOISE < r.expected_signal]
     if silent:

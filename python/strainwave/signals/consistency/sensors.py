@@ -15,9 +15,9 @@ import numpy as np
 from strainwave.domain import Correction, FloatArray, Lag, channel_parts
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import apply_lags, differentiate, low_pass
-from strainwave.numerics.regression import Fit, regress
+from strainwave.numerics.regression import Regression, regress
 from strainwave.signals.channels import sensor_lags
-from strainwave.signals.consistency.evidence import Comparison, Evidence, SlowRecord, is_slow
+from strainwave.signals.consistency.evidence import Evidence, PredictedSignal, SlowRecord, is_slow
 from strainwave.signals.link_readings import (
     JointMotion,
     accelerometer_parts,
@@ -64,7 +64,7 @@ _TILT_PRIOR_STD = 0.1
 _RESONANCE_OVER_BANDWIDTH = 2.0
 
 
-def regress_readings(evidence: Evidence) -> Iterator[tuple[str, list[Comparison]]]:
+def regress_readings(evidence: Evidence) -> Iterator[tuple[str, list[PredictedSignal]]]:
     """Regress each link channel on the prediction from the motor angles, channel by channel.
 
     Uses the slow records that contain the channel. If none do, uses the records that excite the
@@ -86,7 +86,9 @@ def regress_readings(evidence: Evidence) -> Iterator[tuple[str, list[Comparison]
                 yield name, [x for r in used for x in _recall(r, evidence, kind, i)]
 
 
-def _recall(record: SlowRecord, evidence: Evidence, kind: str, i: int) -> tuple[Comparison, ...]:
+def _recall(
+    record: SlowRecord, evidence: Evidence, kind: str, i: int
+) -> tuple[PredictedSignal, ...]:
     """Regression of a channel of joint i (from 0), computed once per hypothesis about its sources.
 
     A link moves with the motors up to its own, or with all if the motors are coupled.
@@ -225,7 +227,7 @@ def _tilt_derivatives(
 
 def _regress_channel(
     record: SlowRecord, evidence: Evidence, motion: JointMotion, kind: str, i: int
-) -> Iterator[Comparison]:
+) -> Iterator[PredictedSignal]:
     """Regress a channel of joint i (from 0); no reading if the record does not determine it."""
     name, arm = f"{kind}{i + 1}", evidence.arm
     T, parts = record.sample_time, _predicted_parts(arm, motion, kind, i)
@@ -267,7 +269,7 @@ def _regress_channel(
     free = [np.inf] * (2 + len(decays))
     prior = [top**-2.0, *free, *[_TILT_PRIOR_STD] * len(turned)]
 
-    def fit_of(regressed: list[FloatArray], n: int = len(nuisance)) -> Fit | None:
+    def fit_of(regressed: list[FloatArray], n: int = len(nuisance)) -> Regression | None:
         columns = np.column_stack([*regressed, *nuisance[:n]])[record.inside]
         return regress(target, columns, np.array([*[np.inf] * len(regressed), *prior[:n]]))
 
@@ -294,7 +296,7 @@ def _regress_channel(
         length, variance = float(np.linalg.norm(components)), components @ covariance @ components
         values["tilt"] = length, float(np.sqrt(variance)) / max(length, 1e-12)
     size = float(np.std(target))
-    yield Comparison(
+    yield PredictedSignal(
         channel=name,
         record=record.experiment.name,
         explained=fit.explained,
@@ -318,7 +320,7 @@ def _rotations(arm: Arm, motion: JointMotion, kind: str, i: int) -> list[FloatAr
     return [read(arm, motion, i) - before, before] if np.any(before) else []
 
 
-def _coefficient_ratio(fit: Fit) -> tuple[float, float] | None:
+def _coefficient_ratio(fit: Regression) -> tuple[float, float] | None:
     """Ratio of the first two coefficients and its standard deviation under a true ratio of 1.
 
     The standard deviation is evaluated at a ratio of 1 (Fieller): for an uncertain denominator,

@@ -19,8 +19,8 @@ from strainwave.domain.effects import OF_RIGID_JOINTS
 from strainwave.domain.kinds import arm_keys, kind_of
 from strainwave.signals.consistency.evidence import Evidence
 from strainwave.signals.consistency.hypothesis import (
-    Case,
     Hypothesis,
+    UnexplainedEvidence,
     angle_unit,
     exchanges,
     of_logs,
@@ -60,14 +60,14 @@ _ESTIMATED = ("ratio", "torque", "gravity", "zero", "frame", "robot", "length")
 
 
 @dataclass(frozen=True, slots=True)
-class Family:
+class HypothesisFamily:
     """Hypotheses with continuous coordinates, in prior standard deviations."""
 
     tolerated: FloatArray  # (size,) coordinates of a change within which a study is accepted
     change: Callable[..., Hypothesis]  # of coordinates; with rounded values if it `is_final`
 
 
-def propose_explanations(case: Case) -> Iterator[Hypothesis]:
+def propose_explanations(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     """Explanations of the torques about as good as the best one, simple ones first.
 
     Of those as simple as each other, the one that predicts best is first. Faults of one record
@@ -278,35 +278,41 @@ def _torque(evidence: Evidence, i: int, factor: float) -> Hypothesis:
     return Hypothesis(code, clause, changes, factor=1.0 / factor, kind="torque")
 
 
-def propose_families(evidence: Evidence) -> Iterator[Family]:
+def propose_families(evidence: Evidence) -> Iterator[HypothesisFamily]:
     """Gravity, ratios, zeros, frames, torques and delays."""
     arm, joints = evidence.study.arm, range(1, evidence.arm.n_joints + 1)
     is_chain = not kind_of(arm).places_joints
     if arm.gravity and is_chain:
         tolerated = np.full(3, _TOLERATED_GRAVITY / _GRAVITY_STD)
-        yield Family(tolerated, partial(_gravity, evidence))
+        yield HypothesisFamily(tolerated, partial(_gravity, evidence))
     for i in joints:
-        yield Family(np.array([_TOLERATED_RATIO / _RATIO_STD]), partial(_ratio, evidence, i))
-        yield Family(np.array([_TOLERATED_ANGLE / _ANGLE_STD]), partial(_zero, evidence, i))
+        yield HypothesisFamily(
+            np.array([_TOLERATED_RATIO / _RATIO_STD]), partial(_ratio, evidence, i)
+        )
+        yield HypothesisFamily(
+            np.array([_TOLERATED_ANGLE / _ANGLE_STD]), partial(_zero, evidence, i)
+        )
         if is_chain:
-            yield Family(_TOLERATED_FRAME, partial(_frame, evidence, i))
+            yield HypothesisFamily(_TOLERATED_FRAME, partial(_frame, evidence, i))
         if _torque_scale(evidence, i) is not None:
             tolerated = np.array([_TOLERATED_TORQUE / _RATIO_STD])
-            yield Family(tolerated, partial(_constant, evidence, i))
+            yield HypothesisFamily(tolerated, partial(_constant, evidence, i))
     if arm.gravity and "link_length" in arm_keys(arm):
-        yield Family(np.array([_TOLERATED_RATIO / _RATIO_STD]), partial(_length, evidence))
+        yield HypothesisFamily(
+            np.array([_TOLERATED_RATIO / _RATIO_STD]), partial(_length, evidence)
+        )
     step = max(r.sample_time for r in evidence.records)
     efforts = [name for i in joints if (name := effort_channel(evidence.channels, i))]
     angles = [[n for n in (f"theta_m{i}", f"omega_m{i}") if n in evidence.channels] for i in joints]
     for names in (efforts, *([name] for name in efforts), *angles):
         late = partial(_delay, evidence, names, step)
-        yield Family(np.array([_TOLERATED_DELAY / step]), late)
+        yield HypothesisFamily(np.array([_TOLERATED_DELAY / step]), late)
 
 
-def all_frames(evidence: Evidence) -> Family:
+def all_frames(evidence: Evidence) -> HypothesisFamily:
     """The family of the frames of all joints."""
     tolerated = np.tile(_TOLERATED_FRAME, evidence.arm.n_joints)
-    return Family(tolerated, partial(_robot, evidence))
+    return HypothesisFamily(tolerated, partial(_robot, evidence))
 
 
 def _rounded(values: FloatArray) -> tuple[float, ...]:

@@ -31,7 +31,7 @@ from strainwave.signals.consistency.torque_fit import (
 )
 from strainwave.signals.consistency.torque_hypotheses import (
     N_FRAME_COORDINATES,
-    Family,
+    HypothesisFamily,
     all_frames,
     exchanged_joints,
     propose_discrete,
@@ -85,7 +85,7 @@ def search_explanations(evidence: Evidence) -> tuple[Hypothesis, ...] | None:
     system = torque_system(evidence)
     if system is None:
         return None
-    search = _Search(evidence, system, fit_torques(system), predict_stretches(system))
+    search = _FaultSearch(evidence, system, fit_torques(system), predict_stretches(system))
     simple = [*propose_discrete(evidence, search.doubtful_records())]
     families = search.families()
     jobs = [partial(search.discrete, each) for each in simple]
@@ -143,7 +143,7 @@ def _is_evident(each: Hypothesis, limit: float) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class _Search:
+class _FaultSearch:
     """The stated description and its fit, which explanations are compared with."""
 
     evidence: Evidence
@@ -183,7 +183,7 @@ class _Search:
         totals = {i: total * system.n_rows[i] / stated[1][i] for i, total in stated[0].items()}
         return replace(system, total=totals)
 
-    def families(self) -> list[tuple[Family, FloatArray]]:
+    def families(self) -> list[tuple[HypothesisFamily, FloatArray]]:
         """Families with their derivatives at the stated description, and that of all frames."""
         families = [*propose_families(self.evidence)]
         jobs = [partial(self._slope, f, np.zeros(len(f.tolerated)), self.fit) for f in families]
@@ -191,7 +191,7 @@ class _Search:
         frames = [slope for family, slope in pairs if len(family.tolerated) == N_FRAME_COORDINATES]
         return [*pairs, (all_frames(self.evidence), np.hstack(frames))] if frames else pairs
 
-    def continuous(self, family: Family, slope: FloatArray) -> Hypothesis | None:
+    def continuous(self, family: HypothesisFamily, slope: FloatArray) -> Hypothesis | None:
         """Gauss-Newton search of one family; None without clear gain.
 
         The coordinates are fitted anew to the other stretches of each stretch, to first order.
@@ -289,7 +289,7 @@ class _Search:
             return None
         return replace(each, gain=gain, cost=quality.cost)
 
-    def _slope(self, family: Family, x: FloatArray, fit: TorqueFit) -> FloatArray:
+    def _slope(self, family: HypothesisFamily, x: FloatArray, fit: TorqueFit) -> FloatArray:
         """Derivatives (n_rows, size) of the torques that the links of the fit at x leave, negated.
 
         They are what the coordinates explain.

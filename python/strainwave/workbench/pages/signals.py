@@ -44,7 +44,7 @@ from strainwave.signals import hygiene
 from strainwave.signals.prepared_record import prepare_record
 from strainwave.signals.standstill import runs_of
 from strainwave.study_draft.signal_features import sequence_of, sequence_under_servo
-from strainwave.workbench.study_edit import Change, edit_study
+from strainwave.workbench.study_edit import KeyChange, edit_study
 from strainwave.workbench.web import Body, Routes, page, study_of, text_of
 from strainwave.workbench.workspace import fingerprint, log_of, study_at
 
@@ -271,7 +271,7 @@ def set_window(request: Request, body: Body) -> object:
         raise InvalidInput("the window contains no samples", where="start, stop")
     rounded = [None if end is None else round(float(end), 6) for end in ends]
     places = [("experiment", index, key) for key in ("start", "stop")]
-    edit_study(path, list(map(Change, places, rounded)))
+    edit_study(path, list(map(KeyChange, places, rounded)))
     return {}
 
 

@@ -30,7 +30,7 @@ from strainwave.presentation.report.predictions import unit_of
 from strainwave.presentation.report.rig import arm_picture
 from strainwave.workbench.study_edit import (
     TODO,
-    Change,
+    KeyChange,
     changed_text,
     parse_draft,
     table_of,
@@ -212,7 +212,7 @@ def save(request: Request, body: Body) -> object:
     return _state(request, path)
 
 
-def _changes(entries: object) -> list[Change]:
+def _changes(entries: object) -> list[KeyChange]:
     if not isinstance(entries, list):
         raise InvalidInput("the request has no changes", where="request")
     changes = []
@@ -226,7 +226,7 @@ def _changes(entries: object) -> list[Change]:
         value = value_of(text_of(entry, "value"), kind)
         if entry.get("is_list") and isinstance(value, str):
             value = [part.strip() for part in value.split(",")]
-        changes.append(Change(tuple(place), value))
+        changes.append(KeyChange(tuple(place), value))
     return changes
 
 

@@ -15,7 +15,7 @@ from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.inference.effect_columns import (
     EffectColumns,
-    Hypothesis,
+    EffectHypothesis,
     Shapes,
 )
 from strainwave.identification.whole_arm.problem.effect_unknowns import NamedEffect
@@ -115,7 +115,7 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[NamedEffect]:
     """Counts how many sets of shapes of each effect are tested from here on."""
     columns_of, numbers = EffectColumns.of, Counter[NamedEffect]()
 
-    def counted(fit: Fit, arm: Arm, tested: Mapping[Hypothesis, Shapes]) -> EffectColumns:
+    def counted(fit: Fit, arm: Arm, tested: Mapping[EffectHypothesis, Shapes]) -> EffectColumns:
         numbers.update(hypothesis.named_effect for hypothesis in tested)
         return columns_of(fit, arm, tested)
 

@@ -19,9 +19,9 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model.joint_estimate import JointEstimate
-from strainwave.identification.joint_model.motor_side.arms import Family, family_of
+from strainwave.identification.joint_model.motor_side.arms import ConsistentArms, family_of
 from strainwave.identification.joint_model.motor_side.catalogue import models_from_catalogue
-from strainwave.identification.joint_model.motor_side.search import Minimum, minima
+from strainwave.identification.joint_model.motor_side.search import GearMinimum, minima
 from strainwave.identification.joint_model.motor_side.spectra import Piece, pieces, thin_lines
 from strainwave.numerics.parallel import one_blas_thread
 
@@ -70,8 +70,8 @@ def models_from_motors(
 
 
 def _models(
-    minimum: Minimum,
-    family: Family,
+    minimum: GearMinimum,
+    family: ConsistentArms,
     arm: Arm,
     pieces_in_posture: Sequence[Piece],
     experiments: Sequence[tuple[str, ...]],
@@ -102,7 +102,7 @@ def _models(
     return tuple(models)
 
 
-def _covariance(minimum: Minimum, family: Family, i: int) -> FloatArray:
+def _covariance(minimum: GearMinimum, family: ConsistentArms, i: int) -> FloatArray:
     """Covariance (6, 6) of one joint's physical parameters.
 
     Of the errors of the rigid model it has that of the total viscous friction. Only this sum is

@@ -17,7 +17,7 @@ from strainwave.domain.combinations import FRICTION_COLUMNS, LINK_INERTIA, inert
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.interaction_torque import base_parameters, total_inertias
 from strainwave.dynamics.two_inertia import TwoInertia
-from strainwave.identification.joint_model.motor_side.impedance import LinearArm
+from strainwave.identification.joint_model.motor_side.impedance import LinearisedArms
 
 COORDINATES_PER_JOINT = 3
 """Number of coordinates of each joint: log k, log d_G, log odds of the motor's share of c_1."""
@@ -62,7 +62,7 @@ def posture_of(arm: Arm, angle: FloatArray) -> Posture:
 
 
 @dataclass(frozen=True, slots=True)
-class Family:
+class ConsistentArms:
     """All arms that are consistent with a rigid model."""
 
     arm: Arm
@@ -145,13 +145,13 @@ class Family:
             least = np.minimum(least, np.linalg.eigvalsh(inertia)[..., 0])
         return least
 
-    def linear(self, points: FloatArray, posture: Posture) -> LinearArm:
+    def linear(self, points: FloatArray, posture: Posture) -> LinearisedArms:
         """The arms at the points, linearised about a posture."""
         parts = self.parts(points)
         base = self._base(parts.pop("link_inertia"))
         inertia = np.asarray(np.tensordot(base, posture.inertia, axes=1))
         gravity = np.asarray(np.tensordot(base, posture.gravity, axes=1))
-        return LinearArm(self.arm.transmission, inertia=inertia, gravity=gravity, **parts)
+        return LinearisedArms(self.arm.transmission, inertia=inertia, gravity=gravity, **parts)
 
     def _base(self, link_inertia: FloatArray) -> FloatArray:
         """Base parameters (..., n_base) of arms with these link inertias when stretched."""
@@ -172,7 +172,7 @@ class Family:
         return base
 
 
-def family_of(model: RigidModel | None, arm: Arm) -> Family:
+def family_of(model: RigidModel | None, arm: Arm) -> ConsistentArms:
     """All arms that are consistent with a rigid model; without one, all single joints.
 
     Raises `NotIdentifiable` if the rigid model lacks an inertia.
@@ -182,7 +182,9 @@ def family_of(model: RigidModel | None, arm: Arm) -> Family:
     if model is None:
         base = np.zeros(len(arm.base_names))
         fixed = np.zeros((len(base), n))
-        return Family(arm, ratio, None, None, None, base, unknown, unknown, np.zeros(n), fixed)
+        return ConsistentArms(
+            arm, ratio, None, None, None, base, unknown, unknown, np.zeros(n), fixed
+        )
     total = total_inertias(model, arm)
     share, share_std = unknown.copy(), unknown.copy()
     for parameter in model.parameters:
@@ -197,7 +199,7 @@ def family_of(model: RigidModel | None, arm: Arm) -> Family:
     viscous_keys = [arm.rigid_columns[arm.n_body + FRICTION_COLUMNS * k].key for k in range(n)]
     viscous = [model.value(*key) or 0.0 for key in viscous_keys]
     coulomb = [model.value("motor_coulomb_friction", i) or 0.0 for i in numbers]
-    return Family(
+    return ConsistentArms(
         arm,
         ratio,
         total,

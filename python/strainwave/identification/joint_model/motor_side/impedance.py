@@ -17,7 +17,7 @@ from strainwave.domain import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)
-class LinearArm:
+class LinearisedArms:
     """One or many arms of n joints with linear gears, linearised about a posture."""
 
     transmission: FloatArray  # (n, n) T, link angles per motor angle
@@ -29,11 +29,13 @@ class LinearArm:
     inertia: FloatArray  # (..., n, n) M of the links in the posture [kg m^2]
     gravity: FloatArray  # (..., n, n) G, derivative of gravity torques [N m/rad]
 
-    def derivative(self, above: LinearArm, below: LinearArm, step: float) -> LinearArm:
+    def derivative(
+        self, above: LinearisedArms, below: LinearisedArms, step: float
+    ) -> LinearisedArms:
         """Central differences of the parameters, with the transmission of this arm."""
         names = [each.name for each in fields(self)[1:]]
         changes = [(getattr(above, name) - getattr(below, name)) / (2.0 * step) for name in names]
-        return LinearArm(self.transmission, *changes)
+        return LinearisedArms(self.transmission, *changes)
 
     def motor(
         self, s: ComplexArray, torque: ComplexArray, velocity: ComplexArray, row: int
@@ -74,7 +76,7 @@ class MotorMotion:
     impedance: ComplexArray  # (..., n_lines) Z_ii
     error: ComplexArray  # (..., n_lines) velocity minus that of measured torque and other motors
 
-    def derivatives(self, changes: LinearArm) -> tuple[ComplexArray, ComplexArray]:
+    def derivatives(self, changes: LinearisedArms) -> tuple[ComplexArray, ComplexArray]:
         """Derivatives of `error` and `impedance` of one arm by the parameters.
 
         `changes` are the derivatives of the arm by n_coordinates, their first axis. Both results

@@ -16,11 +16,11 @@ from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model.motor_side.arms import (
     COORDINATES_PER_JOINT,
     NO_ARM,
-    Family,
+    ConsistentArms,
     Posture,
     posture_of,
 )
-from strainwave.identification.joint_model.motor_side.impedance import LinearArm, MotorMotion
+from strainwave.identification.joint_model.motor_side.impedance import LinearisedArms, MotorMotion
 from strainwave.identification.joint_model.motor_side.spectra import Piece
 from strainwave.numerics.coordinate_search import Choice, CoordinateSearch
 
@@ -49,7 +49,7 @@ _TOLERANCE, _MAX_EVALUATIONS = 1e-4, 30
 
 
 @dataclass(frozen=True, slots=True)
-class Minimum:
+class GearMinimum:
     """A minimum, or an alternative point with a similar objective."""
 
     point: FloatArray  # (n_coordinates,)
@@ -62,7 +62,9 @@ _PieceInPosture = tuple[Piece, Posture]
 """A piece of a record with the posture of the arm."""
 
 
-def minima(family: Family, pieces: Sequence[Piece], few_lines: Sequence[Piece]) -> list[Minimum]:
+def minima(
+    family: ConsistentArms, pieces: Sequence[Piece], few_lines: Sequence[Piece]
+) -> list[GearMinimum]:
     """Minima of the motor velocity error, the best first, then the alternatives.
 
     `few_lines` are the pieces with fewer lines, for the grid. Raises `NotIdentifiable` if the
@@ -83,7 +85,7 @@ def minima(family: Family, pieces: Sequence[Piece], few_lines: Sequence[Piece]) 
     is_near = np.all(costs <= _MAX_COST_RATIO * costs[0], axis=1)
     unknown = np.full((len(best), len(best)), np.nan)
     alternatives = [
-        Minimum(points[k], float(costs[k].sum()), unknown, _fits(family, points[k], records))
+        GearMinimum(points[k], float(costs[k].sum()), unknown, _fits(family, points[k], records))
         for k in np.flatnonzero(is_near)[1:]
     ]
     return [
@@ -93,7 +95,7 @@ def minima(family: Family, pieces: Sequence[Piece], few_lines: Sequence[Piece]) 
 
 
 def _descend(
-    family: Family, cost: float, point: FloatArray, records: Sequence[_PieceInPosture]
+    family: ConsistentArms, cost: float, point: FloatArray, records: Sequence[_PieceInPosture]
 ) -> tuple[float, FloatArray]:
     """Minimum from the alternative of least objective, as long as it is below that of the point."""
     for _ in range(_MAX_DESCENTS):
@@ -106,7 +108,7 @@ def _descend(
 
 
 def _alternatives(
-    family: Family, best: FloatArray, records: Sequence[_PieceInPosture]
+    family: ConsistentArms, best: FloatArray, records: Sequence[_PieceInPosture]
 ) -> Iterator[FloatArray]:
     """The best point with other stiffnesses of one joint, over the whole band.
 
@@ -128,7 +130,7 @@ def _alternatives(
                 yield point
 
 
-def _starts(family: Family, records: Sequence[_PieceInPosture]) -> list[FloatArray]:
+def _starts(family: ConsistentArms, records: Sequence[_PieceInPosture]) -> list[FloatArray]:
     """Points from which least squares start, the best first.
 
     Anti-resonance, motor's share and, if unknown, total inertia of one joint are searched with the
@@ -178,7 +180,7 @@ def _starts(family: Family, records: Sequence[_PieceInPosture]) -> list[FloatArr
     return list(points(starts[:_MAX_STARTS]))
 
 
-def _grid(family: Family, pieces: Sequence[Piece], i: int) -> FloatArray:
+def _grid(family: ConsistentArms, pieces: Sequence[Piece], i: int) -> FloatArray:
     """Anti-resonance, motor's share and total inertia of joint i: (n_rings, n_others, 3)."""
     line_frequencies = np.concatenate([piece.s.imag for piece in pieces])
     low, high = 1.2 * line_frequencies.min(), 0.7 * line_frequencies.max()
@@ -200,7 +202,7 @@ def _inertias(records: Sequence[Piece], i: int) -> FloatArray:
 
 
 def _errors(
-    family: Family, points: FloatArray, piece_in_posture: _PieceInPosture
+    family: ConsistentArms, points: FloatArray, piece_in_posture: _PieceInPosture
 ) -> Iterator[tuple[ComplexArray, FloatArray]]:
     """Yield the velocity error and the velocity of each motor in a piece, relative to its RMS.
 
@@ -218,7 +220,7 @@ def _errors(
         yield error / norm, np.abs(piece.velocity[:, i]) / norm
 
 
-def _motion(family: Family, arm: LinearArm, piece: Piece, i: int) -> MotorMotion:
+def _motion(family: ConsistentArms, arm: LinearisedArms, piece: Piece, i: int) -> MotorMotion:
     """Motion of motor i, from 0, with its known Coulomb friction."""
     drive = piece.torque[:, i]
     if family.coulomb is not None:
@@ -240,7 +242,7 @@ def _norm(piece: Piece, i: int) -> float:
 
 
 def _error_derivatives(
-    family: Family, point: FloatArray, piece_in_posture: _PieceInPosture
+    family: ConsistentArms, point: FloatArray, piece_in_posture: _PieceInPosture
 ) -> Iterator[ComplexArray]:
     """Yield the derivatives (n_coordinates, n_lines) of the errors of `_errors` at one point."""
     piece, posture = piece_in_posture
@@ -262,7 +264,9 @@ def _error_derivatives(
         yield error / _norm(piece, i)
 
 
-def _costs(family: Family, points: FloatArray, piece_in_posture: _PieceInPosture) -> FloatArray:
+def _costs(
+    family: ConsistentArms, points: FloatArray, piece_in_posture: _PieceInPosture
+) -> FloatArray:
     """Sums of squared errors, (n_points,)."""
     costs = [
         np.sum(np.abs(error) ** 2, axis=-1)
@@ -272,7 +276,7 @@ def _costs(family: Family, points: FloatArray, piece_in_posture: _PieceInPosture
 
 
 def _costs_by_joint(
-    family: Family, points: FloatArray, records: Sequence[_PieceInPosture]
+    family: ConsistentArms, points: FloatArray, records: Sequence[_PieceInPosture]
 ) -> FloatArray:
     """Sums of squared errors of each motor over all pieces, (n_points, n_joints)."""
     costs = np.zeros((len(points), family.n_joints))
@@ -284,7 +288,7 @@ def _costs_by_joint(
 
 
 def _objectives(
-    family: Family, points: FloatArray, records: Sequence[_PieceInPosture]
+    family: ConsistentArms, points: FloatArray, records: Sequence[_PieceInPosture]
 ) -> FloatArray:
     """Objectives of `_minimize`, (n_points,)."""
     residuals = [_prior_residuals(family, points)]
@@ -296,7 +300,7 @@ def _objectives(
 
 
 def _residual(
-    family: Family, point: FloatArray, records: Sequence[_PieceInPosture], tilt: float = 0.0
+    family: ConsistentArms, point: FloatArray, records: Sequence[_PieceInPosture], tilt: float = 0.0
 ) -> FloatArray:
     """Real and imaginary errors of all pieces, then the residuals of known motor inertias."""
     parts = []
@@ -313,7 +317,7 @@ def _line_weights(piece: Piece, tilt: float) -> FloatArray:
     return np.asarray(weight / np.sqrt(np.mean(weight**2)))
 
 
-def _prior_residuals(family: Family, point: FloatArray) -> FloatArray:
+def _prior_residuals(family: ConsistentArms, point: FloatArray) -> FloatArray:
     """Residuals (..., n_known) of known motor inertias at points (..., n_coordinates).
 
     The rigid model gives these inertias. The residuals are scaled like the velocity errors.
@@ -329,7 +333,7 @@ def _prior_residuals(family: Family, point: FloatArray) -> FloatArray:
 
 
 def _minimize(
-    family: Family, start: FloatArray, records: Sequence[_PieceInPosture], tilt: float = 0.0
+    family: ConsistentArms, start: FloatArray, records: Sequence[_PieceInPosture], tilt: float = 0.0
 ) -> tuple[FloatArray, float]:
     """Minimum near a point, and its objective."""
     from scipy.optimize import least_squares
@@ -351,7 +355,7 @@ def _minimize(
 
 
 def _jacobian(
-    family: Family, point: FloatArray, records: Sequence[_PieceInPosture], tilt: float = 0.0
+    family: ConsistentArms, point: FloatArray, records: Sequence[_PieceInPosture], tilt: float = 0.0
 ) -> FloatArray:
     """Jacobian (n_rows, n_coordinates) of the residuals."""
     parts = []
@@ -368,8 +372,8 @@ def _jacobian(
 
 
 def _with_covariance(
-    family: Family, point: FloatArray, cost: float, records: Sequence[_PieceInPosture]
-) -> Minimum:
+    family: ConsistentArms, point: FloatArray, cost: float, records: Sequence[_PieceInPosture]
+) -> GearMinimum:
     """Add the covariance: scatter of the gradient over frequency bands, and the model error.
 
     The model error is the change of the estimates with other frequency weights.
@@ -387,7 +391,7 @@ def _with_covariance(
     covariance = bread @ meat @ bread
     changes = [_minimize(family, point, records, tilt)[0] - point for tilt in _WEIGHT_POWERS]
     covariance = covariance + np.mean([np.outer(move, move) for move in changes], axis=0)
-    return Minimum(point, cost, covariance, _fits(family, point, records))
+    return GearMinimum(point, cost, covariance, _fits(family, point, records))
 
 
 def _bands(records: Sequence[_PieceInPosture]) -> Iterator[FloatArray]:
@@ -401,7 +405,9 @@ def _bands(records: Sequence[_PieceInPosture]) -> Iterator[FloatArray]:
             count += _N_BANDS
 
 
-def _fits(family: Family, point: FloatArray, records: Sequence[_PieceInPosture]) -> FloatArray:
+def _fits(
+    family: ConsistentArms, point: FloatArray, records: Sequence[_PieceInPosture]
+) -> FloatArray:
     """Fit of each motor velocity over all pieces, 100 (1 - |error| / |velocity|), (n_joints,)."""
     error_sum, total = np.zeros(family.n_joints), np.zeros(family.n_joints)
     for record in records:

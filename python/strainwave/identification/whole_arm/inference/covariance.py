@@ -42,7 +42,10 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.domain.distributions import CI95_STDS, student_quantile
-from strainwave.identification.whole_arm.inference.gradient_evidence import Evidence, evidence_of
+from strainwave.identification.whole_arm.inference.gradient_evidence import (
+    RecordGradients,
+    evidence_of,
+)
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.numerics.parallel import run_parallel
@@ -199,7 +202,7 @@ def residual_covariance(
     return np.asarray(remaining @ errors @ remaining.T + answer @ meat @ answer.T)
 
 
-def _unexplained_share(answer: FloatArray, records: Sequence[Evidence]) -> FloatArray:
+def _unexplained_share(answer: FloatArray, records: Sequence[RecordGradients]) -> FloatArray:
     """Share of the variance of each parameter that sensor noise does not explain.
 
     `answer`, (n_unknowns, n_unknowns), is the derivative of the parameters by the gradient.
@@ -213,7 +216,7 @@ def _unexplained_share(answer: FloatArray, records: Sequence[Evidence]) -> Float
 
 
 def _scatter(
-    whole: FloatArray, known: FloatArray, records: Sequence[Evidence]
+    whole: FloatArray, known: FloatArray, records: Sequence[RecordGradients]
 ) -> tuple[FloatArray, float]:
     """Covariance of the fit from the gradients of whole records, and the pooled excess.
 

@@ -30,7 +30,7 @@ Shapes = Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Hypothesis:
+class EffectHypothesis:
     """The presence of an effect of given shapes in a joint."""
 
     joint: int  # from 1
@@ -49,10 +49,10 @@ class _Pass:
 
     records: Sequence[Dataset]
     values: Values
-    sizes: Mapping[Hypothesis, Sequence[Key]]
+    sizes: Mapping[EffectHypothesis, Sequence[Key]]
 
     @classmethod
-    def of(cls, fit: Fit, arm: Arm, tested: Mapping[Hypothesis, Shapes]) -> _Pass:
+    def of(cls, fit: Fit, arm: Arm, tested: Mapping[EffectHypothesis, Shapes]) -> _Pass:
         """A pass over effects of which no two are the same effect of one joint."""
         values = fit.values
         absent = {
@@ -87,12 +87,12 @@ class EffectColumns:
 
     factor: FloatArray  # (n_rows, n_unknowns + n_sizes + n_shifts + 1)
     n_unknowns: int
-    sizes: Mapping[Hypothesis, Sequence[Key]]
-    shapes: Mapping[Hypothesis, Shapes]
+    sizes: Mapping[EffectHypothesis, Sequence[Key]]
+    shapes: Mapping[EffectHypothesis, Shapes]
     n_shifts: Sequence[int]  # of inertias and gravity, and of each joint
 
     @classmethod
-    def of(cls, fit: Fit, arm: Arm, tested: Mapping[Hypothesis, Shapes]) -> EffectColumns:
+    def of(cls, fit: Fit, arm: Arm, tested: Mapping[EffectHypothesis, Shapes]) -> EffectColumns:
         """The columns of effects in addition to those of a fit.
 
         All effects at the first of their shapes share one simulation, and so do those of each
@@ -101,7 +101,7 @@ class EffectColumns:
         derivatives.
         """
         objective, n = fit.objective, len(fit.space.unknowns)
-        passes: dict[tuple[int, bool, bool], dict[Hypothesis, Shapes]] = {}
+        passes: dict[tuple[int, bool, bool], dict[EffectHypothesis, Shapes]] = {}
         for one, shapes in tested.items():
             effect = effect_named(one.effect)
             moves_joints = one.joint in arm.coupled_joints and effect.moves_output
@@ -137,7 +137,7 @@ class EffectColumns:
         """The residual that the unknowns do not explain."""
         return self.factor[self.n_unknowns :, -1]
 
-    def effect_columns(self, one: Hypothesis) -> FloatArray:
+    def effect_columns(self, one: EffectHypothesis) -> FloatArray:
         """An effect's columns after projection, zero where only rounding remains."""
         place = self._place(one)
         projection = self.factor[self.n_unknowns :, place].copy()
@@ -145,12 +145,12 @@ class EffectColumns:
         projection[:, np.linalg.norm(projection, axis=0) <= COLUMN_ROUNDING * size] = 0.0
         return projection
 
-    def shifts(self, one: Hypothesis) -> FloatArray:
+    def shifts(self, one: EffectHypothesis) -> FloatArray:
         """Residual effect of errors in the rigid-step estimates due to the missing effect."""
         return self.factor[self.n_unknowns :, self._shifts(one)]
 
     def change_of_unknowns(
-        self, one: Hypothesis, size: FloatArray, shift: FloatArray
+        self, one: EffectHypothesis, size: FloatArray, shift: FloatArray
     ) -> FloatArray:
         """Change of the unknowns (n_unknowns,) for sizes of an effect and rigid-step shifts."""
         n = self.n_unknowns
@@ -158,12 +158,12 @@ class EffectColumns:
         by_effect = by_effect + self.factor[:n, self._shifts(one)] @ shift
         return np.asarray(-np.linalg.lstsq(self.factor[:n, :n], by_effect)[0])
 
-    def _place(self, one: Hypothesis) -> slice:
+    def _place(self, one: EffectHypothesis) -> slice:
         before = list(self.sizes)[: list(self.sizes).index(one)]
         start = self.n_unknowns + sum(len(self.sizes[key]) for key in before)
         return slice(start, start + len(self.sizes[one]))
 
-    def _shifts(self, one: Hypothesis) -> list[int]:
+    def _shifts(self, one: EffectHypothesis) -> list[int]:
         first = self.n_unknowns + sum(map(len, self.sizes.values()))
         ends = first + np.cumsum([0, *self.n_shifts])
         groups = [0, one.joint] if effect_named(one.effect).misleads_inertias else [one.joint]

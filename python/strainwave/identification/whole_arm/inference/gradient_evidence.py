@@ -21,7 +21,7 @@ The last entry includes all higher degrees. The gradient of the loss slightly wh
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class RecordGradients:
     """Gradients and information of one record."""
 
     gradients: FloatArray  # (n_segments, n_unknowns) of the loss
@@ -31,7 +31,7 @@ class Evidence:
     noise: FloatArray  # (n_unknowns, n_unknowns) of the gradient, sensor noise only
 
 
-def evidence_of(record: Dataset, rows: Rows, block: IntArray, noise: FloatArray) -> Evidence:
+def evidence_of(record: Dataset, rows: Rows, block: IntArray, noise: FloatArray) -> RecordGradients:
     """Compute gradients and information of one record, minimised over its own unknowns.
 
     `noise` is the sensor noise in weighted standard deviations. The gradient of the soft L1 loss
@@ -60,7 +60,7 @@ def evidence_of(record: Dataset, rows: Rows, block: IntArray, noise: FloatArray)
         own_noise[: len(correlation)] = errors[0] * share * of_loss
         covariances = gradient_covariances(columns[:, k], (errors, own_noise))
         steady, of_noise = steady + covariances[0], of_noise + covariances[1]
-    return Evidence(sums, shared.T @ shared, scaled.T @ scaled, steady, of_noise)
+    return RecordGradients(sums, shared.T @ shared, scaled.T @ scaled, steady, of_noise)
 
 
 def gradient_covariances(

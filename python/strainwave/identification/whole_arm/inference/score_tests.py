@@ -31,7 +31,7 @@ from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.inference.effect_columns import (
     EffectColumns,
-    Hypothesis,
+    EffectHypothesis,
     Shapes,
 )
 from strainwave.identification.whole_arm.inference.residual_analysis import (
@@ -96,14 +96,14 @@ def score_tests_of(fit: Fit, arm: Arm) -> list[TestedEffect]:
 def curve_tests_of(fit: Fit, arm: Arm, joints: Collection[int]) -> list[TestedEffect]:
     """Test a coarse fit for stiffness curves of joints, the most significant first."""
     curves = [one for one in _missing_effects(fit, arm) if one[1] == STIFFNESS_CURVE.name]
-    hypotheses: dict[Hypothesis, Shapes] = {
-        Hypothesis(joint, name, 0): {} for joint, name in curves if joint in joints
+    hypotheses: dict[EffectHypothesis, Shapes] = {
+        EffectHypothesis(joint, name, 0): {} for joint, name in curves if joint in joints
     }
     return _tested(fit, fit, arm, hypotheses) if hypotheses else []
 
 
 def _tested(
-    steps: Fit, fit: Fit, arm: Arm, hypotheses: Mapping[Hypothesis, Shapes]
+    steps: Fit, fit: Fit, arm: Arm, hypotheses: Mapping[EffectHypothesis, Shapes]
 ) -> list[TestedEffect]:
     """Score tests of a fit by the derivatives of `steps`; none if these do not exist."""
     try:
@@ -147,7 +147,9 @@ def _missing_effects(fit: Fit, arm: Arm) -> list[NamedEffect]:
     ]
 
 
-def _hypotheses(fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]) -> dict[Hypothesis, Shapes]:
+def _hypotheses(
+    fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]
+) -> dict[EffectHypothesis, Shapes]:
     """Sets of shapes at which the effects are tested.
 
     Only one set per effect is tested if the residuals are noise. The same holds if the model has
@@ -158,13 +160,13 @@ def _hypotheses(fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]) -> dict[H
     band_hz = max(record.cutoff_hz for record in records)
     loads = loads_of(records, values)
     single_set = bool(effects_in(fit.space, arm)) or not has_excess_residuals(fit.objective, fit.z)
-    hypotheses: dict[Hypothesis, Shapes] = {}
+    hypotheses: dict[EffectHypothesis, Shapes] = {}
     for joint, name in candidates:
         effect = effect_named(name)
         first, *further = effect.tested_shapes(known_joint(arm, joint, values, loads))
         in_band = [one for one in further if not single_set and _highest(effect, one) < band_hz]
         for number, shapes in enumerate((first, *in_band)):
-            hypotheses[Hypothesis(joint, name, number)] = shapes
+            hypotheses[EffectHypothesis(joint, name, number)] = shapes
     return hypotheses
 
 
@@ -210,7 +212,7 @@ def is_primary(key: Key) -> bool:
     return not (name in excluded or name in of_effects or constant_of(key))
 
 
-def _test(columns: EffectColumns, one: Hypothesis, fit: Fit) -> TestedEffect:
+def _test(columns: EffectColumns, one: EffectHypothesis, fit: Fit) -> TestedEffect:
     """Optimal sizes of one effect, and the values after the step.
 
     Sizes without sign are not negative. Errors of the rigid-step estimates due to the missing

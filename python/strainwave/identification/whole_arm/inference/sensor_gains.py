@@ -16,7 +16,13 @@ import numpy as np
 from strainwave.domain import FloatArray, Parameter, SensorGain
 from strainwave.domain.gear_laws import gear_parameters
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors import Axis, Group, TypicalSensor, all_types, constant_of
+from strainwave.domain.link_sensors import (
+    SensorAxis,
+    SensorGroup,
+    TypicalSensor,
+    all_types,
+    constant_of,
+)
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import (
@@ -36,11 +42,11 @@ _REPORTED = ("gear_damping", "motor_inertia", "link_inertia")  # in addition to 
 
 
 @dataclass(frozen=True, slots=True)
-class _Candidate:
+class _AddedSensor:
     """A sensor that a link lacks."""
 
     sensor: str
-    channel: Axis
+    channel: SensorAxis
     typical: TypicalSensor
 
 
@@ -95,7 +101,7 @@ def _variances(rows: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("ij,jk,ik->i", rows, covariance, rows))
 
 
-def _gain(candidate: _Candidate, parameter: Parameter, share: float) -> SensorGain:
+def _gain(candidate: _AddedSensor, parameter: Parameter, share: float) -> SensorGain:
     """Gain of a candidate; `share` is the predicted over the present standard deviation."""
     assert parameter.std is not None
     return SensorGain(
@@ -117,10 +123,10 @@ def _weights(parameter: Parameter, keys: Sequence[Key], arm: Arm) -> FloatArray:
     return combination(keys, arm.link_inertia(parameter.joint))
 
 
-def _candidates(records: Sequence[Dataset], arm: Arm) -> Iterator[_Candidate]:
+def _candidates(records: Sequence[Dataset], arm: Arm) -> Iterator[_AddedSensor]:
     """Candidate sensors of elastic joints whose link has no sensor in any record."""
     channels = (channel for record in records for channel in record.channels)
-    sensed_joints = {c.joint for c in channels if c.sensor.group is not Group.MOTOR}
+    sensed_joints = {c.joint for c in channels if c.sensor.group is not SensorGroup.MOTOR}
     for number, joint in enumerate(arm.joints, start=1):
         if number in sensed_joints or not joint.elastic:
             continue
@@ -129,7 +135,7 @@ def _candidates(records: Sequence[Dataset], arm: Arm) -> Iterator[_Candidate]:
             sensor = typical and kind.of_joint(typical.joint)
             if typical and sensor:
                 (axis,) = sensor.axes(number)
-                yield _Candidate(kind.name.replace("_", "-"), axis, typical)
+                yield _AddedSensor(kind.name.replace("_", "-"), axis, typical)
 
 
 def _length(arm: Arm) -> float:
@@ -137,7 +143,7 @@ def _length(arm: Arm) -> float:
     return math.hypot(*arm.joints[-1].origin.xyz)
 
 
-def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[list[FloatArray]]:
+def _information(fit: Fit, arm: Arm, candidates: Sequence[_AddedSensor]) -> list[list[FloatArray]]:
     """Fisher information (n_unknowns, n_unknowns) of each record, without and with each sensor."""
     objective, values = fit.objective, fit.values
     keys, slope = objective.space.keys, objective.space.slope(fit.z)
@@ -180,7 +186,7 @@ def _shared_information(factor: FloatArray, n_first: int) -> FloatArray:
     return np.asarray(R.T @ R)
 
 
-def _with_candidates(record: Dataset, arm: Arm, candidates: Sequence[_Candidate]) -> Dataset:
+def _with_candidates(record: Dataset, arm: Arm, candidates: Sequence[_AddedSensor]) -> Dataset:
     """Replace the channels of a record by the candidates, with their filtered noise."""
     missing_joints = {candidate.channel.joint for candidate in candidates}
     joints = list(record.arm.joints)

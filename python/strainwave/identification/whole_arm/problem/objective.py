@@ -51,7 +51,7 @@ T = TypeVar("T")
 
 
 @dataclass
-class _Memory:
+class _EvaluationCache:
     """Record parameters, and cached evaluations at the last point with the last weights."""
 
     record_parameters: list[FloatArray]
@@ -67,7 +67,7 @@ class Objective:
     space: ParameterSpace
     records: tuple[Dataset, ...]
     weights: tuple[Weights, ...]
-    memory: _Memory = field(repr=False)
+    memory: _EvaluationCache = field(repr=False)
     has_initial_weights: bool = False  # True for initial weights, before any residuals are known
     # relative cost reduction at which the search for initial states ends
     initial_state_tolerance: float = 0.0
@@ -87,7 +87,7 @@ class Objective:
             space,
             tuple(records),
             tuple(weights),
-            _Memory(record_parameters),
+            _EvaluationCache(record_parameters),
             has_initial_weights=True,
         )
 
@@ -160,11 +160,13 @@ class Objective:
 
     def replace_unknowns(self, space: ParameterSpace) -> Objective:
         """Replace the shared unknowns."""
-        return replace(self, space=space, memory=_Memory(list(self.memory.record_parameters)))
+        return replace(
+            self, space=space, memory=_EvaluationCache(list(self.memory.record_parameters))
+        )
 
     def select_records(self, *chosen: int) -> Objective:
         """Restrict the objective to some records, by their indices."""
-        memory = _Memory([self.memory.record_parameters[k] for k in chosen])
+        memory = _EvaluationCache([self.memory.record_parameters[k] for k in chosen])
         return replace(
             self,
             records=tuple(self.records[k] for k in chosen),
@@ -179,7 +181,7 @@ class Objective:
         biases = record_parameters[k][len(self.initial_states(k)) :]
         record_parameters[k] = np.concatenate([record.start(), biases]) if start is None else start
         records = (*self.records[:k], record, *self.records[k + 1 :])
-        return replace(self, records=records, memory=_Memory(record_parameters))
+        return replace(self, records=records, memory=_EvaluationCache(record_parameters))
 
     def correct_step_error(self, z: FloatArray) -> Objective:
         """Correct the integrator step error of all records at z."""
@@ -192,7 +194,7 @@ class Objective:
             replace(e, difference=e.difference + n.step_error_correction - o.step_error_correction)
             for e, n, o in pairs
         ]
-        memory = _Memory(list(self.memory.record_parameters), (z.tobytes(), shifted))
+        memory = _EvaluationCache(list(self.memory.record_parameters), (z.tobytes(), shifted))
         return replace(self, records=records, memory=memory)
 
     def lengthen_steps(self, z: FloatArray) -> Objective:
@@ -225,7 +227,9 @@ class Objective:
         except (InvalidInput, NumericalFailure):
             return self
         records = tuple(record for record, _ in pairs)
-        memory = _Memory(record_parameters, (z.tobytes(), [evaluated for _, evaluated in pairs]))
+        memory = _EvaluationCache(
+            record_parameters, (z.tobytes(), [evaluated for _, evaluated in pairs])
+        )
         long = replace(self, records=records, memory=memory)
         self.memory.long_steps = z.tobytes(), self.weights, long
         return long
@@ -239,7 +243,9 @@ class Objective:
     def replace_records(self, records: Sequence[Dataset]) -> Objective:
         """Replace the rows of the records; weights and record parameters stay."""
         return replace(
-            self, records=tuple(records), memory=_Memory(list(self.memory.record_parameters))
+            self,
+            records=tuple(records),
+            memory=_EvaluationCache(list(self.memory.record_parameters)),
         )
 
     def blocks(self) -> list[IntArray]:

@@ -15,9 +15,9 @@ import numpy as np
 from strainwave.domain import BoolArray, FloatArray, Log
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.link_sensors import (
-    Axis,
     ConstantKind,
-    Group,
+    SensorAxis,
+    SensorGroup,
     constant_of,
     is_kind,
     with_bandwidths,
@@ -64,7 +64,7 @@ class Dataset:
     arm: Arm  # without encoder quantisation, so that the outputs are smooth in the parameters
     cutoff_hz: float
     drive: Drive
-    channels: tuple[Axis, ...]
+    channels: tuple[SensorAxis, ...]
     kernels: Kernels
     time: FloatArray  # (n_rows,) [s]
     measured: FloatArray  # (n_rows, n_channels)
@@ -294,7 +294,7 @@ class Dataset:
 
     def _mount_slopes(
         self,
-        channel: Axis,
+        channel: SensorAxis,
         motion: Mapping[Quantity, FloatArray],
         values: Mapping[Key, float],
         keys: Sequence[Key],
@@ -313,19 +313,19 @@ class Dataset:
         inputs = prepare_record(self.log, self.arm).driving_inputs
         constants: dict[Key | None, None] = {}
         for axis in self.channels:
-            if axis.sensor.group is Group.MOTOR and inputs[axis.joint - 1].is_voltage:
+            if axis.sensor.group is SensorGroup.MOTOR and inputs[axis.joint - 1].is_voltage:
                 continue
             axes = [one for one in self.channels if one.joint == axis.joint]
             is_separate = axis.sensor.is_scale_identifiable(axis, axes)
             constants |= dict.fromkeys(axis.key(kind) for kind in kinds[: 1 + is_separate])
-            if axis.sensor.group is Group.MOTOR and self.hold_change[:, axis.joint - 1].any():
+            if axis.sensor.group is SensorGroup.MOTOR and self.hold_change[:, axis.joint - 1].any():
                 constants[axis.key(ConstantKind.HOLD)] = None
             if axis.is_mounted:
                 constants[axis.key(ConstantKind.TILT)] = None
         drifts = (axis.key(ConstantKind.DRIFT, self.log.name) for axis in self.channels)
         return [key for key in (*constants, *drifts) if key is not None]
 
-    def tables(self, values: Mapping[Key, float], axes: Sequence[Axis]) -> list[FloatArray]:
+    def tables(self, values: Mapping[Key, float], axes: Sequence[SensorAxis]) -> list[FloatArray]:
         """For each axis, the simulated quantities that it combines and, last, its reading.
 
         Each table (n_rows, n_quantities + 1) has zero column means. The simulation starts from the
@@ -476,7 +476,7 @@ class Dataset:
         return any(mount_resonance(channel, values) for channel in self.channels)
 
     def _filter_by_mount(
-        self, channel: Axis, samples: FloatArray, values: Mapping[Key, float]
+        self, channel: SensorAxis, samples: FloatArray, values: Mapping[Key, float]
     ) -> FloatArray:
         """Filter samples (n_samples, ...) of a channel by its mount resonance, if any."""
         mount = mount_resonance(channel, values)
@@ -495,7 +495,7 @@ class Dataset:
 
 
 def noise_behind(
-    channels: Sequence[Axis],
+    channels: Sequence[SensorAxis],
     samples: Sequence[FloatArray],
     kernels: Kernels,
     counts: Sequence[float],

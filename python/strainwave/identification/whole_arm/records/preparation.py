@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import BoolArray, Imu, Log, channel_parts
-from strainwave.domain.link_sensors import Axis, compared_axes
+from strainwave.domain.link_sensors import SensorAxis, compared_axes
 from strainwave.domain.link_sensors.imu import ImuSensor
 from strainwave.domain.link_sensors.single_axis import MotorEncoder
 from strainwave.dynamics.arm import Arm
@@ -167,7 +167,7 @@ def _decimate(record: Dataset, every: int) -> Dataset:
     )
 
 
-def _unmasked_rows(log: Log, channels: Sequence[Axis], kernels: Kernels) -> BoolArray | None:
+def _unmasked_rows(log: Log, channels: Sequence[SensorAxis], kernels: Kernels) -> BoolArray | None:
     """Whether each row (n_rows, n_channels) is free of masked samples; None if all are."""
     masked = [unmeasured(log, (channel.channel,)) for channel in channels]
     if not any(bad.any() for bad in masked):
@@ -177,10 +177,10 @@ def _unmasked_rows(log: Log, channels: Sequence[Axis], kernels: Kernels) -> Bool
     return np.column_stack([(b[n_taps:] - b[:-n_taps])[::step] == 0 for b in masked_before])
 
 
-def _channels(log: Log, arm: Arm) -> Iterator[Axis]:
+def _channels(log: Log, arm: Arm) -> Iterator[SensorAxis]:
     """Compared channels of a log: motor angles, then the link sensors of each joint."""
     for i, joint in enumerate(arm.joints, start=1):
-        yield Axis(MotorEncoder.of_joint(joint), i)
+        yield SensorAxis(MotorEncoder.of_joint(joint), i)
     for i in range(1, arm.n_joints + 1):
         yield from compared_axes(arm, i, log.channels)
 

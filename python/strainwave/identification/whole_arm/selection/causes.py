@@ -102,7 +102,7 @@ class Rival:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class ModelComparison:
     """The models that were compared with the one that is handed over."""
 
     tests: Sequence[TestedEffect] = ()
@@ -128,7 +128,7 @@ class _Budget:
         return min(MAX_REFIT_EVALUATIONS, self.remaining)
 
 
-def include_effects(fit: Fit, selection: Selection) -> tuple[Fit, Comparison]:
+def include_effects(fit: Fit, selection: Selection) -> tuple[Fit, ModelComparison]:
     """Include the effects that improve held-out prediction, for joints that select their effects.
 
     Effects are included one at a time, the simplest first: an effect by record predicts each record
@@ -173,7 +173,7 @@ def include_effects(fit: Fit, selection: Selection) -> tuple[Fit, Comparison]:
             for (other, arm), weight in zip(others, weights, strict=True)
         ]
     excluded = tuple(budget.excluded)
-    return fit, Comparison(
+    return fit, ModelComparison(
         tests, tuple(included), tuple(rivals), tuple(plausible), excluded, budget.evaluations
     )
 
@@ -422,7 +422,7 @@ def _with_possible_effect(arm: Arm, one: NamedEffect) -> Arm:
     )
 
 
-def list_causes(comparison: Comparison, parameters: Sequence[Parameter]) -> Iterator[Cause]:
+def list_causes(comparison: ModelComparison, parameters: Sequence[Parameter]) -> Iterator[Cause]:
     """The included effects with their `parameters` of the result, then the plausible ones."""
     for rival in comparison.included:
         yield _cause(rival, parameters, is_included=True)
@@ -449,7 +449,7 @@ def _cause(rival: Rival, parameters: Sequence[Parameter], *, is_included: bool) 
     )
 
 
-def effect_warnings(causes: Sequence[Cause], comparison: Comparison) -> Iterator[Diagnostic]:
+def effect_warnings(causes: Sequence[Cause], comparison: ModelComparison) -> Iterator[Diagnostic]:
     """Warn about included effects, the most likely plausible one, and those without a fit."""
     for cause in causes:
         if cause.is_included:

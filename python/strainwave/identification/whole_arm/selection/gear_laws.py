@@ -59,7 +59,7 @@ def select_gear_laws(fit: Fit, selection: Selection) -> Fit:
     free = {joint for joint in automatic if (STIFFNESS, joint) in fit.space.keys}
     if not free:
         return fit
-    trials = _Trials(fit, selection)
+    trials = _LawTrials(fit, selection)
     while free and not selection.has_ended(fit):
         tested = curve_tests_of(fit, selection.arm, free)
         for one in tested:
@@ -74,7 +74,7 @@ def select_gear_laws(fit: Fit, selection: Selection) -> Fit:
     return fit
 
 
-class _Trials:
+class _LawTrials:
     """Fits with other gear laws than those of a linear fit."""
 
     def __init__(self, linear: Fit, selection: Selection) -> None:

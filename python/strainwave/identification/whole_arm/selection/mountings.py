@@ -13,7 +13,7 @@ import numpy as np
 
 from strainwave.domain import WholeArmOptions
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors import Axis, unknowns_of
+from strainwave.domain.link_sensors import SensorAxis, unknowns_of
 from strainwave.domain.link_sensors.imu import (
     IMU_ROTATION,
     IMU_START_ATTITUDE,
@@ -62,7 +62,7 @@ def select_mountings(fit: Fit, arm: Arm, options: WholeArmOptions) -> Fit:
     return fit
 
 
-def _choose_mounting(fit: Fit, axes: Sequence[Axis], options: WholeArmOptions) -> Fit:
+def _choose_mounting(fit: Fit, axes: Sequence[SensorAxis], options: WholeArmOptions) -> Fit:
     """Choose the starting mounting of the sensors of one link."""
     joint, values = axes[0].joint, fit.values
     keys = (*unknowns_of(axes), *((name, joint) for name in IMU_START_ATTITUDE))
@@ -133,7 +133,7 @@ def improve_mountings(fit: Fit, selection: Selection) -> Fit:
     return fit
 
 
-def _axes_on(fit: Fit, joint: int) -> list[Axis]:
+def _axes_on(fit: Fit, joint: int) -> list[SensorAxis]:
     """Sensor axes of unknown mounting on the link of a joint, over all records."""
     channels = (channel for record in fit.objective.records for channel in record.channels)
     return list(dict.fromkeys(c for c in channels if c.is_mounted and c.joint == joint))
@@ -171,7 +171,7 @@ def _with_mounting(fit: Fit, mounting: Mounting) -> Fit:
 
 
 def _simulated_mountings(
-    fit: Fit, axes: Sequence[Axis], *, flat: bool = False
+    fit: Fit, axes: Sequence[SensorAxis], *, flat: bool = False
 ) -> list[dict[Key, float]]:
     """Mountings by least squares on the simulated link motion of all records."""
     per_record = [record.tables(fit.values, axes) for record in fit.objective.records]
@@ -181,7 +181,9 @@ def _simulated_mountings(
     return imu_candidates(axes, tables, flat=flat)[:_MAX_STARTS]
 
 
-def _simulated_attitudes(fit: Fit, axes: Sequence[Axis], *, flat: bool) -> list[dict[Key, float]]:
+def _simulated_attitudes(
+    fit: Fit, axes: Sequence[SensorAxis], *, flat: bool
+) -> list[dict[Key, float]]:
     """The same for an IMU, with the mirror images on the other side of the link if it has any."""
     mountings = _simulated_mountings(fit, axes, flat=flat)
     if axes[0].space.axis is None:
