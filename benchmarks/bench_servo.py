@@ -12,7 +12,7 @@ from pathlib import Path
 from benchmarks.timing import Row, best_of
 from strainwave.domain import Parameter
 from strainwave.export.source import IdentifiedArm
-from strainwave.servo_design.design import ServoOptions, design_servo
+from strainwave.tune.design import ServoOptions, design_servo
 from strainwave.virtual import scara
 
 _REL_STD = 3e-3

@@ -26,9 +26,9 @@ from rich.table import Table
 
 from benchmarks.console import Console
 from strainwave import pipeline
-from strainwave.campaign import Settings, run
-from strainwave.campaign.records import PARAMETERS_SCHEMA, RUNS_SCHEMA, RunRecord
-from strainwave.campaign.store import Store
+from strainwave.fleet.campaign import Settings, run
+from strainwave.fleet.campaign.records import PARAMETERS_SCHEMA, RUNS_SCHEMA, RunRecord
+from strainwave.fleet.campaign.store import Store
 from strainwave.numerics.parallel import configure_process
 
 SMALL_ARM = Path(__file__).resolve().parents[1] / "tests" / "data" / "small-arm"

@@ -21,7 +21,7 @@ from rich.table import Table
 from scipy.stats import binomtest
 
 from benchmarks.console import Console
-from strainwave.campaign.store import read_parameters, read_runs
+from strainwave.fleet.campaign.store import read_parameters, read_runs
 
 Row = dict[str, Any]
 Group = Literal["clean", "faulty", "with an effect", "never opened"]

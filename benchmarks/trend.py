@@ -16,9 +16,9 @@ from rich.table import Table
 
 from benchmarks.console import Console
 from strainwave.domain import FloatArray
-from strainwave.monitoring.shapes import ParameterSeries, fit_change
-from strainwave.monitoring.trend import trend
-from strainwave.monitoring.visits import ArmHistory, Histories, ParameterHistory, Visit
+from strainwave.fleet.monitoring.shapes import ParameterSeries, fit_change
+from strainwave.fleet.monitoring.trend import trend
+from strainwave.fleet.monitoring.visits import ArmHistory, Histories, ParameterHistory, Visit
 
 PARAMETERS = 12
 HEALTHY = 20  # visits before wear

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from reproduction.run import print_comparisons, write_comparisons
 from strainwave.numerics.parallel import configure_process
-from strainwave.presentation.terminal import print_summary
+from strainwave.report.terminal import print_summary
 from strainwave.virtual.experiments import demonstrate
 from strainwave.virtual.scara import ARMS
 

@@ -25,8 +25,8 @@ from reproduction.rig import Rig, Run, gear_torque, slopes
 from strainwave.domain import FloatArray, JointModel, Mode
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, anti_resonance, jacobian, joint_of
 from strainwave.identification.joint_model.agreement import vector_of
-from strainwave.presentation.figures import Figure
-from strainwave.presentation.figures.curves import Series, bode, scatter
+from strainwave.report.figures import Figure
+from strainwave.report.figures.curves import Series, bode, scatter
 
 PAYLOAD = 3  # [kg]
 _STARTS = (0, 256, 512, 768)  # clocks of the PRBS at which the records start

@@ -19,7 +19,7 @@ from reproduction.records import Comparison, Criterion, Evidence
 from reproduction.rig import CLASSICAL_METHOD, Rig
 from strainwave.domain import Control
 from strainwave.domain.options import Channels, EstimationMethod
-from strainwave.presentation.figures.curves import Curve, bode
+from strainwave.report.figures.curves import Curve, bode
 
 _OUTPUTS: tuple[tuple[str, Channels], ...] = (("one output", "motor"), ("two outputs", "both"))
 

@@ -29,7 +29,7 @@ from reproduction.records import (
 from strainwave import __version__
 from strainwave.errors import StrainwaveError
 from strainwave.io.templates import fill_text
-from strainwave.presentation.figures import Figure
+from strainwave.report.figures import Figure
 
 SCHEMA = "strainwave/comparisons/3"
 

@@ -12,8 +12,8 @@ from reproduction.rig import CLOCK_PERIOD, MAX_AMPLITUDE, PRBS_ORDER, Rig, Run
 from strainwave.domain import Control, FloatArray
 from strainwave.dynamics.interaction_torque import interaction_torques
 from strainwave.numerics.filters import apply_lags
-from strainwave.presentation.figures import Figure
-from strainwave.presentation.figures.curves import Series, lines, spectrum
+from strainwave.report.figures import Figure
+from strainwave.report.figures.curves import Series, lines, spectrum
 
 PRBS_PERIOD = (2**PRBS_ORDER - 1) * CLOCK_PERIOD  # [s]
 _PLOTTED_DURATION = 0.3  # [s]

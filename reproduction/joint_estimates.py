@@ -27,7 +27,7 @@ from strainwave.dynamics.two_inertia import anti_resonance as true_anti_resonanc
 from strainwave.dynamics.two_inertia import resonance as true_resonance
 from strainwave.errors import NumericalFailure, StrainwaveError
 from strainwave.identification.joint_model import modes_of, state_space_of
-from strainwave.presentation.figures.curves import Curve
+from strainwave.report.figures.curves import Curve
 from strainwave.statespace import frequency_response, remove_alternating_poles, to_continuous
 
 LINES_HZ = np.geomspace(1.0, 100.0, 240)  # of frequency responses

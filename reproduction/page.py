@@ -7,8 +7,7 @@ from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 
 from reproduction.records import Comparison, Evidence, Outcome, Protocol, Tally
-from strainwave.presentation.figures import Figure
-from strainwave.presentation.report.blocks import (
+from strainwave.report.document.blocks import (
     Block,
     Callout,
     Cell,
@@ -24,6 +23,7 @@ from strainwave.presentation.report.blocks import (
     prose,
     table,
 )
+from strainwave.report.figures import Figure
 
 SOURCE = (
     "Oaki and Adachi, “Decoupling Identification for Serial Two-link Robot Arm with Elastic "

@@ -82,7 +82,7 @@ class Comparison:
     criteria: tuple[Criterion, ...]
     evidence: tuple[Evidence, ...]  # all estimated models behind the claim
     message: str  # result on this arm
-    plots: tuple[Any, ...]  # figures of `strainwave.presentation`, a higher layer
+    plots: tuple[Any, ...]  # figures of `strainwave.report`, a higher layer
     values: Mapping[str, float] = field(default_factory=dict)  # further numbers; NaN: no value
     protocol: Protocol = "own"  # source of the settings
 

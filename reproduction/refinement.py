@@ -25,8 +25,8 @@ from strainwave.errors import NotIdentifiable
 from strainwave.identification.closed_loop import restrict_to_values
 from strainwave.identification.joint_model.agreement import vector_of
 from strainwave.numerics.filters import band_pass, low_pass
-from strainwave.presentation.figures import Figure
-from strainwave.presentation.figures.curves import Series, bode, pair
+from strainwave.report.figures import Figure
+from strainwave.report.figures.curves import Series, bode, pair
 from strainwave.signals.link_motion import prepare_link_signals
 from strainwave.statespace import frequency_response
 

@@ -68,7 +68,7 @@ def write_comparisons(
 
 def _images(tallies: Sequence[Tally], arm: str) -> dict[str, bytes]:
     """PNG files of the first plot of each figure, by path."""
-    from strainwave.presentation.matplotlib_backend import images
+    from strainwave.report.matplotlib_backend import images
 
     return {
         f"images/comparisons/{arm}-{t.first.figure}-{t.first.protocol}.png": images(

@@ -13,7 +13,7 @@ from pathlib import Path
 import psutil
 
 import strainwave as sw
-from strainwave.campaign.store import Store
+from strainwave.fleet.campaign.store import Store
 
 COUNT = 24
 PATIENCE = 300.0  # [s]; a loaded machine is several times slower

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
-from strainwave.campaign.records import RunRecord
-from strainwave.campaign.store import Store
+from strainwave.fleet.campaign.records import RunRecord
+from strainwave.fleet.campaign.store import Store
 
 DAY = datetime(2026, 1, 1)
 

@@ -1,6 +1,6 @@
 """A worker process that fails in a way that the name of a study selects.
 
-Run `python -m campaign_workers` instead of `python -m strainwave.campaign.worker`.
+Run `python -m campaign_workers` instead of `python -m strainwave.fleet.campaign.worker`.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ import os
 import signal
 import time
 
-from strainwave.campaign import worker
-from strainwave.campaign.records import RunRecord, Task
-from strainwave.campaign.study_files import StudyFile
+from strainwave.fleet.campaign import worker
+from strainwave.fleet.campaign.records import RunRecord, Task
+from strainwave.fleet.campaign.study_files import StudyFile
 
 
 def poisoned(task: Task) -> RunRecord:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from strainwave.presentation.figures import Area, Bars, Figure, HeatMap, Line, Mark, Markers
+from strainwave.report.figures import Area, Bars, Figure, HeatMap, Line, Mark, Markers
 
 T = TypeVar("T", Line, Markers, Area, Bars, HeatMap)
 

@@ -11,7 +11,7 @@ from strainwave.domain import FloatArray, Parameter, Study
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import change_arm_keys
 from strainwave.export import IdentifiedArm
-from strainwave.servo_design.observer import Observer
+from strainwave.tune.observer import Observer
 from strainwave.virtual import scara
 
 REL_STD = 0.03

@@ -14,11 +14,11 @@ import strainwave as sw
 from strainwave.cli import app
 from strainwave.domain import Channel, Clause, Consistency, InputCheck, Place, Suspicion
 from strainwave.domain.messages import templates
+from strainwave.input_check.observations import EXPECTED
 from strainwave.io.results import check_document
 from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import identify
-from strainwave.presentation.terminal import print_check
-from strainwave.signals.consistency.observations import EXPECTED
+from strainwave.report.terminal import print_check
 
 SMALL_ARM = Path(__file__).parent / "data" / "small-arm" / "study.toml"
 
@@ -122,7 +122,7 @@ def test_no_suspected_fault_becomes_a_determined_result(
     suspicion: Suspicion, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "strainwave.signals.consistency.check_consistency",
+        "strainwave.input_check.check_consistency",
         lambda logs, study: Consistency((suspicion,)),
     )
     monkeypatch.setattr(

@@ -38,7 +38,7 @@ from strainwave.identification import joint_model as physical
 from strainwave.io import results as result
 from strainwave.io.logs import read_logs
 from strainwave.io.study import AS_PUBLISHED, read_study
-from strainwave.presentation.report import render
+from strainwave.report.document import render
 from strainwave.signals import link_motion as links
 from strainwave.signals import motor as signals
 from strainwave.virtual.experiments import simulate_study

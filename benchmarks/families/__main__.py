@@ -8,9 +8,9 @@ from pathlib import Path
 
 from benchmarks.families import family_of
 from benchmarks.families.drawn_arms import arms_of
-from strainwave import campaign
-from strainwave.campaign.study_files import CaseSelection
 from strainwave.errors import InvalidInput
+from strainwave.fleet import campaign
+from strainwave.fleet.campaign.study_files import CaseSelection
 from strainwave.io.atomic_files import check_keys, decode, parse_toml, read_bytes
 
 

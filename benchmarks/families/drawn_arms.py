@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 from benchmarks.families import Family, draw, family_of, fields_of, record
-from strainwave.campaign.study_files import Hashes, Opened
+from strainwave.fleet.campaign.study_files import Hashes, Opened
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ from rich.table import Table
 
 from benchmarks.console import Console
 from benchmarks.studies import arms
-from strainwave import campaign
-from strainwave.campaign.store import read_runs
+from strainwave.fleet import campaign
+from strainwave.fleet.campaign.store import read_runs
 from strainwave.io.atomic_files import write_whole
 from strainwave.virtual.experiments import simulate_study
 

@@ -22,10 +22,10 @@ from benchmarks.console import Console
 from strainwave.domain import ArmDescription, Joint, Servo, Study
 from strainwave.domain.keys import Values
 from strainwave.export.source import IdentifiedArm
-from strainwave.servo_design.cascade_tuning import Loops, tune_cascades
-from strainwave.servo_design.closed_loop import Clock, Steps, close, sample
-from strainwave.servo_design.margins import Margins, Requirements
-from strainwave.servo_design.plants import Condition, plants_of
+from strainwave.tune.cascade_tuning import Loops, tune_cascades
+from strainwave.tune.closed_loop import Clock, Steps, close, sample
+from strainwave.tune.margins import Margins, Requirements
+from strainwave.tune.plants import Condition, plants_of
 
 REQUIRED_SECONDS = 0.5
 """Settling time of the published example."""

@@ -18,8 +18,8 @@ from benchmarks.families.catalogue import plans, with_short_records
 from strainwave.domain import Suspicion
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
+from strainwave.input_check import check_consistency
 from strainwave.io.logs import read_logs
-from strainwave.signals.consistency import check_consistency
 from strainwave.virtual.records import record_experiment
 
 _SERIES = 7500  # of the catalogue

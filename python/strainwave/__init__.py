@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from strainwave.api import identify as identify
     from strainwave.api import read_result as read_result
     from strainwave.api import read_study as read_study
-    from strainwave.campaign.store import read_parameters as read_parameters
-    from strainwave.campaign.store import read_runs as read_runs
     from strainwave.domain import ArmDescription as ArmDescription
     from strainwave.domain import Channel as Channel
     from strainwave.domain import Experiment as Experiment
@@ -47,6 +45,8 @@ if TYPE_CHECKING:
     from strainwave.errors import InvalidInput as InvalidInput
     from strainwave.errors import NotIdentifiable as NotIdentifiable
     from strainwave.errors import StrainwaveError as StrainwaveError
+    from strainwave.fleet.campaign.store import read_parameters as read_parameters
+    from strainwave.fleet.campaign.store import read_runs as read_runs
     from strainwave.identification.amplitude_sweep import compare_amplitudes as compare_amplitudes
     from strainwave.identification.decoupling import decouple as decouple
     from strainwave.identification.frequency import estimate_response as estimate_response
@@ -58,20 +58,20 @@ if TYPE_CHECKING:
     from strainwave.identification.validation import predict_elastic as predict_elastic
     from strainwave.identification.validation import predict_rigid as predict_rigid
     from strainwave.identification.whole_arm import fit_whole_arm as fit_whole_arm
+    from strainwave.input_check import check_consistency as check_consistency
     from strainwave.io.logs import read_logs as read_logs
-    from strainwave.servo_design.design import ServoDesign as ServoDesign
-    from strainwave.servo_design.design import ServoOptions as ServoOptions
-    from strainwave.servo_design.margins import Requirements as Requirements
-    from strainwave.signals.consistency import check_consistency as check_consistency
     from strainwave.signals.hygiene import repair_records as repair_records
     from strainwave.signals.link_motion import prepare_link_signals as prepare_link_signals
     from strainwave.signals.motor import prepare_motor_signals as prepare_motor_signals
+    from strainwave.tune.design import ServoDesign as ServoDesign
+    from strainwave.tune.design import ServoOptions as ServoOptions
+    from strainwave.tune.margins import Requirements as Requirements
 
 __version__ = "0.1.0"
 
 _NAMES_OF_MODULE = {
     "strainwave.api": "Result check compare identify read_result read_study",
-    "strainwave.campaign.store": "read_parameters read_runs",
+    "strainwave.fleet.campaign.store": "read_parameters read_runs",
     "strainwave.domain": (
         "ArmDescription Channel Experiment FrequencyOptions Joint LinearOptions LinkOptions "
         "Options Parameter Payload PhysicalOptions Prbs RigidOptions Servo Stage Study "
@@ -90,9 +90,9 @@ _NAMES_OF_MODULE = {
     "strainwave.identification.validation": "predict_elastic predict_rigid",
     "strainwave.identification.whole_arm": "fit_whole_arm",
     "strainwave.io.logs": "read_logs",
-    "strainwave.servo_design.design": "ServoDesign ServoOptions",
-    "strainwave.servo_design.margins": "Requirements",
-    "strainwave.signals.consistency": "check_consistency",
+    "strainwave.tune.design": "ServoDesign ServoOptions",
+    "strainwave.tune.margins": "Requirements",
+    "strainwave.input_check": "check_consistency",
     "strainwave.signals.hygiene": "repair_records",
     "strainwave.signals.link_motion": "prepare_link_signals",
     "strainwave.signals.motor": "prepare_motor_signals",
@@ -120,7 +120,7 @@ def __dir__() -> list[str]:
 
 
 def _notebook() -> Display:
-    from strainwave.presentation import notebook
+    from strainwave.report import notebook
 
     return notebook
 

@@ -38,6 +38,7 @@ from strainwave.domain.options import Progress, ProgressEvent, ignore_progress
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import inverse_dynamics
 from strainwave.errors import Cancelled, InvalidInput, import_optional, suggest_name
+from strainwave.fleet.monitoring import comparison, result_estimates
 from strainwave.identification.validation import predict_rigid
 from strainwave.io import results
 from strainwave.io.atomic_files import write_whole
@@ -46,7 +47,6 @@ from strainwave.io.logs import read_log
 from strainwave.io.logs.arrow import Data
 from strainwave.io.study import check_study
 from strainwave.io.study import read_study as _read_study
-from strainwave.monitoring import comparison, result_estimates
 from strainwave.numerics.parallel import Stopped, limited
 from strainwave.signals import hygiene
 from strainwave.signals.motor import detect_standing_motors, prepare_motor_signals
@@ -56,8 +56,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-    from strainwave.presentation.report import FigureKind
-    from strainwave.servo_design.design import ServoDesign, ServoOptions
+    from strainwave.report.document import FigureKind
+    from strainwave.tune.design import ServoDesign, ServoOptions
 
 Key = str | tuple[str, int | None]
 
@@ -258,7 +258,7 @@ class Parameters(Sequence[Parameter]):
         return frame
 
     def _repr_html_(self) -> str:
-        from strainwave.presentation.notebook import table_of_parameters
+        from strainwave.report.notebook import table_of_parameters
 
         return table_of_parameters(self._parameters)
 
@@ -308,8 +308,8 @@ class JointResponse:
 
     def plot(self) -> Figure:
         """Bode plot with 95 % bands."""
-        from strainwave.presentation.figures import curves
-        from strainwave.presentation.matplotlib_backend import draw
+        from strainwave.report.figures import curves
+        from strainwave.report.matplotlib_backend import draw
 
         f, stds = self.frequencies_hz, (self.magnitude_std, self.phase_std)
         drawn = [curves.Curve("identified model", f, self.response, *stds)]
@@ -627,8 +627,8 @@ class Result:
         tune.html is written into the directory `out`, if there is one. Raises `NotIdentifiable` if
         a parameter is missing, and `InvalidInput` if no gains keep the margins.
         """
-        from strainwave.servo_design.design import ServoOptions
-        from strainwave.servo_design.tune import tune_document
+        from strainwave.tune.design import ServoOptions
+        from strainwave.tune.tune import tune_document
 
         folder = None if out is None else Path(out)
         document, options = self._document, options or ServoOptions()
@@ -648,9 +648,9 @@ class Result:
         "slope" or "torsion" of a gear, "time" or "spectrum" of an interaction, a channel of the
         residuals.
         """
-        from strainwave.presentation.matplotlib_backend import draw
-        from strainwave.presentation.notebook import certainty
-        from strainwave.presentation.report import FIGURE_KINDS, FigureName, find_figure
+        from strainwave.report.document import FIGURE_KINDS, FigureName, find_figure
+        from strainwave.report.matplotlib_backend import draw
+        from strainwave.report.notebook import certainty
 
         if kind not in FIGURE_KINDS:
             raise InvalidInput(
@@ -666,7 +666,7 @@ class Result:
 
     def report(self, path: Path | str) -> Path:
         """Write the report, one HTML file; `InvalidInput` for a result read from a file."""
-        from strainwave.presentation.report import render
+        from strainwave.report.document import render
 
         path = Path(path)
         page = render(self._needs_run("the report")).encode()

@@ -81,7 +81,7 @@ def init(
     quiet: Quiet = False,
 ) -> None:
     """Write a draft of a study file from logs. Guesses have reasons; unknown values are TODO."""
-    from strainwave.study_draft import start_study
+    from strainwave.init import start_study
 
     with _progress(quiet) as report:
         report("inspecting the logs")
@@ -138,7 +138,7 @@ def identify(
     """
     from strainwave import pipeline
     from strainwave.io.study import AS_PUBLISHED
-    from strainwave.presentation.matplotlib_backend import require_matplotlib
+    from strainwave.report.matplotlib_backend import require_matplotlib
 
     if figures:
         require_matplotlib()  # before the long run
@@ -158,7 +158,7 @@ def identify(
         )
         pipeline.write(identification, out, figures=figures, progress=report)
     if not quiet:
-        from strainwave.presentation.terminal import print_summary
+        from strainwave.report.terminal import print_summary
 
         print_summary(identification, out, figures=figures)
     raise typer.Exit(identification.verdict.exit_code)
@@ -187,7 +187,7 @@ def check(
 
         typer.echo(to_json(check_document(result)).decode(), nl=False)
     elif not quiet:
-        from strainwave.presentation.terminal import print_check
+        from strainwave.report.terminal import print_check
 
         print_check(result)
     raise typer.Exit(result.exit_code)
@@ -255,10 +255,10 @@ def tune(
 ) -> None:
     """Design the servos of an arm. Writes DIR/tune.html and servo.*, with input shapers."""
     from strainwave.io.results import read_document, result_path
-    from strainwave.servo_design.design import ServoOptions
-    from strainwave.servo_design.margins import Requirements
-    from strainwave.servo_design.report.words import print_design
-    from strainwave.servo_design.tune import PAGE, read_payloads, read_postures, tune_document
+    from strainwave.tune.design import ServoOptions
+    from strainwave.tune.margins import Requirements
+    from strainwave.tune.report.words import print_design
+    from strainwave.tune.tune import PAGE, read_payloads, read_postures, tune_document
 
     options = ServoOptions(
         postures=read_postures(posture or ()),
@@ -297,7 +297,7 @@ def excite(
     quiet: Quiet = False,
 ) -> None:
     """Design the experiments to record. Writes signals, durations and the expected motion."""
-    from strainwave import experiment_design as design
+    from strainwave import excite as design
 
     with _progress(quiet) as report:
         planned = design.excite_study_file(
@@ -315,7 +315,7 @@ def excite(
             progress=report,
         )
     if not quiet:
-        from strainwave.experiment_design.written import print_design
+        from strainwave.excite.written import print_design
 
         print_design(planned, out)
 
@@ -330,9 +330,9 @@ def compare(
     quiet: Quiet = False,
 ) -> None:
     """Compare results of one arm. The exit code is 0 if they agree and 4 if they differ."""
-    from strainwave.monitoring import comparison_output
-    from strainwave.monitoring.comparison import compare as compare_results
-    from strainwave.monitoring.result_estimates import read_estimates
+    from strainwave.fleet.monitoring import comparison_output
+    from strainwave.fleet.monitoring.comparison import compare as compare_results
+    from strainwave.fleet.monitoring.result_estimates import read_estimates
 
     comparison = compare_results(read_estimates(results), level)
     if out is not None:
@@ -352,9 +352,9 @@ def trend(
     quiet: Quiet = False,
 ) -> None:
     """Detect changes of arms over their visits. The exit code is 4 if an arm changes, else 0."""
-    from strainwave.monitoring import trend_output
-    from strainwave.monitoring.trend import trend as trend_of
-    from strainwave.monitoring.visits import read_histories
+    from strainwave.fleet.monitoring import trend_output
+    from strainwave.fleet.monitoring.trend import trend as trend_of
+    from strainwave.fleet.monitoring.visits import read_histories
 
     with _progress(quiet) as report:
         report("reading the store")
@@ -377,8 +377,8 @@ def demo(
     quiet: Quiet = False,
 ) -> None:
     """Identify the built-in virtual arm. Compares the estimates with the true parameters."""
-    from strainwave.presentation.matplotlib_backend import require_matplotlib
-    from strainwave.presentation.terminal import print_summary
+    from strainwave.report.matplotlib_backend import require_matplotlib
+    from strainwave.report.terminal import print_summary
     from strainwave.virtual.experiments import demonstrate
     from strainwave.virtual.scara import ARMS
 
@@ -408,8 +408,8 @@ def campaign(
     quiet: Annotated[bool, _option("campaign.quiet", "--quiet", "-q")] = False,
 ) -> None:
     """Identify many studies, on one machine or a cluster. Recorded runs are not repeated."""
-    from strainwave import campaign as campaigns
     from strainwave import pipeline
+    from strainwave.fleet import campaign as campaigns
 
     if scheduler is not None and cluster is not None:
         raise InvalidInput(

@@ -1,7 +1,7 @@
 """Tables and figures of records in notebooks.
 
 A notebook calls methods of the record itself, and the records are the lowest layer. The functions
-that make tables and figures belong to the highest layer, `strainwave.presentation`, which the
+that make tables and figures belong to the highest layer, `strainwave.report`, which the
 package registers here as a loader. Nothing is imported until a record is displayed.
 """
 
@@ -43,7 +43,7 @@ class Displayed:
     def plot(self, **which: Any) -> Figure:
         """Plot the record.
 
-        `which` selects a part of the record; see `strainwave.presentation.notebook`. Raises
+        `which` selects a part of the record; see `strainwave.report.notebook`. Raises
         `InvalidInput` if Matplotlib is missing or the record has no such part.
         """
         return _display().picture_of(self, **which)

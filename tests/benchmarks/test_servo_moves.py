@@ -10,8 +10,8 @@ import pytest
 from strainwave.domain.control_law import LinearServo
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
-from strainwave.servo_design.closed_loop import Gains, low_pass
-from strainwave.servo_design.shapers import Impulses
+from strainwave.tune.closed_loop import Gains, low_pass
+from strainwave.tune.shapers import Impulses
 from strainwave.virtual import scara
 
 PERIOD = 1e-3

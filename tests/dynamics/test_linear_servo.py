@@ -16,8 +16,8 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, sensitivities, simulate
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
-from strainwave.servo_design.closed_loop import Clock, Gains, close, notch, sample
-from strainwave.servo_design.plants import Condition, plants_of
+from strainwave.tune.closed_loop import Clock, Gains, close, notch, sample
+from strainwave.tune.plants import Condition, plants_of
 from strainwave.virtual import scara
 
 PERIOD = 1e-3

@@ -16,8 +16,8 @@ from strainwave.domain.keys import Values
 from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.motor_responses import modes_of_motor, motor_response
-from strainwave.presentation.figures import Line, Markers
-from strainwave.presentation.report import motors
+from strainwave.report.document import motors
+from strainwave.report.figures import Line, Markers
 
 
 def _arm_model(values: Values) -> ArmModel:

@@ -15,7 +15,7 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.torsion import fit_torsions
 from strainwave.pipeline import identify
-from strainwave.presentation.report import figures_of
+from strainwave.report.document import figures_of
 
 SEED, JOINTS = 3, (1, 2)  # a chain with two joints under gravity
 

@@ -23,7 +23,7 @@ from strainwave.domain import (
 )
 from strainwave.errors import InvalidInput
 from strainwave.io import results as result
-from strainwave.presentation import report
+from strainwave.report import document
 
 
 def rigid(model: RigidModel | None) -> RigidModel:
@@ -130,8 +130,8 @@ def test_torque_ratios_are_published_by_joint() -> None:
     assert stage["torque_ratio"] == second == {"joint": 2, "value": 0.98, "std": 0.004}
     assert third == {"joint": 3, "value": 1.1, "std": 0.2}
     text = "0.9800 ± 0.004; 1 if both torque constants are correct"
-    assert text in report.render(ratio)
-    assert text not in report.render(one)
+    assert text in document.render(ratio)
+    assert text not in document.render(one)
 
 
 def test_the_end_of_the_search_is_published() -> None:

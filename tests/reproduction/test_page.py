@@ -24,8 +24,8 @@ from reproduction.records import Comparison, Criterion, Evidence, Tally
 from reproduction.run import print_comparisons
 from results import identification
 from strainwave.domain import Diagnostic, Place
-from strainwave.presentation.figures import curves
-from strainwave.presentation.matplotlib_backend import draw
+from strainwave.report.figures import curves
+from strainwave.report.matplotlib_backend import draw
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 SEED = 1  # of the comparisons in the fixture

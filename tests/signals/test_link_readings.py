@@ -11,8 +11,8 @@ from strainwave.domain.kinds.base import in_plane_gravity
 from strainwave.domain.kinds.planar_two_link import planar_two_link
 from strainwave.domain.kinds.single_joint import single_joint
 from strainwave.dynamics.arm import Arm
-from strainwave.signals.consistency.evidence import collect_evidence
-from strainwave.signals.consistency.sensors import regress_readings
+from strainwave.input_check.evidence import collect_evidence
+from strainwave.input_check.sensors import regress_readings
 from strainwave.signals.link_motion import prepare_link_signals
 from strainwave.signals.link_readings import (
     JointMotion,

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from strainwave.errors import InvalidInput
+from strainwave.init import start_study
 from strainwave.io.study import read_study
-from strainwave.study_draft import start_study
 
 pytest.importorskip("starlette")
 

@@ -27,10 +27,10 @@ from benchmarks.families.input_faults import INPUT_FAULTS, SERIAL_FAULTS, Fault
 from benchmarks.studies import arms
 from strainwave.domain.keys import Values
 from strainwave.errors import InvalidInput
+from strainwave.input_check import check_consistency
 from strainwave.io.logs import read_logs, write_log
 from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import STAGES, identify
-from strainwave.signals.consistency import check_consistency
 from strainwave.virtual.experiments import derived
 
 _MAX_HARMLESS = 0.03  # relative error of a value

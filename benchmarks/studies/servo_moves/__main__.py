@@ -18,8 +18,8 @@ from benchmarks.studies.servo_moves.page import (
 )
 from benchmarks.studies.servo_moves.sweep import sweep
 from benchmarks.studies.servo_moves.tuned import arms
-from strainwave.presentation.report.blocks import Cell, Row
-from strainwave.presentation.terminal import printed_table
+from strainwave.report.document.blocks import Cell, Row
+from strainwave.report.terminal import printed_table
 
 
 def main() -> None:

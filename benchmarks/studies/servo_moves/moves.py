@@ -10,9 +10,9 @@ import numpy as np
 from benchmarks.studies.servo_moves.tuned import Tuned, drive_under
 from strainwave.domain import FloatArray
 from strainwave.dynamics.simulation import Drive
-from strainwave.servo_design.feed_forward import FeedForward, feed_forward, point_to_point
-from strainwave.servo_design.shapers import Impulses
-from strainwave.servo_design.verification import shortest_plan
+from strainwave.tune.feed_forward import FeedForward, feed_forward, point_to_point
+from strainwave.tune.shapers import Impulses
+from strainwave.tune.verification import shortest_plan
 
 _SIZES = (0.01, 0.05)  # [rad] of moves
 _SECONDS, _SETTLED = 1.2, 0.02

@@ -8,17 +8,7 @@ import numpy as np
 
 from benchmarks.studies.servo_moves.moves import Move
 from benchmarks.studies.servo_moves.sweep import Loop
-from strainwave.presentation.figures import (
-    DASHES,
-    FREQUENCY_AXIS,
-    PALETTE,
-    Axis,
-    Figure,
-    Line,
-    Panel,
-    decimate,
-)
-from strainwave.presentation.report.blocks import (
+from strainwave.report.document.blocks import (
     Block,
     Plot,
     Row,
@@ -27,6 +17,16 @@ from strainwave.presentation.report.blocks import (
     number,
     paragraph,
     table,
+)
+from strainwave.report.figures import (
+    DASHES,
+    FREQUENCY_AXIS,
+    PALETTE,
+    Axis,
+    Figure,
+    Line,
+    Panel,
+    decimate,
 )
 
 MOVE_HEADS: Row = (

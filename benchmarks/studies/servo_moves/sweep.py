@@ -10,10 +10,10 @@ import numpy as np
 
 from benchmarks.studies.servo_moves.tuned import Tuned, drive_under
 from strainwave.domain import ComplexArray, FloatArray
-from strainwave.servo_design.closed_loop import sampled_responses
-from strainwave.servo_design.feed_forward import feed_forward, point_to_point
-from strainwave.servo_design.margins import effective_plants, margins_of
-from strainwave.servo_design.plants import Condition, plants_of
+from strainwave.tune.closed_loop import sampled_responses
+from strainwave.tune.feed_forward import feed_forward, point_to_point
+from strainwave.tune.margins import effective_plants, margins_of
+from strainwave.tune.plants import Condition, plants_of
 
 _HZ, _N_RUNS = np.geomspace(4.0, 320.0, 48), 4  # each run has every fourth line
 _VOLTS, _SPEED, _SECONDS = 0.15, 25.0, 3.0  # [V] each, [rad/s] of the motor, [s]

@@ -19,8 +19,8 @@ from strainwave.export.source import arm_of
 from strainwave.io.joint_covariance import covariance_of, noise_of
 from strainwave.io.results import read_document, result_path
 from strainwave.pipeline import identify, write
-from strainwave.servo_design.design import ServoDesign, ServoOptions, design_servo
-from strainwave.servo_design.feed_forward import FeedForward
+from strainwave.tune.design import ServoDesign, ServoOptions, design_servo
+from strainwave.tune.feed_forward import FeedForward
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import simulate_study
 

@@ -54,7 +54,7 @@ from strainwave.pipeline.rigid_joints import (
     estimate_drives,
     fit_rigid_joints,
 )
-from strainwave.presentation.matplotlib_backend import images
+from strainwave.report.matplotlib_backend import images
 from strainwave.signals.motor import activity_of
 from strainwave.signals.torque_constants import (
     find_doubtful_torque_constant,
@@ -225,8 +225,8 @@ def with_report_loading(progress: Progress) -> Progress:
 
 
 def _load_report() -> None:
-    from strainwave.presentation import report  # noqa: F401
-    from strainwave.presentation.html import load_template
+    from strainwave.report import document  # noqa: F401
+    from strainwave.report.html import load_template
 
     load_template("report/page")
 
@@ -243,7 +243,7 @@ def write(
     The files appear all at once or not at all, and replace an earlier result in the folder. Raises
     `InvalidInput` if the folder cannot be written to or Matplotlib is missing.
     """
-    from strainwave.presentation.report import figures_of, render
+    from strainwave.report.document import figures_of, render
 
     reporter = Reporter(identification.stages, progress)
     with reporter.time_part("report", "writing the report"):

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from strainwave import input_check
 from strainwave.domain import Consistency, Diagnostic, InputCheck, Log, Place, Stage, Study, Use
 from strainwave.domain.identification import merge_by_cause
 from strainwave.domain.keys import Key, Values, label_of
@@ -23,7 +24,7 @@ from strainwave.io.logs.arrow import Data
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study, with_options
 from strainwave.numerics.parallel import one_blas_thread
-from strainwave.signals import consistency, hygiene
+from strainwave.signals import hygiene
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +148,7 @@ def check_inputs(
         )
     warnings = (*(warning for log in raw_logs for warning in log.warnings), *warnings)
     inputs = Inputs(study, arm, usable, stages)
-    agreement = consistency.check_consistency(usable, study)
+    agreement = input_check.check_consistency(usable, study)
     agreement = agreement.suspecting(accept=study.options.accept)
     return CheckedInputs(inputs, agreement, (*warnings, *agreement.warnings))
 

@@ -21,7 +21,7 @@ from strainwave.domain.parameters import with_known_constants
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise, simulate
 from strainwave.errors import InvalidInput
-from strainwave.experiment_design.command_table import read_applied
+from strainwave.excite.command_table import read_applied
 from strainwave.io import logs
 from strainwave.io import study as studies
 from strainwave.io.parameters import read_parameters

@@ -9,7 +9,7 @@ from starlette.responses import FileResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from strainwave.presentation.report.blocks import plotly_script
+from strainwave.report.document.blocks import plotly_script
 from strainwave.workbench.pages import (
     by_hand,
     check,

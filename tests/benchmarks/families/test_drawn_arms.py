@@ -9,12 +9,12 @@ import pytest
 from benchmarks.families.__main__ import cases_of
 
 import strainwave as sw
-from strainwave.campaign import worker
-from strainwave.campaign.records import Task
-from strainwave.campaign.runner import CampaignPlan
-from strainwave.campaign.store import Store
-from strainwave.campaign.study_files import Case
 from strainwave.errors import InvalidInput
+from strainwave.fleet.campaign import worker
+from strainwave.fleet.campaign.records import Task
+from strainwave.fleet.campaign.runner import CampaignPlan
+from strainwave.fleet.campaign.store import Store
+from strainwave.fleet.campaign.study_files import Case
 
 
 def cases(folder: Path, text: str) -> list[Case]:

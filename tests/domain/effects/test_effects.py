@@ -31,7 +31,7 @@ from strainwave.dynamics.simulation import Drive, record_inputs, simulate
 from strainwave.errors import InvalidInput
 from strainwave.identification.whole_arm.selection.causes import warn_likely_cause
 from strainwave.io.study import read_study
-from strainwave.presentation.report.verdict import advice
+from strainwave.report.document.verdict import advice
 from virtual_arms import ELASTIC_JOINT
 
 EFFECTS = effects.all_effects()

@@ -25,7 +25,7 @@ from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.errors import InvalidInput
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
-from strainwave.presentation.report.gears import (
+from strainwave.report.document.gears import (
     StiffnessCurve,
     describe,
     stiffness_figure,

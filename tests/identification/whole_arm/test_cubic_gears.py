@@ -18,7 +18,7 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import fit_whole_arm
-from strainwave.presentation.report import gears
+from strainwave.report.document import gears
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import derived
 from tuning_runs import joint_models, rigid_model, shaken_study, simulated_logs

@@ -30,7 +30,7 @@ def detect_flat_tops(log: Log, _: Arm) -> list[Defect]:
 
     These sensors repeat a value `MIN_REPEATED_SAMPLES` times only in saturation.
     More than `MAX_SATURATED_SHARE` of a record is a fault that the input check reports, see
-    `strainwave.signals.consistency`.
+    `strainwave.input_check`.
     """
     detections = []
     for name, x in of_kinds(log, noisy_kinds()).items():

@@ -43,9 +43,9 @@ from strainwave.identification.whole_arm.records.preparation import (
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.parameters import read_parameters
 from strainwave.io.results import response_of
-from strainwave.presentation.figures.curves import Curve, bode
-from strainwave.presentation.plotly_backend import plotly
-from strainwave.presentation.report.predictions import prediction_figure
+from strainwave.report.document.predictions import prediction_figure
+from strainwave.report.figures.curves import Curve, bode
+from strainwave.report.plotly_backend import plotly
 from strainwave.signals.recorded_input import missing_motor_signal
 from strainwave.workbench.pages.check import require_open
 from strainwave.workbench.pages.estimate import snapshot

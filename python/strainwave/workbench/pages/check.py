@@ -23,9 +23,9 @@ from strainwave.domain.messages import text_of as message_text
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, write_whole
 from strainwave.io.results import check_document, to_json
-from strainwave.presentation.figures import Axis, Figure, line_panel
-from strainwave.presentation.plotly_backend import plotly
-from strainwave.presentation.report.predictions import unit_of
+from strainwave.report.document.predictions import unit_of
+from strainwave.report.figures import Axis, Figure, line_panel
+from strainwave.report.plotly_backend import plotly
 from strainwave.workbench.study_edit import correction_changes, edit_study
 from strainwave.workbench.web import Body, Routes, message_of, page, study_of
 from strainwave.workbench.workspace import fingerprint, log_of, runs_folder, study_at

@@ -24,12 +24,12 @@ from strainwave.domain.keys import Key, label_of
 from strainwave.errors import InvalidInput
 from strainwave.export import arm_of
 from strainwave.export.state_space import Matrices, joint_model, state_space
-from strainwave.monitoring import comparison as monitoring
-from strainwave.monitoring.comparison_output import to_document
-from strainwave.monitoring.result_estimates import read_estimates
-from strainwave.presentation.figures import DASHES, PALETTE, Axis, Figure, Line, Markers, Panel
-from strainwave.presentation.figures.curves import Curve, bode
-from strainwave.presentation.plotly_backend import plotly
+from strainwave.fleet.monitoring import comparison as monitoring
+from strainwave.fleet.monitoring.comparison_output import to_document
+from strainwave.fleet.monitoring.result_estimates import read_estimates
+from strainwave.report.figures import DASHES, PALETTE, Axis, Figure, Line, Markers, Panel
+from strainwave.report.figures.curves import Curve, bode
+from strainwave.report.plotly_backend import plotly
 from strainwave.workbench.pages.runs import describe
 from strainwave.workbench.runs import Runs
 from strainwave.workbench.web import Body, Routes, message_of, page, study_of, workspace_of

@@ -13,8 +13,8 @@ from starlette.responses import Response
 
 from strainwave.commands import command_texts
 from strainwave.errors import InvalidInput
-from strainwave.presentation.figures import Axis, Figure, line_panel
-from strainwave.presentation.plotly_backend import plotly
+from strainwave.report.figures import Axis, Figure, line_panel
+from strainwave.report.plotly_backend import plotly
 from strainwave.workbench.pages.runs import describe, log_lines
 from strainwave.workbench.runs import RUN_FILES, Run, Runs
 from strainwave.workbench.web import Body, Routes, page, study_of, text_of, workspace_of

@@ -18,8 +18,8 @@ from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.io.atomic_files import decode, write_whole
 from strainwave.io.study import with_options
 from strainwave.pipeline import check_stages
-from strainwave.presentation.figures import DOTTED, Axis, Colour, Figure, Line, Panel, Upright
-from strainwave.presentation.plotly_backend import plotly
+from strainwave.report.figures import DOTTED, Axis, Colour, Figure, Line, Panel, Upright
+from strainwave.report.plotly_backend import plotly
 from strainwave.workbench.pages.check import gate_of, require_open
 from strainwave.workbench.pages.runs import describe
 from strainwave.workbench.runs import Runs, status_of

@@ -14,9 +14,9 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from strainwave.errors import InvalidInput
+from strainwave.init import start_study
 from strainwave.io.logs.bags import BAG_SUFFIXES
 from strainwave.io.logs.tables import TABLE_SUFFIXES
-from strainwave.study_draft import start_study
 from strainwave.workbench.runs import Runs, status_of
 from strainwave.workbench.web import Body, Routes, json_response, page, text_of, workspace_of
 from strainwave.workbench.workspace import check_name, is_runs_folder, study_at

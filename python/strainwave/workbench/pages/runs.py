@@ -30,7 +30,7 @@ from starlette.responses import (
 
 from strainwave.errors import InvalidInput
 from strainwave.export import export_file
-from strainwave.presentation.report.blocks import page_scripts
+from strainwave.report.document.blocks import page_scripts
 from strainwave.workbench.runs import LOG, RUN_FILES, Run, Runs
 from strainwave.workbench.security import report_policy
 from strainwave.workbench.web import Body, Routes, message_of, page, study_of, text_of, workspace_of

@@ -26,7 +26,10 @@ from strainwave.domain import (
 )
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.presentation.figures import (
+from strainwave.init.signal_features import sequence_of, sequence_under_servo
+from strainwave.report.document import elastic
+from strainwave.report.document.predictions import unit_of
+from strainwave.report.figures import (
     DASHES,
     FREQUENCY_AXIS,
     PALETTE,
@@ -37,13 +40,10 @@ from strainwave.presentation.figures import (
     line_panel,
     spread_evenly,
 )
-from strainwave.presentation.plotly_backend import plotly
-from strainwave.presentation.report import elastic
-from strainwave.presentation.report.predictions import unit_of
+from strainwave.report.plotly_backend import plotly
 from strainwave.signals import hygiene
 from strainwave.signals.prepared_record import prepare_record
 from strainwave.signals.standstill import runs_of
-from strainwave.study_draft.signal_features import sequence_of, sequence_under_servo
 from strainwave.workbench.study_edit import KeyChange, edit_study
 from strainwave.workbench.web import Body, Routes, page, study_of, text_of
 from strainwave.workbench.workspace import fingerprint, log_of, study_at

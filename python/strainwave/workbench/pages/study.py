@@ -24,10 +24,10 @@ from strainwave.io.atomic_files import decode, read_bytes, write_whole
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.tables import open_table
 from strainwave.io.study import read_study
-from strainwave.presentation.figures import Axis, Figure, line_panel
-from strainwave.presentation.plotly_backend import plotly
-from strainwave.presentation.report.predictions import unit_of
-from strainwave.presentation.report.rig import arm_picture
+from strainwave.report.document.predictions import unit_of
+from strainwave.report.document.rig import arm_picture
+from strainwave.report.figures import Axis, Figure, line_panel
+from strainwave.report.plotly_backend import plotly
 from strainwave.workbench.study_edit import (
     TODO,
     KeyChange,

@@ -1,0 +1,202 @@
+"""Files of a design: tables, a C header, trajectories, predicted intervals, the study file.
+
+Terminal output of a design.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from strainwave.domain import FloatArray, Study
+from strainwave.domain.distributions import CI95_STDS
+from strainwave.domain.link_sensors import installed_axes
+from strainwave.dynamics.arm import Arm
+from strainwave.excite.command_table import (
+    applied_columns,
+    table_name,
+    trajectory_name,
+    trajectory_text,
+)
+from strainwave.excite.guessed_arm import torque_errors_of
+from strainwave.excite.plan import (
+    LIMITED,
+    Design,
+    Limits,
+    Planned,
+    PredictedMotion,
+    clock_of,
+)
+from strainwave.io.atomic_files import write_whole
+from strainwave.io.results import base_parameter_entries, parameter_entry, to_json
+from strainwave.io.study import copy_to, write_study
+from strainwave.io.templates import fill_text
+from strainwave.report.document.blocks import number
+from strainwave.report.terminal import printed_table
+
+HEADER_FILE = "excitation.h"
+PRECISION_FILE = "predicted.json"
+
+
+def write(design: Design, folder: Path) -> None:
+    """Write tables, trajectories, the header, predictions, and study.toml, whose logs are missing.
+
+    Creates the folder. Raises InvalidInput if it cannot be written.
+    """
+    study = copy_to(design.study, folder)
+    write_whole(folder, {name: text.encode() for name, text in _texts(design).items()})
+    write_study(study, study.path)
+
+
+def _texts(design: Design) -> dict[str, str]:
+    texts = {
+        table_name(record.experiment): _csv(_columns(design.study, record))
+        for record in design.records
+    }
+    names = design.study.arm.joint_names
+    texts |= {
+        trajectory_name(record.experiment): trajectory_text(names, record.waypoints)
+        for record in design.records
+        if record.waypoints is not None
+    }
+    records = [
+        (re.sub(r"\W", "_", record.experiment.name), record.drive, _columns(design.study, record))
+        for record in design.records
+    ]
+    header = fill_text(Path(__file__).with_name("excitation.h.j2"), records=records, row=_row)
+    return texts | {HEADER_FILE: header, PRECISION_FILE: _predicted(design)}
+
+
+def _predicted(design: Design) -> str:
+    """Predicted parameters with intervals, in the layout of result.json."""
+    rigid = design.records[0].precision
+    base = base_parameter_entries(design.study.arm, rigid)
+    final = {p.key: p for p in (*rigid, *design.precision)}  # the whole-arm fit comes last
+    errors = torque_errors_of(Arm.of(design.study.arm), design.torque_errors)
+    document = {
+        "torque_errors": [
+            {
+                "joint": i,
+                "value": error,
+                "source": "measured" if i in design.torque_errors else "assumed",
+            }
+            for i, error in enumerate(errors.tolist(), start=1)
+        ]
+    }
+    document |= {"parameters": [parameter_entry(p) for p in final.values()]} | (
+        {"base_parameters": base} if base else {}
+    )
+    return to_json(document).decode()
+
+
+def _columns(study: Study, record: Planned) -> dict[str, FloatArray]:
+    return applied_columns(study.arm, record.experiment, record.drive, record.motor_angle)
+
+
+def _csv(columns: dict[str, FloatArray]) -> str:
+    rows = map(_row, zip(*columns.values(), strict=True))
+    return "\n".join([",".join(columns), *rows, ""])
+
+
+def _row(values: Iterable[float]) -> str:
+    return ",".join(f"{value:.9g}" for value in values)
+
+
+_NAMES = ("gear_stiffness", "gear_damping", "motor_inertia", "link_inertia")
+
+
+def print_design(design: Design, folder: Path) -> None:
+    """Print the total duration, the records with motion, duration and reasons, and the warnings.
+
+    `folder` is where the design was written.
+    """
+    console = Console(highlight=False)
+    shortage = f"; omitted for the duration: {', '.join(design.omitted)}" if design.omitted else ""
+    total = f"{len(design.records)} records of {design.duration / 60.0:.1f} minutes together"
+    console.print(Text(total + shortage, style="bold"))
+    console.print(_table(design))
+    for record in design.records:
+        reasons = "; ".join(record.reasons)
+        console.print(Text(f"{record.experiment.name}: {record.duration:.1f} s. {reasons}."))
+    console.print(Text(f"log every {1e3 * clock_of(design.study.arm):g} ms or faster"))
+    for line in _precision(design):
+        console.print(Text(line))
+    for warning in design.warnings:
+        text = Text(f"warning [{warning.code}] {warning.where}: {warning.message}")
+        console.print(text, style="yellow")
+    trajectories = [trajectory_name(r.experiment) for r in design.records if r.waypoints]
+    tables = map(table_name, design.study.experiments)
+    for name in (*tables, *trajectories, HEADER_FILE, PRECISION_FILE, "study.toml"):
+        console.print(Text(f"written: {folder / name}"), soft_wrap=True)
+    logs = ", ".join(record.experiment.file for record in design.records)
+    console.print(Text(f"to be recorded, next to study.toml: {logs}"), soft_wrap=True)
+
+
+def _precision(design: Design) -> Iterator[str]:
+    """Planned sensors, and the predicted confidence intervals of gears and inertias."""
+    parameters = [p for p in design.precision if p.name.startswith(_NAMES) and p.value and p.std]
+    yield from _base_precision(design)
+    if not parameters:
+        return
+    yield (
+        f"sensors: {', '.join(_sensors(design.study))}; predicted half-widths of the 95 %"
+        " confidence intervals on the guessed arm:"
+    )
+    for joint in range(1, design.study.arm.n_joints + 1):
+        parts = [
+            f"{p.name} {100.0 * CI95_STDS * (p.std or 0.0) / abs(p.value or 1.0):.2g} %"
+            for p in parameters
+            if p.joint == joint
+        ]
+        yield f"joint {joint}: {', '.join(parts)}"
+
+
+def _base_precision(design: Design) -> Iterator[str]:
+    """Largest predicted half-width of the base parameters of a chain, by unit."""
+    entries = base_parameter_entries(design.study.arm, design.records[0].precision)
+    by_unit: dict[str, list[dict[str, Any]]] = {}
+    for entry in entries:
+        by_unit.setdefault(entry["unit"], []).append(entry)
+    if any(entry["std"] is None for entry in entries):
+        yield "the motion does not determine all base parameters"
+    elif entries:
+        texts = []
+        for unit, group in by_unit.items():
+            widest = max(group, key=lambda entry: float(entry["std"]))
+            largest = max(abs(entry["value"]) for entry in group)
+            width = CI95_STDS * widest["std"]
+            share = f" ({100.0 * width / largest:.2g} % of the largest)" if largest else ""
+            texts.append(f"{widest['name']} {width:.2g} {unit}{share}")
+        yield f"widest predicted half-widths of base parameters: {', '.join(texts)}"
+
+
+def _sensors(study: Study) -> Iterator[str]:
+    for i, joint in enumerate(study.arm.joints, start=1):
+        counts = joint.encoder_counts
+        axes = installed_axes(study.arm, i, study.channels)
+        nouns = dict.fromkeys(axis.sensor.noun for axis in axes) or ("no link sensor",)
+        encoder = f"encoder of {counts:g} counts" if counts else "encoder"
+        yield f"joint {i}'s {' and '.join((encoder, *nouns))}"
+
+
+def _table(design: Design) -> Table:
+    """One row per record and joint, followed by the limits."""
+    heads = ("joint", "angle", "motor speed", "voltage", "gear torque", "standstill")
+    table = printed_table("predicted, SI units", *map(number, heads))
+    table.columns[0].no_wrap = True
+    rows: list[tuple[str, PredictedMotion | Limits]]
+    rows = [(record.experiment.name, record.predicted) for record in design.records]
+    for name, row in (*rows, ("limit", design.limits)):
+        for i in range(design.study.arm.n_joints):
+            sizes = [getattr(row, key)[i] for key, *_ in LIMITED]
+            texts = [f"{size:.3g}" if np.isfinite(size) else "" for size in sizes]
+            rest = f"{100.0 * row.rest_share[i]:.0f} %" if isinstance(row, PredictedMotion) else ""
+            table.add_row(*map(Text, (name, str(i + 1), *texts, rest)))
+    return table

@@ -1,0 +1,1 @@
+"""Many studies and many results: campaigns, comparisons of results, trends."""

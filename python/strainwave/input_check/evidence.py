@@ -1,0 +1,455 @@
+"""Evidence for the input check: low-frequency records, command clocks, encoder counts.
+
+All frequency bands follow from the motion and the length of the record. No band is fixed in hertz,
+so a log with its time in milliseconds gives the same evidence as a log in seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+
+from strainwave.domain import (
+    BoolArray,
+    Channel,
+    Correction,
+    Experiment,
+    FloatArray,
+    Log,
+    Study,
+    channel_parts,
+)
+from strainwave.domain.consistency import apply_corrections
+from strainwave.dynamics.arm import Arm
+from strainwave.input_check.clocks import Clocks, estimate_clocks, find_excited_inputs
+from strainwave.input_check.input_delay import DelayProfile, compute_delay_profile
+from strainwave.numerics.filters import differentiate, low_pass
+from strainwave.numerics.parallel import run_parallel
+from strainwave.signals.channels import estimate_encoder_count
+from strainwave.signals.motor import detect_standing_motors
+
+# Share of the velocity power, and ratio of the bandwidth to the frequency below which that share
+# lies, for slow and for fast records.
+_SLOW_BAND = (0.8, 2.0)
+_FAST_BAND = (0.5, 0.25)
+# Minimum power of a spectral line of a motion over that of noise, which one line in 22,000 of white
+# noise exceeds.
+_MIN_LINE_OVER_NOISE = 10.0
+# Bandwidth of a record over the median of all motors in the slow records above which noise
+# determines it: a motor at constant velocity has no other power.
+_MAX_BAND_RATIO = 4.0
+# Minimum record length in periods of the bandwidth frequency.
+_MIN_CYCLES = 10.0
+# Rows per period of the bandwidth frequency. Second derivatives lose 0.1 % at this rate.
+_ROWS_PER_CYCLE = 20.0
+# Samples per period of the bandwidth frequency at least: with fewer, velocities that controllers
+# calculate by differences lose more than the tolerance of a scale.
+_MIN_SAMPLES_PER_CYCLE = 10.0
+# Maximum number of samples evaluated per record.
+_MAX_SAMPLES = 2**18
+
+
+Result = TypeVar("Result")
+
+
+class HypothesisCache:
+    """Results by the identity of the objects that they follow from.
+
+    A hypothesis about the input shares all signals that it does not correct, so that only the rest
+    is computed again.
+    """
+
+    def __init__(self) -> None:
+        self._results: dict[tuple[Hashable, ...], tuple[tuple[object, ...], Any]] = {}
+        self._stated: dict[int, object] = {}  # the large results are kept for these alone
+
+    def state(self, arm: Arm, records: Sequence[SlowRecord]) -> None:
+        """Keep large results of an arm and of the signals of records."""
+        signals = [x for record in records for x in record.channels.values()]
+        self._stated = {id(x): x for x in (arm, *signals)}
+
+    def is_stated(self, *sources: object) -> bool:
+        """Whether large results of the sources are kept."""
+        return all(id(x) in self._stated for x in sources)
+
+    def recall(
+        self, name: Hashable, sources: Sequence[object], compute: Callable[[], Result]
+    ) -> Result:
+        """The result of that name from these objects; computed on the first call."""
+        key = (name, *map(id, sources))
+        if key not in self._results:  # the sources are kept, so that their identities stay unique
+            self._results[key] = tuple(sources), compute()
+        result: Result = self._results[key][1]
+        return result
+
+
+@dataclass(frozen=True, slots=True)
+class SlowRecord:
+    """One record after low-pass filtering and decimation to n_rows."""
+
+    experiment: Experiment
+    sample_time: float  # [s] between rows
+    bandwidth_hz: float
+    channels: Mapping[str, FloatArray]  # (n_rows,)
+    noise: Mapping[str, float]  # std of a row, extrapolated from the noise above the band
+    direction: FloatArray  # (n_rows, n_joints) mean sign of the motor velocity
+    moves: BoolArray  # (n_joints,) motors that move; the others deflect at most
+    inside: BoolArray  # (n_rows,) rows without end effects of the filter
+    clocks: Clocks
+    delays: Mapping[int, DelayProfile]  # joint -> profile, where the record determines the delay
+    shifted: Mapping[str, float] = field(default_factory=dict)  # channel -> delay removed [s]
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedSignal:
+    """A signal of one record compared with its prediction."""
+
+    channel: str
+    record: str
+    explained: float  # share of the variance of the signal
+    values: Mapping[str, tuple[float, float]]  # kind of observation -> value, standard deviation
+    seconds: float = np.inf  # length of the record
+    signal: float = np.inf  # signal-to-noise ratio at low frequency
+    expected_signal: float = np.inf  # the same of the prediction
+    size: float = 1.0  # standard deviation over that of the prediction
+
+
+@dataclass(frozen=True, slots=True)
+class BestFit:
+    """How well the best explanation of the torques predicts held-out stretches."""
+
+    cost: float  # half the mean logarithm of the unexplained shares
+    tolerance: float  # ratio of unexplained variances, less 1, up to which others are as good
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """A study and the low-frequency content of its logs, under one hypothesis about the input."""
+
+    study: Study  # with the corrections of the hypothesis
+    records: tuple[SlowRecord, ...]
+    counts: Mapping[int, float]  # joint -> encoder count of its motor angle, if quantised
+    high_passes: Mapping[str, float] = field(default_factory=dict)  # channel -> cutoff [Hz]
+    best_fit: BestFit | None = None  # None without torques
+    memory: HypothesisCache = field(
+        default_factory=HypothesisCache
+    )  # of all hypotheses about the same logs
+
+    @property
+    def arm(self) -> Arm:
+        """Arm of the study."""
+        description = self.study.arm
+        return self.memory.recall("arm", (description,), lambda: Arm.of(description))
+
+    @property
+    def channels(self) -> frozenset[str]:
+        """Names of the channels of all records."""
+        return frozenset(name for record in self.records for name in record.channels)
+
+    def corrected(self, corrections: Sequence[Correction]) -> Evidence:
+        """Evidence after corrections of the study and the logs."""
+        after = replace(self, study=apply_corrections(self.study, corrections))
+        experiments = {each.name: each for each in after.study.experiments}
+        records = [replace(r, experiment=experiments[r.experiment.name]) for r in self.records]
+        after = replace(after, records=tuple(records))
+        changed = {c.entry for c in corrections if c.table == "channels"}
+        if "t" in changed:
+            after = after._retimed(after.channel("t").scale / self.channel("t").scale)
+        if changed - {"t"}:
+            after = after._remapped(self, changed - {"t"})
+        for each in corrections:
+            if each.table == "log":
+                after = after._with_log(each)
+        return after
+
+    def corrected_in(self, record: str, corrections: Sequence[Correction]) -> Evidence:
+        """Evidence after corrections of the channels of one record, or of all if it is empty."""
+        if not record:
+            return self.corrected(corrections)
+        (one,) = [r for r in self.records if r.experiment.name == record]
+        (changed,) = replace(self, records=(one,)).corrected(corrections).records
+        return replace(self, records=tuple(changed if r is one else r for r in self.records))
+
+    def without_records(self, names: Collection[str]) -> Evidence:
+        """Evidence without the records `names`."""
+        records = tuple(r for r in self.records if r.experiment.name not in names)
+        return replace(self, records=records)
+
+    def channel(self, name: str) -> Channel:
+        """Column, scale and offset of a channel."""
+        return self.study.channels.get(name) or Channel(name)
+
+    def _remapped(self, before: Evidence, changed: Collection[str]) -> Evidence:
+        """Evidence after a change of the columns, scales or offsets of the `changed` channels."""
+        owners = {before.channel(name).column: name for name in before.channels}
+        sources = {name: owners.get(self.channel(name).column, name) for name in changed}
+        factors = {
+            name: self.channel(name).scale / before.channel(source).scale
+            for name, source in sources.items()
+        }
+        offsets = {
+            name: self.channel(name).offset - factors[name] * before.channel(source).offset
+            for name, source in sources.items()
+        }
+        records = tuple(_remapped(r, sources, factors, offsets) for r in self.records)
+        counts = dict(self.counts)
+        for name, source in sources.items():
+            (kind, joint), (_, from_joint) = channel_parts(name), channel_parts(source)
+            if kind == "theta_m":
+                counts.pop(joint, None)
+                if from_joint in self.counts:
+                    counts[joint] = abs(factors[name]) * self.counts[from_joint]
+        return replace(self, records=records, counts=counts)
+
+    def _with_log(self, correction: Correction) -> Evidence:
+        """Evidence after one channel is shifted in time, removed, or assigned a high-pass."""
+        name, value = correction.entry, correction.number
+        if correction.key == "high_pass_hz":
+            return replace(self, high_passes={**self.high_passes, name: value})
+        if correction.key == "unusable":
+            return self.without([name])
+        delay, drift = (value, 0.0) if correction.key == "delay_s" else (0.0, value)
+        return replace(
+            self, records=tuple(_shift_channel(r, name, delay, drift) for r in self.records)
+        )
+
+    def without(self, names: Collection[str]) -> Evidence:
+        """Evidence without the channels `names`."""
+        records = [
+            replace(r, channels={k: v for k, v in r.channels.items() if k not in names})
+            for r in self.records
+        ]
+        return replace(self, records=tuple(records))
+
+    def _retimed(self, factor: float) -> Evidence:
+        """Evidence after all time stamps are multiplied by `factor`."""
+        records = [
+            replace(
+                record,
+                sample_time=factor * record.sample_time,
+                bandwidth_hz=record.bandwidth_hz / factor,
+                clocks=record.clocks.retimed(factor),
+                delays={},
+            )
+            for record in self.records
+        ]
+        return replace(self, records=tuple(records))
+
+
+def _shift_channel(record: SlowRecord, name: str, delay: float, drift: float) -> SlowRecord:
+    """Record after removal of a delay from one channel.
+
+    The delay is `delay` [s] at the start of the record and grows by `drift` [s/s].
+    """
+    if name not in record.channels:
+        return record
+    T, last = record.sample_time, len(record.inside) - 1
+    rows = np.clip((1.0 + drift) * np.arange(last + 1) + delay / T, 0, last)
+    near = np.rint(rows).astype(np.intp)
+    moved, part = record.channels[name][near], T * (rows - near)
+    derivative, power = record.channels[name], np.ones(last + 1)
+    for order in (1, 2, 3):  # of Taylor's series: half a row changes the derivatives little
+        derivative, power = differentiate(derivative, T), power * part / order
+        moved = moved + power * derivative[near]
+    return replace(
+        record,
+        channels={**record.channels, name: moved},
+        shifted={**record.shifted, name: record.shifted.get(name, 0.0) + delay},
+    )
+
+
+def _remapped(
+    record: SlowRecord,
+    sources: Mapping[str, str],
+    factors: Mapping[str, float],
+    offsets: Mapping[str, float],
+) -> SlowRecord:
+    channels, noise = dict(record.channels), dict(record.noise)
+    level, excited = dict(record.clocks.level), set(record.clocks.excited)
+    direction, moves = record.direction.copy(), record.moves.copy()
+    for name in sources:
+        for table in (channels, noise, level):
+            table.pop(name, None)
+        excited.discard(name)
+    for name, source in sources.items():
+        factor, (kind, joint) = factors[name], channel_parts(name)
+        if source in record.channels:
+            signal, is_same = record.channels[source], factor == 1.0 and offsets[name] == 0.0
+            channels[name] = signal if is_same else factor * signal + offsets[name]
+            noise[name] = abs(factor) * record.noise[source]
+        if source in record.clocks.level:
+            level[name] = abs(factor) * record.clocks.level[source]
+        if source in record.clocks.excited:
+            excited.add(name)
+        if kind == "theta_m":
+            origin = channel_parts(source)[1] - 1
+            direction[:, joint - 1] = np.sign(factor) * record.direction[:, origin]
+            moves[joint - 1] = record.moves[origin]
+    clocks = replace(record.clocks, level=level, excited=frozenset(excited))
+    delays = {}
+    for joint in range(1, direction.shape[1] + 1):
+        names = [f"{kind}{joint}" for kind in ("theta_m", "u", "torque")]
+        origins = {channel_parts(sources.get(n, n))[1] for n in names if n in channels}
+        if len(origins) == 1 and (profile := record.delays.get(origins.pop())) is not None:
+            delays[joint] = profile
+    return replace(
+        record,
+        channels=channels,
+        noise=noise,
+        direction=direction,
+        moves=moves,
+        clocks=clocks,
+        delays=delays,
+    )
+
+
+def collect_evidence(logs: Sequence[Log], study: Study) -> Evidence:
+    """Collect the evidence of a study. Records that are too short are omitted."""
+    arm = Arm.of(study.arm)
+    pairs = [*zip(logs, _moving_motors(logs, arm), strict=True)]
+    bands = [
+        motion_bands(
+            _motor_angles(log, arm)[:, moves], log.sample_time, slow=is_slow(log.experiment)
+        )
+        for log, moves in pairs
+    ]
+    slow = [
+        b for each, log in zip(bands, logs, strict=True) if is_slow(log.experiment) for b in each
+    ]
+    limit = _MAX_BAND_RATIO * float(np.quantile(slow, 0.5, method="lower")) if slow else np.inf
+    jobs = [
+        partial(
+            _slow_record,
+            log,
+            arm,
+            moves,
+            min(max(b, default=0.0), limit if is_slow(log.experiment) else np.inf),
+        )
+        for (log, moves), b in zip(pairs, bands, strict=True)
+    ]
+    records = run_parallel(jobs)
+    counts = {}
+    for joint in range(1, arm.n_joints + 1):
+        count = estimate_encoder_count([log.channels[f"theta_m{joint}"] for log in logs])
+        if count is not None:
+            counts[joint] = count
+    return Evidence(study, tuple(r for r in records if r is not None), counts)
+
+
+def _moving_motors(logs: Sequence[Log], arm: Arm) -> list[BoolArray]:
+    """Whether each motor (n_joints,) of each record moves.
+
+    Fast records excite the gears of motors that only deflect.
+    """
+    moves = [np.ones(arm.n_joints, dtype=bool) for _ in logs]
+    slow = [k for k, log in enumerate(logs) if is_slow(log.experiment)]
+    if slow:
+        stands = detect_standing_motors([_motor_angles(logs[k], arm) for k in slow])
+        for k, at in zip(slow, stands, strict=True):
+            moves[k] = ~at
+    return moves
+
+
+def _motor_angles(log: Log, arm: Arm) -> FloatArray:
+    """Motor angles of the evaluated samples, (n_samples, n_joints)."""
+    joints = range(1, arm.n_joints + 1)
+    return np.column_stack([log.channels[f"theta_m{i}"][:_MAX_SAMPLES] for i in joints])
+
+
+def _slow_record(log: Log, arm: Arm, moves: BoolArray, band: float) -> SlowRecord | None:
+    """Low-pass filter and decimate a record. Returns None if the record is too short.
+
+    `band` is the bandwidth of the motion [Hz].
+    """
+    angle, T = _motor_angles(log, arm), log.sample_time
+    n = len(angle)
+    band = max(min(band, 1.0 / (_MIN_SAMPLES_PER_CYCLE * T)), _MIN_CYCLES / (n * T))
+    block = max(1, int(1.0 / (_ROWS_PER_CYCLE * band * T)))
+    n_rows = n // block
+    edge = int(np.ceil(1.0 / (band * block * T)))
+    if n_rows < 4 * edge:
+        return None
+    names = list(log.channels)
+    samples = np.column_stack([log.channels[name][: n_rows * block] for name in names])
+    smooth = low_pass(angle[: n_rows * block], min(4.0 * band, 0.2 / T), T)
+    direction = np.sign(differentiate(smooth, T))
+    rows = np.column_stack([samples, direction]).reshape(n_rows, block, -1).mean(axis=1)
+    slow = low_pass(rows, band, block * T)
+    inside = np.zeros(n_rows, dtype=bool)
+    inside[edge : n_rows - edge] = True
+    all_band_noise = np.sqrt(np.mean(np.diff(samples, axis=0) ** 2, axis=0) / 2.0)
+    share = np.sqrt(2.0 * band * T)  # of white noise in the band
+    return SlowRecord(
+        experiment=log.experiment,
+        sample_time=block * T,
+        bandwidth_hz=band,
+        channels={name: slow[:, k] for k, name in enumerate(names)},
+        noise={name: float(all_band_noise[k] * share) for k, name in enumerate(names)},
+        direction=slow[:, len(names) :],
+        moves=moves,
+        inside=inside,
+        clocks=estimate_clocks(log, arm),
+        delays=_delay_profiles(log, arm),
+    )
+
+
+def _delay_profiles(log: Log, arm: Arm) -> dict[int, DelayProfile]:
+    """Delay profiles of the joints that a test signal excites. Keys are joints, from 1."""
+    profiles = {}
+    if log.experiment.use in ("frequency", "sweep"):
+        open_loop = {i for i, control in enumerate(log.experiment.control, 1) if control == "open"}
+        excited = {channel_parts(name)[1] for name in find_excited_inputs(log)}
+        for joint in excited | {i for i in open_loop if i == log.experiment.joint}:
+            profile = compute_delay_profile(log, arm, joint - 1)
+            if profile is not None:
+                profiles[joint] = profile
+    return profiles
+
+
+def is_slow(experiment: Experiment) -> bool:
+    """Whether an experiment moves all joints slowly, so that the rigid model applies."""
+    return experiment.joint is None and experiment.use in ("motion", "check")
+
+
+def exchanged_tests(evidence: Evidence) -> tuple[list[str], list[str]]:
+    """Records with a stated PRBS that no command contains, and motions whose commands contain one.
+
+    Their files can be exchanged.
+    """
+    tests = [(record.experiment, bool(record.clocks.excited)) for record in evidence.records]
+    silent = [e.name for e, has_signal in tests if e.prbs is not None and not has_signal]
+    return silent, [e.name for e, has_signal in tests if is_slow(e) and has_signal]
+
+
+def motion_bands(angle: FloatArray, sample_time: float, *, slow: bool) -> list[float]:
+    """Bandwidth of the commanded motion of each motor that moves, below the gear resonances [Hz].
+
+    Slow records: 2 times the frequency below which 80 % of the velocity power lies. Fast records
+    excite the gear resonances: 0.25 times the frequency below which 50 % of the power lies.
+    Spectral lines of slow records that angle noise can have do not count. `angle` has shape
+    (n_samples, n_joints).
+    """
+    velocity = np.diff(angle[: 2**16], axis=0)
+    power = np.abs(np.fft.rfft(velocity - velocity.mean(axis=0), axis=0)) ** 2
+    frequency = np.fft.rfftfreq(len(velocity), sample_time)
+    share, ratio = _SLOW_BAND if slow else _FAST_BAND
+    if slow:
+        power[power < _MIN_LINE_OVER_NOISE * _noise_power(power)] = 0.0
+    power = np.cumsum(power, axis=0)
+    moving = power.T[power[-1] > 0.0]
+    return [ratio * float(frequency[np.searchsorted(p, share * p[-1])]) for p in moving]
+
+
+def _noise_power(power: FloatArray) -> FloatArray:
+    """Expected velocity power of white angle noise, (n_lines, n_joints), from the upper half band.
+
+    `power` has the lines of the differences of consecutive angles.
+    """
+    n_lines = len(power)
+    shape = np.sin(0.5 * np.pi * np.arange(n_lines) / max(1, n_lines - 1))[:, None] ** 2
+    upper = slice(n_lines // 2, None)
+    return np.asarray(shape * power[upper].mean(axis=0) / shape[upper].mean())

@@ -1,0 +1,334 @@
+"""Observations of the input check: values that are 1 or 0 if the input is consistent."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from strainwave.domain import Place, Relation, channel_parts
+from strainwave.domain.consistency import Bound
+from strainwave.input_check.evidence import Evidence, PredictedSignal, exchanged_tests
+from strainwave.input_check.input_delay import pool_delays
+from strainwave.input_check.motors import (
+    compare_motor_signals,
+    effort_channel,
+    implied_density,
+)
+from strainwave.input_check.sensors import (
+    IMU_ACCELEROMETERS,
+    LINK_CHANNELS,
+    regress_readings,
+)
+from strainwave.input_check.torque_fit import (
+    friction_shares,
+    recall_quality,
+    regress_torques,
+)
+from strainwave.numerics.regression import pool_estimates
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What consistent input gives for one kind of observation, and what a contradiction means."""
+
+    code: str  # of a contradiction without a cause
+    tolerance: float  # relative difference from an expected 1, absolute from 0; a bound
+    model_error: float = 0.0  # of springs, friction and servo lag in one record, without noise
+    expected: float | None = 1.0  # None: any positive value
+    bound: Bound = "equal"
+    certain: float = 5.0  # smallest significance of a contradiction, in standard deviations
+
+
+EXPECTED: Mapping[str, Expected] = {
+    "count": Expected("wrong-unit", 0.03),  # rounding of the counts in a data sheet
+    "prbs-clock": Expected("clock-drift", 2e-3),  # crystal clocks are accurate to 1e-4
+    "servo-clock": Expected("clock-drift", 2e-3),
+    "level": Expected("wrong-unit", 1.0),  # the amplifier gain can differ from 1
+    "limit": Expected("wrong-unit", 1.0),  # the stated limit can exclude an added PRBS
+    "excited-joint": Expected("swapped-channels", 0.0),
+    "reference": Expected("wrong-unit", 0.5, 0.02),  # units differ by a factor of 2
+    "velocity": Expected("wrong-unit", 0.05, 0.005),
+    "scale": Expected("wrong-unit", 0.05, 0.008),  # range that the whole-arm fit corrects
+    "own-joint": Expected("wrong-geometry", 0.08, 0.012),
+    "origin-motion": Expected("wrong-geometry", 0.12, 0.008),
+    "gravity": Expected("wrong-unit", 0.08, 0.01),
+    "rotation-ratio": Expected("wrong-gear-ratio", 0.12, 0.02),
+    "tilt": Expected("wrong-geometry", 0.3, 0.01, 0.0),  # tables are level to 17 degrees
+    "delay": Expected("misaligned", 5e-3, 4e-4, 0.0),  # [s] the whole-arm fit corrects less
+    "drift": Expected("clock-drift", 2e-4, 0.0, 0.0),  # [s/s]; the floor of the delay is added
+    "input-delay": Expected("misaligned", 1.25e-3, 0.0, 0.0),  # [s] buses need up to 1 ms
+    "inertia": Expected("wrong-sign", 0.0, 0.0, None),
+    "torque-fit": Expected("wrong-geometry", 0.0),  # better explanations were tested
+    "torque-sensor": Expected("wrong-unit", 0.3, 0.15),  # losses of a gear grow with its load
+    # share of friction in a motor's torque; gears have 0.1 to 0.7
+    "friction": Expected("effort-without-friction", 0.0, 0.0, 0.03, "least", 2.0),
+    "presence": Expected("dead-channel", 0.0, 0.0, 0.1, "least"),  # of a silent channel
+    "mass": Expected("wrong-unit", 0.0, bound="most"),
+    "explained-share": Expected("wrong-unit", 0.0, 0.0, 0.95, "least"),
+}
+"""One row per kind of observation."""
+
+_MIN_MOTOR_EXPLAINED_SHARE = 0.8
+"""The same of servo outputs, torques and accelerometers of IMUs; friction and elasticity reduce
+it."""
+_IMU_TOLERANCE, _OF_IMU_SCALES = 0.25, ("scale", "own-joint", "gravity")
+"""Tolerance of a scale of an IMU's accelerometers; some axes read only a small part of a motion,
+which the elasticity of the gears changes. Units and axes differ by more."""
+_MAX_INPUT_DELAY_SAMPLES = 1.25
+"""Tolerated delay of a command in sampling periods; logs hold the value before or after a tick."""
+_MAX_DENSITY = 3000.0
+"""Largest mass over the cube of the reach of an arm [kg/m^3]; arms with a load have 5 to 300."""
+# Largest error of the own-joint scale that counts as correct; calibrations are accurate to 1 %.
+# The tolerated relative error of link_length is then smaller.
+_MAX_SCALE_ERROR, _LENGTH_TOLERANCE = 0.025, 0.04
+_OF_PARTS = ("own-joint", "origin-motion", "gravity", "rotation-ratio")
+# Minimum explained share for the delay and the parts of a reading to be evaluated.
+_MIN_PARTLY_EXPLAINED_SHARE = 0.5
+# Weight of a signal that its prediction does not explain; no other observation is available.
+_UNEXPLAINED_WEIGHT = 2.0
+# Minimum signal-to-noise ratio of a link sensor's record.
+_MIN_SIGNAL_TO_NOISE = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """One value that tests the consistency of the input."""
+
+    kind: str  # a key of EXPECTED
+    place: Place  # channel, record, or joint of an equation
+    value: float
+    std: float
+    tolerance: float | None = None  # None: tolerance of the kind
+
+    @property
+    def joint(self) -> int | None:
+        """Joint of the place, from 1; None for a record."""
+        if self.place.channel is None:
+            return self.place.joint
+        return channel_parts(self.place.channel)[1]
+
+    @property
+    def _channel_kind(self) -> str:
+        return channel_parts(self.place.channel)[0] if self.place.channel else ""
+
+    @property
+    def is_of_link(self) -> bool:
+        """Whether the observation is about a link sensor."""
+        return self._channel_kind in LINK_CHANNELS
+
+    @property
+    def expected(self) -> float | None:
+        """Value of consistent input, or its bound; None: any positive value."""
+        is_partial = self._channel_kind in IMU_ACCELEROMETERS or not self.is_of_link
+        if self.kind == "explained-share" and is_partial:
+            return _MIN_MOTOR_EXPLAINED_SHARE
+        return EXPECTED[self.kind].expected
+
+    @property
+    def accuracy(self) -> float:
+        """Largest difference from the expected value of consistent input."""
+        test = EXPECTED[self.kind]
+        random, tolerance = test.certain * self.std, self.tolerance or test.tolerance
+        if self._channel_kind in IMU_ACCELEROMETERS and self.kind in _OF_IMU_SCALES:
+            tolerance = _IMU_TOLERANCE
+        if self.expected == 1.0 and self.value <= 0.0:
+            return 1.0 + random  # a negative ratio is another sign
+        if self.expected == 1.0 and self.value < 1.0:  # a factor in either direction
+            tolerance /= 1.0 + tolerance
+        return max(tolerance, random)
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether the difference from the expected value exceeds the accuracy."""
+        excess = self.value - (self.expected or 0.0)
+        is_lower = EXPECTED[self.kind].bound == "least" or self.expected is None
+        if EXPECTED[self.kind].bound == "equal" and not is_lower:
+            return abs(excess) > self.accuracy
+        return (-excess if is_lower else excess) > self.accuracy
+
+    @property
+    def weight(self) -> float:
+        """Weight of the observation if it contradicts."""
+        return _UNEXPLAINED_WEIGHT if self.kind == "explained-share" else 1.0
+
+
+def relations_of(observations: Iterable[Observation]) -> tuple[Relation, ...]:
+    """The observations as relations, each place once with its worst value.
+
+    The explained share of a motor signal tests nothing: friction and servo limits reduce it.
+    """
+    worst: dict[tuple[str, Place], Observation] = {}
+    for each in observations:
+        if each.kind != "explained-share" or each.is_of_link:
+            known = worst.setdefault((each.kind, each.place), each)
+            if each.contradicts and not known.contradicts:
+                worst[each.kind, each.place] = each
+    return tuple(
+        Relation(
+            o.kind,
+            o.place,
+            o.value,
+            o.std,
+            o.expected,
+            not o.contradicts,
+            o.accuracy,
+            EXPECTED[o.kind].bound,
+        )
+        for o in worst.values()
+    )
+
+
+def compute_observations(evidence: Evidence) -> Iterator[Observation]:
+    """Compute the observations of the input check, those of little effort first."""
+    yield from _observe_clocks(evidence)
+    yield from _observe_test_signals(evidence)
+    yield from _observe_input_delays(evidence)
+    yield from _observe_ratios(compare_motor_signals(evidence))
+    if (density := implied_density(evidence)) is not None:
+        yield Observation("mass", Place(part="arm"), density / _MAX_DENSITY, 0.0)
+    yield from _observe_torque_fit(evidence)
+    for channel, readings in regress_readings(evidence):
+        yield from _observe_sensor(Place(channel=channel), readings)
+    yield from _observe_torques(evidence)
+
+
+def _observe_clocks(evidence: Evidence) -> Iterator[Observation]:
+    """Compare encoder counts, clocks and amplitudes with those of the study."""
+    servo = evidence.arm.servo
+    for joint, count in evidence.counts.items():
+        if per_turn := evidence.arm.joints[joint - 1].encoder_counts:
+            ratio = count * per_turn / (2.0 * np.pi)
+            yield Observation("count", Place(channel=f"theta_m{joint}"), ratio, 1e-3 * ratio)
+    for record in evidence.records:
+        experiment, clocks = record.experiment, record.clocks
+        place = Place.in_records(experiment.name)
+        if clocks.prbs is not None and experiment.prbs is not None:
+            ratio = clocks.prbs / experiment.prbs.clock
+            yield Observation("prbs-clock", place, ratio, 2e-4 * ratio)
+        if clocks.servo is not None and servo is not None:
+            ratio = clocks.servo / servo.period
+            yield Observation("servo-clock", place, ratio, 2e-4 * ratio)
+        name = f"u{experiment.joint}"
+        if name in clocks.level and experiment.prbs is not None:
+            ratio = clocks.level[name] / experiment.prbs.amplitude
+            yield Observation("level", Place(channel=name), max(ratio, 1e-12), 1e-3 * ratio)
+
+
+def _observe_test_signals(evidence: Evidence) -> Iterator[Observation]:
+    """Compare the stated excited joint and the servo limit with the commands.
+
+    A stated PRBS that is in no command contradicts if the command of a motion contains one.
+    """
+    silent, signalling = exchanged_tests(evidence)
+    for name in silent if signalling else ():
+        yield Observation("excited-joint", Place.in_records(name), -1.0, 0.0)
+    for record in evidence.records:
+        experiment, excited = record.experiment, record.clocks.excited
+        joint = experiment.joint
+        if joint is not None and excited and experiment.use in ("frequency", "sweep"):
+            is_stated = bool({f"u{joint}", f"torque{joint}"} & excited)
+            place = Place.in_records(experiment.name, joint=joint)
+            yield Observation("excited-joint", place, 2.0 * is_stated - 1.0, 0.0)
+        if evidence.arm.servo is None:
+            continue
+        for i, control in enumerate(experiment.control, start=1):
+            voltage = record.channels.get(f"u{i}")
+            if control == "servo" and voltage is not None:
+                share = float(np.max(np.abs(voltage))) / evidence.arm.servo.limit
+                place = Place(channel=f"u{i}")
+                yield Observation("limit", place, max(1.0, share), 1e-3 * share)
+
+
+def _observe_input_delays(evidence: Evidence) -> Iterator[Observation]:
+    for joint in range(1, evidence.arm.n_joints + 1):
+        profiles = [(r, r.delays[joint]) for r in evidence.records if joint in r.delays]
+        delay = pool_delays([profile for _, profile in profiles])
+        if delay is None:
+            continue
+        record, profile = profiles[0]
+        name = next((n for n in (f"torque{joint}", f"u{joint}") if n in record.channels), "")
+        corrected = record.shifted.get(name, 0.0) - record.shifted.get(f"theta_m{joint}", 0.0)
+        tolerance = _MAX_INPUT_DELAY_SAMPLES * profile.sample_time
+        tolerance = max(EXPECTED["input-delay"].tolerance, tolerance)
+        value = delay.value - corrected
+        yield Observation("input-delay", Place(channel=name), value, delay.std, tolerance)
+
+
+def _observe_torque_fit(evidence: Evidence) -> Iterator[Observation]:
+    """Unexplained variance of all torques over that with the best explanation."""
+    if "desired" in {each.meaning for each in evidence.study.channels.values()}:
+        return  # torques of a set-point, not of the motion
+    fit, best = recall_quality(evidence), evidence.best_fit
+    if fit is None or best is None:
+        return
+    place, ratio = Place(part="arm"), max(float(np.exp(2.0 * (fit.cost - best.cost))), 1.0)
+    yield Observation("torque-fit", place, ratio, 0.0, best.tolerance)
+    yield from _observe_friction(evidence)
+
+
+def _observe_friction(evidence: Evidence) -> Iterator[Observation]:
+    """Median share of friction in the motors' torques; sensors behind the gears measure none."""
+    shares = friction_shares(evidence)
+    joints = [i for i in shares if not evidence.arm.joints[i - 1].torque_at_link]
+    names = [f"torque{i}" for i in joints if f"torque{i}" in evidence.channels]
+    meanings = {evidence.channel(name).meaning for name in names}
+    if names and meanings <= {"motor", "without-gravity"}:
+        value, std = np.median([*shares.values()], axis=0).tolist()
+        yield Observation("friction", Place(part="arm"), value, std)
+
+
+def _observe_ratios(ratios: Iterable[PredictedSignal]) -> Iterator[Observation]:
+    by_channel: dict[str, list[PredictedSignal]] = {}
+    for each in ratios:
+        by_channel.setdefault(each.channel, []).append(each)
+    for channel, comparisons in by_channel.items():
+        place, best = Place(channel=channel), max(each.explained for each in comparisons)
+        yield Observation("explained-share", place, best, 0.0)
+        (kind,) = comparisons[0].values
+        least = None if kind == "velocity" else EXPECTED["explained-share"].expected
+        if best > (least or _MIN_PARTLY_EXPLAINED_SHARE):
+            yield from _pooled(kind, place, [e for e in comparisons if e.explained > 0.8 * best])
+
+
+def _pooled(kind: str, place: Place, records: Sequence[PredictedSignal]) -> Iterator[Observation]:
+    """Mean of one kind of number over the records that have it."""
+    estimates = [(each.values[kind], each.seconds) for each in records if kind in each.values]
+    if not estimates:
+        return
+    size = max(abs(value) for (value, _), _ in estimates) if EXPECTED[kind].expected else 1.0
+    floor, of_delay = size * EXPECTED[kind].model_error, 2.0 * EXPECTED["delay"].model_error
+    stds = [
+        float(np.hypot(std, of_delay / seconds if kind == "drift" else floor))
+        for (_, std), seconds in estimates
+    ]
+    yield Observation(kind, place, *pool_estimates([value for (value, _), _ in estimates], stds))
+
+
+def _observe_sensor(place: Place, records: Sequence[PredictedSignal]) -> Iterator[Observation]:
+    """Observations of one link channel."""
+    silent = [r for r in records if r.signal <= _MIN_SIGNAL_TO_NOISE < r.expected_signal]
+    if silent:
+        yield Observation("presence", place, max(each.size for each in silent), 0.0)
+    readings = [each for each in records if each.signal > _MIN_SIGNAL_TO_NOISE]
+    if not readings:
+        return
+    best = max(each.explained for each in readings)
+    yield Observation("explained-share", place, best, 0.0)
+    is_own_scale_correct = False
+    for kind in ("scale", "delay", "tilt", "drift", *_OF_PARTS):
+        if kind != "scale" and best < _MIN_PARTLY_EXPLAINED_SHARE:
+            return
+        for each in _pooled(kind, place, readings):
+            if kind == "own-joint":
+                is_own_scale_correct = abs(each.value - 1.0) < _MAX_SCALE_ERROR
+            is_length = kind == "origin-motion" and is_own_scale_correct
+            yield replace(each, tolerance=_LENGTH_TOLERANCE) if is_length else each
+
+
+def _observe_torques(evidence: Evidence) -> Iterator[Observation]:
+    for each in regress_torques(evidence):
+        name = effort_channel(evidence.channels, each.joint)
+        yield Observation("inertia", Place(channel=name), each.inertia, each.inertia_std)
+        yield Observation("explained-share", Place(joint=each.joint), each.explained, 0.0)

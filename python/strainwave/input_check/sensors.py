@@ -1,0 +1,343 @@
+"""Consistency of the link sensors with the motor angles at low frequency.
+
+At low frequency a gear is rigid for any stiffness, and the link angle is n theta_M. Each link
+channel therefore has a prediction without unknown parameters, (8) to (10). The regression
+coefficient of a channel on its prediction is 1 if the input is consistent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from strainwave.domain import Correction, FloatArray, Lag, channel_parts
+from strainwave.dynamics.arm import Arm
+from strainwave.input_check.evidence import Evidence, PredictedSignal, SlowRecord, is_slow
+from strainwave.numerics.filters import apply_lags, differentiate, low_pass
+from strainwave.numerics.regression import Regression, regress
+from strainwave.signals.channels import sensor_lags
+from strainwave.signals.link_readings import (
+    JointMotion,
+    accelerometer_parts,
+    angle_derivatives,
+    imu_parts,
+    read_gravity,
+    read_gyro,
+    read_rotation,
+)
+
+IMU_ACCELEROMETERS = ("ax", "ay", "az")
+"""Kinds of channels of the accelerometers of an IMU."""
+
+IMU_CHANNELS = (*IMU_ACCELEROMETERS, "gx", "gy", "gz")
+"""Kinds of channels of an IMU."""
+
+LINK_CHANNELS = ("a", "gyro", "theta_l", *IMU_CHANNELS)
+"""Kinds of channels that the motor angles predict."""
+
+STANDARD_GRAVITY = 9.80665  # [m/s^2]
+# Search range of the factor of a joint's rotation, in either direction.
+_MAX_ROTATION_FACTOR = 300.0
+# Grid points of the rotation search.
+_ROTATION_GRID_SIZE = 41
+# Grid points of the high-pass search.
+_HIGH_PASS_GRID_SIZE = 13
+# Largest time constant of a high-pass in record lengths; a wrong time base can give millions.
+_MAX_DECAY_RECORDS = 2.0
+# Maximum unexplained share of the reading with a high-pass.
+_MAX_HIGH_PASS_UNEXPLAINED = 0.02
+# The same on the first grid, whose steps are up to a factor of two.
+_MAX_COARSE_UNEXPLAINED = 0.2
+# Maximum ratio of the unexplained shares with and without a high-pass.
+_MAX_HIGH_PASS_UNEXPLAINED_RATIO = 0.2
+# Time constant in rows below which a low-pass is ignored.
+_MIN_TIME_CONSTANT_ROWS = 1e-3
+# Minimum significance of the denominator of a rotation ratio, in standard deviations.
+_MIN_ROTATION_SIGNIFICANCE = 5.0
+# Range of a part of an IMU's reading below which the part is zero, up to rounding.
+_MIN_PART = 1e-9
+# Prior standard deviation of an unknown tilt or encoder zero [rad].
+_TILT_PRIOR_STD = 0.1
+# Gear resonance over record bandwidth that sets the prior of the spring coefficient.
+_RESONANCE_OVER_BANDWIDTH = 2.0
+
+
+def regress_readings(evidence: Evidence) -> Iterator[tuple[str, list[PredictedSignal]]]:
+    """Regress each link channel on the prediction from the motor angles, channel by channel.
+
+    Uses the slow records that contain the channel. If none do, uses the records that excite the
+    joint. Omits records that do not determine the regression.
+    """
+    slow = {name for r in evidence.records if is_slow(r.experiment) for name in r.channels}
+    arm = evidence.arm
+    for kind in LINK_CHANNELS:
+        for i in range(arm.n_joints):
+            name = f"{kind}{i + 1}"
+            used = [
+                record
+                for record in evidence.records
+                if name in record.channels
+                and (is_slow(record.experiment) or name not in slow)
+                and (is_slow(record.experiment) or record.experiment.joint in (None, i + 1))
+            ]
+            if used:
+                yield name, [x for r in used for x in _recall(r, evidence, kind, i)]
+
+
+def _recall(
+    record: SlowRecord, evidence: Evidence, kind: str, i: int
+) -> tuple[PredictedSignal, ...]:
+    """Regression of a channel of joint i (from 0), computed once per hypothesis about its sources.
+
+    A link moves with the motors up to its own, or with all if the motors are coupled.
+    """
+    arm, name = evidence.arm, f"{kind}{i + 1}"
+    n_motors = arm.n_joints if arm.coupling else i + 1
+    sources = [record.channels[f"theta_m{j}"] for j in range(1, n_motors + 1)]
+    return evidence.memory.recall(
+        ("reading", name, record.sample_time, evidence.high_passes.get(name)),
+        (arm, record.channels[name], *sources),
+        lambda: tuple(_regress_channel(record, evidence, recall_motion(record, evidence), kind, i)),
+    )
+
+
+def estimate_high_pass_cutoff(evidence: Evidence, name: str) -> float | None:
+    """Cutoff of the first-order high-pass that explains an accelerometer reading [Hz].
+
+    Returns None if no cutoff explains the reading substantially better than no high-pass.
+    """
+    kind, joint = channel_parts(name)
+    records = [r for r in evidence.records if name in r.channels and is_slow(r.experiment)]
+    if not records:
+        return None
+    record = max(records, key=lambda r: len(r.inside))
+
+    def unexplained(hz: float) -> float:
+        hypothesis = replace(evidence, high_passes={**evidence.high_passes, name: hz})
+        readings = _recall(record, hypothesis, kind, joint - 1)
+        plausible = [r for r in readings if 0.5 < r.values["scale"][0] < 2.0]
+        return min((1.0 - r.explained for r in plausible), default=1.0)
+
+    edges = 0.1 / (len(record.inside) * record.sample_time), record.bandwidth_hz
+    hz, share = _search(unexplained, *edges, _HIGH_PASS_GRID_SIZE, _MAX_COARSE_UNEXPLAINED)
+    least = min(_MAX_HIGH_PASS_UNEXPLAINED, _MAX_HIGH_PASS_UNEXPLAINED_RATIO * unexplained(0.0))
+    return float(f"{hz:.4g}") if share <= least else None
+
+
+def estimate_rotation_factors(evidence: Evidence, joint: int) -> tuple[float, ...]:
+    """Estimate the rotation of a link relative to the rotation that the gear ratio implies.
+
+    The readings of a link are not proportional to the motion of its joint, so a grid search finds
+    the factor that explains the largest share of a reading. Other gear ratios are kept.
+    Returns one factor, or an empty tuple for joint 1 or if no factor explains the reading.
+    """
+    ratio = evidence.arm.joints[joint - 1].gear_ratio
+    slow = [r for r in evidence.records if is_slow(r.experiment)] or list(evidence.records)
+    kinds = [k for k in ("theta_l", "gyro", "a") if f"{k}{joint}" in slow[0].channels]
+    if joint == 1 or not kinds:
+        return ()
+
+    def unexplained(factor: float) -> float:
+        change = Correction("joint", str(joint), "gear_ratio", factor * ratio)
+        hypothesis = evidence.corrected([change])
+        motion = motion_of(slow[0], hypothesis.arm)
+        readings = _regress_channel(slow[0], hypothesis, motion, kinds[0], joint - 1)
+        return min((1.0 - reading.explained for reading in readings), default=1.0)
+
+    edges = 1.0 / _MAX_ROTATION_FACTOR, _MAX_ROTATION_FACTOR
+    factor, share = _search(unexplained, *edges, _ROTATION_GRID_SIZE, 1.0)
+    return (factor,) if share < 0.5 else ()
+
+
+def _search(
+    unexplained: Callable[[float], float], low: float, high: float, size: int, limit: float
+) -> tuple[float, float]:
+    """Factor that leaves the least unexplained share, by three logarithmic grids, and that share.
+
+    The first grid can miss a narrow minimum: a share above `limit` ends the search.
+    """
+    first, last = float(np.log(low)), float(np.log(high))
+    for _ in range(3):
+        grid = np.linspace(first, last, size)
+        shares = [unexplained(float(np.exp(x))) for x in grid]
+        k = int(np.argmin(shares))
+        if shares[k] > limit:
+            break
+        first, last = float(grid[max(k - 1, 0)]), float(grid[min(k + 1, size - 1)])
+    return float(np.exp(grid[k])), shares[k]
+
+
+def motion_of(record: SlowRecord, arm: Arm) -> JointMotion:
+    """Joint motion from the motor angles, each (n_rows, n_joints)."""
+    motors = np.column_stack([record.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)])
+    return JointMotion.of_motors(motors, arm, record.sample_time)
+
+
+def recall_motion(record: SlowRecord, evidence: Evidence) -> JointMotion:
+    """Joint motion of a record under a hypothesis, computed once."""
+    arm = evidence.arm
+    angles = [record.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)]
+    setting = ("motion", record.sample_time)
+    return evidence.memory.recall(setting, (arm, *angles), lambda: motion_of(record, arm))
+
+
+def _predicted_parts(
+    arm: Arm, motion: JointMotion, kind: str, i: int
+) -> dict[str, FloatArray] | None:
+    """Parts whose sum is the predicted reading of a channel of joint i, from 0.
+
+    Returns None if the study does not give the distance of the accelerometer.
+    """
+    if kind == "theta_l":
+        return {"own-joint": motion.angle[:, i]}
+    if kind in IMU_CHANNELS:
+        parts = imu_parts(arm, motion, kind, i) or {}
+        return {key: part for key, part in parts.items() if np.ptp(part) > _MIN_PART} or None
+    if kind == "gyro":
+        return {"own-joint": read_gyro(arm, motion, i)}
+    joint, reading = arm.joints[i], accelerometer_parts(arm, motion, i)
+    if joint.motion == "prismatic":
+        parts = {"own-joint": reading.translation}
+    elif joint.accelerometer_distance is None:
+        return None
+    else:
+        parts = {"own-joint": reading.rotation, "origin-motion": reading.translation}
+    parts["gravity"] = reading.gravity
+    return {key: part for key, part in parts.items() if key == "own-joint" or np.any(part)}
+
+
+def _tilt_derivatives(
+    arm: Arm, motion: JointMotion, kind: str, i: int
+) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Derivatives of a reading of joint i, from 0, by the tilt of the base and the encoder zeros.
+
+    The tilt of a horizontal arm adds gravity along the axes of the base. The tilt of an arm under
+    gravity rotates the known gravity. The zero of an encoder rotates the acceleration of the
+    frame's origin. Per radian; those by zeros without that of gravity.
+    """
+    if kind != "a" or arm.joints[i].motion == "prismatic":
+        return [], []
+    changes = np.cross(np.eye(3), arm.gravity) if arm.gravity else STANDARD_GRAVITY * np.eye(3)
+    tilt = read_gravity(arm, motion.angle, i, changes).T
+    zero = angle_derivatives(replace(arm, gravity=None), motion, i).T
+    return [x for x in tilt if np.any(x)], [x for x in zero if np.any(x)]
+
+
+def _regress_channel(
+    record: SlowRecord, evidence: Evidence, motion: JointMotion, kind: str, i: int
+) -> Iterator[PredictedSignal]:
+    """Regress a channel of joint i (from 0); no reading if the record does not determine it."""
+    name, arm = f"{kind}{i + 1}", evidence.arm
+    T, parts = record.sample_time, _predicted_parts(arm, motion, kind, i)
+    if parts is None:
+        return
+    sensor = [
+        lag for lag in sensor_lags(arm.joints[i], kind) if _is_relevant(lag, T, len(record.inside))
+    ]
+    cutoff = evidence.high_passes.get(name)
+    if cutoff and not _MIN_TIME_CONSTANT_ROWS < 1.0 / (
+        2.0 * np.pi * cutoff * T
+    ) < _MAX_DECAY_RECORDS * len(record.inside):
+        cutoff = None
+
+    def sensed(part: FloatArray) -> FloatArray:
+        part = apply_lags(part, sensor, T)
+        part = part - apply_lags(part, [Lag(1, cutoff)], T) if cutoff else part
+        return smoothed(part)
+
+    def smoothed(signal: FloatArray) -> FloatArray:
+        # Turns about several axes have harmonics, which the filter removed from the log. In a plane
+        # they are small, and a second filter would remove more signal than harmonics.
+        return signal if arm.has_planar_program else low_pass(signal, record.bandwidth_hz, T)
+
+    parts = {key: sensed(part) for key, part in parts.items()}
+    target = smoothed(record.channels[name])[record.inside]
+    prediction = np.sum(list(parts.values()), axis=0)
+    tilt, zero = _tilt_derivatives(arm, motion, kind, i)
+    turned = [*map(sensed, tilt + zero)]
+    # The initial state of a high-pass is unknown.
+    decays = [np.exp(-2.0 * np.pi * cutoff * T * np.arange(len(prediction)))] if cutoff else []
+    slope = differentiate(prediction, T)
+    since = T * (np.arange(len(prediction)) - np.flatnonzero(record.inside).mean())
+    # The link motion is the motor motion plus 1/omega_a^2 times its second derivative. The columns
+    # of delay and drift are proportional to the slope of the prediction.
+    springs = differentiate(differentiate(prediction - parts.get("gravity", 0.0), T), T)
+    top = 2.0 * np.pi * _RESONANCE_OVER_BANDWIDTH * record.bandwidth_hz
+    nuisance = [springs, -slope, -since * slope, *decays, *turned]
+    free = [np.inf] * (2 + len(decays))
+    prior = [top**-2.0, *free, *[_TILT_PRIOR_STD] * len(turned)]
+
+    def fit_of(regressed: list[FloatArray], n: int = len(nuisance)) -> Regression | None:
+        columns = np.column_stack([*regressed, *nuisance[:n]])[record.inside]
+        return regress(target, columns, np.array([*[np.inf] * len(regressed), *prior[:n]]))
+
+    fit = fit_of([prediction])
+    if fit is None:
+        return
+    each_part_fit = fit_of(list(parts.values())) if len(parts) > 1 else None
+    values = {"scale": fit.coefficient(0), "delay": fit.relative(2), "drift": fit.relative(3)}
+    if each_part_fit is not None:
+        values |= {key: each_part_fit.coefficient(k) for k, key in enumerate(parts)}
+    elif len(parts) > 1:
+        values["own-joint"] = values["scale"]
+    if rotations := [sensed(part) for part in _rotations(arm, motion, kind, i)]:
+        rotations += [part for key, part in parts.items() if key != "own-joint"]
+        # without tilt, an actual tilt biases the ratio; its columns absorb errors of springs
+        fits = [fit_of(rotations, len(nuisance) - len(turned)), fit_of(rotations)]
+        ratios = [_coefficient_ratio(each) for each in fits if each is not None]
+        valid = [each for each in ratios if each is not None]
+        if len(valid) == len(fits):
+            values["rotation-ratio"] = min(valid, key=lambda r: abs(r[0] - 1.0) / r[1])
+    if not arm.gravity and tilt:  # gravity in the plane of motion of a horizontal arm [g]
+        of_tilt = slice(4 + len(decays), 4 + len(decays) + len(tilt))
+        components, covariance = fit.value[of_tilt], fit.covariance[of_tilt, of_tilt]
+        length, variance = float(np.linalg.norm(components)), components @ covariance @ components
+        values["tilt"] = length, float(np.sqrt(variance)) / max(length, 1e-12)
+    size = float(np.std(target))
+    yield PredictedSignal(
+        channel=name,
+        record=record.experiment.name,
+        explained=fit.explained,
+        values=values,
+        seconds=T * len(record.inside),
+        signal=size / max(record.noise[name], 1e-12 * size, 1e-300),
+        expected_signal=float(np.std(prediction)) / max(record.noise[name], 1e-300),
+        size=size / max(float(np.std(prediction)), 1e-300),
+    )
+
+
+def _rotations(arm: Arm, motion: JointMotion, kind: str, i: int) -> list[FloatArray]:
+    """Parts of the rotation in a reading of link i, from 0: of its joint, of the joints before.
+
+    Empty if the reading does not contain both.
+    """
+    if kind not in ("a", "gyro") or arm.joints[i].motion == "prismatic":
+        return []
+    read = read_gyro if kind == "gyro" else read_rotation
+    before = read(arm, motion.without(i), i)
+    return [read(arm, motion, i) - before, before] if np.any(before) else []
+
+
+def _coefficient_ratio(fit: Regression) -> tuple[float, float] | None:
+    """Ratio of the first two coefficients and its standard deviation under a true ratio of 1.
+
+    The standard deviation is evaluated at a ratio of 1 (Fieller): for an uncertain denominator,
+    the value at the estimated ratio makes ratios far from 1 appear significant. Returns None if
+    the denominator is not significant.
+    """
+    (a, b), covariance = fit.value[:2], fit.covariance[:2, :2]
+    if abs(b) < _MIN_ROTATION_SIGNIFICANCE * np.sqrt(covariance[1, 1]):
+        return None
+    variance = covariance[0, 0] - 2.0 * covariance[0, 1] + covariance[1, 1]
+    return float(a / b), float(np.sqrt(variance) / abs(b))
+
+
+def _is_relevant(lag: Lag, sample_time: float, rows: int) -> bool:
+    """Whether the time constant of a low-pass lies between the row period and the record length.
+
+    A time base that is wrong by a factor of 1000 violates this condition.
+    """
+    time_constant = 1.0 / (2.0 * np.pi * lag.cutoff_hz * sample_time)  # [rows]
+    return _MIN_TIME_CONSTANT_ROWS < time_constant < 0.1 * rows

@@ -1,6 +1,0 @@
-"""The report: an identification as one self-contained HTML file."""
-
-from strainwave.presentation.report.blocks import FIGURE_KINDS, FigureKind, FigureName
-from strainwave.presentation.report.page import figures_of, find_figure, render
-
-__all__ = ["FIGURE_KINDS", "FigureKind", "FigureName", "figures_of", "find_figure", "render"]

@@ -1,0 +1,286 @@
+"""The parts of a page as data: sections with tables, figures, paragraphs and facts, without HTML.
+
+The modules of the report make these records; the templates define how each looks. A document is one
+self-contained HTML file.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from itertools import chain, count
+from pathlib import Path
+from typing import ClassVar, Literal, get_args
+
+from strainwave.report.figures import Figure
+from strainwave.report.html import fill_template, read_template
+from strainwave.report.plotly_backend import plotly
+
+Mark = Literal["", "good", "doubt", "bad"]
+Row = Sequence["str | Cell"]
+FigureKind = Literal[
+    "parameters",
+    "arm",
+    "bode",
+    "amplitude",
+    "sweep",
+    "motor",
+    "poles",
+    "gear",
+    "check",
+    "tuning",
+    "fitted",
+    "residuals",
+    "correlation",
+    "interaction",
+    "correlations",
+    "record",
+]
+"""Kinds of figures of an identification; "parameters" is not in the report."""
+FIGURE_KINDS: tuple[FigureKind, ...] = get_args(FigureKind)
+
+
+@dataclass(frozen=True, slots=True)
+class FigureName:
+    """Which figure of an identification: its kind, and what it shows."""
+
+    kind: FigureKind
+    joint: int | None = None
+    experiment: str | None = None
+    part: str | None = None  # of a pair ("slope", "torsion"), or a channel
+
+    def includes(self, other: FigureName) -> bool:
+        """Whether the other figure has all that this name states."""
+        pairs = (
+            (self.joint, other.joint),
+            (self.experiment, other.experiment),
+            (self.part, other.part),
+        )
+        return self.kind == other.kind and all(mine in (None, its) for mine, its in pairs)
+
+    def __str__(self) -> str:
+        joint = None if self.joint is None else f"joint {self.joint}"
+        return " ".join(filter(None, (self.kind, joint, self.experiment, self.part)))
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A part of a sentence."""
+
+    text: str
+    strong: bool = False
+    kind: Literal["", "code", "badge"] = ""
+    href: str = ""  # "#id" of an element of the page
+    tip: str = ""  # shown when the pointer is over the link
+    mark: Mark = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Paragraph:
+    """Sentences."""
+
+    kind: ClassVar[str] = "paragraph"
+    spans: tuple[Span, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A cell of a table."""
+
+    text: str
+    kind: Literal["", "number", "text", "code", "symbol", "name"] = ""
+    href: str = ""  # "#id" of an element of the page
+    tip: str = ""  # shown when the pointer is over the link
+    key: str = ""  # of the first cell of a row: the id of the row
+    mark: Mark = ""
+
+    @property
+    def classes(self) -> str:
+        """Classes in the style sheet."""
+        return f"{self.kind} {self.mark}".strip()
+
+    @property
+    def plain(self) -> bool:
+        """Whether the cell needs no markup inside."""
+        return not self.href and self.kind in ("", "number", "text")
+
+
+@dataclass(frozen=True, slots=True)
+class RowGroup:
+    """A row that titles the rows below it."""
+
+    title: str
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows under column heads; a wide table scrolls sideways."""
+
+    kind: ClassVar[str] = "table"
+    label: str
+    heads: tuple[Cell, ...]
+    rows: tuple[tuple[Cell, ...] | RowGroup, ...]  # the first cell is the head of the row
+    heading: bool = True  # whether the label is visible; screen readers always read it
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """Terms and their values."""
+
+    kind: ClassVar[str] = "facts"
+    items: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """A figure with its title and caption."""
+
+    kind: ClassVar[str] = "plot"
+    name: FigureName | str  # of its files, before `slug`
+    label: str  # title above the figure
+    figure: Figure
+    words: str = ""  # caption below the figure, also read by screen readers
+
+
+@dataclass(frozen=True, slots=True)
+class Fold:
+    """Blocks that are hidden until the reader unfolds them."""
+
+    kind: ClassVar[str] = "fold"
+    summary: str
+    blocks: tuple[Block, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Callout:
+    """Highlighted blocks."""
+
+    kind: ClassVar[str] = "callout"
+    mark: Mark
+    blocks: tuple[Block, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Blocks side by side, or one below the other on a narrow screen."""
+
+    kind: ClassVar[str] = "columns"
+    blocks: tuple[Block, ...]
+
+
+Block = Paragraph | Table | Facts | Plot | Fold | Callout | Columns
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of a page with an entry in the contents."""
+
+    key: str  # id of its element
+    title: str
+    blocks: tuple[Block, ...]  # a section without blocks is omitted
+
+
+def paragraph(*parts: str | Span) -> Paragraph:
+    """A paragraph of plain and formatted parts."""
+    return Paragraph(tuple(part if isinstance(part, Span) else Span(part) for part in parts))
+
+
+def table(
+    label: str, heads: Iterable[str | Cell], rows: Iterable[Row | RowGroup], *, heading: bool = True
+) -> Iterator[Table]:
+    """Yield a table, or no block if there are no rows. The first cell of a row is its head."""
+    cells = tuple(row if isinstance(row, RowGroup) else _cells(row) for row in rows)
+    if cells:
+        yield Table(label, _cells(heads), cells, heading)
+
+
+def number(text: str) -> Cell:
+    """A cell of a numeric column."""
+    return Cell(text, "number")
+
+
+def prose(text: str) -> Cell:
+    """A cell of text that may wrap."""
+    return Cell(text, "text")
+
+
+def two_digits(value: float) -> str:
+    """A positive number with two significant digits, or all digits before the point."""
+    return f"{value:.0f}" if value >= 10.0 else f"{value:#.2g}"
+
+
+def plots_of(blocks: Iterable[Block]) -> Iterator[Plot]:
+    """The figures in blocks and in nested blocks, in order."""
+    for block in blocks:
+        if isinstance(block, Plot):
+            yield block
+        elif isinstance(block, Fold | Callout | Columns):
+            yield from plots_of(block.blocks)
+
+
+def keyed(sections: Iterable[Section]) -> dict[str, Plot]:
+    """Every figure under a unique key that is valid as a file name and as an element's id."""
+    plots: dict[str, Plot] = {}
+    for section in sections:
+        for plot in plots_of(section.blocks):
+            name = slug(str(plot.name))
+            numbered = (f"{name}-{k}" for k in count(2))
+            plots[next(key for key in chain([name], numbered) if key not in plots)] = plot
+    return plots
+
+
+def slug(text: str) -> str:
+    """Text as lower-case letters and digits joined by dashes; "figure" if the result is empty."""
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "figure"
+
+
+def _cells(row: Iterable[str | Cell]) -> tuple[Cell, ...]:
+    return tuple(cell if isinstance(cell, Cell) else Cell(cell) for cell in row)
+
+
+_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
+)
+"""Content security policy: the page loads nothing and evaluates only its own scripts."""
+
+
+def document(
+    title: str, subtitle: str, sections: Sequence[Section], *, before: Sequence[Block] = ()
+) -> str:
+    """A complete page that needs no network. `before` precedes the contents and has no figures."""
+    from markupsafe import Markup
+    from pydantic_core import to_json  # in a quarter of the time of the standard encoder
+
+    filled = [section for section in sections if section.blocks]
+    plots = keyed(filled)
+    keys = {id(plot): key for key, plot in plots.items()}
+    figures = {key: plotly(plot.figure) | {"title": plot.label} for key, plot in plots.items()}
+    # `<` is escaped because it could end the script element
+    figure_json = to_json(figures, inf_nan_mode="null").decode().replace("<", "\\u003c")
+    return fill_template(
+        "report/page",
+        policy=_POLICY,
+        title=title,
+        subtitle=subtitle,
+        before=before,
+        sections=filled,
+        key_of=lambda plot: keys[id(plot)],
+        style=Markup(read_template("report/page.css")),
+        figures=Markup(figure_json),
+        scripts=[Markup(script) for script in page_scripts()] if plots else [],
+    )
+
+
+def page_scripts() -> list[str]:
+    """The scripts of a page with figures."""
+    return [plotly_script().read_bytes().decode(), read_template("report/page.js")]
+
+
+def plotly_script() -> Path:
+    """Plotly's script. Importing the Python package takes longer than filling the page."""
+    spec = find_spec("plotly")
+    if spec is None or spec.origin is None:
+        raise ModuleNotFoundError("plotly")
+    return Path(spec.origin).parent / "package_data" / "plotly.min.js"

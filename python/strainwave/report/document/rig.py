@@ -1,0 +1,236 @@
+"""The rig: constants that the study states, benefit of further link sensors, picture of the arm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+
+import numpy as np
+
+from strainwave.domain import ArmDescription, FloatArray, Identification, Joint, SensorGain
+from strainwave.domain.kinds import kind_of
+from strainwave.domain.link_sensors import all_types, key_texts
+from strainwave.domain.link_sensors.link_space import attitude
+from strainwave.report.document.blocks import Block, Cell, Facts, Row, number, table
+from strainwave.report.figures import (
+    SHORT_DASH,
+    SOLID,
+    Axis,
+    Colour,
+    Dash,
+    Figure,
+    Line,
+    Mark,
+    Markers,
+    Panel,
+)
+
+_NOT_GIVEN = "not given"
+_MAX_ROUNDING = 1e-12  # of a coordinate or an angle that frames of fixed joints were merged into
+
+
+def rig_constants(arm: ArmDescription) -> Iterator[Block]:
+    """A table of the constants of each joint and its servo, then the constants of the arm."""
+    joints = [f"joint {number}" for number in range(1, arm.n_joints + 1)]
+    heads: Row = ("constant", *map(number, joints), "unit", "key in study.toml")
+    yield from table("Rig constants", heads, _constant_rows(arm), heading=False)
+    if facts := tuple(_arm_facts(arm)):
+        yield Facts(facts)
+
+
+def _constant_rows(arm: ArmDescription) -> Iterator[Row]:
+    for title, key, unit, text_of in _joint_constants(arm):
+        values = [text_of(joint) for joint in arm.joints]
+        if any(values):
+            yield _constant_row(title, key, unit, values)
+    servo = arm.servo
+    if servo is None:
+        return
+    gains = (
+        ("servo, proportional gain", "kp", "V s/rad", servo.kp),
+        ("servo, integral gain", "ki", "V/rad", servo.ki),
+        ("servo, position gain", "position_gain", "1/s", servo.position_gain),
+    )
+    for title, key, unit, gain in gains:
+        if gain is not None:
+            yield _constant_row(title, f"servo.{key}", unit, [f"{value:g}" for value in gain])
+
+
+_Constant = tuple[str, str, str, Callable[[Joint], str]]
+"""Title, key, unit, and the text of a joint's value, empty if not given."""
+
+
+def _joint_constants(arm: ArmDescription) -> Iterator[_Constant]:
+    if not kind_of(arm).places_joints:
+        yield "name", "name", "", lambda joint: joint.name or ""
+        yield "position", "origin.xyz", "m", lambda joint: _vector(joint.origin.xyz)
+        yield "orientation", "origin.rpy", "rad", lambda joint: _vector(joint.origin.rpy)
+        yield "axis", "axis", "", lambda joint: _vector(joint.axis)
+    is_prismatic = any(joint.motion == "prismatic" for joint in arm.joints)
+    if is_prismatic:
+        yield "motion", "motion", "", lambda joint: joint.motion
+    yield "gear spring", "spring", "", lambda joint: joint.spring
+    ratio = "link rad (or m) per motor rad" if is_prismatic else "link turns per motor turn"
+    yield "gear ratio n", "gear_ratio", ratio, _format_ratio
+    for title, key, unit in (
+        ("torque per volt e", "torque_per_volt", "N m/V"),
+        ("current loop bandwidth", "current_loop_hz", "Hz"),
+        ("motor encoder", "encoder_counts", "counts/turn"),
+        *((title, key, unit) for key, (title, unit) in key_texts().items() if unit),
+    ):
+        yield title, key, unit, partial(_format_constant, key)
+    for title, key, unit in (("IMU position", "xyz", "m"), ("IMU orientation", "rpy", "rad")):
+        yield title, f"imu.{key}", unit, partial(_format_imu, key)
+
+
+def _format_ratio(joint: Joint) -> str:
+    """The gear ratio, and its inverse if that is close to an integer."""
+    inverse = 1.0 / joint.gear_ratio
+    is_round = abs(inverse - round(inverse)) < 1e-6 * abs(inverse) and abs(inverse) > 1.5
+    return f"{joint.gear_ratio:.6g}" + (f" (1:{round(inverse)})" if is_round else "")
+
+
+def _format_constant(key: str, joint: Joint) -> str:
+    value = getattr(joint, key)
+    return "" if value is None else f"{value:.6g}"
+
+
+def _format_imu(key: str, joint: Joint) -> str:
+    if joint.imu is None:
+        return ""
+    values = getattr(joint.imu, key)
+    return "estimated" if values is None else _vector(values)
+
+
+def _vector(values: Sequence[float]) -> str:
+    return ", ".join(f"{value if abs(value) > _MAX_ROUNDING else 0.0:g}" for value in values)
+
+
+def _constant_row(title: str, key: str, unit: str, values: Sequence[str]) -> Row:
+    cells = (number(value or _NOT_GIVEN) for value in values)
+    return (title, *cells, unit, Cell(key, "code"))
+
+
+def _arm_facts(arm: ArmDescription) -> Iterator[tuple[str, str]]:
+    if not kind_of(arm).places_joints:
+        yield "gravity", f"{_vector(arm.gravity)} m/s²" if arm.gravity else "none"
+        for number, row in enumerate(arm.coupling or (), start=1):
+            yield f"transmission, weights of the motors in joint {number}", _vector(row)
+    elif arm.n_joints > 1:
+        length = math.hypot(*arm.joints[1].origin.xyz)
+        yield "link length, axis 1 to axis 2", f"{length:g} m"
+        gravity = f"{arm.gravity_size:g} m/s²" if arm.gravity else "none: horizontal motion"
+        yield "gravity in the plane of motion", gravity
+    if arm.servo is not None:
+        yield "servo period", f"{1e3 * arm.servo.period:g} ms"
+        yield "servo output limit", f"{arm.servo.limit:g} V"
+
+
+_MAX_INTERVAL_RATIO = 2.0 / 3.0  # a sensor is worth a word if it shrinks an interval by a third
+_MIN_HALF_WIDTH_PERCENT = 0.05  # narrower intervals need no sensor
+_MAX_PARAMETERS = 2  # named for each sensor
+
+
+def gain_sentences(identification: Identification) -> list[str]:
+    """One clause for each kind of sensor, on the link where it helps most.
+
+    Each names at most two parameters, those whose intervals shrink most in percent of the value.
+    The list is empty if every link has a sensor or no sensor would help.
+    """
+    published = {
+        d.parameter.key
+        for d in identification.decisions
+        if d.identified and d.parameter.stage == "tuned"
+    }
+    groups: dict[str, dict[int, list[SensorGain]]] = {}
+    for gain in identification.whole_arm.sensor_gains if identification.whole_arm else ():
+        helps = gain.predicted_std < _MAX_INTERVAL_RATIO * gain.std
+        helps = helps and gain.percent > _MIN_HALF_WIDTH_PERCENT
+        if helps and gain.key in published:
+            groups.setdefault(gain.sensor, {}).setdefault(gain.link, []).append(gain)
+    sentences = []
+    nouns = {kind.name.replace("_", "-"): kind.suggested_as for kind in all_types()}
+    for sensor, by_link in groups.items():
+        best = max(by_link.values(), key=lambda gains: max(map(_improvement, gains)))
+        first, *others = sorted(best, key=_improvement, reverse=True)[:_MAX_PARAMETERS]
+        text = f"{nouns[sensor]} on link {first.link} ({first.assumed}) would shrink the 95 %"
+        changes = (
+            f"of {gain.label} from {gain.percent:.2g} to {gain.predicted_percent:.2g} %"
+            for gain in (first, *others)
+        )
+        sentences.append(f"{text} half-width {', and '.join(changes)}")
+    return sentences
+
+
+def _improvement(gain: SensorGain) -> float:
+    """Reduction of the half-width [% of the value]."""
+    return gain.percent - gain.predicted_percent
+
+
+_AZIMUTH, _ELEVATION = math.radians(-60.0), math.radians(25.0)  # of the eye, about the base
+_AXIS_SHARE = 0.09  # half-length of a drawn axis over the size of the arm
+_ARROW_SHARE = 0.2  # length of the base's axes and of gravity over the size of the arm
+_SAME_PLACE = 1e-3  # distance of joints with one label over the size of the arm
+_HEIGHT = 2.0  # of the figure, in panels
+_JOINT_SIZE = 9.0  # [px]
+
+
+def arm_picture(arm: ArmDescription) -> Figure:
+    """The arm in parallel projection, seen from the front right and above."""
+    turn, place = np.eye(3), np.zeros(3)
+    origins, axes = list[FloatArray](), list[FloatArray]()
+    for joint in arm.joints:  # in the frame of the base
+        place = place + turn @ joint.origin.xyz
+        turn = turn @ attitude(joint.origin.rpy)
+        origins.append(place)
+        axes.append(turn @ joint.axis / np.linalg.norm(joint.axis))
+    size = float(np.linalg.norm(origins, axis=1).max()) or 1.0
+    base = np.zeros(3)
+    marks: list[Mark] = [_line([base, *origins], "links", Colour.RESIDUAL, width=5.0)]
+    for joint, origin, axis in zip(arm.joints, origins, axes, strict=True):
+        name, colour, dash = "axes of revolute joints", Colour.MEASURED, SOLID
+        if joint.motion == "prismatic":
+            name, colour, dash = "direction of prismatic joints", Colour.TUNED, SHORT_DASH
+        half = size * _AXIS_SHARE * axis
+        marks.append(_line([origin - half, origin + half], name, colour, dash))
+    arrows = {("frame of the base", Colour.LINEAR): dict(zip("xyz", np.eye(3), strict=True))}
+    if arm.gravity:
+        arrows["gravity", Colour.MODEL] = {"g": np.array(arm.gravity) / arm.gravity_size}
+    for (name, colour), directions in arrows.items():
+        tips = [size * _ARROW_SHARE * each for each in directions.values()]
+        marks += [_line([base, tip], name, colour, width=1.5) for tip in tips]
+        marks.append(Markers(*_projected(tips), name, colour, 3.0, labels=tuple(directions)))
+    places: list[tuple[FloatArray, list[str]]] = []  # with the names of all joints there
+    for origin, joint_name in zip(origins, arm.joint_names, strict=True):
+        near = [names for at, names in places if np.linalg.norm(at - origin) < _SAME_PLACE * size]
+        if near:
+            near[0].append(joint_name)
+        else:
+            places.append((origin, [joint_name]))
+    labels = tuple(", ".join(names) for _, names in places)
+    points = _projected([place for place, _ in places])
+    marks.append(Markers(*points, "joints", Colour.MEASURED, _JOINT_SIZE, labels=labels))
+    panel = Panel(Axis("up in the view [m]"), tuple(marks), _HEIGHT)
+    return Figure(Axis("to the right in the view [m]"), (panel,), has_equal_scales=True)
+
+
+def describe_arm(arm: ArmDescription) -> str:
+    """Caption of the picture."""
+    return (
+        f"The {arm.n_joints} joints at zero angles, as the study"
+        f"{' and its URDF place' if arm.urdf else ' places'} them. The last link has no drawn end."
+    )
+
+
+def _line(
+    points: Sequence[FloatArray], name: str, colour: str, dash: Dash = SOLID, width: float = 3.0
+) -> Line:
+    return Line(*_projected(points), name, colour, dash, width)
+
+
+def _projected(points: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Right and up components of points in the view, (n_points,) both."""
+    (ca, sa), (ce, se) = ((math.cos(a), math.sin(a)) for a in (_AZIMUTH, _ELEVATION))
+    right, up = np.array([[-sa, ca, 0.0], [-se * ca, -se * sa, ce]]) @ np.array(points).T
+    return right, up

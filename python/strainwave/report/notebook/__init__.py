@@ -1,0 +1,337 @@
+"""HTML tables and figures of records in notebooks.
+
+`Log._repr_html_()`, `RigidModel.plot()` and similar methods call this package. The figures are
+those of the report, drawn by Matplotlib.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from functools import singledispatch
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from strainwave.domain import (
+    ArmModel,
+    Decoupled,
+    Diagnostic,
+    FloatArray,
+    FrequencyResponse,
+    Identification,
+    JointModel,
+    Log,
+    Parameter,
+    Prediction,
+    RecordModel,
+    RigidModel,
+    Sweep,
+    channel_parts,
+)
+from strainwave.domain.formatting import percent, plus_minus
+from strainwave.errors import InvalidInput
+from strainwave.report.document import bode, elastic, predictions
+from strainwave.report.figures import (
+    DASHES,
+    PALETTE,
+    Axis,
+    Colour,
+    Figure,
+    Line,
+    Markers,
+    Panel,
+    curves,
+    decimate,
+)
+from strainwave.report.html import fill_template
+from strainwave.report.matplotlib_backend import draw
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Drawing
+
+__all__ = ["certainty", "picture_of", "table_of"]
+
+
+def picture_of(record: object, **which: Any) -> Drawing:
+    """A record of `strainwave.domain` as a Matplotlib figure.
+
+    Options: of a `Prediction` its `channel` (default: the one with the lowest fit); of a
+    `FrequencyResponse` its `output` and `input`, from 0, and `band_hz`; of a `JointModel` its
+    `gear_ratio`, and the `measured` response to compare. Raises InvalidInput if Matplotlib is
+    missing or the record has no such part.
+    """
+    return draw(figure_of(record, **which))
+
+
+_PARAMETER_HEADS = ("parameter", "joint", "value", "± std", "unit")
+
+
+@singledispatch
+def table_of(record: object) -> str:
+    """A record of `strainwave.domain` as an HTML table."""
+    raise TypeError(f"a {type(record).__name__} has no table")
+
+
+def table_of_parameters(parameters: Iterable[Parameter]) -> str:
+    """Parameters as a table."""
+    return _html("", _PARAMETER_HEADS, _rows(parameters), ())
+
+
+@table_of.register
+def _(log: Log) -> str:
+    rows = [
+        (name, f"{values.min():.4g}", f"{values.max():.4g}", f"{values.std():.4g}")
+        for name, values in log.channels.items()
+    ]
+    head = f"log {log.name}: {len(log)} samples every {1e3 * log.sample_time:.4g} ms"
+    return _html(head, ("channel", "minimum", "maximum", "standard deviation"), rows, log.warnings)
+
+
+@table_of.register
+def _(model: RigidModel) -> str:
+    head = f"rigid model, {model.status}: {model.n_rows} equations, condition number "
+    head += f"{model.condition_number:.3g}, band to {model.bandwidth_hz:.3g} Hz"
+    return _html(head, _PARAMETER_HEADS, _rows(model.parameters), model.warnings)
+
+
+@table_of.register
+def _(joint: Decoupled) -> str:
+    rows = [("pass" if check.passed else "fail", check.message) for check in joint.checks]
+    head = f"joint {joint.joint}, decoupled, record {joint.experiment.name}: "
+    head += f"{len(joint.time)} samples, {joint.inputs.shape[1]} input(s)"
+    return _html(head, ("check", "result"), rows, joint.warnings)
+
+
+@table_of.register
+def _(joint: JointModel) -> str:
+    head = f"joint {joint.joint}, {joint.status}, by {joint.method} from "
+    head += ", ".join(joint.experiments)
+    rows = _rows(joint.parameters)
+    for name, mode in bode.modes_of(joint):
+        frequency = plus_minus(mode.frequency_hz, mode.frequency_std_hz)
+        rows.append((name, str(joint.joint), *frequency, "Hz"))
+    return _html(head, _PARAMETER_HEADS, rows, joint.warnings)
+
+
+@table_of.register
+def _(record: RecordModel) -> str:
+    if record.joint_model is not None:
+        return table_of(record.joint_model)
+    head = f"joint {record.signals.joint}, record {record.signals.experiment.name}: no model"
+    return _html(head, (), (), record.warnings)
+
+
+@table_of.register
+def _(response: FrequencyResponse) -> str:
+    f = response.frequencies_hz
+    _, outputs, inputs = response.response.shape
+    rows = [
+        ("frequencies", f"{len(f)}, {f.min():.4g} to {f.max():.4g} Hz"),
+        ("outputs and inputs", f"{outputs} and {inputs}"),
+        ("averages", str(response.n_averages)),
+    ]
+    head = f"frequency response by {response.method}"
+    return _html(head, ("", ""), rows, response.warnings)
+
+
+@table_of.register
+def _(sweep: Sweep) -> str:
+    rows = []
+    for point in sweep.points:
+        stiffness = " ± ".join(plus_minus(point.gear_stiffness, point.gear_stiffness_std))
+        rows.append((point.experiment, f"{point.amplitude:g}", stiffness))
+    head = f"joint {sweep.joint}, stiffness over amplitude: {sweep.verdict}"
+    return _html(head, ("record", "amplitude", "k [N m/rad]"), rows, ())
+
+
+@table_of.register
+def _(arm: ArmModel) -> str:
+    head = f"whole-arm fit: {arm.end} after {arm.iterations} evaluations"
+    return _html(head, _PARAMETER_HEADS, _rows(arm.parameters), arm.warnings)
+
+
+@table_of.register
+def _(prediction: Prediction) -> str:
+    rows = [(name, percent(fit)) for name, fit in prediction.fit_percent.items()]
+    head = f"prediction of record {prediction.experiment}"
+    return _html(head, ("channel", "fit"), rows, ())
+
+
+@table_of.register
+def _(result: Identification) -> str:
+    head = f"{result.study.path.name}: {result.verdict.status}"
+    if result.reason is not None:
+        head += f" ({result.reason})"
+    return _html(head, _PARAMETER_HEADS, _rows(result.parameters), result.warnings)
+
+
+def _rows(parameters: Iterable[Parameter]) -> list[tuple[str, ...]]:
+    return [
+        (p.name, str(p.joint or "arm"), *plus_minus(p.value, p.std), p.unit) for p in parameters
+    ]
+
+
+def _html(
+    head: str,
+    columns: Iterable[str],
+    rows: Iterable[tuple[str, ...]],
+    warnings: Iterable[Diagnostic],
+) -> str:
+    columns, rows, warnings = tuple(columns), tuple(rows), tuple(warnings)
+    return fill_template("notebook/table", head=head, columns=columns, rows=rows, warnings=warnings)
+
+
+MAX_RELATIVE_STD = 0.3  # of a response: less certain points would hide the others
+
+
+@singledispatch
+def figure_of(record: object) -> Figure:
+    """The figure of a record; `picture_of` lists the options.
+
+    Raises InvalidInput if the record has no such part.
+    """
+    raise TypeError(f"a {type(record).__name__} has no figure")
+
+
+@figure_of.register
+def _(log: Log) -> Figure:
+    """Drive and motor angles."""
+    above = {n: v for n, v in log.channels.items() if channel_parts(n)[0] in ("u", "torque")}
+    below = {n: v for n, v in log.channels.items() if channel_parts(n)[0] == "theta_m"}
+    titles = ("drive [V, N m]", "motor angle [rad]")
+    return _stacked(log.time, above, below, titles, f"log {log.name}")
+
+
+@figure_of.register
+def _(joint: Decoupled) -> Figure:
+    """Inputs, and both velocities on the link side of the gear."""
+    names = ("motor torque less Coulomb friction", "n times interaction torque")
+    columns = zip(names, (1.0, joint.gear_ratio), joint.inputs.T, strict=False)
+    above = {name: size * column for name, size, column in columns}
+    below = {
+        "n times motor velocity": joint.gear_ratio * joint.outputs[:, 0],
+        "link velocity": joint.outputs[:, 1],
+    }
+    caption = f"joint {joint.joint}, decoupled, record {joint.experiment.name}"
+    return _stacked(
+        joint.time, above, below, ("[N m] at the motor", "[rad/s] at the link"), caption
+    )
+
+
+@figure_of.register(RigidModel)
+@figure_of.register(ArmModel)
+@figure_of.register(Identification)
+def _(model: RigidModel | ArmModel | Identification) -> Figure:
+    return certainty(model.parameters)
+
+
+@figure_of.register
+def _(joint: JointModel, *, gear_ratio: float, measured: FrequencyResponse | None = None) -> Figure:
+    return bode.bode(joint, gear_ratio, measured)
+
+
+@figure_of.register
+def _(record: RecordModel) -> Figure:
+    if record.joint_model is None:
+        raise InvalidInput(
+            "the record has no physical model to draw",
+            where=record.signals.experiment.name,
+            remedy="read its warnings, which state the reason",
+        )
+    return bode.bode(record.joint_model, record.signals.gear_ratio, None)
+
+
+@figure_of.register
+def _(
+    response: FrequencyResponse,
+    *,
+    output: int = 0,
+    input: int = 0,
+    band_hz: tuple[float, float] | None = None,
+) -> Figure:
+    """The reliable points of a response with their 95 % band."""
+    f, G = response.frequencies_hz, response.response[:, output, input]
+    low, high = band_hz or (0.0, np.inf)
+    size, phase = _spread(response, output, input)
+    is_shown = (f > 0.0) & (f >= low) & (f <= high)
+    if size is not None:
+        is_shown &= size < MAX_RELATIVE_STD * np.abs(G)
+    if not is_shown.any():
+        raise InvalidInput(
+            f"no point of the response has a standard deviation below {100 * MAX_RELATIVE_STD:g} %",
+            remedy="average more periods, or draw another input, output or band_hz",
+        )
+    curve = curves.Curve(
+        response.method,
+        f[is_shown],
+        G[is_shown],
+        None if size is None else size[is_shown],
+        None if phase is None else phase[is_shown],
+    )
+    return curves.bode([curve], f"input {input} to output {output}")
+
+
+def _spread(
+    response: FrequencyResponse, output: int, input: int
+) -> tuple[FloatArray | None, FloatArray | None]:
+    """Standard deviations of modulus and phase, by the covariance of a model or measured noise.
+
+    Noise has no preferred direction, so half of its variance is along the modulus.
+    """
+    if response.noise_variance is not None:
+        size = np.sqrt(0.5 * response.noise_variance[:, output, input])
+        return size, size / np.abs(response.response[:, output, input])
+    modulus, phase = response.magnitude_std, response.phase_std
+    if modulus is None or phase is None:
+        return None, None
+    return modulus[:, output, input], phase[:, output, input]
+
+
+@figure_of.register
+def _(sweep: Sweep) -> Figure:
+    return elastic.stiffness_figure(sweep)
+
+
+@figure_of.register
+def _(prediction: Prediction, *, channel: str | None = None) -> Figure:
+    fits = prediction.fit_percent
+    channel = channel or min(prediction.channels, key=lambda name: fits.get(name, np.inf))
+    if channel not in prediction.channels:
+        raise InvalidInput(
+            f"channel {channel!r} is not predicted",
+            where=prediction.experiment,
+            remedy=f"choose one of {', '.join(prediction.channels)}",
+        )
+    figure = predictions.prediction_figure(prediction, channels=(channel,))
+    fit = percent(fits.get(channel, float("nan")))
+    return replace(figure, caption=f"{prediction.experiment}, {channel}: fit {fit}")
+
+
+def certainty(parameters: Iterable[Parameter]) -> Figure:
+    """Standard deviation of each parameter in percent of its value, where both are known."""
+    certain = [(p, p.std / abs(p.value)) for p in parameters if p.std is not None and p.value]
+    names = [p.name + (f" {p.joint}" if p.joint else "") for p, _ in certain]
+    shares = np.array([100.0 * share for _, share in certain])
+    points = Markers(tuple(names), shares, "standard deviation", Colour.MEASURED, size=8.0)
+    return Figure(
+        Axis(""), (Panel(Axis("standard deviation [% of the value]", log=True), (points,)),)
+    )
+
+
+def _stacked(
+    time: FloatArray,
+    above: Mapping[str, FloatArray],
+    below: Mapping[str, FloatArray],
+    titles: tuple[str, str],
+    caption: str,
+) -> Figure:
+    styles = iter(zip(PALETTE * 2, DASHES * 2, strict=True))
+    panels = []
+    for title, group in zip(titles, (above, below), strict=True):
+        marks = []
+        for (name, values), (colour, dash) in zip(group.items(), styles, strict=False):
+            rows = decimate(values)
+            marks.append(Line(time[rows], values[rows], name, colour, dash))
+        panels.append(Panel(Axis(title), tuple(marks)))
+    return Figure(Axis("time [s]"), tuple(panels), caption=caption)

@@ -1,0 +1,246 @@
+"""Figures as Plotly JSON, which the report's page draws; needs no plotting library."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from strainwave.domain import FloatArray
+from strainwave.report.figures import (
+    FREQUENCY_TICKS,
+    SOLID,
+    Area,
+    Axis,
+    Bars,
+    Colour,
+    Dash,
+    Figure,
+    HeatMap,
+    Line,
+    Mark,
+    Markers,
+    Panel,
+    Upright,
+)
+
+_Numbers = Callable[[FloatArray], "list[float | None]"]
+
+_PANEL_GAP = 0.08  # free height between panels, as a share of a panel
+_MAX_PANELS_WITH_LONG_TITLES = 3  # with more panels, the unit goes to a second line
+_LOW_PANEL_HEIGHT = 0.6  # panels below this height have few ticks
+_LOW_PANEL_TICKS = 3  # more tick labels would overlap
+_MAX_DECADES_WITH_DIGITS = 1.5  # over a wider range, 2 and 5 between the decades are clutter
+_HEAT_MAP_FONT_SIZE = 10  # [px] thirty names fit one below the other
+_BAND_OPACITY = 0.18
+_ERROR_BAR_WIDTH = 1.2  # [px]
+_SYMBOL_LINE_WIDTH = 1.5  # [px]
+_SYMBOLS = {"x": "x-thin-open", "circle-open": "circle-open"}
+_SIGNIFICANT_DIGITS = 5  # of the largest value: more than a screen resolves
+
+
+def plotly(figure: Figure) -> dict[str, Any]:
+    """The `data` and `layout` of a figure.
+
+    Colours are those of the light page; the page's script replaces them in dark mode.
+    """
+    domains = _domains([panel.height for panel in figure.panels])
+    legend = figure.legend
+    lists: dict[int, list[float | None]] = {}
+
+    def numbers(values: FloatArray) -> list[float | None]:
+        """An array as a list; one that several marks share is converted once."""
+        if id(values) not in lists:
+            lists[id(values)] = rounded(values)
+        return lists[id(values)]
+
+    data, legend_names = [], set()
+    for k, panel in enumerate(figure.panels):
+        for mark in panel.marks:
+            trace = _trace(mark, numbers) | {"yaxis": f"y{_number(k)}"}
+            name = trace.get("name")
+            if name is not None:
+                first = name in legend and name not in legend_names and not isinstance(mark, Area)
+                trace |= {"legendgroup": name, "showlegend": first}
+                legend_names |= {name} if first else set()
+            data.append(trace)
+    layout: dict[str, Any] = {"xaxis": _horizontal(figure.x) | {"anchor": f"y{_number(k)}"}}
+    for k, (panel, domain) in enumerate(zip(figure.panels, domains, strict=True)):
+        layout[f"yaxis{_number(k)}"] = axis = _axis(panel.axis) | {"domain": domain}
+        if figure.has_equal_scales:
+            axis |= {"scaleanchor": "x"}
+        if len(domains) > _MAX_PANELS_WITH_LONG_TITLES:
+            axis["title"]["text"] = panel.axis.title.replace(" [", "<br>[")
+        if panel.axis.log and _decades(panel) > _MAX_DECADES_WITH_DIGITS:
+            axis["dtick"] = 1
+        if panel.height < _LOW_PANEL_HEIGHT:
+            axis["nticks"] = _LOW_PANEL_TICKS
+    if figure.uprights:
+        layout["shapes"] = [
+            {"type": "line", "xref": "x", "yref": "paper"}
+            | {"x0": line.x, "x1": line.x, "y0": 0, "y1": 1}
+            | {"line": {"color": Colour.RESIDUAL, "width": 1, "dash": _dash(line.dash)}}
+            for line in figure.uprights
+        ]
+        layout["annotations"] = [
+            _label(line, domains[line.panel], log=figure.x.log)
+            for line in figure.uprights
+            if line.text
+        ]
+    for mark in figure.marks:
+        if isinstance(mark, HeatMap):
+            # every row and column has its name, and the margin has room for the longest
+            every = {"dtick": 1, "tickfont": {"size": _HEAT_MAP_FONT_SIZE}}
+            layout["yaxis"] |= {"autorange": "reversed", **every}
+            layout["xaxis"] |= {"tickangle": -90, **every}
+            room = 10 + round(0.6 * _HEAT_MAP_FONT_SIZE * max(map(len, mark.names)))
+            layout["margin"] = {"l": room, "b": room}
+        elif isinstance(mark, Markers) and isinstance(mark.x, tuple):
+            layout["xaxis"]["tickangle"] = -90
+    return {"data": data, "layout": layout}
+
+
+def rounded(values: FloatArray) -> list[float | None]:
+    """Values rounded to five digits of the largest; None for a value that is not finite."""
+    finite = np.isfinite(values)
+    scale = float(np.abs(values).max(initial=0.0, where=finite))
+    digits = _SIGNIFICANT_DIGITS - (math.floor(math.log10(scale)) if scale > 0.0 else 0)
+    numbers: list[float | None] = np.round(values, digits).tolist()
+    for gap in np.flatnonzero(~finite).tolist():
+        numbers[gap] = None
+    return numbers
+
+
+def _trace(mark: Mark, numbers: _Numbers) -> dict[str, Any]:
+    if isinstance(mark, Line | Markers):
+        return _points(mark, numbers)
+    if isinstance(mark, Area):
+        return _band(mark, numbers)
+    if isinstance(mark, Bars):
+        return {
+            "type": "bar",
+            "name": mark.name,
+            "x": numbers(mark.x),
+            "y": numbers(mark.y),
+            "width": mark.width,
+            "marker": {"color": mark.colour},
+        }
+    return {
+        "type": "heatmap",
+        "x": list(mark.names),
+        "y": list(mark.names),
+        "z": np.round(mark.values, 3).tolist(),
+        "zmin": mark.low,
+        "zmax": mark.high,
+        "colorscale": [[0.5 * k, colour] for k, colour in enumerate(mark.colours)],
+    }
+
+
+def _points(mark: Line | Markers, numbers: _Numbers) -> dict[str, Any]:
+    trace: dict[str, Any] = {
+        "type": "scatter",
+        "name": mark.name,
+        "x": list(mark.x) if isinstance(mark.x, tuple) else numbers(mark.x),
+        "y": numbers(mark.y),
+    }
+    if isinstance(mark, Line):
+        trace["mode"] = "lines+markers" if mark.size else "lines"
+        # simplification displaces the corners of a flat polyline by tens of pixels
+        style = {"dash": _dash(mark.dash), "width": mark.width, "simplify": False}
+        trace["line"] = {"color": mark.colour} | style
+    else:
+        trace["mode"] = "markers"
+    if mark.size:
+        trace["marker"] = {"color": mark.colour, "size": mark.size}
+    if isinstance(mark, Markers):
+        if mark.labels:
+            label = {"text": list(mark.labels), "textposition": "top right", "cliponaxis": False}
+            trace |= {"mode": "markers+text", **label}
+        trace["marker"] |= {"opacity": mark.opacity} if mark.opacity < 1.0 else {}
+        if mark.symbol != "circle":
+            line = {"width": _SYMBOL_LINE_WIDTH}
+            trace["marker"] |= {"symbol": _SYMBOLS[mark.symbol], "line": line}
+    if mark.error is not None:
+        bars = {"type": "data", "array": numbers(mark.error)}
+        trace["error_y"] = bars | {"color": mark.colour, "thickness": _ERROR_BAR_WIDTH}
+    return trace
+
+
+def _band(mark: Area, numbers: _Numbers) -> dict[str, Any]:
+    """A closed outline: along the lower edge and back along the upper edge."""
+    red, green, blue = (int(mark.colour[k : k + 2], 16) for k in (1, 3, 5))
+    x = numbers(mark.x)
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "name": mark.name,
+        "x": x + x[::-1],
+        "y": rounded(np.concatenate([mark.low, mark.high[::-1]])),
+        "fill": "toself",
+        "fillcolor": f"rgba({red},{green},{blue},{_BAND_OPACITY})",
+        "line": {"width": 0, "color": mark.colour},
+        "hoverinfo": "skip",
+    }
+
+
+def _axis(axis: Axis) -> dict[str, Any]:
+    layout: dict[str, Any] = {"title": {"text": axis.title}}
+    if axis.log:
+        layout |= {"type": "log", "exponentformat": "power"}  # the default mixes 0.01 and 100µ
+    if axis.range is not None:
+        layout["range"] = list(axis.range)
+    if axis.step is not None:
+        layout["dtick"] = axis.step
+    return layout
+
+
+def _decades(panel: Panel) -> float:
+    lines = [mark.y for mark in panel.marks if not isinstance(mark, Area | HeatMap)]
+    y = np.concatenate(lines) if lines else np.zeros(0)
+    y = y[np.isfinite(y) & (y > 0.0)]
+    return float(np.ptp(np.log10(y))) if len(y) else 0.0
+
+
+def _horizontal(axis: Axis) -> dict[str, Any]:
+    """The shared axis; a logarithmic one has complete labels at 1, 2 and 5."""
+    if not axis.log:
+        return _axis(axis)
+    ticks = {"tickvals": list(FREQUENCY_TICKS), "ticktext": list(FREQUENCY_TICKS.values())}
+    return _axis(axis) | ticks
+
+
+def _domains(heights: Sequence[float]) -> list[list[float]]:
+    share = np.array(heights, dtype=float)
+    free = _PANEL_GAP / len(heights)
+    share *= (1.0 - free * (len(heights) - 1)) / share.sum()
+    domains, top = [], 1.0
+    for height in share.tolist():
+        bottom = max(0.0, top - height)
+        domains.append([round(bottom, 4), round(top, 4)])
+        top = bottom - free
+    return domains
+
+
+def _label(line: Upright, domain: Sequence[float], *, log: bool) -> dict[str, Any]:
+    """The label of a vertical line; Plotly places it at the logarithm on a logarithmic axis."""
+    low, high = domain
+    return {
+        "xref": "x",
+        "yref": "paper",
+        "x": float(np.log10(line.x)) if log else line.x,
+        "y": low + line.height * (high - low),
+        "text": line.text,
+        "xanchor": "right" if line.before else "left",
+        "yanchor": "top",
+        "showarrow": False,
+    }
+
+
+def _dash(dash: Dash) -> str:
+    return "solid" if dash == SOLID else ",".join(f"{length:g}px" for length in dash)
+
+
+def _number(panel: int) -> str:
+    return str(panel + 1) if panel else ""

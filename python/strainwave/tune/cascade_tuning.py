@@ -1,0 +1,291 @@
+"""Gains of PI velocity loops and position loops: the largest bandwidth that keeps the margins.
+
+Joint by joint, with the loops of the other joints closed, gains are raised until the first plant
+violates a margin. The search uses a few plants; all plants are then checked, and the worst is added
+to the search until all keep their margins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from strainwave.domain import ComplexArray, FloatArray, IntArray
+from strainwave.domain.control_law import ControlLaw
+from strainwave.errors import InvalidInput
+from strainwave.numerics.parallel import run_parallel
+from strainwave.tune.closed_loop import (
+    Biquad,
+    Clock,
+    ClosedLoop,
+    Gains,
+    SampledPlants,
+    Steps,
+    close,
+    frequency_grid,
+    low_pass,
+    notch,
+    sample,
+    sampled_responses,
+)
+from strainwave.tune.margins import (
+    LoopBand,
+    Margins,
+    Requirements,
+    effective_plants,
+    join,
+    margins_of,
+)
+from strainwave.tune.plants import Plants
+
+MAX_RIPPLE_SHARE = 0.05
+"""Largest share of the voltage limit by which one count of the encoder changes the voltage."""
+
+_LOWEST_BANDWIDTH = 2.0  # [rad/s] of a velocity loop
+_START_BANDWIDTH = 0.1  # of a velocity loop, over period and delay
+_COARSE_STEP, _FINE_STEP = 1.3, 1.03  # ratios of gains in the search
+_INTEGRAL_RATIO = 5.0  # bandwidth of the velocity loop over the corner of its integral part
+_POSITION_RATIOS = (2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0)  # the same over the position gain
+_START_POSITION_RATIO = 5.0
+_LOW_PASS_RATIOS = (5.0, 10.0)  # corner of a low-pass over the bandwidth
+_HIGHEST_SHARE = 0.8  # of half the sampling rate, of a filter
+_NOTCH_WIDTHS, _NOTCH_DEPTH = (0.2, 0.5), 0.2
+_MIN_GAIN = 1.1  # ratio of gains by which a filter must raise the bandwidth to be used
+_MAX_OVERSHOOT = 0.05  # of the link after a step of the position
+_N_SEARCH_DRAWS = 8
+_N_SWEEPS = 2  # over the joints; a third changes gains by less than a step
+_MAX_ADDED = 12  # rounds in which the worst plants join the search
+
+
+_POINTS = 100_000  # plants times frequencies that one thread judges at a time: 0.1 GB
+
+FilterMaker = Callable[[float], tuple[Biquad, ...]]
+"""Filters of a loop by its bandwidth [rad/s]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TunedJoint:
+    """Gains of one joint."""
+
+    gains: Gains
+    limit: str  # what prevents higher gains: "margins" or "encoder"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loops:
+    """Sampled plants and the frequencies at which their loops are judged.
+
+    Responses of all plants may exceed the memory: they are computed in parts, when they are used.
+    """
+
+    plants: Plants
+    clock: Clock
+    omega: FloatArray
+
+    @classmethod
+    def of(cls, plants: Plants, clock: Clock) -> Loops:
+        """The loops of plants under a clock."""
+        return cls(plants, clock, frequency_grid(plants, clock))
+
+    @property
+    def z(self) -> ComplexArray:
+        """Points of the unit circle."""
+        return np.asarray(np.exp(1j * self.omega * self.clock.period))
+
+    def controllers(self, gains: Sequence[Gains]) -> ComplexArray:
+        """Responses (n_omega, n_joints) from motor angles to minus voltages."""
+        return np.stack([each.response(self.z) for each in gains], axis=1)
+
+    def responses(self, chosen: IntArray) -> ComplexArray:
+        """Responses of plants: (n_chosen, n_omega, n_joints, n_joints)."""
+        return sampled_responses(self.plants.part(chosen), self.omega, self.clock)
+
+    def judge(
+        self, controllers: ComplexArray, chosen: IntArray | None = None
+    ) -> list[tuple[Margins, LoopBand]]:
+        """Margins and band of every joint's loop over all or some plants, the other loops closed.
+
+        `controllers` are those of the method of that name.
+        """
+        plants = np.arange(len(self.plants)) if chosen is None else chosen
+        n_parts = -(-len(plants) * len(self.omega) // _POINTS)
+
+        def judge_part(part: IntArray) -> list[tuple[Margins, LoopBand]]:
+            responses = self.responses(np.append(0, part))  # bands begin with the estimates
+            pairs = []
+            for i in range(self.plants.n_joints):
+                loop = effective_plants(responses, controllers, i) * controllers[:, i]
+                pairs.append((margins_of(loop[1:], self.omega), LoopBand.of(loop, self.omega)))
+            return pairs
+
+        parts = run_parallel([partial(judge_part, p) for p in np.array_split(plants, n_parts)])
+        margins_and_bands = (zip(*pairs, strict=True) for pairs in zip(*parts, strict=True))
+        bands = ("gain_db", "phase_deg", "distance")
+        return [(join(m), join(b, "hz", bands)) for m, b in margins_and_bands]
+
+
+def tune_cascades(
+    loops: Loops,
+    required: Requirements,
+    *,
+    resolutions: FloatArray,
+    limits: FloatArray,
+) -> tuple[list[TunedJoint], list[tuple[Margins, LoopBand]]]:
+    """Gains of all joints, and what `Loops.judge` says of them.
+
+    `resolutions` (n_joints,) are counts of the motor encoders [rad], `limits` (n_joints,) are the
+    largest inputs. Raises InvalidInput if no gains of a joint keep the margins.
+    """
+    plants, period = loops.plants, loops.clock.period
+    inertias = np.median(plants.rigid_inertias(), axis=0) / plants.torque_per_volt
+    with np.errstate(divide="ignore"):
+        max_kp = MAX_RIPPLE_SHARE * limits * period / resolutions
+    search = np.flatnonzero(plants.draw <= _N_SEARCH_DRAWS)
+    tuners = [
+        _Tuner(loops, required, i, float(inertia), float(largest))
+        for i, (inertia, largest) in enumerate(zip(inertias, max_kp, strict=True))
+    ]
+    start = _START_BANDWIDTH / (period + loops.clock.delay)
+    gains = [tuner.gains(start) for tuner in tuners]
+    for _ in range(_N_SWEEPS):
+        for i, tuner in enumerate(tuners):
+            gains[i] = tuner.raise_gains(gains, search)
+    for _ in range(_MAX_ADDED + 1):
+        if failed := [i for i, tuner in enumerate(tuners) if not tuner.bandwidth]:
+            break
+        judged = loops.judge(loops.controllers(gains))
+        failed = [i for i, (each, _) in enumerate(judged) if each.share(required).min() < 1.0]
+        if not failed:
+            pairs = zip(gains, tuners, strict=True)
+            return [TunedJoint(each, tuner.limit) for each, tuner in pairs], judged
+        worst = [int(np.argmin(judged[i][0].share(required))) for i in failed]
+        search = np.union1d(search, worst)
+        for i in failed:
+            gains[i] = tuners[i].raise_gains(gains, search)
+    joint, inertia = failed[0] + 1, plants.rigid_inertias()[:, failed[0]]
+    raise InvalidInput(
+        f"no gains of joint {joint} stabilise all plants with a gain margin of "
+        f"{required.gain_db:g} dB, a phase margin of {required.phase_deg:g} degrees and a modulus "
+        f"margin of {required.modulus:g}: the inertia at motor {joint} is {inertia.min():.3g} to "
+        f"{inertia.max():.3g} kg m^2 over postures, payloads and drawn parameters",
+        where="the servo design",
+        remedy="--draws 0 designs for the estimates alone; or identify with narrower intervals, "
+        "require smaller margins or fewer payloads, or shorten period and delay",
+    )
+
+
+@dataclass(slots=True)
+class _Tuner:
+    """Search for the gains of one joint."""
+
+    loops: Loops
+    required: Requirements
+    joint: int  # from 0
+    inertia: float  # [V s^2/rad] at the motor, without torsion
+    max_kp: float  # [V s/rad], by the encoder
+    limit: str = "margins"
+    bandwidth: float = 0.0  # [rad/s] that the last search reached; zero: none keeps the margins
+
+    def gains(self, bandwidth: float, filters: tuple[Biquad, ...] = ()) -> Gains:
+        """Gains of a velocity bandwidth [rad/s]."""
+        kp = bandwidth * self.inertia
+        return Gains(
+            kp=kp,
+            ki=kp * bandwidth / _INTEGRAL_RATIO,
+            position_gain=bandwidth / _START_POSITION_RATIO,
+            period=self.loops.clock.period,
+            filters=filters,
+        )
+
+    def raise_gains(self, gains: Sequence[Gains], search: IntArray) -> Gains:
+        """The largest gains at which the searched plants keep their margins."""
+        plant = effective_plants(
+            self.loops.responses(search), self.loops.controllers(gains), self.joint
+        )
+        sampled = sample(self.loops.plants, self.loops.clock, search)
+        trials = _GainTrials([each.law() for each in gains], plant, sampled)
+        best, bandwidth, self.limit = gains[self.joint], 0.0, "margins"
+        for make in self._filters(search):
+            reached, is_encoder = self._largest_bandwidth(trials, make)
+            if reached > bandwidth * (_MIN_GAIN if bandwidth else 1.0):
+                bandwidth, self.limit = reached, "encoder" if is_encoder else "margins"
+                best = self.gains(reached, make(reached))
+        self.bandwidth = bandwidth
+        if not bandwidth:
+            return best
+        # the largest position gain with margins and little overshoot of the link
+        for ratio in _POSITION_RATIOS:
+            candidate = replace(best, position_gain=bandwidth / ratio)
+            if self._keeps(trials, candidate):
+                steps = Steps.of(self._closed(trials, candidate), candidate.period)
+                if steps.overshoot.max() <= _MAX_OVERSHOOT:
+                    break
+        return candidate
+
+    def _keeps(self, trials: _GainTrials, gains: Gains) -> bool:
+        """Whether all plants are stable and keep their margins."""
+        margins = margins_of(trials.plant * gains.response(self.loops.z), self.loops.omega)
+        if margins.share(self.required).min() < 1.0:
+            return False
+        return bool(np.abs(self._closed(trials, gains).poles()).max() < 1.0)
+
+    def _closed(self, trials: _GainTrials, gains: Gains) -> ClosedLoop:
+        laws = list(trials.laws)
+        laws[self.joint] = gains.law()
+        return close(trials.sampled, laws, self.joint)
+
+    def _largest_bandwidth(self, trials: _GainTrials, make: FilterMaker) -> tuple[float, bool]:
+        """The largest bandwidth [rad/s] with margins, and whether the encoder limits it.
+
+        Zero if there is none. Arms that stand upright need some gain to be stable.
+        """
+        encoder = self.max_kp / self.inertia
+        highest = min(encoder, 0.5 * self.loops.clock.nyquist)
+
+        def keeps(bandwidth: float) -> bool:
+            return bandwidth <= highest and self._keeps(
+                trials, self.gains(bandwidth, make(bandwidth))
+            )
+
+        reached, bandwidth = 0.0, _LOWEST_BANDWIDTH
+        while bandwidth <= highest and (not reached or bandwidth < _COARSE_STEP * reached * 1.001):
+            if keeps(bandwidth):
+                reached = bandwidth
+            bandwidth *= _COARSE_STEP
+        step = float(np.sqrt(_COARSE_STEP))
+        while reached and step > _FINE_STEP:
+            if keeps(reached * step):
+                reached *= step
+            step = float(np.sqrt(step))
+        return reached, bool(reached * _COARSE_STEP**0.25 > encoder)
+
+    def _filters(self, search: IntArray) -> Iterator[FilterMaker]:
+        """No filter, a low-pass, and a notch over the spread of each resonance."""
+        yield lambda _: ()
+        nyquist = self.loops.clock.nyquist
+        yield from (partial(self._low_pass, ratio) for ratio in _LOW_PASS_RATIOS)
+        for omega, _ in self.loops.plants.resonances():
+            low, high = float(omega[search].min()), float(omega[search].max())
+            if high < _HIGHEST_SHARE * nyquist:
+                yield from (partial(self._notch, low, high, width) for width in _NOTCH_WIDTHS)
+
+    def _low_pass(self, ratio: float, bandwidth: float) -> tuple[Biquad, ...]:
+        clock = self.loops.clock
+        corner = min(ratio * bandwidth, _HIGHEST_SHARE * clock.nyquist)
+        return (low_pass(corner / (2.0 * np.pi), clock.period),)
+
+    def _notch(self, low: float, high: float, width: float, _: float) -> tuple[Biquad, ...]:
+        hz = float(np.sqrt(low * high)) / (2.0 * np.pi)
+        return (notch(hz, max(width, high / low - 1.0), _NOTCH_DEPTH, self.loops.clock.period),)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _GainTrials:
+    """Some plants with the loops of the other joints closed, on which gains are tried."""
+
+    laws: list[ControlLaw]  # of all joints
+    plant: ComplexArray  # (n_plants, n_omega) motor angle by voltage
+    sampled: SampledPlants

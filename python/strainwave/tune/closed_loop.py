@@ -1,0 +1,325 @@
+"""Control laws of joints, and arms under them as linear systems in discrete time.
+
+Responses of plants to a sampled servo: hold, computation delay, current loop, aliasing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import expm
+
+from strainwave.domain import ComplexArray, ControlLaw, FloatArray, IntArray
+from strainwave.tune.margins import band_over
+from strainwave.tune.plants import Plants
+
+_N_ALIASES = 3  # of each sign; their share falls with the third power of the frequency
+_POINTS_PER_DECADE = 40
+_POINTS_PER_RESONANCE = 24  # over three half-power bandwidths
+_LOWEST_HZ = 0.05
+_PART = 500  # plants
+
+
+@dataclass(frozen=True, slots=True)
+class Biquad:
+    """Second-order filter (b0 + b1 z^-1 + b2 z^-2) / (1 + a1 z^-1 + a2 z^-2)."""
+
+    b: tuple[float, float, float]
+    a: tuple[float, float]
+    kind: str  # "notch" or "low-pass"
+    hz: float
+    width: float = 0.0  # damping ratio of the poles
+    depth: float = 0.0  # gain at the centre
+
+    def response(self, z: ComplexArray) -> ComplexArray:
+        """Response at points of the unit circle."""
+        w = 1.0 / z
+        numerator = self.b[0] + self.b[1] * w + self.b[2] * w**2
+        return np.asarray(numerator / (1.0 + self.a[0] * w + self.a[1] * w**2))
+
+
+def notch(hz: float, width: float, depth: float, period: float) -> Biquad:
+    """Notch (s^2 + 2 depth width w s + w^2) / (s^2 + 2 width w s + w^2), sampled.
+
+    The bilinear transformation is warped so that the centre is exact.
+    """
+    c = 1.0 / math.tan(math.pi * hz * period)
+    low, high = 2.0 * width * c, 2.0 * depth * width * c
+    scale = c * c + low + 1.0
+    b = ((c * c + high + 1.0) / scale, 2.0 * (1.0 - c * c) / scale, (c * c - high + 1.0) / scale)
+    a = (2.0 * (1.0 - c * c) / scale, (c * c - low + 1.0) / scale)
+    return Biquad(b, a, "notch", hz, width, depth)
+
+
+def low_pass(hz: float, period: float) -> Biquad:
+    """Second-order Butterworth low-pass, sampled by the warped bilinear transformation."""
+    c = 1.0 / math.tan(math.pi * hz * period)
+    scale = c * c + math.sqrt(2.0) * c + 1.0
+    b = (1.0 / scale, 2.0 / scale, 1.0 / scale)
+    a = (2.0 * (1.0 - c * c) / scale, (c * c - math.sqrt(2.0) * c + 1.0) / scale)
+    return Biquad(b, a, "low-pass", hz)
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """Gains of a cascade: PI velocity loop, and a position loop around it."""
+
+    kp: float  # [V s/rad]
+    ki: float  # [V/rad]
+    position_gain: float  # [1/s]
+    period: float  # [s]
+    filters: tuple[Biquad, ...] = ()
+
+    def slowed(self, share: float) -> Gains:
+        """Gains of a share of the bandwidth, with the same ratios of all corner frequencies."""
+        kp, ki = share * self.kp, share**2 * self.ki
+        return replace(self, kp=kp, ki=ki, position_gain=share * self.position_gain)
+
+    def law(self) -> ControlLaw:
+        """The cascade u = F(z) (kp e + ki T sum e), e = w + K (r - y) - (y_k - y_k-1) / T."""
+        T, n = self.period, 2 + 2 * len(self.filters)
+        A, B, E = np.zeros((n, n)), np.zeros((n, 3)), np.zeros(n)
+        names = ["last_angle", "integral"]
+        B[0, 2] = 1.0  # the last angle
+        error_x = np.zeros(n)
+        error_x[0] = 1.0 / T
+        error_u = np.array([self.position_gain, 1.0, -self.position_gain - 1.0 / T])
+        A[1] += T * error_x
+        A[1, 1] += 1.0
+        B[1] = T * error_u
+        signal_x = self.kp * error_x + self.ki * A[1]
+        signal_u = self.kp * error_u + self.ki * B[1]
+        for k, one in enumerate(self.filters):
+            first, second = 2 + 2 * k, 3 + 2 * k
+            names += [f"{one.kind} {k + 1}, {i}" for i in (1, 2)]
+            # transposed direct form II: y = b0 s + x1, x1+ = b1 s - a1 y + x2, x2+ = b2 s - a2 y
+            output_x, output_u = one.b[0] * signal_x, one.b[0] * signal_u
+            output_x[first] += 1.0
+            A[first] = one.b[1] * signal_x - one.a[0] * output_x
+            A[first, second] += 1.0
+            B[first] = one.b[1] * signal_u - one.a[0] * output_u
+            A[second] = one.b[2] * signal_x - one.a[1] * output_x
+            B[second] = one.b[2] * signal_u - one.a[1] * output_u
+            signal_x, signal_u = output_x, output_u
+        holds = np.arange(n) == 1
+        return ControlLaw(A, B, signal_x, signal_u, E, holds, tuple(names))
+
+    def response(self, z: ComplexArray) -> ComplexArray:
+        """Response from the motor angle to minus the voltage, without the law's matrices."""
+        T = self.period
+        difference = (1.0 - 1.0 / z) / T
+        loop = (self.kp + self.ki / difference) * (self.position_gain + difference)
+        for one in self.filters:
+            loop = loop * one.response(z)
+        return np.asarray(loop)
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """Timing of a sampled servo."""
+
+    period: float  # [s] between readings of the encoder
+    delay: float = 0.0  # [s] from a reading to the voltage that follows from it
+
+    @property
+    def nyquist(self) -> float:
+        """Half of the sampling rate [rad/s]."""
+        return np.pi / self.period
+
+
+def frequency_grid(plants: Plants, clock: Clock) -> FloatArray:
+    """Frequencies [rad/s] up to half of the sampling rate, dense where any plant resonates."""
+    lowest = 2.0 * np.pi * _LOWEST_HZ
+    count = int(np.ceil(_POINTS_PER_DECADE * np.log10(clock.nyquist / lowest)))
+    grids = [np.geomspace(lowest, 0.999 * clock.nyquist, count)]
+    for omega, damping in plants.resonances():
+        width = 3.0 * np.maximum(damping, 1e-3)
+        begin, end = (omega * (1.0 - width)).min(), (omega * (1.0 + width)).max()
+        step = 2.0 * float(np.median(width)) / _POINTS_PER_RESONANCE
+        begin, end = max(begin, lowest), min(end, 0.999 * clock.nyquist)
+        if begin < end:
+            grids.append(np.geomspace(begin, end, int(np.ceil(np.log(end / begin) / step)) + 1))
+    return np.unique(np.concatenate(grids))
+
+
+def sampled_responses(plants: Plants, omega: FloatArray, clock: Clock) -> ComplexArray:
+    """Responses of sampled motor angles to voltages that are held for a period.
+
+    The response to a held sequence is the sum over all aliases of the continuous response times
+    that of the hold. Beyond half of the sampling rate, motors move as free inertias. Returns
+    (n_plants, n_omega, n_joints, n_joints), angle by voltage.
+    """
+    total = plants.responses(omega) * _hold(omega, 0, clock)[:, None, None]
+    free = np.zeros((len(omega), plants.n_joints), dtype=complex)  # of an inertia of one
+    for k in (k for k in range(-_N_ALIASES, _N_ALIASES + 1) if k):
+        alias = (omega + k * 2.0 * np.pi / clock.period)[:, None]
+        drive = plants.torque_per_volt / (1.0 + 1j * alias / plants.current_loop)
+        free -= drive / alias**2 * _hold(omega, k, clock)[:, None]
+    joints = np.arange(plants.n_joints)
+    total[:, :, joints, joints] += free / plants.motor_inertias()[:, None]
+    return np.asarray(total)
+
+
+def _hold(omega: FloatArray, k: int, clock: Clock) -> ComplexArray:
+    """Response of hold and delay at the k-th alias, over the period."""
+    alias = omega + k * 2.0 * np.pi / clock.period
+    held = (1.0 - np.exp(-1j * omega * clock.period)) / (1j * alias * clock.period)
+    return np.asarray(held * np.exp(-1j * alias * clock.delay))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledPlants:
+    """x_k+1 = A x_k + B u_k, motor angles `motors` x, link angles `links` x."""
+
+    A: FloatArray  # (n_plants, n, n)
+    B: FloatArray  # (n_plants, n, n_joints)
+    motors: FloatArray  # (n_joints, n)
+    links: FloatArray  # (n_joints, n)
+    ratios: FloatArray  # (n_joints,) link angle per motor angle without torsion
+
+    def parts(self) -> list[SampledPlants]:
+        """The plants in parts, for threads and small temporary arrays."""
+        n_parts = -(-len(self.A) // _PART)
+        pairs = zip(np.array_split(self.A, n_parts), np.array_split(self.B, n_parts), strict=True)
+        return [replace(self, A=A, B=B) for A, B in pairs]
+
+
+def sample(plants: Plants, clock: Clock, chosen: IntArray | slice = slice(None)) -> SampledPlants:
+    """Exact discretisation for voltages that a hold keeps for a period, after the delay.
+
+    States are coordinates, their velocities, torques behind current loops, and the voltages of the
+    last reading if there is a delay of at most one period.
+    """
+    mass, damping, stiffness = plants.mass[chosen], plants.damping[chosen], plants.stiffness[chosen]
+    count, size, n = len(mass), mass.shape[1], plants.n_joints
+    inputs = np.broadcast_to(plants.motors.T, (count, size, n))
+    response = np.linalg.solve(mass, np.concatenate([-stiffness, -damping, inputs], axis=2))
+    lags = np.flatnonzero(np.isfinite(plants.current_loop))
+    n_states = 2 * size + len(lags)
+    system = np.zeros((count, n_states + n, n_states + n))
+    system[:, :size, size : 2 * size] = np.eye(size)
+    system[:, size : 2 * size, : 2 * size] = response[:, :, : 2 * size]
+    of_torque = response[:, :, 2 * size :]
+    system[:, size : 2 * size, n_states:] = of_torque * plants.torque_per_volt
+    for k, joint in enumerate(lags):
+        rate = plants.current_loop[joint]
+        system[:, size : 2 * size, 2 * size + k] = of_torque[:, :, joint]
+        system[:, size : 2 * size, n_states + joint] = 0.0
+        system[:, 2 * size + k, 2 * size + k] = -rate
+        system[:, 2 * size + k, n_states + joint] = rate * plants.torque_per_volt[joint]
+    after = expm(system * (clock.period - clock.delay))
+    A, B = after[:, :n_states, :n_states], after[:, :n_states, n_states:]
+    if clock.delay:
+        before = expm(system * clock.delay)
+        old = A @ before[:, :n_states, n_states:]
+        below = np.zeros((count, n, n_states + n))
+        units = np.broadcast_to(np.eye(n), (count, n, n))
+        A = np.concatenate([A @ before[:, :n_states, :n_states], old], axis=2)
+        A, B = np.concatenate([A, below], axis=1), np.concatenate([B, units], axis=1)
+    motors, links = (
+        np.pad(rows, ((0, 0), (0, A.shape[1] - size))) for rows in (plants.motors, plants.links)
+    )
+    ratios = np.diagonal(plants.links @ plants.rigid)
+    return SampledPlants(A, B, motors, links, ratios)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClosedLoop:
+    """x_k+1 = A x_k + B (r_k, w_k) of one joint; its link angle, and link by motor angle."""
+
+    A: FloatArray  # (n_plants, n, n)
+    B: FloatArray  # (n_plants, n, 2)
+    link: FloatArray  # (n,)
+    ratio: float  # link angle per motor angle without torsion
+
+    def poles(self) -> ComplexArray:
+        """Poles (n_plants, n)."""
+        return np.asarray(np.linalg.eigvals(self.A))
+
+    def step(self, n_samples: int, first: FloatArray, held: FloatArray) -> FloatArray:
+        """Link angles (n_plants, n_samples) from rest.
+
+        The reference (r, w) is `first` at the first sample and `held` afterwards.
+        """
+        count, n = self.A.shape[:2]
+        system = np.zeros((count, n + 1, n + 1))  # the held reference is a constant state
+        system[:, :n, :n], system[:, :n, n], system[:, n, n] = self.A, self.B @ held, 1.0
+        state = np.concatenate([self.B @ first, np.ones((count, 1))], axis=1)[..., None]
+        # rows of a block of samples over the state at its begin
+        size = int(np.ceil(np.sqrt(n_samples)))
+        rows = np.empty((count, size, n + 1))
+        rows[:, 0] = np.append(self.link, 0.0)
+        for k in range(1, size):
+            rows[:, k] = (rows[:, k - 1, None] @ system)[:, 0]
+        over_block = np.linalg.matrix_power(system, size)
+        blocks = [np.zeros((count, 1))]
+        with np.errstate(over="ignore", invalid="ignore"):  # unstable loops diverge
+            for _ in range(size):
+                blocks.append((rows @ state)[..., 0])
+                state = over_block @ state
+        return np.concatenate(blocks, axis=1)[:, :n_samples]
+
+
+def close(plants: SampledPlants, laws: Sequence[ControlLaw], joint: int) -> ClosedLoop:
+    """Close the loops of all joints; the reference is that of one joint, from 0."""
+    count, n = plants.A.shape[:2]
+    sizes = [len(law.A) for law in laws]
+    starts = n + np.concatenate([[0], np.cumsum(sizes)]).astype(int)
+    A, B = np.zeros((count, starts[-1], starts[-1])), np.zeros((count, starts[-1], 2))
+    A[:, :n, :n] = plants.A
+    for i, (law, start) in enumerate(zip(laws, starts, strict=False)):
+        own = slice(start, start + len(law.A))
+        voltage = plants.B[:, :, i]
+        angle = plants.motors[i]
+        A[:, :n, :n] += voltage[:, :, None] * (law.D[2] * angle)
+        A[:, :n, own] = voltage[:, :, None] * law.C
+        A[:, own, own] = law.A + np.outer(law.E, law.C)
+        A[:, own, :n] = np.outer(law.B[:, 2] + law.E * law.D[2], angle)
+        if i == joint:
+            B[:, :n] = voltage[:, :, None] * law.D[:2]
+            B[:, own] = law.B[:, :2] + np.outer(law.E, law.D[:2])
+    link = np.pad(plants.links[joint], (0, starts[-1] - n))
+    return ClosedLoop(A, B, link, float(plants.ratios[joint]))
+
+
+STEP_SECONDS = 2.0
+"""Duration of a simulated step."""
+
+_SETTLED = 0.02  # of a step
+
+
+def settling_times(share: FloatArray, period: float) -> FloatArray:
+    """Times [s] to 2 % of steps (n_plants, n_samples); infinite for those that do not settle."""
+    is_apart = np.abs(share - 1.0) > _SETTLED
+    last = share.shape[1] - np.argmax(is_apart[:, ::-1], axis=1)
+    settling = np.where(is_apart.any(axis=1), last, 0) * period
+    return np.where(is_apart[:, -1], np.inf, settling)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """Response of the link to a unit step of the reference: an entry per plant."""
+
+    time: FloatArray  # (n_samples,) [s]
+    # (n_samples, 3) over the final angle: smallest, of the estimates, largest
+    link: FloatArray
+    settling: FloatArray  # [s] to 2 %; infinite if it does not settle in the simulated time
+    overshoot: FloatArray  # share of the step
+
+    @classmethod
+    def of(cls, loop: ClosedLoop, period: float, *, by_velocity: bool = False) -> Steps:
+        """Step of the reference angle, or of a servo without position loop.
+
+        For the latter (`by_velocity`) the velocity reference is the derivative of the step: one
+        pulse.
+        """
+        n = round(STEP_SECONDS / period)
+        step, pulse, rest = np.array([1.0, 0.0]), np.array([0.0, 1.0 / period]), np.zeros(2)
+        link = loop.step(n, pulse, rest) if by_velocity else loop.step(n, step, step)
+        share = link / loop.ratio
+        time: FloatArray = period * np.arange(n, dtype=np.float64)
+        overshoot = np.maximum(share.max(axis=1) - 1.0, 0.0)
+        return cls(time, band_over(share), settling_times(share, period), overshoot)

@@ -1,0 +1,241 @@
+"""State feedback that damps the links: motors yield to the estimated torsions of their gears.
+
+The velocity reference of a servo gets, with torsion e = n th - q of the observer,
+
+    w + g_1 e + g_2 de
+
+The observer becomes part of the control law of the joint. The gains of all joints are searched in
+turn for the largest damping of the least damped mode of the links, over the plants with the least
+damping and the smallest margins, while all margins are kept. They are used only if all plants are
+stable and keep their margins, and if the least damping of all plants rises markedly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+
+import numpy as np
+
+from strainwave.domain import ControlLaw, FloatArray, IntArray
+from strainwave.domain.control_law import MAX_LAW_STATES
+from strainwave.numerics.parallel import run_parallel
+from strainwave.tune.cascade_tuning import Loops
+from strainwave.tune.closed_loop import Gains, SampledPlants, close
+from strainwave.tune.margins import Margins, Requirements
+from strainwave.tune.observer import Observer
+
+MIN_RATIO = 1.1
+"""Ratio by which the feedback must raise the least damping of all plants to be used."""
+
+# of the torsion over the frequency of the link's mode, and of its rate, both over the gear ratio
+_TORSION_GAINS = (-0.8, -0.6, -0.4, -0.2, -0.1)
+_RATE_GAINS = (-0.1, 0.0, 0.05, 0.1, 0.2)
+_MEAN_WEIGHT = 0.2  # of the mean damping in the objective; another joint may limit the least
+_LINK_BAND = 1.1  # of the highest mode of the links with held motors: slower poles are modes
+_N_LEAST = 6  # plants of least damping in the search
+_N_MARGINS = 3  # plants of smallest margins of each joint in the search
+_MAX_ROUNDS = 3  # of searches; the worst of all plants joins the next
+_POLE_TOLERANCE = 1e-6  # rounding of the pole at one of a servo without a position loop
+
+
+@dataclass(frozen=True, slots=True)
+class DampingRatios:
+    """Damping ratio of the least damped mode of the links, over all plants."""
+
+    least: float
+    median: float
+
+    @classmethod
+    def of(cls, ratios: FloatArray) -> DampingRatios:
+        """The summary of ratios (n_plants,)."""
+        return cls(float(ratios.min()), float(np.median(ratios)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Damping:
+    """Feedback of the torsion of one joint, and the damping of the links with that of all."""
+
+    joint: int  # from 1
+    gains: tuple[float, float]  # of torsion [1/s] and its rate [1], at the motor; zero: not used
+    reason: str  # why it is not used; empty otherwise
+    without: DampingRatios
+    with_feedback: DampingRatios
+    margins: Margins | None  # of the loop with the feedback; None if it is not used
+    law: ControlLaw  # of the servo, with the feedback if it is used
+
+
+def design_damping(
+    loops: Loops,
+    sampled: SampledPlants,
+    gains: Sequence[Gains],
+    observers: Sequence[Observer],
+    required: Requirements,
+    margins: Sequence[Margins],
+) -> tuple[Damping, ...]:
+    """Feedback of the torsions of all elastic joints.
+
+    The observers read the motor encoders alone, as control laws do. `margins` are those of the
+    loops without the feedback.
+    """
+    if not observers:
+        return ()
+    laws = tuple(each.law() for each in gains)
+    sizes = [len(laws[each.joint - 1].A) + len(each.names) for each in observers]
+    modes = loops.plants.locked_resonances()
+    highest = _LINK_BAND * max(float(omega.max()) for omega, _ in modes)
+    search = _GainSearch(loops, sampled, laws, tuple(observers), required, highest)
+    plain = search.dampings(np.arange(len(sampled.A)), laws)
+    without = DampingRatios.of(plain)
+    if max(sizes) > MAX_LAW_STATES:
+        reason = "servo, filters and observer have too many states for one control law"
+        return search.unused(reason, without)
+    order = [np.argsort(plain)[:_N_LEAST]]
+    order += [np.argsort(each.share(required))[:_N_MARGINS] for each in margins]
+    return search.best(without, np.unique(np.concatenate(order)))
+
+
+def damped_law(plain: ControlLaw, observer: Observer, gains: tuple[float, float]) -> ControlLaw:
+    """Law of a servo whose velocity reference yields to the observed torsion and its rate.
+
+    The observer follows the deviation from a planned motion: it reads the motor angle less that of
+    the reference, its input is the voltage without the feed-forward, and the interaction torque is
+    zero. The feedback thus does not oppose the torsion of the planned motion.
+    """
+    n, m = len(plain.A), len(observer.A)
+    correction = observer.L[:, 0]
+    after = np.eye(m) - np.outer(correction, observer.C[0])  # xh = after x + L (y - r)
+    row = np.array(gains) @ observer.torsion
+    by_states, by_deviation = row @ after, float(row @ correction)
+    deviation = np.array([-1.0, 0.0, 1.0])
+    A = np.zeros((n + m, n + m))
+    A[:n, :n], A[n:, n:] = plain.A, observer.A @ after
+    A[:n, n:] = np.outer(plain.B[:, 1], by_states)
+    through = np.outer(plain.B[:, 1], by_deviation * deviation)
+    names = tuple(f"observer {name}" for name in observer.names)
+    return ControlLaw(
+        A=A,
+        B=np.vstack([plain.B + through, np.outer(observer.A @ correction, deviation)]),
+        C=np.concatenate([plain.C, plain.D[1] * by_states]),
+        D=plain.D + plain.D[1] * by_deviation * deviation,
+        E=np.concatenate([plain.E, observer.B[:, 0]]),
+        holds=np.concatenate([plain.holds, np.zeros(m, dtype=bool)]),
+        names=(*plain.names, *names),
+    )
+
+
+Pair = tuple[float, float]
+"""Gains of torsion and rate of one joint, without scale."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _GainSearch:
+    """Search of the gains of all joints."""
+
+    loops: Loops
+    sampled: SampledPlants
+    plain: tuple[ControlLaw, ...]
+    observers: tuple[Observer, ...]
+    required: Requirements
+    highest: float  # [rad/s] of the poles that count as modes of the links
+
+    def unused(self, reason: str, without: DampingRatios) -> tuple[Damping, ...]:
+        return tuple(
+            Damping(
+                one.joint, (0.0, 0.0), reason, without, without, None, self.plain[one.joint - 1]
+            )
+            for one in self.observers
+        )
+
+    def best(self, without: DampingRatios, chosen: IntArray) -> tuple[Damping, ...]:
+        """The results with the best gains; `chosen` are the first plants of the search."""
+        every, reason = np.arange(len(self.sampled.A)), ""
+        for _ in range(_MAX_ROUNDS):
+            pairs = self._climb(chosen)
+            laws = self.laws(pairs)
+            reached = DampingRatios.of(ratios := self.dampings(every, laws))
+            if reached.least < MIN_RATIO * without.least:
+                reason = (
+                    f"it changes the least damping ratio of all plants from {without.least:.3g} to "
+                    f"{reached.least:.3g} only"
+                )
+                chosen = np.union1d(chosen, np.argsort(ratios)[:_N_LEAST])
+                continue
+            margins = self.margins(every, laws)
+            shares = np.min([each.share(self.required) for each in margins], axis=0)
+            if shares.min() >= 1.0:
+                return self._used(pairs, laws, (without, reached), margins)
+            reason = "not all plants keep their margins with it"
+            chosen = np.union1d(chosen, np.argsort(shares)[:_N_MARGINS])
+        return self.unused(reason, without)
+
+    def _used(
+        self,
+        pairs: Sequence[Pair],
+        laws: Sequence[ControlLaw],
+        ratios: tuple[DampingRatios, DampingRatios],
+        margins: Sequence[Margins],
+    ) -> tuple[Damping, ...]:
+        """Joints whose best gains are zero keep their servo."""
+        results = []
+        for one, pair in zip(self.observers, pairs, strict=True):
+            i, is_used = one.joint - 1, any(pair)
+            reason = "" if is_used else "its feedback does not damp the links further"
+            own = margins[i] if is_used else None
+            results.append(Damping(one.joint, _scaled(one, pair), reason, *ratios, own, laws[i]))
+        return tuple(results)
+
+    def _climb(self, chosen: IntArray) -> list[Pair]:
+        """Gains of all joints with the largest objective over some plants, joint by joint."""
+        pairs: list[Pair] = [(0.0, 0.0)] * len(self.observers)
+        largest = self._objective(chosen, pairs)
+        for k in range(len(self.observers)):
+            for pair in product(_TORSION_GAINS, _RATE_GAINS):
+                trial = [*pairs[:k], pair, *pairs[k + 1 :]]
+                objective = self._objective(chosen, trial)
+                if objective <= largest:
+                    continue
+                margins = self.margins(chosen, self.laws(trial))
+                if min(each.share(self.required).min() for each in margins) >= 1.0:
+                    pairs, largest = trial, objective
+        return pairs
+
+    def _objective(self, chosen: IntArray, pairs: Sequence[Pair]) -> float:
+        ratios = self.dampings(chosen, self.laws(pairs))
+        return float(ratios.min() + _MEAN_WEIGHT * ratios.mean())
+
+    def laws(self, pairs: Sequence[Pair]) -> list[ControlLaw]:
+        laws = list(self.plain)
+        for one, pair in zip(self.observers, pairs, strict=True):
+            if any(pair):
+                laws[one.joint - 1] = damped_law(laws[one.joint - 1], one, _scaled(one, pair))
+        return laws
+
+    def dampings(self, chosen: IntArray, laws: Sequence[ControlLaw]) -> FloatArray:
+        """Damping ratio of the least damped mode of the links: (n_chosen,); -1 if unstable."""
+        period = self.loops.clock.period
+
+        def of_part(part: SampledPlants) -> FloatArray:
+            poles = close(part, laws, 0).poles()
+            rates = np.log(np.where(poles == 0.0, 1e-300, poles)) / period
+            omega = np.abs(rates)
+            is_mode = (rates.imag > 0.0) & (omega < self.highest)
+            ratios = np.where(is_mode, -rates.real / np.maximum(omega, 1e-300), 1.0).min(axis=1)
+            is_stable = np.abs(poles).max(axis=1) <= 1.0 + _POLE_TOLERANCE
+            return np.where(is_stable, ratios, -1.0)
+
+        part = replace(self.sampled, A=self.sampled.A[chosen], B=self.sampled.B[chosen])
+        return np.concatenate(run_parallel([partial(of_part, each) for each in part.parts()]))
+
+    def margins(self, chosen: IntArray, laws: Sequence[ControlLaw]) -> list[Margins]:
+        """Margins of the loops of all joints."""
+        closed = np.stack([each.feedback(self.loops.z) for each in laws], axis=1)
+        return [margins for margins, _ in self.loops.judge(closed, chosen)]
+
+
+def _scaled(observer: Observer, pair: Pair) -> Pair:
+    """Gains of torsion [1/s] and rate at the motor."""
+    scale = 1.0 / observer.gear_ratio
+    return pair[0] * observer.mode * scale, pair[1] * scale

@@ -1,0 +1,27 @@
+"""Output functions for comparisons and trends."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from rich.console import Console
+
+from strainwave.fleet.monitoring import output
+from strainwave.report.terminal import printed_table
+
+
+@pytest.mark.parametrize(
+    ("p", "text"), [(1.0, "1"), (0.0312, "0.031"), (2.2e-6, "2e-06"), (0.0, "<1e-16")]
+)
+def test_p_values_as_text(p: float, text: str) -> None:
+    assert output.format_p(p) == text
+
+
+@pytest.mark.parametrize("width", [20, 60])
+def test_tables_are_never_truncated(width: int) -> None:
+    text = io.StringIO()
+    table = printed_table("parameter", "value")
+    table.add_row("motor_viscous_friction 1", "1.234567e-04")
+    output.print_table(Console(file=text, width=width), table)
+    assert "motor_viscous_friction 1 1.234567e-04" in text.getvalue()

@@ -1,0 +1,78 @@
+"""The picture of an arm: frames, axes and names of its joints in one view."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import exports
+from strainwave.domain import ArmDescription, Joint, Origin
+from strainwave.report.document.rig import arm_picture, describe_arm
+from strainwave.report.figures import Figure, Line, Markers
+from strainwave.report.plotly_backend import plotly
+
+CHAIN = exports.chain(Path("nowhere"), motions=exports.MOTIONS[1])[0].arm
+
+
+def marks(figure: Figure, name: str) -> list[Line | Markers]:
+    return [m for m in figure.marks if isinstance(m, Line | Markers) and m.name == name]
+
+
+def test_links_join_the_joints_from_the_base() -> None:
+    figure = arm_picture(CHAIN)
+    (links,), (joints,) = marks(figure, "links"), marks(figure, "joints")
+    assert isinstance(joints, Markers)
+    assert joints.labels == ("joint1", "joint2", "joint3")
+    assert (links.x[0], links.y[0]) == (0.0, 0.0)
+    np.testing.assert_array_equal(links.x[1:], joints.x)
+    # the first joint is 0.3 m above the base, seen from an elevation of 25 degrees
+    assert joints.x[0] == pytest.approx(0.0, abs=1e-15)
+    assert joints.y[0] == pytest.approx(0.3 * np.cos(np.radians(25.0)))
+
+
+def test_axes_have_the_direction_of_the_joint_in_the_base() -> None:
+    """The second joint turns by rpy = (pi/2, 0, 0) about x, so its z axis is -y of the base."""
+    turned = Joint("rigid", 0.01, origin=Origin((0.5, 0.0, 0.0), (0.5 * np.pi, 0.0, 0.0)))
+    arm = ArmDescription("serial", (Joint("rigid", 0.01), turned))
+    figure = arm_picture(arm)
+    _, axis = marks(figure, "axes of revolute joints")
+    base_y = marks(figure, "frame of the base")[1]
+    drawn, y = (np.array([np.ptp(m.x), np.ptp(m.y)]) for m in (axis, base_y))
+    assert drawn / np.linalg.norm(drawn) == pytest.approx(y / np.linalg.norm(y))
+    assert not marks(figure, "gravity")
+
+
+def test_prismatic_joints_and_gravity_are_drawn() -> None:
+    figure = arm_picture(CHAIN)
+    assert len(marks(figure, "axes of revolute joints")) == 2
+    assert len(marks(figure, "direction of prismatic joints")) == 1
+    line, tip = marks(figure, "gravity")
+    assert isinstance(tip, Markers)
+    assert tip.labels == ("g",)
+    assert (line.x[1], line.y[1]) == pytest.approx((tip.x[0], tip.y[0]))
+
+
+def test_joints_in_one_place_share_a_label() -> None:
+    """As in a spherical wrist."""
+    joints = (Joint("rigid", 0.01, name="shoulder"), Joint("rigid", 0.01, origin=Origin((1, 0, 0))))
+    arm = ArmDescription("serial", (*joints, Joint("rigid", 0.01)))
+    (drawn,) = marks(arm_picture(arm), "joints")
+    assert isinstance(drawn, Markers)
+    assert drawn.labels == ("shoulder", "joint2, joint3")
+    assert "The 3 joints at zero angles" in describe_arm(arm)
+
+
+def test_both_back_ends_keep_scales_and_labels() -> None:
+    figure = arm_picture(CHAIN)
+    drawn = plotly(figure)
+    assert drawn["layout"]["yaxis"]["scaleanchor"] == "x"
+    texts = [trace["text"] for trace in drawn["data"] if "text" in trace]
+    assert ["joint1", "joint2", "joint3"] in texts
+    pytest.importorskip("matplotlib", reason="Matplotlib is not installed")
+    from strainwave.report.matplotlib_backend import draw
+
+    (axes,) = draw(figure).axes
+    assert axes.get_aspect() == 1.0
+    assert {"joint2", "x", "g"} <= {text.get_text() for text in axes.texts}

@@ -1,0 +1,198 @@
+"""Margins of known loops; responses of sampled plants against their exact discretisation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+from servo_arms import rig
+from strainwave.domain import ComplexArray, FloatArray
+from strainwave.tune.closed_loop import (
+    Clock,
+    Gains,
+    SampledPlants,
+    Steps,
+    close,
+    frequency_grid,
+    sample,
+    sampled_responses,
+)
+from strainwave.tune.margins import (
+    LoopBand,
+    Requirements,
+    effective_plants,
+    join,
+    margins_of,
+)
+from strainwave.tune.plants import Condition, Plants, drawn_values, plants_of
+
+OMEGA = np.geomspace(0.1, 1e3, 4000)
+# linear interpolation between 4000 frequencies of four decades: about the square of a step
+INTERPOLATION = 1e-5
+GAINS = [
+    Gains(kp=0.3, ki=5.0, position_gain=10.0, period=1e-3),
+    Gains(kp=0.2, ki=4.0, position_gain=12.0, period=1e-3),
+]
+
+
+@pytest.fixture(scope="module")
+def plants() -> Plants:
+    arm = rig()
+    draws = drawn_values(arm, None, 2, np.random.default_rng(0))
+    return plants_of(arm, draws, [Condition(np.zeros(2)), Condition(np.array([0.3, 1.8]))])
+
+
+def exact_responses(sampled: SampledPlants, z: ComplexArray) -> ComplexArray:
+    """C (z - A)^-1 B of all plants, (n_plants, n_omega, n_joints, n_joints)."""
+    system = z[:, None, None] * np.eye(sampled.A.shape[1]) - sampled.A[:, None]
+    inputs = np.broadcast_to(sampled.B[:, None], (*system.shape[:3], sampled.B.shape[2]))
+    return np.asarray(sampled.motors @ np.linalg.solve(system, inputs.astype(complex)))
+
+
+@pytest.mark.parametrize(("gain", "delay"), [(20.0, 0.01), (5.0, 0.2)])
+def test_an_integrator_with_delay_has_its_closed_form_margins(gain: float, delay: float) -> None:
+    def loop(omega: FloatArray) -> ComplexArray:
+        return np.asarray(gain * np.exp(-1j * omega * delay) / (1j * omega))
+
+    margins = margins_of(loop(OMEGA)[None], OMEGA)
+    db = 20.0 * np.log10(np.pi / (2.0 * gain * delay))
+    assert margins.gain_db[0] == pytest.approx(db, abs=1e-3)
+    assert margins.gain_hz[0] == pytest.approx(0.25 / delay, rel=1e-4)
+    assert margins.phase_deg[0] == pytest.approx(90.0 - np.degrees(gain * delay), abs=1e-3)
+    assert margins.phase_hz[0] == pytest.approx(gain / (2.0 * np.pi), rel=INTERPOLATION)
+    assert margins.bandwidth_hz[0] == pytest.approx(gain / (2.0 * np.pi), rel=INTERPOLATION)
+    nearest = minimize_scalar(
+        lambda x: abs(1.0 + loop(np.array(x))), bounds=(0.1 / delay, 3.0 / delay), method="bounded"
+    )
+    assert margins.modulus[0] == pytest.approx(nearest.fun, rel=1e-4)
+    # the grid has the place of the minimum to a step
+    assert margins.modulus_hz[0] == pytest.approx(nearest.x / (2.0 * np.pi), rel=3e-3)
+
+
+def test_a_loop_that_needs_gain_has_a_margin_downwards() -> None:
+    """2 (s + 1)^2 / s^3 is -4 at one radian per second: a quarter of the gain is the limit."""
+    s = 1j * OMEGA
+    margins = margins_of(np.array([2.0 * (s + 1.0) ** 2 / s**3]), OMEGA)
+    assert margins.gain_db[0] == pytest.approx(20.0 * np.log10(4.0), abs=1e-3)
+    assert margins.gain_hz[0] == pytest.approx(0.5 / np.pi, rel=1e-4)
+
+
+def test_a_loop_without_crossings_has_no_limits() -> None:
+    margins = margins_of(np.array([0.5 / (1.0 + 1j * OMEGA)]), OMEGA)
+    assert margins.gain_db[0] == margins.phase_deg[0] == np.inf
+    assert np.isnan(margins.gain_hz[0])
+    assert margins.bandwidth_hz[0] == 0.0
+    assert margins.modulus[0] > 1.0
+
+
+def test_the_smallest_crossing_of_a_resonance_counts() -> None:
+    """A light resonance behind the integrator adds crossings; the bandwidth is the last one."""
+    s = 1j * OMEGA
+    resonance = 100.0**2 / (s**2 + 2.0 * 0.02 * 100.0 * s + 100.0**2)
+    margins = margins_of(np.array([10.0 / s * resonance]), OMEGA)
+    # at the resonance the loop is -10 / (100 * 2 * 0.02); chords of its circle are 0.3 % short
+    assert margins.gain_db[0] == pytest.approx(20.0 * np.log10(2.5), abs=0.03)
+    assert margins.gain_hz[0] == pytest.approx(100.0 / (2.0 * np.pi), rel=1e-3)
+    assert margins.bandwidth_hz[0] > 100.0 / (2.0 * np.pi)
+
+
+def test_the_worst_plant_has_the_smallest_share_of_any_margin() -> None:
+    s = 1j * OMEGA
+    loops = [gain * np.exp(-0.01 * s) / s for gain in (10.0, 40.0, 20.0)]
+    margins = margins_of(np.array(loops), OMEGA)
+    for required in (Requirements(), Requirements(1e-3, 30.0, 1e-3), Requirements(1e-3, 1e-3, 0.5)):
+        assert int(np.argmin(margins.share(required))) == 1
+    share = margins.share(Requirements(gain_db=1e-3, phase_deg=60.0, modulus=1e-3))
+    np.testing.assert_allclose(share, margins.phase_deg / 60.0)
+    assert share[0] > 1.0 > np.float64(margins.share(Requirements(phase_deg=89.0))[1])
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.4e-3, 1e-3])
+def test_sampled_responses_are_those_of_the_exact_discretisation(
+    plants: Plants, delay: float
+) -> None:
+    clock = Clock(1e-3, delay)
+    omega = frequency_grid(plants, clock)[::10]
+    omega = omega[omega < 0.9 * clock.nyquist]
+    exact = exact_responses(sample(plants, clock), np.exp(1j * omega * clock.period))
+    responses = sampled_responses(plants, omega, clock)
+    for i in range(2):
+        # of the aliases that are left out, those of the fourth sampling rate are 3e-4 at most
+        error = np.abs(responses[..., i, i] / exact[..., i, i] - 1.0)
+        assert error.max() < 5e-4
+    size = np.abs(exact[..., 0, 0] * exact[..., 1, 1]) ** 0.5
+    assert (np.abs(responses - exact)[..., 0, 1] / size).max() < 1e-5
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_an_effective_plant_has_the_other_loop_closed(plants: Plants, joint: int) -> None:
+    """y / w = G P / (1 + C P) of the complete closed loop, with C = G (K + d), d the difference."""
+    clock = Clock(1e-3, 0.4e-3)
+    omega = np.geomspace(1.0, 0.9 * clock.nyquist, 60)
+    z = np.exp(1j * omega * clock.period)
+    sampled = sample(plants, clock)
+    controllers = np.stack([gains.response(z) for gains in GAINS], axis=1)
+    plant = effective_plants(exact_responses(sampled, z), controllers, joint)
+    own = GAINS[joint]
+    of_velocity = own.kp + own.ki * clock.period / (1.0 - 1.0 / z)
+    expected = of_velocity * plant / (1.0 + controllers[:, joint] * plant)
+
+    loop = close(sampled, [gains.law() for gains in GAINS], joint)
+    system = z[:, None, None] * np.eye(loop.A.shape[1]) - loop.A[:, None]
+    inputs = np.broadcast_to(loop.B[:, None, :, 1:], (*system.shape[:3], 1)).astype(complex)
+    motor = np.pad(sampled.motors[joint], (0, loop.A.shape[1] - sampled.A.shape[1]))
+    response = (motor @ np.linalg.solve(system, inputs))[..., 0]
+    np.testing.assert_allclose(response, expected, rtol=1e-6)
+    alone = exact_responses(sampled, z)[..., joint, joint]
+    assert np.abs(plant / alone - 1.0).max() > 0.01  # the coupling matters
+
+
+def test_bands_contain_all_loops_and_begin_with_the_estimates() -> None:
+    s = 1j * OMEGA
+    loops = np.array([gain / s**2 / (1.0 + 0.01 * s) for gain in (10.0, 20.0, 5.0)])
+    band = LoopBand.of(loops, OMEGA)
+    np.testing.assert_allclose(band.gain_db[:, 1], 20.0 * np.log10(np.abs(loops[0])))
+    np.testing.assert_allclose(np.diff(band.gain_db, axis=1)[:, 0], 20.0 * np.log10(2.0))
+    np.testing.assert_allclose(np.diff(band.gain_db, axis=1)[:, 1], 20.0 * np.log10(2.0))
+    # continuous through -180 degrees, alike for all
+    phase = -180.0 - np.degrees(np.arctan(0.01 * OMEGA))
+    np.testing.assert_allclose(band.phase_deg, np.tile(phase[:, None], 3), atol=1e-9)
+    np.testing.assert_allclose(band.distance[:, 0], np.abs(1.0 + loops).min(axis=0))
+    np.testing.assert_allclose(band.distance[:, 2], np.abs(1.0 + loops).max(axis=0))
+
+
+@pytest.mark.parametrize("by_velocity", [False, True])
+def test_steps_equal_the_recursion_sample_by_sample(plants: Plants, by_velocity: bool) -> None:
+    sampled = sample(plants, Clock(1e-3, 0.4e-3))
+    loop = close(sampled, [gains.law() for gains in GAINS], 1)
+    steps = Steps.of(loop, 1e-3, by_velocity=by_velocity)
+    reference = np.zeros((len(steps.time), 2))
+    reference[slice(1) if by_velocity else slice(None), int(by_velocity)] = (
+        1e3 if by_velocity else 1.0
+    )
+    state = np.zeros(loop.A.shape[:2])
+    link = np.empty((len(state), len(reference)))
+    for k, now in enumerate(reference):
+        link[:, k] = state @ loop.link / loop.ratio
+        state = (loop.A @ state[..., None])[..., 0] + loop.B @ now
+    np.testing.assert_allclose(steps.link[:, 0], link.min(axis=0), atol=1e-9)
+    np.testing.assert_allclose(steps.link[:, 1], link[0], atol=1e-9)
+    np.testing.assert_allclose(steps.overshoot, np.maximum(link.max(axis=1) - 1.0, 0.0), atol=1e-9)
+    parts = [
+        Steps.of(close(p, [g.law() for g in GAINS], 1), 1e-3, by_velocity=by_velocity)
+        for p in halves(sampled)
+    ]
+    joined = join(parts, "time", ("link",))
+    np.testing.assert_allclose(joined.link, steps.link, atol=1e-12)
+    np.testing.assert_array_equal(joined.settling, steps.settling)
+
+
+def halves(sampled: SampledPlants) -> list[SampledPlants]:
+    half = len(sampled.A) // 2
+    return [
+        replace(sampled, A=sampled.A[part], B=sampled.B[part])
+        for part in (slice(half), slice(half, None))
+    ]
