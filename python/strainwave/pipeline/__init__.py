@@ -228,7 +228,7 @@ def _load_report() -> None:
     from strainwave.report import document  # noqa: F401
     from strainwave.report.html import load_template
 
-    load_template("report/page")
+    load_template("document/page")
 
 
 def write(

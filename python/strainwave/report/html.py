@@ -21,7 +21,7 @@ _GREEK = {
 
 
 def fill_template(template: str, **values: Any) -> str:
-    """The HTML of a template of this package, named without its ending: "report/page"."""
+    """The HTML of a template of this package, named without its ending: "document/page"."""
     return _environment().get_template(f"{template}.html.j2").render(**values)
 
 
@@ -31,7 +31,7 @@ def load_template(template: str) -> None:
 
 
 def read_template(name: str) -> str:
-    """The text of a template file, named with its ending: "report/page.css"."""
+    """The text of a template file, named with its ending: "document/page.css"."""
     folder, _, file = name.partition("/")
     return (_HERE / folder / "templates" / file).read_text(encoding="utf-8")
 

@@ -305,7 +305,7 @@ def luminance(colour: str) -> float:
 
 def test_status_colours_have_contrast_in_both_themes() -> None:
     """At least 4.5 : 1 (WCAG 2.2, AA) for text on a badge and for coloured text."""
-    themes = re.findall(r":root \{(.*?)\}", read_template("report/page.css"), re.DOTALL)
+    themes = re.findall(r":root \{(.*?)\}", read_template("document/page.css"), re.DOTALL)
     assert len(themes) == 2
     for theme in themes:
         colours = dict(re.findall(r"--(\w+): (#\w{6})", theme))

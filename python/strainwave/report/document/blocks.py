@@ -260,14 +260,14 @@ def document(
     # `<` is escaped because it could end the script element
     figure_json = to_json(figures, inf_nan_mode="null").decode().replace("<", "\\u003c")
     return fill_template(
-        "report/page",
+        "document/page",
         policy=_POLICY,
         title=title,
         subtitle=subtitle,
         before=before,
         sections=filled,
         key_of=lambda plot: keys[id(plot)],
-        style=Markup(read_template("report/page.css")),
+        style=Markup(read_template("document/page.css")),
         figures=Markup(figure_json),
         scripts=[Markup(script) for script in page_scripts()] if plots else [],
     )
@@ -275,7 +275,7 @@ def document(
 
 def page_scripts() -> list[str]:
     """The scripts of a page with figures."""
-    return [plotly_script().read_bytes().decode(), read_template("report/page.js")]
+    return [plotly_script().read_bytes().decode(), read_template("document/page.js")]
 
 
 def plotly_script() -> Path:
