@@ -59,5 +59,5 @@ def arm(request: pytest.FixtureRequest) -> Input:
 @pytest.fixture(scope="session")
 def small_arm() -> Input:
     """Small arm of the repository, simulated with an independent simulator."""
-    study = read_study(Path(__file__).parents[2] / "data" / "small-arm" / "study.toml")
+    study = read_study(Path(__file__).parents[1] / "data" / "small-arm" / "study.toml")
     return read_logs(study), study
