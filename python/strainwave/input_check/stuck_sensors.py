@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from strainwave.domain import Clause, Correction, Log, Place, Relation, Suspicion, channel_parts
-from strainwave.domain.messages import Value
 from strainwave.dynamics.arm import Arm
 from strainwave.input_check.clocks import find_excited_inputs
 from strainwave.signals.hygiene.defects import resolution_of
@@ -112,13 +111,9 @@ def measure_standing_encoders(
         n, least = float(min(readings.values())), float(_MIN_READINGS)
         relation = Relation("readings", place, n, 0.0, least, n >= least, 0.0, "least")
         sources = tuple(dict.fromkeys(moving[record, i] for record in records))
-        values: dict[str, Value] = {"channel": name, "records": records, "sources": sources}
-        fault = Suspicion(
-            code="dead-channel",
-            places=(place,),
-            clause=Clause("dead-channel/encoder", **values),
-            remedy_clause=Clause("remedy/encoder", **values),
-        )
+        clause = Clause("dead-channel/encoder", channel=name, records=records, sources=sources)
+        remedy = Clause("remedy/encoder", channel=name, records=records, sources=sources)
+        fault = Suspicion("dead-channel", (place,), clause=clause, remedy_clause=remedy)
         yield relation, fault if records else None
 
 

@@ -144,8 +144,8 @@ def _convert(model: StateSpace) -> ContinuousStateSpace:
     warnings: tuple[Diagnostic, ...] = ()
     hz = float(np.abs(np.linalg.eigvals(A).imag).max(initial=0.0)) / (2.0 * np.pi)
     if hz >= MAX_NYQUIST_SHARE * 0.5 / T:
-        values = {"frequency_hz": hz, "rate_hz": 1.0 / T}
-        warnings = (Diagnostic("pole-near-nyquist", STATE_SPACE_MODEL, **values),)
+        place = STATE_SPACE_MODEL
+        warnings = (Diagnostic("pole-near-nyquist", place, frequency_hz=hz, rate_hz=1.0 / T),)
     return ContinuousStateSpace(
         A=A,
         B=B,

@@ -276,8 +276,8 @@ def test_a_run_recorded_when_a_merge_starts_is_counted(
 def test_a_full_disk(tmp_path: Path) -> None:
     """The system refuses files beyond a size, as a full disk refuses all."""
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))"
-    work = "import sys; from strainwave.fleet.campaign.store import Record, Store"
-    row = "Record({'run': 'big'}, (), b'x' * 10000)"
+    work = "import sys; from strainwave.fleet.campaign.store import RunRecord, Store"
+    row = "RunRecord({'run': 'big'}, (), b'x' * 10000)"
     done = subprocess.run(
         [
             sys.executable,
