@@ -113,7 +113,7 @@ def measure_standing_encoders(
         sources = tuple(dict.fromkeys(moving[record, i] for record in records))
         clause = Clause("dead-channel/encoder", channel=name, records=records, sources=sources)
         remedy = Clause("remedy/encoder", channel=name, records=records, sources=sources)
-        fault = Suspicion("dead-channel", (place,), clause=clause, remedy_clause=remedy)
+        fault = Suspicion(code="dead-channel", places=(place,), clause=clause, remedy_clause=remedy)
         yield relation, fault if records else None
 
 

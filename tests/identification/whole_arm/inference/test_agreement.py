@@ -213,8 +213,9 @@ def test_the_excess_of_a_sum_is_an_error_of_both_parts() -> None:
 
 
 def test_a_clock_that_is_fast_is_named(tmp_path: Path) -> None:
+    """The PRBS is the only clock of the records: its stated clock may be wrong as well."""
     result = altered(tmp_path, fast_clock)
-    assert [fault.code for fault in result.suspected] == ["clock-drift"]
+    assert [fault.code for fault in result.suspected] == ["wrong-prbs-clock", "clock-drift"]
     assert result.verdict.status == "inconsistent-input"
 
 
