@@ -1,7 +1,7 @@
 """Families of virtual arms drawn over a gear catalogue, each arm reproducible by its number.
 
-`description` states the distribution, and `drawing` draws arms and simulates their experiments in
-memory. Some arms have a fault in their input, or an effect that their study does not mention.
+`drawing` describes the distribution, draws arms and simulates their experiments in memory. Some
+arms have a fault in their input, or an effect that their study does not mention.
 """
 
 from __future__ import annotations

@@ -79,19 +79,20 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
     """
     with one_blas_thread():
         arm = Arm.of(study.arm)
-        clippings, encoders = (
-            [*measure_clipping(logs, arm)],
-            [*measure_standing_encoders(logs, arm)],
-        )
-        clipped, standing = (
-            [x for _, x in each if x is not None] for each in (clippings, encoders)
-        )
+        clippings = list(measure_clipping(logs, arm))
+        encoders = list(measure_standing_encoders(logs, arm))
+        clipped = [suspicion for _, suspicion in clippings if suspicion is not None]
+        standing = [suspicion for _, suspicion in encoders if suspicion is not None]
         clipped_channels = [p.channel for each in clipped for p in each.places if p.channel]
         unknown = [place.experiments for each in standing for place in each.places]
         suspicions = clipped + standing
         # the relations between torques and motion hold for the arm alone, and for known angles
-        bare = [g for g in logs if not any(not names or g.name in names for names in unknown)]
-        bare = [log for log in bare if log.experiment.payload is None]
+        bare = [
+            log
+            for log in logs
+            if log.experiment.payload is None
+            and not any(not records or log.name in records for records in unknown)
+        ]
         unclipped = collect_evidence(bare, study).without(clipped_channels)
         explanations = search_explanations(unclipped)
         unclipped = replace(unclipped, best_fit=_best_fit(explanations))
@@ -112,7 +113,7 @@ def _best_fit(explanations: Sequence[Hypothesis] | None) -> BestFit | None:
 
 
 def _unchecked(logs: Sequence[Log], relations: Sequence[Relation]) -> tuple[str, ...]:
-    """Channels of the logs that occur in no relation but that of clipped samples.
+    """Channels of the logs that occur in no relation with other channels.
 
     The relations of sensors and torques compare them with the motor angles.
     """

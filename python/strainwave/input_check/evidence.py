@@ -135,9 +135,8 @@ class Evidence:
     counts: Mapping[int, float]  # joint -> encoder count of its motor angle, if quantised
     high_passes: Mapping[str, float] = field(default_factory=dict)  # channel -> cutoff [Hz]
     best_fit: BestFit | None = None  # None without torques
-    memory: HypothesisCache = field(
-        default_factory=HypothesisCache
-    )  # of all hypotheses about the same logs
+    # of all hypotheses about the same logs
+    memory: HypothesisCache = field(default_factory=HypothesisCache)
 
     @property
     def arm(self) -> Arm:

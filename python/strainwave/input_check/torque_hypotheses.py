@@ -285,22 +285,18 @@ def propose_families(evidence: Evidence) -> Iterator[HypothesisFamily]:
     if arm.gravity and is_chain:
         tolerated = np.full(3, _TOLERATED_GRAVITY / _GRAVITY_STD)
         yield HypothesisFamily(tolerated, partial(_gravity, evidence))
+    tolerated_ratio = np.array([_TOLERATED_RATIO / _RATIO_STD])
+    tolerated_angle = np.array([_TOLERATED_ANGLE / _ANGLE_STD])
     for i in joints:
-        yield HypothesisFamily(
-            np.array([_TOLERATED_RATIO / _RATIO_STD]), partial(_ratio, evidence, i)
-        )
-        yield HypothesisFamily(
-            np.array([_TOLERATED_ANGLE / _ANGLE_STD]), partial(_zero, evidence, i)
-        )
+        yield HypothesisFamily(tolerated_ratio, partial(_ratio, evidence, i))
+        yield HypothesisFamily(tolerated_angle, partial(_zero, evidence, i))
         if is_chain:
             yield HypothesisFamily(_TOLERATED_FRAME, partial(_frame, evidence, i))
         if _torque_scale(evidence, i) is not None:
             tolerated = np.array([_TOLERATED_TORQUE / _RATIO_STD])
             yield HypothesisFamily(tolerated, partial(_constant, evidence, i))
     if arm.gravity and "link_length" in arm_keys(arm):
-        yield HypothesisFamily(
-            np.array([_TOLERATED_RATIO / _RATIO_STD]), partial(_length, evidence)
-        )
+        yield HypothesisFamily(tolerated_ratio, partial(_length, evidence))
     step = max(r.sample_time for r in evidence.records)
     efforts = [name for i in joints if (name := effort_channel(evidence.channels, i))]
     angles = [[n for n in (f"theta_m{i}", f"omega_m{i}") if n in evidence.channels] for i in joints]

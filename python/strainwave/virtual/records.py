@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -116,8 +117,21 @@ def _steps(path: Path, arm: Arm, experiment: Experiment) -> FloatArray:
     return excitation.steps(levels, hold=STEP_HOLD, clock=arm.servo.period)
 
 
-Simulator = Callable[..., Trajectory]
-"""Engine of a virtual arm: `simulate`, or another function of the same arguments."""
+class Simulator(Protocol):
+    """Engine of a virtual arm: `strainwave.dynamics.simulation.simulate` or another one."""
+
+    def __call__(
+        self,
+        arm: Arm,
+        values: Values,
+        drive: Drive,
+        /,
+        *,
+        sample_time: float,
+        samples: int,
+        record: Sequence[Quantity],
+    ) -> Trajectory:
+        """Motion of the arm."""
 
 
 def record_experiment(

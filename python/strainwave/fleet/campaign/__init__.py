@@ -31,6 +31,8 @@ from strainwave.fleet.campaign.study_files import CaseSelection, find
 from strainwave.io import atomic_files
 from strainwave.io.study.reader import Flag, parse_flag
 
+__all__ = ["RunLimits", "Settings", "Summary", "run"]
+
 _PATH = re.compile(r"\S*/\S*|\S+\.(?:toml|csv|parquet)\S*")
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 _MAX_CAUSE_LENGTH = 90  # characters: one line of a terminal
@@ -56,7 +58,7 @@ class Tally:
     skipped: int = 0  # recorded before
     by_status: Counter[str] = field(default_factory=Counter)
     by_cause: Counter[tuple[str, str]] = field(default_factory=Counter)
-    undetermined: list[Outcome] = field(default_factory=list)  # the first `MAX_LISTED`
+    undetermined: list[Outcome] = field(default_factory=list)  # the first `MAX_LISTED_RUNS`
 
     def add(self, outcome: Outcome) -> None:
         """Count an outcome."""
@@ -146,9 +148,6 @@ def _display(tally: Tally, dashboard: str | None) -> Any:
     if dashboard:
         lines.append(Text(f"Dask: {dashboard}"))
     return Group(ProgressBar(total=max(tally.total, 1), completed=ended), *lines)
-
-
-__all__ = ["RunLimits", "Settings", "Summary", "run"]
 
 
 @dataclass(frozen=True, kw_only=True)
