@@ -11,11 +11,11 @@ import pytest
 from consistency_inputs import Input
 from strainwave.domain import ArmDescription, Experiment, Joint, Place
 from strainwave.input_check import report_remaining
-from strainwave.input_check.clocks import Clocks
 from strainwave.input_check.evidence import Evidence, SlowRecord, collect_evidence
 from strainwave.input_check.hypothesis import UnexplainedEvidence
 from strainwave.input_check.input_hypotheses import propose_hypotheses
-from strainwave.input_check.observations import EXPECTED, Observation
+from strainwave.input_check.observations import EXPECTED, is_of_link, observe
+from strainwave.input_check.timing import Clocks
 from strainwave.signals.torque_constants import suspect_torque_constants
 from strainwave.virtual import scara
 
@@ -52,16 +52,16 @@ def evidence(small_arm: Input) -> Evidence:
 
 
 def test_the_joint_of_an_observation_has_any_number_of_digits() -> None:
-    assert Observation("scale", Place(channel="a12"), 2.0, 0.1).joint == 12
-    assert Observation("scale", Place(channel="a12"), 2.0, 0.1).is_of_link
-    assert Observation("prbs-clock", Place.in_records("step-12"), 2.0, 0.1).joint is None
-    assert Observation("explained-share", Place(joint=12), 0.1, 0.0).joint == 12
+    assert observe("scale", Place(channel="a12"), 2.0, 0.1).joint == 12
+    assert is_of_link(observe("scale", Place(channel="a12"), 2.0, 0.1))
+    assert observe("prbs-clock", Place.in_records("step-12"), 2.0, 0.1).joint is None
+    assert observe("explained-share", Place(joint=12), 0.1, 0.0).joint == 12
 
 
 @pytest.mark.parametrize("kind", sorted(EXPECTED))
 def test_each_kind_of_contradiction_has_a_text(kind: str) -> None:
     place = Place.in_records("motion", joint=1) if "clock" in kind else Place(channel="a2")
-    each = Observation(kind, place, 3.0, 0.1)
+    each = observe(kind, place, 3.0, 0.1)
     likely = ("ac-coupled", "wrong-unit")
     (suspicion,) = report_remaining([each], likely)
     assert suspicion.where == ("motion" if "clock" in kind else "a2")
@@ -79,7 +79,7 @@ def test_torque_constants_of_any_joint_are_named(evidence: Evidence) -> None:
 
 
 def test_delays_of_one_kind_are_one_cause(evidence: Evidence) -> None:
-    late = Observation("delay", Place(channel="a1"), 0.02, 1e-4)
+    late = observe("delay", Place(channel="a1"), 0.02, 1e-4)
     causes = [*propose_hypotheses(UnexplainedEvidence(evidence, (late,)))]
     causes = [each for each in causes if each.code == "misaligned"]
     assert causes[-1].places == (Place(channel="a1"),)

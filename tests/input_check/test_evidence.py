@@ -12,10 +12,9 @@ from strainwave.domain import Correction, Experiment, Joint, Lag, Log, Prbs
 from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.excitation import prbs
-from strainwave.input_check.clocks import estimate_clocks
 from strainwave.input_check.evidence import collect_evidence, motion_bands
-from strainwave.input_check.motors import spread_stretches
-from strainwave.input_check.torque_fit import regress_torques
+from strainwave.input_check.timing import estimate_clocks
+from strainwave.input_check.torque_rows import regress_torques, spread_stretches
 from strainwave.numerics.filters import apply_lags
 
 SAMPLE_TIME = 1e-3  # [s]
@@ -75,7 +74,7 @@ def test_a_share_of_the_rows_gives_the_same_inertias(
     vertical_arm: Input, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = list(regress_torques(collect_evidence(*vertical_arm)))
-    monkeypatch.setattr("strainwave.input_check.torque_fit._MAX_ROWS", 400)
+    monkeypatch.setattr("strainwave.input_check.torque_rows._MAX_ROWS", 400)
     part = list(regress_torques(collect_evidence(*vertical_arm)))
     assert [each.joint for each in part] == [each.joint for each in whole] == [1, 2]
     for one, other in zip(whole, part, strict=True):

@@ -29,8 +29,8 @@ from strainwave.dynamics.arm import Arm
 from strainwave.input_check import check_consistency
 from strainwave.input_check.evidence import collect_evidence
 from strainwave.input_check.sensors import IMU_CHANNELS
+from strainwave.input_check.torque_fit import report_impossible_links
 from strainwave.input_check.torque_search import search_explanations
-from strainwave.input_check.urdf_masses import report_impossible_links
 from strainwave.signals.link_readings import JointMotion, imu_parts
 
 N_JOINTS, SAMPLE_TIME, SECONDS = 3, 2e-3, 20.0

@@ -180,6 +180,12 @@ class Relation:
         """Text of the place."""
         return places_text((self.place,))
 
+    @property
+    def joint(self) -> int | None:
+        """Joint of the place, from 1; None for a record."""
+        channel = self.place.channel
+        return self.place.joint if channel is None else channel_parts(channel)[1]
+
 
 @dataclass(frozen=True, slots=True)
 class Consistency:

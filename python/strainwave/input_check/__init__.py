@@ -30,19 +30,19 @@ from strainwave.input_check.hypothesis import (
     UnexplainedEvidence,
 )
 from strainwave.input_check.input_hypotheses import propose_hypotheses
-from strainwave.input_check.motors import EFFORTS
 from strainwave.input_check.observations import (
     EXPECTED,
-    Observation,
     compute_observations,
-    relations_of,
+    is_of_link,
+    worst_relations,
 )
 from strainwave.input_check.stuck_sensors import (
     measure_clipping,
     measure_standing_encoders,
 )
+from strainwave.input_check.torque_fit import compare_urdf_masses, report_impossible_links
+from strainwave.input_check.torque_rows import EFFORTS
 from strainwave.input_check.torque_search import search_explanations
-from strainwave.input_check.urdf_masses import compare_urdf_masses, report_impossible_links
 from strainwave.numerics.parallel import one_blas_thread
 
 __all__ = ["check_consistency"]
@@ -54,6 +54,8 @@ _MAX_CAUSES = 3
 _REQUIRED_KINDS = ("explained-share", "scale", "inertia")
 # Kinds that are not observed without the record, the channel or the meaning of a fault.
 _MAY_BE_MISSING = ("torque-fit", "friction", "presence")
+# Weight of a signal that its prediction does not explain; no other observation is available.
+_UNEXPLAINED_WEIGHT = 2.0
 # Minimum decrease of the total contradiction weight for a cause to be accepted.
 _MIN_EXPLAINED_WEIGHT = 0.75
 # Weight added to a cause with an estimated factor, so that structured causes take precedence.
@@ -101,7 +103,7 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
         warnings = tuple(report_impossible_links(study.arm))
         warnings += () if suspicions else tuple(compare_urdf_masses(unclipped))
     of_sensors = (relation for relation, _ in clippings + encoders)
-    relations = (*of_sensors, *relations_of(observations))
+    relations = (*of_sensors, *worst_relations(observations))
     return Consistency(tuple(suspicions), relations, warnings, _unchecked(logs, relations))
 
 
@@ -129,14 +131,14 @@ def _unchecked(logs: Sequence[Log], relations: Sequence[Relation]) -> tuple[str,
 
 
 def _explain_contradictions(
-    evidence: Evidence, observations: Sequence[Observation], explanations: tuple[Hypothesis, ...]
+    evidence: Evidence, observations: Sequence[Relation], explanations: tuple[Hypothesis, ...]
 ) -> list[Suspicion]:
     """Select hypotheses greedily: each step takes the one that leaves the fewest contradictions."""
     chosen: list[Suspicion] = []
     structured: list[Suspicion] = []  # those of `chosen` that hold if contradictions remain
     likely: list[str] = []
     while any(_needs_cause(o, evidence) for o in observations) and len(chosen) < _MAX_CAUSES:
-        contradictions = tuple(o for o in observations if o.contradicts)
+        contradictions = tuple(o for o in observations if not o.is_consistent)
         ranked = _rank(UnexplainedEvidence(evidence, contradictions, explanations), observations)
         if not chosen:
             likely = [each.code for each in ranked if not each.has_estimated_factor]
@@ -155,26 +157,26 @@ def _explain_contradictions(
             structured.append(best.suspicion(evidence.study))
         evidence = best.corrected(evidence)
         observations = tuple(compute_observations(evidence))
-    remaining = [o for o in observations if o.contradicts and _is_reported(o)]
+    remaining = [o for o in observations if not o.is_consistent and _is_reported(o)]
     if not remaining:
         return chosen
     likely = likely[:_MAX_LIKELY_CAUSES]
     return [*structured, *report_remaining(remaining, likely)]
 
 
-def _needs_cause(each: Observation, evidence: Evidence) -> bool:
+def _needs_cause(each: Relation, evidence: Evidence) -> bool:
     """Whether a contradiction starts the search for causes, which takes time for chains.
 
     Friction alone can reduce the explained share of a motor signal; the torques of chains are
     tested by their common fit.
     """
     is_searched = evidence.arm.has_planar_program or each.kind in _OF_TORQUES
-    return each.contradicts and (is_searched or _is_reported(each))
+    return not each.is_consistent and (is_searched or _is_reported(each))
 
 
-def _rank(case: UnexplainedEvidence, now: Sequence[Observation]) -> list[Hypothesis]:
+def _rank(case: UnexplainedEvidence, now: Sequence[Relation]) -> list[Hypothesis]:
     """Hypotheses that reduce the contradictions, by remaining weight, then by simplicity."""
-    limit = sum(o.weight for o in case.contradictions) - _MIN_EXPLAINED_WEIGHT
+    limit = sum(map(_weight, case.contradictions)) - _MIN_EXPLAINED_WEIGHT
     weights: list[tuple[float, Hypothesis]] = []
     for each in propose_hypotheses(case):
         after = _weigh(case.evidence, now, each, limit)
@@ -188,15 +190,19 @@ def _rank(case: UnexplainedEvidence, now: Sequence[Observation]) -> list[Hypothe
     return [each for _, each in sorted(weights, key=lambda pair: pair[0])]
 
 
+def _weight(each: Relation) -> float:
+    return _UNEXPLAINED_WEIGHT if each.kind == "explained-share" else 1.0
+
+
 def _weigh(
-    evidence: Evidence, now: Sequence[Observation], each: Hypothesis, limit: float = np.inf
+    evidence: Evidence, now: Sequence[Relation], each: Hypothesis, limit: float = np.inf
 ) -> float:
     """Weight of the contradictions that a hypothesis leaves, up to `limit`.
 
     An observation that it removes counts as a contradiction if it contradicted before or its kind
     is in `_REQUIRED_KINDS`. Without a record, signals can be explained less well than with it.
     """
-    known = {(o.kind, o.place) for o in now if o.contradicts}
+    known = {(o.kind, o.place) for o in now if not o.is_consistent}
     has_fit = any(o.kind == "torque-fit" for o in now)
     missing = {(o.kind, o.place) for o in now if _is_required(o, each, has_fit=has_fit)}
     weight = 0.0
@@ -204,13 +210,13 @@ def _weigh(
         key = after.kind, after.place
         missing.discard(key)
         is_worse = each.excluded and after.kind == "explained-share" and key not in known
-        weight += 0.0 if is_worse else after.weight * after.contradicts
+        weight += 0.0 if is_worse or after.is_consistent else _weight(after)
         if weight >= limit:
             return weight
     return weight + len(missing)
 
 
-def _is_required(o: Observation, each: Hypothesis, *, has_fit: bool) -> bool:
+def _is_required(o: Relation, each: Hypothesis, *, has_fit: bool) -> bool:
     """Whether an observation must remain available after a correction.
 
     If the torques are compared with one arm, the equation of a single joint may be missing: its
@@ -219,27 +225,27 @@ def _is_required(o: Observation, each: Hypothesis, *, has_fit: bool) -> bool:
     is_share = o.kind == "explained-share" and o.place.channel is None
     if o.kind in _MAY_BE_MISSING or (has_fit and (is_share or o.kind == "inertia")):
         return False
-    if each.excluded and (not o.contradicts or set(each.excluded) & set(o.place.experiments)):
+    if each.excluded and (o.is_consistent or set(each.excluded) & set(o.place.experiments)):
         return False
-    is_compared = not (each.moves_frames and o.is_of_link)
-    return is_compared and (o.contradicts or o.kind in _REQUIRED_KINDS)
+    is_compared = not (each.moves_frames and is_of_link(o))
+    return is_compared and (not o.is_consistent or o.kind in _REQUIRED_KINDS)
 
 
-def _is_reported(each: Observation) -> bool:
+def _is_reported(each: Relation) -> bool:
     """Whether a contradiction is reported without a cause.
 
     A low explained share of a motor signal is not reported, because friction and servo limits
     can cause it. Link sensors follow the motion in every fault-free record.
     """
     if each.kind == "torque-fit":  # other relations exclude all better explanations
-        return each.value > _LARGE_RATIO
+        return each.measured > _LARGE_RATIO
     if each.kind != "explained-share":
         return True
-    return each.is_of_link and each.value < _MIN_EXPLAINED_SHARE
+    return is_of_link(each) and each.measured < _MIN_EXPLAINED_SHARE
 
 
 def report_remaining(
-    contradictions: Sequence[Observation], likely: Sequence[str]
+    contradictions: Sequence[Relation], likely: Sequence[str]
 ) -> Iterator[Suspicion]:
     """Suspicions for the remaining contradictions, one per channel.
 
@@ -250,17 +256,17 @@ def report_remaining(
         for number, code in enumerate(dict.fromkeys([*likely, *_GENERAL_CODES]), start=1)
     )
     remedy = Clause("remedy/experiments", experiments=experiments)
-    by_place: dict[Place, Observation] = {}
+    by_place: dict[Place, Relation] = {}
     for each in sorted(contradictions, key=lambda o: o.kind == "explained-share"):
         by_place.setdefault(replace(each.place, joint=None), each)
     for place, each in by_place.items():
         is_factor = each.kind not in ("delay", "drift", "input-delay", "explained-share")
         yield Suspicion(
-            code="wrong-sign" if is_factor and each.value < 0.0 else EXPECTED[each.kind].code,
+            code="wrong-sign" if is_factor and each.measured < 0.0 else EXPECTED[each.kind].code,
             places=(place,),
             clause=Clause(
-                f"contradiction/{each.kind}", place=place, value=each.value, joint=each.joint
+                f"contradiction/{each.kind}", place=place, value=each.measured, joint=each.joint
             ),
             remedy_clause=remedy,
-            factor=each.value if is_factor else None,
+            factor=each.measured if is_factor else None,
         )

@@ -25,8 +25,13 @@ from strainwave.domain import (
 )
 from strainwave.domain.consistency import apply_corrections
 from strainwave.dynamics.arm import Arm
-from strainwave.input_check.clocks import Clocks, estimate_clocks, find_excited_inputs
-from strainwave.input_check.input_delay import DelayProfile, compute_delay_profile
+from strainwave.input_check.timing import (
+    Clocks,
+    DelayProfile,
+    compute_delay_profile,
+    estimate_clocks,
+    find_excited_inputs,
+)
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.channels import estimate_encoder_count
@@ -77,9 +82,16 @@ class HypothesisCache:
         return all(id(x) in self._stated for x in sources)
 
     def recall(
-        self, name: Hashable, sources: Sequence[object], compute: Callable[[], Result]
+        self,
+        name: Hashable,
+        sources: Sequence[object],
+        compute: Callable[[], Result],
+        *,
+        is_kept: bool = True,
     ) -> Result:
-        """The result of that name from these objects; computed on the first call."""
+        """The result of that name from these objects; computed once if it `is_kept`."""
+        if not is_kept:
+            return compute()
         key = (name, *map(id, sources))
         if key not in self._results:  # the sources are kept, so that their identities stay unique
             self._results[key] = tuple(sources), compute()
@@ -109,7 +121,6 @@ class PredictedSignal:
     """A signal of one record compared with its prediction."""
 
     channel: str
-    record: str
     explained: float  # share of the variance of the signal
     values: Mapping[str, tuple[float, float]]  # kind of observation -> value, standard deviation
     seconds: float = np.inf  # length of the record
@@ -231,7 +242,11 @@ class Evidence:
                 record,
                 sample_time=factor * record.sample_time,
                 bandwidth_hz=record.bandwidth_hz / factor,
-                clocks=record.clocks.retimed(factor),
+                clocks=replace(
+                    record.clocks,
+                    prbs=record.clocks.prbs and factor * record.clocks.prbs,
+                    servo=record.clocks.servo and factor * record.clocks.servo,
+                ),
                 delays={},
             )
             for record in self.records
@@ -307,65 +322,53 @@ def _remapped(
 
 
 def collect_evidence(logs: Sequence[Log], study: Study) -> Evidence:
-    """Collect the evidence of a study. Records that are too short are omitted."""
-    arm = Arm.of(study.arm)
-    pairs = [*zip(logs, _moving_motors(logs, arm), strict=True)]
-    bands = [
-        motion_bands(
-            _motor_angles(log, arm)[:, moves], log.sample_time, slow=is_slow(log.experiment)
+    """Collect the evidence of a study. Records that are too short are omitted.
+
+    Motors that only deflect stand; fast records excite their gears.
+    """
+    arm, slow = Arm.of(study.arm), [is_slow(log.experiment) for log in logs]
+    angles = [
+        np.column_stack(
+            [log.channels[f"theta_m{i + 1}"][:_MAX_SAMPLES] for i in range(arm.n_joints)]
         )
-        for log, moves in pairs
+        for log in logs
     ]
-    slow = [
-        b for each, log in zip(bands, logs, strict=True) if is_slow(log.experiment) for b in each
+    stands = iter(detect_standing_motors([angles[k] for k in np.flatnonzero(slow)]))
+    moves = [~next(stands) if each else np.ones(arm.n_joints, dtype=bool) for each in slow]
+    bands = [
+        motion_bands(angle[:, moving], log.sample_time, slow=each)
+        for log, angle, moving, each in zip(logs, angles, moves, slow, strict=True)
     ]
-    limit = _MAX_BAND_RATIO * float(np.quantile(slow, 0.5, method="lower")) if slow else np.inf
+    of_slow = [hz for k in np.flatnonzero(slow) for hz in bands[k]]
+    limit = (
+        _MAX_BAND_RATIO * float(np.quantile(of_slow, 0.5, method="lower")) if of_slow else np.inf
+    )
     jobs = [
         partial(
-            _slow_record,
-            log,
-            arm,
-            moves,
-            min(max(b, default=0.0), limit if is_slow(log.experiment) else np.inf),
+            _slow_record, log, arm, angles[k], moves[k], min(band, limit if slow[k] else np.inf)
         )
-        for (log, moves), b in zip(pairs, bands, strict=True)
+        for k, (log, band) in enumerate(
+            zip(logs, [max(b, default=0.0) for b in bands], strict=True)
+        )
     ]
     records = run_parallel(jobs)
-    counts = {}
-    for joint in range(1, arm.n_joints + 1):
-        count = estimate_encoder_count([log.channels[f"theta_m{joint}"] for log in logs])
-        if count is not None:
-            counts[joint] = count
+    counts = {
+        joint: count
+        for joint in range(1, arm.n_joints + 1)
+        if (count := estimate_encoder_count([log.channels[f"theta_m{joint}"] for log in logs]))
+    }
     return Evidence(study, tuple(r for r in records if r is not None), counts)
 
 
-def _moving_motors(logs: Sequence[Log], arm: Arm) -> list[BoolArray]:
-    """Whether each motor (n_joints,) of each record moves.
-
-    Fast records excite the gears of motors that only deflect.
-    """
-    moves = [np.ones(arm.n_joints, dtype=bool) for _ in logs]
-    slow = [k for k, log in enumerate(logs) if is_slow(log.experiment)]
-    if slow:
-        stands = detect_standing_motors([_motor_angles(logs[k], arm) for k in slow])
-        for k, at in zip(slow, stands, strict=True):
-            moves[k] = ~at
-    return moves
-
-
-def _motor_angles(log: Log, arm: Arm) -> FloatArray:
-    """Motor angles of the evaluated samples, (n_samples, n_joints)."""
-    joints = range(1, arm.n_joints + 1)
-    return np.column_stack([log.channels[f"theta_m{i}"][:_MAX_SAMPLES] for i in joints])
-
-
-def _slow_record(log: Log, arm: Arm, moves: BoolArray, band: float) -> SlowRecord | None:
+def _slow_record(
+    log: Log, arm: Arm, angle: FloatArray, moves: BoolArray, band: float
+) -> SlowRecord | None:
     """Low-pass filter and decimate a record. Returns None if the record is too short.
 
-    `band` is the bandwidth of the motion [Hz].
+    `angle` are the motor angles of the evaluated samples, `band` is the bandwidth of the motion
+    [Hz].
     """
-    angle, T = _motor_angles(log, arm), log.sample_time
-    n = len(angle)
+    T, n = log.sample_time, len(angle)
     band = max(min(band, 1.0 / (_MIN_SAMPLES_PER_CYCLE * T)), _MIN_CYCLES / (n * T))
     block = max(1, int(1.0 / (_ROWS_PER_CYCLE * band * T)))
     n_rows = n // block
@@ -429,26 +432,18 @@ def motion_bands(angle: FloatArray, sample_time: float, *, slow: bool) -> list[f
 
     Slow records: 2 times the frequency below which 80 % of the velocity power lies. Fast records
     excite the gear resonances: 0.25 times the frequency below which 50 % of the power lies.
-    Spectral lines of slow records that angle noise can have do not count. `angle` has shape
-    (n_samples, n_joints).
+    Spectral lines of slow records that white angle noise can have do not count; the upper half band
+    gives its power. `angle` has shape (n_samples, n_joints).
     """
     velocity = np.diff(angle[: 2**16], axis=0)
     power = np.abs(np.fft.rfft(velocity - velocity.mean(axis=0), axis=0)) ** 2
     frequency = np.fft.rfftfreq(len(velocity), sample_time)
     share, ratio = _SLOW_BAND if slow else _FAST_BAND
     if slow:
-        power[power < _MIN_LINE_OVER_NOISE * _noise_power(power)] = 0.0
+        n, upper = len(power), slice(len(power) // 2, None)
+        shape = np.sin(0.5 * np.pi * np.arange(n) / max(1, n - 1))[:, None] ** 2  # of differences
+        noise = shape * power[upper].mean(axis=0) / shape[upper].mean()
+        power[power < _MIN_LINE_OVER_NOISE * noise] = 0.0
     power = np.cumsum(power, axis=0)
     moving = power.T[power[-1] > 0.0]
     return [ratio * float(frequency[np.searchsorted(p, share * p[-1])]) for p in moving]
-
-
-def _noise_power(power: FloatArray) -> FloatArray:
-    """Expected velocity power of white angle noise, (n_lines, n_joints), from the upper half band.
-
-    `power` has the lines of the differences of consecutive angles.
-    """
-    n_lines = len(power)
-    shape = np.sin(0.5 * np.pi * np.arange(n_lines) / max(1, n_lines - 1))[:, None] ** 2
-    upper = slice(n_lines // 2, None)
-    return np.asarray(shape * power[upper].mean(axis=0) / shape[upper].mean())

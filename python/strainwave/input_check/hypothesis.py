@@ -8,10 +8,9 @@ from functools import partial
 
 import numpy as np
 
-from strainwave.domain import Clause, Correction, Place, Study, Suspicion, channel_parts
+from strainwave.domain import Clause, Correction, Place, Relation, Study, Suspicion, channel_parts
 from strainwave.domain.consistency import exchange_corrections, steps_of
 from strainwave.input_check.evidence import BestFit, Evidence
-from strainwave.input_check.observations import Observation
 from strainwave.input_check.sensors import LINK_CHANNELS, estimate_rotation_factors
 from strainwave.input_check.torque_fit import Gain
 
@@ -127,7 +126,7 @@ class UnexplainedEvidence:
     """Evidence, and the contradictions in it that a hypothesis must explain."""
 
     evidence: Evidence
-    contradictions: tuple[Observation, ...]
+    contradictions: tuple[Relation, ...]
     explanations: tuple[Hypothesis, ...] = ()  # of the torques, the best first
 
     @property
@@ -142,15 +141,15 @@ class UnexplainedEvidence:
     def by_channel(self, kind: str) -> dict[str, float]:
         """Values of the contradictions of one kind, by channel."""
         chosen = [o for o in self.contradictions if o.kind == kind]
-        return {o.place.channel: o.value for o in chosen if o.place.channel is not None}
+        return {o.place.channel: o.measured for o in chosen if o.place.channel is not None}
 
     def values(self, channel: str | None, *kinds: str) -> list[float]:
         """Nonzero values of the contradictions in one channel, or in records, kind by kind."""
         return [
-            o.value
+            o.measured
             for kind in kinds
             for o in self.contradictions
-            if o.kind == kind and o.place.channel == channel and o.value
+            if o.kind == kind and o.place.channel == channel and o.measured
         ]
 
     def rotation_factors(self, joint: int) -> list[float]:

@@ -31,7 +31,6 @@ from strainwave.input_check.hypothesis import (
     scaled,
     whole_reduction,
 )
-from strainwave.input_check.motors import effort_channel
 from strainwave.input_check.observations import EXPECTED
 from strainwave.input_check.sensors import (
     IMU_ACCELEROMETERS,
@@ -40,6 +39,7 @@ from strainwave.input_check.sensors import (
     estimate_high_pass_cutoff,
 )
 from strainwave.input_check.torque_hypotheses import other_gravity, propose_explanations
+from strainwave.input_check.torque_rows import effort_channel
 
 # Maximum relative difference between two factors that count as equal.
 _MAX_FACTOR_DIFFERENCE = 0.02
@@ -147,7 +147,7 @@ def _effort_scales(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
         changes = [c for name, x in wrong.items() for c in scaled(case.evidence, [name], x)]
         yield Hypothesis("wrong-torque-constant", clause, tuple(changes)).as_estimate()
     efforts = tuple(name for name in names if channel_parts(name)[0] == "torque")
-    for share in (o.value for o in case.contradictions if o.kind == "friction"):
+    for share in (o.measured for o in case.contradictions if o.kind == "friction"):
         clause = Clause("effort-without-friction", channels=efforts, share=share)
         yield other_meaning(efforts, "without-friction", clause)
 
@@ -386,10 +386,10 @@ def _record_clocks(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     clocked = [r for r in case.evidence.records if r.clocks.prbs or r.clocks.servo]
     if not wrong:
         return
-    names, ratio = tuple(wrong), float(np.median([o.value for o in wrong.values()]))
+    names, ratio = tuple(wrong), float(np.median([o.measured for o in wrong.values()]))
     stated = {r.experiment.name: r.experiment.prbs for r in clocked}
     changes = tuple(
-        Correction("experiment", name, "prbs.clock", float(f"{o.value * prbs.clock:.5g}"))
+        Correction("experiment", name, "prbs.clock", float(f"{o.measured * prbs.clock:.5g}"))
         for name, o in wrong.items()
         if (prbs := stated[name]) is not None and o.kind == "prbs-clock"
     )

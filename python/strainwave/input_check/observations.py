@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from strainwave.domain import Place, Relation, channel_parts
 from strainwave.domain.consistency import Bound
 from strainwave.input_check.evidence import Evidence, PredictedSignal, exchanged_tests
-from strainwave.input_check.input_delay import pool_delays
-from strainwave.input_check.motors import (
-    compare_motor_signals,
-    effort_channel,
-    implied_density,
-)
 from strainwave.input_check.sensors import (
     IMU_ACCELEROMETERS,
     LINK_CHANNELS,
+    compare_motor_signals,
     regress_readings,
 )
-from strainwave.input_check.torque_fit import (
-    friction_shares,
-    recall_quality,
-    regress_torques,
-)
+from strainwave.input_check.timing import pool_delays
+from strainwave.input_check.torque_fit import friction_shares, recall_quality
+from strainwave.input_check.torque_rows import effort_channel, implied_density, regress_torques
 from strainwave.numerics.regression import pool_estimates
 
 
@@ -86,151 +79,112 @@ _MAX_SCALE_ERROR, _LENGTH_TOLERANCE = 0.025, 0.04
 _OF_PARTS = ("own-joint", "origin-motion", "gravity", "rotation-ratio")
 # Minimum explained share for the delay and the parts of a reading to be evaluated.
 _MIN_PARTLY_EXPLAINED_SHARE = 0.5
-# Weight of a signal that its prediction does not explain; no other observation is available.
-_UNEXPLAINED_WEIGHT = 2.0
 # Minimum signal-to-noise ratio of a link sensor's record.
 _MIN_SIGNAL_TO_NOISE = 5.0
 
 
-@dataclass(frozen=True, slots=True)
-class Observation:
-    """One value that tests the consistency of the input."""
+def observe(
+    kind: str, place: Place, value: float, std: float = 0.0, tolerance: float | None = None
+) -> Relation:
+    """One value that tests the consistency of the input; `tolerance` replaces that of its kind.
 
-    kind: str  # a key of EXPECTED
-    place: Place  # channel, record, or joint of an equation
-    value: float
-    std: float
-    tolerance: float | None = None  # None: tolerance of the kind
-
-    @property
-    def joint(self) -> int | None:
-        """Joint of the place, from 1; None for a record."""
-        if self.place.channel is None:
-            return self.place.joint
-        return channel_parts(self.place.channel)[1]
-
-    @property
-    def _channel_kind(self) -> str:
-        return channel_parts(self.place.channel)[0] if self.place.channel else ""
-
-    @property
-    def is_of_link(self) -> bool:
-        """Whether the observation is about a link sensor."""
-        return self._channel_kind in LINK_CHANNELS
-
-    @property
-    def expected(self) -> float | None:
-        """Value of consistent input, or its bound; None: any positive value."""
-        is_partial = self._channel_kind in IMU_ACCELEROMETERS or not self.is_of_link
-        if self.kind == "explained-share" and is_partial:
-            return _MIN_MOTOR_EXPLAINED_SHARE
-        return EXPECTED[self.kind].expected
-
-    @property
-    def accuracy(self) -> float:
-        """Largest difference from the expected value of consistent input."""
-        test = EXPECTED[self.kind]
-        random, tolerance = test.certain * self.std, self.tolerance or test.tolerance
-        if self._channel_kind in IMU_ACCELEROMETERS and self.kind in _OF_IMU_SCALES:
-            tolerance = _IMU_TOLERANCE
-        if self.expected == 1.0 and self.value <= 0.0:
-            return 1.0 + random  # a negative ratio is another sign
-        if self.expected == 1.0 and self.value < 1.0:  # a factor in either direction
-            tolerance /= 1.0 + tolerance
-        return max(tolerance, random)
-
-    @property
-    def contradicts(self) -> bool:
-        """Whether the difference from the expected value exceeds the accuracy."""
-        excess = self.value - (self.expected or 0.0)
-        is_lower = EXPECTED[self.kind].bound == "least" or self.expected is None
-        if EXPECTED[self.kind].bound == "equal" and not is_lower:
-            return abs(excess) > self.accuracy
-        return (-excess if is_lower else excess) > self.accuracy
-
-    @property
-    def weight(self) -> float:
-        """Weight of the observation if it contradicts."""
-        return _UNEXPLAINED_WEIGHT if self.kind == "explained-share" else 1.0
+    `place` is a channel, a record, or the joint of an equation.
+    """
+    test, channel_kind = EXPECTED[kind], channel_parts(place.channel or "")[0]
+    expected, tolerance = test.expected, tolerance or test.tolerance
+    if channel_kind in IMU_ACCELEROMETERS and kind in _OF_IMU_SCALES:
+        tolerance = _IMU_TOLERANCE
+    is_partial = channel_kind in IMU_ACCELEROMETERS or channel_kind not in LINK_CHANNELS
+    if kind == "explained-share" and is_partial:
+        expected = _MIN_MOTOR_EXPLAINED_SHARE
+    if expected == 1.0 and value < 1.0:  # a factor in either direction
+        tolerance /= 1.0 + tolerance
+    random = test.certain * std
+    accuracy = max(tolerance, random)
+    if expected == 1.0 and value <= 0.0:
+        accuracy = 1.0 + random  # a negative ratio is another sign
+    excess = value - (expected or 0.0)
+    if test.bound == "least" or expected is None:
+        excess = -excess
+    elif test.bound == "equal":
+        excess = abs(excess)
+    is_consistent = not excess > accuracy
+    return Relation(kind, place, value, std, expected, is_consistent, accuracy, test.bound)
 
 
-def relations_of(observations: Iterable[Observation]) -> tuple[Relation, ...]:
-    """The observations as relations, each place once with its worst value.
+def is_of_link(each: Relation) -> bool:
+    """Whether a relation is about a link sensor."""
+    return channel_parts(each.place.channel or "")[0] in LINK_CHANNELS
+
+
+def worst_relations(observations: Iterable[Relation]) -> tuple[Relation, ...]:
+    """The observations, each place once with its worst value.
 
     The explained share of a motor signal tests nothing: friction and servo limits reduce it.
     """
-    worst: dict[tuple[str, Place], Observation] = {}
+    worst: dict[tuple[str, Place], Relation] = {}
     for each in observations:
-        if each.kind != "explained-share" or each.is_of_link:
+        if each.kind != "explained-share" or is_of_link(each):
             known = worst.setdefault((each.kind, each.place), each)
-            if each.contradicts and not known.contradicts:
+            if known.is_consistent and not each.is_consistent:
                 worst[each.kind, each.place] = each
-    return tuple(
-        Relation(
-            o.kind,
-            o.place,
-            o.value,
-            o.std,
-            o.expected,
-            not o.contradicts,
-            o.accuracy,
-            EXPECTED[o.kind].bound,
-        )
-        for o in worst.values()
-    )
+    return tuple(worst.values())
 
 
-def compute_observations(evidence: Evidence) -> Iterator[Observation]:
+def compute_observations(evidence: Evidence) -> Iterator[Relation]:
     """Compute the observations of the input check, those of little effort first."""
     yield from _observe_clocks(evidence)
     yield from _observe_test_signals(evidence)
     yield from _observe_input_delays(evidence)
     yield from _observe_ratios(compare_motor_signals(evidence))
     if (density := implied_density(evidence)) is not None:
-        yield Observation("mass", Place(part="arm"), density / _MAX_DENSITY, 0.0)
+        yield observe("mass", Place(part="arm"), density / _MAX_DENSITY)
     yield from _observe_torque_fit(evidence)
     for channel, readings in regress_readings(evidence):
         yield from _observe_sensor(Place(channel=channel), readings)
-    yield from _observe_torques(evidence)
+    for each in regress_torques(evidence):
+        name = effort_channel(evidence.channels, each.joint)
+        yield observe("inertia", Place(channel=name), each.inertia, each.inertia_std)
+        yield observe("explained-share", Place(joint=each.joint), each.explained)
 
 
-def _observe_clocks(evidence: Evidence) -> Iterator[Observation]:
+def _observe_clocks(evidence: Evidence) -> Iterator[Relation]:
     """Compare encoder counts, clocks and amplitudes with those of the study."""
     servo = evidence.arm.servo
     for joint, count in evidence.counts.items():
         if per_turn := evidence.arm.joints[joint - 1].encoder_counts:
             ratio = count * per_turn / (2.0 * np.pi)
-            yield Observation("count", Place(channel=f"theta_m{joint}"), ratio, 1e-3 * ratio)
+            yield observe("count", Place(channel=f"theta_m{joint}"), ratio, 1e-3 * ratio)
     for record in evidence.records:
         experiment, clocks = record.experiment, record.clocks
         place = Place.in_records(experiment.name)
         if clocks.prbs is not None and experiment.prbs is not None:
             ratio = clocks.prbs / experiment.prbs.clock
-            yield Observation("prbs-clock", place, ratio, 2e-4 * ratio)
+            yield observe("prbs-clock", place, ratio, 2e-4 * ratio)
         if clocks.servo is not None and servo is not None:
             ratio = clocks.servo / servo.period
-            yield Observation("servo-clock", place, ratio, 2e-4 * ratio)
+            yield observe("servo-clock", place, ratio, 2e-4 * ratio)
         name = f"u{experiment.joint}"
         if name in clocks.level and experiment.prbs is not None:
             ratio = clocks.level[name] / experiment.prbs.amplitude
-            yield Observation("level", Place(channel=name), max(ratio, 1e-12), 1e-3 * ratio)
+            yield observe("level", Place(channel=name), max(ratio, 1e-12), 1e-3 * ratio)
 
 
-def _observe_test_signals(evidence: Evidence) -> Iterator[Observation]:
+def _observe_test_signals(evidence: Evidence) -> Iterator[Relation]:
     """Compare the stated excited joint and the servo limit with the commands.
 
     A stated PRBS that is in no command contradicts if the command of a motion contains one.
     """
     silent, signalling = exchanged_tests(evidence)
     for name in silent if signalling else ():
-        yield Observation("excited-joint", Place.in_records(name), -1.0, 0.0)
+        yield observe("excited-joint", Place.in_records(name), -1.0)
     for record in evidence.records:
         experiment, excited = record.experiment, record.clocks.excited
         joint = experiment.joint
         if joint is not None and excited and experiment.use in ("frequency", "sweep"):
             is_stated = bool({f"u{joint}", f"torque{joint}"} & excited)
             place = Place.in_records(experiment.name, joint=joint)
-            yield Observation("excited-joint", place, 2.0 * is_stated - 1.0, 0.0)
+            yield observe("excited-joint", place, 2.0 * is_stated - 1.0)
         if evidence.arm.servo is None:
             continue
         for i, control in enumerate(experiment.control, start=1):
@@ -238,10 +192,10 @@ def _observe_test_signals(evidence: Evidence) -> Iterator[Observation]:
             if control == "servo" and voltage is not None:
                 share = float(np.max(np.abs(voltage))) / evidence.arm.servo.limit
                 place = Place(channel=f"u{i}")
-                yield Observation("limit", place, max(1.0, share), 1e-3 * share)
+                yield observe("limit", place, max(1.0, share), 1e-3 * share)
 
 
-def _observe_input_delays(evidence: Evidence) -> Iterator[Observation]:
+def _observe_input_delays(evidence: Evidence) -> Iterator[Relation]:
     for joint in range(1, evidence.arm.n_joints + 1):
         profiles = [(r, r.delays[joint]) for r in evidence.records if joint in r.delays]
         delay = pool_delays([profile for _, profile in profiles])
@@ -253,10 +207,10 @@ def _observe_input_delays(evidence: Evidence) -> Iterator[Observation]:
         tolerance = _MAX_INPUT_DELAY_SAMPLES * profile.sample_time
         tolerance = max(EXPECTED["input-delay"].tolerance, tolerance)
         value = delay.value - corrected
-        yield Observation("input-delay", Place(channel=name), value, delay.std, tolerance)
+        yield observe("input-delay", Place(channel=name), value, delay.std, tolerance)
 
 
-def _observe_torque_fit(evidence: Evidence) -> Iterator[Observation]:
+def _observe_torque_fit(evidence: Evidence) -> Iterator[Relation]:
     """Unexplained variance of all torques over that with the best explanation."""
     if "desired" in {each.meaning for each in evidence.study.channels.values()}:
         return  # torques of a set-point, not of the motion
@@ -264,11 +218,11 @@ def _observe_torque_fit(evidence: Evidence) -> Iterator[Observation]:
     if fit is None or best is None:
         return
     place, ratio = Place(part="arm"), max(float(np.exp(2.0 * (fit.cost - best.cost))), 1.0)
-    yield Observation("torque-fit", place, ratio, 0.0, best.tolerance)
+    yield observe("torque-fit", place, ratio, 0.0, best.tolerance)
     yield from _observe_friction(evidence)
 
 
-def _observe_friction(evidence: Evidence) -> Iterator[Observation]:
+def _observe_friction(evidence: Evidence) -> Iterator[Relation]:
     """Median share of friction in the motors' torques; sensors behind the gears measure none."""
     shares = friction_shares(evidence)
     joints = [i for i in shares if not evidence.arm.joints[i - 1].torque_at_link]
@@ -276,23 +230,28 @@ def _observe_friction(evidence: Evidence) -> Iterator[Observation]:
     meanings = {evidence.channel(name).meaning for name in names}
     if names and meanings <= {"motor", "without-gravity"}:
         value, std = np.median([*shares.values()], axis=0).tolist()
-        yield Observation("friction", Place(part="arm"), value, std)
+        yield observe("friction", Place(part="arm"), value, std)
 
 
-def _observe_ratios(ratios: Iterable[PredictedSignal]) -> Iterator[Observation]:
+def _observe_ratios(ratios: Iterable[PredictedSignal]) -> Iterator[Relation]:
     by_channel: dict[str, list[PredictedSignal]] = {}
     for each in ratios:
         by_channel.setdefault(each.channel, []).append(each)
     for channel, comparisons in by_channel.items():
         place, best = Place(channel=channel), max(each.explained for each in comparisons)
-        yield Observation("explained-share", place, best, 0.0)
+        yield observe("explained-share", place, best)
         (kind,) = comparisons[0].values
         least = None if kind == "velocity" else EXPECTED["explained-share"].expected
         if best > (least or _MIN_PARTLY_EXPLAINED_SHARE):
             yield from _pooled(kind, place, [e for e in comparisons if e.explained > 0.8 * best])
 
 
-def _pooled(kind: str, place: Place, records: Sequence[PredictedSignal]) -> Iterator[Observation]:
+def _pooled(
+    kind: str,
+    place: Place,
+    records: Sequence[PredictedSignal],
+    tolerance: float | None = None,
+) -> Iterator[Relation]:
     """Mean of one kind of number over the records that have it."""
     estimates = [(each.values[kind], each.seconds) for each in records if kind in each.values]
     if not estimates:
@@ -303,32 +262,26 @@ def _pooled(kind: str, place: Place, records: Sequence[PredictedSignal]) -> Iter
         float(np.hypot(std, of_delay / seconds if kind == "drift" else floor))
         for (_, std), seconds in estimates
     ]
-    yield Observation(kind, place, *pool_estimates([value for (value, _), _ in estimates], stds))
+    value, std = pool_estimates([value for (value, _), _ in estimates], stds)
+    yield observe(kind, place, value, std, tolerance)
 
 
-def _observe_sensor(place: Place, records: Sequence[PredictedSignal]) -> Iterator[Observation]:
+def _observe_sensor(place: Place, records: Sequence[PredictedSignal]) -> Iterator[Relation]:
     """Observations of one link channel."""
     silent = [r for r in records if r.signal <= _MIN_SIGNAL_TO_NOISE < r.expected_signal]
     if silent:
-        yield Observation("presence", place, max(each.size for each in silent), 0.0)
+        yield observe("presence", place, max(each.size for each in silent))
     readings = [each for each in records if each.signal > _MIN_SIGNAL_TO_NOISE]
     if not readings:
         return
     best = max(each.explained for each in readings)
-    yield Observation("explained-share", place, best, 0.0)
+    yield observe("explained-share", place, best)
     is_own_scale_correct = False
     for kind in ("scale", "delay", "tilt", "drift", *_OF_PARTS):
         if kind != "scale" and best < _MIN_PARTLY_EXPLAINED_SHARE:
             return
-        for each in _pooled(kind, place, readings):
+        is_length = kind == "origin-motion" and is_own_scale_correct
+        for each in _pooled(kind, place, readings, _LENGTH_TOLERANCE if is_length else None):
             if kind == "own-joint":
-                is_own_scale_correct = abs(each.value - 1.0) < _MAX_SCALE_ERROR
-            is_length = kind == "origin-motion" and is_own_scale_correct
-            yield replace(each, tolerance=_LENGTH_TOLERANCE) if is_length else each
-
-
-def _observe_torques(evidence: Evidence) -> Iterator[Observation]:
-    for each in regress_torques(evidence):
-        name = effort_channel(evidence.channels, each.joint)
-        yield Observation("inertia", Place(channel=name), each.inertia, each.inertia_std)
-        yield Observation("explained-share", Place(joint=each.joint), each.explained, 0.0)
+                is_own_scale_correct = abs(each.measured - 1.0) < _MAX_SCALE_ERROR
+            yield each

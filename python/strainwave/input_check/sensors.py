@@ -2,13 +2,15 @@
 
 At low frequency a gear is rigid for any stiffness, and the link angle is n theta_M. Each link
 channel therefore has a prediction without unknown parameters, (8) to (10). The regression
-coefficient of a channel on its prediction is 1 if the input is consistent.
+coefficient of a channel on its prediction is 1 if the input is consistent. A servo-controlled motor
+follows its reference.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -38,14 +40,17 @@ LINK_CHANNELS = ("a", "gyro", "theta_l", *IMU_CHANNELS)
 """Kinds of channels that the motor angles predict."""
 
 STANDARD_GRAVITY = 9.80665  # [m/s^2]
+# Maximum share of samples at the servo limit; above it, the servo law does not hold.
+_MAX_SATURATED_SHARE = 0.01
 # Search range of the factor of a joint's rotation, in either direction.
 _MAX_ROTATION_FACTOR = 300.0
 # Grid points of the rotation search.
 _ROTATION_GRID_SIZE = 41
 # Grid points of the high-pass search.
 _HIGH_PASS_GRID_SIZE = 13
-# Largest time constant of a high-pass in record lengths; a wrong time base can give millions.
-_MAX_DECAY_RECORDS = 2.0
+# Largest time constants of a high-pass and of a low-pass in record lengths; a wrong time base can
+# give millions.
+_MAX_DECAY_RECORDS, _MAX_LAG_RECORDS = 2.0, 0.1
 # Maximum unexplained share of the reading with a high-pass.
 _MAX_HIGH_PASS_UNEXPLAINED = 0.02
 # The same on the first grid, whose steps are up to a factor of two.
@@ -83,12 +88,11 @@ def regress_readings(evidence: Evidence) -> Iterator[tuple[str, list[PredictedSi
                 and (is_slow(record.experiment) or record.experiment.joint in (None, i + 1))
             ]
             if used:
-                yield name, [x for r in used for x in _recall(r, evidence, kind, i)]
+                readings = (_recall(record, evidence, kind, i) for record in used)
+                yield name, [each for each in readings if each is not None]
 
 
-def _recall(
-    record: SlowRecord, evidence: Evidence, kind: str, i: int
-) -> tuple[PredictedSignal, ...]:
+def _recall(record: SlowRecord, evidence: Evidence, kind: str, i: int) -> PredictedSignal | None:
     """Regression of a channel of joint i (from 0), computed once per hypothesis about its sources.
 
     A link moves with the motors up to its own, or with all if the motors are coupled.
@@ -99,7 +103,7 @@ def _recall(
     return evidence.memory.recall(
         ("reading", name, record.sample_time, evidence.high_passes.get(name)),
         (arm, record.channels[name], *sources),
-        lambda: tuple(_regress_channel(record, evidence, recall_motion(record, evidence), kind, i)),
+        lambda: _regress_channel(record, evidence, recall_motion(record, evidence), kind, i),
     )
 
 
@@ -116,9 +120,10 @@ def estimate_high_pass_cutoff(evidence: Evidence, name: str) -> float | None:
 
     def unexplained(hz: float) -> float:
         hypothesis = replace(evidence, high_passes={**evidence.high_passes, name: hz})
-        readings = _recall(record, hypothesis, kind, joint - 1)
-        plausible = [r for r in readings if 0.5 < r.values["scale"][0] < 2.0]
-        return min((1.0 - r.explained for r in plausible), default=1.0)
+        reading = _recall(record, hypothesis, kind, joint - 1)
+        if reading is None or not 0.5 < reading.values["scale"][0] < 2.0:
+            return 1.0
+        return 1.0 - reading.explained
 
     edges = 0.1 / (len(record.inside) * record.sample_time), record.bandwidth_hz
     hz, share = _search(unexplained, *edges, _HIGH_PASS_GRID_SIZE, _MAX_COARSE_UNEXPLAINED)
@@ -143,8 +148,8 @@ def estimate_rotation_factors(evidence: Evidence, joint: int) -> tuple[float, ..
         change = Correction("joint", str(joint), "gear_ratio", factor * ratio)
         hypothesis = evidence.corrected([change])
         motion = motion_of(slow[0], hypothesis.arm)
-        readings = _regress_channel(slow[0], hypothesis, motion, kinds[0], joint - 1)
-        return min((1.0 - reading.explained for reading in readings), default=1.0)
+        reading = _regress_channel(slow[0], hypothesis, motion, kinds[0], joint - 1)
+        return 1.0 if reading is None else 1.0 - reading.explained
 
     edges = 1.0 / _MAX_ROTATION_FACTOR, _MAX_ROTATION_FACTOR
     factor, share = _search(unexplained, *edges, _ROTATION_GRID_SIZE, 1.0)
@@ -192,19 +197,15 @@ def _predicted_parts(
     """
     if kind == "theta_l":
         return {"own-joint": motion.angle[:, i]}
+    if kind == "gyro":
+        return {"own-joint": read_gyro(arm, motion, i)}
     if kind in IMU_CHANNELS:
         parts = imu_parts(arm, motion, kind, i) or {}
         return {key: part for key, part in parts.items() if np.ptp(part) > _MIN_PART} or None
-    if kind == "gyro":
-        return {"own-joint": read_gyro(arm, motion, i)}
-    joint, reading = arm.joints[i], accelerometer_parts(arm, motion, i)
-    if joint.motion == "prismatic":
-        parts = {"own-joint": reading.translation}
-    elif joint.accelerometer_distance is None:
+    joint = arm.joints[i]
+    if joint.motion != "prismatic" and joint.accelerometer_distance is None:
         return None
-    else:
-        parts = {"own-joint": reading.rotation, "origin-motion": reading.translation}
-    parts["gravity"] = reading.gravity
+    parts = accelerometer_parts(arm, motion, i)
     return {key: part for key, part in parts.items() if key == "own-joint" or np.any(part)}
 
 
@@ -227,30 +228,31 @@ def _tilt_derivatives(
 
 def _regress_channel(
     record: SlowRecord, evidence: Evidence, motion: JointMotion, kind: str, i: int
-) -> Iterator[PredictedSignal]:
-    """Regress a channel of joint i (from 0); no reading if the record does not determine it."""
+) -> PredictedSignal | None:
+    """Regress a channel of joint i (from 0); None if the record does not determine it."""
     name, arm = f"{kind}{i + 1}", evidence.arm
     T, parts = record.sample_time, _predicted_parts(arm, motion, kind, i)
     if parts is None:
-        return
-    sensor = [
-        lag for lag in sensor_lags(arm.joints[i], kind) if _is_relevant(lag, T, len(record.inside))
-    ]
-    cutoff = evidence.high_passes.get(name)
-    if cutoff and not _MIN_TIME_CONSTANT_ROWS < 1.0 / (
-        2.0 * np.pi * cutoff * T
-    ) < _MAX_DECAY_RECORDS * len(record.inside):
-        cutoff = None
+        return None
 
-    def sensed(part: FloatArray) -> FloatArray:
-        part = apply_lags(part, sensor, T)
-        part = part - apply_lags(part, [Lag(1, cutoff)], T) if cutoff else part
-        return smoothed(part)
+    def is_relevant(hz: float, max_records: float) -> bool:
+        # a time base that is wrong by a factor of 1000 gives other time constants
+        rows = 1.0 / (2.0 * np.pi * hz * T)
+        return _MIN_TIME_CONSTANT_ROWS < rows < max_records * len(record.inside)
+
+    lags = sensor_lags(arm.joints[i], kind)
+    sensor = [lag for lag in lags if is_relevant(lag.cutoff_hz, _MAX_LAG_RECORDS)]
+    cutoff = evidence.high_passes.get(name)
+    cutoff = cutoff if cutoff and is_relevant(cutoff, _MAX_DECAY_RECORDS) else None
 
     def smoothed(signal: FloatArray) -> FloatArray:
         # Turns about several axes have harmonics, which the filter removed from the log. In a plane
         # they are small, and a second filter would remove more signal than harmonics.
         return signal if arm.has_planar_program else low_pass(signal, record.bandwidth_hz, T)
+
+    def sensed(part: FloatArray) -> FloatArray:
+        part = apply_lags(part, sensor, T)
+        return smoothed(part - apply_lags(part, [Lag(1, cutoff)], T) if cutoff else part)
 
     parts = {key: sensed(part) for key, part in parts.items()}
     target = smoothed(record.channels[name])[record.inside]
@@ -275,7 +277,7 @@ def _regress_channel(
 
     fit = fit_of([prediction])
     if fit is None:
-        return
+        return None
     each_part_fit = fit_of(list(parts.values())) if len(parts) > 1 else None
     values = {"scale": fit.coefficient(0), "delay": fit.relative(2), "drift": fit.relative(3)}
     if each_part_fit is not None:
@@ -296,9 +298,8 @@ def _regress_channel(
         length, variance = float(np.linalg.norm(components)), components @ covariance @ components
         values["tilt"] = length, float(np.sqrt(variance)) / max(length, 1e-12)
     size = float(np.std(target))
-    yield PredictedSignal(
+    return PredictedSignal(
         channel=name,
-        record=record.experiment.name,
         explained=fit.explained,
         values=values,
         seconds=T * len(record.inside),
@@ -334,10 +335,44 @@ def _coefficient_ratio(fit: Regression) -> tuple[float, float] | None:
     return float(a / b), float(np.sqrt(variance) / abs(b))
 
 
-def _is_relevant(lag: Lag, sample_time: float, rows: int) -> bool:
-    """Whether the time constant of a low-pass lies between the row period and the record length.
+def compare_motor_signals(evidence: Evidence) -> Iterator[PredictedSignal]:
+    """Compare motor velocities with references and with logged velocities, and torque sensors.
 
-    A time base that is wrong by a factor of 1000 violates this condition.
+    A reference is compared where it varies and the servo is not at its limit; a torque behind a
+    gear with that of the motor without friction and rotor.
     """
-    time_constant = 1.0 / (2.0 * np.pi * lag.cutoff_hz * sample_time)  # [rows]
-    return _MIN_TIME_CONSTANT_ROWS < time_constant < 0.1 * rows
+    kinds = ("theta_m", "ref", "omega_m", "u", "torque", "tau_l")
+    for record in evidence.records:
+        for i, joint in enumerate(evidence.arm.joints, start=1):
+            signals = [record.channels.get(f"{kind}{i}") for kind in kinds]
+            setting = ("motor", i, record.sample_time, joint.gear_ratio)
+            compute = partial(_compare_motor, evidence, record, i)
+            yield from evidence.memory.recall(setting, signals, compute)
+
+
+def _compare_motor(evidence: Evidence, record: SlowRecord, i: int) -> list[PredictedSignal]:
+    """Comparisons of the signals of motor i, from 1."""
+    signals, T, servo = record.channels, record.sample_time, evidence.arm.servo
+    angle, velocity, reference = f"theta_m{i}", f"omega_m{i}", signals.get(f"ref{i}")
+    motor, sensor, rate = f"torque{i}", f"tau_l{i}", differentiate(signals[f"theta_m{i}"], T)
+    compared: list[tuple[str, str, FloatArray, list[FloatArray]]] = []
+    if servo is not None and reference is not None and np.ptp(reference) > 0.0:
+        is_limited = np.abs(signals.get(f"u{i}", np.zeros(1))) >= 0.999 * servo.limit
+        is_servoed = record.experiment.control[i - 1] == "servo"
+        if is_servoed and np.mean(is_limited) <= _MAX_SATURATED_SHARE:
+            slope = differentiate(reference, T)
+            columns = [reference, slope, differentiate(slope, T)]
+            compared.append(("reference", angle, rate, columns))
+    if velocity in signals:
+        compared.append(("velocity", velocity, signals[velocity], [rate]))
+    if {motor, sensor} <= set(signals) and not evidence.arm.is_coupled:
+        at_link = signals[motor] / evidence.arm.joints[i - 1].gear_ratio
+        columns = [at_link, rate, record.direction[:, i - 1], differentiate(rate, T)]
+        compared.append(("torque-sensor", sensor, signals[sensor], columns))
+    comparisons = []
+    for kind, channel, target, columns in compared:
+        fit = regress(target[record.inside], np.column_stack(columns)[record.inside])
+        if fit is not None:
+            values = {kind: fit.coefficient(0)}
+            comparisons.append(PredictedSignal(channel, fit.explained, values))
+    return comparisons

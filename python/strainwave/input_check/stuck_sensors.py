@@ -8,7 +8,7 @@ import numpy as np
 
 from strainwave.domain import Clause, Correction, Log, Place, Relation, Suspicion, channel_parts
 from strainwave.dynamics.arm import Arm
-from strainwave.input_check.clocks import find_excited_inputs
+from strainwave.input_check.timing import find_excited_inputs
 from strainwave.signals.hygiene.defects import resolution_of
 from strainwave.signals.hygiene.flat_tops import MAX_SATURATED_SHARE, find_saturated_runs
 

@@ -10,40 +10,27 @@ torque that the fit does not explain is then larger than with the correct chain.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
-from typing import TypeVar
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, IntArray
-from strainwave.domain.distributions import student_tail
+from strainwave.domain import ArmDescription, Diagnostic, FloatArray, IntArray, Place
+from strainwave.domain.consistent_links import is_consistent, principal_moments
+from strainwave.domain.distributions import CI95_STDS, student_tail
 from strainwave.domain.kinds import kind_of
 from strainwave.dynamics.arm import Arm
-from strainwave.input_check.evidence import Evidence, SlowRecord, is_slow
-from strainwave.input_check.motors import (
-    compute_motor_torque,
-    effort_channel,
+from strainwave.input_check.evidence import Evidence, is_slow
+from strainwave.input_check.torque_rows import (
+    MIN_SINGULAR_VALUE,
+    ROW_STRIDE,
+    arm_of_torques,
+    inverse_root,
     motor_signals,
-    sliding_rows,
-    spread_stretches,
+    torque_rows,
 )
-from strainwave.input_check.sensors import recall_motion
-from strainwave.numerics.filters import differentiate, low_pass
-from strainwave.numerics.regression import ROWS_PER_INDEPENDENT_ROW, long_run_std
-from strainwave.signals.link_readings import JointMotion
+from strainwave.numerics.regression import ROWS_PER_INDEPENDENT_ROW, regress
 
-Array = TypeVar("Array", FloatArray, BoolArray)
-
-# Every row in `_ROW_STRIDE` is used; 5 of 20 rows per period of the bandwidth frequency remain.
-_ROW_STRIDE = 4
-# The same for the low-pass of the columns.
-_FILTER_STRIDE = 2
-# Rows of all records that are used; more do not change which of two geometries is likelier.
-_MAX_ROWS = 2400
-# Relative singular value below which a combination of parameters is not excited.
-_MIN_SINGULAR_VALUE = 1e-6
 # Iterations of the weights, which are the residuals of the joints.
 _N_ITERATIONS = 3
 N_LINK_PARAMETERS = 10
@@ -51,10 +38,6 @@ N_LINK_PARAMETERS = 10
 
 # Rows of a stretch that is predicted by the links fitted to all others: 5 are independent.
 _FOLD_ROWS = 6
-# Torsion moves links by some milliradians, so the torques of a rigid arm are wrong by this share.
-_MODEL_ERROR_SHARE = 1e-3
-# Rows between two postures at which inertias are evaluated, for their mean.
-_POSTURE_STRIDE = 16
 # Largest torque of a rotor over that of its gear at a locked output: motors resonate on their gears
 # at three times the frequency of a slow motion at least.
 _MAX_ROTOR_SHARE = 0.1
@@ -83,7 +66,6 @@ class Gain:
 
     by_joint: FloatArray  # (n_joints,) logarithms of the ratios of the unexplained variances
     mean: float  # the same, weighted by the independent rows
-    log_likelihood: float  # difference of the log likelihoods of independent rows
     probability: float  # of stretches that gain as much on average if none gains (Student's t)
     n_rows: float  # independent rows of all joints
 
@@ -107,14 +89,9 @@ class FitQuality:
         return np.asarray(self.rows.sum(axis=0))
 
     @property
-    def weights(self) -> FloatArray:
-        """Shares of the independent rows of each joint, (n_joints,)."""
-        return np.asarray(self.n_rows / self.n_rows.sum())
-
-    @property
     def cost(self) -> float:
         """Half the mean logarithm of the unexplained shares."""
-        return float(0.5 * self.weights @ np.log(self.unexplained))
+        return 0.5 * float(np.average(np.log(self.unexplained), weights=self.n_rows))
 
     def gain(self, other: FitQuality) -> Gain:
         """Gain of this fit over another of the same stretches and joints.
@@ -134,8 +111,8 @@ class FitQuality:
             std = max(float(of_folds.std(ddof=1)), 1e-300) / np.sqrt(n_folds)
             t = float(of_folds.mean() / std)
             probability = 0.5 * student_tail(t, n_folds - 1) if t > 0.0 else 1.0
-        mean, n = float(self.weights @ by_joint), float(self.n_rows.sum())
-        return Gain(by_joint, mean, 0.5 * n * mean, probability, n)
+        mean = float(np.average(by_joint, weights=self.n_rows))
+        return Gain(by_joint, mean, probability, float(self.n_rows.sum()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,10 +166,10 @@ def friction_shares(evidence: Evidence) -> dict[int, tuple[float, float]]:
         return {}
     fit = fit_torques(system)
     friction, noise = dict.fromkeys(system.total, 0.0), dict.fromkeys(system.total, 0.0)
-    for each in _blocks(evidence, Arm.base_regressor, "regressor"):
+    for each in torque_rows(evidence, Arm.base_regressor, "regressor"):
         own = each.torque - (each.of_links - each.of_links.mean(axis=0)) @ fit.links
         friction[each.joint] += float(np.sum((each.basis[:, 1:].T @ own) ** 2))
-        rows = max(len(own) * _ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW, 1.0)
+        rows = max(len(own) * ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW, 1.0)
         noise[each.joint] += float(np.sum(each.remainder(own) ** 2)) / rows
     return {
         i: (float(np.sqrt(friction[i] / total)), float(np.sqrt(noise[i] / total)))
@@ -222,7 +199,7 @@ def fit_torques(system: TorqueSystem) -> TorqueFit:
             np.sum([parts[k] / std[i] ** 2 for i, parts in equations.items()], axis=0)
             for k in (0, 1)
         )
-        root = _inverse_root(gram)
+        root = inverse_root(gram)
         links = root @ (root.T @ product)
         residual = weight * (system.torque - system.columns @ links)
         n_shared = root.shape[1] / len(std)
@@ -256,7 +233,7 @@ def predict_stretches(
     fit = fit_torques(system)
     columns, torque = fit.weight[:, None] * system.columns, fit.weight * system.torque
     size = np.linalg.norm(columns, axis=0)
-    used = size > _MIN_SINGULAR_VALUE * size.max()
+    used = size > MIN_SINGULAR_VALUE * size.max()
     columns = columns[:, used] / size[used]
     precision = np.full(columns.shape[1], 1.0 / max(float(torque @ torque), 1e-300))
     expected = np.zeros(columns.shape[1])
@@ -304,20 +281,6 @@ def _jackknife(estimates: FloatArray, records: Sequence[str]) -> FloatArray:
     return np.asarray(np.sqrt(np.max(variances, axis=0)))
 
 
-def _inverse_root(gram: FloatArray) -> FloatArray:
-    """L of the pseudoinverse L L' of the normal matrix, (n_links, n_excited).
-
-    Its columns are scaled to the length one, in which the pseudoinverse has the least norm.
-    """
-    size = np.sqrt(np.diag(gram))
-    used = size > _MIN_SINGULAR_VALUE * size.max()
-    values, vectors = np.linalg.eigh(gram[np.ix_(used, used)] / np.outer(size[used], size[used]))
-    excited = values > _MIN_SINGULAR_VALUE**2 * values.max(initial=0.0)
-    root = np.zeros((len(size), int(excited.sum())))
-    root[used] = vectors[:, excited] / np.sqrt(values[excited]) / size[used, None]
-    return root
-
-
 def torque_system(
     evidence: Evidence, loaded: str = "", locked: Collection[str] = ()
 ) -> TorqueSystem | None:
@@ -332,7 +295,7 @@ def torque_system(
     n_rows: dict[int, float] = {}
     grams: dict[int, FloatArray] = {}
     wound: dict[int, FloatArray] = {}  # torques of spring and rotor at a locked output
-    for each in _blocks(evidence, Arm.base_regressor, "regressor"):
+    for each in torque_rows(evidence, Arm.base_regressor, "regressor"):
         name = each.record.experiment.name
         block, i = each, each.joint
         if name in locked:
@@ -351,7 +314,7 @@ def torque_system(
         blocks.append(np.column_stack([columns, block.remainder(torque)]))
         joints.append(np.full(len(torque), i))
         totals[i] = totals.get(i, 0.0) + float(torque @ torque)
-        independent = len(torque) * _ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW
+        independent = len(torque) * ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW
         n_rows[i] = n_rows.get(i, 0.0) + max(independent - block.basis.shape[1] - 1, 1.0)
     is_moving = any(r > _MAX_ROTOR_SHARE * max(k, 0.0) or k < 0.0 for k, r in wound.values())
     if not blocks or is_moving:
@@ -388,7 +351,7 @@ def with_friction_laws(evidence: Evidence, system: TorqueSystem, links: FloatArr
     separate. The first columns are those of the links.
     """
     parts, n_joints = [], evidence.arm.n_joints
-    for each in _blocks(evidence, Arm.base_regressor, "regressor"):
+    for each in torque_rows(evidence, Arm.base_regressor, "regressor"):
         direction, load = np.sign(each.own[:, 2]), each.of_links @ links
         rest = each.torque - (load - load.mean())
         load = load + each.own[:, 0] * np.linalg.lstsq(each.own, rest)[0][0]
@@ -411,246 +374,71 @@ def unexplained_torques(evidence: Evidence, links: FloatArray) -> FloatArray:
     return np.concatenate(
         [
             block.remainder(block.torque - block.of_links[:, 0])
-            for block in _blocks(evidence, torques_of, None)
+            for block in torque_rows(evidence, torques_of, None)
         ]
     )
 
 
-def arm_of_torques(evidence: Evidence) -> Arm:
-    """The arm whose torques are logged: without gravity if the drivers subtract it."""
-    arm = evidence.arm
-    meanings = {each.meaning for each in evidence.study.channels.values()}
-    if "without-gravity" not in meanings:
-        return arm
-    return evidence.memory.recall("without gravity", (arm,), lambda: replace(arm, gravity=None))
+# Factor of a mass within which a guess is accepted, in either direction.
+_TOLERATED_FACTOR = 2.0
+# Minimum share of the torques that the scaled links must explain.
+_MIN_EXPLAINED = 0.5
+# Norm of a link's torques over that of the largest below which the motion does not show its mass.
+_MIN_TORQUE = 1e-6
 
 
-@dataclass(frozen=True, slots=True)
-class TorqueRegression:
-    """Regression of the torque of one joint on its own motion and that of the links."""
+def report_impossible_links(arm: ArmDescription) -> Iterator[Diagnostic]:
+    """Yield a warning for each link whose inertial values in the URDF belong to no body.
 
-    joint: int  # from 1
-    inertia: float  # [kg m^2] motor side, of the joint's own acceleration
-    inertia_std: float
-    explained: float  # share of the variance of the torque
-
-
-def regress_torques(evidence: Evidence) -> Iterator[TorqueRegression]:
-    """Regress the torque of each joint with an effort, each with links of its own.
-
-    Uses all slow records; if there are none, those that excite the joint.
+    Links without values are guessed as well, but nothing in the file is wrong.
     """
-    slow = [r for r in evidence.records if is_slow(r.experiment)]
-    used = slow or list(evidence.records)
-    for i in range(evidence.arm.n_joints):
-        chosen = [r for r in used if slow or r.experiment.joint in (None, i + 1)]
-        efforts = [r.channels.get(effort_channel(r.channels, i + 1) or "") for r in chosen]
-        angles = [
-            r.channels[f"theta_m{j}"] for r in chosen for j in range(1, evidence.arm.n_joints + 1)
-        ]
-        setting = ("inertia", i, *((r.sample_time, r.bandwidth_hz) for r in chosen))
-        sources = (arm_of_torques(evidence), *efforts, *angles)
-        compute = partial(_regress_torque, evidence, chosen, i)
-        estimate = evidence.memory.recall(setting, sources, compute)
-        if estimate is not None:
-            yield estimate
+    for number, prior in enumerate(arm.urdf.priors if arm.urdf else (), start=1):
+        if any(prior) and not is_consistent(prior):
+            yield Diagnostic(
+                "urdf-inertia",
+                Place(joint=number, key="urdf"),
+                link=number,
+                mass=prior[0],
+                moments=tuple(principal_moments(prior).tolist()),
+            )
 
 
-def _regress_torque(
-    evidence: Evidence, records: Sequence[SlowRecord], i: int
-) -> TorqueRegression | None:
-    """Regress the torque of joint i (from 0) over records, with one constant per record.
+def compare_urdf_masses(evidence: Evidence) -> Iterator[Diagnostic]:
+    """Yield a warning for each link whose mass in the URDF the torques exclude.
 
-    A spring to ground opposes the acceleration of an oscillation, as a wrong sign does. An inertia
-    is therefore negative only if it is so with a spring.
+    Each link keeps the shape of its mass in the URDF and gets one factor,
+
+        tau = sum_i s_i Y_i(q, dq, ddq) pi_i + friction,
+
+    by weighted least squares over all joints. A factor far from 1 means another mass. Such values
+    are only a prior, so the input remains consistent.
     """
-    arm = arm_of_torques(evidence)
-    unit = arm.links_of(np.eye(arm.n_joints)[i])
-    targets, blocks, weights = [], [], []
-    for block in _blocks(evidence, Arm.base_regressor, "regressor", records, i):
-        targets.append(block.torque)
-        columns = np.column_stack([block.own, block.of_links, block.angle])
-        blocks.append(columns - columns.mean(axis=0))
-        q = recall_motion(block.record, evidence).angle[::_POSTURE_STRIDE]
-        rest = np.zeros_like(q)
-        links = arm.base_regressor(q, rest, rest + unit) - arm.base_regressor(q, rest, rest)
-        weights.append(arm.motors_of(np.swapaxes(links, 1, 2)).mean(axis=0)[:, i])
-    if not targets:
-        return None
-    target, columns = np.concatenate(targets), np.concatenate(blocks)
-    weight = np.r_[1.0, 0.0, 0.0, np.mean(weights, axis=0)]
-    estimates, rows_per_independent = [], ROWS_PER_INDEPENDENT_ROW / _ROW_STRIDE
-    for used in (columns[:, :-1], columns):
-        root = _inverse_root(used.T @ used)
-        basis, of_weight = used @ root, np.r_[weight, 0.0][: used.shape[1]] @ root
-        value, total = basis.T @ target, float(target @ target)
-        n_free = len(target) - rows_per_independent * basis.shape[1]
-        if n_free <= 0.0:  # a short record does not determine the links
-            continue
-        residual = target - basis @ value
-        squares, least = float(residual @ residual), _MODEL_ERROR_SHARE**2 * total
-        variance = rows_per_independent * max(squares / n_free, least / len(target))
-        long_run = long_run_std((basis @ of_weight)[:, None], residual, _ROW_STRIDE)
-        std = max(float(np.sqrt(variance) * np.linalg.norm(of_weight)), float(long_run[0]))
-        inertia, explained = float(of_weight @ value), 1.0 - squares / total
-        estimates.append(TorqueRegression(i + 1, inertia, std, explained))
-        if inertia >= 0.0:
-            break
-    return estimates[-1] if estimates else None
-
-
-@dataclass(frozen=True)
-class _Block:
-    """Rows of one joint in one record."""
-
-    record: SlowRecord
-    joint: int  # from 1
-    torque: FloatArray  # (n_rows,) [N m] about its mean
-    at: IntArray  # (n_rows,) numbers of the rows in the record, of `n_rows`
-    n_rows: int
-    angle: FloatArray  # (n_rows,) [rad] of the motor
-    own: FloatArray  # (n_rows, n) acceleration, rate and direction of the motor
-    basis: FloatArray  # (n_rows, n) of what its own motor and friction explain
-    of_links: FloatArray  # (n_rows, n) torques of the links at the motor
-
-    @cached_property
-    def columns(self) -> FloatArray:
-        """Torques of the links without the part that the motor and friction explain."""
-        return self.remainder(self.of_links)
-
-    @cached_property
-    def gram(self) -> FloatArray:
-        """Normal matrix of the columns, (n, n)."""
-        return np.asarray(self.columns.T @ self.columns)
-
-    def wound_up(self) -> tuple[_Block, FloatArray]:
-        """The block of a locked link, with the spring of its gear; torques of spring and rotor.
-
-        These are lengths (2,) of the least squares; zero if the rows do not determine them.
-        """
-        spring = self.remainder(self.angle)
-        columns = np.column_stack([self.angle - self.angle.mean(), self.own])
-        size = np.linalg.norm(columns, axis=0) + np.finfo(float).tiny
-        parts = np.linalg.lstsq(columns / size, self.torque)[0][:2]
-        n_rows = len(spring) * _ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW
-        basis = np.column_stack([self.basis, spring / max(float(np.linalg.norm(spring)), 1e-300)])
-        block = replace(self, basis=basis, of_links=np.zeros_like(self.of_links))
-        return block, parts * (n_rows > columns.shape[1])
-
-    def remainder(self, torques: FloatArray) -> FloatArray:
-        """Torques (n_rows,) or (n_rows, n) without that part, about their mean."""
-        centred = torques - torques.mean(axis=0)
-        return np.asarray(centred - self.basis @ (self.basis.T @ centred))
-
-
-def _blocks(
-    evidence: Evidence,
-    torques_of: Callable[[Arm, FloatArray, FloatArray, FloatArray], FloatArray],
-    name: str | None,
-    records: Sequence[SlowRecord] | None = None,
-    only: int | None = None,
-) -> Iterator[_Block]:
-    """Rows of each joint, or one, in each slow record, or others, with torques of the links.
-
-    `torques_of` returns torques at the links, (n_samples, n_joints, n), of a motion. Under `name`
-    they are computed once for each motion; hypotheses about the torques share them.
-    """
-    arm = arm_of_torques(evidence)
-    if records is None:
-        records = [r for r in evidence.records if is_slow(r.experiment)]
-    for record, stretches in zip(records, spread_stretches(records, _MAX_ROWS), strict=True):
-        motion = recall_motion(record, evidence)
-        compute = partial(_motor_torques, record, stretches, motion, arm, torques_of)
-        setting = (name, record.sample_time, *(each.start for each in stretches))
-        angles = [record.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)]
-        is_stated = name is not None and evidence.memory.is_stated(evidence.arm, *angles)
-        if name and evidence.memory.is_stated(evidence.arm):
-            of_motors = evidence.memory.recall(setting, (arm, *angles), compute)
-        else:
-            of_motors = compute()
-        for i in range(arm.n_joints) if only is None else (only,):
-            effort = effort_channel(record.channels, i + 1)
-            if effort is None:
-                continue
-            torque = record.channels[effort]
-            make = partial(_block, evidence, record, i, stretches, of_motors)
-            if is_stated and evidence.memory.is_stated(torque):
-                block = evidence.memory.recall((i, *setting), (arm, torque, *angles), make)
-            else:
-                block = make()
-            if block is not None:
-                yield block
-
-
-def _block(
-    evidence: Evidence,
-    record: SlowRecord,
-    i: int,
-    stretches: Sequence[slice],
-    of_motors: FloatArray,
-) -> _Block | None:
-    """Rows of joint i, from 0, in a record; None if the motor or its torque does not vary."""
-    rows, own, basis = _recall_basis(evidence, record, i, stretches)
-    torque = _strided(compute_motor_torque(record, evidence.arm, i), stretches)[rows]
-    if own is None or not np.ptp(torque) > 0.0:
-        return None
-    angle = _strided(record.channels[f"theta_m{i + 1}"], stretches)[rows]
-    at, centred = np.flatnonzero(rows), torque - torque.mean()
-    return _Block(record, i + 1, centred, at, len(rows), angle, own, basis, of_motors[rows, i])
-
-
-def _motor_torques(
-    record: SlowRecord,
-    stretches: Sequence[slice],
-    motion: JointMotion,
-    arm: Arm,
-    torques_of: Callable[[Arm, FloatArray, FloatArray, FloatArray], FloatArray],
-) -> FloatArray:
-    """Torques of the links at the motors in the used rows of a record, (n_rows, n_joints, n)."""
-    states = motion.angle, motion.velocity, motion.acceleration
-    parts = []
-    for each in stretches:
-        of_links = torques_of(arm, *(x[each][::_FILTER_STRIDE] for x in states))
-        of_motors = np.swapaxes(arm.motors_of(np.swapaxes(of_links, 1, 2)), 1, 2)
-        # The torques of a smooth motion have harmonics, which the filter removed from the log.
-        flat, T = of_motors.reshape(len(of_motors), -1), record.sample_time * _FILTER_STRIDE
-        flat = low_pass(flat, record.bandwidth_hz, T)[:: _ROW_STRIDE // _FILTER_STRIDE]
-        parts.append(flat.reshape(-1, *of_motors.shape[1:]))
-    return np.concatenate(parts)
-
-
-def _recall_basis(
-    evidence: Evidence, record: SlowRecord, i: int, stretches: Sequence[slice]
-) -> tuple[BoolArray, FloatArray | None, FloatArray]:
-    """Sliding rows of joint i, from 0, what its motor and friction explain, and a basis of it.
-
-    None if the motor does not move.
-    """
-    angle, T = record.channels[f"theta_m{i + 1}"], record.sample_time
-
-    def compute() -> tuple[BoolArray, FloatArray | None, FloatArray]:
-        sliding = sliding_rows(record, i)
-        edge = int(np.ceil(1.0 / (record.bandwidth_hz * T)))
-        exact = np.zeros(len(sliding), dtype=bool)  # rows without end effects of the filter
-        for each in stretches:
-            exact[each.start + edge : each.stop - edge] = True
-        rows = _strided(sliding & exact, stretches)
-        if not rows.any():
-            return rows, None, np.zeros((0, 0))
-        rate = differentiate(angle, T)
-        columns = [differentiate(rate, T), rate, record.direction[:, i]]
-        own = _strided(np.column_stack(columns), stretches)[rows]
-        own = own - own.mean(axis=0)
-        norms = np.linalg.norm(own, axis=0)
-        varying = norms > _MIN_SINGULAR_VALUE * np.sqrt(len(own)) * np.array([0.0, 0.0, 1.0])
-        if not varying[:2].all():
-            return rows, None, np.zeros((0, 0))
-        return rows, own, np.linalg.qr(own[:, varying] / norms[varying])[0]
-
-    setting = ("own", i, T, *(each.start for each in stretches))
-    return evidence.memory.recall(setting, (angle,), compute)
-
-
-def _strided(signal: Array, stretches: Sequence[slice]) -> Array:
-    """Every row in `_ROW_STRIDE` of the stretches of a signal."""
-    return np.concatenate([signal[each][::_ROW_STRIDE] for each in stretches])
+    urdf = evidence.study.arm.urdf
+    system = torque_system(evidence) if urdf is not None else None
+    if urdf is None or system is None:
+        return
+    priors = np.array(urdf.priors)
+    if not priors.any():
+        return  # the file has no inertial values
+    per_link = system.columns.reshape(len(system.torque), len(priors), -1)
+    torques = np.einsum("rlp,lp->rl", per_link, priors)
+    sizes = np.linalg.norm(torques, axis=0)
+    shown = np.flatnonzero(sizes > _MIN_TORQUE * sizes.max())
+    scaled = replace(system, columns=torques[:, shown], grams={})
+    weight = fit_torques(scaled).weight
+    fit = regress(weight * system.torque, weight[:, None] * scaled.columns)
+    if fit is None or fit.explained < _MIN_EXPLAINED:
+        return
+    stds = np.sqrt(np.diag(fit.covariance))
+    for link, scale, std in zip(shown.tolist(), fit.value, stds, strict=True):
+        low, high = scale - CI95_STDS * std, scale + CI95_STDS * std
+        if low > _TOLERATED_FACTOR or 0.0 < high < 1.0 / _TOLERATED_FACTOR:
+            mass = float(priors[link, 0])
+            yield Diagnostic(
+                "urdf-mass",
+                Place(joint=link + 1, key="urdf"),
+                link=link + 1,
+                mass=mass,
+                low=max(0.0, float(low) * mass),
+                high=float(high) * mass,
+            )

@@ -29,8 +29,8 @@ from strainwave.input_check.hypothesis import (
     scaled,
     whole_reduction,
 )
-from strainwave.input_check.motors import EFFORTS, effort_channel
 from strainwave.input_check.torque_fit import N_LINK_PARAMETERS, friction_shares
+from strainwave.input_check.torque_rows import EFFORTS, effort_channel
 
 # Prior standard deviations of the changes: log ratio, angles [rad], lengths [m], gravity [m/s^2].
 _RATIO_STD, _ANGLE_STD, _LENGTH_STD, _GRAVITY_STD = 0.3, 0.5, 0.15, 5.0
@@ -77,7 +77,7 @@ def propose_explanations(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     if not found:
         return
     good = [_in_words(each) for each in found if each.is_as_good(found[0])]
-    good.sort(key=lambda h: (bool(h.excluded), _complexity(h), _penalised_cost(h)))
+    good.sort(key=lambda h: (bool(h.excluded), *_complexity(h)))
     rivals = tuple(each.as_rival() for each in good)
     desired = []
     efforts = _motor_torques(case.evidence)
@@ -88,16 +88,15 @@ def propose_explanations(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     if good[0].kind == "delay":  # efforts of a set-point are early
         yield from desired
     for each in good:
-        others = tuple(other for other in rivals if _is_rival(other, each))
+        others = tuple(  # at another place, or with other values that predict exactly the same
+            other
+            for other in rivals
+            if other.places != each.places
+            or (np.isclose(other.cost, each.cost) and other.corrections != each.corrections)
+        )
         is_estimated = each.kind in _ESTIMATED and each.factor != -1.0
         yield replace(each, rivals=others, has_estimated_factor=is_estimated)
     yield from desired
-
-
-def _is_rival(other: Hypothesis, each: Hypothesis) -> bool:
-    """Whether the other is at another place, or predicts exactly the same with other values."""
-    is_equal = bool(np.isclose(other.cost, each.cost)) and other.corrections != each.corrections
-    return other.places != each.places or is_equal
 
 
 def _in_words(each: Hypothesis) -> Hypothesis:
@@ -115,19 +114,16 @@ def _in_words(each: Hypothesis) -> Hypothesis:
     )
 
 
-def _complexity(each: Hypothesis) -> tuple[int, bool]:
+def _complexity(each: Hypothesis) -> tuple[int, bool, float]:
     """0 for exchanges, signs, units and axes, 1 for one number, 2 for several.
 
-    Also whether a scale is larger than that of SI units; small units are the common fault.
+    Also whether a scale is larger than that of SI units, since small units are the common fault;
+    and the cost with the penalty of the Bayesian information criterion for its coordinates.
     """
     is_larger = each.kind == "torque" and abs(each.corrections[0].number) > 1.0
-    return min(max(each.n_coordinates, each.kind == "zero"), 2), is_larger
-
-
-def _penalised_cost(each: Hypothesis) -> float:
-    """Cost with the penalty of the Bayesian information criterion for its coordinates."""
     n = max(each.gain.n_rows, 1.0) if each.gain else 1.0
-    return each.cost + 0.5 * each.n_coordinates * float(np.log(n)) / n
+    cost = each.cost + 0.5 * each.n_coordinates * float(np.log(n)) / n
+    return min(max(each.n_coordinates, each.kind == "zero"), 2), is_larger, cost
 
 
 def _motor_torques(evidence: Evidence) -> tuple[str, ...]:

@@ -136,7 +136,7 @@ def _is_evident(each: Hypothesis, limit: float) -> bool:
     max_chance = _MAX_CHANCE if is_common else _MAX_CHANCE_OF_LARGE
     is_large = (
         (each.gain.mean if is_of_all else most) > _LARGE_GAIN
-        and each.gain.log_likelihood > _MIN_LOG_LIKELIHOOD
+        and 0.5 * each.gain.n_rows * each.gain.mean > _MIN_LOG_LIKELIHOOD
         and each.gain.probability < max_chance
     )
     return is_large or (is_rare and (each.kind != "payload" or most > _LARGE_GAIN))
@@ -157,8 +157,13 @@ class _FaultSearch:
         changed = self.evidence.corrected_in(record, each.corrections)
         loaded = record if each.kind == "payload" else ""
         system = torque_system(changed, loaded, each.excluded if each.kind == "locked" else ())
-        if system is not None and each.kind == "exchange":
-            system = self._in_stated_sizes(system)
+        stated = self.system
+        if system and each.kind == "exchange" and set(system.total) == set(stated.total):
+            # errors relative to the stated torques: a large one in the place of a small one has a
+            # smaller share of the same error
+            ratios = {i: system.n_rows[i] / n for i, n in stated.n_rows.items()}
+            totals = {i: total * ratios[i] for i, total in stated.total.items()}
+            system = replace(system, total=totals)
         # of two records, either can be the one with the load
         is_one = len({r.experiment.name for r in self.evidence.records}) > 2
         if system is None:
@@ -171,17 +176,6 @@ class _FaultSearch:
             if load[[4, 6, 9]].sum() < 0.0:  # the trace of its inertia
                 return None
         return self._gaining(each, predict_stretches(system), _MIN_GAIN, is_pooled=False)
-
-    def _in_stated_sizes(self, system: TorqueSystem) -> TorqueSystem:
-        """Exchanged torques with the errors relative to the torques of the stated description.
-
-        A large torque in the place of a small one has a smaller share of the same error.
-        """
-        stated = self.system.total, self.system.n_rows
-        if set(system.total) != set(stated[0]):
-            return system
-        totals = {i: total * system.n_rows[i] / stated[1][i] for i, total in stated[0].items()}
-        return replace(system, total=totals)
 
     def families(self) -> list[tuple[HypothesisFamily, FloatArray]]:
         """Families with their derivatives at the stated description, and that of all frames."""
@@ -203,7 +197,8 @@ class _FaultSearch:
             if k == _N_TRIAL_STEPS and np.exp(2.0 * fit.cost / fit.n_all) > _MAX_TRIAL_UNEXPLAINED:
                 return None
             projected = fit.project(slope)
-            step = _gauss_newton(projected, fit.residual, x)
+            curvature = projected.T @ projected + np.eye(size)  # of the prior
+            step = np.linalg.solve(curvature, projected.T @ fit.residual - x)
             # the criterion of Schwarz
             penalty = 0.5 * size * float(np.log(fit.n_all)) / fit.n_all
             if k == 0 and self._decrease(projected @ step) - penalty < _MIN_PREDICTED_DECREASE:
@@ -303,9 +298,3 @@ class _FaultSearch:
         here = fit.residual / fit.weight
         changes = [here - leave(x + _DERIVATIVE_STEP * unit) for unit in np.eye(len(x))]
         return np.column_stack(changes) / _DERIVATIVE_STEP
-
-
-def _gauss_newton(slope: FloatArray, residual: FloatArray, x: FloatArray) -> FloatArray:
-    """Step from x under the prior."""
-    curvature = slope.T @ slope + np.eye(len(x))
-    return np.asarray(np.linalg.solve(curvature, slope.T @ residual - x))

@@ -57,22 +57,20 @@ class JointMotion:
         return arm.link_motion(self.angle, self.velocity, self.acceleration)
 
 
-@dataclass(frozen=True, slots=True)
-class AccelerometerParts:
-    """Contributions to the reading of an accelerometer, each (n_samples,) [m/s^2]."""
+def accelerometer_parts(arm: Arm, motion: JointMotion, i: int) -> dict[str, FloatArray]:
+    """Parts of the reading of the accelerometer on link i, from 0, each (n_samples,) [m/s^2].
 
-    rotation: FloatArray  # of the link about its frame's origin
-    translation: FloatArray  # acceleration of that origin
-    gravity: FloatArray
-
-
-def accelerometer_parts(arm: Arm, motion: JointMotion, i: int) -> AccelerometerParts:
-    """Contributions to the reading of the accelerometer on link i, from 0."""
+    "own-joint" is the rotation of the link about its frame's origin, or the motion of a slide;
+    "origin-motion" is the acceleration of that origin.
+    """
     joint, link = arm.joints[i], motion.links(arm)[:, i]
     force, gravity = link[:, 6:] @ _direction(joint), np.zeros(len(link))
     if arm.gravity_size:
         gravity = JointMotion.at_rest(motion.angle).links(arm)[:, i, 6:] @ _direction(joint)
-    return AccelerometerParts(_rotation(joint, link), force - gravity, gravity)
+    if joint.motion == "prismatic":
+        return {"own-joint": force - gravity, "gravity": gravity}
+    rotation = _rotation(joint, link)
+    return {"own-joint": rotation, "origin-motion": force - gravity, "gravity": gravity}
 
 
 def imu_parts(arm: Arm, motion: JointMotion, kind: str, i: int) -> dict[str, FloatArray] | None:
