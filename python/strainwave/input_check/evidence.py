@@ -113,7 +113,7 @@ class SlowRecord:
     inside: BoolArray  # (n_rows,) rows without end effects of the filter
     clocks: Clocks
     delays: Mapping[int, DelayProfile]  # joint -> profile, where the record determines the delay
-    shifted: Mapping[str, float] = field(default_factory=dict)  # channel -> delay removed [s]
+    removed_delays: Mapping[str, float] = field(default_factory=dict)  # by channel [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,13 +147,13 @@ class Evidence:
     high_passes: Mapping[str, float] = field(default_factory=dict)  # channel -> cutoff [Hz]
     best_fit: BestFit | None = None  # None without torques
     # of all hypotheses about the same logs
-    memory: HypothesisCache = field(default_factory=HypothesisCache)
+    cache: HypothesisCache = field(default_factory=HypothesisCache)
 
     @property
     def arm(self) -> Arm:
         """Arm of the study."""
         description = self.study.arm
-        return self.memory.recall("arm", (description,), lambda: Arm.of(description))
+        return self.cache.recall("arm", (description,), lambda: Arm.of(description))
 
     @property
     def channels(self) -> frozenset[str]:
@@ -171,9 +171,17 @@ class Evidence:
             after = after._retimed(after.channel("t").scale / self.channel("t").scale)
         if changed - {"t"}:
             after = after._remapped(self, changed - {"t"})
-        for each in corrections:
-            if each.table == "log":
-                after = after._with_log(each)
+        for name, key, value in (
+            (c.entry, c.key, c.number) for c in corrections if c.table == "log"
+        ):
+            if key == "high_pass_hz":
+                after = replace(after, high_passes={**after.high_passes, name: value})
+            elif key == "unusable":
+                after = after.without([name])
+            else:  # a delay [s], or its drift [s/s]
+                shift = (value, 0.0) if key == "delay_s" else (0.0, value)
+                shifted = [_shift_channel(record, name, *shift) for record in after.records]
+                after = replace(after, records=tuple(shifted))
         return after
 
     def corrected_in(self, record: str, corrections: Sequence[Correction]) -> Evidence:
@@ -196,36 +204,19 @@ class Evidence:
     def _remapped(self, before: Evidence, changed: Collection[str]) -> Evidence:
         """Evidence after a change of the columns, scales or offsets of the `changed` channels."""
         owners = {before.channel(name).column: name for name in before.channels}
-        sources = {name: owners.get(self.channel(name).column, name) for name in changed}
-        factors = {
-            name: self.channel(name).scale / before.channel(source).scale
-            for name, source in sources.items()
-        }
-        offsets = {
-            name: self.channel(name).offset - factors[name] * before.channel(source).offset
-            for name, source in sources.items()
-        }
-        records = tuple(_remapped(r, sources, factors, offsets) for r in self.records)
-        counts = dict(self.counts)
-        for name, source in sources.items():
-            (kind, joint), (_, from_joint) = channel_parts(name), channel_parts(source)
-            if kind == "theta_m":
+        sources, counts = {}, dict(self.counts)
+        for name in changed:
+            after, joint = self.channel(name), channel_parts(name)[1]
+            source = owners.get(after.column, name)
+            stated, from_joint = before.channel(source), channel_parts(source)[1]
+            factor = after.scale / stated.scale
+            sources[name] = source, factor, after.offset - factor * stated.offset
+            if name == f"theta_m{joint}":
                 counts.pop(joint, None)
                 if from_joint in self.counts:
-                    counts[joint] = abs(factors[name]) * self.counts[from_joint]
+                    counts[joint] = abs(factor) * self.counts[from_joint]
+        records = tuple(_remapped(record, sources) for record in self.records)
         return replace(self, records=records, counts=counts)
-
-    def _with_log(self, correction: Correction) -> Evidence:
-        """Evidence after one channel is shifted in time, removed, or assigned a high-pass."""
-        name, value = correction.entry, correction.number
-        if correction.key == "high_pass_hz":
-            return replace(self, high_passes={**self.high_passes, name: value})
-        if correction.key == "unusable":
-            return self.without([name])
-        delay, drift = (value, 0.0) if correction.key == "delay_s" else (0.0, value)
-        return replace(
-            self, records=tuple(_shift_channel(r, name, delay, drift) for r in self.records)
-        )
 
     def without(self, names: Collection[str]) -> Evidence:
         """Evidence without the channels `names`."""
@@ -261,6 +252,7 @@ def _shift_channel(record: SlowRecord, name: str, delay: float, drift: float) ->
     """
     if name not in record.channels:
         return record
+    removed = record.removed_delays
     T, last = record.sample_time, len(record.inside) - 1
     rows = np.clip((1.0 + drift) * np.arange(last + 1) + delay / T, 0, last)
     near = np.rint(rows).astype(np.intp)
@@ -272,28 +264,22 @@ def _shift_channel(record: SlowRecord, name: str, delay: float, drift: float) ->
     return replace(
         record,
         channels={**record.channels, name: moved},
-        shifted={**record.shifted, name: record.shifted.get(name, 0.0) + delay},
+        removed_delays={**removed, name: removed.get(name, 0.0) + delay},
     )
 
 
-def _remapped(
-    record: SlowRecord,
-    sources: Mapping[str, str],
-    factors: Mapping[str, float],
-    offsets: Mapping[str, float],
-) -> SlowRecord:
-    channels, noise = dict(record.channels), dict(record.noise)
-    level, excited = dict(record.clocks.level), set(record.clocks.excited)
+def _remapped(record: SlowRecord, sources: Mapping[str, tuple[str, float, float]]) -> SlowRecord:
+    """Record with channels from others; `sources` have name -> (name before, factor, offset)."""
+    channels = {name: x for name, x in record.channels.items() if name not in sources}
+    noise = {name: std for name, std in record.noise.items() if name not in sources}
+    level = {name: x for name, x in record.clocks.level.items() if name not in sources}
+    excited = set(record.clocks.excited) - set(sources)
     direction, moves = record.direction.copy(), record.moves.copy()
-    for name in sources:
-        for table in (channels, noise, level):
-            table.pop(name, None)
-        excited.discard(name)
-    for name, source in sources.items():
-        factor, (kind, joint) = factors[name], channel_parts(name)
+    for name, (source, factor, offset) in sources.items():
+        kind, joint = channel_parts(name)
         if source in record.channels:
-            signal, is_same = record.channels[source], factor == 1.0 and offsets[name] == 0.0
-            channels[name] = signal if is_same else factor * signal + offsets[name]
+            signal, is_same = record.channels[source], factor == 1.0 and offset == 0.0
+            channels[name] = signal if is_same else factor * signal + offset
             noise[name] = abs(factor) * record.noise[source]
         if source in record.clocks.level:
             level[name] = abs(factor) * record.clocks.level[source]
@@ -307,7 +293,8 @@ def _remapped(
     delays = {}
     for joint in range(1, direction.shape[1] + 1):
         names = [f"{kind}{joint}" for kind in ("theta_m", "u", "torque")]
-        origins = {channel_parts(sources.get(n, n))[1] for n in names if n in channels}
+        before = [sources[n][0] if n in sources else n for n in names if n in channels]
+        origins = {channel_parts(name)[1] for name in before}
         if len(origins) == 1 and (profile := record.delays.get(origins.pop())) is not None:
             delays[joint] = profile
     return replace(

@@ -158,7 +158,7 @@ class UnexplainedEvidence:
         factors = [factor for name in sources for factor in self.values(name, "scale")]
         estimate = partial(estimate_rotation_factors, self.evidence, joint)
         motors = (self.evidence.arm, *self.evidence.records)
-        searched = self.evidence.memory.recall(("rotation", joint), motors, estimate)
+        searched = self.evidence.cache.recall(("rotation", joint), motors, estimate)
         return [*factors, *self.values(f"a{joint}", "own-joint"), *searched]
 
 

@@ -188,9 +188,8 @@ def _angle_units(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     units = [_angle_scales(evidence, name) for name in angles]
     for unit in (unit for unit in units[0] if all(unit in each for each in units)):
         factors = [s[unit] / evidence.channel(n).scale for s, n in zip(units, angles, strict=True)]
-        changes: tuple[Correction, ...] = ()
-        for name, factor in zip(angles, factors, strict=True):
-            changes += scaled(evidence, [name], factor)
+        pairs = zip(angles, factors, strict=True)
+        changes = tuple(c for name, factor in pairs for c in scaled(evidence, [name], factor))
         yield angle_unit(angles, unit, changes, factors[0])
         if rates and unit == "degrees":
             changes += scaled(evidence, rates, _DEGREE)

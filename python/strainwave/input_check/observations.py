@@ -203,7 +203,8 @@ def _observe_input_delays(evidence: Evidence) -> Iterator[Relation]:
             continue
         record, profile = profiles[0]
         name = next((n for n in (f"torque{joint}", f"u{joint}") if n in record.channels), "")
-        corrected = record.shifted.get(name, 0.0) - record.shifted.get(f"theta_m{joint}", 0.0)
+        removed = record.removed_delays
+        corrected = removed.get(name, 0.0) - removed.get(f"theta_m{joint}", 0.0)
         tolerance = _MAX_INPUT_DELAY_SAMPLES * profile.sample_time
         tolerance = max(EXPECTED["input-delay"].tolerance, tolerance)
         value = delay.value - corrected
@@ -211,7 +212,10 @@ def _observe_input_delays(evidence: Evidence) -> Iterator[Relation]:
 
 
 def _observe_torque_fit(evidence: Evidence) -> Iterator[Relation]:
-    """Unexplained variance of all torques over that with the best explanation."""
+    """Unexplained variance of all torques over that with the best explanation.
+
+    And the median share of friction in the torques of motors.
+    """
     if "desired" in {each.meaning for each in evidence.study.channels.values()}:
         return  # torques of a set-point, not of the motion
     fit, best = recall_quality(evidence), evidence.best_fit
@@ -219,11 +223,7 @@ def _observe_torque_fit(evidence: Evidence) -> Iterator[Relation]:
         return
     place, ratio = Place(part="arm"), max(float(np.exp(2.0 * (fit.cost - best.cost))), 1.0)
     yield observe("torque-fit", place, ratio, 0.0, best.tolerance)
-    yield from _observe_friction(evidence)
-
-
-def _observe_friction(evidence: Evidence) -> Iterator[Relation]:
-    """Median share of friction in the motors' torques; sensors behind the gears measure none."""
+    # sensors behind the gears measure no friction
     shares = friction_shares(evidence)
     joints = [i for i in shares if not evidence.arm.joints[i - 1].torque_at_link]
     names = [f"torque{i}" for i in joints if f"torque{i}" in evidence.channels]

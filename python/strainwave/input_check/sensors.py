@@ -100,7 +100,7 @@ def _recall(record: SlowRecord, evidence: Evidence, kind: str, i: int) -> Predic
     arm, name = evidence.arm, f"{kind}{i + 1}"
     n_motors = arm.n_joints if arm.coupling else i + 1
     sources = [record.channels[f"theta_m{j}"] for j in range(1, n_motors + 1)]
-    return evidence.memory.recall(
+    return evidence.cache.recall(
         ("reading", name, record.sample_time, evidence.high_passes.get(name)),
         (arm, record.channels[name], *sources),
         lambda: _regress_channel(record, evidence, recall_motion(record, evidence), kind, i),
@@ -185,7 +185,7 @@ def recall_motion(record: SlowRecord, evidence: Evidence) -> JointMotion:
     arm = evidence.arm
     angles = [record.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)]
     setting = ("motion", record.sample_time)
-    return evidence.memory.recall(setting, (arm, *angles), lambda: motion_of(record, arm))
+    return evidence.cache.recall(setting, (arm, *angles), lambda: motion_of(record, arm))
 
 
 def _predicted_parts(
@@ -347,7 +347,7 @@ def compare_motor_signals(evidence: Evidence) -> Iterator[PredictedSignal]:
             signals = [record.channels.get(f"{kind}{i}") for kind in kinds]
             setting = ("motor", i, record.sample_time, joint.gear_ratio)
             compute = partial(_compare_motor, evidence, record, i)
-            yield from evidence.memory.recall(setting, signals, compute)
+            yield from evidence.cache.recall(setting, signals, compute)
 
 
 def _compare_motor(evidence: Evidence, record: SlowRecord, i: int) -> list[PredictedSignal]:

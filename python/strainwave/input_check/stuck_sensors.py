@@ -8,14 +8,14 @@ import numpy as np
 
 from strainwave.domain import Clause, Correction, Log, Place, Relation, Suspicion, channel_parts
 from strainwave.dynamics.arm import Arm
+from strainwave.input_check.sensors import IMU_CHANNELS
 from strainwave.input_check.timing import find_excited_inputs
 from strainwave.signals.hygiene.defects import resolution_of
-from strainwave.signals.hygiene.flat_tops import MAX_SATURATED_SHARE, find_saturated_runs
+from strainwave.signals.hygiene.noisy_sensors import MAX_SATURATED_SHARE, find_saturated_runs
 
-_IMU_KINDS = ("ax", "ay", "az", "gx", "gy", "gz")
-_KINDS = ("a", "gyro", *_IMU_KINDS, "theta_l", "deflection", "tau_l", "torque", "omega_m")
 # Kinds whose noise prevents runs of equal samples unless the sensor is saturated.
-_NOISY_KINDS = ("a", "gyro", *_IMU_KINDS)
+_NOISY_KINDS = ("a", "gyro", *IMU_CHANNELS)
+_KINDS = (*_NOISY_KINDS, "theta_l", "deflection", "tau_l", "torque", "omega_m")
 # Share of its range in all records that the motor must cover during a run for the run to count.
 _MIN_MOTOR_MOTION_SHARE = 0.01
 # Sensor resolutions of motion that a constant reading can hide.

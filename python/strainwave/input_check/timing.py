@@ -76,7 +76,9 @@ def estimate_clocks(log: Log, arm: Arm) -> Clocks:
                 prbs = prbs or _estimate_clock_from_period(values, log, experiment.prbs)
         elif control == "servo":
             if arm.servo is not None:
-                servo = servo or _estimate_clock(_changes(values), log)
+                change = np.abs(np.diff(values))
+                changes = np.flatnonzero(change > _ROUNDING * float(np.ptp(values)))
+                servo = servo or _estimate_clock(changes.astype(np.float64), log)
             if experiment.prbs is not None and experiment.joint == i:
                 prbs = prbs or _estimate_clock(_jumps(values), log)
     return Clocks(prbs, servo, level, find_excited_inputs(log))
@@ -91,12 +93,6 @@ def find_excited_inputs(log: Log) -> frozenset[str]:
             if jumps.sum() >= _MIN_SWITCHES:
                 excited.add(name)
     return frozenset(excited)
-
-
-def _changes(values: FloatArray) -> FloatArray:
-    """Samples at which a signal changes by more than rounding."""
-    change = np.abs(np.diff(values))
-    return np.flatnonzero(change > _ROUNDING * float(np.ptp(values))).astype(np.float64)
 
 
 def _jumps(values: FloatArray) -> FloatArray:

@@ -10,8 +10,8 @@ torque that the fit does not explain is then larger than with the correct chain.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,14 +19,13 @@ from strainwave.domain import ArmDescription, Diagnostic, FloatArray, IntArray, 
 from strainwave.domain.consistent_links import is_consistent, principal_moments
 from strainwave.domain.distributions import CI95_STDS, student_tail
 from strainwave.domain.kinds import kind_of
-from strainwave.dynamics.arm import Arm
 from strainwave.input_check.evidence import Evidence, is_slow
 from strainwave.input_check.torque_rows import (
+    EFFORTS,
     MIN_SINGULAR_VALUE,
     ROW_STRIDE,
     arm_of_torques,
     inverse_root,
-    motor_signals,
     torque_rows,
 )
 from strainwave.numerics.regression import ROWS_PER_INDEPENDENT_ROW, regress
@@ -51,12 +50,13 @@ class TorqueSystem:
 
     columns: FloatArray  # (n_rows, n_links) torque per parameter of the links
     torque: FloatArray  # (n_rows,) [N m] at the motors
-    joint: FloatArray  # (n_rows,) of each row, from 1
+    joint: IntArray  # (n_rows,) of each row, its place in `joints`
     fold: IntArray  # (n_rows,) stretch of each row, from 0; the stretches of a record are adjacent
     records: tuple[str, ...]  # record of each stretch
-    total: Mapping[int, float]  # joint -> sum of squares of the torque about its mean
-    n_rows: Mapping[int, float]  # joint -> independent rows beyond its own parameters
-    grams: Mapping[int, FloatArray] = field(default_factory=dict)  # joint -> columns' columns
+    joints: tuple[int, ...]  # with a torque, from 1
+    total: FloatArray  # (n_joints,) sum of squares of the torque about its mean
+    n_rows: FloatArray  # (n_joints,) independent rows beyond the joint's own parameters
+    grams: FloatArray | None = None  # (n_joints, n_links, n_links) columns' columns; None: unknown
     parameters: FloatArray | None = None  # (n_base, n_links) of the arm per column; None: the same
 
 
@@ -123,18 +123,18 @@ class TorqueFit:
     basis: FloatArray  # (n_rows, n_excited) orthonormal, of the weighted columns
     weight: FloatArray  # (n_rows,) 1 / residual standard deviation of the row's joint
     residual: FloatArray  # (n_rows,) weighted
-    unexplained: Mapping[int, float]  # joint -> share of the variance of its torque
-    n_rows: Mapping[int, float]  # joint -> independent rows beyond the parameters
+    unexplained: FloatArray  # (n_joints,) share of the variance of the torque
+    n_rows: FloatArray  # (n_joints,) independent rows beyond the parameters
 
     @property
     def cost(self) -> float:
         """Negative log likelihood: sum of the logarithms of the unexplained shares."""
-        return sum(0.5 * self.n_rows[i] * float(np.log(u)) for i, u in self.unexplained.items())
+        return 0.5 * float(self.n_rows @ np.log(self.unexplained))
 
     @property
     def n_all(self) -> float:
         """Independent rows of all joints."""
-        return sum(self.n_rows.values())
+        return float(self.n_rows.sum())
 
     def project(self, torques: FloatArray) -> FloatArray:
         """Weighted torques (n_rows, n) without the parts that the links explain."""
@@ -145,14 +145,16 @@ class TorqueFit:
 def recall_quality(evidence: Evidence) -> FitQuality | None:
     """Quality of the fit under a hypothesis, computed once; None without torques."""
     records = [r for r in evidence.records if is_slow(r.experiment)]
-    sources = [x for r in records for x in motor_signals(r, evidence.arm)]
+    joints = range(1, evidence.arm.n_joints + 1)
+    names = [f"{kind}{i}" for kind in ("theta_m", *EFFORTS) for i in joints]
+    sources = [r.channels[name] for r in records for name in names if name in r.channels]
 
     def compute() -> FitQuality | None:
         system = torque_system(evidence)
         return None if system is None else predict_stretches(system)
 
     setting = ("torque-fit", *(r.sample_time for r in records))
-    return evidence.memory.recall(setting, (arm_of_torques(evidence), *sources), compute)
+    return evidence.cache.recall(setting, (arm_of_torques(evidence), *sources), compute)
 
 
 def friction_shares(evidence: Evidence) -> dict[int, tuple[float, float]]:
@@ -165,16 +167,14 @@ def friction_shares(evidence: Evidence) -> dict[int, tuple[float, float]]:
     if system is None:
         return {}
     fit = fit_torques(system)
-    friction, noise = dict.fromkeys(system.total, 0.0), dict.fromkeys(system.total, 0.0)
-    for each in torque_rows(evidence, Arm.base_regressor, "regressor"):
+    squares = np.zeros((len(system.joints), 2))  # of friction and noise
+    for each in torque_rows(evidence):
         own = each.torque - (each.of_links - each.of_links.mean(axis=0)) @ fit.links
-        friction[each.joint] += float(np.sum((each.basis[:, 1:].T @ own) ** 2))
+        friction, noise = each.basis[:, 1:].T @ own, each.remainder(own)
         rows = max(len(own) * ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW, 1.0)
-        noise[each.joint] += float(np.sum(each.remainder(own) ** 2)) / rows
-    return {
-        i: (float(np.sqrt(friction[i] / total)), float(np.sqrt(noise[i] / total)))
-        for i, total in system.total.items()
-    }
+        squares[system.joints.index(each.joint)] += friction @ friction, noise @ noise / rows
+    shares = np.sqrt(squares / system.total[:, None]).tolist()
+    return {i: (share, std) for i, (share, std) in zip(system.joints, shares, strict=True)}
 
 
 def fit_torques(system: TorqueSystem) -> TorqueFit:
@@ -184,36 +184,23 @@ def fit_torques(system: TorqueSystem) -> TorqueFit:
     columns and singular values down to 1e-6 their rounding is 2e-4 of the weakest combinations, far
     less than the noise of the unexplained shares that the fits are compared by.
     """
-    std = {i: float(np.sqrt(total / system.n_rows[i])) for i, total in system.total.items()}
-    of_joint = {i: system.joint == i for i in std}
-    equations = {}
-    for i, rows in of_joint.items():
-        block = system.columns[rows]
-        gram = system.grams[i] if i in system.grams else block.T @ block
-        equations[i] = gram, block.T @ system.torque[rows]
+    n_joints, variance, grams = len(system.joints), system.total / system.n_rows, system.grams
+    blocks = [np.flatnonzero(system.joint == k) for k in range(n_joints)]
+    if grams is None:
+        grams = np.array([system.columns[rows].T @ system.columns[rows] for rows in blocks])
+    products = np.array([system.columns[rows].T @ system.torque[rows] for rows in blocks])
     for _ in range(_N_ITERATIONS):
-        weight = np.zeros(len(system.torque))
-        for i, rows in of_joint.items():
-            weight[rows] = 1.0 / std[i]
-        gram, product = (
-            np.sum([parts[k] / std[i] ** 2 for i, parts in equations.items()], axis=0)
-            for k in (0, 1)
-        )
-        root = inverse_root(gram)
-        links = root @ (root.T @ product)
-        residual = weight * (system.torque - system.columns @ links)
-        n_shared = root.shape[1] / len(std)
-        n_rows = {i: max(n - n_shared, 1.0) for i, n in system.n_rows.items()}
-        shares = {
-            i: max(
-                float(np.sum((std[i] * residual[rows]) ** 2)) / system.total[i], _MIN_UNEXPLAINED
-            )
-            for i, rows in of_joint.items()
-        }
-        std = {i: float(np.sqrt(shares[i] * system.total[i] / n_rows[i])) for i in std}
+        weight = 1.0 / np.sqrt(variance)[system.joint]
+        root = inverse_root(np.tensordot(1.0 / variance, grams, 1))
+        links = root @ (root.T @ (products.T @ (1.0 / variance)))
+        residual = system.torque - system.columns @ links
+        squares = np.bincount(system.joint, residual**2, n_joints)
+        n_rows = np.maximum(system.n_rows - root.shape[1] / n_joints, 1.0)
+        shares = np.maximum(squares / system.total, _MIN_UNEXPLAINED)
+        variance = shares * system.total / n_rows
     basis = (weight[:, None] * system.columns) @ root
     links = links if system.parameters is None else system.parameters @ links
-    return TorqueFit(links, basis, weight, residual, shares, n_rows)
+    return TorqueFit(links, basis, weight, weight * residual, shares, n_rows)
 
 
 def predict_stretches(
@@ -245,27 +232,22 @@ def predict_stretches(
     gram = columns[~excluded].T @ columns[~excluded]
     product = columns[~excluded].T @ torque[~excluded]
     product = product + precision * expected
-    joints = sorted(system.total)
-    squares = np.zeros((len(system.records), len(joints)))
+    n_folds, n_joints = len(system.records), len(system.joints)
     n_fitted = 0 if fitted is None else len(fitted[0])
-    estimates = np.zeros((len(system.records), n_fitted))
-    for k in range(len(system.records)):
+    squares, estimates = np.zeros((n_folds, n_joints)), np.zeros((n_folds, n_fitted))
+    for k, record in enumerate(system.records):
         rows = system.fold == k
         block, target = columns[rows], torque[rows]
-        kept = float(system.records[k] not in without)
+        kept = float(record not in without)
         left = gram - kept * block.T @ block, product - kept * block.T @ target
         links = np.linalg.solve(left[0] + np.diag(precision), left[1])
         estimates[k] = links[len(links) - n_fitted :]
         errors = (target - block @ links) / fit.weight[rows]
-        for j, joint in enumerate(joints):
-            squares[k, j] = float(np.sum(errors[system.joint[rows] == joint] ** 2))
-    shares = squares / np.array([system.total[joint] for joint in joints])
-    n_rows = np.array([fit.n_rows[joint] for joint in joints])
-    counts = np.array(
-        [np.bincount(system.fold[system.joint == j], minlength=len(squares)) for j in joints]
-    )
-    rows = n_rows * (counts / counts.sum(axis=1, keepdims=True)).T
-    return FitQuality(shares, rows, _jackknife(estimates, system.records))
+        squares[k] = np.bincount(system.joint[rows], errors**2, n_joints)
+    counts = np.zeros((n_folds, n_joints))
+    np.add.at(counts, (system.fold, system.joint), 1.0)
+    rows = fit.n_rows * counts / counts.sum(axis=0)
+    return FitQuality(squares / system.total, rows, _jackknife(estimates, system.records))
 
 
 def _jackknife(estimates: FloatArray, records: Sequence[str]) -> FloatArray:
@@ -289,13 +271,13 @@ def torque_system(
     The load on the last link in the record `loaded` has parameters of its own. In the records
     `locked` the motors wind up their gears; None if the torque of a joint is not that of a spring.
     """
-    blocks, joints, folds = [], [], []
+    blocks, numbers, folds = [], [], []
     records: list[str] = []
     totals: dict[int, float] = {}
     n_rows: dict[int, float] = {}
     grams: dict[int, FloatArray] = {}
     wound: dict[int, FloatArray] = {}  # torques of spring and rotor at a locked output
-    for each in torque_rows(evidence, Arm.base_regressor, "regressor"):
+    for each in torque_rows(evidence):
         name = each.record.experiment.name
         block, i = each, each.joint
         if name in locked:
@@ -310,23 +292,33 @@ def torque_system(
             of_load = columns[:, -N_LINK_PARAMETERS:] * (name == loaded)
             columns = np.column_stack([columns, of_load])
         else:
-            grams[i] = grams[i] + block.gram if i in grams else block.gram
+            grams[i] = grams.get(i, 0.0) + block.gram
         blocks.append(np.column_stack([columns, block.remainder(torque)]))
-        joints.append(np.full(len(torque), i))
+        numbers.append(np.full(len(torque), i))
         totals[i] = totals.get(i, 0.0) + float(torque @ torque)
         independent = len(torque) * ROW_STRIDE / ROWS_PER_INDEPENDENT_ROW
         n_rows[i] = n_rows.get(i, 0.0) + max(independent - block.basis.shape[1] - 1, 1.0)
     is_moving = any(r > _MAX_ROTOR_SHARE * max(k, 0.0) or k < 0.0 for k, r in wound.values())
     if not blocks or is_moving:
         return None
-    equations, joint = np.concatenate(blocks), np.concatenate(joints)
-    columns, torques, fold = equations[:, :-1], equations[:, -1], np.concatenate(folds)
+    equations, joints = np.concatenate(blocks), sorted(totals)
+    columns, of_joints = equations[:, :-1], np.array([grams[i] for i in joints if grams])
     parameters = _standard_parameters(evidence, columns.shape[1])
     if parameters is not None:
         columns = columns @ parameters
-        grams = {i: parameters.T @ gram @ parameters for i, gram in grams.items()}
-    names = tuple(records)
-    return TorqueSystem(columns, torques, joint, fold, names, totals, n_rows, grams, parameters)
+        of_joints = parameters.T @ of_joints @ parameters if grams else of_joints
+    return TorqueSystem(
+        columns=columns,
+        torque=equations[:, -1],
+        joint=np.searchsorted(joints, np.concatenate(numbers)),
+        fold=np.concatenate(folds),
+        records=tuple(records),
+        joints=tuple(joints),
+        total=np.array([totals[i] for i in joints]),
+        n_rows=np.array([n_rows[i] for i in joints]),
+        grams=of_joints if grams else None,
+        parameters=parameters,
+    )
 
 
 def _standard_parameters(evidence: Evidence, n: int) -> FloatArray | None:
@@ -351,7 +343,7 @@ def with_friction_laws(evidence: Evidence, system: TorqueSystem, links: FloatArr
     separate. The first columns are those of the links.
     """
     parts, n_joints = [], evidence.arm.n_joints
-    for each in torque_rows(evidence, Arm.base_regressor, "regressor"):
+    for each in torque_rows(evidence):
         direction, load = np.sign(each.own[:, 2]), each.of_links @ links
         rest = each.torque - (load - load.mean())
         load = load + each.own[:, 0] * np.linalg.lstsq(each.own, rest)[0][0]
@@ -360,21 +352,15 @@ def with_friction_laws(evidence: Evidence, system: TorqueSystem, links: FloatArr
         columns[:, each.joint - 1] = laws
         parts.append(columns.reshape(len(laws), -1))
     columns = np.column_stack([system.columns, np.concatenate(parts)])
-    return replace(system, columns=columns, grams={}, parameters=None)
+    return replace(system, columns=columns, grams=None, parameters=None)
 
 
 def unexplained_torques(evidence: Evidence, links: FloatArray) -> FloatArray:
     """Torques that given links leave, in the rows of `torque_system`."""
-
-    def torques_of(
-        arm: Arm, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
-    ) -> FloatArray:
-        return arm.link_torques(links, angle, velocity, acceleration)[:, :, None]
-
     return np.concatenate(
         [
             block.remainder(block.torque - block.of_links[:, 0])
-            for block in torque_rows(evidence, torques_of, None)
+            for block in torque_rows(evidence, links)
         ]
     )
 
@@ -424,7 +410,7 @@ def compare_urdf_masses(evidence: Evidence) -> Iterator[Diagnostic]:
     torques = np.einsum("rlp,lp->rl", per_link, priors)
     sizes = np.linalg.norm(torques, axis=0)
     shown = np.flatnonzero(sizes > _MIN_TORQUE * sizes.max())
-    scaled = replace(system, columns=torques[:, shown], grams={})
+    scaled = replace(system, columns=torques[:, shown], grams=None)
     weight = fit_torques(scaled).weight
     fit = regress(weight * system.torque, weight[:, None] * scaled.columns)
     if fit is None or fit.explained < _MIN_EXPLAINED:

@@ -278,27 +278,28 @@ def propose_families(evidence: Evidence) -> Iterator[HypothesisFamily]:
     """Gravity, ratios, zeros, frames, torques and delays."""
     arm, joints = evidence.study.arm, range(1, evidence.arm.n_joints + 1)
     is_chain = not kind_of(arm).places_joints
+
+    def family(
+        change: Callable[..., Hypothesis], tolerated: FloatArray | float, *of: object
+    ) -> HypothesisFamily:
+        return HypothesisFamily(np.atleast_1d(tolerated), partial(change, evidence, *of))
+
     if arm.gravity and is_chain:
-        tolerated = np.full(3, _TOLERATED_GRAVITY / _GRAVITY_STD)
-        yield HypothesisFamily(tolerated, partial(_gravity, evidence))
-    tolerated_ratio = np.array([_TOLERATED_RATIO / _RATIO_STD])
-    tolerated_angle = np.array([_TOLERATED_ANGLE / _ANGLE_STD])
+        yield family(_gravity, np.full(3, _TOLERATED_GRAVITY / _GRAVITY_STD))
     for i in joints:
-        yield HypothesisFamily(tolerated_ratio, partial(_ratio, evidence, i))
-        yield HypothesisFamily(tolerated_angle, partial(_zero, evidence, i))
+        yield family(_ratio, _TOLERATED_RATIO / _RATIO_STD, i)
+        yield family(_zero, _TOLERATED_ANGLE / _ANGLE_STD, i)
         if is_chain:
-            yield HypothesisFamily(_TOLERATED_FRAME, partial(_frame, evidence, i))
+            yield family(_frame, _TOLERATED_FRAME, i)
         if _torque_scale(evidence, i) is not None:
-            tolerated = np.array([_TOLERATED_TORQUE / _RATIO_STD])
-            yield HypothesisFamily(tolerated, partial(_constant, evidence, i))
+            yield family(_constant, _TOLERATED_TORQUE / _RATIO_STD, i)
     if arm.gravity and "link_length" in arm_keys(arm):
-        yield HypothesisFamily(tolerated_ratio, partial(_length, evidence))
+        yield family(_length, _TOLERATED_RATIO / _RATIO_STD)
     step = max(r.sample_time for r in evidence.records)
     efforts = [name for i in joints if (name := effort_channel(evidence.channels, i))]
     angles = [[n for n in (f"theta_m{i}", f"omega_m{i}") if n in evidence.channels] for i in joints]
     for names in (efforts, *([name] for name in efforts), *angles):
-        late = partial(_delay, evidence, names, step)
-        yield HypothesisFamily(np.array([_TOLERATED_DELAY / step]), late)
+        yield family(_delay, _TOLERATED_DELAY / step, names, step)
 
 
 def all_frames(evidence: Evidence) -> HypothesisFamily:
@@ -412,10 +413,10 @@ def _frame(evidence: Evidence, i: int, x: FloatArray, *, is_final: bool = False)
 
 def _robot(evidence: Evidence, x: FloatArray, *, is_final: bool = False) -> Hypothesis:
     """Other frames of all joints."""
-    rows = x.reshape(-1, 6)
+    rows = x.reshape(-1, N_FRAME_COORDINATES)
     frames = [_frame(evidence, i, row) for i, row in enumerate(rows, start=1)]
-    sizes = [float(np.linalg.norm(part, axis=1).max()) for part in (rows[:, :3], rows[:, 3:])]
-    length, angle = _LENGTH_STD * sizes[0], _ANGLE_STD * sizes[1]
+    length = _LENGTH_STD * float(np.linalg.norm(rows[:, :3], axis=1).max())
+    angle = _ANGLE_STD * float(np.linalg.norm(rows[:, 3:], axis=1).max())
     return Hypothesis(
         "wrong-geometry",
         Clause("wrong-geometry/robot", length=length, angle=angle),

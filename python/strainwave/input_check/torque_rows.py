@@ -7,7 +7,7 @@ between its two.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TypeVar
@@ -47,12 +47,6 @@ _POSTURE_STRIDE = 16
 
 EFFORTS = ("torque", "u", "tau_l")
 """Kinds of channels of the effort of a joint, of which the first present one is compared."""
-
-
-def motor_signals(record: SlowRecord, arm: Arm) -> list[FloatArray]:
-    """Angles and inputs of the motors of a record."""
-    names = (f"{kind}{i}" for kind in ("theta_m", *EFFORTS) for i in range(1, arm.n_joints + 1))
-    return [record.channels[name] for name in names if name in record.channels]
 
 
 def implied_density(evidence: Evidence) -> float | None:
@@ -135,7 +129,7 @@ def arm_of_torques(evidence: Evidence) -> Arm:
     meanings = {each.meaning for each in evidence.study.channels.values()}
     if "without-gravity" not in meanings:
         return arm
-    return evidence.memory.recall("without gravity", (arm,), lambda: replace(arm, gravity=None))
+    return evidence.cache.recall("without gravity", (arm,), lambda: replace(arm, gravity=None))
 
 
 @dataclass(frozen=True)
@@ -184,35 +178,35 @@ class TorqueRows:
 
 def torque_rows(
     evidence: Evidence,
-    torques_of: Callable[[Arm, FloatArray, FloatArray, FloatArray], FloatArray],
-    name: str | None,
+    links: FloatArray | None = None,
     records: Sequence[SlowRecord] | None = None,
     only: int | None = None,
 ) -> Iterator[TorqueRows]:
     """Rows of each joint, or one, in each slow record, or others, with torques of the links.
 
-    `torques_of` returns torques at the links, (n_samples, n_joints, n), of a motion. Under `name`
-    they are computed once for each motion; hypotheses about the torques share them.
+    The torques are those of given `links`, (n_base,), in one column, or have one column for each
+    parameter. The latter are computed once for each motion; hypotheses about the torques share
+    them.
     """
     arm = arm_of_torques(evidence)
     if records is None:
         records = [r for r in evidence.records if is_slow(r.experiment)]
     for record, stretches in zip(records, spread_stretches(records, _MAX_ROWS), strict=True):
         motion = recall_motion(record, evidence)
-        compute = partial(_motor_torques, record, stretches, motion, arm, torques_of)
-        setting = (name, record.sample_time, *(each.start for each in stretches))
+        compute = partial(_motor_torques, record, stretches, motion, arm, links)
+        setting = ("rows", record.sample_time, *(each.start for each in stretches))
         angles = [record.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)]
-        is_shared = name is not None and evidence.memory.is_stated(evidence.arm)
-        of_motors = evidence.memory.recall(setting, (arm, *angles), compute, is_kept=is_shared)
+        is_shared = links is None and evidence.cache.is_stated(evidence.arm)
+        of_motors = evidence.cache.recall(setting, (arm, *angles), compute, is_kept=is_shared)
         for i in range(arm.n_joints) if only is None else (only,):
             effort = effort_channel(record.channels, i + 1)
             if effort is None:
                 continue
             torque = record.channels[effort]
             make = partial(_block, evidence, record, i, stretches, of_motors)
-            is_kept = is_shared and evidence.memory.is_stated(torque, *angles)
+            is_kept = is_shared and evidence.cache.is_stated(torque, *angles)
             sources = arm, torque, *angles
-            block = evidence.memory.recall((i, *setting), sources, make, is_kept=is_kept)
+            block = evidence.cache.recall((i, *setting), sources, make, is_kept=is_kept)
             if block is not None:
                 yield block
 
@@ -239,13 +233,17 @@ def _motor_torques(
     stretches: Sequence[slice],
     motion: JointMotion,
     arm: Arm,
-    torques_of: Callable[[Arm, FloatArray, FloatArray, FloatArray], FloatArray],
+    links: FloatArray | None,
 ) -> FloatArray:
     """Torques of the links at the motors in the used rows of a record, (n_rows, n_joints, n)."""
-    states = motion.angle, motion.velocity, motion.acceleration
     parts = []
     for each in stretches:
-        of_links = torques_of(arm, *(x[each][::_FILTER_STRIDE] for x in states))
+        whole = motion.angle, motion.velocity, motion.acceleration
+        states = tuple(x[each][::_FILTER_STRIDE] for x in whole)
+        if links is None:
+            of_links = arm.base_regressor(*states)
+        else:
+            of_links = arm.link_torques(links, *states)[:, :, None]
         of_motors = np.swapaxes(arm.motors_of(np.swapaxes(of_links, 1, 2)), 1, 2)
         # The torques of a smooth motion have harmonics, which the filter removed from the log.
         flat, T = of_motors.reshape(len(of_motors), -1), record.sample_time * _FILTER_STRIDE
@@ -283,7 +281,7 @@ def _recall_basis(
         return rows, own, np.linalg.qr(own[:, varying] / norms[varying])[0]
 
     setting = ("own", i, T, *(each.start for each in stretches))
-    return evidence.memory.recall(setting, (angle,), compute)
+    return evidence.cache.recall(setting, (angle,), compute)
 
 
 def _strided(signal: Array, stretches: Sequence[slice]) -> Array:
@@ -317,7 +315,7 @@ def regress_torques(evidence: Evidence) -> Iterator[TorqueRegression]:
         setting = ("inertia", i, *((r.sample_time, r.bandwidth_hz) for r in chosen))
         sources = (arm_of_torques(evidence), *efforts, *angles)
         compute = partial(_regress_torque, evidence, chosen, i)
-        estimate = evidence.memory.recall(setting, sources, compute)
+        estimate = evidence.cache.recall(setting, sources, compute)
         if estimate is not None:
             yield estimate
 
@@ -333,7 +331,7 @@ def _regress_torque(
     arm = arm_of_torques(evidence)
     unit = arm.links_of(np.eye(arm.n_joints)[i])
     targets, blocks, weights = [], [], []
-    for block in torque_rows(evidence, Arm.base_regressor, "regressor", records, i):
+    for block in torque_rows(evidence, None, records, i):
         targets.append(block.torque)
         columns = np.column_stack([block.own, block.of_links, block.angle])
         blocks.append(columns - columns.mean(axis=0))

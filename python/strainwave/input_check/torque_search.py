@@ -80,7 +80,7 @@ def search_explanations(evidence: Evidence) -> tuple[Hypothesis, ...] | None:
     None without torques; empty if a change of a tolerated size explains them as well.
     """
     slow = tuple(record for record in evidence.records if is_slow(record.experiment))
-    evidence.memory.state(evidence.arm, slow)
+    evidence.cache.state(evidence.arm, slow)
     evidence = replace(evidence, records=slow)
     system = torque_system(evidence)
     if system is None:
@@ -92,7 +92,7 @@ def search_explanations(evidence: Evidence) -> tuple[Hypothesis, ...] | None:
     jobs += [partial(search.continuous, *each) for each in families]
     tried = [*simple, *(family.change(np.zeros(len(family.tolerated))) for family, _ in families)]
     found = [each for each in run_parallel(jobs) if each is not None]
-    if found or max(search.fit.unexplained.values()) > _MAX_UNEXPLAINED:
+    if found or search.fit.unexplained.max() > _MAX_UNEXPLAINED:
         exchanges = [*exchanged_joints(evidence)]
         tried += exchanges
         jobs = [partial(search.discrete, each) for each in exchanges]
@@ -158,16 +158,14 @@ class _FaultSearch:
         loaded = record if each.kind == "payload" else ""
         system = torque_system(changed, loaded, each.excluded if each.kind == "locked" else ())
         stated = self.system
-        if system and each.kind == "exchange" and set(system.total) == set(stated.total):
-            # errors relative to the stated torques: a large one in the place of a small one has a
-            # smaller share of the same error
-            ratios = {i: system.n_rows[i] / n for i, n in stated.n_rows.items()}
-            totals = {i: total * ratios[i] for i, total in stated.total.items()}
-            system = replace(system, total=totals)
-        # of two records, either can be the one with the load
-        is_one = len({r.experiment.name for r in self.evidence.records}) > 2
         if system is None:
             return None
+        if each.kind == "exchange" and system.joints == stated.joints:
+            # errors relative to the stated torques: a large one in the place of a small one has a
+            # smaller share of the same error
+            system = replace(system, total=stated.total * system.n_rows / stated.n_rows)
+        # of two records, either can be the one with the load
+        is_one = len({r.experiment.name for r in self.evidence.records}) > 2
         fit = fit_torques(system)
         if self.fit.cost - fit.cost < _MIN_DECREASE_TO_PREDICT * self.fit.n_all:
             return None
@@ -235,13 +233,10 @@ class _FaultSearch:
 
     def _decrease(self, change: FloatArray) -> float:
         """Decrease of the cost per row if weighted torques (n_rows,) are explained as well."""
-        fit, total = self.fit, 0.0
-        for i, n in fit.n_rows.items():
-            rows = self.system.joint == i
-            before = float(np.sum(fit.residual[rows] ** 2))
-            after = float(np.sum((fit.residual[rows] - change[rows]) ** 2))
-            total += 0.5 * n * float(np.log(before / max(after, _MIN_UNEXPLAINED * before)))
-        return total / fit.n_all
+        residuals = self.fit.residual, self.fit.residual - change
+        before, after = (np.bincount(self.system.joint, r**2) for r in residuals)
+        decrease = np.log(before / np.maximum(after, _MIN_UNEXPLAINED * before))
+        return 0.5 * float(np.average(decrease, weights=self.fit.n_rows))
 
     def doubtful_records(self) -> list[str]:
         """Records without which the stretches of the others are predicted clearly better.
@@ -275,7 +270,7 @@ class _FaultSearch:
             return None  # a torque is compared in one of the two only
         gain = quality.gain(self.stated)
         if each.kind == "exchange":  # their errors change places as well
-            pair = np.isin(sorted(self.system.total), list(each.joints))
+            pair = np.isin(self.system.joints, list(each.joints))
             by_joint = np.where(pair, gain.by_joint[pair].mean(), gain.by_joint)
             gain = replace(gain, by_joint=by_joint)  # the mean is of the torques as they are
         best, worst = float(gain.by_joint.max()), float(gain.by_joint.min())

@@ -12,10 +12,8 @@ from strainwave.domain import BoolArray, Decoupled, Diagnostic, FloatArray, Join
 from strainwave.domain.link_sensors import sensor_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, RecordTooShort
-from strainwave.signals.standstill import runs_of, sliding_direction
+from strainwave.signals.standstill import runs_of
 
-_MIN_STANDSTILL_TIME = 0.02  # [s] minimum duration of a standstill of the encoder
-_MIN_STANDSTILL_SAMPLES = 6  # minimum duration of a standstill in samples
 # minimum number of consecutive equal samples at an extreme value that are saturation
 _MIN_SATURATED_SAMPLES = 5
 # share of saturated samples in a record above which a warning is issued
@@ -51,13 +49,6 @@ class MotorInput:
         return self.kind == "u"
 
 
-def channel_of(log: Log, name: str) -> FloatArray:
-    """One channel of a log, (n_samples,). Raises InvalidInput if it is missing."""
-    if name not in log.channels:
-        raise InvalidInput(f"the log has no channel {name}", where=log.name, remedy=f"log {name}")
-    return log.channels[name]
-
-
 def check_length(log: Log, edge: int, cutoff_hz: float) -> None:
     """Check that a record lasts longer than the transients of a low-pass at its ends.
 
@@ -69,30 +60,6 @@ def check_length(log: Log, edge: int, cutoff_hz: float) -> None:
             where=log.name,
             remedy="record a longer motion",
         )
-
-
-def resolution(joint: Joint, noise: float) -> float:
-    """Angle change [rad] above which the direction of a motor is significant.
-
-    1.5 encoder counts, or 5 standard deviations of the white noise `noise` [rad] if the number of
-    counts is unknown: smaller changes do not determine the direction.
-    """
-    return 1.5 * joint.encoder_resolution or 5.0 * noise
-
-
-def directions(angle: FloatArray, noise: FloatArray, arm: Arm, T: float) -> FloatArray:
-    """Sliding direction of each motor from the measured angles, (n_samples, n_joints).
-
-    `angle` [rad] is (n_samples, n_joints); `noise` [rad] is the standard deviation of white noise
-    per joint; T is the sampling period [s]. The result is +1, -1, or 0 if the direction is
-    uncertain.
-    """
-    columns = []
-    standstill_samples = max(_MIN_STANDSTILL_SAMPLES, round(_MIN_STANDSTILL_TIME / T))
-    for i, joint in enumerate(arm.joints):
-        resolvable = resolution(joint, float(noise[i]))
-        columns.append(sliding_direction(angle[:, i], resolvable, standstill_samples))
-    return np.column_stack(columns)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,7 @@ _SENSORS: Mapping[LinkSource, type[LinkSensor]] = {
     "encoder": LinkEncoder,
     "gyro": Gyro,
 }
+_SIDES = ("ahead of", "behind")  # of a sensor with a negative and a positive delay
 _MIN_SIGNIFICANCE = 4.0  # standard deviations above which a delay is significant
 
 
@@ -55,18 +56,8 @@ def build_misalignment_warnings(
     """Yield a warning if a channel is significantly delayed relative to the motor encoder."""
     if delay is None or abs(delay.value) < _MIN_SIGNIFICANCE * delay.std:
         return
-    yield Diagnostic(
-        "misaligned",
-        place,
-        channel=channel,
-        delay=abs(delay.value),
-        std=delay.std,
-        side=_side(delay),
-    )
-
-
-def _side(delay: Delay) -> str:
-    return "behind" if delay.value > 0.0 else "ahead of"
+    size, std, side = abs(delay.value), delay.std, _SIDES[delay.value > 0.0]
+    yield Diagnostic("misaligned", place, channel=channel, delay=size, std=std, side=side)
 
 
 def list_removed_delays(
@@ -87,7 +78,8 @@ def build_delay_warnings(delays: Sequence[Delay]) -> Iterator[Diagnostic]:
     for joint, delay in enumerate(delays, start=1):
         if not delay.value:
             continue
-        half, size, side = CI95_STDS * delay.std, abs(delay.value), _side(delay)
+        half, size = CI95_STDS * delay.std, abs(delay.value)
+        side = _SIDES[delay.value > 0.0]
         yield Diagnostic("sensor-delay", Place(joint=joint), delay=size, half=half, side=side)
 
 

@@ -116,7 +116,7 @@ def compute_link_signals(
     Also returns the removed delay of each joint; its value is zero if nothing was removed. Raises
     InvalidInput under the same conditions as `prepare_link_signals`.
     """
-    total = (Delay(0.0, 0.0),) * arm.n_joints
+    total = none = (Delay(0.0, 0.0),) * arm.n_joints
     for _ in range(_MAX_ITERATIONS):
         delays = tuple(late.value for late in total)
         records = run_parallel(
@@ -127,17 +127,11 @@ def compute_link_signals(
             Delay(removed.value + remainder.value, remainder.std)
             for removed, remainder in zip(total, remaining, strict=True)
         )
-        if not any(late.value for late in remaining) or _exceeds_longest_delay(total):
+        if any(abs(late.value) > MAX_SENSOR_DELAY for late in total):  # reported, not corrected
+            return [prepare_link_signals(log, arm, options) for log in logs], none
+        if not any(late.value for late in remaining):
             break
-    if _exceeds_longest_delay(total):
-        none = (Delay(0.0, 0.0),) * arm.n_joints
-        return [prepare_link_signals(log, arm, options) for log in logs], none
     return [replace(record, removed_delay=total) for record in records], total
-
-
-def _exceeds_longest_delay(delays: Sequence[Delay]) -> bool:
-    """Whether any delay exceeds `MAX_SENSOR_DELAY`. Such a delay is reported but not corrected."""
-    return any(abs(delay.value) > MAX_SENSOR_DELAY for delay in delays)
 
 
 def prepare_link_signals(
@@ -188,25 +182,21 @@ def prepare_link_signals(
     return _with_delays(signals, arm, view, warnings, is_single_record=delays is None)
 
 
-def _remove_delays(log: Log, arm: Arm, delays: Sequence[float]) -> Log:
-    """Log whose link sensor channels are advanced by their delays [s]."""
-    channels = dict(log.channels)
-    for i, delay in enumerate(delays, start=1):
-        name = _CHANNEL.get(_source(log, arm, i))
-        if delay and name:
-            channels[f"{name}{i}"] = shift_samples(channels[f"{name}{i}"], delay / log.sample_time)
-    return replace(log, channels=channels)
-
-
 class _FilteredLog:
     """Channels of a log through the filters that all channels share."""
 
     def __init__(
         self, record: PreparedRecord, options: LinkOptions, delays: Sequence[float]
     ) -> None:
-        log, arm = _remove_delays(record.log, record.arm, delays), record.arm
-        self.record, self.log, self.arm, self.options = record, log, arm, options
+        log, arm = record.log, record.arm
+        self.record, self.arm, self.options = record, arm, options
         self.sources = tuple(_source(log, arm, i) for i in range(1, arm.n_joints + 1))
+        channels = dict(log.channels)
+        for i, delay in enumerate(delays):
+            if delay and self.sources[i] in _CHANNEL:
+                name = f"{_CHANNEL[self.sources[i]]}{i + 1}"
+                channels[name] = shift_samples(channels[name], delay / log.sample_time)
+        self.log = replace(log, channels=channels)
         self.shared = tuple(
             dict.fromkeys(
                 lag

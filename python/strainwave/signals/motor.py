@@ -139,13 +139,8 @@ def activity_of(logs: Sequence[Log], arm: Arm) -> tuple[Activity, ...]:
     """
     activities = []
     for number in range(1, arm.n_joints + 1):
-        mean_squares = [
-            mean_square
-            for log in logs
-            if log.experiment.use != "check"
-            for mean_square in [_mean_squares(log, arm, number)]
-            if mean_square is not None
-        ]
+        fitted = [_mean_squares(log, arm, number) for log in logs if log.experiment.use != "check"]
+        mean_squares = [each for each in fitted if each is not None]
         if mean_squares:
             torque, velocity, acceleration = np.sqrt(np.mean(mean_squares, axis=0)).tolist()
             activities.append(Activity(number, torque, velocity, acceleration))

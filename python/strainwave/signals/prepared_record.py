@@ -16,13 +16,14 @@ from strainwave.signals.channels import (
     InputKind,
     MotorInput,
     Saturation,
-    channel_of,
     detect_saturation,
-    directions,
     unmeasured,
 )
 from strainwave.signals.drive_law import DriveLaw, held_commands
+from strainwave.signals.standstill import sliding_direction
 
+_MIN_STANDSTILL_TIME = 0.02  # [s] minimum duration of a standstill of the encoder
+_MIN_STANDSTILL_SAMPLES = 6  # minimum duration of a standstill in samples
 _MAX_PERIOD_ERROR = 1e-6  # relative, of the servo's period as a multiple of the sample time
 _MIN_SAMPLES_PER_COMMAND = 2  # below it, torques do not show when they were sampled
 
@@ -41,8 +42,12 @@ class PreparedRecord:
     @cached_property
     def motor_angle(self) -> FloatArray:
         """Motor angles [rad]."""
-        numbers = range(1, self.arm.n_joints + 1)
-        return _read_only([channel_of(self.log, f"theta_m{i}") for i in numbers])
+        names = [f"theta_m{i}" for i in range(1, self.arm.n_joints + 1)]
+        missing = next((name for name in names if name not in self.log.channels), None)
+        if missing:
+            message, remedy = f"the log has no channel {missing}", f"log {missing}"
+            raise InvalidInput(message, where=self.log.name, remedy=remedy)
+        return _read_only([self.log.channels[name] for name in names])
 
     @cached_property
     def angle_noise(self) -> FloatArray:
@@ -56,8 +61,19 @@ class PreparedRecord:
 
     @cached_property
     def sliding(self) -> FloatArray:
-        """Sliding direction of each motor: +1, -1, or 0 if it is uncertain."""
-        return directions(self.motor_angle, self.angle_noise, self.arm, self.log.sample_time)
+        """Sliding direction of each motor: +1, -1, or 0 if it is uncertain.
+
+        Changes of the angle below 1.5 encoder counts, or below 5 standard deviations of its white
+        noise if the counts are unknown, do not determine the direction.
+        """
+        standing = max(_MIN_STANDSTILL_SAMPLES, round(_MIN_STANDSTILL_TIME / self.log.sample_time))
+        motors = zip(self.motor_angle.T, self.arm.joints, self.angle_noise.tolist(), strict=True)
+        return np.column_stack(
+            [
+                sliding_direction(angle, 1.5 * joint.encoder_resolution or 5.0 * noise, standing)
+                for angle, joint, noise in motors
+            ]
+        )
 
     @cached_property
     def inputs(self) -> tuple[MotorInput, ...]:

@@ -25,10 +25,12 @@ from strainwave.signals.hygiene.defects import (
     build_hum_warnings,
     count_of,
 )
-from strainwave.signals.hygiene.flat_tops import detect_flat_tops
-from strainwave.signals.hygiene.frozen import detect_encoder_steps, detect_frozen
-from strainwave.signals.hygiene.jumps import detect_spikes
-from strainwave.signals.hygiene.mains_hum import confirm_hum, detect_hum
+from strainwave.signals.hygiene.jumps import (
+    detect_encoder_steps,
+    detect_frozen,
+    detect_spikes,
+)
+from strainwave.signals.hygiene.noisy_sensors import confirm_hum, detect_flat_tops, detect_hum
 from strainwave.signals.standstill import runs_of
 
 __all__ = ["DETECTORS", "Defect", "Kind", "detect_defects", "repair_records"]
