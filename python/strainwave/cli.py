@@ -17,9 +17,9 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from strainwave import __version__
 from strainwave.commands import command_texts
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
+from strainwave.version import __version__
 
 app = typer.Typer(
     name="strainwave",
