@@ -447,7 +447,8 @@ def serve(
     max_upload: Annotated[int, _option("serve.max-upload", min=1)] = 2048,
 ) -> None:
     """Serve the workbench, the whole method in a browser. Ctrl-C ends it."""
-    from strainwave.workbench.server import ServerOptions, serve
+    from strainwave.workbench.options import ServerOptions
+    from strainwave.workbench.server import serve
 
     serve(ServerOptions(folder, host, port, token, max_upload))
 
