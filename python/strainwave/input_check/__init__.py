@@ -24,11 +24,7 @@ from strainwave.domain import (
 )
 from strainwave.dynamics.arm import Arm
 from strainwave.input_check.evidence import BestFit, Evidence, collect_evidence
-from strainwave.input_check.hypothesis import (
-    MIN_SHARE_OF_GAIN,
-    Hypothesis,
-    UnexplainedEvidence,
-)
+from strainwave.input_check.hypothesis import MIN_SHARE_OF_GAIN, Hypothesis, UnexplainedEvidence
 from strainwave.input_check.input_hypotheses import propose_hypotheses
 from strainwave.input_check.observations import (
     EXPECTED,
@@ -36,10 +32,7 @@ from strainwave.input_check.observations import (
     is_of_link,
     worst_relations,
 )
-from strainwave.input_check.stuck_sensors import (
-    measure_clipping,
-    measure_standing_encoders,
-)
+from strainwave.input_check.stuck_sensors import measure_clipping, measure_standing_encoders
 from strainwave.input_check.torque_fit import compare_urdf_masses, report_impossible_links
 from strainwave.input_check.torque_rows import EFFORTS
 from strainwave.input_check.torque_search import search_explanations

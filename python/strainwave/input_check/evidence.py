@@ -118,7 +118,7 @@ class SlowRecord:
 
 @dataclass(frozen=True, slots=True)
 class PredictedSignal:
-    """A signal of one record compared with its prediction."""
+    """A signal of one record, or of several, compared with its prediction."""
 
     channel: str
     explained: float  # share of the variance of the signal
@@ -192,11 +192,6 @@ class Evidence:
         (changed,) = replace(self, records=(one,)).corrected(corrections).records
         return replace(self, records=tuple(changed if r is one else r for r in self.records))
 
-    def without_records(self, names: Collection[str]) -> Evidence:
-        """Evidence without the records `names`."""
-        records = tuple(r for r in self.records if r.experiment.name not in names)
-        return replace(self, records=records)
-
     def channel(self, name: str) -> Channel:
         """Column, scale and offset of a channel."""
         return self.study.channels.get(name) or Channel(name)
@@ -228,20 +223,12 @@ class Evidence:
 
     def _retimed(self, factor: float) -> Evidence:
         """Evidence after all time stamps are multiplied by `factor`."""
-        records = [
-            replace(
-                record,
-                sample_time=factor * record.sample_time,
-                bandwidth_hz=record.bandwidth_hz / factor,
-                clocks=replace(
-                    record.clocks,
-                    prbs=record.clocks.prbs and factor * record.clocks.prbs,
-                    servo=record.clocks.servo and factor * record.clocks.servo,
-                ),
-                delays={},
-            )
-            for record in self.records
-        ]
+        records = []
+        for each in self.records:
+            prbs, servo = (x and factor * x for x in (each.clocks.prbs, each.clocks.servo))
+            clocks = replace(each.clocks, prbs=prbs, servo=servo)
+            T, hz = factor * each.sample_time, each.bandwidth_hz / factor
+            records.append(replace(each, sample_time=T, bandwidth_hz=hz, clocks=clocks, delays={}))
         return replace(self, records=tuple(records))
 
 
@@ -330,14 +317,10 @@ def collect_evidence(logs: Sequence[Log], study: Study) -> Evidence:
     limit = (
         _MAX_BAND_RATIO * float(np.quantile(of_slow, 0.5, method="lower")) if of_slow else np.inf
     )
-    jobs = [
-        partial(
-            _slow_record, log, arm, angles[k], moves[k], min(band, limit if slow[k] else np.inf)
-        )
-        for k, (log, band) in enumerate(
-            zip(logs, [max(b, default=0.0) for b in bands], strict=True)
-        )
-    ]
+    jobs = []
+    for log, angle, moving, hz, each in zip(logs, angles, moves, bands, slow, strict=True):
+        band = min(max(hz, default=0.0), limit if each else np.inf)
+        jobs.append(partial(_slow_record, log, arm, angle, moving, band))
     records = run_parallel(jobs)
     counts = {
         joint: count

@@ -77,7 +77,8 @@ class Hypothesis:
         so these are not compared with estimated frames.
         """
         if self.excluded:  # the explanations of the torques competed on all records
-            return replace(evidence.without_records(self.excluded), best_fit=None)
+            kept = [r for r in evidence.records if r.experiment.name not in self.excluded]
+            return replace(evidence, records=tuple(kept), best_fit=None)
         after = evidence.corrected(self.corrections)
         if self.gain is not None:  # it competed with the best fit on held-out stretches
             after = replace(after, best_fit=BestFit(np.inf, 0.0))
@@ -214,13 +215,9 @@ def other_scale(
     if not is_reversed and (unit is None or factor < 0.0):
         template += "/unknown" if unit is None else "/reversed"
     based_on = Clause(f"basis/{basis}", joint=channel_parts(name)[1])
-    return Hypothesis(
-        code,
-        Clause(template, channel=name, ratio=1.0 / factor, basis=based_on, unit=unit),
-        scaled(evidence, [name], factor),
-        factor=1.0 / factor,
-        has_estimated_factor=unit is None and not is_reversed,
-    )
+    clause = Clause(template, channel=name, ratio=1.0 / factor, basis=based_on, unit=unit)
+    is_estimated, changes = unit is None and not is_reversed, scaled(evidence, [name], factor)
+    return Hypothesis(code, clause, changes, factor=1.0 / factor, has_estimated_factor=is_estimated)
 
 
 def angle_unit(

@@ -331,17 +331,15 @@ def _input_delays(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     delays = list(values.values())
     if len(values) > 1 and np.ptp(delays) < _MAX_DELAY_DIFFERENCE:
         yield _late_motors("command", tuple(values), tuple(values), float(np.mean(delays)))
-    pairs = []
+    angles = []
     for name, delay in values.items():
         of_motor = f"theta_m{channel_parts(name)[1]}"
         command = _late_motors("command", (name,), (name,), delay)
-        pairs.append((command, _late_motors("angle", (name,), (of_motor,), -delay)))
-    tolerated = EXPECTED["delay"].tolerance
-    for command, angle in pairs:
-        is_rival = abs(angle.delay_s or 0.0) > tolerated
+        angle = _late_motors("angle", (name,), (of_motor,), -delay)
+        is_rival = abs(delay) > EXPECTED["delay"].tolerance
         yield replace(command, rivals=(angle.as_rival(),) * is_rival)
-    for command, angle in pairs:
-        yield replace(angle, rivals=(command.as_rival(),))
+        angles.append(replace(angle, rivals=(command.as_rival(),)))
+    yield from angles
 
 
 def _late_motors(
@@ -431,22 +429,21 @@ def _voltage_scales(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     The amplitude comes first, unless the measured amplitude exceeds the supply of any drive.
     """
     for name in case.by_channel("level"):
-        wrong: dict[str, float] = {}
-        amplitudes: dict[str, float] = {}
-        for record in case.evidence.records:
-            experiment, level = record.experiment, record.clocks.level.get(name)
-            is_of_joint = experiment.joint == channel_parts(name)[1]
-            if level is not None and experiment.prbs is not None and is_of_joint:
-                ratio = level / experiment.prbs.amplitude
-                amplitudes[experiment.name] = experiment.prbs.amplitude
-                wrong |= {} if 0.5 < ratio < 2.0 else {experiment.name: ratio}
+        levels = {
+            r.experiment.name: (r.clocks.level[name], r.experiment.prbs.amplitude)
+            for r in case.evidence.records
+            if name in r.clocks.level and r.experiment.prbs is not None
+            if r.experiment.joint == channel_parts(name)[1]
+        }
+        ratios = {record: level / amplitude for record, (level, amplitude) in levels.items()}
+        wrong = {record: ratio for record, ratio in ratios.items() if not 0.5 < ratio < 2.0}
         if not wrong or min(wrong.values()) < _MIN_RATIO:
             continue  # The command belongs to another joint.
         ratio, records = float(np.median(list(wrong.values()))), tuple(wrong)
-        stated = max(amplitudes[record] for record in wrong)
+        stated = max(levels[record][1] for record in wrong)
         scales = scaled(case.evidence, [name], _match_known_factor(1.0 / ratio, _VOLTAGES)[1])
         changes = tuple(
-            Correction("experiment", r, "prbs.amplitude", float(f"{amplitudes[r] * ratio:.4g}"))
+            Correction("experiment", r, "prbs.amplitude", float(f"{levels[r][1] * ratio:.4g}"))
             for r in wrong
         )
         values = {"measured": stated * ratio, "stated": stated, "ratio": ratio}

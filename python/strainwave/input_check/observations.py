@@ -18,7 +18,7 @@ from strainwave.input_check.sensors import (
 )
 from strainwave.input_check.timing import pool_delays
 from strainwave.input_check.torque_fit import friction_shares, recall_quality
-from strainwave.input_check.torque_rows import effort_channel, implied_density, regress_torques
+from strainwave.input_check.torque_rows import implied_density, regress_torques
 from strainwave.numerics.regression import pool_estimates
 
 
@@ -143,9 +143,9 @@ def compute_observations(evidence: Evidence) -> Iterator[Relation]:
     for channel, readings in regress_readings(evidence):
         yield from _observe_sensor(Place(channel=channel), readings)
     for each in regress_torques(evidence):
-        name = effort_channel(evidence.channels, each.joint)
-        yield observe("inertia", Place(channel=name), each.inertia, each.inertia_std)
-        yield observe("explained-share", Place(joint=each.joint), each.explained)
+        yield observe("inertia", Place(channel=each.channel), *each.values["inertia"])
+        joint = channel_parts(each.channel)[1]
+        yield observe("explained-share", Place(joint=joint), each.explained)
 
 
 def _observe_clocks(evidence: Evidence) -> Iterator[Relation]:
@@ -247,10 +247,7 @@ def _observe_ratios(ratios: Iterable[PredictedSignal]) -> Iterator[Relation]:
 
 
 def _pooled(
-    kind: str,
-    place: Place,
-    records: Sequence[PredictedSignal],
-    tolerance: float | None = None,
+    kind: str, place: Place, records: Sequence[PredictedSignal], tolerance: float | None = None
 ) -> Iterator[Relation]:
     """Mean of one kind of number over the records that have it."""
     estimates = [(each.values[kind], each.seconds) for each in records if kind in each.values]

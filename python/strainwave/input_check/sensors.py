@@ -147,7 +147,7 @@ def estimate_rotation_factors(evidence: Evidence, joint: int) -> tuple[float, ..
     def unexplained(factor: float) -> float:
         change = Correction("joint", str(joint), "gear_ratio", factor * ratio)
         hypothesis = evidence.corrected([change])
-        motion = motion_of(slow[0], hypothesis.arm)
+        motion = recall_motion(slow[0], hypothesis, is_kept=False)
         reading = _regress_channel(slow[0], hypothesis, motion, kinds[0], joint - 1)
         return 1.0 if reading is None else 1.0 - reading.explained
 
@@ -174,18 +174,16 @@ def _search(
     return float(np.exp(grid[k])), shares[k]
 
 
-def motion_of(record: SlowRecord, arm: Arm) -> JointMotion:
-    """Joint motion from the motor angles, each (n_rows, n_joints)."""
-    motors = np.column_stack([record.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)])
-    return JointMotion.of_motors(motors, arm, record.sample_time)
-
-
-def recall_motion(record: SlowRecord, evidence: Evidence) -> JointMotion:
-    """Joint motion of a record under a hypothesis, computed once."""
-    arm = evidence.arm
+def recall_motion(record: SlowRecord, evidence: Evidence, *, is_kept: bool = True) -> JointMotion:
+    """Joint motion of a record from its motor angles, each (n_rows, n_joints), computed once."""
+    arm, T = evidence.arm, record.sample_time
     angles = [record.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)]
-    setting = ("motion", record.sample_time)
-    return evidence.cache.recall(setting, (arm, *angles), lambda: motion_of(record, arm))
+    return evidence.cache.recall(
+        ("motion", T),
+        (arm, *angles),
+        lambda: JointMotion.of_motors(np.column_stack(angles), arm, T),
+        is_kept=is_kept,
+    )
 
 
 def _predicted_parts(

@@ -48,30 +48,19 @@ def measure_clipping(logs: Sequence[Log], arm: Arm) -> Iterator[tuple[Relation, 
         worst = max(shares, key=lambda record: shares[record])
         share, limit, place = shares[worst], MAX_SATURATED_SHARE, Place(channel=name)
         relation = Relation("clipped", place, share, 0.0, 0.0, share <= limit, limit)
-        if share <= limit:
-            yield relation, None
-            continue
-        others = tuple(r for r, x in shares.items() if x > limit and r != worst)
-        clause = Clause(
-            "clipped",
-            channel=name,
-            low=float(given[worst].channels[name].min()),
-            high=float(given[worst].channels[name].max()),
-            share=share,
-            experiment=worst,
-            others=Clause("also-in", records=others) if others else None,
+        records = tuple(r for r, x in shares.items() if x > limit and r != worst)
+        others = Clause("also-in", records=records) if records else None
+        low, high = (float(f(given[worst].channels[name])) for f in (np.min, np.max))
+        ends = {"low": low, "high": high, "share": share}
+        clause = Clause("clipped", channel=name, experiment=worst, others=others, **ends)
+        fault = Suspicion(
+            code="clipped",
+            places=(place,),
+            clause=clause,
+            remedy_clause=Clause("remedy/clipped"),
+            corrections=(Correction("log", name, "unusable", None),),
         )
-        change, remedy = Correction("log", name, "unusable", None), Clause("remedy/clipped")
-        yield (
-            relation,
-            Suspicion(
-                code="clipped",
-                places=(place,),
-                clause=clause,
-                remedy_clause=remedy,
-                corrections=(change,),
-            ),
-        )
+        yield relation, fault if share > limit else None
 
 
 def _clipped_share(log: Log, name: str, travel: float, *, rests: bool) -> float:

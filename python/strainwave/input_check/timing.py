@@ -160,10 +160,10 @@ def _estimate_clock_from_period(values: FloatArray, log: Log, prbs: Prbs) -> flo
     return float(lag * log.sample_time / (2**prbs.order - 1))
 
 
-MAX_SENSOR_DELAY = 0.024
-"""Largest delay of the search, in either direction [s]."""
-# Step of the delay grid [s]; 0.25 rad of phase at 200 Hz. A parabola refines the estimate.
+# Delays of the search, up to 24 ms in either direction, and their step [s]: 0.25 rad of phase at
+# 200 Hz. A parabola refines the estimate.
 _DELAY_STEP = 2e-4
+_DELAYS = _DELAY_STEP * np.arange(-120.0, 121.0)
 # Upper band limit over the frequency at which the encoder signal falls to its noise.
 _BAND_SHARE = 0.5
 # Upper over lower band limit. The wider band is for records with resonances below the narrow one.
@@ -187,16 +187,10 @@ class DelayProfile:
     """Unexplained share of the command of one record as a function of its delay."""
 
     record: str
-    unexplained: FloatArray  # (n_delays,) over `delay_grid()`
+    unexplained: FloatArray  # (n_delays,) over `_DELAYS`
     lines: int  # spectral lines in the band
     band_hz: float  # upper band limit
     sample_time: float  # [s] of the log
-
-
-def delay_grid() -> FloatArray:
-    """Delay grid of a profile [s]."""
-    count = round(MAX_SENSOR_DELAY / _DELAY_STEP)
-    return np.asarray(_DELAY_STEP * np.arange(-count, count + 1), dtype=np.float64)
 
 
 def compute_delay_profile(log: Log, arm: Arm, i: int) -> DelayProfile | None:
@@ -223,7 +217,7 @@ def pool_delays(profiles: Sequence[DelayProfile]) -> Delay | None:
     if not valid:
         return None
     cost = np.sum([p.lines * np.log(p.unexplained) for p in valid], axis=0)
-    best, grid = int(np.argmin(cost)), delay_grid()
+    best, grid = int(np.argmin(cost)), _DELAYS
     zero = len(grid) // 2
     lines = sum(p.lines for p in valid)
     if best in (0, len(grid) - 1) or cost[zero] - cost[best] < lines * np.log(_MIN_IMPROVEMENT):
@@ -260,7 +254,7 @@ def _band_profile(
     columns = columns[:, size > 0.0] / size[size > 0.0]
     basis, values, _ = singular_values(columns)
     basis = basis[:, values > 1e-7 * values[0]]
-    shifted = lines[:, :1] * np.exp(2j * np.pi * np.outer(frequency[inside], delay_grid()))
+    shifted = lines[:, :1] * np.exp(2j * np.pi * np.outer(frequency[inside], _DELAYS))
     explained = np.sum((basis.T @ _stack_real_imaginary(shifted)) ** 2, axis=0) / total
     unexplained = np.maximum(1.0 - explained, 1e-9)
     return DelayProfile(log.name, unexplained, int(inside.sum()), band[1], T)

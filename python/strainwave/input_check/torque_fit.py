@@ -357,12 +357,8 @@ def with_friction_laws(evidence: Evidence, system: TorqueSystem, links: FloatArr
 
 def unexplained_torques(evidence: Evidence, links: FloatArray) -> FloatArray:
     """Torques that given links leave, in the rows of `torque_system`."""
-    return np.concatenate(
-        [
-            block.remainder(block.torque - block.of_links[:, 0])
-            for block in torque_rows(evidence, links)
-        ]
-    )
+    rows = torque_rows(evidence, links)
+    return np.concatenate([each.remainder(each.torque - each.of_links[:, 0]) for each in rows])
 
 
 # Factor of a mass within which a guess is accepted, in either direction.
@@ -419,12 +415,6 @@ def compare_urdf_masses(evidence: Evidence) -> Iterator[Diagnostic]:
     for link, scale, std in zip(shown.tolist(), fit.value, stds, strict=True):
         low, high = scale - CI95_STDS * std, scale + CI95_STDS * std
         if low > _TOLERATED_FACTOR or 0.0 < high < 1.0 / _TOLERATED_FACTOR:
-            mass = float(priors[link, 0])
-            yield Diagnostic(
-                "urdf-mass",
-                Place(joint=link + 1, key="urdf"),
-                link=link + 1,
-                mass=mass,
-                low=max(0.0, float(low) * mass),
-                high=float(high) * mass,
-            )
+            mass, place = float(priors[link, 0]), Place(joint=link + 1, key="urdf")
+            limits = {"low": max(0.0, float(low) * mass), "high": float(high) * mass}
+            yield Diagnostic("urdf-mass", place, link=link + 1, mass=mass, **limits)

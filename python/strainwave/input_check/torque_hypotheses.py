@@ -372,24 +372,18 @@ def _zero(evidence: Evidence, i: int, x: FloatArray, *, is_final: bool = False) 
         angle = turns * _QUARTER_TURNS[0]
     change = Correction("channels", name, "offset", evidence.channel(name).offset + angle / ratio)
     is_near = evidence.arm.n_joints == 1 or abs(angle) < _MAX_FITTED_ZERO
-    return Hypothesis(
-        "wrong-zero",
-        Clause("wrong-geometry/zero", joint=i, angle=abs(angle)),
-        (change,),
-        is_fitted=is_near and _is_fitted(evidence, [name], "encoder-zero"),
-        kind="zero",
-    )
+    is_fitted = is_near and _is_fitted(evidence, [name], "encoder-zero")
+    clause = Clause("wrong-geometry/zero", joint=i, angle=abs(angle))
+    return Hypothesis("wrong-zero", clause, (change,), is_fitted=is_fitted, kind="zero")
 
 
 def _is_fitted(evidence: Evidence, names: Sequence[str], effect: str) -> bool:
     """Whether the fit estimates what would be corrected: an effect of the joints of channels."""
-    joints = [evidence.study.arm.joints[channel_parts(name)[1] - 1] for name in names]
-    return all(
-        joint.selects_effects
-        if not joint.elastic and effect in OF_RIGID_JOINTS
-        else effect in joint.possible_effects
-        for joint in joints
-    )
+    for joint in (evidence.study.arm.joints[channel_parts(name)[1] - 1] for name in names):
+        is_of_rigid = not joint.elastic and effect in OF_RIGID_JOINTS
+        if not (joint.selects_effects if is_of_rigid else effect in joint.possible_effects):
+            return False
+    return True
 
 
 def _frame(evidence: Evidence, i: int, x: FloatArray, *, is_final: bool = False) -> Hypothesis:
@@ -398,17 +392,10 @@ def _frame(evidence: Evidence, i: int, x: FloatArray, *, is_final: bool = False)
     rpy = np.array(origin.rpy) + _ANGLE_STD * x[3:]
     length = _LENGTH_STD * float(np.linalg.norm(x[:3]))
     angle = _ANGLE_STD * float(np.linalg.norm(x[3:]))
-    return Hypothesis(
-        "wrong-geometry",
-        Clause("wrong-geometry/frame", joint=i, length=length, angle=angle),
-        (
-            Correction("joint", str(i), "origin.xyz", _rounded(xyz)),
-            Correction("joint", str(i), "origin.rpy", _rounded(rpy)),
-        ),
-        Clause("remedy/frame"),
-        moves_frames=True,
-        kind="frame",
-    )
+    clause = Clause("wrong-geometry/frame", joint=i, length=length, angle=angle)
+    parts, remedy = (("origin.xyz", xyz), ("origin.rpy", rpy)), Clause("remedy/frame")
+    changes = tuple(Correction("joint", str(i), key, _rounded(value)) for key, value in parts)
+    return Hypothesis("wrong-geometry", clause, changes, remedy, moves_frames=True, kind="frame")
 
 
 def _robot(evidence: Evidence, x: FloatArray, *, is_final: bool = False) -> Hypothesis:
@@ -417,13 +404,13 @@ def _robot(evidence: Evidence, x: FloatArray, *, is_final: bool = False) -> Hypo
     frames = [_frame(evidence, i, row) for i, row in enumerate(rows, start=1)]
     length = _LENGTH_STD * float(np.linalg.norm(rows[:, :3], axis=1).max())
     angle = _ANGLE_STD * float(np.linalg.norm(rows[:, 3:], axis=1).max())
-    return Hypothesis(
-        "wrong-geometry",
-        Clause("wrong-geometry/robot", length=length, angle=angle),
-        tuple(change for frame in frames for change in frame.corrections),
-        Clause("remedy/robot"),
-        at=(Place(key="origin" if evidence.study.arm.urdf is None else "urdf"),),
-        moves_frames=True,
+    place = Place(key="origin" if evidence.study.arm.urdf is None else "urdf")
+    return replace(
+        frames[0],
+        clause=Clause("wrong-geometry/robot", length=length, angle=angle),
+        corrections=tuple(change for frame in frames for change in frame.corrections),
+        remedy=Clause("remedy/robot"),
+        at=(place,),
         kind="robot",
     )
 

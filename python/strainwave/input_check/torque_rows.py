@@ -16,7 +16,7 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, IntArray, channel_parts
 from strainwave.dynamics.arm import Arm
-from strainwave.input_check.evidence import Evidence, SlowRecord, is_slow
+from strainwave.input_check.evidence import Evidence, PredictedSignal, SlowRecord, is_slow
 from strainwave.input_check.sensors import recall_motion
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.regression import ROWS_PER_INDEPENDENT_ROW, long_run_std
@@ -88,18 +88,6 @@ def spread_stretches(records: Sequence[SlowRecord], max_rows: int) -> list[list[
         starts = [int((k + 0.5) * n / count - 0.5 * length) for k in range(count)]
         stretches.append([slice(start, start + length) for start in starts])
     return stretches
-
-
-def sliding_rows(record: SlowRecord, i: int) -> BoolArray:
-    """Rows in which joint i (from 0) slides, (n_rows,); all inner rows if these are too few.
-
-    Near a velocity reversal and at rest, the Coulomb friction is undetermined between its two
-    values.
-    """
-    if not record.moves[i]:
-        return np.zeros_like(record.inside)
-    rows = record.inside & (np.abs(record.direction[:, i]) > _MIN_MEAN_DIRECTION)
-    return rows if rows.sum() > _MIN_SLIDING_ROWS else record.inside
 
 
 def compute_motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
@@ -219,9 +207,12 @@ def _block(
     of_motors: FloatArray,
 ) -> TorqueRows | None:
     """Rows of joint i, from 0, in a record; None if the motor or its torque does not vary."""
-    rows, own, basis = _recall_basis(evidence, record, i, stretches)
+    motion = _recall_basis(evidence, record, i, stretches)
+    if motion is None:
+        return None
+    rows, own, basis = motion
     torque = _strided(compute_motor_torque(record, evidence.arm, i), stretches)[rows]
-    if own is None or not np.ptp(torque) > 0.0:
+    if not np.ptp(torque) > 0.0:
         return None
     angle = _strided(record.channels[f"theta_m{i + 1}"], stretches)[rows]
     at, centred = np.flatnonzero(rows), torque - torque.mean()
@@ -254,22 +245,23 @@ def _motor_torques(
 
 def _recall_basis(
     evidence: Evidence, record: SlowRecord, i: int, stretches: Sequence[slice]
-) -> tuple[BoolArray, FloatArray | None, FloatArray]:
+) -> tuple[BoolArray, FloatArray, FloatArray] | None:
     """Sliding rows of joint i, from 0, what its motor and friction explain, and a basis of it.
 
-    None if the motor does not move.
+    All inner rows if the sliding ones are too few. None if the motor does not move.
     """
     angle, T = record.channels[f"theta_m{i + 1}"], record.sample_time
 
-    def compute() -> tuple[BoolArray, FloatArray | None, FloatArray]:
-        sliding = sliding_rows(record, i)
+    def compute() -> tuple[BoolArray, FloatArray, FloatArray] | None:
+        sliding = record.inside & (np.abs(record.direction[:, i]) > _MIN_MEAN_DIRECTION)
+        sliding = sliding if sliding.sum() > _MIN_SLIDING_ROWS else record.inside
         edge = int(np.ceil(1.0 / (record.bandwidth_hz * T)))
         exact = np.zeros(len(sliding), dtype=bool)  # rows without end effects of the filter
         for each in stretches:
             exact[each.start + edge : each.stop - edge] = True
         rows = _strided(sliding & exact, stretches)
-        if not rows.any():
-            return rows, None, np.zeros((0, 0))
+        if not record.moves[i] or not rows.any():
+            return None
         rate = differentiate(angle, T)
         columns = [differentiate(rate, T), rate, record.direction[:, i]]
         own = _strided(np.column_stack(columns), stretches)[rows]
@@ -277,7 +269,7 @@ def _recall_basis(
         norms = np.linalg.norm(own, axis=0)
         varying = norms > MIN_SINGULAR_VALUE * np.sqrt(len(own)) * np.array([0.0, 0.0, 1.0])
         if not varying[:2].all():
-            return rows, None, np.zeros((0, 0))
+            return None
         return rows, own, np.linalg.qr(own[:, varying] / norms[varying])[0]
 
     setting = ("own", i, T, *(each.start for each in stretches))
@@ -289,19 +281,10 @@ def _strided(signal: Array, stretches: Sequence[slice]) -> Array:
     return np.concatenate([signal[each][::ROW_STRIDE] for each in stretches])
 
 
-@dataclass(frozen=True, slots=True)
-class TorqueRegression:
-    """Regression of the torque of one joint on its own motion and that of the links."""
-
-    joint: int  # from 1
-    inertia: float  # [kg m^2] motor side, of the joint's own acceleration
-    inertia_std: float
-    explained: float  # share of the variance of the torque
-
-
-def regress_torques(evidence: Evidence) -> Iterator[TorqueRegression]:
+def regress_torques(evidence: Evidence) -> Iterator[PredictedSignal]:
     """Regress the torque of each joint with an effort, each with links of its own.
 
+    The inertia, motor side, is that of the joint's own acceleration [kg m^2].
     Uses all slow records; if there are none, those that excite the joint.
     """
     slow = [r for r in evidence.records if is_slow(r.experiment)]
@@ -322,7 +305,7 @@ def regress_torques(evidence: Evidence) -> Iterator[TorqueRegression]:
 
 def _regress_torque(
     evidence: Evidence, records: Sequence[SlowRecord], i: int
-) -> TorqueRegression | None:
+) -> PredictedSignal | None:
     """Regress the torque of joint i (from 0) over records, with one constant per record.
 
     A spring to ground opposes the acceleration of an oscillation, as a wrong sign does. An inertia
@@ -357,7 +340,8 @@ def _regress_torque(
         long_run = long_run_std((basis @ of_weight)[:, None], residual, ROW_STRIDE)
         std = max(float(np.sqrt(variance) * np.linalg.norm(of_weight)), float(long_run[0]))
         inertia, explained = float(of_weight @ value), 1.0 - squares / total
-        estimates.append(TorqueRegression(i + 1, inertia, std, explained))
+        name = effort_channel(evidence.channels, i + 1) or ""
+        estimates.append(PredictedSignal(name, explained, {"inertia": (inertia, std)}))
         if inertia >= 0.0:
             break
     return estimates[-1] if estimates else None

@@ -25,11 +25,7 @@ from strainwave.signals.hygiene.defects import (
     build_hum_warnings,
     count_of,
 )
-from strainwave.signals.hygiene.jumps import (
-    detect_encoder_steps,
-    detect_frozen,
-    detect_spikes,
-)
+from strainwave.signals.hygiene.jumps import detect_encoder_steps, detect_frozen, detect_spikes
 from strainwave.signals.hygiene.noisy_sensors import confirm_hum, detect_flat_tops, detect_hum
 from strainwave.signals.standstill import runs_of
 
