@@ -22,13 +22,7 @@ from strainwave.excite.guessed_arm import (
     servo_drive,
     smallest_distance,
 )
-from strainwave.excite.plan import (
-    HELD_CONTROL,
-    LimitBroken,
-    Planned,
-    Waypoints,
-    clock_of,
-)
+from strainwave.excite.plan import HELD_CONTROL, LimitBroken, Planned, Waypoints, clock_of
 from strainwave.excite.rigid_motion import (
     N_HARMONICS,
     Fourier,

@@ -14,12 +14,7 @@ from strainwave.domain.link_sensors.single_axis import Accelerometer
 from strainwave.dynamics import excitation
 from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory
 from strainwave.errors import InvalidInput
-from strainwave.excite.guessed_arm import (
-    ExcitationBand,
-    GuessedArm,
-    predicted_motion,
-    run,
-)
+from strainwave.excite.guessed_arm import ExcitationBand, GuessedArm, predicted_motion, run
 from strainwave.excite.plan import (
     FREE_CONTROL,
     HELD_CONTROL,

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from strainwave.domain import FloatArray, Study
+from strainwave.domain import Study
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.link_sensors import installed_axes
 from strainwave.dynamics.arm import Arm
@@ -26,14 +26,7 @@ from strainwave.excite.command_table import (
     trajectory_text,
 )
 from strainwave.excite.guessed_arm import torque_errors_of
-from strainwave.excite.plan import (
-    LIMITED,
-    Design,
-    Limits,
-    Planned,
-    PredictedMotion,
-    clock_of,
-)
+from strainwave.excite.plan import LIMITED, Design, Limits, PredictedMotion, clock_of
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.results import base_parameter_entries, parameter_entry, to_json
 from strainwave.io.study import copy_to, write_study
@@ -56,20 +49,15 @@ def write(design: Design, folder: Path) -> None:
 
 
 def _texts(design: Design) -> dict[str, str]:
-    texts = {
-        table_name(record.experiment): _csv(_columns(design.study, record))
-        for record in design.records
-    }
-    names = design.study.arm.joint_names
-    texts |= {
-        trajectory_name(record.experiment): trajectory_text(names, record.waypoints)
-        for record in design.records
-        if record.waypoints is not None
-    }
-    records = [
-        (re.sub(r"\W", "_", record.experiment.name), record.drive, _columns(design.study, record))
-        for record in design.records
-    ]
+    arm, texts, records = design.study.arm, dict[str, str](), []
+    for record in design.records:
+        experiment, columns = record.experiment, applied_columns(design.study.arm, record)
+        rows = map(_row, zip(*columns.values(), strict=True))
+        texts[table_name(experiment)] = "\n".join([",".join(columns), *rows, ""])
+        records.append((re.sub(r"\W", "_", experiment.name), record.drive, columns))
+        if record.waypoints is not None:
+            text = trajectory_text(arm.joint_names, record.waypoints)
+            texts[trajectory_name(experiment)] = text
     header = fill_text(Path(__file__).with_name("excitation.h.j2"), records=records, row=_row)
     return texts | {HEADER_FILE: header, PRECISION_FILE: _predicted(design)}
 
@@ -80,29 +68,17 @@ def _predicted(design: Design) -> str:
     base = base_parameter_entries(design.study.arm, rigid)
     final = {p.key: p for p in (*rigid, *design.precision)}  # the whole-arm fit comes last
     errors = torque_errors_of(Arm.of(design.study.arm), design.torque_errors)
+    sources = [
+        "measured" if i + 1 in design.torque_errors else "assumed" for i in range(len(errors))
+    ]
     document = {
         "torque_errors": [
-            {
-                "joint": i,
-                "value": error,
-                "source": "measured" if i in design.torque_errors else "assumed",
-            }
-            for i, error in enumerate(errors.tolist(), start=1)
-        ]
+            {"joint": i, "value": error, "source": source}
+            for i, (error, source) in enumerate(zip(errors.tolist(), sources, strict=True), start=1)
+        ],
+        "parameters": [parameter_entry(p) for p in final.values()],
     }
-    document |= {"parameters": [parameter_entry(p) for p in final.values()]} | (
-        {"base_parameters": base} if base else {}
-    )
-    return to_json(document).decode()
-
-
-def _columns(study: Study, record: Planned) -> dict[str, FloatArray]:
-    return applied_columns(study.arm, record.experiment, record.drive, record.motor_angle)
-
-
-def _csv(columns: dict[str, FloatArray]) -> str:
-    rows = map(_row, zip(*columns.values(), strict=True))
-    return "\n".join([",".join(columns), *rows, ""])
+    return to_json(document | ({"base_parameters": base} if base else {})).decode()
 
 
 def _row(values: Iterable[float]) -> str:
