@@ -84,7 +84,7 @@ def design_damping(
         return ()
     laws = tuple(each.law() for each in gains)
     sizes = [len(laws[each.joint - 1].A) + len(each.names) for each in observers]
-    modes = loops.plants.locked_resonances()
+    modes = loops.plants.resonances(with_held_motors=True)
     highest = _LINK_BAND * max(float(omega.max()) for omega, _ in modes)
     search = _GainSearch(loops, sampled, laws, tuple(observers), required, highest)
     plain = search.dampings(np.arange(len(sampled.A)), laws)
@@ -142,12 +142,8 @@ class _GainSearch:
     highest: float  # [rad/s] of the poles that count as modes of the links
 
     def unused(self, reason: str, without: DampingRatios) -> tuple[Damping, ...]:
-        return tuple(
-            Damping(
-                one.joint, (0.0, 0.0), reason, without, without, None, self.plain[one.joint - 1]
-            )
-            for one in self.observers
-        )
+        same = (0.0, 0.0), reason, without, without, None
+        return tuple(Damping(one.joint, *same, self.plain[one.joint - 1]) for one in self.observers)
 
     def best(self, without: DampingRatios, chosen: IntArray) -> tuple[Damping, ...]:
         """The results with the best gains; `chosen` are the first plants of the search."""
@@ -166,45 +162,38 @@ class _GainSearch:
             margins = self.margins(every, laws)
             shares = np.min([each.share(self.required) for each in margins], axis=0)
             if shares.min() >= 1.0:
-                return self._used(pairs, laws, (without, reached), margins)
+                break
             reason = "not all plants keep their margins with it"
             chosen = np.union1d(chosen, np.argsort(shares)[:_N_MARGINS])
-        return self.unused(reason, without)
-
-    def _used(
-        self,
-        pairs: Sequence[Pair],
-        laws: Sequence[ControlLaw],
-        ratios: tuple[DampingRatios, DampingRatios],
-        margins: Sequence[Margins],
-    ) -> tuple[Damping, ...]:
-        """Joints whose best gains are zero keep their servo."""
+        else:
+            return self.unused(reason, without)
         results = []
         for one, pair in zip(self.observers, pairs, strict=True):
-            i, is_used = one.joint - 1, any(pair)
+            i, is_used = one.joint - 1, any(pair)  # with gains of zero a joint keeps its servo
             reason = "" if is_used else "its feedback does not damp the links further"
-            own = margins[i] if is_used else None
-            results.append(Damping(one.joint, _scaled(one, pair), reason, *ratios, own, laws[i]))
+            own, gains = margins[i] if is_used else None, _scaled(one, pair)
+            results.append(Damping(one.joint, gains, reason, without, reached, own, laws[i]))
         return tuple(results)
 
     def _climb(self, chosen: IntArray) -> list[Pair]:
         """Gains of all joints with the largest objective over some plants, joint by joint."""
+
+        def objective_of(laws: Sequence[ControlLaw]) -> float:
+            ratios = self.dampings(chosen, laws)
+            return float(ratios.min() + _MEAN_WEIGHT * ratios.mean())
+
         pairs: list[Pair] = [(0.0, 0.0)] * len(self.observers)
-        largest = self._objective(chosen, pairs)
+        largest = objective_of(self.plain)
         for k in range(len(self.observers)):
             for pair in product(_TORSION_GAINS, _RATE_GAINS):
                 trial = [*pairs[:k], pair, *pairs[k + 1 :]]
-                objective = self._objective(chosen, trial)
-                if objective <= largest:
+                laws = self.laws(trial)
+                if (objective := objective_of(laws)) <= largest:
                     continue
-                margins = self.margins(chosen, self.laws(trial))
+                margins = self.margins(chosen, laws)
                 if min(each.share(self.required).min() for each in margins) >= 1.0:
                     pairs, largest = trial, objective
         return pairs
-
-    def _objective(self, chosen: IntArray, pairs: Sequence[Pair]) -> float:
-        ratios = self.dampings(chosen, self.laws(pairs))
-        return float(ratios.min() + _MEAN_WEIGHT * ratios.mean())
 
     def laws(self, pairs: Sequence[Pair]) -> list[ControlLaw]:
         laws = list(self.plain)

@@ -95,17 +95,13 @@ class FeedForward:
 
     def extended(self, n_samples: int) -> FeedForward:
         """The motion, cut or held at its end, with a number of samples."""
-        more = max(0, n_samples - len(self.time))
-
-        def held(rows: FloatArray) -> FloatArray:
-            return np.concatenate([rows, np.repeat(rows[-1:], more, axis=0)])[:n_samples]
-
-        velocity = held(self.reference_velocity)
+        row = np.minimum(np.arange(n_samples), len(self.time) - 1)
+        velocity = self.reference_velocity[row]
         velocity[len(self.time) :] = 0.0
         period = self.time[1] - self.time[0]
         time: FloatArray = self.time[0] + period * np.arange(n_samples, dtype=np.float64)
-        angles = held(self.link_angle), held(self.motor_angle)
-        return FeedForward(time, *angles, velocity, held(self.voltage))
+        angles = self.link_angle[row], self.motor_angle[row]
+        return FeedForward(time, *angles, velocity, self.voltage[row])
 
     def servo_reference(self, position_gain: FloatArray) -> FloatArray:
         """Velocity references [rad/s] of a servo that integrates them to its position reference.
@@ -134,7 +130,7 @@ def feed_forward(arm: IdentifiedArm, motion: LinkMotion) -> FeedForward:
     Raises InvalidInput if a parameter is missing, or if the motion exceeds the limits of a joint or
     the voltage of the servo.
     """
-    model = _InverseArm.of(arm)
+    model = _InverseArm(arm, Arm.of(arm.with_identified_drives().study.arm), effects_of(arm))
     period, ticks = motion.period, motion.time
     at_ticks = model.follow(motion, ticks)
     _check_limits(arm, ticks, at_ticks)
@@ -151,8 +147,13 @@ def feed_forward(arm: IdentifiedArm, motion: LinkMotion) -> FeedForward:
     sign = np.tanh(np.divide(held.motor_velocity, transition, out=rest, where=moves))
     friction = _friction_shares(arm) * _mean(held.dry_friction * sign)
     torque = model.columns["motor_inertia"] * acceleration + _mean(held.steady_torque)
-    torque = torque + model.lags * np.gradient(torque, period, axis=0)
-    voltage = (torque + friction) / model.torque_per_volt
+    # the drives' lags (S30) and errors of their torque per volt (S21)
+    loops_hz = [joint.current_loop_hz for joint in model.arm.joints]
+    lags = np.array([1.0 / (math.tau * hz) if hz else 0.0 for hz in loops_hz])
+    lags += [each.values.get("drive-lag", {}).get("drive_lag", 0.0) for each in model.effects]
+    torque = torque + lags * np.gradient(torque, period, axis=0)
+    errors = [each.values.get("drive-gain", {}).get("drive_gain", 0.0) for each in model.effects]
+    voltage = (torque + friction) / (model.arm.torque_per_volt * (1.0 + np.array(errors)))
     servo = arm.study.arm.servo
     if servo is not None:
         for i, of_joint in enumerate(np.abs(voltage).T):
@@ -178,14 +179,8 @@ class _InverseArm:
     """An identified arm whose links follow a motion."""
 
     identified: IdentifiedArm
-    arm: Arm
+    arm: Arm  # with the identified torques per volt
     effects: tuple[JointEffects, ...]
-
-    @classmethod
-    def of(cls, identified: IdentifiedArm) -> _InverseArm:
-        """The arm with the identified torques per volt."""
-        model = Arm.of(identified.with_identified_drives().study.arm)
-        return cls(identified, model, effects_of(identified))
 
     @cached_property
     def columns(self) -> Mapping[str, FloatArray]:
@@ -218,18 +213,6 @@ class _InverseArm:
                 values = {name: need(name, i + 1) for name in names or joint.law.names}
                 gears[i] = values, need("gear_damping", i + 1)
         return gears
-
-    @property
-    def lags(self) -> FloatArray:
-        """Time constants [s] of the drives: (n_joints,)."""
-        loops = [joint.current_loop_hz for joint in self.arm.joints]
-        times = [1.0 / (math.tau * hz) if hz else 0.0 for hz in loops]
-        return np.array(times) + [effects.drive_lag for effects in self.effects]
-
-    @property
-    def torque_per_volt(self) -> FloatArray:
-        """e, with identified errors: (n_joints,)."""
-        return self.arm.torque_per_volt * [effects.drive_gain for effects in self.effects]
 
     def link_torques(
         self, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray

@@ -96,16 +96,6 @@ class JointEffects:
             theta = theta - (theta - ideal + (a * cos + b * sin) / gear_ratio) / ratio
         return theta, 1.0 + k * (b * np.cos(k * theta) - a * np.sin(k * theta)) / gear_ratio
 
-    @property
-    def drive_gain(self) -> float:
-        """Factor of the torque per volt, (S21)."""
-        return 1.0 + self.values.get("drive-gain", {}).get("drive_gain", 0.0)
-
-    @property
-    def drive_lag(self) -> float:
-        """Time constant [s] of the drive in addition to the current loop, (S30)."""
-        return self.values.get("drive-lag", {}).get("drive_lag", 0.0)
-
 
 def effects_of(arm: IdentifiedArm) -> tuple[JointEffects, ...]:
     """Identified effects of all joints that feed-forward can compensate.
@@ -122,30 +112,25 @@ def effects_of(arm: IdentifiedArm) -> tuple[JointEffects, ...]:
             and any((size, number) in estimated for size in effect.sizes)
         }
         if error := values.get("kinematic-error"):
-            _check_gear(error, arm, number)
+            size = np.hypot(error["kinematic_error_cos"], error["kinematic_error_sin"])
+            slope = error["kinematic_error_order"] * size / abs(arm.joint(number).gear_ratio)
+            if slope >= 1.0:
+                raise InvalidInput(
+                    f"the kinematic error of joint {number} reverses the gear: its slope is "
+                    f"{slope:.3g} times the gear ratio",
+                    where=f"{arm.source}: parameters",
+                    remedy="check kinematic_error_cos and kinematic_error_sin",
+                )
         joints.append(JointEffects(values))
     return tuple(joints)
 
 
 def _values_of(effect: Effect, arm: IdentifiedArm, number: int) -> Mapping[str, float]:
     """Sizes and shapes of an effect; sizes that are not identified are zero."""
-    known, values = arm.values, {}
-    for name in effect.names:
-        by_default = dict.fromkeys(effect.sizes, 0.0) | dict(effect.defaults)
-        if (name, number) not in known and name in by_default:
-            values[name] = by_default[name]
-        else:
-            values[name] = arm.need(name, number)
-    return values
-
-
-def _check_gear(error: Mapping[str, float], arm: IdentifiedArm, number: int) -> None:
-    size = np.hypot(error["kinematic_error_cos"], error["kinematic_error_sin"])
-    slope = error["kinematic_error_order"] * size / abs(arm.joint(number).gear_ratio)
-    if slope >= 1.0:
-        raise InvalidInput(
-            f"the kinematic error of joint {number} reverses the gear: its slope is {slope:.3g}"
-            " times the gear ratio",
-            where=f"{arm.source}: parameters",
-            remedy="check kinematic_error_cos and kinematic_error_sin",
-        )
+    by_default = dict.fromkeys(effect.sizes, 0.0) | dict(effect.defaults)
+    return {
+        name: by_default[name]
+        if name in by_default and (name, number) not in arm.values
+        else arm.need(name, number)
+        for name in effect.names
+    }

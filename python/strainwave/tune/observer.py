@@ -28,7 +28,7 @@ from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise
 from strainwave.tune.closed_loop import Clock
 from strainwave.tune.link_measurements import Measurement, measurements_of
-from strainwave.tune.plants import Condition, link_inertias
+from strainwave.tune.plants import Condition, LinksAt, base_vector
 
 _DEFAULT_BAND_HZ = 5.0  # of torque errors, if the result has none
 _DEFAULT_ERROR_SHARE = 0.02  # of the torque at one volt: torque error, if the result has none
@@ -201,7 +201,7 @@ def design_observers(
     motor encoders alone. Without `knows_interaction` the interaction torque counts as noise.
     """
     model = Arm.of(arm.study.arm)
-    inertias = link_inertias(arm, model, condition)
+    inertias = np.diagonal(LinksAt.of(model, condition).inertia(base_vector(model, arm.values)))
     observers = []
     for number, joint in enumerate(model.joints, start=1):
         if not joint.elastic or number in model.coupled_joints:

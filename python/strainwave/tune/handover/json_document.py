@@ -21,7 +21,7 @@ from strainwave.tune.damping import Damping
 from strainwave.tune.design import JointServo, ServoDesign
 from strainwave.tune.margins import Margins, margin_summaries
 from strainwave.tune.observer import OUTPUTS, Observer
-from strainwave.tune.shaper_ranking import RankedShaper
+from strainwave.tune.shapers import RankedShaper
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +126,10 @@ def _joint(design: ServoDesign, servo: JointServo) -> dict[str, Any]:
         },
         "limit": float(design.limits[number - 1]),
         **_gains(servo.tuned.gains),
-        "filters": [asdict(one) for one in servo.tuned.gains.filters],
+        "filters": [
+            {"hz" if key == "frequency_hz" else key: value for key, value in asdict(one).items()}
+            for one in servo.tuned.gains.filters
+        ],
         "law": _law(servo.tuned.gains.law()),
         "bandwidth_is_limited_by": servo.tuned.limit,
         "margins": _margins(design, servo.results.margins),
@@ -155,7 +158,7 @@ def _margins(design: ServoDesign, margins: Margins) -> dict[str, Any]:
             "unit": one.unit,
             "required": one.required,
             "worst": one.least,
-            "worst_hz": one.hz,
+            "worst_hz": one.frequency_hz,
             "worst_condition": int(design.condition[one.plant]),
             "worst_draw": int(design.draw[one.plant]),
             "median": one.median,

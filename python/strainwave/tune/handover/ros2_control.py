@@ -48,7 +48,7 @@ def low_pass_hz(one: Biquad, period: float) -> float | None:
     """
     if one.kind != "low-pass":
         return None
-    periods = np.sqrt(0.5) / np.tan(np.pi * one.hz * period)  # of delay
+    periods = np.sqrt(0.5) / np.tan(np.pi * one.frequency_hz * period)  # of delay
     return float(-np.log(1.0 - 1.0 / periods) / (2.0 * np.pi * period)) if periods > 1.0 else None
 
 
