@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -94,39 +93,31 @@ def followed_motion(guess: GuessedArm, motion: Motion) -> PredictedMotion:
     """
     arm = guess.arm
     torque = arm.inverse_dynamics(arm.parameter_vector(guess.values), *motion)
-    ratios = np.abs([joint.gear_ratio for joint in arm.joints])
-    return PredictedMotion(
-        **_reach(guess, motion[0]),
-        velocity=np.asarray(np.abs(arm.motor_accelerations(motion[1])).max(axis=0)),
-        voltage=np.asarray(np.abs(torque / arm.torque_per_volt).max(axis=0)),
-        gear_torque=np.asarray(np.abs(torque / ratios).max(axis=0)),
-        rest_share=np.zeros(arm.n_joints),
-    )
+    gear_torque = torque / [joint.gear_ratio for joint in arm.joints]
+    others = arm.motor_accelerations(motion[1]), torque / arm.torque_per_volt, gear_torque
+    return _peaks(guess, motion[0], others, np.zeros(arm.n_joints))
 
 
 def predicted_motion(guess: GuessedArm, drive: Drive) -> PredictedMotion:
     """Peak values of the guessed arm's response, and the share of time in which motors stick."""
     trajectory = run(guess, drive)
-
-    def peak(name: Quantity) -> FloatArray:
-        return np.asarray(np.abs(trajectory[name]).max(axis=0))
-
-    return PredictedMotion(
-        **_reach(guess, trajectory["link_angle"]),
-        velocity=peak("motor_velocity"),
-        voltage=peak("voltage"),
-        gear_torque=peak("gear_torque"),
-        rest_share=np.asarray((trajectory["sliding"] == 0.0).mean(axis=0)),
-    )
+    others = trajectory["motor_velocity"], trajectory["voltage"], trajectory["gear_torque"]
+    rest_share = np.asarray((trajectory["sliding"] == 0.0).mean(axis=0))
+    return _peaks(guess, trajectory["link_angle"], others, rest_share)
 
 
-def _reach(guess: GuessedArm, angle: FloatArray) -> dict[str, Any]:
-    """Largest angles from the middle of the limits, and smallest distance of two links."""
+def _peaks(
+    guess: GuessedArm, angle: FloatArray, others: Sequence[FloatArray], rest_share: FloatArray
+) -> PredictedMotion:
+    """Peaks of link angles, and of motor velocities, voltages and gear torques (`others`)."""
     limits = guess.limits
     compared = angle[:: max(1, int(_DISTANCE_INTERVAL / clock_of(guess.arm)))]
     distance = smallest_distance(guess.arm, guess.values, compared, limits.distance)
-    largest = np.asarray(np.abs(angle - limits.centre).max(axis=0))
-    return {"angle": largest, "distance": float(distance.min())}
+    reach, velocity, voltage, gear_torque = (
+        np.asarray(np.abs(each).max(axis=0)) for each in (angle - limits.centre, *others)
+    )
+    smallest = float(distance.min())
+    return PredictedMotion(reach, velocity, voltage, gear_torque, rest_share, smallest)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,6 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from strainwave.domain import Study
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.link_sensors import installed_axes
 from strainwave.dynamics.arm import Arm
@@ -67,14 +66,12 @@ def _predicted(design: Design) -> str:
     rigid = design.records[0].precision
     base = base_parameter_entries(design.study.arm, rigid)
     final = {p.key: p for p in (*rigid, *design.precision)}  # the whole-arm fit comes last
-    errors = torque_errors_of(Arm.of(design.study.arm), design.torque_errors)
-    sources = [
-        "measured" if i + 1 in design.torque_errors else "assumed" for i in range(len(errors))
-    ]
+    known = design.torque_errors
+    errors = torque_errors_of(Arm.of(design.study.arm), known).tolist()
     document = {
         "torque_errors": [
-            {"joint": i, "value": error, "source": source}
-            for i, (error, source) in enumerate(zip(errors.tolist(), sources, strict=True), start=1)
+            {"joint": i, "value": error, "source": "measured" if i in known else "assumed"}
+            for i, error in enumerate(errors, start=1)
         ],
         "parameters": [parameter_entry(p) for p in final.values()],
     }
@@ -117,21 +114,26 @@ def print_design(design: Design, folder: Path) -> None:
 
 def _precision(design: Design) -> Iterator[str]:
     """Planned sensors, and the predicted confidence intervals of gears and inertias."""
-    parameters = [p for p in design.precision if p.name.startswith(_NAMES) and p.value and p.std]
     yield from _base_precision(design)
-    if not parameters:
-        return
-    yield (
-        f"sensors: {', '.join(_sensors(design.study))}; predicted half-widths of the 95 %"
-        " confidence intervals on the guessed arm:"
-    )
-    for joint in range(1, design.study.arm.n_joints + 1):
-        parts = [
-            f"{p.name} {100.0 * CI95_STDS * (p.std or 0.0) / abs(p.value or 1.0):.2g} %"
-            for p in parameters
-            if p.joint == joint
+    study, sensors, widths = design.study, list[str](), dict[int, list[str]]()
+    for i, joint in enumerate(study.arm.joints, start=1):
+        counts = joint.encoder_counts
+        axes = installed_axes(study.arm, i, study.channels)
+        nouns = dict.fromkeys(axis.sensor.noun for axis in axes) or ("no link sensor",)
+        encoder = f"encoder of {counts:g} counts" if counts else "encoder"
+        sensors.append(f"joint {i}'s {' and '.join((encoder, *nouns))}")
+        widths[i] = [
+            f"{p.name} {100.0 * CI95_STDS * p.std / abs(p.value):.2g} %"
+            for p in design.precision
+            if p.joint == i and p.name.startswith(_NAMES) and p.value and p.std
         ]
-        yield f"joint {joint}: {', '.join(parts)}"
+    if any(widths.values()):
+        yield (
+            f"sensors: {', '.join(sensors)}; predicted half-widths of the 95 % confidence "
+            "intervals on the guessed arm:"
+        )
+        for i, texts in widths.items():
+            yield f"joint {i}: {', '.join(texts)}"
 
 
 def _base_precision(design: Design) -> Iterator[str]:
@@ -151,15 +153,6 @@ def _base_precision(design: Design) -> Iterator[str]:
             share = f" ({100.0 * width / largest:.2g} % of the largest)" if largest else ""
             texts.append(f"{widest['name']} {width:.2g} {unit}{share}")
         yield f"widest predicted half-widths of base parameters: {', '.join(texts)}"
-
-
-def _sensors(study: Study) -> Iterator[str]:
-    for i, joint in enumerate(study.arm.joints, start=1):
-        counts = joint.encoder_counts
-        axes = installed_axes(study.arm, i, study.channels)
-        nouns = dict.fromkeys(axis.sensor.noun for axis in axes) or ("no link sensor",)
-        encoder = f"encoder of {counts:g} counts" if counts else "encoder"
-        yield f"joint {i}'s {' and '.join((encoder, *nouns))}"
 
 
 def _table(design: Design) -> Table:
