@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import expm
 
-from strainwave.domain import ComplexArray, ControlLaw, FloatArray, IntArray
+from strainwave.domain import BoolArray, ComplexArray, ControlLaw, FloatArray, IntArray
 from strainwave.tune.margins import band_over
 from strainwave.tune.plants import Plants
 
@@ -21,6 +21,7 @@ _POINTS_PER_DECADE = 40
 _POINTS_PER_RESONANCE = 24  # over three half-power bandwidths
 _LOWEST_HZ = 0.05
 _PART = 500  # plants
+_POLE_TOLERANCE = 1e-6  # rounding of the pole at one of a servo without a position loop
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,6 +262,11 @@ class ClosedLoop:
         return np.concatenate(blocks, axis=1)[:, :n_samples]
 
 
+def are_stable(poles: ComplexArray) -> BoolArray:
+    """Whether plants (n_plants,) are stable; a servo without a position loop has a pole at one."""
+    return np.asarray(np.abs(poles).max(axis=1) <= 1.0 + _POLE_TOLERANCE)
+
+
 def close(plants: SampledPlants, laws: Sequence[ControlLaw], joint: int) -> ClosedLoop:
     """Close the loops of all joints; the reference is that of one joint, from 0."""
     count, n = plants.A.shape[:2]
@@ -269,9 +275,7 @@ def close(plants: SampledPlants, laws: Sequence[ControlLaw], joint: int) -> Clos
     A, B = np.zeros((count, starts[-1], starts[-1])), np.zeros((count, starts[-1], 2))
     A[:, :n, :n] = plants.A
     for i, (law, start) in enumerate(zip(laws, starts, strict=False)):
-        own = slice(start, start + len(law.A))
-        voltage = plants.B[:, :, i]
-        angle = plants.motors[i]
+        own, voltage, angle = slice(start, start + len(law.A)), plants.B[:, :, i], plants.motors[i]
         A[:, :n, :n] += voltage[:, :, None] * (law.D[2] * angle)
         A[:, :n, own] = voltage[:, :, None] * law.C
         A[:, own, own] = law.A + np.outer(law.E, law.C)

@@ -23,7 +23,7 @@ from strainwave.domain import ControlLaw, FloatArray, IntArray
 from strainwave.domain.control_law import MAX_LAW_STATES
 from strainwave.numerics.parallel import run_parallel
 from strainwave.tune.cascade_tuning import Loops
-from strainwave.tune.closed_loop import Gains, SampledPlants, close
+from strainwave.tune.closed_loop import Gains, SampledPlants, are_stable, close
 from strainwave.tune.margins import Margins, Requirements
 from strainwave.tune.observer import Observer
 
@@ -38,7 +38,6 @@ _LINK_BAND = 1.1  # of the highest mode of the links with held motors: slower po
 _N_LEAST = 6  # plants of least damping in the search
 _N_MARGINS = 3  # plants of smallest margins of each joint in the search
 _MAX_ROUNDS = 3  # of searches; the worst of all plants joins the next
-_POLE_TOLERANCE = 1e-6  # rounding of the pole at one of a servo without a position loop
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,8 +211,7 @@ class _GainSearch:
             omega = np.abs(rates)
             is_mode = (rates.imag > 0.0) & (omega < self.highest)
             ratios = np.where(is_mode, -rates.real / np.maximum(omega, 1e-300), 1.0).min(axis=1)
-            is_stable = np.abs(poles).max(axis=1) <= 1.0 + _POLE_TOLERANCE
-            return np.where(is_stable, ratios, -1.0)
+            return np.where(are_stable(poles), ratios, -1.0)
 
         part = replace(self.sampled, A=self.sampled.A[chosen], B=self.sampled.B[chosen])
         return np.concatenate(run_parallel([partial(of_part, each) for each in part.parts()]))

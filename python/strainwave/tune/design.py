@@ -18,7 +18,15 @@ from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise, JointCovariance
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 from strainwave.tune.cascade_tuning import Loops, TunedJoint, tune_cascades
-from strainwave.tune.closed_loop import Clock, Gains, SampledPlants, Steps, close, sample
+from strainwave.tune.closed_loop import (
+    Clock,
+    Gains,
+    SampledPlants,
+    Steps,
+    are_stable,
+    close,
+    sample,
+)
 from strainwave.tune.damping import Damping, design_damping
 from strainwave.tune.margins import LoopBand, Margins, Requirements, join
 from strainwave.tune.observer import Observer, design_observers
@@ -35,7 +43,6 @@ _DEFAULT_PERIOD = 1e-3  # [s] of the servo
 _DELAY_SHARE = 0.5  # of the period, if no delay is given
 _N_POSTURES = 4  # drawn, besides zero angles, if no posture is given
 _MAX_MODES = 4  # slowest modes that are shaped
-_POLE_TOLERANCE = 1e-6  # rounding of the pole at one of a servo without a position loop
 _FIRST_SHARES = (1.0 / 3.0, 1.0 / 2.0, 2.0 / 3.0)
 _N_ESTIMATION_DRAWS = 7  # whose links the observers estimate
 _N_MOVE_DRAWS = 10  # simulated with friction and the curve of the gear
@@ -145,8 +152,8 @@ def design_servo(
     sampled = sample(plants, clock)
     gains, servo, current = [each.gains for each in tuned], arm.study.arm.servo, None
     if servo is not None:
-        pairs = zip(servo.kp, servo.ki, servo.position_gain or (0.0,) * len(servo.kp), strict=True)
-        current = [Gains(*each, clock.period) for each in pairs]
+        of_joints = servo.kp, servo.ki, servo.position_gain or (0.0,) * len(servo.kp)
+        current = [Gains(*each, clock.period) for each in zip(*of_joints, strict=True)]
     results = _results(judged, sampled, gains)
     if options.bandwidth_hz is not None:
         _check_bandwidth(tuned, results, options.bandwidth_hz, clock)
@@ -266,8 +273,7 @@ def _count_unstable(sampled: SampledPlants, gains: Sequence[Gains]) -> int:
     laws = [each.law() for each in gains]
 
     def count(part: SampledPlants) -> int:
-        poles = close(part, laws, 0).poles()
-        return int((np.abs(poles).max(axis=1) > 1.0 + _POLE_TOLERANCE).sum())
+        return int((~are_stable(close(part, laws, 0).poles())).sum())
 
     return sum(run_parallel([partial(count, part) for part in sampled.parts()]))
 

@@ -355,25 +355,20 @@ def _check_modes(omega: FloatArray, damping: FloatArray) -> None:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _ShaperChoice:
-    """A shaper for one mode, or none."""
-
-    shaper: Shaper | None
-    weights: FloatArray  # (n_samples,)
-    vibration: FloatArray  # of all modes, over their intervals
+_Choice = tuple[Shaper | None, FloatArray, FloatArray]
+"""A shaper for one mode or none, its impulses, and its vibration of all modes."""
 
 
-def _choices(mode: _Interval, modes: list[_Interval], period: float) -> list[_ShaperChoice]:
+def _choices(mode: _Interval, modes: list[_Interval], period: float) -> list[_Choice]:
     omega = np.concatenate([one.omega for one in modes])
     damping = np.concatenate([one.damping for one in modes])
-    choices = [_ShaperChoice(None, np.ones(1), np.ones(len(omega)))]
+    choices: list[_Choice] = [(None, np.ones(1), np.ones(len(omega)))]
     for kind in ShaperKind:
         if has_design(kind, mode.middle_damping, MIN_TOLERANCE):
             shaper = _least_vibration(kind, mode, period)
             sampled = shaper.sample(period)
             vibration = sampled.residual_vibration(omega, damping)
-            choices.append(_ShaperChoice(shaper, sampled.amplitudes, vibration))
+            choices.append((shaper, sampled.amplitudes, vibration))
     return choices
 
 
@@ -416,13 +411,13 @@ def _minimum(cost: Callable[[float], float], low: float, high: float) -> tuple[f
     return min(least, (float(search.x), float(search.fun)), key=lambda pair: pair[1])
 
 
-def _combined(parts: tuple[_ShaperChoice, ...], period: float, required: float) -> RankedShaper:
+def _combined(parts: tuple[_Choice, ...], period: float, required: float) -> RankedShaper:
     """Convolution of the shapers; its vibration is the product of theirs."""
-    weights = reduce(np.convolve, (part.weights for part in parts))
-    vibration = float(reduce(np.multiply, (part.vibration for part in parts)).max())
+    shapers, weights, vibrations = zip(*parts, strict=True)
+    combined, vibration = reduce(np.convolve, weights), float(reduce(np.multiply, vibrations).max())
     return RankedShaper(
-        shapers=tuple(part.shaper for part in parts if part.shaper is not None),
-        impulses=Impulses(weights, period * np.arange(len(weights), dtype=float)),
+        shapers=tuple(shaper for shaper in shapers if shaper is not None),
+        impulses=Impulses(combined, period * np.arange(len(combined), dtype=float)),
         vibration=vibration,
         is_sufficient=vibration <= required,
     )
