@@ -91,7 +91,7 @@ def read_applied(folder: Path, arm: Arm, experiment: Experiment, values: Values)
             where=str(path),
             remedy="add a column u, torque or ref of a joint, or delete the table",
         )
-    angle = tuple(float(a) for a in start)
+    angle = tuple(start.tolist())
     return Drive(
         tick=tick,
         voltage=voltage,

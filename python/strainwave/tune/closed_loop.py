@@ -6,13 +6,16 @@ Responses of plants to a sampled servo: hold, computation delay, current loop, a
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from scipy.linalg import expm
 
 from strainwave.domain import BoolArray, ComplexArray, ControlLaw, FloatArray, IntArray
+from strainwave.numerics.parallel import run_parallel
 from strainwave.tune.margins import band_over
 from strainwave.tune.plants import Plants
 
@@ -22,6 +25,8 @@ _POINTS_PER_RESONANCE = 24  # over three half-power bandwidths
 _LOWEST_HZ = 0.05
 _PART = 500  # plants
 _POLE_TOLERANCE = 1e-6  # rounding of the pole at one of a servo without a position loop
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,11 +184,11 @@ class SampledPlants:
     links: FloatArray  # (n_joints, n)
     ratios: FloatArray  # (n_joints,) link angle per motor angle without torsion
 
-    def parts(self) -> list[SampledPlants]:
-        """The plants in parts, for threads and small temporary arrays."""
+    def map(self, function: Callable[[SampledPlants], Result]) -> list[Result]:
+        """Results of a function of parts of the plants, in threads with small temporary arrays."""
         n_parts = -(-len(self.A) // _PART)
         pairs = zip(np.array_split(self.A, n_parts), np.array_split(self.B, n_parts), strict=True)
-        return [replace(self, A=A, B=B) for A, B in pairs]
+        return run_parallel([partial(function, replace(self, A=A, B=B)) for A, B in pairs])
 
 
 def sample(plants: Plants, clock: Clock, chosen: IntArray | slice = slice(None)) -> SampledPlants:

@@ -14,14 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import product
 
 import numpy as np
 
 from strainwave.domain import ControlLaw, FloatArray, IntArray
 from strainwave.domain.control_law import MAX_LAW_STATES
-from strainwave.numerics.parallel import run_parallel
 from strainwave.tune.cascade_tuning import Loops
 from strainwave.tune.closed_loop import Gains, SampledPlants, are_stable, close
 from strainwave.tune.margins import Margins, Requirements
@@ -213,8 +211,8 @@ class _GainSearch:
             ratios = np.where(is_mode, -rates.real / np.maximum(omega, 1e-300), 1.0).min(axis=1)
             return np.where(are_stable(poles), ratios, -1.0)
 
-        part = replace(self.sampled, A=self.sampled.A[chosen], B=self.sampled.B[chosen])
-        return np.concatenate(run_parallel([partial(of_part, each) for each in part.parts()]))
+        some = replace(self.sampled, A=self.sampled.A[chosen], B=self.sampled.B[chosen])
+        return np.concatenate(some.map(of_part))
 
     def margins(self, chosen: IntArray, laws: Sequence[ControlLaw]) -> list[Margins]:
         """Margins of the loops of all joints."""

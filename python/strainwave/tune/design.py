@@ -16,7 +16,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise, JointCovariance
-from strainwave.numerics.parallel import one_blas_thread, run_parallel
+from strainwave.numerics.parallel import one_blas_thread
 from strainwave.tune.cascade_tuning import Loops, TunedJoint, tune_cascades
 from strainwave.tune.closed_loop import (
     Clock,
@@ -264,18 +264,15 @@ def _results(
 
     results = []
     for i, (margins, band) in enumerate(judged):
-        parts = run_parallel([partial(steps, i, part) for part in sampled.parts()])
+        parts = sampled.map(partial(steps, i))
         results.append(LoopResults(margins, band, join(parts, "time", ("link",))))
     return results
 
 
 def _count_unstable(sampled: SampledPlants, gains: Sequence[Gains]) -> int:
     laws = [each.law() for each in gains]
-
-    def count(part: SampledPlants) -> int:
-        return int((~are_stable(close(part, laws, 0).poles())).sum())
-
-    return sum(run_parallel([partial(count, part) for part in sampled.parts()]))
+    stable = sampled.map(lambda part: are_stable(close(part, laws, 0).poles()))
+    return int((~np.concatenate(stable)).sum())
 
 
 def _shapers(plants: Plants, clock: Clock) -> tuple[FloatArray, tuple[RankedShaper, ...]]:

@@ -96,12 +96,11 @@ class Plants:
 
         Motors are free, or held: an ideal servo leaves the modes of the links with held motors.
         """
-        is_free = (
-            ~self.motors.any(axis=0) if with_held_motors else np.ones(self.mass.shape[1], bool)
-        )
-        if not is_free.any():
+        free = np.arange(self.mass.shape[1])
+        if with_held_motors:
+            free = np.flatnonzero(~self.motors.any(axis=0))
+        if not len(free):
             return []
-        free = np.flatnonzero(is_free)
         at = np.ix_(np.arange(len(self)), free, free)
         root = np.linalg.inv(np.linalg.cholesky(self.mass[at]))
         turned = np.swapaxes(root, 1, 2)
