@@ -187,7 +187,7 @@ def test_every_point_of_the_search_is_feasible(volts: float) -> None:
     rng = np.random.default_rng(0)
     limited = 0
     for point in 3.0 * rng.normal(size=(30, search.n_unknowns)):
-        motion = search.motion_of(point)
+        motion = search.feasible(point)[1]
         assert search.within(motion)
         room = np.abs(motion[0]).max(0) / (0.95 * np.array(limits.angle))
         pace = np.abs(motion[1]).max(0) / (0.9e-2 * np.array(limits.velocity))

@@ -299,7 +299,7 @@ def test_parts_of_the_plants_are_judged_as_all_of_them() -> None:
 
 def test_shapers_cover_the_modes_with_held_motors() -> None:
     design = designed()
-    modes = plants_behind(design).locked_resonances()
+    modes = plants_behind(design).resonances(with_held_motors=True)
     for interval, (omega, _) in zip(design.modes_hz, modes, strict=True):
         hz = omega / (2.0 * np.pi)
         assert hz.min() <= interval[0] < np.median(hz) < interval[1] <= hz.max()

@@ -27,9 +27,9 @@ from strainwave.tune.plants import Condition, drawn_values
 from strainwave.tune.report.page import render
 from strainwave.tune.verification import (
     EstimationError,
+    PlannedInputs,
     Simulated,
     estimation_errors,
-    planned_inputs,
     read_runs,
     shortest_plan,
 )
@@ -123,7 +123,7 @@ def test_the_known_part_is_that_of_other_joints_and_gravity(name: str, imu: Imu 
         record=list(dict.fromkeys([*own, *names])),
     )  # fmt: skip
     readings = read_runs(runs, sensors, 1, np.random.default_rng(0))[0]
-    inputs = planned_inputs(arm, runs["link_angle"][0], CLOCK.period)
+    inputs = PlannedInputs.of(arm, runs["link_angle"][0], CLOCK.period)
     known = inputs.known_readings(replace(one, measurements=sensors))
     middle = slice(5, len(planned) // 2)
     for k, each in enumerate(sensors):

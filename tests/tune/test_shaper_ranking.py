@@ -9,8 +9,13 @@ from hypothesis import strategies as st
 
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
-from strainwave.tune.shaper_ranking import RankedShaper, rank_shapers
-from strainwave.tune.shapers import Impulses, ShaperKind, design_shaper
+from strainwave.tune.shapers import (
+    Impulses,
+    RankedShaper,
+    ShaperKind,
+    design_shaper,
+    rank_shapers,
+)
 
 PERIOD = 1e-3
 

@@ -34,7 +34,6 @@ from strainwave.excite.plan import (
     LimitBroken,
     Limits,
     Planned,
-    can_move,
     follows_angles,
     limits_of,
 )
@@ -46,11 +45,7 @@ from strainwave.excite.voltages import (
     voltage_record,
 )
 from strainwave.excite.written import write
-from strainwave.io.parameters import (
-    read_assumptions,
-    read_parameters,
-    read_torque_errors,
-)
+from strainwave.io.parameters import read_assumptions, read_parameters, read_torque_errors
 from strainwave.io.study import read_study
 
 __all__ = ["Design", "Limits", "Planned", "design", "excite_study_file"]
@@ -115,12 +110,11 @@ def excite_study_file(
         limit_torque,
         distance=limit_distance,
     )
-    excitation_kind: Kind = "prbs" if kind == "prbs" else "multisine"
     planned = design(
         study,
         values,
         limits,
-        kind=excitation_kind,
+        kind="prbs" if kind == "prbs" else "multisine",
         seed=seed,
         longest=np.inf if minutes is None else 60.0 * minutes,
         torque_errors=read_torque_errors(parameters_path),
@@ -162,7 +156,11 @@ def design(
     guess = GuessedArm(arm, values, limits)
     arm.parameter_vector(values)  # raises InvalidInput if a parameter is missing
     bands = {j: band_of(arm, values, j, limits.centre) for j in range(1, arm.n_joints + 1)}
-    warnings, has_motions = _servo_warnings(study), can_move(study.arm)
+    is_led = follows_angles(study.arm)
+    warnings: tuple[Diagnostic, ...] = ()
+    if arm.servo is None and any(joint.elastic for joint in arm.joints):
+        place, variant = Place(file=study.path.name), "motions" if is_led else ""
+        warnings = (Diagnostic("no-servo", place, variant, remedy=ADD_SERVO),)
     errors = torque_errors or {}
     lowest = min((b.anti_resonance_hz for b in bands.values() if b), default=None)
     records: tuple[Planned, ...] = ()
@@ -175,7 +173,7 @@ def design(
         except LimitBroken as error:
             failures.append(error)
 
-    if has_motions:
+    if arm.servo is not None or is_led:
         progress("optimising the rigid motion")
         with collecting():
             records = motion_records(
@@ -187,7 +185,7 @@ def design(
                 longest=_MOTION_SHARE * longest,
             )
     for joint, band in bands.items():
-        if not band or follows_angles(study.arm):
+        if not band or is_led:
             continue
         progress(f"sizing the excitation of joint {joint}")
         with collecting():
@@ -238,7 +236,21 @@ def _warnings(
     arm = guess.arm
     known = complete_values(guess.values, arm)
     for record in records:
-        yield from _record_warnings(arm, known, record)
+        place, motion = Place.in_records(record.experiment.name), record.predicted
+        condition = record.condition_number
+        if condition and condition > _MAX_CONDITION_NUMBER:
+            yield Diagnostic("poor-excitation", place, "planned", condition=condition)
+        for joint, each in enumerate(arm.joints, start=1):
+            is_excited = record.experiment.joint in (None, joint)
+            is_step = record.experiment.joint is not None and record.motor_angle is not None
+            share = float(motion.rest_share[joint - 1])
+            torque = float(motion.gear_torque[joint - 1])
+            if is_excited and not is_step and share > _MAX_STICTION_SHARE:
+                yield Diagnostic("standing", place, "planned", joint=joint, share=share)
+            knees = tuple(each.law.knees(each.law.of_joint(known, joint)))
+            is_strongest = record.experiment.use == "frequency" and record.experiment.joint == joint
+            if is_strongest and any(knee > torque for knee in knees):
+                yield Diagnostic("knee-not-reached", place, joint=joint, torque=torque, knees=knees)
     for joint, band in bands.items():
         first = next((r for r in records if r.experiment.joint == joint), None)
         if band and first and first.band_hz[1] < _MIN_BAND_SHARE * band.high_hz:
@@ -252,32 +264,6 @@ def _warnings(
             yield Diagnostic(
                 "no-torque-limit", place, joint=i + 1, torque=torques[worst], experiment=worst
             )
-
-
-def _servo_warnings(study: Study) -> tuple[Diagnostic, ...]:
-    """Warning of what the design of an arm without servo lacks."""
-    if study.arm.servo is not None or not any(joint.elastic for joint in study.arm.joints):
-        return ()
-    variant = "motions" if follows_angles(study.arm) else ""
-    return (Diagnostic("no-servo", Place(file=study.path.name), variant, remedy=ADD_SERVO),)
-
-
-def _record_warnings(arm: Arm, known: Values, record: Planned) -> Iterator[Diagnostic]:
-    place, motion = Place.in_records(record.experiment.name), record.predicted
-    condition = record.condition_number
-    if condition and condition > _MAX_CONDITION_NUMBER:
-        yield Diagnostic("poor-excitation", place, "planned", condition=condition)
-    for joint, each in enumerate(arm.joints, start=1):
-        is_excited = record.experiment.joint in (None, joint)
-        is_step = record.experiment.joint is not None and record.motor_angle is not None
-        share = float(motion.rest_share[joint - 1])
-        torque = float(motion.gear_torque[joint - 1])
-        if is_excited and not is_step and share > _MAX_STICTION_SHARE:
-            yield Diagnostic("standing", place, "planned", joint=joint, share=share)
-        knees = tuple(each.law.knees(each.law.of_joint(known, joint)))
-        is_strongest = record.experiment.use == "frequency" and record.experiment.joint == joint
-        if is_strongest and any(knee > torque for knee in knees):
-            yield Diagnostic("knee-not-reached", place, joint=joint, torque=torque, knees=knees)
 
 
 def fit_duration(
@@ -309,19 +295,14 @@ def fit_duration(
                 remedy="allow at least as much",
             )
         k = max(spare, key=lambda k: kept[k].duration)
-        kept[k] = _without_last_period(kept[k])
+        experiment, drive = kept[k].experiment, kept[k].drive
+        assert experiment.prbs is not None
+        periods = experiment.prbs.periods - 1
+        n = len(drive.voltage) * periods // (periods + 1)
+        kept[k] = replace(  # the predicted motion contains that of the shorter record
+            kept[k],
+            experiment=replace(experiment, prbs=replace(experiment.prbs, periods=periods)),
+            drive=replace(drive, voltage=drive.voltage[:n], reference=drive.reference[:n]),
+            reasons=(*kept[k].reasons, f"{periods} periods for the duration that is allowed"),
+        )
     return tuple(kept), tuple(omitted)
-
-
-def _without_last_period(record: Planned) -> Planned:
-    """The record with a period less, whose predicted motion is part of that of the record."""
-    experiment, drive = record.experiment, record.drive
-    assert experiment.prbs is not None
-    periods = experiment.prbs.periods
-    n = len(drive.voltage) * (periods - 1) // periods
-    return replace(
-        record,
-        experiment=replace(experiment, prbs=replace(experiment.prbs, periods=periods - 1)),
-        drive=replace(drive, voltage=drive.voltage[:n], reference=drive.reference[:n]),
-        reasons=(*record.reasons, f"{periods - 1} periods for the duration that is allowed"),
-    )

@@ -17,7 +17,7 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
-from strainwave.excite.plan import Waypoints
+from strainwave.excite.plan import Planned, Waypoints
 from strainwave.io.logs.tables import open_table
 
 _MAX_CLOCK_JITTER = 1e-3  # in ticks
@@ -35,24 +35,22 @@ def trajectory_name(experiment: Experiment) -> str:
     return f"trajectory-{experiment.name}.json"
 
 
-def applied_columns(
-    arm: ArmDescription, experiment: Experiment, drive: Drive, motor_angle: FloatArray | None
-) -> dict[str, FloatArray]:
-    """Inputs of an experiment, one value per tick, with units in the column names.
+def applied_columns(arm: ArmDescription, record: Planned) -> dict[str, FloatArray]:
+    """Inputs of a record, one value per tick, with units in the column names.
 
-    Inputs that are zero have no column. `motor_angle` (n_ticks, n_joints) [rad] is the intended
-    motion, for drives that follow angles.
+    Inputs that are zero have no column. Drives that follow angles get the intended motion.
     """
+    drive = record.drive
     time: FloatArray = drive.tick * np.arange(len(drive.voltage), dtype=np.float64)
     columns = {"t [s]": time}
     for i, joint in enumerate(arm.joints):
         angle = "rad" if joint.motion == "revolute" else "m"
         number = i + 1
-        if motor_angle is not None:
+        if record.motor_angle is not None:
             if arm.servo is not None:
                 columns[f"ref{number} [{angle}/s]"] = drive.reference[:, i]
-            columns[f"theta_m{number} [{angle}]"] = motor_angle[:, i]
-        elif experiment.joint == number:
+            columns[f"theta_m{number} [{angle}]"] = record.motor_angle[:, i]
+        elif record.experiment.joint == number:
             force = "N m" if joint.motion == "revolute" else "N"
             name = f"u{number} [V]" if joint.torque_per_volt else f"torque{number} [{force}]"
             columns[name] = drive.voltage[:, i]
@@ -93,7 +91,7 @@ def read_applied(folder: Path, arm: Arm, experiment: Experiment, values: Values)
             where=str(path),
             remedy="add a column u, torque or ref of a joint, or delete the table",
         )
-    angle = tuple(float(a) for a in start)
+    angle = tuple(start.tolist())
     return Drive(
         tick=tick,
         voltage=voltage,
@@ -122,27 +120,23 @@ def trajectory_text(joint_names: Sequence[str], waypoints: Waypoints) -> str:
 
     Positions, velocities and accelerations are those of the links.
     """
-    points = ",\n".join(
-        f"    {json.dumps(_point(waypoints, k))}" for k in range(len(waypoints.time))
-    )
-    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
-    return (
-        f'{{\n  "header": {json.dumps(header)},\n'
-        f'  "joint_names": {json.dumps(list(joint_names))},\n'
-        f'  "points": [\n{points}\n  ]\n}}\n'
-    )
-
-
-def _point(waypoints: Waypoints, row: int) -> dict[str, Any]:
-    """One trajectory_msgs/JointTrajectoryPoint."""
-    seconds, nanoseconds = divmod(round(waypoints.time[row] * _NANOSECONDS), _NANOSECONDS)
-    values = {
+    states = {
         "positions": waypoints.angle,
         "velocities": waypoints.velocity,
         "accelerations": waypoints.acceleration,
     }
-    point: dict[str, Any] = {
-        name: [float(f"{value:.{_DIGITS}g}") for value in np.asarray(array[row]).tolist()]
-        for name, array in values.items()
-    }
-    return point | {"time_from_start": {"sec": int(seconds), "nanosec": int(nanoseconds)}}
+    points = []
+    for row, time in enumerate(waypoints.time.tolist()):
+        seconds, nanoseconds = divmod(round(time * _NANOSECONDS), _NANOSECONDS)
+        point: dict[str, Any] = {
+            name: [float(f"{value:.{_DIGITS}g}") for value in array[row].tolist()]
+            for name, array in states.items()
+        }
+        point["time_from_start"] = {"sec": seconds, "nanosec": nanoseconds}
+        points.append(f"    {json.dumps(point)}")
+    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
+    return (
+        f'{{\n  "header": {json.dumps(header)},\n'
+        f'  "joint_names": {json.dumps(list(joint_names))},\n'
+        '  "points": [\n' + ",\n".join(points) + "\n  ]\n}\n"
+    )

@@ -5,9 +5,8 @@ The distance between two links is that of the lines between the joints' frames.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -16,20 +15,14 @@ from strainwave.domain.base_parameters import link_inertia
 from strainwave.domain.combinations import value_of
 from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import installed_axes
-from strainwave.domain.link_sensors.link_space import Quantity, attitude
+from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.domain.parameters import complete_values
 from strainwave.domain.stage_results import ASSUMED_TORQUE_ERROR
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory, measure, simulate
 from strainwave.dynamics.two_inertia import TwoInertia, anti_resonance, resonance
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.excite.plan import (
-    HELD_CONTROL,
-    Limits,
-    Planned,
-    PredictedMotion,
-    clock_of,
-)
+from strainwave.excite.plan import HELD_CONTROL, Limits, Planned, PredictedMotion, clock_of
 from strainwave.identification.whole_arm import predicted_parameters
 
 BAND_MARGIN = 5.0  # factor below the anti-resonance and above the resonance
@@ -100,39 +93,31 @@ def followed_motion(guess: GuessedArm, motion: Motion) -> PredictedMotion:
     """
     arm = guess.arm
     torque = arm.inverse_dynamics(arm.parameter_vector(guess.values), *motion)
-    ratios = np.abs([joint.gear_ratio for joint in arm.joints])
-    return PredictedMotion(
-        **_reach(guess, motion[0]),
-        velocity=np.asarray(np.abs(arm.motor_accelerations(motion[1])).max(axis=0)),
-        voltage=np.asarray(np.abs(torque / arm.torque_per_volt).max(axis=0)),
-        gear_torque=np.asarray(np.abs(torque / ratios).max(axis=0)),
-        rest_share=np.zeros(arm.n_joints),
-    )
+    gear_torque = torque / [joint.gear_ratio for joint in arm.joints]
+    others = arm.motor_accelerations(motion[1]), torque / arm.torque_per_volt, gear_torque
+    return _peaks(guess, motion[0], others, np.zeros(arm.n_joints))
 
 
 def predicted_motion(guess: GuessedArm, drive: Drive) -> PredictedMotion:
     """Peak values of the guessed arm's response, and the share of time in which motors stick."""
     trajectory = run(guess, drive)
-
-    def peak(name: Quantity) -> FloatArray:
-        return np.asarray(np.abs(trajectory[name]).max(axis=0))
-
-    return PredictedMotion(
-        **_reach(guess, trajectory["link_angle"]),
-        velocity=peak("motor_velocity"),
-        voltage=peak("voltage"),
-        gear_torque=peak("gear_torque"),
-        rest_share=np.asarray((trajectory["sliding"] == 0.0).mean(axis=0)),
-    )
+    others = trajectory["motor_velocity"], trajectory["voltage"], trajectory["gear_torque"]
+    rest_share = np.asarray((trajectory["sliding"] == 0.0).mean(axis=0))
+    return _peaks(guess, trajectory["link_angle"], others, rest_share)
 
 
-def _reach(guess: GuessedArm, angle: FloatArray) -> dict[str, Any]:
-    """Largest angles from the middle of the limits, and smallest distance of two links."""
+def _peaks(
+    guess: GuessedArm, angle: FloatArray, others: Sequence[FloatArray], rest_share: FloatArray
+) -> PredictedMotion:
+    """Peaks of link angles, and of motor velocities, voltages and gear torques (`others`)."""
     limits = guess.limits
     compared = angle[:: max(1, int(_DISTANCE_INTERVAL / clock_of(guess.arm)))]
     distance = smallest_distance(guess.arm, guess.values, compared, limits.distance)
-    largest = np.asarray(np.abs(angle - limits.centre).max(axis=0))
-    return {"angle": largest, "distance": float(distance.min())}
+    reach, velocity, voltage, gear_torque = (
+        np.asarray(np.abs(each).max(axis=0)) for each in (angle - limits.centre, *others)
+    )
+    smallest = float(distance.min())
+    return PredictedMotion(reach, velocity, voltage, gear_torque, rest_share, smallest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,49 +189,32 @@ def smallest_distance(arm: Arm, values: Values, angle: FloatArray, limit: float)
     rest_starts, rest_ends = _centre_lines(arm, values, np.zeros(arm.n_joints))
     lengths = np.linalg.norm(rest_ends - rest_starts, axis=-1)
     smallest = np.full(angle.shape[:-1], np.inf)
-    for first, second in _compared_pairs(lengths, limit):
-        distance = _segment_distance(
-            starts[..., first, :], ends[..., first, :], starts[..., second, :], ends[..., second, :]
-        )
-        smallest = np.minimum(smallest, distance)
-    return smallest
-
-
-def _compared_pairs(lengths: FloatArray, limit: float) -> Iterator[tuple[int, int]]:
-    """Pairs of links, 0 for the base, that can be further apart than a distance."""
-    for second in range(2, len(lengths)):
+    for second in range(2, len(lengths)):  # 0 is the base
         for first in range(second - 1):
             if lengths[first + 1 : second].sum() > limit:
-                yield first, second
+                pair = (points[..., k, :] for k in (first, second) for points in (starts, ends))
+                smallest = np.minimum(smallest, _segment_distance(*pair))
+    return smallest
 
 
 def _centre_lines(arm: Arm, values: Values, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Ends of the centre lines of base and links: (..., n_joints + 1, 3) [m], base's frame."""
+    last = arm.n_joints
+    attitudes = arm.link_attitudes(angle.reshape(-1, last)).reshape(*angle.shape, 3, 3)
     position, axes = np.zeros((*angle.shape[:-1], 3)), np.eye(3)
     origins = [position]
     for i, joint in enumerate(arm.joints):
-        position = position + axes @ np.array(joint.origin.xyz)
-        axes = axes @ attitude(joint.origin.rpy)
-        axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+        position = position + np.array(joint.origin.xyz) @ axes
+        axes = attitudes[..., i, :, :]
         if joint.motion == "prismatic":
-            position = position + angle[..., i, None] * (axes @ axis)
-        else:
-            axes = axes @ _turned(axis, angle[..., i])
+            axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+            position = position + angle[..., i, None] * (axis @ axes)
         origins.append(position)
-    last = arm.n_joints
     mass = values.get(("link_mass", last), 0.0)
     moments = [values.get((f"link_first_moment_{x}", last), 0.0) for x in "xyz"]
-    origins.append(position + axes @ (np.array(moments) / mass) if mass > 0.0 else position)
+    origins.append(position + (np.array(moments) / mass) @ axes if mass > 0.0 else position)
     points = np.stack(origins, axis=-2)
     return points[..., :-1, :], points[..., 1:, :]
-
-
-def _turned(axis: FloatArray, angle: FloatArray) -> FloatArray:
-    """Rotation matrices (..., 3, 3) about a unit vector, by Rodrigues' formula."""
-    x, y, z = axis.tolist()
-    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    sine, cosine = np.sin(angle)[..., None, None], np.cos(angle)[..., None, None]
-    return np.asarray(np.eye(3) + sine * across + (1.0 - cosine) * (across @ across))
 
 
 def _segment_distance(

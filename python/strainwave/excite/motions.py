@@ -22,13 +22,7 @@ from strainwave.excite.guessed_arm import (
     servo_drive,
     smallest_distance,
 )
-from strainwave.excite.plan import (
-    HELD_CONTROL,
-    LimitBroken,
-    Planned,
-    Waypoints,
-    clock_of,
-)
+from strainwave.excite.plan import HELD_CONTROL, LimitBroken, Planned, Waypoints, clock_of
 from strainwave.excite.rigid_motion import (
     N_HARMONICS,
     Fourier,
@@ -98,11 +92,10 @@ def motion_records(
             where="--limit-voltage",
             remedy="check torque_per_volt, the gravity torques and the voltage limit",
         )
-    motions = optimise(search, starts, seed)
     uses: tuple[tuple[str, Use], ...] = (("motion", "motion"), ("motion-check", "check"))
     return tuple(
         _record(search, series, *use, torque_errors, longest)
-        for series, use in zip(motions, uses, strict=False)
+        for series, use in zip(optimise(search, starts, seed), uses, strict=False)
     )
 
 
@@ -202,9 +195,7 @@ def _periods(search: MotionSearch, series: Fourier, most: int) -> tuple[int, str
         text = f"{single}; the encoder noise causes a standard deviation of {100.0 * worst:.2g} %"
         return 1, f"{text} of the worst parameter"
     periods = min(required_periods, most)
-    count = (
-        f"{periods} periods" if required_periods == periods else f"the maximum of {periods} periods"
-    )
+    count = f"{'' if required_periods == periods else 'the maximum of '}{periods} periods"
     remaining = 100.0 * worst / np.sqrt(periods)
     text = f"{count}, for a standard deviation of {remaining:.2g} % of the worst parameter"
     return periods, f"{text} due to encoder noise"

@@ -158,11 +158,6 @@ def follows_angles(arm: ArmDescription) -> bool:
     return arm.servo is None and not is_free
 
 
-def can_move(arm: ArmDescription) -> bool:
-    """Whether motions can be planned."""
-    return arm.servo is not None or follows_angles(arm)
-
-
 def limits_of(
     arm: ArmDescription,
     angle: str | None,

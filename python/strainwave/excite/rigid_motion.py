@@ -40,9 +40,6 @@ _ANGLE_SHARE, _VELOCITY_SHARE, _VOLTAGE_SHARE = 0.95, 0.90, 0.80
 _DISTANCE_FACTOR = 1.1  # distance between links at which the search aims, over its limit
 _DISTANCE_WEIGHT = 100.0  # 10 % less than that distance costs as much as e times the condition
 
-Waves = tuple[FloatArray, FloatArray, FloatArray]
-"""Angular frequencies of harmonics, their sines and their cosines."""
-
 
 @dataclass(frozen=True, slots=True)
 class Fourier:
@@ -58,11 +55,10 @@ class Fourier:
 
     def at(self, time: FloatArray) -> Motion:
         """Motion at given times."""
-        return self.of(waves(self.period, len(self.sine), time))
+        return self.of(*waves(self.period, len(self.sine), time))
 
-    def of(self, basis: Waves) -> Motion:
+    def of(self, rate: FloatArray, sine: FloatArray, cosine: FloatArray) -> Motion:
         """Motion from precomputed `waves`."""
-        rate, sine, cosine = basis
         angle = (sine / rate) @ self.sine - (cosine / rate) @ self.cosine
         velocity = cosine @ self.sine + sine @ self.cosine
         acceleration = (cosine * rate) @ self.cosine - (sine * rate) @ self.sine
@@ -73,7 +69,9 @@ class Fourier:
         return Fourier(self.period, self.offset, factor * self.sine, factor * self.cosine)
 
 
-def waves(period: float, harmonics: int, time: FloatArray) -> Waves:
+def waves(
+    period: float, harmonics: int, time: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Angular frequencies (n_harmonics,) [rad/s] of a period, their sines and cosines at `time`."""
     rate: FloatArray = 2.0 * np.pi / period * np.arange(1, harmonics + 1, dtype=np.float64)
     angle = np.outer(time, rate)
@@ -134,23 +132,15 @@ def optimise(search: MotionSearch, starts: int, seed: int) -> tuple[Fourier, ...
     from scipy.optimize import minimize
 
     rng = np.random.default_rng(seed)
+    options = {"maxiter": _MAX_ITERATIONS}
+    search_from = partial(
+        minimize, search.with_gradient, jac=True, method="L-BFGS-B", options=options
+    )
     with one_blas_thread():
         candidates = rng.normal(size=(_N_RANDOM_SERIES, search.n_unknowns))
         best = candidates[np.argsort(search.cost(candidates))][:starts]
-        results = run_parallel(
-            [
-                partial(
-                    minimize,
-                    search.with_gradient,
-                    x,
-                    jac=True,
-                    method="L-BFGS-B",
-                    options={"maxiter": _MAX_ITERATIONS},
-                )
-                for x in best
-            ]
-        )
-    return tuple(search.series(r.x) for r in sorted(results, key=lambda result: result.fun))
+        results = run_parallel([partial(search_from, x) for x in best])
+    return tuple(search.feasible(r.x)[0] for r in sorted(results, key=lambda result: result.fun))
 
 
 class MotionSearch:
@@ -170,7 +160,7 @@ class MotionSearch:
 
     def cost(self, points: FloatArray) -> FloatArray:
         """Logarithm of the condition numbers of the feasible series of points."""
-        motion = self.motion_of(points)
+        motion = self.feasible(points)[1]
         return np.log(condition_number(self.arm, self.limits, motion)) + self._nearness(motion)
 
     def _nearness(self, motion: Motion) -> FloatArray:
@@ -188,7 +178,7 @@ class MotionSearch:
         The differences of the regressor A give those of its singular values, u' dA v, so that one
         decomposition suffices.
         """
-        motion = self.motion_of(np.vstack([point, point + _DIFFERENCE_STEP * np.eye(len(point))]))
+        _, motion = self.feasible(np.vstack([point, point + _DIFFERENCE_STEP * np.eye(len(point))]))
         rows, nearness = scaled_regressor(self.arm, self.limits, motion), self._nearness(motion)
         left, values, right = np.linalg.svd(rows[0], full_matrices=False)
         largest, smallest = values[0], max(float(values[-1]), 1e-300)
@@ -198,16 +188,8 @@ class MotionSearch:
         costs = slopes[:, 0] - slopes[:, 1] + nearness[1:] - nearness[0]
         return float(np.log(largest / smallest) + nearness[0]), costs / _DIFFERENCE_STEP
 
-    def motion_of(self, points: FloatArray) -> Motion:
-        """One period of the feasible series of each point; arrays (..., n_samples, n_joints)."""
-        return self._feasible(points)[1]
-
-    def series(self, point: FloatArray) -> Fourier:
-        """Largest feasible series of a point."""
-        return self._feasible(point)[0]
-
-    def _feasible(self, points: FloatArray) -> tuple[Fourier, Motion]:
-        """Largest feasible series of points, and one period of their motion."""
+    def feasible(self, points: FloatArray) -> tuple[Fourier, Motion]:
+        """Largest feasible series of points, and one period: arrays (..., n_samples, n_joints)."""
         n = self.arm.n_joints
         table = points.reshape(*points.shape[:-1], -1, n)
         limit = _ANGLE_SHARE * np.array(self.limits.angle)
@@ -215,7 +197,7 @@ class MotionSearch:
         offset = self.limits.centre + shift
         sine, cosine = table[..., 1 : N_HARMONICS + 1, :], table[..., N_HARMONICS + 1 :, :]
         centred = Fourier(self.period, np.zeros_like(offset), sine, cosine)
-        angle, velocity, acceleration = centred.of(self.waves)
+        angle, velocity, acceleration = centred.of(*self.waves)
         fastest = self.arm.link_velocity_limits(_VELOCITY_SHARE * np.array(self.limits.velocity))
         highest, lowest = (f(angle, axis=-2, keepdims=True) for f in (np.max, np.min))
         room = np.minimum((limit - shift) / highest, (limit + shift) / -lowest)
@@ -329,8 +311,6 @@ def reference_sizes(arm: Arm, values: Values) -> dict[int, float]:
         columns = arm.base.columns
         of_base = [abs(value_of(column.parts, known)) for column in columns]
         for k, column in enumerate(columns):
-            alike = [
-                size for size, c in zip(of_base, columns, strict=True) if c.unit == column.unit
-            ]
-            sizes[k] = max(alike)
+            pairs = zip(of_base, columns, strict=True)
+            sizes[k] = max(size for size, other in pairs if other.unit == column.unit)
     return {k: size for k, size in enumerate(sizes) if size > 0.0}

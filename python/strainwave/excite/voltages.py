@@ -12,14 +12,9 @@ from strainwave.domain.link_sensors import installed_axes
 from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.domain.link_sensors.single_axis import Accelerometer
 from strainwave.dynamics import excitation
-from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory
+from strainwave.dynamics.simulation import Drive, SensorNoise
 from strainwave.errors import InvalidInput
-from strainwave.excite.guessed_arm import (
-    ExcitationBand,
-    GuessedArm,
-    predicted_motion,
-    run,
-)
+from strainwave.excite.guessed_arm import ExcitationBand, GuessedArm, predicted_motion, run
 from strainwave.excite.plan import (
     FREE_CONTROL,
     HELD_CONTROL,
@@ -62,6 +57,17 @@ class Signal:
     def period(self) -> float:
         """Period [s]."""
         return self.clock * self.ticks
+
+    @property
+    def band_hz(self) -> tuple[float, float]:
+        """Excited band."""
+        if self.kind == "prbs":
+            return 1.0 / self.period, _HALF_POWER_RATIO / self.clock
+        return self.lines[0] / self.period, self.lines[-1] / self.period
+
+    def moves(self, motion: PredictedMotion) -> bool:
+        """Whether the joint overcomes its friction in a part of the record."""
+        return float(motion.rest_share[self.joint - 1]) < _MAX_STICTION_SHARE
 
     def drive(self, amplitude: float, periods: int, control: tuple[Control, ...]) -> Drive:
         """The excitation of this joint.
@@ -116,7 +122,7 @@ def voltage_record(
         experiment=Experiment(name, f"{name}.csv", "frequency", control, joint=joint, prbs=prbs),
         drive=signal.drive(amplitude, periods, control),
         motor_angle=None,
-        band_hz=_excited_band(signal),
+        band_hz=signal.band_hz,
         predicted=motion,
         reasons=(_describe_excitation(signal, band, amplitude, control), reason),
     )
@@ -142,7 +148,7 @@ def sweep_records(
         if motion.use_of(limits) > 1.0 + _ROUNDING:  # a free arm drifts even at low amplitudes
             omissions.append(f"at {amplitude:g} V {motion.broken(limits)}")
             continue
-        if not _is_moving(motion, original.joint):
+        if not signal.moves(motion):
             omissions.append(f"at {amplitude:g} V the motor of joint {original.joint} sticks")
             continue
         name = f"sweep-j{original.joint}-{amplitude:g}V"
@@ -170,7 +176,7 @@ def _limit_error(signal: Signal, periods: int, control: tuple[Control, ...]) -> 
     while True:
         drive = signal.drive(amplitude, periods, control)
         motion = predicted_motion(signal.guess, drive)
-        if (_is_moving(motion, signal.joint) and motion.broken(limits)) or amplitude >= top:
+        if (signal.moves(motion) and motion.broken(limits)) or amplitude >= top:
             break
         amplitude = min(1.5 * amplitude, top)
     violation = motion.broken(limits) or "a servo would saturate"
@@ -202,12 +208,6 @@ def _design_signal(
             lines, period=period, clock=clock, periods=1, peak=1.0, rng=rng
         )
     return Signal(guess, joint, kind, clock, order, ticks, lines, shape)
-
-
-def _excited_band(signal: Signal) -> tuple[float, float]:
-    if signal.kind == "prbs":
-        return 1.0 / signal.period, _HALF_POWER_RATIO / signal.clock
-    return signal.lines[0] / signal.period, signal.lines[-1] / signal.period
 
 
 def _largest_amplitude(
@@ -242,14 +242,9 @@ def _largest_amplitude(
     while amplitude >= _MIN_AMPLITUDE_SHARE * top:
         motion = motion_at(amplitude)
         if motion:
-            return (amplitude, motion) if _is_moving(motion, signal.joint) else (0.0, None)
+            return (amplitude, motion) if signal.moves(motion) else (0.0, None)
         amplitude = float(f"{0.95 * amplitude:.2g}")
     return 0.0, None
-
-
-def _is_moving(motion: PredictedMotion, joint: int) -> bool:
-    """Whether a joint overcomes its friction in a part of the record."""
-    return float(motion.rest_share[joint - 1]) < _MAX_STICTION_SHARE
 
 
 def _required_periods(signal: Signal, drive: Drive, band: ExcitationBand) -> tuple[int, str]:
@@ -258,60 +253,46 @@ def _required_periods(signal: Signal, drive: Drive, band: ExcitationBand) -> tup
     The amplitude of a line has the standard deviation sqrt(2 S/T) for a period T and noise of
     density S. The encoder's rounding has S = 2 t q^2/12, times w^2 for the velocity.
     """
-    arm = signal.guess.arm
-    tick = clock_of(arm)
-    trajectory = run(signal.guess, drive)
-    description = arm.joints[signal.joint - 1]
-    ratios = {}
-    if description.encoder_counts:
-        q = 2.0 * np.pi / description.encoder_counts
-        lines, size = _spectral_lines(signal, trajectory, "motor_velocity", tick, band)
-        density = 2.0 * tick * q * q / 12.0 * (2.0 * np.pi * lines) ** 2
-        ratios["encoder rounding"] = np.sqrt(2.0 * density / signal.period) / size
+    arm, tick = signal.guess.arm, clock_of(signal.guess.arm)
+    samples = round(signal.period / tick)
+    frequency: FloatArray = np.asarray(np.fft.rfftfreq(samples, tick), dtype=float)
+    low, high = _NOISE_BAND[0] * band.anti_resonance_hz, _NOISE_BAND[1] * band.resonance_hz
+    in_band = (frequency >= low) & (frequency <= high)
+    densities: dict[str, tuple[Quantity, float | FloatArray]] = {}
+    if resolution := arm.joints[signal.joint - 1].encoder_resolution:
+        density = 2.0 * tick * resolution**2 / 12.0 * (2.0 * np.pi * frequency[in_band]) ** 2
+        densities["encoder rounding"] = "motor_velocity", density
     for axis in installed_axes(arm, signal.joint, ()):
         if isinstance(axis.sensor, Accelerometer):
             (name,) = axis.quantities
-            lines, size = _spectral_lines(signal, trajectory, name, tick, band)
-            density = np.full_like(lines, SensorNoise().accelerometer_density ** 2)
-            ratios[f"{axis.sensor.noun} noise"] = np.sqrt(2.0 * density / signal.period) / size
+            of_sensor = SensorNoise().accelerometer_density ** 2
+            densities[f"{axis.sensor.noun} noise"] = name, of_sensor
+    trajectory, ratios = run(signal.guess, drive), dict[str, float]()
+    for sensor, (name, density_of_noise) in densities.items():
+        last = trajectory[name][-samples:, signal.joint - 1]
+        power = (2.0 / samples * np.abs(np.fft.rfft(last))) ** 2
+        smooth = np.convolve(power, np.full(_SMOOTHING_LINES, 1.0 / _SMOOTHING_LINES), mode="same")
+        size = np.maximum(np.sqrt(smooth[in_band]), 1e-300)
+        ratios[sensor] = float((np.sqrt(2.0 * density_of_noise / signal.period) / size).max())
     default_reason = (
         f"{SETTLING_PERIODS} period to settle and {MIN_PERIODS} to separate noise from distortion"
     )
     if not ratios:
         return MIN_PERIODS, f"{default_reason}; the sensor noise is unknown"
-    sensor, worst = max(
-        ((sensor, float(ratio.max())) for sensor, ratio in ratios.items()), key=lambda r: r[1]
-    )
+    sensor, worst = max(ratios.items(), key=lambda pair: pair[1])
     required_periods = int(np.ceil((worst / _TARGET_NOISE_RATIO) ** 2))
     periods = min(max(required_periods, MIN_PERIODS), _MAX_PERIODS)
     level = f"{100.0 * worst / periods**0.5:.2g} % of the weakest line near the resonances"
     if required_periods <= MIN_PERIODS:
         return periods, f"{default_reason}; the {sensor} is then {level}"
     count = f"{periods}" if required_periods == periods else f"the maximum of {periods}"
-    reason = f"{SETTLING_PERIODS} period to settle and {count}; the {sensor} is then {level}"
-    return periods, reason
-
-
-def _spectral_lines(
-    signal: Signal, trajectory: Trajectory, name: Quantity, tick: float, band: ExcitationBand
-) -> tuple[FloatArray, FloatArray]:
-    """Frequencies [Hz] around the resonances and the smoothed magnitudes of a signal there."""
-    samples = round(signal.period / tick)
-    last = trajectory[name][-samples:, signal.joint - 1]
-    size = 2.0 / samples * np.abs(np.fft.rfft(last))
-    smooth = np.sqrt(
-        np.convolve(size**2, np.ones(_SMOOTHING_LINES) / _SMOOTHING_LINES, mode="same")
-    )
-    frequency: FloatArray = np.asarray(np.fft.rfftfreq(samples, tick), dtype=float)
-    low, high = _NOISE_BAND[0] * band.anti_resonance_hz, _NOISE_BAND[1] * band.resonance_hz
-    in_band = (frequency >= low) & (frequency <= high)
-    return frequency[in_band], np.maximum(smooth[in_band], 1e-300)
+    return periods, f"{SETTLING_PERIODS} period to settle and {count}; the {sensor} is then {level}"
 
 
 def _describe_excitation(
     signal: Signal, band: ExcitationBand, amplitude: float, control: tuple[Control, ...]
 ) -> str:
-    low, high = _excited_band(signal)
+    low, high = signal.band_hz
     kind = f"order {signal.order}, clock {1e3 * signal.clock:g} ms"
     if signal.kind == "multisine":
         kind = f"{len(signal.lines)} lines, clock {1e3 * signal.clock:g} ms"

@@ -15,7 +15,6 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from strainwave.domain import FloatArray, Study
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.link_sensors import installed_axes
 from strainwave.dynamics.arm import Arm
@@ -26,14 +25,7 @@ from strainwave.excite.command_table import (
     trajectory_text,
 )
 from strainwave.excite.guessed_arm import torque_errors_of
-from strainwave.excite.plan import (
-    LIMITED,
-    Design,
-    Limits,
-    Planned,
-    PredictedMotion,
-    clock_of,
-)
+from strainwave.excite.plan import LIMITED, Design, Limits, PredictedMotion, clock_of
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.results import base_parameter_entries, parameter_entry, to_json
 from strainwave.io.study import copy_to, write_study
@@ -56,20 +48,15 @@ def write(design: Design, folder: Path) -> None:
 
 
 def _texts(design: Design) -> dict[str, str]:
-    texts = {
-        table_name(record.experiment): _csv(_columns(design.study, record))
-        for record in design.records
-    }
-    names = design.study.arm.joint_names
-    texts |= {
-        trajectory_name(record.experiment): trajectory_text(names, record.waypoints)
-        for record in design.records
-        if record.waypoints is not None
-    }
-    records = [
-        (re.sub(r"\W", "_", record.experiment.name), record.drive, _columns(design.study, record))
-        for record in design.records
-    ]
+    arm, texts, records = design.study.arm, dict[str, str](), []
+    for record in design.records:
+        experiment, columns = record.experiment, applied_columns(design.study.arm, record)
+        rows = map(_row, zip(*columns.values(), strict=True))
+        texts[table_name(experiment)] = "\n".join([",".join(columns), *rows, ""])
+        records.append((re.sub(r"\W", "_", experiment.name), record.drive, columns))
+        if record.waypoints is not None:
+            text = trajectory_text(arm.joint_names, record.waypoints)
+            texts[trajectory_name(experiment)] = text
     header = fill_text(Path(__file__).with_name("excitation.h.j2"), records=records, row=_row)
     return texts | {HEADER_FILE: header, PRECISION_FILE: _predicted(design)}
 
@@ -79,30 +66,16 @@ def _predicted(design: Design) -> str:
     rigid = design.records[0].precision
     base = base_parameter_entries(design.study.arm, rigid)
     final = {p.key: p for p in (*rigid, *design.precision)}  # the whole-arm fit comes last
-    errors = torque_errors_of(Arm.of(design.study.arm), design.torque_errors)
+    known = design.torque_errors
+    errors = torque_errors_of(Arm.of(design.study.arm), known).tolist()
     document = {
         "torque_errors": [
-            {
-                "joint": i,
-                "value": error,
-                "source": "measured" if i in design.torque_errors else "assumed",
-            }
-            for i, error in enumerate(errors.tolist(), start=1)
-        ]
+            {"joint": i, "value": error, "source": "measured" if i in known else "assumed"}
+            for i, error in enumerate(errors, start=1)
+        ],
+        "parameters": [parameter_entry(p) for p in final.values()],
     }
-    document |= {"parameters": [parameter_entry(p) for p in final.values()]} | (
-        {"base_parameters": base} if base else {}
-    )
-    return to_json(document).decode()
-
-
-def _columns(study: Study, record: Planned) -> dict[str, FloatArray]:
-    return applied_columns(study.arm, record.experiment, record.drive, record.motor_angle)
-
-
-def _csv(columns: dict[str, FloatArray]) -> str:
-    rows = map(_row, zip(*columns.values(), strict=True))
-    return "\n".join([",".join(columns), *rows, ""])
+    return to_json(document | ({"base_parameters": base} if base else {})).decode()
 
 
 def _row(values: Iterable[float]) -> str:
@@ -141,21 +114,26 @@ def print_design(design: Design, folder: Path) -> None:
 
 def _precision(design: Design) -> Iterator[str]:
     """Planned sensors, and the predicted confidence intervals of gears and inertias."""
-    parameters = [p for p in design.precision if p.name.startswith(_NAMES) and p.value and p.std]
     yield from _base_precision(design)
-    if not parameters:
-        return
-    yield (
-        f"sensors: {', '.join(_sensors(design.study))}; predicted half-widths of the 95 %"
-        " confidence intervals on the guessed arm:"
-    )
-    for joint in range(1, design.study.arm.n_joints + 1):
-        parts = [
-            f"{p.name} {100.0 * CI95_STDS * (p.std or 0.0) / abs(p.value or 1.0):.2g} %"
-            for p in parameters
-            if p.joint == joint
+    study, sensors, widths = design.study, list[str](), dict[int, list[str]]()
+    for i, joint in enumerate(study.arm.joints, start=1):
+        counts = joint.encoder_counts
+        axes = installed_axes(study.arm, i, study.channels)
+        nouns = dict.fromkeys(axis.sensor.noun for axis in axes) or ("no link sensor",)
+        encoder = f"encoder of {counts:g} counts" if counts else "encoder"
+        sensors.append(f"joint {i}'s {' and '.join((encoder, *nouns))}")
+        widths[i] = [
+            f"{p.name} {100.0 * CI95_STDS * p.std / abs(p.value):.2g} %"
+            for p in design.precision
+            if p.joint == i and p.name.startswith(_NAMES) and p.value and p.std
         ]
-        yield f"joint {joint}: {', '.join(parts)}"
+    if any(widths.values()):
+        yield (
+            f"sensors: {', '.join(sensors)}; predicted half-widths of the 95 % confidence "
+            "intervals on the guessed arm:"
+        )
+        for i, texts in widths.items():
+            yield f"joint {i}: {', '.join(texts)}"
 
 
 def _base_precision(design: Design) -> Iterator[str]:
@@ -175,15 +153,6 @@ def _base_precision(design: Design) -> Iterator[str]:
             share = f" ({100.0 * width / largest:.2g} % of the largest)" if largest else ""
             texts.append(f"{widest['name']} {width:.2g} {unit}{share}")
         yield f"widest predicted half-widths of base parameters: {', '.join(texts)}"
-
-
-def _sensors(study: Study) -> Iterator[str]:
-    for i, joint in enumerate(study.arm.joints, start=1):
-        counts = joint.encoder_counts
-        axes = installed_axes(study.arm, i, study.channels)
-        nouns = dict.fromkeys(axis.sensor.noun for axis in axes) or ("no link sensor",)
-        encoder = f"encoder of {counts:g} counts" if counts else "encoder"
-        yield f"joint {i}'s {' and '.join((encoder, *nouns))}"
 
 
 def _table(design: Design) -> Table:

@@ -14,7 +14,6 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray, IntArray
-from strainwave.domain.control_law import ControlLaw
 from strainwave.errors import InvalidInput
 from strainwave.numerics.parallel import run_parallel
 from strainwave.tune.closed_loop import (
@@ -22,7 +21,6 @@ from strainwave.tune.closed_loop import (
     Clock,
     ClosedLoop,
     Gains,
-    SampledPlants,
     Steps,
     close,
     frequency_grid,
@@ -58,8 +56,6 @@ _MAX_OVERSHOOT = 0.05  # of the link after a step of the position
 _N_SEARCH_DRAWS = 8
 _N_SWEEPS = 2  # over the joints; a third changes gains by less than a step
 _MAX_ADDED = 12  # rounds in which the worst plants join the search
-
-
 _POINTS = 100_000  # plants times frequencies that one thread judges at a time: 0.1 GB
 
 FilterMaker = Callable[[float], tuple[Biquad, ...]]
@@ -124,7 +120,7 @@ class Loops:
         parts = run_parallel([partial(judge_part, p) for p in np.array_split(plants, n_parts)])
         margins_and_bands = (zip(*pairs, strict=True) for pairs in zip(*parts, strict=True))
         bands = ("gain_db", "phase_deg", "distance")
-        return [(join(m), join(b, "hz", bands)) for m, b in margins_and_bands]
+        return [(join(m), join(b, "frequency_hz", bands)) for m, b in margins_and_bands]
 
 
 def tune_cascades(
@@ -202,90 +198,76 @@ class _Tuner:
 
     def raise_gains(self, gains: Sequence[Gains], search: IntArray) -> Gains:
         """The largest gains at which the searched plants keep their margins."""
-        plant = effective_plants(
-            self.loops.responses(search), self.loops.controllers(gains), self.joint
-        )
-        sampled = sample(self.loops.plants, self.loops.clock, search)
-        trials = _GainTrials([each.law() for each in gains], plant, sampled)
-        best, bandwidth, self.limit = gains[self.joint], 0.0, "margins"
+        loops, joint = self.loops, self.joint
+        plant = effective_plants(loops.responses(search), loops.controllers(gains), joint)
+        sampled = sample(loops.plants, loops.clock, search)
+        laws = [each.law() for each in gains]
+
+        def closed(candidate: Gains) -> ClosedLoop:
+            return close(sampled, [*laws[:joint], candidate.law(), *laws[joint + 1 :]], joint)
+
+        def keeps(candidate: Gains) -> bool:  # its margins, and all plants are stable
+            margins = margins_of(plant * candidate.response(loops.z), loops.omega)
+            if margins.share(self.required).min() < 1.0:
+                return False
+            return bool(np.abs(closed(candidate).poles()).max() < 1.0)
+
+        best, self.bandwidth, self.limit = gains[joint], 0.0, "margins"
+        encoder = self.max_kp / self.inertia
         for make in self._filters(search):
-            reached, is_encoder = self._largest_bandwidth(trials, make)
-            if reached > bandwidth * (_MIN_GAIN if bandwidth else 1.0):
-                bandwidth, self.limit = reached, "encoder" if is_encoder else "margins"
-                best = self.gains(reached, make(reached))
-        self.bandwidth = bandwidth
-        if not bandwidth:
+            reached = self._largest_bandwidth(keeps, make, encoder)
+            if reached > self.bandwidth * (_MIN_GAIN if self.bandwidth else 1.0):
+                self.bandwidth, best = reached, self.gains(reached, make(reached))
+                self.limit = "encoder" if reached * _COARSE_STEP**0.25 > encoder else "margins"
+        if not self.bandwidth:
             return best
         # the largest position gain with margins and little overshoot of the link
         for ratio in _POSITION_RATIOS:
-            candidate = replace(best, position_gain=bandwidth / ratio)
-            if self._keeps(trials, candidate):
-                steps = Steps.of(self._closed(trials, candidate), candidate.period)
+            candidate = replace(best, position_gain=self.bandwidth / ratio)
+            if keeps(candidate):
+                steps = Steps.of(closed(candidate), candidate.period)
                 if steps.overshoot.max() <= _MAX_OVERSHOOT:
                     break
         return candidate
 
-    def _keeps(self, trials: _GainTrials, gains: Gains) -> bool:
-        """Whether all plants are stable and keep their margins."""
-        margins = margins_of(trials.plant * gains.response(self.loops.z), self.loops.omega)
-        if margins.share(self.required).min() < 1.0:
-            return False
-        return bool(np.abs(self._closed(trials, gains).poles()).max() < 1.0)
+    def _largest_bandwidth(
+        self, keeps: Callable[[Gains], bool], make: FilterMaker, encoder: float
+    ) -> float:
+        """The largest bandwidth [rad/s] with margins, at most that of the encoder; zero: none.
 
-    def _closed(self, trials: _GainTrials, gains: Gains) -> ClosedLoop:
-        laws = list(trials.laws)
-        laws[self.joint] = gains.law()
-        return close(trials.sampled, laws, self.joint)
-
-    def _largest_bandwidth(self, trials: _GainTrials, make: FilterMaker) -> tuple[float, bool]:
-        """The largest bandwidth [rad/s] with margins, and whether the encoder limits it.
-
-        Zero if there is none. Arms that stand upright need some gain to be stable.
+        Arms that stand upright need some gain to be stable.
         """
-        encoder = self.max_kp / self.inertia
         highest = min(encoder, 0.5 * self.loops.clock.nyquist)
-
-        def keeps(bandwidth: float) -> bool:
-            return bandwidth <= highest and self._keeps(
-                trials, self.gains(bandwidth, make(bandwidth))
-            )
-
         reached, bandwidth = 0.0, _LOWEST_BANDWIDTH
         while bandwidth <= highest and (not reached or bandwidth < _COARSE_STEP * reached * 1.001):
-            if keeps(bandwidth):
+            if keeps(self.gains(bandwidth, make(bandwidth))):
                 reached = bandwidth
             bandwidth *= _COARSE_STEP
         step = float(np.sqrt(_COARSE_STEP))
         while reached and step > _FINE_STEP:
-            if keeps(reached * step):
-                reached *= step
+            bandwidth = reached * step
+            if bandwidth <= highest and keeps(self.gains(bandwidth, make(bandwidth))):
+                reached = bandwidth
             step = float(np.sqrt(step))
-        return reached, bool(reached * _COARSE_STEP**0.25 > encoder)
+        return reached
 
     def _filters(self, search: IntArray) -> Iterator[FilterMaker]:
         """No filter, a low-pass, and a notch over the spread of each resonance."""
         yield lambda _: ()
-        nyquist = self.loops.clock.nyquist
-        yield from (partial(self._low_pass, ratio) for ratio in _LOW_PASS_RATIOS)
+        period, highest = self.loops.clock.period, _HIGHEST_SHARE * self.loops.clock.nyquist
+
+        def low_pass_over(ratio: float, bandwidth: float) -> tuple[Biquad, ...]:
+            return (low_pass(min(ratio * bandwidth, highest) / (2.0 * np.pi), period),)
+
+        def notch_of(frequency_hz: float, width: float, _: float) -> tuple[Biquad, ...]:
+            return (notch(frequency_hz, width, _NOTCH_DEPTH, period),)
+
+        yield from (partial(low_pass_over, ratio) for ratio in _LOW_PASS_RATIOS)
         for omega, _ in self.loops.plants.resonances():
             low, high = float(omega[search].min()), float(omega[search].max())
-            if high < _HIGHEST_SHARE * nyquist:
-                yield from (partial(self._notch, low, high, width) for width in _NOTCH_WIDTHS)
-
-    def _low_pass(self, ratio: float, bandwidth: float) -> tuple[Biquad, ...]:
-        clock = self.loops.clock
-        corner = min(ratio * bandwidth, _HIGHEST_SHARE * clock.nyquist)
-        return (low_pass(corner / (2.0 * np.pi), clock.period),)
-
-    def _notch(self, low: float, high: float, width: float, _: float) -> tuple[Biquad, ...]:
-        hz = float(np.sqrt(low * high)) / (2.0 * np.pi)
-        return (notch(hz, max(width, high / low - 1.0), _NOTCH_DEPTH, self.loops.clock.period),)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _GainTrials:
-    """Some plants with the loops of the other joints closed, on which gains are tried."""
-
-    laws: list[ControlLaw]  # of all joints
-    plant: ComplexArray  # (n_plants, n_omega) motor angle by voltage
-    sampled: SampledPlants
+            if high < highest:
+                frequency_hz = float(np.sqrt(low * high)) / (2.0 * np.pi)
+                yield from (
+                    partial(notch_of, frequency_hz, max(width, high / low - 1.0))
+                    for width in _NOTCH_WIDTHS
+                )

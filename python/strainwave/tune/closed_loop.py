@@ -6,13 +6,16 @@ Responses of plants to a sampled servo: hold, computation delay, current loop, a
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from scipy.linalg import expm
 
-from strainwave.domain import ComplexArray, ControlLaw, FloatArray, IntArray
+from strainwave.domain import BoolArray, ComplexArray, ControlLaw, FloatArray, IntArray
+from strainwave.numerics.parallel import run_parallel
 from strainwave.tune.margins import band_over
 from strainwave.tune.plants import Plants
 
@@ -21,6 +24,9 @@ _POINTS_PER_DECADE = 40
 _POINTS_PER_RESONANCE = 24  # over three half-power bandwidths
 _LOWEST_HZ = 0.05
 _PART = 500  # plants
+_POLE_TOLERANCE = 1e-6  # rounding of the pole at one of a servo without a position loop
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +36,7 @@ class Biquad:
     b: tuple[float, float, float]
     a: tuple[float, float]
     kind: str  # "notch" or "low-pass"
-    hz: float
+    frequency_hz: float  # of centre or corner
     width: float = 0.0  # damping ratio of the poles
     depth: float = 0.0  # gain at the centre
 
@@ -41,26 +47,26 @@ class Biquad:
         return np.asarray(numerator / (1.0 + self.a[0] * w + self.a[1] * w**2))
 
 
-def notch(hz: float, width: float, depth: float, period: float) -> Biquad:
+def notch(frequency_hz: float, width: float, depth: float, period: float) -> Biquad:
     """Notch (s^2 + 2 depth width w s + w^2) / (s^2 + 2 width w s + w^2), sampled.
 
     The bilinear transformation is warped so that the centre is exact.
     """
-    c = 1.0 / math.tan(math.pi * hz * period)
+    c = 1.0 / math.tan(math.pi * frequency_hz * period)
     low, high = 2.0 * width * c, 2.0 * depth * width * c
     scale = c * c + low + 1.0
     b = ((c * c + high + 1.0) / scale, 2.0 * (1.0 - c * c) / scale, (c * c - high + 1.0) / scale)
     a = (2.0 * (1.0 - c * c) / scale, (c * c - low + 1.0) / scale)
-    return Biquad(b, a, "notch", hz, width, depth)
+    return Biquad(b, a, "notch", frequency_hz, width, depth)
 
 
-def low_pass(hz: float, period: float) -> Biquad:
+def low_pass(frequency_hz: float, period: float) -> Biquad:
     """Second-order Butterworth low-pass, sampled by the warped bilinear transformation."""
-    c = 1.0 / math.tan(math.pi * hz * period)
+    c = 1.0 / math.tan(math.pi * frequency_hz * period)
     scale = c * c + math.sqrt(2.0) * c + 1.0
     b = (1.0 / scale, 2.0 / scale, 1.0 / scale)
     a = (2.0 * (1.0 - c * c) / scale, (c * c - math.sqrt(2.0) * c + 1.0) / scale)
-    return Biquad(b, a, "low-pass", hz)
+    return Biquad(b, a, "low-pass", frequency_hz)
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,22 +158,20 @@ def sampled_responses(plants: Plants, omega: FloatArray, clock: Clock) -> Comple
     that of the hold. Beyond half of the sampling rate, motors move as free inertias. Returns
     (n_plants, n_omega, n_joints, n_joints), angle by voltage.
     """
-    total = plants.responses(omega) * _hold(omega, 0, clock)[:, None, None]
+
+    def hold(alias: FloatArray) -> ComplexArray:  # and delay, over the period
+        held = (1.0 - np.exp(-1j * omega * clock.period)) / (1j * alias * clock.period)
+        return np.asarray(held * np.exp(-1j * alias * clock.delay))
+
+    total = plants.responses(omega) * hold(omega)[:, None, None]
     free = np.zeros((len(omega), plants.n_joints), dtype=complex)  # of an inertia of one
     for k in (k for k in range(-_N_ALIASES, _N_ALIASES + 1) if k):
-        alias = (omega + k * 2.0 * np.pi / clock.period)[:, None]
-        drive = plants.torque_per_volt / (1.0 + 1j * alias / plants.current_loop)
-        free -= drive / alias**2 * _hold(omega, k, clock)[:, None]
+        alias = omega + k * 2.0 * np.pi / clock.period
+        drive = plants.torque_per_volt / (1.0 + 1j * alias[:, None] / plants.current_loop)
+        free -= drive / alias[:, None] ** 2 * hold(alias)[:, None]
     joints = np.arange(plants.n_joints)
     total[:, :, joints, joints] += free / plants.motor_inertias()[:, None]
     return np.asarray(total)
-
-
-def _hold(omega: FloatArray, k: int, clock: Clock) -> ComplexArray:
-    """Response of hold and delay at the k-th alias, over the period."""
-    alias = omega + k * 2.0 * np.pi / clock.period
-    held = (1.0 - np.exp(-1j * omega * clock.period)) / (1j * alias * clock.period)
-    return np.asarray(held * np.exp(-1j * alias * clock.delay))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,11 +184,11 @@ class SampledPlants:
     links: FloatArray  # (n_joints, n)
     ratios: FloatArray  # (n_joints,) link angle per motor angle without torsion
 
-    def parts(self) -> list[SampledPlants]:
-        """The plants in parts, for threads and small temporary arrays."""
+    def map(self, function: Callable[[SampledPlants], Result]) -> list[Result]:
+        """Results of a function of parts of the plants, in threads with small temporary arrays."""
         n_parts = -(-len(self.A) // _PART)
         pairs = zip(np.array_split(self.A, n_parts), np.array_split(self.B, n_parts), strict=True)
-        return [replace(self, A=A, B=B) for A, B in pairs]
+        return run_parallel([partial(function, replace(self, A=A, B=B)) for A, B in pairs])
 
 
 def sample(plants: Plants, clock: Clock, chosen: IntArray | slice = slice(None)) -> SampledPlants:
@@ -263,6 +267,11 @@ class ClosedLoop:
         return np.concatenate(blocks, axis=1)[:, :n_samples]
 
 
+def are_stable(poles: ComplexArray) -> BoolArray:
+    """Whether plants (n_plants,) are stable; a servo without a position loop has a pole at one."""
+    return np.asarray(np.abs(poles).max(axis=1) <= 1.0 + _POLE_TOLERANCE)
+
+
 def close(plants: SampledPlants, laws: Sequence[ControlLaw], joint: int) -> ClosedLoop:
     """Close the loops of all joints; the reference is that of one joint, from 0."""
     count, n = plants.A.shape[:2]
@@ -271,9 +280,7 @@ def close(plants: SampledPlants, laws: Sequence[ControlLaw], joint: int) -> Clos
     A, B = np.zeros((count, starts[-1], starts[-1])), np.zeros((count, starts[-1], 2))
     A[:, :n, :n] = plants.A
     for i, (law, start) in enumerate(zip(laws, starts, strict=False)):
-        own = slice(start, start + len(law.A))
-        voltage = plants.B[:, :, i]
-        angle = plants.motors[i]
+        own, voltage, angle = slice(start, start + len(law.A)), plants.B[:, :, i], plants.motors[i]
         A[:, :n, :n] += voltage[:, :, None] * (law.D[2] * angle)
         A[:, :n, own] = voltage[:, :, None] * law.C
         A[:, own, own] = law.A + np.outer(law.E, law.C)

@@ -14,16 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import product
 
 import numpy as np
 
 from strainwave.domain import ControlLaw, FloatArray, IntArray
 from strainwave.domain.control_law import MAX_LAW_STATES
-from strainwave.numerics.parallel import run_parallel
 from strainwave.tune.cascade_tuning import Loops
-from strainwave.tune.closed_loop import Gains, SampledPlants, close
+from strainwave.tune.closed_loop import Gains, SampledPlants, are_stable, close
 from strainwave.tune.margins import Margins, Requirements
 from strainwave.tune.observer import Observer
 
@@ -38,7 +36,6 @@ _LINK_BAND = 1.1  # of the highest mode of the links with held motors: slower po
 _N_LEAST = 6  # plants of least damping in the search
 _N_MARGINS = 3  # plants of smallest margins of each joint in the search
 _MAX_ROUNDS = 3  # of searches; the worst of all plants joins the next
-_POLE_TOLERANCE = 1e-6  # rounding of the pole at one of a servo without a position loop
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +81,7 @@ def design_damping(
         return ()
     laws = tuple(each.law() for each in gains)
     sizes = [len(laws[each.joint - 1].A) + len(each.names) for each in observers]
-    modes = loops.plants.locked_resonances()
+    modes = loops.plants.resonances(with_held_motors=True)
     highest = _LINK_BAND * max(float(omega.max()) for omega, _ in modes)
     search = _GainSearch(loops, sampled, laws, tuple(observers), required, highest)
     plain = search.dampings(np.arange(len(sampled.A)), laws)
@@ -142,12 +139,8 @@ class _GainSearch:
     highest: float  # [rad/s] of the poles that count as modes of the links
 
     def unused(self, reason: str, without: DampingRatios) -> tuple[Damping, ...]:
-        return tuple(
-            Damping(
-                one.joint, (0.0, 0.0), reason, without, without, None, self.plain[one.joint - 1]
-            )
-            for one in self.observers
-        )
+        same = (0.0, 0.0), reason, without, without, None
+        return tuple(Damping(one.joint, *same, self.plain[one.joint - 1]) for one in self.observers)
 
     def best(self, without: DampingRatios, chosen: IntArray) -> tuple[Damping, ...]:
         """The results with the best gains; `chosen` are the first plants of the search."""
@@ -166,45 +159,38 @@ class _GainSearch:
             margins = self.margins(every, laws)
             shares = np.min([each.share(self.required) for each in margins], axis=0)
             if shares.min() >= 1.0:
-                return self._used(pairs, laws, (without, reached), margins)
+                break
             reason = "not all plants keep their margins with it"
             chosen = np.union1d(chosen, np.argsort(shares)[:_N_MARGINS])
-        return self.unused(reason, without)
-
-    def _used(
-        self,
-        pairs: Sequence[Pair],
-        laws: Sequence[ControlLaw],
-        ratios: tuple[DampingRatios, DampingRatios],
-        margins: Sequence[Margins],
-    ) -> tuple[Damping, ...]:
-        """Joints whose best gains are zero keep their servo."""
+        else:
+            return self.unused(reason, without)
         results = []
         for one, pair in zip(self.observers, pairs, strict=True):
-            i, is_used = one.joint - 1, any(pair)
+            i, is_used = one.joint - 1, any(pair)  # with gains of zero a joint keeps its servo
             reason = "" if is_used else "its feedback does not damp the links further"
-            own = margins[i] if is_used else None
-            results.append(Damping(one.joint, _scaled(one, pair), reason, *ratios, own, laws[i]))
+            own, gains = margins[i] if is_used else None, _scaled(one, pair)
+            results.append(Damping(one.joint, gains, reason, without, reached, own, laws[i]))
         return tuple(results)
 
     def _climb(self, chosen: IntArray) -> list[Pair]:
         """Gains of all joints with the largest objective over some plants, joint by joint."""
+
+        def objective_of(laws: Sequence[ControlLaw]) -> float:
+            ratios = self.dampings(chosen, laws)
+            return float(ratios.min() + _MEAN_WEIGHT * ratios.mean())
+
         pairs: list[Pair] = [(0.0, 0.0)] * len(self.observers)
-        largest = self._objective(chosen, pairs)
+        largest = objective_of(self.plain)
         for k in range(len(self.observers)):
             for pair in product(_TORSION_GAINS, _RATE_GAINS):
                 trial = [*pairs[:k], pair, *pairs[k + 1 :]]
-                objective = self._objective(chosen, trial)
-                if objective <= largest:
+                laws = self.laws(trial)
+                if (objective := objective_of(laws)) <= largest:
                     continue
-                margins = self.margins(chosen, self.laws(trial))
+                margins = self.margins(chosen, laws)
                 if min(each.share(self.required).min() for each in margins) >= 1.0:
                     pairs, largest = trial, objective
         return pairs
-
-    def _objective(self, chosen: IntArray, pairs: Sequence[Pair]) -> float:
-        ratios = self.dampings(chosen, self.laws(pairs))
-        return float(ratios.min() + _MEAN_WEIGHT * ratios.mean())
 
     def laws(self, pairs: Sequence[Pair]) -> list[ControlLaw]:
         laws = list(self.plain)
@@ -223,11 +209,10 @@ class _GainSearch:
             omega = np.abs(rates)
             is_mode = (rates.imag > 0.0) & (omega < self.highest)
             ratios = np.where(is_mode, -rates.real / np.maximum(omega, 1e-300), 1.0).min(axis=1)
-            is_stable = np.abs(poles).max(axis=1) <= 1.0 + _POLE_TOLERANCE
-            return np.where(is_stable, ratios, -1.0)
+            return np.where(are_stable(poles), ratios, -1.0)
 
-        part = replace(self.sampled, A=self.sampled.A[chosen], B=self.sampled.B[chosen])
-        return np.concatenate(run_parallel([partial(of_part, each) for each in part.parts()]))
+        some = replace(self.sampled, A=self.sampled.A[chosen], B=self.sampled.B[chosen])
+        return np.concatenate(some.map(of_part))
 
     def margins(self, chosen: IntArray, laws: Sequence[ControlLaw]) -> list[Margins]:
         """Margins of the loops of all joints."""

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
-from typing import TypeVar
 
 import numpy as np
 
@@ -17,20 +16,22 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise, JointCovariance
-from strainwave.numerics.parallel import one_blas_thread, run_parallel
+from strainwave.numerics.parallel import one_blas_thread
 from strainwave.tune.cascade_tuning import Loops, TunedJoint, tune_cascades
-from strainwave.tune.closed_loop import Clock, Gains, SampledPlants, Steps, close, sample
+from strainwave.tune.closed_loop import (
+    Clock,
+    Gains,
+    SampledPlants,
+    Steps,
+    are_stable,
+    close,
+    sample,
+)
 from strainwave.tune.damping import Damping, design_damping
 from strainwave.tune.margins import LoopBand, Margins, Requirements, join
 from strainwave.tune.observer import Observer, design_observers
-from strainwave.tune.plants import (
-    Condition,
-    Plants,
-    drawn_values,
-    plants_of,
-    without_impossible,
-)
-from strainwave.tune.shaper_ranking import COVERAGE, RankedShaper, rank_shapers
+from strainwave.tune.plants import Condition, Plants, drawn_values, plants_of, without_impossible
+from strainwave.tune.shapers import COVERAGE, RankedShaper, rank_shapers
 from strainwave.tune.verification import (
     EstimationError,
     MoveComparison,
@@ -42,13 +43,10 @@ _DEFAULT_PERIOD = 1e-3  # [s] of the servo
 _DELAY_SHARE = 0.5  # of the period, if no delay is given
 _N_POSTURES = 4  # drawn, besides zero angles, if no posture is given
 _MAX_MODES = 4  # slowest modes that are shaped
-_POLE_TOLERANCE = 1e-6  # rounding of the pole at one of a servo without a position loop
 _FIRST_SHARES = (1.0 / 3.0, 1.0 / 2.0, 2.0 / 3.0)
 _N_ESTIMATION_DRAWS = 7  # whose links the observers estimate
 _N_MOVE_DRAWS = 10  # simulated with friction and the curve of the gear
 _NO_LIMIT = 0.75 * np.pi  # [rad] of a joint without limits in the study
-
-Run = TypeVar("Run")
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +96,8 @@ class ServoDesign:
     condition: IntArray  # (n_plants,) indices of conditions
     n_unstable: int  # plants that the current servo does not stabilise
     joints: tuple[JointServo, ...]
-    first_share: float  # of the bandwidth, for the first trial: it also stabilises all plants
+    # of the bandwidth, for the first trial: the smallest that was tried and stabilises all plants
+    first_share: float
     modes_hz: FloatArray  # (n_modes, 2) central 95 % of the links' modes behind held motors
     shapers: tuple[RankedShaper, ...]
     observers: tuple[Observer, ...]  # of the elastic joints, at the first posture
@@ -151,7 +150,10 @@ def design_servo(
     tuned, judged = tune_cascades(loops, options.required, resolutions=resolutions, limits=limits)
     progress("simulating steps")
     sampled = sample(plants, clock)
-    gains, current = [each.gains for each in tuned], _current_gains(arm, clock)
+    gains, servo, current = [each.gains for each in tuned], arm.study.arm.servo, None
+    if servo is not None:
+        of_joints = servo.kp, servo.ki, servo.position_gain or (0.0,) * len(servo.kp)
+        current = [Gains(*each, clock.period) for each in zip(*of_joints, strict=True)]
     results = _results(judged, sampled, gains)
     if options.bandwidth_hz is not None:
         _check_bandwidth(tuned, results, options.bandwidth_hz, clock)
@@ -180,16 +182,18 @@ def design_servo(
     )
     progress("comparing moves")
     posture = conditions[0].posture
-    moves, refusal = _unless_refused(
-        lambda: compare_moves(arm, (gains, current), draws[: _N_MOVE_DRAWS + 1], posture, limits)
-    )
+    moves: tuple[MoveComparison, ...] = ()
     estimation: tuple[EstimationError, ...] = ()
-    unchecked = refusal
-    if observers and not refusal:
-        pair, few = (observers, by_encoders), draws[: _N_ESTIMATION_DRAWS + 1]
-        estimation, unchecked = _unless_refused(
-            lambda: errors_in_a_move(arm, pair, few, gains, posture, limits)
-        )
+    refusal, unchecked = "", ""
+    try:
+        few = draws[: _N_MOVE_DRAWS + 1]
+        moves = compare_moves(arm, (gains, current), few, posture, limits)
+        if observers:
+            pair, few = (observers, by_encoders), draws[: _N_ESTIMATION_DRAWS + 1]
+            estimation = errors_in_a_move(arm, pair, few, gains, posture, limits)
+    except (InvalidInput, NumericalFailure) as error:
+        unchecked = getattr(error, "problem", str(error))
+        refusal = "" if moves else unchecked
     return ServoDesign(
         arm=arm,
         options=options,
@@ -203,7 +207,14 @@ def design_servo(
             JointServo(i + 1, each, results[i], current[i] if current else None, of_current[i])
             for i, each in enumerate(tuned)
         ),
-        first_share=_first_share(sampled, gains),
+        first_share=next(
+            (
+                share
+                for share in _FIRST_SHARES  # arms that stand upright need gain
+                if not _count_unstable(sampled, [each.slowed(share) for each in gains])
+            ),
+            1.0,
+        ),
         modes_hz=modes,
         shapers=shapers,
         observers=observers,
@@ -253,49 +264,26 @@ def _results(
 
     results = []
     for i, (margins, band) in enumerate(judged):
-        parts = run_parallel([partial(steps, i, part) for part in sampled.parts()])
+        parts = sampled.map(partial(steps, i))
         results.append(LoopResults(margins, band, join(parts, "time", ("link",))))
     return results
 
 
 def _count_unstable(sampled: SampledPlants, gains: Sequence[Gains]) -> int:
     laws = [each.law() for each in gains]
-
-    def count(part: SampledPlants) -> int:
-        poles = close(part, laws, 0).poles()
-        return int((np.abs(poles).max(axis=1) > 1.0 + _POLE_TOLERANCE).sum())
-
-    return sum(run_parallel([partial(count, part) for part in sampled.parts()]))
-
-
-def _first_share(sampled: SampledPlants, gains: Sequence[Gains]) -> float:
-    """The smallest tried share of the bandwidth that stabilises all plants.
-
-    Arms that stand upright need gain.
-    """
-    for share in _FIRST_SHARES:
-        if not _count_unstable(sampled, [each.slowed(share) for each in gains]):
-            return share
-    return 1.0
+    stable = sampled.map(lambda part: are_stable(close(part, laws, 0).poles()))
+    return int((~np.concatenate(stable)).sum())
 
 
 def _shapers(plants: Plants, clock: Clock) -> tuple[FloatArray, tuple[RankedShaper, ...]]:
     """Intervals [Hz] of the slowest modes, and the shapers for them."""
-    modes = plants.locked_resonances()[:_MAX_MODES]
+    modes = plants.resonances(with_held_motors=True)[:_MAX_MODES]
     if not modes:
         return np.zeros((0, 2)), ()
     omega, damping = (np.array(part) for part in zip(*modes, strict=True))
     tail = 50.0 * (1.0 - COVERAGE)
     intervals = np.percentile(omega, (tail, 100.0 - tail), axis=1).T / (2.0 * np.pi)
     return intervals, tuple(rank_shapers(omega, damping, clock.period))
-
-
-def _unless_refused(simulate: Callable[[], tuple[Run, ...]]) -> tuple[tuple[Run, ...], str]:
-    """Simulated moves, or the reason why there are none."""
-    try:
-        return simulate(), ""
-    except (InvalidInput, NumericalFailure) as error:
-        return (), getattr(error, "problem", str(error))
 
 
 def _check_options(options: ServoOptions) -> None:
@@ -336,7 +324,7 @@ def _check_parameters(arm: IdentifiedArm) -> None:
 
 
 def _conditions(arm: IdentifiedArm, options: ServoOptions) -> tuple[Condition, ...]:
-    """All postures with and without all payloads."""
+    """All postures with and without all payloads; raises InvalidInput beyond the joints' limits."""
     joints = arm.study.arm.joints
     limits = [
         (joint.limits.lower, joint.limits.upper)
@@ -351,25 +339,21 @@ def _conditions(arm: IdentifiedArm, options: ServoOptions) -> tuple[Condition, .
         postures = [np.clip(np.zeros(len(joints)), low, high)]
         postures += list(rng.uniform(low, high, (_N_POSTURES, len(joints))))
     for posture in postures:
-        _check_posture(posture, limits)
-    return tuple(Condition(*pair) for pair in product(postures, (None, *options.payloads)))
-
-
-def _check_posture(posture: FloatArray, limits: Sequence[tuple[float, float]]) -> None:
-    """Raise InvalidInput unless a posture has an angle of each joint within its limits."""
-    if len(posture) != len(limits):
-        raise InvalidInput(
-            f"the posture has {len(posture)} angles, but the arm has {len(limits)} joints",
-            where="--posture",
-            remedy="give one angle [rad] per joint, separated by commas",
-        )
-    for number, (angle, (low, high)) in enumerate(zip(posture.tolist(), limits, strict=True), 1):
-        if not low <= angle <= high:
+        if len(posture) != len(joints):
             raise InvalidInput(
-                f"the angle {angle:g} of joint {number} is outside its limits {low:g} to {high:g}",
+                f"the posture has {len(posture)} angles, but the arm has {len(joints)} joints",
                 where="--posture",
-                remedy="give a posture that the arm can reach",
+                remedy="give one angle [rad] per joint, separated by commas",
             )
+        for number, (angle, (low, high)) in enumerate(zip(posture, limits, strict=True), start=1):
+            if not low <= angle <= high:
+                raise InvalidInput(
+                    f"the angle {angle:g} of joint {number} is outside its limits {low:g} to "
+                    f"{high:g}",
+                    where="--posture",
+                    remedy="give a posture that the arm can reach",
+                )
+    return tuple(Condition(*pair) for pair in product(postures, (None, *options.payloads)))
 
 
 def _check_bandwidth(
@@ -389,14 +373,3 @@ def _check_bandwidth(
                 where="--bandwidth",
                 remedy=f"require at most {math.floor(100.0 * reached) / 100.0:g} Hz",
             )
-
-
-def _current_gains(arm: IdentifiedArm, clock: Clock) -> list[Gains] | None:
-    servo = arm.study.arm.servo
-    if servo is None:
-        return None
-    position = servo.position_gain or (0.0,) * len(servo.kp)
-    return [
-        Gains(kp, ki, gain, clock.period)
-        for kp, ki, gain in zip(servo.kp, servo.ki, position, strict=True)
-    ]

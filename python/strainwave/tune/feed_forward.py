@@ -16,7 +16,7 @@ for d_G/k = 1.5 ms and a motion of 5 Hz.
 A voltage is held for a period. It has the mean torque of that period: the change of the motor's
 velocity, which includes its steps at the knees of a gear, and Simpson's rule for the rest. First-
 order lags of the drive are led by their time constant times the rate of the torque, without that of
-dry friction.
+dry friction. Identified effects of joints that follow from a reference motion are compensated.
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import PPoly
 
-from strainwave.domain import FloatArray
+from strainwave.domain import FloatArray, JointLimits
+from strainwave.domain.effects import Effect, all_effects
+from strainwave.domain.parameter_table import base_name
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
-from strainwave.tune.joint_effects import JointEffects, effects_of
 
 _DIFFERENCE_SHARE = 0.25  # of the period, step of differences in time: truncation and rounding 1e-9
 _FIRST = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0  # fourth-order central differences
@@ -95,17 +96,13 @@ class FeedForward:
 
     def extended(self, n_samples: int) -> FeedForward:
         """The motion, cut or held at its end, with a number of samples."""
-        more = max(0, n_samples - len(self.time))
-
-        def held(rows: FloatArray) -> FloatArray:
-            return np.concatenate([rows, np.repeat(rows[-1:], more, axis=0)])[:n_samples]
-
-        velocity = held(self.reference_velocity)
+        row = np.minimum(np.arange(n_samples), len(self.time) - 1)
+        velocity = self.reference_velocity[row]
         velocity[len(self.time) :] = 0.0
         period = self.time[1] - self.time[0]
         time: FloatArray = self.time[0] + period * np.arange(n_samples, dtype=np.float64)
-        angles = held(self.link_angle), held(self.motor_angle)
-        return FeedForward(time, *angles, velocity, held(self.voltage))
+        angles = self.link_angle[row], self.motor_angle[row]
+        return FeedForward(time, *angles, velocity, self.voltage[row])
 
     def servo_reference(self, position_gain: FloatArray) -> FloatArray:
         """Velocity references [rad/s] of a servo that integrates them to its position reference.
@@ -134,10 +131,9 @@ def feed_forward(arm: IdentifiedArm, motion: LinkMotion) -> FeedForward:
     Raises InvalidInput if a parameter is missing, or if the motion exceeds the limits of a joint or
     the voltage of the servo.
     """
-    model = _InverseArm.of(arm)
+    model = _InverseArm(arm, Arm.of(arm.with_identified_drives().study.arm), effects_of(arm))
     period, ticks = motion.period, motion.time
     at_ticks = model.follow(motion, ticks)
-    _check_limits(arm, ticks, at_ticks)
     before = model.follow(motion, ticks[:1] - period).motor_angle
     reference_velocity = np.diff(at_ticks.motor_angle, axis=0, prepend=before) / period
 
@@ -151,12 +147,14 @@ def feed_forward(arm: IdentifiedArm, motion: LinkMotion) -> FeedForward:
     sign = np.tanh(np.divide(held.motor_velocity, transition, out=rest, where=moves))
     friction = _friction_shares(arm) * _mean(held.dry_friction * sign)
     torque = model.columns["motor_inertia"] * acceleration + _mean(held.steady_torque)
-    torque = torque + model.lags * np.gradient(torque, period, axis=0)
-    voltage = (torque + friction) / model.torque_per_volt
-    servo = arm.study.arm.servo
-    if servo is not None:
-        for i, of_joint in enumerate(np.abs(voltage).T):
-            _check_limit("the voltage limit of the servo", "V", ticks, of_joint, servo.limit, i)
+    # the drives' lags (S30) and errors of their torque per volt (S21)
+    loops_hz = [joint.current_loop_hz for joint in model.arm.joints]
+    lags = np.array([1.0 / (math.tau * hz) if hz else 0.0 for hz in loops_hz])
+    lags += [each.values.get("drive-lag", {}).get("drive_lag", 0.0) for each in model.effects]
+    torque = torque + lags * np.gradient(torque, period, axis=0)
+    errors = [each.values.get("drive-gain", {}).get("drive_gain", 0.0) for each in model.effects]
+    voltage = (torque + friction) / (model.arm.torque_per_volt * (1.0 + np.array(errors)))
+    _check_limits(arm, ticks, at_ticks, voltage)
     angles = at_ticks.link[0], at_ticks.motor_angle
     return FeedForward(ticks, *angles, reference_velocity, voltage)
 
@@ -178,14 +176,8 @@ class _InverseArm:
     """An identified arm whose links follow a motion."""
 
     identified: IdentifiedArm
-    arm: Arm
+    arm: Arm  # with the identified torques per volt
     effects: tuple[JointEffects, ...]
-
-    @classmethod
-    def of(cls, identified: IdentifiedArm) -> _InverseArm:
-        """The arm with the identified torques per volt."""
-        model = Arm.of(identified.with_identified_drives().study.arm)
-        return cls(identified, model, effects_of(identified))
 
     @cached_property
     def columns(self) -> Mapping[str, FloatArray]:
@@ -218,18 +210,6 @@ class _InverseArm:
                 values = {name: need(name, i + 1) for name in names or joint.law.names}
                 gears[i] = values, need("gear_damping", i + 1)
         return gears
-
-    @property
-    def lags(self) -> FloatArray:
-        """Time constants [s] of the drives: (n_joints,)."""
-        loops = [joint.current_loop_hz for joint in self.arm.joints]
-        times = [1.0 / (math.tau * hz) if hz else 0.0 for hz in loops]
-        return np.array(times) + [effects.drive_lag for effects in self.effects]
-
-    @property
-    def torque_per_volt(self) -> FloatArray:
-        """e, with identified errors: (n_joints,)."""
-        return self.arm.torque_per_volt * [effects.drive_gain for effects in self.effects]
 
     def link_torques(
         self, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
@@ -316,40 +296,153 @@ def _friction_shares(arm: IdentifiedArm) -> FloatArray:
     return shares
 
 
-def _check_limits(arm: IdentifiedArm, time: FloatArray, at: _Instants) -> None:
+def _check_limits(arm: IdentifiedArm, time: FloatArray, at: _Instants, voltage: FloatArray) -> None:
+    """Raise InvalidInput if a motion exceeds the limits of a joint or the voltage of the servo."""
+    checks: list[tuple[int, str, str, FloatArray, float | None, int]] = []
     for i, joint in enumerate(arm.study.arm.joints):
-        if joint.limits is None:
-            continue
-        limits, angle = joint.limits, at.link[0, :, i]
+        limits, angle = joint.limits or JointLimits(), at.link[0, :, i]
         position, speed, force = (
             ("m", "m/s", "N") if joint.motion == "prismatic" else ("rad", "rad/s", "N m")
         )
-        checks = (
-            ("lower position", position, angle, limits.lower, -1.0),
-            ("upper position", position, angle, limits.upper, 1.0),
-            ("velocity", speed, np.abs(at.link[1, :, i]), limits.velocity, 1.0),
-            ("effort", force, np.abs(at.link_torque[:, i]), limits.effort, 1.0),
-        )
-        for name, unit, size, limit, sign in checks:
-            if limit is not None:
-                _check_limit(f"the {name} limit", unit, time, size, limit, i, sign)
+        checks += [
+            (i, "the lower position limit", position, angle, limits.lower, -1),
+            (i, "the upper position limit", position, angle, limits.upper, 1),
+            (i, "the velocity limit", speed, np.abs(at.link[1, :, i]), limits.velocity, 1),
+            (i, "the effort limit", force, np.abs(at.link_torque[:, i]), limits.effort, 1),
+        ]
+    if servo := arm.study.arm.servo:
+        name = "the voltage limit of the servo"
+        sizes = enumerate(np.abs(voltage).T)
+        checks += [(i, name, "V", size, servo.limit, 1) for i, size in sizes]
+    for i, name, unit, size, limit, sign in checks:
+        sample = int(np.argmax(sign * size))
+        if limit is not None and sign * size[sample] > sign * limit:
+            raise InvalidInput(
+                f"joint {i + 1} needs {size[sample]:.4g} {unit} at {time[sample]:.4g} s, beyond"
+                f" {name} of {limit:.4g} {unit}",
+                where="motion",
+                remedy="make the motion slower or smaller",
+            )
 
 
-def _check_limit(
-    name: str,
-    unit: str,
-    time: FloatArray,
-    size: FloatArray,
-    limit: float,
-    joint: int,
-    sign: float = 1.0,
-) -> None:
-    """Refuse a size beyond an upper limit, or beyond a lower one if `sign` is negative."""
-    sample = int(np.argmax(sign * size))
-    if sign * size[sample] > sign * limit:
-        raise InvalidInput(
-            f"joint {joint + 1} needs {size[sample]:.4g} {unit} at {time[sample]:.4g} s, beyond"
-            f" {name} of {limit:.4g} {unit}",
-            where="motion",
-            remedy="make the motion slower or smaller",
-        )
+COMPENSATED = (
+    "stribeck",
+    "load-friction",
+    "power-friction",
+    "torque-ripple",
+    "kinematic-error",
+    "ground-spring",
+    "tilt",
+    "drive-gain",
+    "drive-lag",
+)
+"""Effects that are functions of the reference, and those that scale or delay the drive."""
+
+_POWER_VELOCITY = 100.0  # [rad/s] at which power friction is about f_P, as in the core
+_POWER_OFFSET = 0.01  # of the relative velocity, as in the core
+_N_NEWTON = 20  # steps; five reach rounding error for real gears
+
+
+@dataclass(frozen=True, slots=True)
+class JointEffects:
+    """Values of the identified effects of one joint, by effect and parameter.
+
+    Arrays are those of one joint: (n_samples,).
+    """
+
+    values: Mapping[str, Mapping[str, float]]
+
+    def load(self, angle: FloatArray) -> FloatArray:
+        """Torque [N m] of a ground spring at the link, (S19)."""
+        spring = self.values.get("ground-spring")
+        if spring is None:
+            return np.zeros_like(angle)
+        return spring["ground_stiffness"] * angle + spring["ground_preload"]
+
+    def weight(self, angle: FloatArray) -> FloatArray:
+        """Torque [N m] of unmodelled gravity over the angle of the link in space, (S23)."""
+        tilt = self.values.get("tilt")
+        if tilt is None:
+            return np.zeros_like(angle)
+        return np.asarray(tilt["tilt_sin"] * np.sin(angle) + tilt["tilt_cos"] * np.cos(angle))
+
+    def dry_friction(self, velocity: FloatArray, load: FloatArray) -> FloatArray:
+        """Dry friction [N m] in addition to Coulomb friction, (S10), (S15), without a sign.
+
+        `load` [N m] is the gear torque at the motor.
+        """
+        friction = np.zeros_like(velocity)
+        if stribeck := self.values.get("stribeck"):
+            share = velocity / stribeck["stribeck_velocity"]
+            friction += stribeck["stribeck_friction"] * np.exp(-(share**2))
+        if teeth := self.values.get("load-friction"):
+            friction += teeth["load_friction"] * np.abs(load)
+        return friction
+
+    def motor_torque(self, angle: FloatArray, velocity: FloatArray) -> FloatArray:
+        """Torque [N m] that balances power friction, (S16), and torque ripple, (S17)."""
+        torque = np.zeros_like(angle)
+        if drag := self.values.get("power-friction"):
+            power, offset = drag["power_exponent"], _POWER_OFFSET
+            speed = np.abs(velocity) / _POWER_VELOCITY + offset
+            torque += np.sign(velocity) * drag["power_friction"] * (speed**power - offset**power)
+        if ripple := self.values.get("torque-ripple"):
+            phase = ripple["torque_ripple_order"] * angle
+            torque -= ripple["torque_ripple_cos"] * np.cos(phase)
+            torque -= ripple["torque_ripple_sin"] * np.sin(phase)
+        return torque
+
+    def motor_angle(self, ideal: FloatArray, gear_ratio: float) -> tuple[FloatArray, FloatArray]:
+        """Motor angle theta, and ratio of the output's velocity to n dtheta, (S12).
+
+        n theta + e(theta) = n theta_ideal
+        """
+        error = self.values.get("kinematic-error")
+        if error is None:
+            return ideal, np.ones_like(ideal)
+        k, a, b = (error[f"kinematic_error_{name}"] for name in ("order", "cos", "sin"))
+        theta = ideal
+        for _ in range(_N_NEWTON):
+            cos, sin = np.cos(k * theta), np.sin(k * theta)
+            ratio = 1.0 + k * (b * cos - a * sin) / gear_ratio
+            theta = theta - (theta - ideal + (a * cos + b * sin) / gear_ratio) / ratio
+        return theta, 1.0 + k * (b * np.cos(k * theta) - a * np.sin(k * theta)) / gear_ratio
+
+
+def effects_of(arm: IdentifiedArm) -> tuple[JointEffects, ...]:
+    """Identified effects of all joints that feed-forward can compensate.
+
+    Raises InvalidInput if a shape is missing, or if a kinematic error reverses a gear.
+    """
+    estimated = {(base_name(p.name), p.joint) for p in arm.parameters if p.value is not None}
+    joints = []
+    for number in range(1, arm.study.arm.n_joints + 1):
+        values = {
+            effect.name: _values_of(effect, arm, number)
+            for effect in all_effects()
+            if effect.name in COMPENSATED
+            and any((size, number) in estimated for size in effect.sizes)
+        }
+        if error := values.get("kinematic-error"):
+            size = np.hypot(error["kinematic_error_cos"], error["kinematic_error_sin"])
+            slope = error["kinematic_error_order"] * size / abs(arm.joint(number).gear_ratio)
+            if slope >= 1.0:
+                raise InvalidInput(
+                    f"the kinematic error of joint {number} reverses the gear: its slope is "
+                    f"{slope:.3g} times the gear ratio",
+                    where=f"{arm.source}: parameters",
+                    remedy="check kinematic_error_cos and kinematic_error_sin",
+                )
+        joints.append(JointEffects(values))
+    return tuple(joints)
+
+
+def _values_of(effect: Effect, arm: IdentifiedArm, number: int) -> Mapping[str, float]:
+    """Sizes and shapes of an effect; sizes that are not identified are zero."""
+    by_default = dict.fromkeys(effect.sizes, 0.0) | dict(effect.defaults)
+    return {
+        name: by_default[name]
+        if name in by_default and (name, number) not in arm.values
+        else arm.need(name, number)
+        for name in effect.names
+    }

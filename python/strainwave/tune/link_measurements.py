@@ -164,7 +164,7 @@ def _measurement(
         channels=tuple(axis.channel for axis in axes),
         weights=weights,
         quantity=source.quantity,
-        unit=(sensor.prismatic_unit or sensor.unit) if is_prismatic else sensor.unit,
+        unit=(is_prismatic and sensor.prismatic_unit) or sensor.unit,
         std=float(np.linalg.norm(stds)),
         source=noises[0][1],
         factor=source.factor,
@@ -185,8 +185,15 @@ def _source(sensor: LinkSensor, joint: Joint) -> _SensedQuantity | str:
             source = _SensedQuantity(_ONE, "link_acceleration", lever)
         case Accelerometer():
             source = "its distance from the axis is not known"
+        case ImuAccelerometers(xyz=(_, _, _) as xyz, rpy=(_, _, _) as rpy):
+            tangent = np.cross(axes_about(joint.axis)[2], xyz)  # accelerates by (z x r) ddq
+            lever = float(np.linalg.norm(tangent))
+            if lever < _MIN_LEVER:
+                return "it is on the axis of the joint"
+            weights = _along(rpy, tangent / lever)
+            source = _SensedQuantity(weights, "link_acceleration", lever)
         case ImuAccelerometers():
-            source = _of_imu_accelerometers(sensor, joint)
+            source = "its position and attitude are not in the study"
         case ImuGyros(case=Imu(rpy=(_, _, _) as rpy)):
             source = _SensedQuantity(_along(rpy, axes_about(joint.axis)[2]), "link_velocity")
         case ImuGyros():
@@ -194,17 +201,6 @@ def _source(sensor: LinkSensor, joint: Joint) -> _SensedQuantity | str:
         case _:
             source = _SIMPLE.get(type(sensor), "observers have no model of it")
     return source
-
-
-def _of_imu_accelerometers(sensor: ImuAccelerometers, joint: Joint) -> _SensedQuantity | str:
-    """The tangential part of accelerometers at r: (z x r) ddq."""
-    if sensor.xyz is None or sensor.rpy is None:
-        return "its position and attitude are not in the study"
-    tangent = np.cross(axes_about(joint.axis)[2], sensor.xyz)
-    lever = float(np.linalg.norm(tangent))
-    if lever < _MIN_LEVER:
-        return "it is on the axis of the joint"
-    return _SensedQuantity(_along(sensor.rpy, tangent / lever), "link_acceleration", lever)
 
 
 def _along(rpy: Sequence[float], direction: FloatArray) -> FloatArray:
@@ -235,6 +231,7 @@ def _motor_encoder(joint: Joint, number: int, samples: Mapping[str, float]) -> M
     """The motor encoder with its identified noise, or that of rounding to its counts."""
     count = math.tau / (joint.encoder_counts or _DEFAULT_COUNTS)
     known = samples.get(f"omega_m{number}")
+    rounding = "rounding to counts" if joint.encoder_counts else "assumed counts"
     return Measurement(
         name="motor encoder",
         channels=(f"theta_m{number}",),
@@ -242,10 +239,6 @@ def _motor_encoder(joint: Joint, number: int, samples: Mapping[str, float]) -> M
         quantity="motor_angle",
         unit="rad",
         std=known or count / math.sqrt(12.0),
-        source="identified"
-        if known
-        else "rounding to counts"
-        if joint.encoder_counts
-        else "assumed counts",
+        source="identified" if known else rounding,
         resolution=count if joint.encoder_counts else 0.0,
     )

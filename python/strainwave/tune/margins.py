@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from strainwave.domain import ComplexArray, FloatArray, IntArray
+from strainwave.domain import BoolArray, ComplexArray, FloatArray, IntArray
 
 Record = TypeVar("Record")
 
@@ -73,52 +73,40 @@ def margins_of(loop: ComplexArray, omega: FloatArray) -> Margins:
     Crossings are interpolated between neighbouring frequencies. A loop that never crosses has
     infinite margins.
     """
-    hz = omega / (2.0 * np.pi)
-    every = np.arange(len(loop))
-    distance = np.abs(1.0 + loop)
-    at = np.argmin(distance, axis=1)
-    gain_db, gain_hz = _gain_margins(loop, hz)
-    phase_deg, phase_hz, bandwidth = _phase_margins(loop, hz)
-    return Margins(gain_db, gain_hz, phase_deg, phase_hz, distance[every, at], hz[at], bandwidth)
+    hz, every = omega / (2.0 * np.pi), np.arange(len(loop))
 
+    def hz_at(columns: IntArray, share: FloatArray) -> FloatArray:
+        return np.asarray(hz[columns] + share[every, columns] * np.diff(hz)[columns])
 
-def _gain_margins(loop: ComplexArray, hz: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Distance of the gain from one [dB] where the loop crosses the negative real axis."""
-    imaginary, real = loop.imag, loop.real
-    crosses = imaginary[:, :-1] * imaginary[:, 1:] <= 0.0
-    span = imaginary[:, 1:] - imaginary[:, :-1]
-    share = np.divide(-imaginary[:, :-1], span, out=np.zeros_like(span), where=span != 0.0)
-    at_axis = real[:, :-1] + share * (real[:, 1:] - real[:, :-1])
+    def least(values: FloatArray, share: FloatArray) -> tuple[FloatArray, FloatArray]:
+        columns = np.argmin(values, axis=1)
+        lowest = values[every, columns]
+        return lowest, np.where(np.isfinite(lowest), hz_at(columns, share), np.nan)
+
+    # distance of the gain from one where the loop crosses the negative real axis
+    crosses, share = _crossings(loop.imag)
+    at_axis = loop.real[:, :-1] + share * np.diff(loop.real)
     crosses &= at_axis < 0.0
     level = np.abs(np.where(crosses, at_axis, 1.0))
     db = np.where(crosses, np.abs(20.0 * np.log10(np.maximum(level, 1e-300))), np.inf)
-    return _least(db, hz, share)
-
-
-def _phase_margins(loop: ComplexArray, hz: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Distance of the phase from -180 degrees where the gain is one, and the highest such place."""
-    level = np.log(np.maximum(np.abs(loop), 1e-300))
-    crosses = level[:, :-1] * level[:, 1:] <= 0.0
-    span = level[:, 1:] - level[:, :-1]
-    share = np.divide(-level[:, :-1], span, out=np.zeros_like(span), where=span != 0.0)
-    phase = np.angle(-loop)  # zero at -1
+    gain_db, gain_hz = least(db, share)
+    # distance of the phase from -180 degrees where the gain is one; the highest such place
+    crosses, share = _crossings(np.log(np.maximum(np.abs(loop), 1e-300)))
     turn = np.angle(loop[:, 1:] / np.where(loop[:, :-1] == 0.0, 1.0, loop[:, :-1]))
-    wrapped = (phase[:, :-1] + share * turn + np.pi) % (2.0 * np.pi) - np.pi
-    degrees = np.where(crosses, np.abs(np.degrees(wrapped)), np.inf)
-    least, where = _least(degrees, hz, share)
+    wrapped = (np.angle(-loop[:, :-1]) + share * turn + np.pi) % (2.0 * np.pi) - np.pi
+    phase_deg, phase_hz = least(np.where(crosses, np.abs(np.degrees(wrapped)), np.inf), share)
     last = crosses.shape[1] - 1 - np.argmax(crosses[:, ::-1], axis=1)
-    every = np.arange(len(loop))
-    highest = hz[last] + share[every, last] * (hz[last + 1] - hz[last])
-    bandwidth = np.where(crosses.any(axis=1), highest, 0.0)
-    return least, where, bandwidth
+    bandwidth = np.where(crosses.any(axis=1), hz_at(last, share), 0.0)
+    distance = np.abs(1.0 + loop)
+    at = np.argmin(distance, axis=1)
+    return Margins(gain_db, gain_hz, phase_deg, phase_hz, distance[every, at], hz[at], bandwidth)
 
 
-def _least(values: FloatArray, hz: FloatArray, share: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Least value of each row, and its frequency; NaN where there is none."""
-    every, at = np.arange(len(values)), np.argmin(values, axis=1)
-    where = hz[at] + share[every, at] * (hz[at + 1] - hz[at])
-    least = values[every, at]
-    return least, np.where(np.isfinite(least), where, np.nan)
+def _crossings(values: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Intervals (n_plants, n_omega - 1) in which values change their sign, and where in them."""
+    span = np.diff(values)
+    share = np.divide(-values[:, :-1], span, out=np.zeros_like(span), where=span != 0.0)
+    return values[:, :-1] * values[:, 1:] <= 0.0, share
 
 
 def effective_plants(plants: ComplexArray, controllers: ComplexArray, joint: int) -> ComplexArray:
@@ -129,16 +117,13 @@ def effective_plants(plants: ComplexArray, controllers: ComplexArray, joint: int
     counts from 0. Returns (n_plants, n_omega).
     """
     others: IntArray = np.delete(np.arange(plants.shape[-1]), joint)
-    own = plants[..., joint, joint]
-    if not len(others):
-        return own
     # u_o = -C_o y_o: y_o = (1 + P_oo C_o)^-1 P_oi u_i
     closed = (
         np.eye(len(others)) + plants[..., others[:, None], others] * controllers[:, None, others]
     )
     caused = np.linalg.solve(closed, plants[..., others, joint][..., None])[..., 0]
     back = plants[..., joint, others] * controllers[:, others]
-    return np.asarray(own - (back * caused).sum(axis=-1))
+    return np.asarray(plants[..., joint, joint] - (back * caused).sum(axis=-1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +133,7 @@ class LoopBand:
     The phase is continuous over the frequency and not positive at the first. `distance` is |1 + L|.
     """
 
-    hz: FloatArray  # (n_omega,)
+    frequency_hz: FloatArray  # (n_omega,)
     gain_db: FloatArray  # (n_omega, 3): smallest, of the estimates, largest
     phase_deg: FloatArray  # (n_omega, 3)
     distance: FloatArray  # (n_omega, 3)
@@ -161,7 +146,7 @@ class LoopBand:
         # resonances turn the phase differently, but all plants are alike below them
         phase -= 2.0 * np.pi * np.round((phase[:, :1] - phase[0, 0]) / (2.0 * np.pi))
         return cls(
-            hz=omega / (2.0 * np.pi),
+            frequency_hz=omega / (2.0 * np.pi),
             gain_db=band_over(20.0 * np.log10(np.maximum(np.abs(loop), 1e-300))),
             phase_deg=band_over(np.degrees(phase)),
             distance=band_over(np.abs(1.0 + loop)),
@@ -177,7 +162,7 @@ class MarginSummary:
     required: float | None
     least: float  # infinite for a loop without crossing
     median: float
-    hz: float | None  # of the smallest margin
+    frequency_hz: float | None  # of the smallest margin
     plant: int  # with the smallest margin
 
     @property

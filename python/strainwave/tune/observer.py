@@ -23,12 +23,13 @@ from scipy.linalg import expm, solve_discrete_are
 from strainwave.domain import FloatArray, Joint
 from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.two_inertia import TwoInertia
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise
 from strainwave.tune.closed_loop import Clock
 from strainwave.tune.link_measurements import Measurement, measurements_of
-from strainwave.tune.plants import Condition, link_inertias
+from strainwave.tune.plants import Condition, LinksAt, base_vector
 
 _DEFAULT_BAND_HZ = 5.0  # of torque errors, if the result has none
 _DEFAULT_ERROR_SHARE = 0.02  # of the torque at one volt: torque error, if the result has none
@@ -41,18 +42,12 @@ _DISTURBANCE, _DRIVE_TORQUE, _LAST_INPUT = "motor_torque_error", "drive_torque",
 """Names of states."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _MotorAndLink:
-    """Motor and link of one joint with the gear between them."""
+@dataclass(frozen=True, slots=True)
+class _DrivenJoint(TwoInertia):
+    """Motor, gear and link of one joint behind its drive."""
 
     number: int
     joint: Joint
-    motor_inertia: float
-    link_inertia: float
-    stiffness: float
-    gear_damping: float
-    motor_friction: float
-    link_friction: float
     dry_friction: float
     torque_per_volt: float
 
@@ -62,31 +57,29 @@ class _MotorAndLink:
         joint, values = arm.joint(number), arm.values
         slopes = joint.law.stiffness_range(joint.law.of_joint(values, number))
 
-        def of(name: str) -> float:
-            return values.get((name, number), 0.0)
-
         return cls(
             number=number,
             joint=joint,
+            gear_ratio=joint.gear_ratio,
             motor_inertia=arm.need("motor_inertia", number),
             link_inertia=link_inertia,
-            stiffness=math.sqrt(slopes[0] * slopes[1]),
+            gear_stiffness=math.sqrt(slopes[0] * slopes[1]),
             gear_damping=arm.need("gear_damping", number),
-            motor_friction=of("motor_viscous_friction"),
-            link_friction=of("link_viscous_friction"),
-            dry_friction=of("motor_coulomb_friction"),
+            motor_viscous_friction=values.get(("motor_viscous_friction", number), 0.0),
+            link_viscous_friction=values.get(("link_viscous_friction", number), 0.0),
+            dry_friction=values.get(("motor_coulomb_friction", number), 0.0),
             torque_per_volt=float(model.torque_per_volt[number - 1]),
         )
 
     @property
     def mode_hz(self) -> float:
         """Frequency of the link while the motor is held."""
-        return math.sqrt(self.stiffness / self.link_inertia) / math.tau
+        return math.sqrt(self.gear_stiffness / self.link_inertia) / math.tau
 
     @property
     def gear(self) -> FloatArray:
         """Torque of the gear over angle and velocity of motor and link: (4,)."""
-        n, k, c = self.joint.gear_ratio, self.stiffness, self.gear_damping
+        n, k, c = self.gear_ratio, self.gear_stiffness, self.gear_damping
         return np.array([n * k, n * c, -k, -c])
 
     def at_rest(self, names: Sequence[str]) -> FloatArray:
@@ -94,8 +87,8 @@ class _MotorAndLink:
 
         Dry friction holds what gear and drive leave.
         """
-        n, rest = self.joint.gear_ratio, np.zeros((len(names), 3))
-        rest[0, 0], rest[2, :2] = 1.0, (n, -1.0 / self.stiffness)
+        n, rest = self.gear_ratio, np.zeros((len(names), 3))
+        rest[0, 0], rest[2, :2] = 1.0, (n, -1.0 / self.gear_stiffness)
         rest[4] = 0.0, n, -self.torque_per_volt
         if _DRIVE_TORQUE in names:
             rest[names.index(_DRIVE_TORQUE), 2] = self.torque_per_volt
@@ -106,12 +99,11 @@ class _MotorAndLink:
     def equations(self, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
         """F (n, n) and G (n, 2) of dx = F x + G (u, t_int) for the states of `names`."""
         F, G = np.zeros((len(names), len(names))), np.zeros((len(names), 2))
-        n, gear = self.joint.gear_ratio, self.gear
         F[0, 1] = F[2, 3] = 1.0
-        F[1, :4] = -n * gear / self.motor_inertia
-        F[1, 1] -= self.motor_friction / self.motor_inertia
-        F[3, :4] = gear / self.link_inertia
-        F[3, 3] -= self.link_friction / self.link_inertia
+        F[1, :4] = -self.gear_ratio * self.gear / self.motor_inertia
+        F[1, 1] -= self.motor_viscous_friction / self.motor_inertia
+        F[3, :4] = self.gear / self.link_inertia
+        F[3, 3] -= self.link_viscous_friction / self.link_inertia
         F[1, names.index(_DISTURBANCE)] = 1.0 / self.motor_inertia
         G[3, 1] = -1.0 / self.link_inertia
         if _DRIVE_TORQUE in names:
@@ -201,12 +193,12 @@ def design_observers(
     motor encoders alone. Without `knows_interaction` the interaction torque counts as noise.
     """
     model = Arm.of(arm.study.arm)
-    inertias = link_inertias(arm, model, condition)
+    inertias = np.diagonal(LinksAt.of(model, condition).inertia(base_vector(model, arm.values)))
     observers = []
     for number, joint in enumerate(model.joints, start=1):
         if not joint.elastic or number in model.coupled_joints:
             continue  # a torsion behind a coupled transmission depends on several motors
-        plant = _MotorAndLink.of(arm, model, number, float(inertias[number - 1]))
+        plant = _DrivenJoint.of(arm, model, number, float(inertias[number - 1]))
         used, unused = measurements_of(arm, number, plant.mode_hz, clock.period, noise)
         if not uses_link_sensors:
             used, unused = used[:1], ()
@@ -216,7 +208,7 @@ def design_observers(
 
 
 def _noise_densities(
-    plant: _MotorAndLink, noise: IdentifiedNoise, *, knows_interaction: bool
+    plant: _DrivenJoint, noise: IdentifiedNoise, *, knows_interaction: bool
 ) -> tuple[float, float]:
     """Process noise of link velocity and disturbance: densities [unit^2 s] of the rates.
 
@@ -228,12 +220,12 @@ def _noise_densities(
     band = math.tau * (noise.torque_band_hz or _DEFAULT_BAND_HZ)
     error = noise.torques.get(plant.number) or _DEFAULT_ERROR_SHARE * plant.torque_per_volt
     unknown = 0.0 if knows_interaction else _INTERACTION_RATIO * plant.dry_friction
-    of_link = math.hypot(error, unknown) / plant.joint.gear_ratio / plant.link_inertia
+    of_link = math.hypot(error, unknown) / plant.gear_ratio / plant.link_inertia
     return 2.0 / band * of_link**2, 2.0 * band * (error**2 + plant.dry_friction**2)
 
 
 def _observer(
-    plant: _MotorAndLink,
+    plant: _DrivenJoint,
     clock: Clock,
     noise: tuple[float, float],
     measurements: tuple[Measurement, ...],
@@ -274,7 +266,7 @@ def _observer(
         names=tuple(names),
         measurements=measurements,
         unused=unused,
-        gear_ratio=plant.joint.gear_ratio,
+        gear_ratio=plant.gear_ratio,
         mode=math.tau * plant.mode_hz,
         link_inertia=plant.link_inertia,
     )
@@ -288,16 +280,13 @@ def _sampled(
     With a delay the last input is one more state.
     """
     n, T, late = len(F), clock.period, clock.delay
-    system = np.zeros((n + 2, n + 2))
-    system[:n, :n], system[:n, n:] = F, G
+    system = np.pad(np.hstack([F, G]), ((0, 2), (0, 0)))
     after, before = expm(system * (T - late)), expm(system * late)
     A = after[:n, :n] @ before[:n, :n]
     old = after[:n, :n] @ before[:n, n:]
     B = after[:n, n:].copy()
     B[:, 1] += old[:, 1]  # the interaction torque acts without the delay
-    pair = np.zeros((2 * n, 2 * n))
-    pair[:n, :n], pair[:n, n:], pair[n:, n:] = -F, np.diag(densities), F.T
-    exponential = expm(pair * T)
+    exponential = expm(np.block([[-F, np.diag(densities)], [np.zeros_like(F), F.T]]) * T)
     Q = exponential[n:, n:].T @ exponential[:n, n:]
     Q = 0.5 * (Q + Q.T)
     if not late:
@@ -307,7 +296,7 @@ def _sampled(
 
 
 def _readings(
-    plant: _MotorAndLink,
+    plant: _DrivenJoint,
     measurements: Sequence[Measurement],
     names: Sequence[str],
     F: FloatArray,
@@ -315,12 +304,11 @@ def _readings(
 ) -> tuple[FloatArray, FloatArray]:
     """C (n_readings, n) and D (n_readings,) of y = C x + D t_int."""
     C, D = np.zeros((len(measurements), len(names))), np.zeros(len(measurements))
-    ratio = plant.joint.gear_ratio
     rows: dict[Quantity, FloatArray] = {
         "motor_angle": np.array([1.0, 0.0, 0.0, 0.0]),
         "link_angle": np.array([0.0, 0.0, 1.0, 0.0]),
         "link_velocity": np.array([0.0, 0.0, 0.0, 1.0]),
-        "torsion": np.array([ratio, 0.0, -1.0, 0.0]),
+        "torsion": np.array([plant.gear_ratio, 0.0, -1.0, 0.0]),
         "gear_torque": plant.gear,
         "link_acceleration": F[3, :4],
     }

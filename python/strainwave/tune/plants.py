@@ -91,16 +91,14 @@ class Plants:
         inertia = self.rigid.T @ self.mass @ self.rigid
         return np.asarray(np.diagonal(inertia, axis1=1, axis2=2))
 
-    def resonances(self) -> list[tuple[FloatArray, FloatArray]]:
-        """Elastic modes with free motors: (frequencies [rad/s], damping ratios) of all plants."""
-        return self._oscillations(np.arange(self.mass.shape[1]))
+    def resonances(self, *, with_held_motors: bool = False) -> list[tuple[FloatArray, FloatArray]]:
+        """Elastic modes, slowest first: (frequencies [rad/s], damping ratios) of all plants.
 
-    def locked_resonances(self) -> list[tuple[FloatArray, FloatArray]]:
-        """Modes of the links while the motors are held: those that an ideal servo leaves."""
-        return self._oscillations(np.flatnonzero(~self.motors.any(axis=0)))
-
-    def _oscillations(self, free: IntArray) -> list[tuple[FloatArray, FloatArray]]:
-        """Modes of some coordinates, slowest first, while the others are at rest."""
+        Motors are free, or held: an ideal servo leaves the modes of the links with held motors.
+        """
+        free = np.arange(self.mass.shape[1])
+        if with_held_motors:
+            free = np.flatnonzero(~self.motors.any(axis=0))
         if not len(free):
             return []
         at = np.ix_(np.arange(len(self)), free, free)
@@ -222,17 +220,16 @@ class LinksAt:
         def columns(torques: FloatArray, others: FloatArray) -> FloatArray:
             return np.asarray(np.swapaxes(torques - others, 0, 1))
 
-        def regressor(angle: FloatArray, acceleration: FloatArray) -> FloatArray:
-            return model.base_regressor(angle, rest, acceleration)
-
-        inertia = columns(regressor(posture, unit), regressor(posture, rest))
-        gravity = columns(regressor(ahead, rest), regressor(behind, rest)) / (2.0 * _GRAVITY_STEP)
+        at_rest = model.base_regressor(posture, rest, rest)
+        inertia = columns(model.base_regressor(posture, rest, unit), at_rest)
+        torques = [model.base_regressor(at, rest, rest) for at in (ahead, behind)]
+        gravity = columns(*torques) / (2.0 * _GRAVITY_STEP)
         if load is None:
             return cls(inertia, gravity, np.zeros((n, n)), np.zeros((n, n)))
         # a payload is a part of the last link, whose parameters those of a chain have one by one
         chain = replace(model, kind="serial")
         vector = chain.payload_vector(load)
-        torques = (chain.link_torques(vector, at, rest, rest) for at in (ahead, behind))
+        torques = [chain.link_torques(vector, at, rest, rest) for at in (ahead, behind)]
         of_load = columns(*torques) / (2.0 * _GRAVITY_STEP)
         return cls(inertia, gravity, chain.inertia_matrix(vector, q), of_load)
 
@@ -276,9 +273,3 @@ def drawn_values(
         changed = {key: value + changes.get(key, 0.0) for key, value in estimates.items()}
         draws.append({key: max(value, least[key]) for key, value in changed.items()})
     return draws
-
-
-def link_inertias(arm: IdentifiedArm, model: Arm, condition: Condition) -> FloatArray:
-    """Diagonal of M(q) with the payload: (n_joints,) [kg m^2]."""
-    inertia = LinksAt.of(model, condition).inertia(base_vector(model, arm.values))
-    return np.diagonal(inertia).copy()

@@ -57,15 +57,14 @@ def read_payloads(texts: Sequence[str]) -> tuple[Payload, ...]:
     remedy = "give mass [kg] and centre of mass [m] in the last link's frame, such as 2,0.1,0,0"
     payloads = []
     for text in texts:
-        values = _numbers(text, "--payload", remedy)
-        if len(values) != 4:
+        mass, *centre = _numbers(text, "--payload", remedy)
+        if len(centre) != 3:
             raise InvalidInput(
-                f"{text!r} has {len(values)} of the four numbers mass,x,y,z",
+                f"{text!r} has {1 + len(centre)} of the four numbers mass,x,y,z",
                 where="--payload",
                 remedy=remedy,
             )
-        mass, x, y, z = values
-        payloads.append(Payload(mass, (x, y, z)))
+        payloads.append(Payload(mass, (centre[0], centre[1], centre[2])))
     return tuple(payloads)
 
 

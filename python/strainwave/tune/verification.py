@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -86,18 +87,18 @@ def compare_moves(
         end = posture.copy()
         end[i] += MOVE
         plan = shortest_plan(arm, posture, end, gains[0].period, limits)
-        drive, change = simulated.follow(gains, plan), end - posture
+        drive = simulated.follow(gains, plan)
         planned, planned_link = _simulate_all(simulated, draws, drive, i)
-        step, step_link = _simulate_all(simulated, draws, simulated.step(gains, plan, change), i)
-        of_current = None
-        if current is not None:
-            current_drive = simulated.step(current, plan, change)
-            of_current, _ = _simulate_all(simulated, draws, current_drive, i)
+        (step, step_link), *of_current = (
+            _simulate_all(simulated, draws, simulated.step(servo, plan, end - posture), i)
+            for servo in (gains, current)
+            if servo is not None
+        )
         comparisons.append(
             MoveComparison(
                 joint=i + 1,
                 duration=float(plan.time[-1]),
-                current=of_current,
+                current=of_current[0][0] if of_current else None,
                 step=step,
                 planned=planned,
                 time=drive.tick * np.arange(len(step_link), dtype=np.float64),
@@ -150,16 +151,14 @@ class Simulated:
         no position loop.
         """
         period = gains[0].period
-        laws = [each.law() for each in gains]
-        used = [np.array([1.0, 0.0 if each.position_gain else 1.0, 1.0]) for each in gains]
-        without = [
-            replace(law, B=law.B * columns, D=law.D * columns)
-            for law, columns in zip(laws, used, strict=True)
-        ]
+        laws = []
+        for each in gains:
+            law, used = each.law(), np.array([1.0, 0.0 if each.position_gain else 1.0, 1.0])
+            laws.append(replace(law, B=law.B * used, D=law.D * used))
         reference = np.zeros((round(_SECONDS / period), len(gains)))
         reference[0] = self.model.motor_accelerations(change[None])[0] / period
         held = np.broadcast_to(plan.voltage[0], reference.shape)
-        return self.drive(without, plan, reference, held)
+        return self.drive(laws, plan, reference, held)
 
     def drive(
         self,
@@ -263,6 +262,16 @@ class PlannedInputs:
     motion: JointMotion
     model: Arm
 
+    @classmethod
+    def of(cls, arm: IdentifiedArm, planned: FloatArray, period: float) -> Self:
+        """The inputs for planned link angles (n_samples, n_joints)."""
+        velocity = np.gradient(planned, period, axis=0)
+        motion = JointMotion(planned, velocity, np.gradient(velocity, period, axis=0))
+        model = with_places(arm)
+        base = base_vector(model, arm.values)
+        torques = model.link_torques(base, motion.angle, motion.velocity, motion.acceleration)
+        return cls(torques, motion, model)
+
     def interaction(self, observer: Observer) -> FloatArray:
         """Interaction torque (n_samples,) [N m]: without the acceleration of the joint itself."""
         i = observer.joint - 1
@@ -319,7 +328,7 @@ def estimation_errors(
     runs = simulate_arms(
         model, draws, drive, sample_time=drive.tick, samples=samples, record=list(record)
     )
-    inputs = planned_inputs(simulated.arm, planned, drive.tick)
+    inputs = PlannedInputs.of(simulated.arm, planned, drive.tick)
     results = []
     for observer, by_encoder in zip(observers, encoder_observers, strict=True):
         i = observer.joint - 1
@@ -335,12 +344,9 @@ def estimation_errors(
             np.stack([angle, velocity], axis=-1),
         ]
         link = np.stack([runs["link_angle"][..., i], runs["link_velocity"][..., i]], axis=-1)
-        errors = [each - link for each in estimates]
+        errors = np.array(estimates) - link
         # the largest of all runs, of angle and velocity
-        rms = (np.sqrt(np.mean(each**2, axis=1)).max(axis=0).tolist() for each in errors)
-        own, encoder, without, motor = rms
-        pair = [errors[3][0, :, 0], errors[0][0, :, 0]]
-        time: FloatArray = drive.tick * np.arange(samples, dtype=np.float64)
+        own, encoder, without, motor = np.sqrt(np.mean(errors**2, axis=2)).max(axis=1).tolist()
         results.append(
             EstimationError(
                 joint=observer.joint,
@@ -351,22 +357,11 @@ def estimation_errors(
                 velocity_by_motor=motor[1],
                 velocity_by_encoder=encoder[1],
                 velocity_by_observer=own[1],
-                time=time,
-                errors=np.stack(pair, axis=1),
+                time=drive.tick * np.arange(samples, dtype=np.float64),
+                errors=errors[[3, 0], 0, :, 0].T,
             )
         )
     return tuple(results)
-
-
-def planned_inputs(arm: IdentifiedArm, planned: FloatArray, period: float) -> PlannedInputs:
-    """What observers know of planned link angles (n_samples, n_joints)."""
-    velocity = np.gradient(planned, period, axis=0)
-    motion = JointMotion(planned, velocity, np.gradient(velocity, period, axis=0))
-    model = with_places(arm)
-    torques = model.link_torques(
-        base_vector(model, arm.values), motion.angle, motion.velocity, motion.acceleration
-    )
-    return PlannedInputs(torques, motion, model)
 
 
 def estimate_link(
@@ -399,16 +394,11 @@ def read_runs(
     runs: Runs, measurements: Sequence[Measurement], i: int, rng: np.random.Generator
 ) -> FloatArray:
     """Readings (n_runs, n_samples, n_readings) of the sensors of joint i, from 0, with errors."""
-    columns = []
+    columns, n_runs = [], len(runs["voltage"])
+    each_run = [{name: rows[run] for name, rows in runs.items()} for run in range(n_runs)]
     for one in measurements:
         if one.axes:
-            readings = [
-                [
-                    axis.reading({name: rows[run] for name, rows in runs.items()}, {})
-                    for axis in one.axes
-                ]
-                for run in range(len(runs["voltage"]))
-            ]
+            readings = [[axis.reading(run, {}) for axis in one.axes] for run in each_run]
             column = np.einsum("a,rat->rt", np.array(one.weights), np.array(readings))
         else:
             column = runs["motor_angle"][..., i]

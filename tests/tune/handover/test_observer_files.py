@@ -18,9 +18,9 @@ from strainwave.tune.handover.texts import to_c_header, to_markdown, to_script
 from strainwave.tune.link_measurements import with_places
 from strainwave.tune.observer import Observer
 from strainwave.tune.verification import (
+    PlannedInputs,
     Simulated,
     estimate_link,
-    planned_inputs,
     read_runs,
     shortest_plan,
 )
@@ -59,7 +59,7 @@ def simulated(design: ServoDesign, one: Observer) -> tuple[FloatArray, FloatArra
         sample_time=drive.tick, samples=len(planned),
         record=["voltage", "motor_angle", "link_angle", "link_velocity", *sorted(names)],
     )  # fmt: skip
-    inputs = planned_inputs(design.arm, planned, drive.tick)
+    inputs = PlannedInputs.of(design.arm, planned, drive.tick)
     readings = read_runs(runs, one.measurements, i, np.random.default_rng(2))
     readings = readings[0] - inputs.known_readings(one)
     columns = [runs["voltage"][0, :, i], inputs.interaction(one), *readings.T]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,8 @@ from strainwave.tune.damping import Damping
 from strainwave.tune.design import JointServo, ServoDesign
 from strainwave.tune.margins import Margins, margin_summaries
 from strainwave.tune.observer import OUTPUTS, Observer
-from strainwave.tune.shaper_ranking import RankedShaper
+from strainwave.tune.shapers import RankedShaper
+from strainwave.tune.verification import EstimationError
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +57,8 @@ _READING = (
     *("name", "channels", "weights", "quantity", "factor", "unit", "std", "source"),
     "has_bias",
 )
-_ERRORS = (
-    "by_motor",
-    "by_encoder",
-    "by_observer",
-    "without_interaction",
-    "velocity_by_motor",
-    "velocity_by_encoder",
-    "velocity_by_observer",
+_ERRORS = tuple(
+    field.name for field in fields(EstimationError) if field.name not in ("joint", "time", "errors")
 )
 
 
@@ -106,27 +101,23 @@ def to_json(design: ServoDesign) -> str:
 def _joint(design: ServoDesign, servo: JointServo) -> dict[str, Any]:
     number = servo.joint
     units = Units.of(design.arm.joint(number))
-    current = None
-    if servo.current is not None:
-        results = servo.current_results
-        current = {
-            **_gains(servo.current),
-            "is_stable": results is not None,
-            "margins": results and _margins(design, results.margins),
-            "step": results and _step(results.steps),
-        }
+    results = servo.current_results
+    current = servo.current and {
+        **_gains(servo.current),
+        "is_stable": results is not None,
+        "margins": results and _margins(design, results.margins),
+        "step": results and _step(results.steps),
+    }
     return {
         "joint": number,
         "name": design.arm.study.arm.joint_names[number - 1],
-        "units": {
-            "motor_angle": units.angle,
-            "limit": units.input,
-            "kp": units.kp,
-            "ki": units.ki,
-        },
+        "units": {"motor_angle": units.angle, "limit": units.input, "kp": units.kp, "ki": units.ki},
         "limit": float(design.limits[number - 1]),
         **_gains(servo.tuned.gains),
-        "filters": [asdict(one) for one in servo.tuned.gains.filters],
+        "filters": [
+            {"hz" if key == "frequency_hz" else key: value for key, value in asdict(one).items()}
+            for one in servo.tuned.gains.filters
+        ],
         "law": _law(servo.tuned.gains.law()),
         "bandwidth_is_limited_by": servo.tuned.limit,
         "margins": _margins(design, servo.results.margins),
@@ -155,7 +146,7 @@ def _margins(design: ServoDesign, margins: Margins) -> dict[str, Any]:
             "unit": one.unit,
             "required": one.required,
             "worst": one.least,
-            "worst_hz": one.hz,
+            "worst_hz": one.frequency_hz,
             "worst_condition": int(design.condition[one.plant]),
             "worst_draw": int(design.draw[one.plant]),
             "median": one.median,

@@ -17,26 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from strainwave.domain import Joint
 from strainwave.export.omissions import sentence_of
 from strainwave.io.templates import fill_text
-from strainwave.tune.closed_loop import Biquad, Gains
+from strainwave.tune.closed_loop import Biquad
 from strainwave.tune.design import ServoDesign
 from strainwave.tune.handover.json_document import Units
-
-
-def effort_pid(gains: Gains, limit: float, joint: Joint, ratio: float) -> dict[str, float]:
-    """Effort per position, per its integral and per velocity of a joint, and its largest effort.
-
-    `ratio` n is that of the joint to its motor; filters are neglected.
-    """
-    per_motor = joint.torque_per_command / ratio**2
-    return {
-        "p": per_motor * (gains.kp * gains.position_gain + gains.ki),
-        "i": per_motor * gains.ki * gains.position_gain,
-        "d": per_motor * gains.kp,
-        "max_effort": joint.torque_per_command * limit / abs(ratio),
-    }
 
 
 def low_pass_hz(one: Biquad, period: float) -> float | None:
@@ -48,7 +33,7 @@ def low_pass_hz(one: Biquad, period: float) -> float | None:
     """
     if one.kind != "low-pass":
         return None
-    periods = np.sqrt(0.5) / np.tan(np.pi * one.hz * period)  # of delay
+    periods = np.sqrt(0.5) / np.tan(np.pi * one.frequency_hz * period)  # of delay
     return float(-np.log(1.0 - 1.0 / periods) / (2.0 * np.pi * period)) if periods > 1.0 else None
 
 
@@ -63,7 +48,14 @@ def to_ros2_control(design: ServoDesign) -> str:
         ratio = 1.0 if arm.is_coupled else joint.gear_ratio
         units = Units.of(joint)
         effort = units.input if joint.known_torque_per_volt is None else units.torque
-        pid = effort_pid(gains, limit, joint, ratio)
+        torque_per_command = joint.torque_per_command
+        per_motor = torque_per_command / ratio**2
+        pid = {
+            "p": per_motor * (gains.kp * gains.position_gain + gains.ki),
+            "i": per_motor * gains.ki * gains.position_gain,
+            "d": per_motor * gains.kp,
+            "max_effort": torque_per_command * limit / abs(ratio),
+        }
         joints.append((name, units, effort, pid, gains.filters))
         corners = [hz for one in gains.filters if (hz := low_pass_hz(one, period)) is not None]
         if corners:

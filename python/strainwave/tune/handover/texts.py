@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from strainwave.tune.closed_loop import Gains
 from strainwave.tune.design import ServoDesign
 from strainwave.tune.handover.json_document import Units
 from strainwave.tune.margins import margin_summaries
-from strainwave.tune.observer import OUTPUTS, Observer
+from strainwave.tune.observer import OUTPUTS
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -64,7 +63,7 @@ def difference_equations(gains: Gains, limit: float, units: Units) -> list[tuple
             f"{now}[k] = {b0!r}*{last}[k] + {b1!r}*{last}[k-1] + {b2!r}*{last}[k-2]"
             f" - ({a1!r})*{now}[k-1] - ({a2!r})*{now}[k-2]"
         )
-        lines.append((equation, f"{one.kind} at {one.hz:.4g} Hz [{units.input}]"))
+        lines.append((equation, f"{one.kind} at {one.frequency_hz:.4g} Hz [{units.input}]"))
     end = f"g{len(gains.filters)}"
     lines.append(
         (
@@ -77,30 +76,7 @@ def difference_equations(gains: Gains, limit: float, units: Units) -> list[tuple
 
 def to_markdown(design: ServoDesign) -> str:
     """Difference equations, gains with units and margins of each joint; shapers; conditions."""
-    joints = []
-    for each in design.joints:
-        gains, units = each.tuned.gains, Units.of(design.arm.joint(each.joint))
-        joints.append(
-            (
-                each,
-                design.arm.study.arm.joint_names[each.joint - 1],
-                units,
-                difference_equations(gains, design.limits[each.joint - 1], units),
-                [
-                    (one, design.condition[one.plant] + 1)
-                    for one in margin_summaries(each.results.margins, design.options.required)
-                ],
-            )
-        )
-    return fill_text(
-        Path(__file__).with_name("servo.md.j2"),
-        design=design,
-        joints=joints,
-        limits=_LIMITS,
-        shaper=next(iter(design.shapers), None),
-        hold=HOLD,
-        sentence_of=sentence_of,
-    )
+    return _filled("servo.md.j2", design, limits=_LIMITS, margin_summaries=margin_summaries)
 
 
 def to_c_header(design: ServoDesign) -> str:
@@ -112,33 +88,15 @@ def to_c_header(design: ServoDesign) -> str:
     laws += [
         (f"{one.joint}_DAMPED", one.joint, one.law) for one in design.dampings if not one.reason
     ]
-    n_states = max(len(law.A) for _, _, law in laws)
-    entries = []
-    for macro, number, law in laws:
-        rows = {name: getattr(law, name) for name in "ABCDE"}
-        rows |= {"holds": law.holds.astype(int), "rest": law.rest()}
-        values = {name: _initializer(row) for name, row in rows.items()}
-        unit = Units.of(design.arm.joint(number)).input
-        name = design.arm.study.arm.joint_names[number - 1]
-        limit = float(design.limits[number - 1])
-        entries.append((macro, number, name, len(law.A), limit, unit, law.names, values))
-    observers = [
-        (one.joint, one.system, {name: _initializer(getattr(one.system, name)) for name in "ABCD"})
-        for one in design.observers
-    ]
-    return fill_text(
-        Path(__file__).with_name("servo.h.j2"),
+    return _filled(
+        "servo.h.j2",
+        design,
         prefix=HEADER_PREFIX,
-        period=design.clock.period,
-        delay=design.clock.delay,
-        n_states=n_states,
-        n_joints=len(design.gains),
-        laws=entries,
-        observers=observers,
-        n_observed=max((len(system.A) for _, system, _ in observers), default=0),
-        n_inputs=max((len(system.inputs) for _, system, _ in observers), default=0),
-        shaper=next(iter(design.shapers), None),
+        n_states=max(len(law.A) for _, _, law in laws),
+        laws=laws,
+        observers=[(one.joint, one.system) for one in design.observers],
         notes=_C_NOTES,
+        initializer=_initializer,
         comment=lambda text: text.replace("*/", "* /"),  # which would end it
     )
 
@@ -151,49 +109,34 @@ def _initializer(values: FloatArray) -> str:
 
 def to_script(design: ServoDesign) -> str:
     """Script with `servo(i)`: gains, matrices, `ss` model and the `tf` of each filter."""
-    joints = []
-    for each in design.joints:
-        gains, units = each.tuned.gains, Units.of(design.arm.joint(each.joint))
-        law = gains.law()
-        equations = difference_equations(gains, design.limits[each.joint - 1], units)
-        states = _cell(_state_names(law))
-        joints.append((each.joint, gains, units, _matrices(law), states, equations))
-    return fill_text(
-        Path(__file__).with_name("servo.m.j2"),
-        design=design,
-        joints=joints,
-        inputs=_cell(INPUTS),
-        observers=[_observer(one) for one in design.observers],
-        damped=[(one, _matrices(one.law)) for one in design.dampings if not one.reason],
-        shaper=next(iter(design.shapers), None),
+    return _filled(
+        "servo.m.j2",
+        design,
+        inputs=INPUTS,
+        outputs=OUTPUTS,
         notes=_MATLAB_NOTES,
-        hold=HOLD,
-        sentence_of=sentence_of,
+        matrix=_matrix,
+        cell=lambda names: "{" + ", ".join(f"'{name}'" for name in names) + "}",
+        state_names=_state_names,
     )
 
 
-def _observer(observer: Observer) -> tuple[Observer, dict[str, str], dict[str, str]]:
-    system = observer.system
-    names = {
-        "StateName": _cell(system.states),
-        "InputName": _cell(system.inputs),
-        "OutputName": _cell(OUTPUTS),
-    }
-    return observer, {name: _matrix(getattr(system, name)) for name in "ABCD"}, names
-
-
-def _matrices(law: ControlLaw) -> dict[str, str]:
-    rows = {name: _matrix(getattr(law, name)) for name in "ABCD"}
-    return rows | {"E": _matrix(law.E[:, None])}
+def _filled(template: str, design: ServoDesign, **values: Any) -> str:
+    return fill_text(
+        Path(__file__).with_name(template),
+        design=design,
+        shaper=next(iter(design.shapers), None),
+        units_of=lambda joint: Units.of(design.arm.joint(joint)),
+        difference_equations=difference_equations,
+        hold=HOLD,
+        sentence_of=sentence_of,
+        **values,
+    )
 
 
 def _matrix(matrix: FloatArray) -> str:
     rows = (", ".join(map(repr, row)) for row in np.atleast_2d(matrix).tolist())
     return f"[{'; '.join(rows)}]"
-
-
-def _cell(names: Sequence[str]) -> str:
-    return "{" + ", ".join(f"'{name}'" for name in names) + "}"
 
 
 def _state_names(law: ControlLaw) -> list[str]:

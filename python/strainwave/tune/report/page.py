@@ -231,13 +231,13 @@ def _loops_of(joint: JointServo, required: float) -> Figure:
     gain, phase, distance = list[Mark](), list[Mark](), list[Mark]()
     for name, colour, dash, results in servos:
         band = results.band
-        shown = np.flatnonzero(band.hz >= _LOWEST_SHARE * lowest)
+        shown = np.flatnonzero(band.frequency_hz >= _LOWEST_SHARE * lowest)
         rows = shown[decimate(band.gain_db[shown], _MAX_ROWS)]
         near = np.minimum(band.distance, 2.0 * _FARTHEST)
         pairs = ((gain, band.gain_db), (phase, band.phase_deg), (distance, near))
         for marks, values in pairs:
-            marks.extend(_band(band.hz[rows], values[rows], name, colour, dash))
-    ends, level = joint.results.band.hz[shown[[0, -1]]], np.full(2, required)
+            marks.extend(_band(band.frequency_hz[rows], values[rows], name, colour, dash))
+    ends, level = joint.results.band.frequency_hz[shown[[0, -1]]], np.full(2, required)
     distance.append(Line(ends, level, "required distance", Colour.RESIDUAL, DOTTED))
     panels = (
         Panel(Axis("gain [dB]", range=_GAIN_RANGE), tuple(gain)),

@@ -17,7 +17,7 @@ from strainwave.tune.closed_loop import Biquad, Gains
 from strainwave.tune.design import JointServo, LoopResults, ServoDesign
 from strainwave.tune.handover.json_document import Units
 from strainwave.tune.margins import Margins, MarginSummary, margin_summaries
-from strainwave.tune.shaper_ranking import RankedShaper
+from strainwave.tune.shapers import RankedShaper
 from strainwave.tune.verification import MOVE, Move
 
 N_SHOWN_SHAPERS = 5
@@ -52,7 +52,7 @@ def current_sentences(design: ServoDesign) -> Iterator[str]:
 def _at(margin: MarginSummary) -> str:
     if not math.isfinite(margin.least):
         return f"no limit of the {margin.name}"
-    return f"{margin.least:.3g} {_UNIT_WORDS[margin.unit]} at {margin.hz:.3g} Hz"
+    return f"{margin.least:.3g} {_UNIT_WORDS[margin.unit]} at {margin.frequency_hz:.3g} Hz"
 
 
 def limit_sentence(design: ServoDesign, joint: JointServo) -> str:
@@ -66,8 +66,8 @@ def limit_sentence(design: ServoDesign, joint: JointServo) -> str:
         )
     worst = min(worst_margins(design, joint.results.margins), key=lambda m: m.share)
     return (
-        f"joint {joint.joint} is limited by its {worst.name} margin at {worst.hz:.3g} Hz, "
-        f"{plant_words(design, worst.plant)}"
+        f"joint {joint.joint} is limited by its {worst.name} margin at {worst.frequency_hz:.3g} "
+        f"Hz, {plant_words(design, worst.plant)}"
     )
 
 
@@ -144,8 +144,8 @@ def _servos(design: ServoDesign) -> Iterator[tuple[str, str, Gains, LoopResults]
 def _filter_words(one: Biquad) -> str:
     """Kind and frequency of a filter."""
     if one.kind == "notch":
-        return f"notch {one.hz:.3g} Hz, width {one.width:.2g}, depth {one.depth:.2g}"
-    return f"{one.kind} {one.hz:.3g} Hz"
+        return f"notch {one.frequency_hz:.3g} Hz, width {one.width:.2g}, depth {one.depth:.2g}"
+    return f"{one.kind} {one.frequency_hz:.3g} Hz"
 
 
 def worst_margin_table(design: ServoDesign) -> Iterator[Table]:
@@ -160,7 +160,7 @@ def worst_margin_table(design: ServoDesign) -> Iterator[Table]:
                     f"{worst.name} [{unit}]" if unit else worst.name,
                     number(f"{worst.least:.3g}" if is_finite else "no limit"),
                     number(f"{worst.required:g}"),
-                    number(f"{worst.hz:.3g}" if is_finite else ""),
+                    number(f"{worst.frequency_hz:.3g}" if is_finite else ""),
                     prose(plant_words(design, worst.plant) if is_finite else ""),
                 )
             )
