@@ -75,7 +75,7 @@ class WeightedEquations:
     known: RigidKnowledge  # values of the rigid model, part of the equations
     root: FloatArray  # (n_rows,) square roots of the weights
     x: FloatArray  # point of linearisation
-    standing: float = _STICTION_STD  # prior standard deviation of the free friction, in f
+    stiction_std: float = _STICTION_STD  # prior standard deviation of the free friction, in f
 
     @property
     def band(self) -> Band:
@@ -85,7 +85,7 @@ class WeightedEquations:
     def of_record(self, k: int) -> WeightedEquations:
         """The equations of record `k` alone, with the values of the rigid model."""
         pieces, known = self.pieces[k : k + 1], self.known.of_record(k)
-        equations = _assemble(pieces, known, self.x, self.standing)
+        equations = _assemble(pieces, known, self.x, self.stiction_std)
         record_root = self.root[self.equations.group // 2 == k]
         root = np.ones_like(equations.target)
         root[: len(record_root)] = record_root
@@ -102,7 +102,7 @@ class WeightedEquations:
             factor = ls.factorise(equations, root)
             has_converged = bool(np.all(np.abs(factor.value - x) <= within * factor.deviation))
             x = factor.value
-            equations = _assemble(self.pieces, self.known, x, self.standing)
+            equations = _assemble(self.pieces, self.known, x, self.stiction_std)
             root = ls.root_weights(equations, factor)
             if has_converged:
                 break
@@ -116,7 +116,7 @@ class WeightedEquations:
         estimates, depend on their noise.
         """
         equations = _assemble(self.pieces, self.known, self.x, _SIGN_FRICTION_STD)
-        return replace(self, equations=equations, standing=_SIGN_FRICTION_STD)
+        return replace(self, equations=equations, stiction_std=_SIGN_FRICTION_STD)
 
     def rigid_errors(self, factor: ls.Factor) -> FloatArray:
         """Changes of the unknowns for each error of the rigid model, one column per error."""
@@ -248,7 +248,7 @@ def _assemble(
     pieces: Sequence[FilteredColumns],
     known: RigidKnowledge,
     x: FloatArray,
-    standing: float = _STICTION_STD,
+    stiction_std: float = _STICTION_STD,
 ) -> ls.Equations:
     """Equations (S6) and (S7) of all records around x, then those of the rigid model."""
     shared, local, target, group, block, free_friction_std = [], [], [], [], [], []
@@ -273,7 +273,7 @@ def _assemble(
         target += [p.torque, p.torsion[:, 0] + x[_COMPLIANCE] * link_torque]
         group += [np.full(n_rows, 2 * number), np.full(n_rows, 2 * number + 1)]
         block += [block_index, block_index]
-        free_friction_std += [max(standing * abs(float(x[_COULOMB])), 1e-300)] * n_free
+        free_friction_std += [max(stiction_std * abs(float(x[_COULOMB])), 1e-300)] * n_free
     prior_rows, prior_target = _prior_equations(known, pieces[0].ratio)
     prior_group = np.full(len(prior_target), ls.PRIOR_GROUP)
     rows = np.concatenate([*shared, prior_rows])

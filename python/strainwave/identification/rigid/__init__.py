@@ -39,6 +39,7 @@ from strainwave.identification.rigid.bandwidth import (
 from strainwave.identification.rigid.bounds import Bounded, bound
 from strainwave.identification.rigid.drive_gains import estimate_drive_gains, gain_sensitivity
 from strainwave.identification.rigid.equations import FurtherTerm, MotorShares, anti_resonances
+from strainwave.identification.rigid.filtered_record import decimation, n_compliances, sample_motion
 from strainwave.identification.rigid.friction_terms import (
     MAX_POWER_RATIO,
     corrected_motions,
@@ -55,7 +56,6 @@ from strainwave.identification.rigid.model_choice import (
     candidates_of,
     is_selected,
 )
-from strainwave.identification.rigid.stretch import decimation, n_compliances, sample_motion
 from strainwave.identification.rigid.torque_constants import torque_ratios
 from strainwave.identification.rigid.trial import Trial, fit_trial
 from strainwave.identification.rigid.trial_warnings import warnings_of

@@ -9,7 +9,7 @@ import numpy as np
 from strainwave.domain import FloatArray, Signals
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.rigid.equations import convert_estimate
-from strainwave.identification.rigid.stretch import FilteredRecord, n_compliances, prepare
+from strainwave.identification.rigid.filtered_record import FilteredRecord, n_compliances, prepare
 from strainwave.identification.rigid.trial import Trial, fit_trial
 
 _BANDWIDTH_RATIO = 2.0**0.5  # ratio of successive bandwidths; squared if no gear is elastic

@@ -37,7 +37,7 @@ from strainwave.identification.rigid.bandwidth import (
     select_bandwidth,
 )
 from strainwave.identification.rigid.equations import Estimate, assemble
-from strainwave.identification.rigid.stretch import FilteredRecord
+from strainwave.identification.rigid.filtered_record import FilteredRecord
 from strainwave.identification.rigid.trial import Trial, fit_trial
 from strainwave.numerics import least_squares as ls
 from strainwave.numerics.parallel import one_blas_thread
@@ -170,11 +170,14 @@ def _extended(equations: ls.Equations, columns: FloatArray) -> ls.Equations:
 
 
 def _torque_rows(
-    arm: Arm, stretches: Sequence[FilteredRecord], around: Estimate | None, equations: ls.Equations
+    arm: Arm,
+    stretches: Sequence[FilteredRecord],
+    linearised_at: Estimate | None,
+    equations: ls.Equations,
 ) -> FloatArray:
     """The part of the target that is the measured torque: (n_rows,)."""
     unmoved = [replace(s, torque=np.zeros_like(s.torque)) for s in stretches]
-    return np.asarray(equations.target - assemble(arm, unmoved, around).target)
+    return np.asarray(equations.target - assemble(arm, unmoved, linearised_at).target)
 
 
 def _is_of(equations: ls.Equations, joints: IntArray) -> BoolArray:

@@ -27,7 +27,7 @@ from strainwave.dynamics.rigid_prediction import (
     gear_load,
 )
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.rigid.stretch import FilteredRecord, motion_of, n_compliances
+from strainwave.identification.rigid.filtered_record import FilteredRecord, motion_of, n_compliances
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.least_squares import Equations, Factor, Local
 from strainwave.numerics.linalg import Banded
@@ -70,7 +70,7 @@ class Estimate:
     solution: FloatArray  # (n_parameters,)
     compliance: FloatArray  # (n_joints,) [rad/(N m)] link side, at least 0
     # per record (n_motion, n_joints) free friction [N m], or empty
-    standing: tuple[FloatArray, ...]
+    stiction_torque: tuple[FloatArray, ...]
     shares: MotorShares
 
 
@@ -83,13 +83,13 @@ def convert_estimate(
     interpolated to the motion's samples at the other bandwidth.
     """
     stiction_torque = []
-    for friction, old, new in zip(estimate.standing, before, after, strict=True):
+    for friction, old, new in zip(estimate.stiction_torque, before, after, strict=True):
         old_samples, target_samples = old.motion_samples(), new.motion_samples()
         columns = [
             np.interp(target_samples, old_samples, column) for column in friction.T if len(column)
         ]
         stiction_torque.append(np.column_stack(columns) if columns else friction)
-    return replace(estimate, standing=tuple(stiction_torque))
+    return replace(estimate, stiction_torque=tuple(stiction_torque))
 
 
 ALL_JOINTS = -1
@@ -155,15 +155,15 @@ class Terms:
         return np.array([*sizes, *(_LOG_SHAPE_STD for c in self.candidates if c.size is not None)])
 
     def columns(
-        self, arm: Arm, stretch: FilteredRecord, record: int, around: Estimate
+        self, arm: Arm, stretch: FilteredRecord, record: int, linearised_at: Estimate
     ) -> FloatArray:
         """Regressors in the order of `deviations`, (n_rows, n_joints, n_columns).
 
         The load is that of the gears by the estimate, without friction.
         """
         q, dq, ddq = stretch.link_motion(arm)
-        solution, payload = around.solution, stretch.signals.experiment.payload
-        share = around.shares.inertia
+        solution, payload = linearised_at.solution, stretch.signals.experiment.payload
+        share = linearised_at.shares.inertia
         load = gear_load(arm, solution, (q, dq, ddq), payload, share)
         base = arm.links_of_rigid() @ solution[: arm.n_body] + arm.payload_vector(payload)
         velocity, direction = stretch.motion[1], self.direction[record]
@@ -225,7 +225,7 @@ class Terms:
 def assemble(
     arm: Arm,
     stretches: Sequence[FilteredRecord],
-    around: Estimate | None,
+    linearised_at: Estimate | None,
     terms: Terms | None = None,
 ) -> Equations:
     """Assemble the equations of all records and joints.
@@ -236,17 +236,19 @@ def assemble(
     proportion to the time in which joints slide. The offset of a joint that slides in one direction
     only is zero, because it acts as Coulomb friction.
 
-    Without `around`, the joints are rigid, the prior of the free friction is the size of the
+    Without `linearised_at`, the joints are rigid, the prior of the free friction is the size of the
     torque, and there are no `terms`, whose unknowns are common to all rows.
     """
-    n_elastic = n_compliances(arm) if around is not None else 0
-    parts = list(_parts(arm, stretches, around, terms if around is not None else None))
+    n_elastic = n_compliances(arm) if linearised_at is not None else 0
+    parts = list(
+        _parts(arm, stretches, linearised_at, terms if linearised_at is not None else None)
+    )
     term_std = np.zeros(0)
-    if terms is not None and around is not None:
+    if terms is not None and linearised_at is not None:
         term_std = terms.deviations(arm, stretches)
     compliance_std = np.zeros(0)
-    if around is not None and n_elastic:
-        compliance_std = _compliance_std(arm, stretches, around)
+    if linearised_at is not None and n_elastic:
+        compliance_std = _compliance_std(arm, stretches, linearised_at)
     ends = np.cumsum([0, *(len(part.target) for part in parts)])
     return Equations(
         shared=np.concatenate([part.shared for part in parts]),
@@ -282,19 +284,22 @@ class _Part:
 
 
 def _parts(
-    arm: Arm, stretches: Sequence[FilteredRecord], around: Estimate | None, terms: Terms | None
+    arm: Arm,
+    stretches: Sequence[FilteredRecord],
+    linearised_at: Estimate | None,
+    terms: Terms | None,
 ) -> Iterator[_Part]:
     """Equations record by record and joint by joint."""
     first_block, counts = 0, blocks_of(stretches)
     is_two_way = slides_both_ways(stretches)
     for record, stretch in enumerate(stretches):
-        body = _body_equations(arm, stretch, around, record)
+        body = _body_equations(arm, stretch, linearised_at, record)
         n_blocks = counts[record]
         block = first_block + stretch.blocks(n_blocks)
         first_block += n_blocks
         common = body.lags
-        if terms is not None and around is not None:
-            of_terms = terms.columns(arm, stretch, record, around)
+        if terms is not None and linearised_at is not None:
+            of_terms = terms.columns(arm, stretch, record, linearised_at)
             common = np.concatenate([common, of_terms], axis=2)
         shared = arm.shared_friction_regressor(stretch.friction[:, :, 0])
         for i, free in enumerate(stretch.free):
@@ -306,8 +311,8 @@ def _parts(
             X[:, friction] -= body.own_lag[:, i]
             X[:, len(arm.rigid_columns) - arm.n_shared :] = shared[:, i] - body.shared_lag[:, i]
             keep = np.flatnonzero(stretch.keep[:, i])
-            if around is not None:
-                coulomb = float(around.solution[friction + 1])
+            if linearised_at is not None:
+                coulomb = float(linearised_at.solution[friction + 1])
             else:  # a record at an edge throughout has no rows
                 coulomb = float(np.std(stretch.torque[:, i])) if len(stretch.rows) else 0.0
             yield _Part(
@@ -359,8 +364,10 @@ def estimate_of(
         compliance = np.clip(factor.common[:n], 0.0, upper_bound) * elastic
     stiction_torque, start = [], 0
     for stretch in stretches:
-        friction = np.zeros_like(stretch.motion[0] if stretch.standing else stretch.torque[:0])
-        for i, (near, shapes) in enumerate(stretch.standing):
+        friction = np.zeros_like(
+            stretch.motion[0] if stretch.stiction_shapes else stretch.torque[:0]
+        )
+        for i, (near, shapes) in enumerate(stretch.stiction_shapes):
             friction[near, i] = shapes @ factor.local[start : start + shapes.n_columns]
             start += shapes.n_columns
         stiction_torque.append(friction)
@@ -372,7 +379,9 @@ def average_estimates(one: Estimate, other: Estimate) -> Estimate:
     return Estimate(
         0.5 * (one.solution + other.solution),
         0.5 * (one.compliance + other.compliance),
-        tuple(0.5 * (a + b) for a, b in zip(one.standing, other.standing, strict=True)),
+        tuple(
+            0.5 * (a + b) for a, b in zip(one.stiction_torque, other.stiction_torque, strict=True)
+        ),
         other.shares,
     )
 
@@ -400,10 +409,10 @@ class _BodyEquations:
 
 
 def _body_equations(
-    arm: Arm, stretch: FilteredRecord, around: Estimate | None, record: int
+    arm: Arm, stretch: FilteredRecord, linearised_at: Estimate | None, record: int
 ) -> _BodyEquations:
     links = stretch.link_motion(arm)
-    if around is None or not n_compliances(arm):
+    if linearised_at is None or not n_compliances(arm):
         phi = stretch.body
         if not phi.size:
             phi = stretch.filtered(body_regressor(arm, links, stretch.torsion))
@@ -411,42 +420,42 @@ def _body_equations(
         shape = len(phi), arm.n_joints
         lags, shared_lag = np.zeros((*shape, 0)), np.zeros((*shape, arm.n_shared))
         return _BodyEquations(phi, lags, torque, np.zeros(shape), shared_lag)
-    gear = _gear_torque(arm, stretch, around, around.standing[record])
+    gear = _gear_torque(arm, stretch, linearised_at, linearised_at.stiction_torque[record])
     interval = stretch.motion_step * stretch.signals.sample_time
     dgear = differentiate(gear, interval)
     ddgear = differentiate(dgear, interval)
-    c = around.compliance
+    c = linearised_at.compliance
     angle, torsion = links[0], (c * gear, c * dgear, c * ddgear)
     links = [x - twist for x, twist in zip(links, torsion, strict=True)]
-    phi = body_regressor(arm, links, torsion, around.shares.inertia)
+    phi = body_regressor(arm, links, torsion, linearised_at.shares.inertia)
     elastic = np.array([joint.elastic for joint in arm.joints])
     payload = arm.payload_vector(stretch.signals.experiment.payload)
-    lags = _compliance_regressor(arm, _base(arm, around) + payload, angle, ddgear)
-    lags -= dgear[:, None] * (arm.transmission.T * _link_viscous_friction(arm, around))
+    lags = _compliance_regressor(arm, _base(arm, linearised_at) + payload, angle, ddgear)
+    lags -= dgear[:, None] * (arm.transmission.T * _link_viscous_friction(arm, linearised_at))
     lags *= elastic
     filtered = stretch.filtered(np.concatenate([phi, lags], axis=2))
     phi, lags = filtered[:, :, : phi.shape[2]], filtered[:, :, phi.shape[2] :]
     torque = stretch.torque - _payload_torque(arm, stretch, links)
     lag_velocity = stretch.filtered(c * dgear)
-    own_lag = lag_velocity * (1.0 - _motor_shares(arm, around)) / arm.gear_ratios
+    own_lag = lag_velocity * (1.0 - _motor_shares(arm, linearised_at)) / arm.gear_ratios
     at_links = list(arm.shared_links)
     shared_lag = lag_velocity[:, None, at_links] * arm.transmission[at_links].T
     return _BodyEquations(phi, lags, torque + lags @ c, own_lag, shared_lag)
 
 
-def _motor_shares(arm: Arm, around: Estimate) -> FloatArray:
+def _motor_shares(arm: Arm, linearised_at: Estimate) -> FloatArray:
     """Motors' shares of the total viscous friction without that of shared links: (n_joints,)."""
-    shares = np.full(arm.n_joints, around.shares.viscous_friction)
+    shares = np.full(arm.n_joints, linearised_at.shares.viscous_friction)
     shares[list(arm.shared_links)] = 1.0
     return shares
 
 
-def _link_viscous_friction(arm: Arm, around: Estimate) -> FloatArray:
+def _link_viscous_friction(arm: Arm, linearised_at: Estimate) -> FloatArray:
     """Viscous friction of the links, link side: (n_joints,)."""
-    total = arm.joint_friction(around.solution)[:, 0]
-    friction = (1.0 - _motor_shares(arm, around)) * total / arm.gear_ratios**2
+    total = arm.joint_friction(linearised_at.solution)[:, 0]
+    friction = (1.0 - _motor_shares(arm, linearised_at)) * total / arm.gear_ratios**2
     at = list(arm.shared_links)
-    friction[at] = around.solution[len(around.solution) - len(at) :]
+    friction[at] = linearised_at.solution[len(linearised_at.solution) - len(at) :]
     return np.asarray(friction)
 
 
@@ -459,18 +468,18 @@ def _payload_torque(
 
 
 def _gear_torque(
-    arm: Arm, stretch: FilteredRecord, around: Estimate, standing: FloatArray
+    arm: Arm, stretch: FilteredRecord, linearised_at: Estimate, stiction_torque: FloatArray
 ) -> FloatArray:
     """Torque through each gear, link side: motor torque minus friction and motor inertia.
 
     Low-passed at twice the bandwidth of the equations, because it is differentiated twice.
     """
     (_, velocity, acceleration), (torque, direction) = stretch.motion, stretch.drive
-    solution = around.solution
+    solution = linearised_at.solution
     viscous, coulomb, offset = arm.joint_friction(solution).T
-    viscous = viscous - _link_viscous_friction(arm, around) * arm.gear_ratios**2
-    friction = viscous * velocity + coulomb * direction + offset + standing
-    inertia = arm.motors_of_rigid(around.shares.inertia) @ solution[: arm.n_body]
+    viscous = viscous - _link_viscous_friction(arm, linearised_at) * arm.gear_ratios**2
+    friction = viscous * velocity + coulomb * direction + offset + stiction_torque
+    inertia = arm.motors_of_rigid(linearised_at.shares.inertia) @ solution[: arm.n_body]
     net = torque - friction - inertia * acceleration
     at_links = np.asarray(np.linalg.solve(arm.transmission.T, net.T).T, dtype=np.float64)
     T, step = stretch.signals.sample_time, stretch.motion_step
@@ -485,13 +494,17 @@ def _compliance_regressor(
     return np.asarray(-arm.motors_of(np.swapaxes(torque, 1, 2)).swapaxes(1, 2))
 
 
-def _base(arm: Arm, around: Estimate) -> FloatArray:
+def _base(arm: Arm, linearised_at: Estimate) -> FloatArray:
     """Base parameters of the links, (n_base,)."""
-    return np.asarray(arm.links_of_rigid(around.shares.inertia) @ around.solution[: arm.n_body])
+    return np.asarray(
+        arm.links_of_rigid(linearised_at.shares.inertia) @ linearised_at.solution[: arm.n_body]
+    )
 
 
-def _compliance_std(arm: Arm, stretches: Sequence[FilteredRecord], around: Estimate) -> FloatArray:
+def _compliance_std(
+    arm: Arm, stretches: Sequence[FilteredRecord], linearised_at: Estimate
+) -> FloatArray:
     """Prior standard deviation of the compliances: anti-resonances exceed the bandwidth."""
     w = 2.0 * np.pi * max(s.bandwidth_hz for s in stretches)
-    inertia = np.abs(arm.link_inertias(_base(arm, around)))
+    inertia = np.abs(arm.link_inertias(_base(arm, linearised_at)))
     return np.asarray(_COMPLIANCE_STD / (np.maximum(inertia, _MIN_INERTIA) * w**2))

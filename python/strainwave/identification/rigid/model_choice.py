@@ -20,7 +20,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import DELAY, TORSION, ZERO
 from strainwave.identification.rigid.bounds import MAX_NEGLIGIBLE_SHARE, has_zero_bound
 from strainwave.identification.rigid.equations import ALL_JOINTS, FurtherTerm, Terms, assemble
-from strainwave.identification.rigid.stretch import FilteredRecord, n_compliances
+from strainwave.identification.rigid.filtered_record import FilteredRecord, n_compliances
 from strainwave.identification.rigid.submodels import Submodels
 from strainwave.identification.rigid.trial import Trial
 from strainwave.numerics import least_squares as ls

@@ -13,7 +13,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.identification.rigid.bandwidth import excess_variance, neighbours
-from strainwave.identification.rigid.stretch import n_compliances
+from strainwave.identification.rigid.filtered_record import n_compliances
 from strainwave.identification.rigid.trial import Trial
 from strainwave.numerics import least_squares as ls
 

@@ -24,7 +24,7 @@ from strainwave.identification.rigid.equations import (
     estimate_of,
     slides_both_ways,
 )
-from strainwave.identification.rigid.stretch import FilteredRecord, n_compliances
+from strainwave.identification.rigid.filtered_record import FilteredRecord, n_compliances
 from strainwave.numerics import least_squares as ls
 
 MAX_ITERATIONS = 20
@@ -155,7 +155,7 @@ class Trial:
 def fit_trial(
     arm: Arm,
     stretches: tuple[FilteredRecord, ...],
-    around: Estimate | None,
+    start: Estimate | None,
     shares: MotorShares | None = None,
     candidates: Sequence[FurtherTerm] = (),
     weights: FloatArray | None = None,
@@ -166,7 +166,7 @@ def fit_trial(
     """
     shares = shares or MotorShares.usual(arm)
     terms = Terms.of(candidates, stretches) if candidates else None
-    equations = assemble(arm, stretches, around, terms)
+    equations = assemble(arm, stretches, start, terms)
     if not len(equations.target):
         raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
     root = ls.initial_weights(equations.target, equations.group)
@@ -175,25 +175,25 @@ def fit_trial(
     last_step = np.zeros(len(arm.rigid_columns))
     for iteration in range(MAX_ITERATIONS):
         factor = ls.factorise(equations, root)
-        previous = factor.value if around is None else around.solution
+        previous = factor.value if start is None else start.solution
         change = factor.value - previous
         change_size = np.abs(change)
         known = factor.deviation > 0.0  # other parameters do not change
         step = np.divide(change, factor.deviation, out=np.zeros_like(change), where=known)
         has_converged = iteration > 1 and np.all(change_size <= _TOLERANCE * factor.deviation)
         estimate = estimate_of(arm, stretches, equations, factor, shares)
-        if around is not None and step @ last_step < 0.0 and not has_converged:  # oscillates
-            estimate = average_estimates(around, estimate)
-        around, last_step = estimate, step
+        if start is not None and step @ last_step < 0.0 and not has_converged:  # oscillates
+            estimate = average_estimates(start, estimate)
+        start, last_step = estimate, step
         if has_converged:
             break
         root = ls.root_weights(equations, factor)
-        equations = assemble(arm, stretches, around, terms)
+        equations = assemble(arm, stretches, start, terms)
     covariance, common_variance = ls.jackknife(equations, factor)
-    assert around is not None
-    change, variance, weighed = _weights_of_links(arm, stretches, factor, around.solution)
+    assert start is not None
+    change, variance, weighed = _weights_of_links(arm, stretches, factor, start.solution)
     if weighed:
-        around = replace(around, solution=around.solution + change)
+        start = replace(start, solution=start.solution + change)
         covariance = covariance + variance
     resolved = replace(factor, is_resolved=factor.is_resolved | bool(weighed))
     identified = ls.determined(equations, resolved, covariance)
@@ -202,7 +202,7 @@ def fit_trial(
     return Trial(
         arm=arm,
         stretches=stretches,
-        estimate=around,
+        estimate=start,
         common_deviation=np.sqrt(common_variance),
         equations=equations,
         factor=factor,
