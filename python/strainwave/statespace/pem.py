@@ -25,9 +25,11 @@ from strainwave.domain import (
 from strainwave.domain.options import Focus
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.numerics.parallel import raise_if_stopped
-from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
-from strainwave.statespace._matrices import (
+from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble, restrict_steps
+from strainwave.statespace._scaled import (
+    Data,
     ModelMatrices,
+    Stack,
     balance,
     is_stable,
     n_entries,
@@ -35,10 +37,9 @@ from strainwave.statespace._matrices import (
     rescale,
     stabilise,
     stabilising_gain,
+    stack,
     unscale,
 )
-from strainwave.statespace._restricted import restrict_steps
-from strainwave.statespace._stack import Data, Stack, stack
 from strainwave.statespace.residuals import whiteness
 from strainwave.statespace.subspace import (
     MAX_ORDER,

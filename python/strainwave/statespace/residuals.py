@@ -11,8 +11,7 @@ from strainwave.domain import FloatArray, HypothesisTest, ModelCheck, StateSpace
 from strainwave.domain.distributions import CI99_STDS, chi_square_tail
 from strainwave.errors import InvalidInput
 from strainwave.statespace._evaluate import Evaluator, fit_percent
-from strainwave.statespace._matrices import ModelMatrices, rescale
-from strainwave.statespace._stack import Data, Stack, stack
+from strainwave.statespace._scaled import Data, ModelMatrices, Stack, rescale, stack
 
 # Significance level of the tests.
 SIGNIFICANCE_LEVEL = 0.01

@@ -25,15 +25,17 @@ from strainwave.domain import STATE_SPACE_MODEL, Diagnostic, FloatArray, StateSp
 from strainwave.domain.options import Focus
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
-from strainwave.statespace._matrices import (
+from strainwave.statespace._scaled import (
+    Data,
     ModelMatrices,
+    Stack,
     balance,
     innovations_gain,
     is_stable,
     stabilise,
     stabilising_gain,
+    stack,
 )
-from strainwave.statespace._stack import Data, Stack, stack
 
 Method = Literal["auto", "moesp", "n4sid", "predictor"]
 

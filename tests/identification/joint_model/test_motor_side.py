@@ -32,11 +32,11 @@ from strainwave.identification.joint_model.motor_side import (
 )
 from strainwave.identification.joint_model.motor_side.arms import (
     ConsistentArms,
+    LinearisedArms,
     Posture,
     family_of,
     posture_of,
 )
-from strainwave.identification.joint_model.motor_side.impedance import LinearisedArms
 from strainwave.identification.joint_model.motor_side.search import minima
 from strainwave.identification.joint_model.motor_side.spectra import Piece, pieces, thin_lines
 from strainwave.virtual.experiments import derived

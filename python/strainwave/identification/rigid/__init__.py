@@ -36,7 +36,7 @@ from strainwave.identification.rigid.bandwidth import (
     search_bandwidths,
     select_bandwidth,
 )
-from strainwave.identification.rigid.bounds import Bounded, bound
+from strainwave.identification.rigid.conclusion import Bounded, bound, torque_ratios, warnings_of
 from strainwave.identification.rigid.drive_gains import estimate_drive_gains, gain_sensitivity
 from strainwave.identification.rigid.equations import FurtherTerm, MotorShares, anti_resonances
 from strainwave.identification.rigid.filtered_record import decimation, n_compliances, sample_motion
@@ -56,9 +56,7 @@ from strainwave.identification.rigid.model_choice import (
     candidates_of,
     is_selected,
 )
-from strainwave.identification.rigid.torque_constants import torque_ratios
 from strainwave.identification.rigid.trial import Trial, fit_trial
-from strainwave.identification.rigid.trial_warnings import warnings_of
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 from strainwave.signals.motor import period_of
 

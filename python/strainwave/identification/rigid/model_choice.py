@@ -18,7 +18,7 @@ from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
 from strainwave.domain.ranges import physical_range
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import DELAY, TORSION, ZERO
-from strainwave.identification.rigid.bounds import MAX_NEGLIGIBLE_SHARE, has_zero_bound
+from strainwave.identification.rigid.conclusion import MAX_NEGLIGIBLE_SHARE, has_zero_bound
 from strainwave.identification.rigid.equations import ALL_JOINTS, FurtherTerm, Terms, assemble
 from strainwave.identification.rigid.filtered_record import FilteredRecord, n_compliances
 from strainwave.identification.rigid.submodels import Submodels

@@ -17,10 +17,11 @@ from strainwave.identification.joint_model.motor_side.arms import (
     COORDINATES_PER_JOINT,
     NO_ARM,
     ConsistentArms,
+    LinearisedArms,
+    MotorMotion,
     Posture,
     posture_of,
 )
-from strainwave.identification.joint_model.motor_side.impedance import LinearisedArms, MotorMotion
 from strainwave.identification.joint_model.motor_side.spectra import Piece
 from strainwave.numerics.coordinate_search import Choice, CoordinateSearch
 
