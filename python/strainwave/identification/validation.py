@@ -200,8 +200,11 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
                 continue
 
     errors = _unexplained_errors(prediction, noise, typical, varied)
+    # the same prediction with the recorded voltages instead of the servo
+    driven, drive = driven_by_voltage(arm, log)
+    by_voltage = replace(observed, drive=drive)
     is_servo_at_fault = bool(errors) and not _unexplained_errors(
-        _by_voltage(observed, values, arm), noise, typical, varied
+        build_prediction(by_voltage, by_voltage.simulate(driven, values)), noise, typical, varied
     )
     return replace(
         prediction,
@@ -209,13 +212,6 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
         unexplained=errors,
         is_servo_at_fault=is_servo_at_fault,
     )
-
-
-def _by_voltage(observed: ObservedMotion, values: Values, arm: Arm) -> Prediction:
-    """The same prediction with the recorded voltages instead of the servo."""
-    driven, drive = driven_by_voltage(arm, observed.log)
-    by_voltage = replace(observed, drive=drive)
-    return build_prediction(by_voltage, by_voltage.simulate(driven, values))
 
 
 def _typical_motion(model: ArmModel) -> Mapping[str, _TypicalMotion]:

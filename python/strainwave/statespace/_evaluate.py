@@ -19,7 +19,6 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from strainwave import _core
 from strainwave.domain import Diagnostic, FloatArray, SearchEnd, StateSpace
@@ -91,7 +90,12 @@ class Evaluator:
             matrices = replace(matrices, K=np.zeros_like(matrices.K))
         if feedthrough is not None:
             matrices = replace(matrices, D=matrices.D * np.array(feedthrough))
-        indices = self._linear_entries(feedthrough)
+        n, m, p = self.order, self.data.n_inputs, self.data.n_outputs
+        start_b, start_d = n * n, n * (n + m + p)
+        indices = start_d + p * m + n * p + np.arange(n * len(self.data.lengths))
+        if feedthrough is not None:
+            D = start_d + np.flatnonzero(np.tile(feedthrough, p))
+            indices = np.concatenate([start_b + np.arange(n * m), D, indices])
         values = matrices.pack()
         values[indices] = 0.0
         whitener = np.eye(self.data.n_outputs)
@@ -113,15 +117,6 @@ class Evaluator:
                     break
                 whitener = np.asarray(np.linalg.cholesky(limit_covariance(residuals)))
         return self.unpack(values)
-
-    def _linear_entries(self, feedthrough: tuple[bool, ...] | None) -> NDArray[np.intp]:
-        n, m, p = self.order, self.data.n_inputs, self.data.n_outputs
-        start_b, start_d = n * n, n * (n + m + p)
-        states = start_d + p * m + n * p + np.arange(n * len(self.data.lengths))
-        if feedthrough is None:
-            return states
-        D = start_d + np.flatnonzero(np.tile(feedthrough, p))
-        return np.concatenate([start_b + np.arange(n * m), D, states])
 
     def simulated(self, matrices: ModelMatrices) -> FloatArray:
         """Scaled outputs simulated from the inputs, with fitted initial states."""

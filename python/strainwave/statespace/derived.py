@@ -183,7 +183,14 @@ def _continuous_matrices(A: FloatArray, T: float) -> FloatArray:
         from scipy.linalg import logm
 
         logarithm = np.ascontiguousarray(np.real(logm(A)), dtype=np.float64) / T
-        return np.stack([logarithm, *_hold_integrals(logarithm, T)])
+        # both integrals from one block exponential (Van Loan, IEEE Trans. AC 23, 1978)
+        n = len(A)
+        block = np.zeros((3 * n, 3 * n))
+        block[:n, :n] = logarithm * T
+        block[:n, n : 2 * n] = np.eye(n) * T
+        block[n : 2 * n, 2 * n :] = np.eye(n)
+        top = exponential(block)[:n]
+        return np.stack([logarithm, top[:, n : 2 * n], top[:, 2 * n :]])
     x = np.log(values.astype(complex))
     # the closed form loses digits for small x, so the series is used there
     small = np.abs(x) < _MAX_SERIES_ARGUMENT
@@ -193,17 +200,6 @@ def _continuous_matrices(A: FloatArray, T: float) -> FloatArray:
     inverse = np.linalg.inv(vectors)
     functions = np.stack([x / T, T * (1.0 + x * second), T * second])
     return np.real((vectors * functions[..., None, :]) @ inverse)
-
-
-def _hold_integrals(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray]:
-    """Integrals P1 and P2 from one block matrix exponential (Van Loan, IEEE Trans. AC 23, 1978)."""
-    n = len(A)
-    block = np.zeros((3 * n, 3 * n))
-    block[:n, :n] = A * T
-    block[:n, n : 2 * n] = np.eye(n) * T
-    block[n : 2 * n, 2 * n :] = np.eye(n)
-    top = exponential(block)[:n]
-    return top[:, n : 2 * n], top[:, 2 * n :]
 
 
 # Zeros above this multiple of the fastest pole count as zeros at infinity, which rounding and noise

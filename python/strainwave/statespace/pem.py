@@ -240,11 +240,9 @@ class _Search:
             scale = unscale(self.evaluator.unpack(np.ones(size)), data).pack()
             covariance = full[:size, :size] * np.outer(scale, scale)
             model = replace(model, covariance=covariance, covariance_kind=kind)
+        warnings = (*model.warnings, *_negative_fit_warning(model))
         return replace(
-            model,
-            iterations=fit.iterations,
-            evaluations=fit.evaluations,
-            warnings=model.warnings + _negative_fit_warning(model),
+            model, iterations=fit.iterations, evaluations=fit.evaluations, warnings=warnings
         )
 
 

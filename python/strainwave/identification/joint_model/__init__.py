@@ -213,9 +213,12 @@ def fit_record(
     linear = modes = transfer = check = None
     judged = chosen.judged or not by_equations
     if chosen.state_space or not by_equations:
-        linear_options = (
-            chosen.linear if judged else _in_known_band(decoupled, physical, chosen.linear)
-        )
+        linear_options, resonances = chosen.linear, resonances_of(physical)
+        if not judged:  # three states in the band around the resonances, if these are known
+            linear_options = physical_order(linear_options)
+            if resonances is not None:
+                band = band_for(resonances, [decoupled], linear_options)
+                linear_options = replace(linear_options, band_hz=band)
         start_model = None if judged else near
         linear = attempt(
             "state-space-failed", lambda: fit_linear(decoupled, linear_options, start_model)
@@ -234,16 +237,6 @@ def fit_record(
         decoupled, physical, state_space, modes, transfer, check, warnings=tuple(warnings)
     )
     return RecordFit(record, linear)
-
-
-def _in_known_band(
-    record: Decoupled, physical: JointModel | None, options: LinearOptions
-) -> LinearOptions:
-    """Options for three states in the band around the resonances, if these are known."""
-    options, resonances = physical_order(options), resonances_of(physical)
-    if resonances is None:
-        return options
-    return replace(options, band_hz=band_for(resonances, [record], options))
 
 
 def joint_by_transfer(

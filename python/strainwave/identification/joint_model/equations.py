@@ -123,16 +123,13 @@ class WeightedEquations:
         known = self.known
         if not known.errors:
             return np.zeros((len(COLUMNS), 0))
-        ratio, columns = self.pieces[0].ratio, []
-        for error in known.errors:
+        columns, of_priors = [], _prior_equations(known, self.pieces[0].ratio)[2]
+        for error, prior in zip(known.errors, of_priors.T, strict=True):
             changes = []
             for p, tau in zip(self.pieces, error.tau, strict=True):
                 tau_change = p.passed(tau)
                 changes += [p.ratio * tau_change, self.x[_COMPLIANCE] * tau_change]
-            target, changed = (
-                _prior_equations(k, ratio)[1] for k in (known, known.add_error(error))
-            )
-            columns.append(np.concatenate([*changes, changed - target]))
+            columns.append(np.concatenate([*changes, prior]))
         return ls.moves(self.equations, factor, np.column_stack(columns))
 
     @property
@@ -274,7 +271,7 @@ def _assemble(
         group += [np.full(n_rows, 2 * number), np.full(n_rows, 2 * number + 1)]
         block += [block_index, block_index]
         free_friction_std += [max(stiction_std * abs(float(x[_COULOMB])), 1e-300)] * n_free
-    prior_rows, prior_target = _prior_equations(known, pieces[0].ratio)
+    prior_rows, prior_target, _ = _prior_equations(known, pieces[0].ratio)
     prior_group = np.full(len(prior_target), ls.PRIOR_GROUP)
     rows = np.concatenate([*shared, prior_rows])
     return ls.Equations(
@@ -290,26 +287,29 @@ def _assemble(
     )
 
 
-def _prior_equations(known: RigidKnowledge, n: float) -> tuple[FloatArray, FloatArray]:
+def _prior_equations(known: RigidKnowledge, n: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Rows (n_values, n_unknowns) and right-hand sides (n_values,) for the rigid-step values.
 
-    Both are divided by the standard deviations.
+    Third, the changes of the right-hand sides with the errors of the rigid model, (n_values,
+    n_errors). All are divided by the standard deviations of the values.
     """
-    rows, values = [], []
-    for value, columns in (
-        (known.total_inertia, {_MOTOR: 1.0, _LINK: n * n}),
-        (known.total_viscous_friction, {_MOTOR_VISCOUS: 1.0, _LINK_VISCOUS: n * n}),
-        (known.coulomb_friction, {_COULOMB: 1.0}),
-    ):
+    rows, values, changes = [], [], []
+    columns = (
+        {_MOTOR: 1.0, _LINK: n * n},
+        {_MOTOR_VISCOUS: 1.0, _LINK_VISCOUS: n * n},
+        {_COULOMB: 1.0},
+    )
+    for k, (value, factors) in enumerate(zip(known.sums, columns, strict=True)):
         if value is None:
             continue
         row = np.zeros(len(COLUMNS))
-        for column, factor in columns.items():
-            row[column] = factor
+        row[list(factors)] = list(factors.values())
         std = max(value[1], _MIN_RELATIVE_STD * abs(value[0]))
         rows.append(row / std)
         values.append(value[0] / std)
-    return np.reshape(rows, (-1, len(COLUMNS))), np.array(values)
+        changes.append([error.changes[k] / std for error in known.errors])
+    changed = np.reshape(changes, (len(values), len(known.errors)))
+    return np.reshape(rows, (-1, len(COLUMNS))), np.array(values), changed
 
 
 def physical_values(x: FloatArray) -> FloatArray:

@@ -275,20 +275,17 @@ class LinearisedArms:
         own = self.transmission[:, row] / s[:, None]
         turned = np.stack([velocity @ self.transmission.T / s[:, None], own], axis=-1)
         gear = self.gear_stiffness[..., None, :] + self.gear_damping[..., None, :] * s[:, None]
-        links = _solve(self._dynamic_stiffness(s, gear), gear[..., None] * turned)
+        identity, s2 = np.eye(len(self.transmission)), s[:, None, None]
+        viscous = self.link_viscous_friction[..., None, :, None] * identity
+        stiffness = self.inertia[..., None, :, :] * s2**2 + viscous * s2
+        stiffness = stiffness + self.gravity[..., None, :, :] + gear[..., None] * identity
+        links = _solve(stiffness, gear[..., None] * turned)
         torsion = turned - links
         motor = self.motor_inertia[..., None, row] * s + self.motor_viscous_friction[..., None, row]
         gears = ((self.transmission[:, row] * gear)[..., None] * torsion).sum(axis=-2)
         impedance = motor + gears[..., 1]
         error = (motor * velocity[:, row] + gears[..., 0] - torque) / impedance
         return MotorMotion(s, row, velocity[:, row], links, torsion, impedance, error)
-
-    def _dynamic_stiffness(self, s: ComplexArray, gear: ComplexArray) -> ComplexArray:
-        """A(s), (..., n_lines, n, n) [N m/rad]."""
-        identity, s2 = np.eye(len(self.transmission)), s[:, None, None]
-        viscous = self.link_viscous_friction[..., None, :, None] * identity
-        stiffness = self.inertia[..., None, :, :] * s2**2 + viscous * s2
-        return np.asarray(stiffness + self.gravity[..., None, :, :] + gear[..., None] * identity)
 
 
 @dataclass(frozen=True, slots=True)
