@@ -186,20 +186,19 @@ def with_report_loading(progress: Progress) -> Progress:
     """Wrap a progress callback: a thread loads the report's code during the whole-arm fit."""
     threads: list[Thread] = []
 
+    def load_report() -> None:
+        from strainwave.report import document  # noqa: F401
+        from strainwave.report.html import load_template
+
+        load_template("document/page")
+
     def follow(event: ProgressEvent) -> None:
         if event.stage == "tuned" and not threads:
-            threads.append(Thread(target=_load_report))
+            threads.append(Thread(target=load_report))
             threads[0].start()
         progress(event)
 
     return follow
-
-
-def _load_report() -> None:
-    from strainwave.report import document  # noqa: F401
-    from strainwave.report.html import load_template
-
-    load_template("document/page")
 
 
 def write(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -45,7 +45,13 @@ def fit_elastic_arm(inputs: Inputs, results: StageResults, reporter: Reporter) -
         for log in inputs.logs_of("tuning", "check"):
             check_servo_clock(inputs.arm, log)
     stage = start = _without_failed_fits(fit_elastic_joints(inputs, rigid_model, reporter))
-    warnings = stage.warnings + tuple(_warn_rigid_joints(inputs))
+    warnings, rigid_joints = stage.warnings, inputs.arm.rigid_joints
+    if rigid_joints:
+        excited = inputs.logs_of("frequency", "sweep")
+        unused = tuple(log.name for log in excited if log.experiment.joint in rigid_joints)
+        place, variant = inputs.place, "unused" if unused else ""
+        warning = Diagnostic("rigid-joints", place, variant, joints=rigid_joints, records=unused)
+        warnings += (warning,)
     if is_requested and not inputs.logs_of("frequency", "sweep"):
         start = typical_joints(inputs, rigid_model)
         warnings += start.warnings
@@ -115,16 +121,6 @@ def _without_failed_fits(stage: JointStage) -> JointStage:
     )
     kept = tuple(joint for joint in stage.joints if joint.joint not in failed)
     return replace(stage, joints=kept, warnings=stage.warnings + warnings)
-
-
-def _warn_rigid_joints(inputs: Inputs) -> Iterator[Diagnostic]:
-    """What rigid joints exclude on an arm with elastic ones."""
-    rigid = inputs.arm.rigid_joints
-    if rigid:
-        logs = inputs.logs_of("frequency", "sweep")
-        unused = tuple(log.name for log in logs if log.experiment.joint in rigid)
-        variant = "unused" if unused else ""
-        yield Diagnostic("rigid-joints", inputs.place, variant, joints=rigid, records=unused)
 
 
 def _fit_whole_arm(

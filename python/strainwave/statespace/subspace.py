@@ -144,7 +144,10 @@ class Factors:
 
     def __init__(self, data: Stack) -> None:
         self.data = data
-        self.regression = cache(partial(_regression_factor, data))
+        # of [u[k], z[k-1], ..., z[k-past], y[k]]
+        self.regression = cache(
+            lambda past: _triangular_factor(data, past + 1, _regression_order(data, past))[0]
+        )
         self.predictor = cache(partial(_predictor_directions, self))
 
 
@@ -203,11 +206,6 @@ def choose_horizon(data: Stack, order: int) -> int:
     criterion = rows * np.linalg.slogdet(covariance)[1]
     criterion += 2.0 * width * data.n_outputs * np.arange(1, max_horizon + 1)
     return max(min_horizon, 1 + int(np.argmin(criterion)))
-
-
-def _regression_factor(data: Stack, past: int) -> FloatArray:
-    """Triangular factor of [u[k], z[k-1], ..., z[k-past], y[k]]."""
-    return _triangular_factor(data, past + 1, _regression_order(data, past))[0]
 
 
 def _regression_order(data: Stack, past: int) -> FloatArray:

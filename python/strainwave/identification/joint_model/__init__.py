@@ -35,7 +35,7 @@ from strainwave.domain import (
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import StrainwaveError
 from strainwave.identification.joint_model.agreement import compare_response
-from strainwave.identification.joint_model.grey_box import Solved, solve
+from strainwave.identification.joint_model.grey_box import JointFit, solve
 from strainwave.identification.joint_model.linear import (
     LinearFit,
     fit_linear,
@@ -98,21 +98,6 @@ class RecordOptions:
     judged: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class JointFit:
-    """Model of one joint with the solved equations from which the fit of one record can start."""
-
-    model: JointModel
-    solved: Solved
-
-    def of_record(self, name: str) -> JointModel:
-        """Model of one record alone. `name` is the experiment's name."""
-        if self.model.experiments == (name,):
-            return self.model
-        with one_blas_thread():
-            return self.solved.of_record(self.model.experiments.index(name)).model()
-
-
 def identify_joint(
     records: Sequence[tuple[LinkSignals, Decoupled]],
     model: RigidModel | None,
@@ -147,8 +132,7 @@ def fit_joint(
     if not chosen.use_rigid:
         known = RigidKnowledge(None, None, None, known.errors)
     with one_blas_thread():  # many small systems: several threads are slower
-        solved = solve(records, arm, known, chosen.band_hz, search_from_hz)
-        return JointFit(solved.model(), solved)
+        return solve(records, arm, known, chosen.band_hz, search_from_hz)
 
 
 @dataclass(frozen=True, slots=True)

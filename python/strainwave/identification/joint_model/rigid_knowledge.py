@@ -81,7 +81,8 @@ def rigid_knowledge(
     errors: Iterable[RigidError] = ()
     if records and not is_uncoupled(arm):
         errors = _errors(model, arm, joint, angles, records, weights)
-    return RigidKnowledge(*known, tuple(errors))
+    inertia, viscous, coulomb = known
+    return RigidKnowledge(inertia, viscous, coulomb, tuple(errors))
 
 
 def _errors(

@@ -112,7 +112,11 @@ def _fit(
                 best, nearby, choice = distant
         doubt, noise_share, changes = choice.model_error(), choice.noise_share(), choice.changes()
         if any(c.effect in LOAD_TERMS for c in best.candidates):
-            other = _with_other_shares(best)
+            # other shares of the rotors in inertias, on which the gears' loads depend
+            shares = replace(best.estimate.shares, inertia=_ALTERNATIVE_INERTIA_SHARE)
+            other = fit_trial(
+                best.arm, best.stretches, best.estimate, shares, best.candidates, best.factor.root
+            )
             change = other.solution - best.solution
             doubt += np.outer(change, change)
             of_terms = other.factor.common - best.factor.common
@@ -134,7 +138,10 @@ def _fit(
     if plain is best:
         plain = fit.trial
     ratios = torque_ratios(trials, fit.trial, plain)
-    fits = {s.experiment.name: _fits(fit.trial, s, further) for s in signals}
+    fits = {}
+    for s in signals:
+        band = band_fit(fit.trial.arm, fit.trial.solution, s, fit.trial.bandwidth_hz, further)
+        fits[s.experiment.name] = dict(zip(s.torque_channel, band.tolist(), strict=True))
     motion = sample_motion(signals, fit.trial.bandwidth_hz)
     return _model(fit, noise, further, ratios, fits, motion)
 
@@ -224,14 +231,6 @@ def _started(trial: Trial, start: Trial) -> Trial:
     return replace(trial, estimate=start.estimate, factor=start.factor)
 
 
-def _with_other_shares(best: Trial) -> Trial:
-    """The fit with other shares of the rotors in inertias, on which the gears' loads depend."""
-    shares = replace(best.estimate.shares, inertia=_ALTERNATIVE_INERTIA_SHARE)
-    return fit_trial(
-        best.arm, best.stretches, best.estimate, shares, best.candidates, best.factor.root
-    )
-
-
 def _elastic_model_error(best: Trial) -> FloatArray:
     """Variance (n_parameters,) of the error of the first-order compliance model.
 
@@ -313,9 +312,3 @@ def _model(
         friction_terms=terms,
         motion=motion,
     )
-
-
-def _fits(best: Trial, record: Signals, terms: tuple[FrictionTerm, ...]) -> dict[str, float]:
-    """Fit in percent of each torque of a fitted record, within the model's band."""
-    fits = band_fit(best.arm, best.solution, record, best.bandwidth_hz, terms)
-    return dict(zip(record.torque_channel, fits.tolist(), strict=True))

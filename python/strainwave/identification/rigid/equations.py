@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, IntArray
+from strainwave.domain import BoolArray, FloatArray
 from strainwave.domain.combinations import FRICTION_COLUMNS
 from strainwave.domain.kinds.base import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
@@ -27,10 +27,9 @@ from strainwave.dynamics.rigid_prediction import (
     gear_load,
 )
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.rigid.filtered_record import FilteredRecord, motion_of, n_compliances
+from strainwave.identification.rigid.filtered_record import FilteredRecord, n_compliances
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.least_squares import Equations, Factor, Local
-from strainwave.numerics.linalg import Banded
 
 # prior standard deviation of the stiction torque in units of f: uniform distribution in [-f, f]
 _STICTION_STD = 0.58
@@ -112,121 +111,107 @@ class FurtherTerm:
         return self.effect, self.joint
 
 
-@dataclass(frozen=True, slots=True)
-class Terms:
-    """Further terms, with the direction of motion of all joints."""
+def term_stds(
+    terms: Sequence[FurtherTerm], arm: Arm, stretches: Sequence[FilteredRecord]
+) -> FloatArray:
+    """Prior standard deviations of the sizes, then of the estimated shapes' logarithms.
 
-    candidates: tuple[FurtherTerm, ...]
-    direction: tuple[FloatArray, ...]  # per record (n_motion, n_joints)
+    They correspond to the largest torque of the joint, or to a known size.
+    """
+    of_links = [np.max(np.abs(arm.joints_of(s.torque)), axis=0) for s in stretches]
+    at_link = np.max(of_links, axis=0)
+    torque = np.max([np.max(np.abs(s.torque), axis=0) for s in stretches], axis=0)
+    speed, angle = (
+        np.max([np.max(np.abs(s.motion[k]), axis=0) for s in stretches], axis=0) for k in (1, 0)
+    )
+    tiny = np.finfo(float).tiny
 
-    @staticmethod
-    def of(candidates: Sequence[FurtherTerm], stretches: Sequence[FilteredRecord]) -> Terms:
-        """Terms in the records of a fit."""
-        directions = (
-            motion_of(s.signals.direction, s.bandwidth_hz, s.signals.sample_time) for s in stretches
+    def deviation(c: FurtherTerm) -> float:
+        per_unit = {
+            "direction-friction": speed[c.joint],
+            "load-speed-friction": speed[c.joint] * torque[c.joint] / _LOAD_FRICTION_STD,
+            SPRING: angle[c.joint],
+        }.get(c.effect, 1.0)
+        if c.effect == TORSION:
+            return float(_TORSION_STD / max(at_link[c.joint], tiny))
+        known = _KNOWN_STDS.get(c.effect)
+        return known if known is not None else float(torque[c.joint] / max(per_unit, tiny))
+
+    sizes = [deviation(c) for c in terms]
+    return np.array([*sizes, *(_LOG_SHAPE_STD for c in terms if c.size is not None)])
+
+
+def term_columns(
+    terms: Sequence[FurtherTerm], arm: Arm, stretch: FilteredRecord, linearised_at: Estimate
+) -> FloatArray:
+    """Regressors in the order of `term_stds`, (n_rows, n_joints, n_columns).
+
+    The load is that of the gears by the estimate, without friction.
+    """
+    q, dq, ddq = stretch.link_motion(arm)
+    solution, payload = linearised_at.solution, stretch.signals.experiment.payload
+    share = linearised_at.shares.inertia
+    load = gear_load(arm, solution, (q, dq, ddq), payload, share)
+    base = arm.links_of_rigid() @ solution[: arm.n_body] + arm.payload_vector(payload)
+    velocity, direction = stretch.motion[1], stretch.drive[1]
+    interval = stretch.motion_step * stretch.signals.sample_time
+
+    def motor_torque() -> FloatArray:
+        viscous, coulomb, _ = arm.joint_friction(solution).T
+        rotors = arm.motors_of_rigid(share) @ solution[: arm.n_body]
+        body = load + rotors * stretch.motion[2]
+        return np.asarray(body + viscous * velocity + coulomb * direction)
+
+    def torque_per_shift(*shift: FloatArray) -> FloatArray:
+        """Motor torques per shift of the links: an angle and its derivatives."""
+        step = _ANGLE_STEP / max(float(np.max(np.abs(shift[0]))), np.finfo(float).tiny)
+        ahead, behind = (
+            arm.link_torques(base, *(x + h * dx for x, dx in zip((q, dq, ddq), shift, strict=True)))
+            for h in (step, -step)
         )
-        return Terms(tuple(candidates), tuple(directions))
+        return arm.motors_of((ahead - behind) / (2.0 * step))
 
-    def deviations(self, arm: Arm, stretches: Sequence[FilteredRecord]) -> FloatArray:
-        """Prior standard deviations of the sizes, then of the estimated shapes' logarithms.
+    def regressor(c: FurtherTerm, factor: float = 1.0) -> FloatArray:
+        """Torques of all joints per size, or those of the joint alone."""
+        i, unit = c.joint, np.eye(arm.n_joints)[c.joint]
+        if c.effect == SPRING:
+            return arm.motors_of(q * unit)
+        if c.effect == ZERO:
+            return torque_per_shift(np.ones_like(q) * unit, 0.0 * dq, 0.0 * ddq)
+        if c.effect == DELAY:
+            return -differentiate(motor_torque(), interval)
+        if c.effect == TORSION:
+            twist = arm.joints_of(motor_torque()) * unit
+            rate = differentiate(twist, interval)
+            return -torque_per_shift(twist, rate, differentiate(rate, interval))
+        law = friction_per_size(c.effect, factor * c.shape, velocity[:, i], load[:, i])
+        return np.asarray(law * direction[:, i])
 
-        They correspond to the largest torque of the joint, or to a known size.
-        """
-        of_links = [np.max(np.abs(arm.joints_of(s.torque)), axis=0) for s in stretches]
-        at_link = np.max(of_links, axis=0)
-        torque = np.max([np.max(np.abs(s.torque), axis=0) for s in stretches], axis=0)
-        speed, angle = (
-            np.max([np.max(np.abs(s.motion[k]), axis=0) for s in stretches], axis=0) for k in (1, 0)
-        )
-        tiny = np.finfo(float).tiny
-
-        def deviation(c: FurtherTerm) -> float:
-            per_unit = {
-                "direction-friction": speed[c.joint],
-                "load-speed-friction": speed[c.joint] * torque[c.joint] / _LOAD_FRICTION_STD,
-                SPRING: angle[c.joint],
-            }.get(c.effect, 1.0)
-            if c.effect == TORSION:
-                return float(_TORSION_STD / max(at_link[c.joint], tiny))
-            known = _KNOWN_STDS.get(c.effect)
-            return known if known is not None else float(torque[c.joint] / max(per_unit, tiny))
-
-        sizes = [deviation(c) for c in self.candidates]
-        return np.array([*sizes, *(_LOG_SHAPE_STD for c in self.candidates if c.size is not None)])
-
-    def columns(
-        self, arm: Arm, stretch: FilteredRecord, record: int, linearised_at: Estimate
-    ) -> FloatArray:
-        """Regressors in the order of `deviations`, (n_rows, n_joints, n_columns).
-
-        The load is that of the gears by the estimate, without friction.
-        """
-        q, dq, ddq = stretch.link_motion(arm)
-        solution, payload = linearised_at.solution, stretch.signals.experiment.payload
-        share = linearised_at.shares.inertia
-        load = gear_load(arm, solution, (q, dq, ddq), payload, share)
-        base = arm.links_of_rigid() @ solution[: arm.n_body] + arm.payload_vector(payload)
-        velocity, direction = stretch.motion[1], self.direction[record]
-        interval = stretch.motion_step * stretch.signals.sample_time
-
-        def motor_torque() -> FloatArray:
-            viscous, coulomb, _ = arm.joint_friction(solution).T
-            rotors = arm.motors_of_rigid(share) @ solution[: arm.n_body]
-            body = load + rotors * stretch.motion[2]
-            return np.asarray(body + viscous * velocity + coulomb * direction)
-
-        def torque_per_shift(*shift: FloatArray) -> FloatArray:
-            """Motor torques per shift of the links: an angle and its derivatives."""
-            step = _ANGLE_STEP / max(float(np.max(np.abs(shift[0]))), np.finfo(float).tiny)
-            ahead, behind = (
-                arm.link_torques(
-                    base, *(x + h * dx for x, dx in zip((q, dq, ddq), shift, strict=True))
-                )
-                for h in (step, -step)
-            )
-            return arm.motors_of((ahead - behind) / (2.0 * step))
-
-        def regressor(c: FurtherTerm, factor: float = 1.0) -> FloatArray:
-            """Torques of all joints per size, or those of the joint alone."""
-            i, unit = c.joint, np.eye(arm.n_joints)[c.joint]
-            if c.effect == SPRING:
-                return arm.motors_of(q * unit)
-            if c.effect == ZERO:
-                return torque_per_shift(np.ones_like(q) * unit, 0.0 * dq, 0.0 * ddq)
-            if c.effect == DELAY:
-                return -differentiate(motor_torque(), interval)
-            if c.effect == TORSION:
-                twist = arm.joints_of(motor_torque()) * unit
-                rate = differentiate(twist, interval)
-                return -torque_per_shift(twist, rate, differentiate(rate, interval))
-            law = friction_per_size(c.effect, factor * c.shape, velocity[:, i], load[:, i])
-            return np.asarray(law * direction[:, i])
-
-        step = np.exp(_SHAPE_STEP)
-        parts = [(c, regressor(c)) for c in self.candidates]
-        for c in self.candidates:
-            if c.size is not None:
-                change = regressor(c, step) - regressor(c, 1.0 / step)
-                parts.append((c, c.size / (2.0 * _SHAPE_STEP) * change))
-        columns = np.zeros((len(stretch.rows), arm.n_joints, len(parts)))
-        at = [
-            (k, joints)
-            for k, (c, part) in enumerate(parts)
-            for joints in (range(arm.n_joints) if part.ndim == 2 else [c.joint])
-        ]
-        if at:
-            flat = [part if part.ndim == 2 else part[:, None] for _, part in parts]
-            filtered = stretch.filtered(np.concatenate(flat, axis=1))
-            for column, (k, joint) in zip(filtered.T, at, strict=True):
-                columns[:, joint, k] = column
-        return columns
+    step = np.exp(_SHAPE_STEP)
+    parts = [(c, regressor(c)) for c in terms]
+    for c in terms:
+        if c.size is not None:
+            change = regressor(c, step) - regressor(c, 1.0 / step)
+            parts.append((c, c.size / (2.0 * _SHAPE_STEP) * change))
+    columns = np.zeros((len(stretch.rows), arm.n_joints, len(parts)))
+    at = [
+        (k, joints)
+        for k, (c, part) in enumerate(parts)
+        for joints in (range(arm.n_joints) if part.ndim == 2 else [c.joint])
+    ]
+    if at:
+        flat = [part if part.ndim == 2 else part[:, None] for _, part in parts]
+        filtered = stretch.filtered(np.concatenate(flat, axis=1))
+        for column, (k, joint) in zip(filtered.T, at, strict=True):
+            columns[:, joint, k] = column
+    return columns
 
 
 def assemble(
     arm: Arm,
     stretches: Sequence[FilteredRecord],
     linearised_at: Estimate | None,
-    terms: Terms | None = None,
+    terms: Sequence[FurtherTerm] = (),
 ) -> Equations:
     """Assemble the equations of all records and joints.
 
@@ -239,57 +224,40 @@ def assemble(
     Without `linearised_at`, the joints are rigid, the prior of the free friction is the size of the
     torque, and there are no `terms`, whose unknowns are common to all rows.
     """
-    n_elastic = n_compliances(arm) if linearised_at is not None else 0
-    parts = list(
-        _parts(arm, stretches, linearised_at, terms if linearised_at is not None else None)
-    )
-    term_std = np.zeros(0)
-    if terms is not None and linearised_at is not None:
-        term_std = terms.deviations(arm, stretches)
-    compliance_std = np.zeros(0)
-    if linearised_at is not None and n_elastic:
-        compliance_std = _compliance_std(arm, stretches, linearised_at)
+    parts = list(_parts(arm, stretches, linearised_at, terms))
+    common_std = np.zeros(0)
+    if linearised_at is not None and n_compliances(arm):  # anti-resonances exceed the bandwidth
+        w = 2.0 * np.pi * max(s.bandwidth_hz for s in stretches)
+        inertia = np.abs(arm.link_inertias(_base(arm, linearised_at)))
+        common_std = _COMPLIANCE_STD / (np.maximum(inertia, _MIN_INERTIA) * w**2)
+    if linearised_at is not None and terms:
+        common_std = np.concatenate([common_std, term_stds(terms, arm, stretches)])
     ends = np.cumsum([0, *(len(part.target) for part in parts)])
     return Equations(
         shared=np.concatenate([part.shared for part in parts]),
         noise=np.sqrt(np.mean([s.noise**2 for s in stretches], axis=0)),
         common=np.concatenate([part.common for part in parts]),
-        common_deviation=np.concatenate([compliance_std, term_std]),
+        common_deviation=common_std,
         local=tuple(
-            Local(np.arange(first, last), part.free)
-            for part, first, last in zip(parts, ends, ends[1:], strict=False)
+            Local(first + own.rows, own.columns)
+            for part, first in zip(parts, ends, strict=False)
+            for own in part.local
         ),
-        local_deviation=np.repeat(
-            [part.free_std for part in parts], [part.free.n_columns for part in parts]
-        ),
+        local_deviation=np.concatenate([part.local_deviation for part in parts]),
         target=np.concatenate([part.target for part in parts]),
-        group=np.repeat([part.joint for part in parts], np.diff(ends)),
+        group=np.concatenate([part.group for part in parts]),
         block=np.concatenate([part.block for part in parts]),
         repetition=np.concatenate([part.repetition for part in parts]),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Equations of one joint in one record."""
-
-    joint: int  # from 0
-    shared: FloatArray  # (n_rows, n_parameters)
-    common: FloatArray  # (n_rows, n_elastic + n_terms)
-    free: Banded  # (n_rows, n_free) of the free friction
-    free_std: float  # [N m]
-    target: FloatArray  # (n_rows,)
-    block: IntArray  # (n_rows,)
-    repetition: IntArray  # (n_rows,)
 
 
 def _parts(
     arm: Arm,
     stretches: Sequence[FilteredRecord],
     linearised_at: Estimate | None,
-    terms: Terms | None,
-) -> Iterator[_Part]:
-    """Equations record by record and joint by joint."""
+    terms: Sequence[FurtherTerm],
+) -> Iterator[Equations]:
+    """Equations record by record and joint by joint, without deviations of common unknowns."""
     first_block, counts = 0, blocks_of(stretches)
     is_two_way = slides_both_ways(stretches)
     for record, stretch in enumerate(stretches):
@@ -298,8 +266,8 @@ def _parts(
         block = first_block + stretch.blocks(n_blocks)
         first_block += n_blocks
         common = body.lags
-        if terms is not None and linearised_at is not None:
-            of_terms = terms.columns(arm, stretch, record, linearised_at)
+        if terms and linearised_at is not None:
+            of_terms = term_columns(terms, arm, stretch, linearised_at)
             common = np.concatenate([common, of_terms], axis=2)
         shared = arm.shared_friction_regressor(stretch.friction[:, :, 0])
         for i, free in enumerate(stretch.free):
@@ -315,15 +283,18 @@ def _parts(
                 coulomb = float(linearised_at.solution[friction + 1])
             else:  # a record at an edge throughout has no rows
                 coulomb = float(np.std(stretch.torque[:, i])) if len(stretch.rows) else 0.0
-            yield _Part(
-                i,
-                X[keep],
-                common[keep, i],
-                free if len(keep) == len(stretch.rows) else free.rows(keep),
-                max(_STICTION_STD * abs(coulomb), 1e-300),
-                body.torque[keep, i],
-                block[keep],
-                stretch.repetition[keep],
+            std = max(_STICTION_STD * abs(coulomb), 1e-300)
+            yield Equations(
+                shared=X[keep],
+                noise=stretch.noise,
+                common=common[keep, i],
+                common_deviation=np.zeros(0),
+                local=(Local(np.arange(len(keep)), free.rows(keep)),),
+                local_deviation=np.full(free.n_columns, std),
+                target=body.torque[keep, i],
+                group=np.full(len(keep), i),
+                block=block[keep],
+                repetition=stretch.repetition[keep],
             )
 
 
@@ -430,7 +401,9 @@ def _body_equations(
     phi = body_regressor(arm, links, torsion, linearised_at.shares.inertia)
     elastic = np.array([joint.elastic for joint in arm.joints])
     payload = arm.payload_vector(stretch.signals.experiment.payload)
-    lags = _compliance_regressor(arm, _base(arm, linearised_at) + payload, angle, ddgear)
+    # motor torque per compliance, -N C^T M_j(q) ddT_j: (n_samples, n_joints, n_joints)
+    per_link = arm.torques_of_accelerations(_base(arm, linearised_at) + payload, angle, ddgear)
+    lags = -arm.motors_of(np.swapaxes(per_link, 1, 2)).swapaxes(1, 2)
     lags -= dgear[:, None] * (arm.transmission.T * _link_viscous_friction(arm, linearised_at))
     lags *= elastic
     filtered = stretch.filtered(np.concatenate([phi, lags], axis=2))
@@ -486,25 +459,8 @@ def _gear_torque(
     return low_pass(at_links, 2.0 * stretch.bandwidth_hz, T, decimated=step)
 
 
-def _compliance_regressor(
-    arm: Arm, base: FloatArray, angle: FloatArray, ddgear: FloatArray
-) -> FloatArray:
-    """Motor torque per compliance, -N C^T M_j(q) ddT_j: (n_samples, n_joints, n_joints)."""
-    torque = arm.torques_of_accelerations(base, angle, ddgear)
-    return np.asarray(-arm.motors_of(np.swapaxes(torque, 1, 2)).swapaxes(1, 2))
-
-
 def _base(arm: Arm, linearised_at: Estimate) -> FloatArray:
     """Base parameters of the links, (n_base,)."""
     return np.asarray(
         arm.links_of_rigid(linearised_at.shares.inertia) @ linearised_at.solution[: arm.n_body]
     )
-
-
-def _compliance_std(
-    arm: Arm, stretches: Sequence[FilteredRecord], linearised_at: Estimate
-) -> FloatArray:
-    """Prior standard deviation of the compliances: anti-resonances exceed the bandwidth."""
-    w = 2.0 * np.pi * max(s.bandwidth_hz for s in stretches)
-    inertia = np.abs(arm.link_inertias(_base(arm, linearised_at)))
-    return np.asarray(_COMPLIANCE_STD / (np.maximum(inertia, _MIN_INERTIA) * w**2))

@@ -50,7 +50,7 @@ class FilteredRecord:
     bandwidth_hz: float
     motion_step: int  # samples between successive rows of `motion`
     motion: tuple[FloatArray, ...]  # angle, velocity, acceleration: (n_motion, n_joints)
-    drive: tuple[FloatArray, ...]  # torque and direction, as `motion`; empty if rigid
+    drive: tuple[FloatArray, FloatArray]  # torque and direction, as `motion`
     torsion: tuple[FloatArray, ...]  # measured and its derivatives, as `motion`; otherwise empty
     body: FloatArray  # (n_rows, n_joints, n_body) regressor of the links if rigid, otherwise empty
     rows: IntArray  # (n_rows,) sample indices
@@ -65,14 +65,10 @@ class FilteredRecord:
     period: float  # [samples] of the motion; the whole record if it does not repeat
 
     @property
-    def duration(self) -> float:
-        """Duration [s] of one period of the motion."""
-        return self.period * self.signals.sample_time
-
-    @property
     def sliding_time(self) -> float:
         """Mean time [s] over the joints in which they slide, in one period of the motion."""
-        return self.duration * float(np.mean(self.signals.direction != 0.0))
+        duration = self.period * self.signals.sample_time
+        return duration * float(np.mean(self.signals.direction != 0.0))
 
     def blocks(self, count: int) -> IntArray:
         """Block number of each row, (n_rows,): one of `count` equal parts of the period."""
@@ -196,7 +192,7 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
         bandwidth_hz=bandwidth_hz,
         motion_step=step,
         motion=(angle, velocity, acceleration),
-        drive=(torque, direction) if elastic else (),
+        drive=(torque, direction),
         torsion=tuple(motion_of(x, bandwidth_hz, T) for x in torsion_motion(signals)),
         body=np.zeros(0),
         rows=rows,

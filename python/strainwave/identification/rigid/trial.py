@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, IntArray
+from strainwave.domain import BoolArray, FloatArray
 from strainwave.domain.distributions import student_quantile
 from strainwave.domain.parameter_table import family_of, parameter_table
 from strainwave.dynamics.arm import Arm
@@ -16,11 +16,9 @@ from strainwave.identification.rigid.equations import (
     Estimate,
     FurtherTerm,
     MotorShares,
-    Terms,
     anti_resonances,
     assemble,
     average_estimates,
-    blocks_of,
     estimate_of,
     slides_both_ways,
 )
@@ -80,11 +78,6 @@ class Trial:
     def n_blocks(self) -> int:
         """Number of blocks of the jackknife."""
         return len(np.unique(self.equations.block))
-
-    @property
-    def record_of_block(self) -> IntArray:
-        """Number of the record of each block."""
-        return np.repeat(np.arange(len(self.stretches)), blocks_of(self.stretches))
 
     @property
     def interval_half_width(self) -> float:
@@ -165,8 +158,7 @@ def fit_trial(
     `weights` (n_rows,) are square roots of weights to start from, if the rows are the same.
     """
     shares = shares or MotorShares.usual(arm)
-    terms = Terms.of(candidates, stretches) if candidates else None
-    equations = assemble(arm, stretches, start, terms)
+    equations = assemble(arm, stretches, start, candidates)
     if not len(equations.target):
         raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
     root = ls.initial_weights(equations.target, equations.group)
@@ -188,7 +180,7 @@ def fit_trial(
         if has_converged:
             break
         root = ls.root_weights(equations, factor)
-        equations = assemble(arm, stretches, start, terms)
+        equations = assemble(arm, stretches, start, candidates)
     covariance, common_variance = ls.jackknife(equations, factor)
     assert start is not None
     change, variance, weighed = _weights_of_links(arm, stretches, factor, start.solution)
