@@ -10,7 +10,7 @@ import pytest
 from strainwave.domain import FloatArray, StateSpace
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.statespace import frequency_response, modes, pem, propagate, to_continuous
-from strainwave.statespace._matrices import ModelMatrices
+from strainwave.statespace._scaled import ModelMatrices
 from two_inertia import SAMPLE_TIME, TwoInertia, excitation, simulate, state_space
 
 ARM = TwoInertia()

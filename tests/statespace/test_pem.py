@@ -16,8 +16,7 @@ from strainwave.domain import ContinuousStateSpace, FloatArray, InputOutput, Sta
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.statespace import PemOptions, modes, pem, propagate, subspace, to_continuous
 from strainwave.statespace._evaluate import Evaluator
-from strainwave.statespace._matrices import ModelMatrices, balance, rescale
-from strainwave.statespace._stack import stack
+from strainwave.statespace._scaled import ModelMatrices, balance, rescale, stack
 from strainwave.statespace.subspace import Method
 from two_inertia import TwoInertia, excitation, simulate
 

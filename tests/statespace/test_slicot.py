@@ -7,7 +7,7 @@ import pytest
 
 from strainwave.domain import FloatArray
 from strainwave.statespace._evaluate import Evaluator
-from strainwave.statespace._stack import stack
+from strainwave.statespace._scaled import stack
 from strainwave.statespace.subspace import Factors, realise
 from two_inertia import TwoInertia, excitation, simulate
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Literal
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal, Self
 
 import numpy as np
 
@@ -253,3 +253,11 @@ class StageResults:
     motor_responses: tuple[MotorResponse, ...] = ()  # of fast records, if the arm was fitted
     activity: tuple[Activity, ...] = ()  # for each joint in the fitted records
     logs: tuple[Log, ...] = ()  # as read
+
+    def warn(self, warnings: Iterable[Diagnostic]) -> Self:
+        """The results with further warnings."""
+        return replace(self, stage_warnings=(*self.stage_warnings, *warnings))
+
+    def fail(self, reason: Clause) -> Self:
+        """The results with the reason why a stage failed."""
+        return replace(self, failures=(*self.failures, reason))

@@ -23,17 +23,17 @@ def compare_amplitudes(records: Sequence[RecordModel]) -> tuple[Sweep, ...]:
     """
     results = []
     for joint in sorted({record.signals.joint for record in records}):
-        joint_records = [r for r in records if r.signals.joint == joint and _others_free(r)]
+        # the other joints are free, or the record is part of a sweep by its `use`
+        joint_records = [
+            r
+            for r in records
+            if r.signals.joint == joint
+            and (r.signals.experiment.use == "sweep" or "servo" not in r.signals.experiment.control)
+        ]
         points = sorted(_points(joint_records), key=lambda point: point.amplitude)
         if len({point.amplitude for point in points}) >= _MIN_AMPLITUDES:
             results.append(_sweep(joint, tuple(points)))
     return tuple(results)
-
-
-def _others_free(record: RecordModel) -> bool:
-    """Whether the other joints are free, or the record is part of a sweep by its `use`."""
-    experiment = record.signals.experiment
-    return experiment.use == "sweep" or "servo" not in experiment.control
 
 
 def _points(records: Iterable[RecordModel]) -> list[SweepPoint]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import (
-    BoolArray,
     Check,
     ComplexArray,
     Decoupled,
@@ -84,14 +83,11 @@ def decouple(
         band = options.band_hz or _motion_band(signals, i)
         frequency, density = _spectra(inputs, signals.sample_time)
         inside = (frequency >= band[0]) & (frequency <= band[1])
-        checks = [_check_sliding(signals, i)]
+        share = float(np.mean(np.abs(signals.direction[:, i]) > 0.5))
+        checks = [_check("sliding", share, _MIN_SLIDING_SHARE, share=share)]
         if tau is not None:
-            checks += [
-                _check_inertia(signals, arm, base, i),
-                _check_amplitude(inputs, arm.gear_ratios[i]),
-                _check_spectrum(frequency, density[:, 1, 1].real, inside),
-                _check_richness(_richness(density[inside]), band),
-            ]
+            checks.append(_check_inertia(signals, arm, base, i))
+            checks += _check_interaction(inputs, arm.gear_ratios[i], frequency, density, band)
         records.append(
             Decoupled(
                 experiment=signals.experiment,
@@ -167,29 +163,9 @@ def _spectra(columns: FloatArray, sample_time: float) -> tuple[FloatArray, Compl
     return cross_spectral_densities(columns, sample_time, min(segment, len(columns)))
 
 
-def _richness(density: ComplexArray) -> FloatArray:
-    """Ratio of smallest to largest eigenvalue of the inputs' coherency matrix, by frequency.
-
-    For two inputs with coherence gamma^2 it is (1 - gamma)/(1 + gamma). It is zero if one input is
-    a linear function of the other, so that their effects are not separable. For a small ratio r,
-    the standard deviations are 1 / sqrt(4 r) times those of inputs without coherence.
-    """
-    power = np.sqrt(np.einsum("fii->fi", density).real)
-    floor = 1e-12 * power.max() if power.size else 1.0
-    scale = np.maximum(power, max(floor, 1e-300))
-    eigenvalues = np.linalg.eigvalsh(density / (scale[:, :, None] * scale[:, None, :]))
-    smallest, largest = np.clip(eigenvalues[:, 0], 0.0, None), eigenvalues[:, -1]
-    return np.asarray(smallest / np.maximum(largest, 1e-300))
-
-
 def _check(name: str, value: float, least: float, **values: Value) -> Check:
     """Check that a value is not below its limit."""
     return Check(name, value >= least, value, least, tuple(values.items()))
-
-
-def _check_sliding(signals: LinkSignals, i: int) -> Check:
-    share = float(np.mean(np.abs(signals.direction[:, i]) > 0.5))
-    return _check("sliding", share, _MIN_SLIDING_SHARE, share=share)
 
 
 def _check_inertia(signals: LinkSignals, arm: Arm, base: FloatArray, i: int) -> Check:
@@ -205,25 +181,38 @@ def _check_inertia(signals: LinkSignals, arm: Arm, base: FloatArray, i: int) -> 
     return Check("constant-inertia", change <= limit, change, limit, values)
 
 
-def _check_amplitude(inputs: FloatArray, gear_ratio: float) -> Check:
-    """Interaction torque over the torque of the motor."""
+def _check_interaction(
+    inputs: FloatArray,
+    gear_ratio: float,
+    frequency: FloatArray,
+    density: ComplexArray,
+    band: tuple[float, float],
+) -> Iterator[Check]:
+    """Whether tau acts on the joint, exceeds its noise, and is separable from u.
+
+    The inputs are separable by the ratio of smallest to largest eigenvalue of their coherency
+    matrix. With coherence gamma^2 it is (1 - gamma)/(1 + gamma); it is zero if one input is a
+    linear function of the other. For a small ratio r, the standard deviations are 1 / sqrt(4 r)
+    times those of inputs without coherence.
+    """
+    low, high = band
+    inside = (frequency >= low) & (frequency <= high)
     u, tau = inputs.std(axis=0)
     ratio = float(gear_ratio * tau / max(u, 1e-300))
-    return _check("interaction-amplitude", ratio, _MIN_INTERACTION_RATIO, ratio=ratio)
-
-
-def _check_spectrum(frequency: FloatArray, power: FloatArray, inside: BoolArray) -> Check:
-    """Share of the band in which the power density of tau exceeds its noise level."""
+    yield _check("interaction-amplitude", ratio, _MIN_INTERACTION_RATIO, ratio=ratio)
+    power = density[:, 1, 1].real
     noise = float(np.median(power[frequency >= 0.5 * frequency[-1]]))
     share = float(np.mean(power[inside] > _NOISE_FACTOR * noise)) if inside.any() else 0.0
-    return _check("interaction-spectrum", share, _MIN_BAND_SHARE, share=share)
-
-
-def _check_richness(richness: FloatArray, band: tuple[float, float]) -> Check:
-    """Whether the effects of u and tau are separable."""
-    ratio, (low, high) = float(np.median(richness)) if richness.size else 0.0, band
-    least = _MIN_EIGENVALUE_RATIO
-    return _check("input-richness", ratio, least, ratio=ratio, low_hz=low, high_hz=high)
+    yield _check("interaction-spectrum", share, _MIN_BAND_SHARE, share=share)
+    amplitude = np.sqrt(np.einsum("fii->fi", density[inside]).real)
+    scale = np.maximum(amplitude, max(1e-12 * amplitude.max(initial=0.0), 1e-300))
+    coherency = density[inside] / (scale[:, :, None] * scale[:, None, :])
+    eigenvalues = np.linalg.eigvalsh(coherency)
+    smallest, largest = np.clip(eigenvalues[:, 0], 0.0, None), eigenvalues[:, -1]
+    ratio = float(np.median(smallest / np.maximum(largest, 1e-300))) if inside.any() else 0.0
+    yield _check(
+        "input-richness", ratio, _MIN_EIGENVALUE_RATIO, ratio=ratio, low_hz=low, high_hz=high
+    )
 
 
 def _warnings(

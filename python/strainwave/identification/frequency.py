@@ -80,7 +80,10 @@ def by_periods(
     n_periods = 0
     for pair in pairs:
         n_skipped = min(transient, max(0, len(pair[0]) // period - _MIN_PERIODS))
-        lines = _period_spectra(np.column_stack(pair)[n_skipped * period :], period)
+        n_whole = len(pair[0]) // period - n_skipped
+        columns = np.column_stack(pair)[n_skipped * period :][: n_whole * period]
+        blocks = columns.reshape(n_whole, period, -1)
+        lines = np.asarray(np.fft.rfft(blocks, axis=1)[:, 1:] / period)  # without the constant
         means.append(lines.mean(axis=0))
         scatters.append(lines - means[-1])
         n_periods += len(lines)
@@ -124,7 +127,8 @@ def by_welch(
     over n_averages S_uu. Raises `NotIdentifiable` if there are no more segments than inputs.
     """
     n_in = pairs[0][0].shape[1]
-    segments = [_segment_spectra(np.column_stack(pair), segment) for pair in pairs]
+    window, step = np.hanning(segment), max(1, round(segment * (1.0 - _OVERLAP)))
+    segments = [window_spectra(np.column_stack(pair), window, step)[:, 1:] for pair in pairs]
     lines = np.concatenate(segments)
     count = len(lines)
     if count <= n_in:
@@ -216,18 +220,6 @@ def _period(record: Decoupled) -> int | None:
     samples = prbs.clock * (2**prbs.order - 1) / record.sample_time
     rounded = round(samples)
     return rounded if abs(samples - rounded) < 1e-3 and rounded >= 16 else None
-
-
-def _period_spectra(columns: FloatArray, period: int) -> ComplexArray:
-    """Spectra of whole periods without the constant: (n_periods, n_frequencies, n_columns)."""
-    n_periods = len(columns) // period
-    blocks = columns[: n_periods * period].reshape(n_periods, period, -1)
-    return np.asarray(np.fft.rfft(blocks, axis=1)[:, 1:] / period)
-
-
-def _segment_spectra(columns: FloatArray, segment: int) -> ComplexArray:
-    step = max(1, round(segment * (1.0 - _OVERLAP)))
-    return window_spectra(columns, np.hanning(segment), step)[:, 1:]
 
 
 def _distortion(

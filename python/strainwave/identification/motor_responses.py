@@ -73,7 +73,11 @@ def motor_response(
     coherence = coherence / np.maximum(power[inside] * density[inside, 1, 1].real, 1e-300)
     condition = _condition(log, arm)
     posture = arm.links_of(motor_angle.mean(axis=0))
-    values = _with_equivalent_stiffness(model.values, joints, arm)
+    values = dict(model.values)
+    for joint in joints:  # equivalent stiffness of nonlinear gears at the records' amplitude
+        key = (STIFFNESS, joint.joint)
+        if key not in values or arm.joints[joint.joint - 1].law.is_curved:
+            values[key] = joint.values[STIFFNESS]
     is_servoed = condition == "others-servoed"
     zeros, poles = modes_of_motor(values, arm, posture, number, servoed=is_servoed)
     return MotorResponse(
@@ -160,15 +164,3 @@ def _condition(log: Log, arm: Arm) -> Condition:
     if arm.n_joints == 1:
         return "alone"
     return "others-servoed" if "servo" in others else "others-free"
-
-
-def _with_equivalent_stiffness(
-    values: Mapping[Key, float], joints: Sequence[JointModel], arm: Arm
-) -> dict[Key, float]:
-    """Values with the equivalent stiffness of nonlinear gears at the records' amplitude."""
-    linear_values = dict(values)
-    for joint in joints:
-        key = (STIFFNESS, joint.joint)
-        if key not in linear_values or arm.joints[joint.joint - 1].law.is_curved:
-            linear_values[key] = joint.values[STIFFNESS]
-    return linear_values

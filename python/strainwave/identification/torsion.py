@@ -38,6 +38,7 @@ from strainwave.dynamics.rigid_prediction import link_motion, torsion_motion
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.motor import measured_torsion, period_of, prepare_motor_signals
+from strainwave.signals.standstill import running
 
 _BLOCKS = 20  # of the jackknife, of all records together
 _ROWS_PER_CUTOFF = 4.0  # rows per period of the filter's cut-off
@@ -63,11 +64,6 @@ class _TorsionRows:
     phase: FloatArray  # (n_rows,) 0 to 1 within one period of the motion
 
 
-def measures_torsion(log: Log, joint: int) -> bool:
-    """Whether a record has the motion of both sides of a gear; `joint` counts from 1."""
-    return f"theta_l{joint}" in log.channels or f"deflection{joint}" in log.channels
-
-
 def fit_torsions(
     logs: Sequence[Log], model: RigidModel, arm: Arm, joints: Sequence[int]
 ) -> tuple[tuple[TorsionFit, ...], tuple[Diagnostic, ...]]:
@@ -76,7 +72,8 @@ def fit_torsions(
     Joints without torsion in any record are left out. A joint whose torsion does not follow its
     torque gets a warning instead of an estimate.
     """
-    joints = [j for j in joints if any(measures_torsion(log, j) for log in logs)]
+    channels = {name for log in logs for name in log.channels}
+    joints = [j for j in joints if {f"theta_l{j}", f"deflection{j}"} & channels]
     if not joints:
         return (), ()
     records = run_parallel([partial(_prepare, log, model.bandwidth_hz, arm) for log in logs])
@@ -111,7 +108,8 @@ def _prepare(log: Log, bandwidth_hz: float, arm: Arm) -> _TorsionRows | None:
     regressor = arm.base_regressor(q, dq, ddq) @ arm.links_of_rigid(MOTOR_SHARE)
     added = arm.link_torques(arm.payload_vector(log.experiment.payload), q, dq, ddq)
     gap = round(1.0 / (8.0 * bandwidth_hz * T))
-    valid = _clear_of(signals.valid & is_measured, gap)
+    bad = ~(signals.valid & is_measured)
+    valid = ~np.column_stack([running(np.logical_or, column, 2 * gap + 1) for column in bad.T])
     span = min(period_of(signals), float(len(log)))
     return _TorsionRows(
         log.name,
@@ -124,14 +122,6 @@ def _prepare(log: Log, bandwidth_hz: float, arm: Arm) -> _TorsionRows | None:
         valid[rows],
         np.asarray((rows % span) / span, dtype=np.float64),
     )
-
-
-def _clear_of(valid: BoolArray, gap: int) -> BoolArray:
-    """Samples that are valid with all samples up to `gap` before and after."""
-    counts = np.concatenate([np.zeros((1, valid.shape[1])), np.cumsum(~valid, axis=0)])
-    at = np.arange(len(valid))
-    first, last = np.maximum(at - gap, 0), np.minimum(at + gap + 1, len(valid))
-    return np.asarray(counts[last] == counts[first])
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,13 +172,13 @@ def _fit_joint(
     solution = model.solution[: arm.n_body]
     torque = equations.per_parameter @ solution + equations.payload
     others = equations.others
-    compliance, own = _slope(torque, others, equations.torsion)
-    residual = own.torsion - compliance * own.torque
+    compliance, (own_torque, own_torsion) = _slope(torque, others, equations.torsion)
+    residual = own_torsion - compliance * own_torque
     without = [equations.block != block for block in np.unique(equations.block)]
     parts = [_slope(torque[at], others[at], equations.torsion[at])[0] for at in without]
     # errors of the rigid model shift the torque along its columns
     shifts = _projected(equations.per_parameter, others)
-    change = (residual - compliance * own.torque) @ shifts / (own.torque @ own.torque)
+    change = (residual - compliance * own_torque) @ shifts / (own_torque @ own_torque)
     of_model = np.nan_to_num(model.covariance[: arm.n_body, : arm.n_body])
     variance = (len(parts) - 1) * float(np.var(parts)) + float(change @ of_model @ change)
     half = student_quantile(0.975, len(parts) - 1) * float(np.sqrt(variance))
@@ -200,26 +190,21 @@ def _fit_joint(
         joint,
         tuple(record.name for record in records if record.valid[:, joint - 1].any()),
         Parameter(*key, value, std, unit_in(arm, key), "decoupled", ends),
-        own.torque,
-        own.torsion,
-        100.0 * (1.0 - float(np.linalg.norm(residual) / np.linalg.norm(own.torsion))),
+        own_torque,
+        own_torsion,
+        100.0 * (1.0 - float(np.linalg.norm(residual) / np.linalg.norm(own_torsion))),
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Own:
-    """Torque and torsion without the parts that follow the other columns."""
+def _slope(torque: FloatArray, others: FloatArray, torsion: FloatArray) -> tuple[float, FloatArray]:
+    """Coefficient of the torque in the regression of the torsion on it and on other columns.
 
-    torque: FloatArray
-    torsion: FloatArray
-
-
-def _slope(torque: FloatArray, others: FloatArray, torsion: FloatArray) -> tuple[float, _Own]:
-    """Coefficient of the torque in the regression of the torsion on it and on other columns."""
+    Second, torque and torsion (2, n_rows) without the parts that follow the other columns.
+    """
     own = _projected(np.column_stack([torque, torsion]), others)
     squares = float(own[:, 0] @ own[:, 0])
     slope = float(own[:, 0] @ own[:, 1]) / squares if squares > 0.0 else 0.0
-    return slope, _Own(own[:, 0], own[:, 1])
+    return slope, own.T
 
 
 def _projected(columns: FloatArray, others: FloatArray) -> FloatArray:

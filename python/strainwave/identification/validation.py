@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -49,12 +49,8 @@ position."""
 _N_DRAWS = 6  # samples of the parameters; their standard deviation is accurate to about a third
 
 
-@dataclass(frozen=True, slots=True)
-class _TypicalMotion:
-    """Typical motion and residual of one channel in the fitted records."""
-
-    motion: float  # largest standard deviation of the signal
-    error: float  # largest standard deviation of the residual
+_TypicalMotion = tuple[float, float]
+"""Largest standard deviations of a channel's signal and residual in the fitted records."""
 
 
 def _unexplained_errors(
@@ -72,14 +68,13 @@ def _unexplained_errors(
     only if the other causes do not explain an error.
     """
     error = np.sqrt(np.mean((prediction.measured - prediction.predicted) ** 2, axis=0))
-    no_motion = _TypicalMotion(0.0, 0.0)
-    typical = [usual.get(name, no_motion) for name in prediction.channels]
+    typical = np.array([usual.get(name, (0.0, 0.0)) for name in prediction.channels])
     motion = np.maximum(
         np.std(prediction.measured, axis=0),
-        MIN_MOTION_SHARE * np.array([each.motion for each in typical]),
+        MIN_MOTION_SHARE * typical[:, 0],
     )
     moves = np.isfinite([prediction.fit_percent[name] for name in prediction.channels])
-    explained = noise**2 + np.array([each.error for each in typical]) ** 2
+    explained = noise**2 + typical[:, 1] ** 2
     is_large = moves & (error > MAX_ERROR_SHARE * motion)
     if not np.any(is_large & (error > MAX_UNEXPLAINED_STDS * np.sqrt(explained))):
         return {}
@@ -127,12 +122,8 @@ def predict_rigid(
 
     motions = np.max([np.std(each.measured, axis=0) for each in fitted], axis=0)
     errors = np.max([np.std(each.measured - each.predicted, axis=0) for each in fitted], axis=0)
-    typical = {
-        name: _TypicalMotion(motion, error)
-        for name, motion, error in zip(
-            prediction.channels, motions.tolist(), errors.tolist(), strict=True
-        )
-    }
+    pairs = zip(motions.tolist(), errors.tolist(), strict=True)
+    typical = dict(zip(prediction.channels, pairs, strict=True))
     unexplained = _unexplained_errors(prediction, np.zeros(len(typical)), typical, varied)
     return replace(prediction, unexplained=unexplained)
 
@@ -200,8 +191,11 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
                 continue
 
     errors = _unexplained_errors(prediction, noise, typical, varied)
+    # the same prediction with the recorded voltages instead of the servo
+    driven, drive = driven_by_voltage(arm, log)
+    by_voltage = replace(observed, drive=drive)
     is_servo_at_fault = bool(errors) and not _unexplained_errors(
-        _by_voltage(observed, values, arm), noise, typical, varied
+        build_prediction(by_voltage, by_voltage.simulate(driven, values)), noise, typical, varied
     )
     return replace(
         prediction,
@@ -211,23 +205,14 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     )
 
 
-def _by_voltage(observed: ObservedMotion, values: Values, arm: Arm) -> Prediction:
-    """The same prediction with the recorded voltages instead of the servo."""
-    driven, drive = driven_by_voltage(arm, observed.log)
-    by_voltage = replace(observed, drive=drive)
-    return build_prediction(by_voltage, by_voltage.simulate(driven, values))
-
-
 def _typical_motion(model: ArmModel) -> Mapping[str, _TypicalMotion]:
     """Largest motion and residual of each channel in the fitted records."""
     typical: dict[str, _TypicalMotion] = {}
     for test in model.criticism.residuals if model.criticism else ():
         fit = model.fit_percent.get(test.experiment, {}).get(test.channel, math.nan)
         motion = test.deviation / (1.0 - 0.01 * fit) if fit < 100.0 else 0.0
-        previous = typical.get(test.channel, _TypicalMotion(0.0, 0.0))
-        typical[test.channel] = _TypicalMotion(
-            max(previous.motion, motion), max(previous.error, test.deviation)
-        )
+        largest_motion, largest_error = typical.get(test.channel, (0.0, 0.0))
+        typical[test.channel] = max(largest_motion, motion), max(largest_error, test.deviation)
     return typical
 
 

@@ -221,7 +221,27 @@ def _lag_response(
     The padding lets the response decay, so it does not wrap around. The result is cached for the
     channels of a record.
     """
-    numerator, denominator = _discrete_transfer_function(lags, sample_time, held)
+    # One matrix exponential integrates x' = A x + B u over a sampling period (Van Loan, IEEE Trans.
+    # AC 23, 1978), for constant u or, with one more block, for linear u.
+    polynomial: FloatArray = np.ones(1)
+    for lag in lags:
+        w = 2.0 * np.pi * lag.cutoff_hz * sample_time
+        section = [1.0 / w, 1.0] if lag.order == 1 else [1.0 / w**2, np.sqrt(2.0) / w, 1.0]
+        polynomial = np.asarray(np.polymul(polynomial, section), dtype=np.float64)
+    order = len(polynomial) - 1
+    block = np.zeros((order + 2, order + 2))
+    block[0, :order] = -polynomial[1:] / polynomial[0]
+    block[np.arange(1, order), np.arange(order - 1)] = 1.0
+    block[0, order] = block[order, order + 1] = 1.0
+    block_exponential = exponential(block)[:order]
+    A, B, C, D = block_exponential[:, :order], block_exponential[:, order], np.zeros(order), 0.0
+    C[-1] = 1.0 / polynomial[0]
+    if not held:
+        D = float(C @ block_exponential[:, order + 1])
+        B = B - block_exponential[:, order + 1] + A @ block_exponential[:, order + 1]
+    poles = np.poly(A)
+    numerator = np.real(np.poly(A - np.outer(B, C)) + (D - 1.0) * poles)
+    denominator = np.real(poles)
     max_pole_modulus = float(np.abs(np.roots(denominator)).max())
     n_settling = int(np.ceil(np.log(np.finfo(float).eps) / np.log(max(max_pole_modulus, 1e-3))))
     size = fast_length(n + n_settling)
@@ -284,34 +304,6 @@ def _analog_response(
     elif between == "straight":
         response *= np.sinc(f * sample_time) ** 2
     return response, delay
-
-
-def _discrete_transfer_function(
-    lags: tuple[Lag, ...], sample_time: float, held: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Numerator and denominator of the cascade in z, highest power first.
-
-    One matrix exponential integrates x' = A x + B u over a sampling period (Van Loan, IEEE Trans.
-    AC 23, 1978), for constant u or, with one more block, for linear u.
-    """
-    denominator: FloatArray = np.ones(1)
-    for lag in lags:
-        w = 2.0 * np.pi * lag.cutoff_hz * sample_time
-        section = [1.0 / w, 1.0] if lag.order == 1 else [1.0 / w**2, np.sqrt(2.0) / w, 1.0]
-        denominator = np.asarray(np.polymul(denominator, section), dtype=np.float64)
-    n = len(denominator) - 1
-    block = np.zeros((n + 2, n + 2))
-    block[0, :n] = -denominator[1:] / denominator[0]
-    block[np.arange(1, n), np.arange(n - 1)] = 1.0
-    block[0, n] = block[n, n + 1] = 1.0
-    block_exponential = exponential(block)[:n]
-    A, B, C, D = block_exponential[:, :n], block_exponential[:, n], np.zeros(n), 0.0
-    C[-1] = 1.0 / denominator[0]
-    if not held:
-        D = float(C @ block_exponential[:, n + 1])
-        B = B - block_exponential[:, n + 1] + A @ block_exponential[:, n + 1]
-    poles = np.poly(A)
-    return np.real(np.poly(A - np.outer(B, C)) + (D - 1.0) * poles), np.real(poles)
 
 
 def band_pass(signal: FloatArray, low_hz: float, high_hz: float, sample_time: float) -> FloatArray:

@@ -95,23 +95,26 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
 
     `root` (n_rows,): Square roots of the weights.
     """
-    reduced = _reduce(equations, root, equations.target[:, None])
-    scale, R, targets = reduced.scale, reduced.own, reduced.right[:, 0]
-    U, s, Vt = singular_values(R)
+    rows, n = rows_of(equations, root, equations.target[:, None]), equations.common.shape[1]
+    Q, R = _triangularise(rows, n)
+    scale, stop = rows.scale, n + len(rows.scale)
+    U, s, Vt = singular_values(R[n:stop, n:stop])
     noise = np.sqrt(Vt**2 @ (equations.noise * np.linalg.norm(root) / scale) ** 2)
     is_identifiable = s > np.maximum(_MIN_SINGULAR_VALUE_TO_NOISE * noise, 1e-10 * s[0])
-    x = Vt[is_identifiable].T @ ((U[:, is_identifiable].T @ targets) / s[is_identifiable])
-    common, local = reduced.nuisance(x)
+    projection = U[:, is_identifiable].T @ R[n:stop, -1]
+    x = Vt[is_identifiable].T @ (projection / s[is_identifiable])
+    common = np.linalg.solve(R[:n, :n], R[:n, -1] - R[:n, n:-1] @ x)
+    local = rows.below[:, -1] - rows.below[:, :-1] @ np.concatenate([common, x])
     return Factor(
         root=root,
         value=x / scale,
-        common=common * equations.common_deviation,
-        local=local * equations.local_deviation,
+        common=np.asarray(common * equations.common_deviation),
+        local=np.asarray(local * equations.local_deviation),
         scale=scale,
         singular=s,
         directions=Vt,
         is_resolved=is_identifiable,
-        leverage=reduced.leverage,
+        leverage=np.sum(Q[: len(root), :stop] ** 2, axis=1) + rows.leverage,
     )
 
 
@@ -120,45 +123,15 @@ def moves(equations: Equations, factor: Factor, changes: FloatArray) -> FloatArr
 
     `changes` (n_rows, n_changes). Returns (n_parameters, n_changes).
     """
-    reduced = _reduce(equations, factor.root, changes, leverage=False)
+    rows = rows_of(equations, factor.root, changes, leverage=False)
+    n = equations.common.shape[1]
+    parameters = slice(n, n + len(rows.scale))
+    _, R = _triangularise(rows, n)
     basis = factor.directions[factor.is_resolved].T
     # R'R = V s^2 V', so R^-1 = V s^-2 V' R'
-    inverse = basis / factor.singular[factor.is_resolved] ** 2 @ basis.T @ reduced.own.T
-    return np.asarray(inverse @ reduced.right / factor.scale[:, None])
-
-
-@dataclass(frozen=True, slots=True)
-class _ReducedEquations:
-    """Equations after elimination of the local parameters, and their triangular factor.
-
-    The columns belong to the common nuisance parameters, the parameters and the targets.
-    """
-
-    scale: FloatArray  # (n_parameters,) norms of the weighted columns
-    n_common: int
-    triangle: FloatArray
-    below: FloatArray  # (n_local, n_columns) regression of each column on the local regressors
-    leverage: FloatArray  # (n_rows,)
-
-    @property
-    def own(self) -> FloatArray:
-        """Block of the parameters in the triangular factor."""
-        n, stop = self.n_common, self.n_common + len(self.scale)
-        return self.triangle[n:stop, n:stop]
-
-    @property
-    def right(self) -> FloatArray:
-        """Columns of the targets in the rows of the parameters."""
-        n, stop = self.n_common, self.n_common + len(self.scale)
-        return self.triangle[n:stop, stop:]
-
-    def nuisance(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Common and local nuisance parameters for given scaled parameters x and one target."""
-        n = self.n_common
-        targets = self.triangle[:n, -1] - self.triangle[:n, n:-1] @ x
-        common = np.asarray(np.linalg.solve(self.triangle[:n, :n], targets))
-        local = self.below[:, -1] - self.below[:, :-1] @ np.concatenate([common, x])
-        return common, np.asarray(local)
+    inverse = basis / factor.singular[factor.is_resolved] ** 2 @ basis.T
+    right = R[parameters, parameters].T @ R[parameters, parameters.stop :]
+    return np.asarray(inverse @ right / factor.scale[:, None])
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,21 +170,11 @@ def rows_of(
     return ReducedRows(scale, columns, np.concatenate(local_coefficients), local_leverage)
 
 
-def _reduce(
-    equations: Equations, root: FloatArray, targets: FloatArray, *, leverage: bool = True
-) -> _ReducedEquations:
-    """Eliminate the local parameters part by part, then compute a QR decomposition."""
-    rows = rows_of(equations, root, targets, leverage=leverage)
-    n_common = equations.common.shape[1]
+def _triangularise(rows: ReducedRows, n_common: int) -> tuple[FloatArray, FloatArray]:
+    """QR decomposition of reduced rows with the priors of the common nuisance parameters."""
     priors = np.eye(n_common, rows.own.shape[1])
     Q, R = np.linalg.qr(np.vstack([rows.own, -rows.below, priors]))
-    return _ReducedEquations(
-        scale=rows.scale,
-        n_common=n_common,
-        triangle=R,
-        below=rows.below,
-        leverage=np.sum(Q[: len(root), : n_common + len(rows.scale)] ** 2, axis=1) + rows.leverage,
-    )
+    return Q, R
 
 
 def rows_of_local(equations: Equations) -> IntArray:

@@ -7,7 +7,7 @@ they are combined into an `Identification`. A `Reporter` has the times and the p
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -18,16 +18,18 @@ from strainwave.domain import (
     STAGES,
     Consistency,
     Diagnostic,
+    DriveGains,
     Identification,
     Log,
     Options,
-    RigidModel,
     Stage,
     Study,
     Suspicion,
 )
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.options import Progress, ProgressEvent, ignore_progress
+from strainwave.domain.stage_results import StageResults
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.identification import amplitude_sweep as sweep
 from strainwave.identification import whole_arm
@@ -37,10 +39,8 @@ from strainwave.io.logs.arrow import Data
 from strainwave.io.results import to_document, to_json
 from strainwave.io.study import read_study, with_options
 from strainwave.numerics.parallel import limited, one_blas_thread
-from strainwave.pipeline.elastic_arm import ElasticStages, fit_elastic_arm
+from strainwave.pipeline.elastic_arm import fit_elastic_arm
 from strainwave.pipeline.inputs import (
-    CheckedInputs,
-    Inputs,
     check_input,
     check_inputs,
     read_start,
@@ -48,8 +48,6 @@ from strainwave.pipeline.inputs import (
 )
 from strainwave.pipeline.reporter import Reporter, attempt
 from strainwave.pipeline.rigid_joints import (
-    DriveStage,
-    RigidStage,
     estimate_drives,
     fit_rigid_joints,
 )
@@ -123,112 +121,84 @@ def _identify(
     reporter: Reporter,
     start: Values,
 ) -> Identification:
-    drives = DriveStage(study)
+    results = StageResults(study=study, stages=stages, rigid=None, logs=tuple(raw_logs))
+    gains: DriveGains | None = None
     if study.arm.unknown_drives:
-        drives = estimate_drives(study, raw_logs, reporter)
-        study = drives.study
+        results, gains = estimate_drives(results, reporter)
     with reporter.time_part("consistency", "detecting defects, checking consistency"):
-        check = check_inputs(study, raw_logs, stages)
-    check = replace(check, inputs=replace(check.inputs, start=start))
-    inputs, is_consistent = check.inputs, not check.consistency.deciding
-    rigid = RigidStage()
-    if drives.failures:  # without the scale of the torques, no relation holds
-        check = replace(check, consistency=Consistency())
-    elif check.consistency.motors_agree:  # the rigid model does not use link sensors
-        rigid = attempt(
-            partial(fit_rigid_joints, inputs, reporter, drives.gains),
-            lambda reason: RigidStage(failures=(reason,)),
-        )
-        check = _compare_torque_constants(check, rigid.model)
-    elastic = ElasticStages()
-    is_elastic = any(joint.elastic for joint in inputs.arm.joints)
-    if "decoupled" in stages and is_elastic and not drives.failures:
-        suspicion = find_doubtful_torque_constant(check.consistency)
+        inputs, consistency = check_inputs(results.study, raw_logs, stages)
+    inputs, is_consistent = replace(inputs, start=start), not consistency.deciding
+    results = replace(results, stage_warnings=(*consistency.warnings, *results.stage_warnings))
+    has_scale = not results.failures
+    if not has_scale:  # without the scale of the torques, no relation holds
+        consistency = Consistency()
+    elif consistency.motors_agree:  # the rigid model does not use link sensors
+        results = attempt(partial(fit_rigid_joints, inputs, results, reporter, gains), results.fail)
+        consistency = _compare_torque_constants(consistency, results)
+    if "decoupled" in stages and has_scale and any(joint.elastic for joint in inputs.arm.joints):
+        fit = partial(attempt, partial(fit_elastic_arm, inputs, results, reporter), results.fail)
+        suspicion = find_doubtful_torque_constant(consistency)
         if is_consistent and suspicion is not None:  # the rigid fit alone doubts the constant
-            elastic, check = _explain_suspicion(check, rigid.model, suspicion, reporter)
-        elif not check.consistency.deciding:
-            elastic = _fit_elastic_arm(inputs, rigid.model, reporter)
-    known = elastic.whole_arm.values if elastic.whole_arm is not None else {}
-    study = replace(study, arm=study.arm.with_selected_laws(known))
-    warnings = (*check.warnings, *drives.warnings, *rigid.warnings, *elastic.warnings)
+            results, consistency = _explain_suspicion(results, fit(), consistency, suspicion)
+        elif not consistency.deciding:
+            results = fit()
+    known = results.whole_arm.values if results.whole_arm is not None else {}
+    study = results.study
+    results = replace(
+        results,
+        study=replace(study, arm=study.arm.with_selected_laws(known)),
+        stage_warnings=tuple(dict.fromkeys(results.stage_warnings)),
+        sweeps=sweep.compare_amplitudes(results.records),
+        suspected=consistency.suspected,
+        activity=activity_of(inputs.logs, inputs.arm),
+    )
     return Identification(
-        study=study,
+        **{each.name: getattr(results, each.name) for each in fields(results)},
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         version=__version__,
-        stages=stages,
-        rigid=rigid.model,
-        drive_gains=drives.gains.parameters if drives.gains else (),
-        fitted=rigid.fitted,
-        checks=(*rigid.checks, *elastic.checks),
-        not_simulated=elastic.not_simulated,
-        stage_warnings=tuple(dict.fromkeys(warnings)),
         timing_s=reporter.timing_s,
-        records=elastic.records,
-        joints=elastic.joints,
-        torsions=elastic.torsions,
-        responses=elastic.responses,
-        links=elastic.links,
-        sweeps=sweep.compare_amplitudes(elastic.records),
-        whole_arm=elastic.whole_arm,
-        suspected=check.consistency.suspected,
-        motor_responses=elastic.motor_responses,
-        failures=(*drives.failures, *rigid.failures, *elastic.failures),
-        activity=activity_of(inputs.logs, inputs.arm),
-        logs=tuple(raw_logs),
     )
 
 
-def _fit_elastic_arm(inputs: Inputs, model: RigidModel | None, reporter: Reporter) -> ElasticStages:
-    """Results of the elastic stages; the reason if none can be computed."""
-    return attempt(
-        partial(fit_elastic_arm, inputs, model, reporter),
-        lambda reason: ElasticStages(failures=(reason,)),
-    )
-
-
-def _compare_torque_constants(check: CheckedInputs, model: RigidModel | None) -> CheckedInputs:
+def _compare_torque_constants(consistency: Consistency, results: StageResults) -> Consistency:
     """Add the ratios of torque constants that the rigid fit estimates to the consistency check."""
-    ratios = model.torque_ratios if model is not None else {}
-    torques = suspect_torque_constants(ratios, check.inputs.study)
-    if torques is None or torques.code in {each.code for each in check.consistency.suspected}:
-        return check
-    accept = check.inputs.study.options.accept
-    return replace(check, consistency=check.consistency.suspecting(torques, accept=accept))
+    ratios = results.rigid.torque_ratios if results.rigid is not None else {}
+    torques = suspect_torque_constants(ratios, results.study)
+    if torques is None or torques.code in {each.code for each in consistency.suspected}:
+        return consistency
+    return consistency.suspecting(torques, accept=results.study.options.accept)
 
 
 def _explain_suspicion(
-    check: CheckedInputs, model: RigidModel | None, suspicion: Suspicion, reporter: Reporter
-) -> tuple[ElasticStages, CheckedInputs]:
+    results: StageResults, fit: StageResults, consistency: Consistency, suspicion: Suspicion
+) -> tuple[StageResults, Consistency]:
     """Results of the elastic stages if they explain a suspected torque constant; else none."""
-    result = _fit_elastic_arm(check.inputs, model, reporter)
-    arm_model = result.whole_arm
-    if arm_model is None or not whole_arm.has_likelier_effect(arm_model, check.inputs.arm):
-        return ElasticStages(), check
+    arm_model, arm = fit.whole_arm, Arm.of(results.study.arm)
+    if arm_model is None or not whole_arm.has_likelier_effect(arm_model, arm):
+        return results, consistency
     places, contradiction = suspicion.places, suspicion.clause
     warning = Diagnostic("torques-contradict", places, contradiction=contradiction)
-    result = replace(result, warnings=(*result.warnings, warning))
-    accepted = tuple(each for each in check.consistency.suspected if each.accepted)
-    return result, replace(check, consistency=replace(check.consistency, suspected=accepted))
+    accepted = tuple(each for each in consistency.suspected if each.accepted)
+    return fit.warn([warning]), replace(consistency, suspected=accepted)
 
 
 def with_report_loading(progress: Progress) -> Progress:
     """Wrap a progress callback: a thread loads the report's code during the whole-arm fit."""
     threads: list[Thread] = []
 
+    def load_report() -> None:
+        from strainwave.report import document  # noqa: F401
+        from strainwave.report.html import load_template
+
+        load_template("document/page")
+
     def follow(event: ProgressEvent) -> None:
         if event.stage == "tuned" and not threads:
-            threads.append(Thread(target=_load_report))
+            threads.append(Thread(target=load_report))
             threads[0].start()
         progress(event)
 
     return follow
-
-
-def _load_report() -> None:
-    from strainwave.report import document  # noqa: F401
-    from strainwave.report.html import load_template
-
-    load_template("document/page")
 
 
 def write(

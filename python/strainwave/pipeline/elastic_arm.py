@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 
 from strainwave.domain import (
     ArmModel,
     Clause,
     Diagnostic,
-    FrequencyResponse,
     JointModel,
-    LinkSummary,
     Log,
     MotorResponse,
     Place,
     Prediction,
     RecordModel,
     RigidModel,
-    TorsionFit,
 )
 from strainwave.domain.link_sensors import with_estimates
+from strainwave.domain.stage_results import StageResults
 from strainwave.errors import NotIdentifiable, NumericalFailure
 from strainwave.identification import validation, whole_arm
 from strainwave.identification.motor_responses import motor_response
@@ -39,33 +37,21 @@ from strainwave.signals.recorded_input import (
 _MIN_RELATIVE_STD = 1e-6  # of a joint's parameter; gears of recorded arms reach 1e-4
 
 
-@dataclass(frozen=True, slots=True)
-class ElasticStages:
-    """Results of the stages that model elastic gears."""
-
-    records: tuple[RecordModel, ...] = ()
-    joints: tuple[JointModel, ...] = ()
-    torsions: tuple[TorsionFit, ...] = ()
-    responses: Mapping[int, FrequencyResponse] = field(default_factory=dict)
-    links: tuple[LinkSummary, ...] = ()
-    whole_arm: ArmModel | None = None
-    checks: tuple[Prediction, ...] = ()
-    not_simulated: Mapping[str, str] = field(default_factory=dict)  # check record -> reason
-    motor_responses: tuple[MotorResponse, ...] = ()
-    warnings: tuple[Diagnostic, ...] = ()
-    failures: tuple[Clause, ...] = ()
-
-
-def fit_elastic_arm(
-    inputs: Inputs, rigid_model: RigidModel | None, reporter: Reporter
-) -> ElasticStages:
+def fit_elastic_arm(inputs: Inputs, results: StageResults, reporter: Reporter) -> StageResults:
     """Identify each joint and then the whole arm, as far as requested and possible."""
+    rigid_model = results.rigid
     is_requested = "tuned" in inputs.stages and not inputs.arm.rigid_joints
     if is_requested:  # the last stage simulates these records
         for log in inputs.logs_of("tuning", "check"):
             check_servo_clock(inputs.arm, log)
     stage = start = _without_failed_fits(fit_elastic_joints(inputs, rigid_model, reporter))
-    warnings = stage.warnings + tuple(_warn_rigid_joints(inputs))
+    warnings, rigid_joints = stage.warnings, inputs.arm.rigid_joints
+    if rigid_joints:
+        excited = inputs.logs_of("frequency", "sweep")
+        unused = tuple(log.name for log in excited if log.experiment.joint in rigid_joints)
+        place, variant = inputs.place, "unused" if unused else ""
+        warning = Diagnostic("rigid-joints", place, variant, joints=rigid_joints, records=unused)
+        warnings += (warning,)
     if is_requested and not inputs.logs_of("frequency", "sweep"):
         start = typical_joints(inputs, rigid_model)
         warnings += start.warnings
@@ -83,38 +69,42 @@ def fit_elastic_arm(
             return stage.record_models()
 
     outcome, records = both(fit, record_models)
-    checks: tuple[Prediction, ...] = ()
-    not_simulated: Mapping[str, str] = {}
-    motor_responses: tuple[MotorResponse, ...] = ()
-    if isinstance(outcome, Diagnostic):
-        warnings += (outcome,)
-    elif outcome is not None:
+    results = replace(
+        results,
+        records=records,
+        joints=stage.joints,
+        responses=stage.responses,
+        links=stage.links,
+        failures=(*results.failures, *stage.failures),
+    )
+    if isinstance(outcome, ArmModel):
         # the whole-arm fit replaces the earlier estimates of the same delays
         places = {w.place for w in outcome.warnings if w.code == "sensor-delay"}
-        inputs = replace(inputs, arm=inputs.arm.with_selected_laws(outcome.values))
         kept = [w for w in warnings if w.code != "sensor-delay" or w.place not in places]
+        inputs = replace(inputs, arm=inputs.arm.with_selected_laws(outcome.values))
         checks, not_simulated = predict_checks(inputs, outcome, reporter)
-        motor_responses = attempt(
-            partial(_compare_motors, inputs, outcome, start.joints, reporter), lambda _: ()
+        results = replace(
+            results,
+            whole_arm=outcome,
+            checks=(*results.checks, *checks),
+            not_simulated=not_simulated,
+            motor_responses=attempt(
+                partial(_compare_motors, inputs, outcome, start.joints, reporter), lambda _: ()
+            ),
         )
-        warnings = (*kept, *outcome.warnings)
-    torsions: tuple[TorsionFit, ...] = ()
-    if not isinstance(outcome, ArmModel) and rigid_model is not None:
-        torsions, of_torsions = _fit_torsions(inputs, rigid_model, stage, reporter)
-        warnings += of_torsions
-    return ElasticStages(
-        records,
-        stage.joints,
-        torsions,
-        stage.responses,
-        stage.links,
-        outcome if isinstance(outcome, ArmModel) else None,
-        checks,
-        not_simulated,
-        motor_responses,
-        warnings,
-        stage.failures,
-    )
+        return results.warn((*kept, *outcome.warnings))
+    results = results.warn(warnings if outcome is None else (*warnings, outcome))
+    # the torsion of a coupled link is that of several gears
+    if rigid_model is None or inputs.arm.is_coupled or rigid_model.status == "not-identifiable":
+        return results
+    fitted = {joint.joint for joint in stage.joints}
+    joints = enumerate(inputs.arm.joints, start=1)
+    missing = [i for i, joint in joints if joint.elastic and i not in fitted]
+    with reporter.measure_time("decoupled"):
+        torsions, of_torsions = fit_torsions(
+            inputs.logs_of("motion"), rigid_model, inputs.arm, missing
+        )
+    return replace(results, torsions=torsions).warn(of_torsions)
 
 
 def _without_failed_fits(stage: JointStage) -> JointStage:
@@ -131,30 +121,6 @@ def _without_failed_fits(stage: JointStage) -> JointStage:
     )
     kept = tuple(joint for joint in stage.joints if joint.joint not in failed)
     return replace(stage, joints=kept, warnings=stage.warnings + warnings)
-
-
-def _warn_rigid_joints(inputs: Inputs) -> Iterator[Diagnostic]:
-    """What rigid joints exclude on an arm with elastic ones."""
-    rigid = inputs.arm.rigid_joints
-    if rigid:
-        logs = inputs.logs_of("frequency", "sweep")
-        unused = tuple(log.name for log in logs if log.experiment.joint in rigid)
-        variant = "unused" if unused else ""
-        yield Diagnostic("rigid-joints", inputs.place, variant, joints=rigid, records=unused)
-
-
-def _fit_torsions(
-    inputs: Inputs, rigid_model: RigidModel, stage: JointStage, reporter: Reporter
-) -> tuple[tuple[TorsionFit, ...], tuple[Diagnostic, ...]]:
-    """Stiffness of joints without a model, where encoders on both sides show the torsion."""
-    fitted = {joint.joint for joint in stage.joints}
-    elastic = [i for i, joint in enumerate(inputs.arm.joints, start=1) if joint.elastic]
-    # the torsion of a coupled link is that of several gears
-    if inputs.arm.is_coupled or rigid_model.status == "not-identifiable":
-        return (), ()
-    with reporter.measure_time("decoupled"):
-        missing = [i for i in elastic if i not in fitted]
-        return fit_torsions(inputs.logs_of("motion"), rigid_model, inputs.arm, missing)
 
 
 def _fit_whole_arm(

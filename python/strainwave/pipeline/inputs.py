@@ -124,19 +124,13 @@ def read_start(start: Path | Mapping[Key, float] | None, study: Study) -> Values
     return values
 
 
-@dataclass(frozen=True, slots=True)
-class CheckedInputs:
-    """The records that the stages use, and the consistency of their channels."""
-
-    inputs: Inputs
-    consistency: Consistency
-    warnings: tuple[Diagnostic, ...]
-
-
 def check_inputs(
     study: Study, raw_logs: Sequence[Log], stages: tuple[Stage, ...] = ()
-) -> CheckedInputs:
-    """Mask defects of sensors and loggers, and check the consistency of the channels."""
+) -> tuple[Inputs, Consistency]:
+    """Mask defects of sensors and loggers, and check the consistency of the channels.
+
+    Returns the records that the stages use, and the consistency with the warnings of both checks.
+    """
     arm = Arm.of(study.arm)
     usable, warnings = hygiene.repair_records(raw_logs, arm)
     if raw_logs and not usable:
@@ -147,10 +141,10 @@ def check_inputs(
             remedy="correct the sensor or its cable, and record again",
         )
     warnings = (*(warning for log in raw_logs for warning in log.warnings), *warnings)
-    inputs = Inputs(study, arm, usable, stages)
     agreement = input_check.check_consistency(usable, study)
     agreement = agreement.suspecting(accept=study.options.accept)
-    return CheckedInputs(inputs, agreement, (*warnings, *agreement.warnings))
+    agreement = replace(agreement, warnings=(*warnings, *agreement.warnings))
+    return Inputs(study, arm, usable, stages), agreement
 
 
 def check_input(
@@ -169,12 +163,12 @@ def check_input(
         given = given if options is None else with_options(given, options)
         given, raw_logs = with_sensed_torques(given, logs.read_logs(given, data=data))
         given = given.with_segments(log.experiment for log in raw_logs)
-        checked = check_inputs(given, raw_logs)
+        _, consistency = check_inputs(given, raw_logs)
     return InputCheck(
         study=given,
-        relations=checked.consistency.relations,
-        suspected=checked.consistency.suspected,
-        warnings=merge_by_cause(dict.fromkeys(checked.warnings)),
-        unchecked=checked.consistency.unchecked,
+        relations=consistency.relations,
+        suspected=consistency.suspected,
+        warnings=merge_by_cause(dict.fromkeys(consistency.warnings)),
+        unchecked=consistency.unchecked,
         seconds=time.perf_counter() - begin,
     )

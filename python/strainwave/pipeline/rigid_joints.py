@@ -6,7 +6,7 @@ Motion records with and without a payload -> torques per volt of the drives.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -20,11 +20,11 @@ from strainwave.domain import (
     Prediction,
     RigidModel,
     Signals,
-    Study,
 )
 from strainwave.domain.combinations import is_uncoupled
 from strainwave.domain.effects import OF_RIGID_JOINTS
 from strainwave.domain.link_sensors import link_channel_kinds
+from strainwave.domain.stage_results import StageResults
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, RecordTooShort
 from strainwave.identification import rigid, validation
@@ -35,21 +35,10 @@ from strainwave.signals import hygiene
 from strainwave.signals.motor import SignalOptions, mark_standstill, prepare_motor_signals
 
 
-@dataclass(frozen=True, slots=True)
-class RigidStage:
-    """The rigid model with its predictions."""
-
-    model: RigidModel | None = None
-    fitted: tuple[Prediction, ...] = ()
-    checks: tuple[Prediction, ...] = ()
-    warnings: tuple[Diagnostic, ...] = ()
-    failures: tuple[Clause, ...] = ()
-
-
 def fit_rigid_joints(
-    inputs: Inputs, reporter: Reporter, gains: DriveGains | None = None
-) -> RigidStage:
-    """Fit the rigid model and predict the torques of its records and of the check records.
+    inputs: Inputs, results: StageResults, reporter: Reporter, gains: DriveGains | None = None
+) -> StageResults:
+    """Add the rigid model, and its predictions of the torques of its records and the check records.
 
     `gains` are the estimated torques per volt, which the arm has.
     """
@@ -66,25 +55,27 @@ def fit_rigid_joints(
         )
         records = mark_standstill([each for each in prepared if isinstance(each, Signals)])
         motion, checks = records[: len(motion_logs)], records[len(motion_logs) :]
-        warnings = tuple(warning for each in (*motion, *checks) for warning in each.warnings)
-        warnings += tuple(each for each in prepared if isinstance(each, Diagnostic))
+        results = results.warn(warning for each in records for warning in each.warnings)
+        results = results.warn(each for each in prepared if isinstance(each, Diagnostic))
         try:
             model = rigid.fit_rigid(motion, arm, inputs.study.options.rigid, gains)
         except NotIdentifiable as failure:
             is_excited = bool(inputs.logs_of("frequency"))
             if is_uncoupled(inputs.arm) and is_excited and "decoupled" in inputs.stages:
                 # the joints can be identified without a rigid model
-                warning = Diagnostic("no-rigid-model", inputs.place, reason=str(failure))
-                return RigidStage(warnings=(*warnings, warning))
-            return RigidStage(warnings=warnings, failures=(Clause("text", text=str(failure)),))
-        warnings += (*model.warnings, *_assumed_units(inputs, motion_logs))
+                return results.warn(
+                    [Diagnostic("no-rigid-model", inputs.place, reason=str(failure))]
+                )
+            return results.fail(Clause("text", text=str(failure)))
+        results = replace(results, rigid=model)
+        results = results.warn((*model.warnings, *_assumed_units(inputs, motion_logs)))
     if model.status == "not-identifiable":
-        return RigidStage(model, warnings=warnings)
+        return results
     with reporter.time_part("checks", "predicting the check records"):
         fitted, warnings_of_fit = _predict(model, motion, arm)
         checked, warnings_of_checks = _predict(model, checks, arm, fitted)
-    warnings += warnings_of_fit + warnings_of_checks
-    return RigidStage(model, fitted, checked, warnings)
+    results = results.warn((*warnings_of_fit, *warnings_of_checks))
+    return replace(results, fitted=fitted, checks=checked)
 
 
 def _assumed_units(inputs: Inputs, logs: Sequence[Log]) -> Iterator[Diagnostic]:
@@ -165,28 +156,24 @@ def _predict(
     return predictions, tuple(each for each in outcomes if isinstance(each, Diagnostic))
 
 
-@dataclass(frozen=True, slots=True)
-class DriveStage:
-    """The study with the estimated torques per volt, on which the other stages build."""
+def estimate_drives(
+    results: StageResults, reporter: Reporter
+) -> tuple[StageResults, DriveGains | None]:
+    """Estimate the unknown torques per volt of a study's arm, which the study then has.
 
-    study: Study
-    gains: DriveGains | None = None
-    warnings: tuple[Diagnostic, ...] = ()
-    failures: tuple[Clause, ...] = ()
-
-
-def estimate_drives(study: Study, raw_logs: Sequence[Log], reporter: Reporter) -> DriveStage:
-    """Estimate the unknown torques per volt of a study's arm.
-
-    If the records do not determine them, the study is returned as it is, with the failure.
+    If the records do not determine them, the study stays as it is, and the results have the
+    failure.
     """
+    study = results.study
     arm = Arm.of(study.arm)
     with reporter.time_part("rigid", "unknown drives: motions with and without payload"):
-        usable, _ = hygiene.repair_records(raw_logs, arm)
+        usable, _ = hygiene.repair_records(results.logs, arm)
         motions = [log for log in usable if log.experiment.use == "motion"]
         try:
             signals = run_parallel([partial(prepare_motor_signals, log, arm) for log in motions])
             gains = rigid.estimate_drive_gains(signals, arm)
         except NotIdentifiable as failure:
-            return DriveStage(study, failures=(Clause("text", text=str(failure)),))
-    return DriveStage(replace(study, arm=gains.of(study.arm)), gains, gains.warnings)
+            return results.fail(Clause("text", text=str(failure))), None
+    study = replace(study, arm=gains.of(study.arm))
+    results = replace(results, study=study, drive_gains=gains.parameters)
+    return results.warn(gains.warnings), gains

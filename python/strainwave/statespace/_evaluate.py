@@ -1,17 +1,35 @@
-"""Evaluation of models on stacked data: innovations, cost and linear least squares."""
+"""Evaluation of models on stacked data: innovations, cost, linear least squares, Kalman gain.
+
+Maximum likelihood attributes part of the noise to the plant. The residuals are then less coloured
+than the noise, so K is biased towards zero (by half a standard deviation for one joint at 512
+samples), and the standard deviations of all parameters are too small. Restricted likelihood
+(Patterson and Thompson, Biometrika 58, 1971; Cox and Reid, J. R. Stat. Soc. B 49, 1987) adds
+
+    (1/2) log det I_m(K)
+
+to the cost. I_m is the information on A, B, C and D after elimination of the initial states. The
+barrier at the unit circle accounts for the initial states. The minimum is about one Newton step
+away.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from strainwave import _core
 from strainwave.domain import Diagnostic, FloatArray, SearchEnd, StateSpace
-from strainwave.statespace._matrices import ModelMatrices, is_stable, unpack, unscale
-from strainwave.statespace._stack import Stack
+from strainwave.statespace._scaled import (
+    ModelMatrices,
+    Stack,
+    balancing,
+    is_stable,
+    unpack,
+    unscale,
+)
 
 # Relative variance that regularises the innovations' covariance. It corresponds to innovations of
 # 1e-10 of the channel's root mean square, far below the resolution of any sensor, and keeps the
@@ -72,7 +90,12 @@ class Evaluator:
             matrices = replace(matrices, K=np.zeros_like(matrices.K))
         if feedthrough is not None:
             matrices = replace(matrices, D=matrices.D * np.array(feedthrough))
-        indices = self._linear_entries(feedthrough)
+        n, m, p = self.order, self.data.n_inputs, self.data.n_outputs
+        start_b, start_d = n * n, n * (n + m + p)
+        indices = start_d + p * m + n * p + np.arange(n * len(self.data.lengths))
+        if feedthrough is not None:
+            D = start_d + np.flatnonzero(np.tile(feedthrough, p))
+            indices = np.concatenate([start_b + np.arange(n * m), D, indices])
         values = matrices.pack()
         values[indices] = 0.0
         whitener = np.eye(self.data.n_outputs)
@@ -94,15 +117,6 @@ class Evaluator:
                     break
                 whitener = np.asarray(np.linalg.cholesky(limit_covariance(residuals)))
         return self.unpack(values)
-
-    def _linear_entries(self, feedthrough: tuple[bool, ...] | None) -> NDArray[np.intp]:
-        n, m, p = self.order, self.data.n_inputs, self.data.n_outputs
-        start_b, start_d = n * n, n * (n + m + p)
-        states = start_d + p * m + n * p + np.arange(n * len(self.data.lengths))
-        if feedthrough is None:
-            return states
-        D = start_d + np.flatnonzero(np.tile(feedthrough, p))
-        return np.concatenate([start_b + np.arange(n * m), D, states])
 
     def simulated(self, matrices: ModelMatrices) -> FloatArray:
         """Scaled outputs simulated from the inputs, with fitted initial states."""
@@ -170,3 +184,133 @@ def assemble(
         output_names=data.output_names,
         warnings=warnings,
     )
+
+
+# Step of the central differences along an entry of K, in standard deviations: far above rounding,
+# and small against the curvature of log det I_m.
+_GAIN_STEP_STDS = 0.2
+
+# Samples used for the gradient. More samples add a constant to log det I_m and hardly change its
+# gradient.
+_MAX_GRADIENT_SAMPLES = 1024
+
+# Maximum number of step halvings, down to 1/16 of the initial step.
+_MAX_STEP_HALVINGS = 5
+
+
+def restrict_steps(
+    evaluator: Evaluator, matrices: ModelMatrices, covariance: FloatArray | None
+) -> ModelMatrices:
+    """Model that minimises the sum of cost and (1/2) log det I_m, by one Newton step.
+
+    `matrices`: Scaled model at the minimum of the cost.
+    `covariance` (n_entries, n_entries): Covariance of its packed entries.
+
+    Returns `matrices` unchanged without a covariance, or if no step decreases the sum.
+    """
+    if covariance is None:
+        return matrices
+    T = balancing(matrices)
+    # the entries in other coordinates are linear in the entries, so unit vectors give the Jacobian
+    units = map(evaluator.unpack, np.eye(len(covariance)))
+    change = np.stack([unit.transformed(T).pack() for unit in units], axis=1)
+    start, transformed_covariance = matrices.transformed(T), change @ covariance @ change.T
+    values, slope = start.pack(), _gradient(evaluator, start, transformed_covariance)
+    step = -transformed_covariance @ slope
+    before = _cost(evaluator, values)
+    for _ in range(_MAX_STEP_HALVINGS):
+        # slope @ step is the first-order change of log det; the cost is evaluated
+        if _cost(evaluator, values + step) + slope @ step < before:
+            return evaluator.unpack(values + step).transformed(np.asarray(np.linalg.inv(T)))
+        step = 0.5 * step
+    return matrices
+
+
+def _cost(evaluator: Evaluator, values: FloatArray) -> float:
+    """Cost plus the barrier -(1/2) log det(I - F (x) F) at the stability limit, F = A - K C."""
+    matrices = evaluator.unpack(values)
+    F = matrices.A - matrices.K @ matrices.C
+    if not is_stable(F):
+        return float("inf")
+    barrier = -0.5 * float(np.linalg.slogdet(np.eye(F.size) - np.kron(F, F))[1])
+    return evaluator.cost(values) + barrier
+
+
+def _gradient(evaluator: Evaluator, matrices: ModelMatrices, covariance: FloatArray) -> FloatArray:
+    """Gradient of (1/2) log det I_m over all entries, by central differences along K.
+
+    The gradient is zero along the basis of I_m and along changes of state coordinates. These
+    conditions determine the remaining entries.
+    """
+    coordinate_directions, n = _coordinate_directions(matrices), matrices.order
+    n_plant = matrices.A.size + matrices.B.size + matrices.C.size + matrices.D.size
+    states = n_plant + matrices.K.size
+    std = np.sqrt(np.maximum(np.diagonal(covariance)[:n_plant], 0.0))
+    nonzero = np.flatnonzero(std > 0.0)
+    scaled_directions = coordinate_directions[nonzero] / std[nonzero, None]
+    Q = np.linalg.qr(scaled_directions, mode="complete")[0][:, n * n :]
+    basis = np.zeros((n_plant, Q.shape[1]))
+    basis[nonzero] = std[nonzero, None] * Q
+    half_log = _half_log_information(evaluator, matrices, basis, states)
+    slope = np.zeros(len(covariance))
+    for entry in range(n_plant, states):
+        step = _GAIN_STEP_STDS * float(np.sqrt(max(covariance[entry, entry], 0.0)))
+        for _ in range(_MAX_STEP_HALVINGS if step > 0.0 else 0):
+            plus, minus = half_log(entry, step), half_log(entry, -step)
+            if np.isfinite(plus - minus):
+                slope[entry] = 0.5 * (plus - minus) / step
+                break
+            step *= 0.5  # near the stability limit, the predictor diverges on one side
+    # A change of state coordinates also moves K; the gradient along A, B and C compensates for it.
+    rows = np.vstack([Q.T, scaled_directions.T])
+    of_gain = coordinate_directions[n_plant:].T @ slope[n_plant:states]
+    targets = np.concatenate([np.zeros(Q.shape[1]), -of_gain])
+    slope[nonzero] = np.linalg.lstsq(rows, targets, rcond=1e-10)[0] / std[nonzero]
+    return slope
+
+
+def _coordinate_directions(matrices: ModelMatrices) -> FloatArray:
+    """Derivative of the entries of A, B, C, D, K with respect to T at T = I: (n_entries, n^2)."""
+    A, B, C, n = matrices.A, matrices.B, matrices.C, matrices.order
+    directions = []
+    for k in range(n * n):
+        X = np.zeros((n, n))
+        X.flat[k] = 1.0
+        parts = (X @ A - A @ X, X @ B, -C @ X, np.zeros_like(matrices.D), X @ matrices.K)
+        directions.append(np.concatenate([np.ravel(part) for part in parts]))
+    return np.stack(directions, axis=1)
+
+
+def _half_log_information(
+    evaluator: Evaluator, matrices: ModelMatrices, basis: FloatArray, states: int
+) -> Callable[[int, float], float]:
+    """(1/2) log det I_m near a model after a change of one entry; infinite if predictors diverge.
+
+    The information is that of the first `_MAX_GRADIENT_SAMPLES` samples in the directions `basis`
+    (n_plant, n_directions); `states` is the index of the first initial state.
+    """
+    data, lengths, remaining = evaluator.data, [], _MAX_GRADIENT_SAMPLES
+    for length in data.lengths:
+        if remaining > 0:
+            lengths.append(min(length, remaining))
+            remaining -= length
+    # only the last record is truncated, so the rows are contiguous
+    rows = slice(0, sum(lengths))
+    inputs, outputs = data.inputs[rows], data.outputs[rows]
+    used = replace(data, inputs=inputs, outputs=outputs, lengths=tuple(lengths))
+    core, whitener = Evaluator(used, matrices.order).core, evaluator.whitener(matrices)
+    values = matrices.pack()[: states + matrices.order * len(lengths)]
+
+    def half_log(entry: int, step: float) -> float:
+        changed = values.copy()
+        changed[entry] += step
+        hessian, _ = core.normal_equations(changed, whitener)
+        if not np.isfinite(hessian).all():
+            return float("inf")
+        projected = basis.T @ hessian[: len(basis)]
+        cross, state_block = projected[:, states:], hessian[states:, states:]
+        information = projected[:, : len(basis)] @ basis
+        information = information - cross @ np.linalg.pinv(state_block, hermitian=True) @ cross.T
+        return 0.5 * float(np.linalg.slogdet(information)[1])
+
+    return half_log

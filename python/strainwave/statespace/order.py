@@ -11,7 +11,7 @@ import numpy as np
 from strainwave.domain import BoolArray, InputOutput, OrderSelection, SearchEnd, StateSpace
 from strainwave.errors import InvalidInput
 from strainwave.statespace._evaluate import fit_percent
-from strainwave.statespace._stack import Data, records_of, stack
+from strainwave.statespace._scaled import Data, records_of, stack
 from strainwave.statespace.pem import PemOptions, pem
 from strainwave.statespace.residuals import on_data, whiteness
 

@@ -25,9 +25,11 @@ from strainwave.domain import (
 from strainwave.domain.options import Focus
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.numerics.parallel import raise_if_stopped
-from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
-from strainwave.statespace._matrices import (
+from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble, restrict_steps
+from strainwave.statespace._scaled import (
+    Data,
     ModelMatrices,
+    Stack,
     balance,
     is_stable,
     n_entries,
@@ -35,10 +37,9 @@ from strainwave.statespace._matrices import (
     rescale,
     stabilise,
     stabilising_gain,
+    stack,
     unscale,
 )
-from strainwave.statespace._restricted import restrict_steps
-from strainwave.statespace._stack import Data, Stack, stack
 from strainwave.statespace.residuals import whiteness
 from strainwave.statespace.subspace import (
     MAX_ORDER,
@@ -239,11 +240,9 @@ class _Search:
             scale = unscale(self.evaluator.unpack(np.ones(size)), data).pack()
             covariance = full[:size, :size] * np.outer(scale, scale)
             model = replace(model, covariance=covariance, covariance_kind=kind)
+        warnings = (*model.warnings, *_negative_fit_warning(model))
         return replace(
-            model,
-            iterations=fit.iterations,
-            evaluations=fit.evaluations,
-            warnings=model.warnings + _negative_fit_warning(model),
+            model, iterations=fit.iterations, evaluations=fit.evaluations, warnings=warnings
         )
 
 

@@ -11,8 +11,7 @@ from strainwave.domain import FloatArray, HypothesisTest, ModelCheck, StateSpace
 from strainwave.domain.distributions import CI99_STDS, chi_square_tail
 from strainwave.errors import InvalidInput
 from strainwave.statespace._evaluate import Evaluator, fit_percent
-from strainwave.statespace._matrices import ModelMatrices, rescale
-from strainwave.statespace._stack import Data, Stack, stack
+from strainwave.statespace._scaled import Data, ModelMatrices, Stack, rescale, stack
 
 # Significance level of the tests.
 SIGNIFICANCE_LEVEL = 0.01
@@ -122,7 +121,15 @@ def _cross_tests(
     forward = _correlations(residuals, data.inputs, data, lags) / samples  # e[k] u[k - l]
     backward = _correlations(data.inputs, residuals, data, lags) / samples  # u[k] e[k - l]
     backward = np.swapaxes(backward, 1, 2)
-    covariance = _correlation_covariance(r_e, r_u, lags, p, m) / samples
+    # blocks sum_j R_e(j) (x) R_u(j + l' - l)
+    zero_e, zero_u, offsets = len(r_e) // 2, len(r_u) // 2, np.arange(-2 * lags, 2 * lags + 1)
+    blocks = {}
+    for shift in range(-lags, lags + 1):
+        shifted = r_u[zero_u + np.clip(offsets + shift, -3 * lags, 3 * lags)]
+        products = np.einsum("jab,jcd->acbd", r_e[zero_e + offsets], shifted)
+        blocks[shift] = products.reshape(p * m, -1)
+    covariance = np.block([[blocks[j - i] for j in range(lags + 1)] for i in range(lags + 1)])
+    covariance = covariance / samples
     statistic, degrees = _quadratic_form(forward.reshape(-1), covariance)
     past = _test_result("independent-of-past-inputs", statistic, degrees)
     block = p * m
@@ -132,20 +139,6 @@ def _cross_tests(
     cross = np.concatenate([backward[:0:-1], forward])
     scale = np.sqrt(np.mean(residuals**2, axis=0)[:, None] * np.mean(data.inputs**2, axis=0))
     return (past, future), cross / np.maximum(scale, np.finfo(float).tiny)
-
-
-def _correlation_covariance(
-    r_e: FloatArray, r_u: FloatArray, lags: int, p: int, m: int
-) -> FloatArray:
-    """Covariance of the correlations times N: blocks sum_j R_e(j) (x) R_u(j + l' - l)."""
-    zero_e, zero_u = len(r_e) // 2, len(r_u) // 2
-    offsets = np.arange(-2 * lags, 2 * lags + 1)
-    blocks = {}
-    for shift in range(-lags, lags + 1):
-        shifted = r_u[zero_u + np.clip(offsets + shift, -3 * lags, 3 * lags)]
-        products = np.einsum("jab,jcd->acbd", r_e[zero_e + offsets], shifted)
-        blocks[shift] = products.reshape(p * m, -1)
-    return np.block([[blocks[j - i] for j in range(lags + 1)] for i in range(lags + 1)])
 
 
 def _quadratic_form(vector: FloatArray, covariance: FloatArray) -> tuple[float, int]:

@@ -25,15 +25,17 @@ from strainwave.domain import STATE_SPACE_MODEL, Diagnostic, FloatArray, StateSp
 from strainwave.domain.options import Focus
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
-from strainwave.statespace._matrices import (
+from strainwave.statespace._scaled import (
+    Data,
     ModelMatrices,
+    Stack,
     balance,
     innovations_gain,
     is_stable,
     stabilise,
     stabilising_gain,
+    stack,
 )
-from strainwave.statespace._stack import Data, Stack, stack
 
 Method = Literal["auto", "moesp", "n4sid", "predictor"]
 
@@ -138,23 +140,15 @@ def _estimate(
 
 
 class Factors:
-    """Cached triangular factors and singular value decompositions of one data set, by horizon."""
+    """Cached triangular factors and predictor directions of one data set, by horizon."""
 
     def __init__(self, data: Stack) -> None:
         self.data = data
-        self.regression = cache(partial(_regression_factor, data))
-        self.past_and_future = cache(partial(_past_and_future_factor, data))
+        # of [u[k], z[k-1], ..., z[k-past], y[k]]
+        self.regression = cache(
+            lambda past: _triangular_factor(data, past + 1, _regression_order(data, past))[0]
+        )
         self.predictor = cache(partial(_predictor_directions, self))
-        self.oblique = cache(partial(_oblique_directions, self))
-
-
-@dataclass(frozen=True, slots=True)
-class Directions:
-    """Matrix whose leading singular directions give the states."""
-
-    matrix: FloatArray
-    singular_values: FloatArray
-    vectors: FloatArray  # one column per direction
 
 
 def realise(
@@ -214,11 +208,6 @@ def choose_horizon(data: Stack, order: int) -> int:
     return max(min_horizon, 1 + int(np.argmin(criterion)))
 
 
-def _regression_factor(data: Stack, past: int) -> FloatArray:
-    """Triangular factor of [u[k], z[k-1], ..., z[k-past], y[k]]."""
-    return _triangular_factor(data, past + 1, _regression_order(data, past))[0]
-
-
 def _regression_order(data: Stack, past: int) -> FloatArray:
     """Permutation from windows [z[k-past], ..., z[k]] to [u[k], z[k-1], ..., z[k-past], y[k]]."""
     m, width = data.n_inputs, data.n_inputs + data.n_outputs
@@ -227,8 +216,11 @@ def _regression_order(data: Stack, past: int) -> FloatArray:
     return np.concatenate([now + np.arange(m), lags, now + np.arange(m, width)])
 
 
-def _predictor_directions(factors: Factors, past: int) -> Directions:
+def _predictor_directions(factors: Factors, past: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Singular directions of the states, from the ARX model y[k] = D u[k] + sum M_i z[k-i] + e[k].
+
+    Returns the matrix whose leading directions give the states, its left singular vectors and its
+    singular values.
 
     M_i = C (A - K C)^(i-1) [B - K D, K]. C (A - K C)^j times the state is the sum of M_(i+j)
     z[k-i]. Terms beyond the past are neglected.
@@ -241,30 +233,17 @@ def _predictor_directions(factors: Factors, past: int) -> Directions:
     padded = np.hstack([coefficients, np.zeros((p, past * width))])
     rows = np.vstack([padded[:, j * width : (j + past) * width] for j in range(past)])
     U, s, _ = np.linalg.svd(rows @ R[:, m:lead].T, full_matrices=False)
-    return Directions(rows, s, U)
+    return rows, U, s
 
 
-def _oblique_directions(factors: Factors, past: int) -> Directions:
-    """Singular directions of the oblique projection of the future outputs on the past."""
-    R, start, stop = factors.past_and_future(past), *_past_columns(factors.data, past)
-    L_wy = R[start:stop, stop:]  # future outputs on the past, with the future inputs projected out
-    _, s, Vt = np.linalg.svd(np.linalg.qr(L_wy, mode="r"))
-    return Directions(L_wy, s, Vt.T)
-
-
-def _past_and_future_factor(data: Stack, past: int) -> FloatArray:
-    """Triangular factor of [future inputs, past w, future outputs]."""
+def _past_and_future_factor(data: Stack, past: int) -> tuple[FloatArray, slice]:
+    """Triangular factor of [future inputs, past w, future outputs], and the columns of the past."""
     m, width = data.n_inputs, data.n_inputs + data.n_outputs
     window = np.arange(2 * past * width).reshape(2 * past, width)
     history, future = window[:past], window[past:]
     columns = [future[:, :m], history, future[:, m:]]
-    return _triangular_factor(data, 2 * past, np.concatenate([c.ravel() for c in columns]))[0]
-
-
-def _past_columns(data: Stack, past: int) -> tuple[int, int]:
-    """First and last column of the past in the matrix of `_past_and_future_factor`."""
-    m, width = data.n_inputs, data.n_inputs + data.n_outputs
-    return past * m, past * m + past * width
+    R, _ = _triangular_factor(data, 2 * past, np.concatenate([c.ravel() for c in columns]))
+    return R, slice(past * m, past * m + past * width)
 
 
 class _States(NamedTuple):
@@ -276,33 +255,32 @@ class _States(NamedTuple):
 
 
 def _predictor_states(factors: Factors, order: int | None, past: int) -> _States:
-    directions = factors.predictor(past)
-    s = directions.singular_values
+    rows, vectors, s = factors.predictor(past)
     n = order or _largest_gap(s)
-    return _States((directions.vectors[:, :n].T @ directions.matrix) / np.sqrt(s[:n])[:, None], s)
+    return _States((vectors[:, :n].T @ rows) / np.sqrt(s[:n])[:, None], s)
 
 
 def _moesp_states(factors: Factors, order: int | None, past: int) -> _States:
     """A and C from the extended observability matrix, states from the oblique projection."""
-    p, (start, stop) = factors.data.n_outputs, _past_columns(factors.data, past)
-    R, directions = factors.past_and_future(past), factors.oblique(past)
-    s = directions.singular_values
+    p, (R, history) = factors.data.n_outputs, _past_and_future_factor(factors.data, past)
+    # future outputs on the past, with the future inputs projected out
+    L_wy = R[history, history.stop :]
+    _, s, Vt = np.linalg.svd(np.linalg.qr(L_wy, mode="r"))
     n = order or _largest_gap(s)
-    observability = directions.vectors[:, :n] * np.sqrt(s[:n])
+    observability = Vt[:n].T * np.sqrt(s[:n])
     C = observability[:p]
     A = np.asarray(np.linalg.lstsq(observability[:-p], observability[p:], rcond=None)[0])
     # x = O^+ (oblique projection) = O^+ L_wy' L_ww'^-1 w
-    targets = directions.matrix @ np.linalg.pinv(observability).T
-    oblique = _solve_upper(R[start:stop, start:stop], targets)
+    oblique = _solve_upper(R[history, history], L_wy @ np.linalg.pinv(observability).T)
     return _States(_newest_first(oblique, past), s, given=(A, C))
 
 
 def _n4sid_states(factors: Factors, order: int | None, past: int) -> _States:
     """States from the unweighted oblique projection."""
-    R, (start, stop) = factors.past_and_future(past), _past_columns(factors.data, past)
-    onto_past = _solve_upper(R[start:stop, start:stop], R[start:stop, stop:])
+    R, history = _past_and_future_factor(factors.data, past)
+    onto_past = _solve_upper(R[history, history], R[history, history.stop :])
     # the projection acts on w itself, not on w after removal of the future inputs
-    _, s, Vt = np.linalg.svd(np.linalg.qr(R[:stop, start:stop] @ onto_past, mode="r"))
+    _, s, Vt = np.linalg.svd(np.linalg.qr(R[: history.stop, history] @ onto_past, mode="r"))
     n = order or _largest_gap(s)
     observability = Vt[:n].T * np.sqrt(s[:n])
     return _States(_newest_first(onto_past @ np.linalg.pinv(observability).T, past), s)

@@ -35,7 +35,7 @@ from strainwave.domain import (
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import StrainwaveError
 from strainwave.identification.joint_model.agreement import compare_response
-from strainwave.identification.joint_model.grey_box import Solved, solve
+from strainwave.identification.joint_model.grey_box import JointFit, solve
 from strainwave.identification.joint_model.linear import (
     LinearFit,
     fit_linear,
@@ -98,21 +98,6 @@ class RecordOptions:
     judged: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class JointFit:
-    """Model of one joint with the solved equations from which the fit of one record can start."""
-
-    model: JointModel
-    solved: Solved
-
-    def of_record(self, name: str) -> JointModel:
-        """Model of one record alone. `name` is the experiment's name."""
-        if self.model.experiments == (name,):
-            return self.model
-        with one_blas_thread():
-            return self.solved.of_record(self.model.experiments.index(name)).model()
-
-
 def identify_joint(
     records: Sequence[tuple[LinkSignals, Decoupled]],
     model: RigidModel | None,
@@ -147,8 +132,7 @@ def fit_joint(
     if not chosen.use_rigid:
         known = RigidKnowledge(None, None, None, known.errors)
     with one_blas_thread():  # many small systems: several threads are slower
-        solved = solve(records, arm, known, chosen.band_hz, search_from_hz)
-        return JointFit(solved.model(), solved)
+        return solve(records, arm, known, chosen.band_hz, search_from_hz)
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,9 +197,12 @@ def fit_record(
     linear = modes = transfer = check = None
     judged = chosen.judged or not by_equations
     if chosen.state_space or not by_equations:
-        linear_options = (
-            chosen.linear if judged else _in_known_band(decoupled, physical, chosen.linear)
-        )
+        linear_options, resonances = chosen.linear, resonances_of(physical)
+        if not judged:  # three states in the band around the resonances, if these are known
+            linear_options = physical_order(linear_options)
+            if resonances is not None:
+                band = band_for(resonances, [decoupled], linear_options)
+                linear_options = replace(linear_options, band_hz=band)
         start_model = None if judged else near
         linear = attempt(
             "state-space-failed", lambda: fit_linear(decoupled, linear_options, start_model)
@@ -234,16 +221,6 @@ def fit_record(
         decoupled, physical, state_space, modes, transfer, check, warnings=tuple(warnings)
     )
     return RecordFit(record, linear)
-
-
-def _in_known_band(
-    record: Decoupled, physical: JointModel | None, options: LinearOptions
-) -> LinearOptions:
-    """Options for three states in the band around the resonances, if these are known."""
-    options, resonances = physical_order(options), resonances_of(physical)
-    if resonances is None:
-        return options
-    return replace(options, band_hz=band_for(resonances, [record], options))
 
 
 def joint_by_transfer(

@@ -75,7 +75,7 @@ class WeightedEquations:
     known: RigidKnowledge  # values of the rigid model, part of the equations
     root: FloatArray  # (n_rows,) square roots of the weights
     x: FloatArray  # point of linearisation
-    standing: float = _STICTION_STD  # prior standard deviation of the free friction, in f
+    stiction_std: float = _STICTION_STD  # prior standard deviation of the free friction, in f
 
     @property
     def band(self) -> Band:
@@ -85,7 +85,7 @@ class WeightedEquations:
     def of_record(self, k: int) -> WeightedEquations:
         """The equations of record `k` alone, with the values of the rigid model."""
         pieces, known = self.pieces[k : k + 1], self.known.of_record(k)
-        equations = _assemble(pieces, known, self.x, self.standing)
+        equations = _assemble(pieces, known, self.x, self.stiction_std)
         record_root = self.root[self.equations.group // 2 == k]
         root = np.ones_like(equations.target)
         root[: len(record_root)] = record_root
@@ -102,7 +102,7 @@ class WeightedEquations:
             factor = ls.factorise(equations, root)
             has_converged = bool(np.all(np.abs(factor.value - x) <= within * factor.deviation))
             x = factor.value
-            equations = _assemble(self.pieces, self.known, x, self.standing)
+            equations = _assemble(self.pieces, self.known, x, self.stiction_std)
             root = ls.root_weights(equations, factor)
             if has_converged:
                 break
@@ -116,23 +116,20 @@ class WeightedEquations:
         estimates, depend on their noise.
         """
         equations = _assemble(self.pieces, self.known, self.x, _SIGN_FRICTION_STD)
-        return replace(self, equations=equations, standing=_SIGN_FRICTION_STD)
+        return replace(self, equations=equations, stiction_std=_SIGN_FRICTION_STD)
 
     def rigid_errors(self, factor: ls.Factor) -> FloatArray:
         """Changes of the unknowns for each error of the rigid model, one column per error."""
         known = self.known
         if not known.errors:
             return np.zeros((len(COLUMNS), 0))
-        ratio, columns = self.pieces[0].ratio, []
-        for error in known.errors:
+        columns, of_priors = [], _prior_equations(known, self.pieces[0].ratio)[2]
+        for error, prior in zip(known.errors, of_priors.T, strict=True):
             changes = []
             for p, tau in zip(self.pieces, error.tau, strict=True):
                 tau_change = p.passed(tau)
                 changes += [p.ratio * tau_change, self.x[_COMPLIANCE] * tau_change]
-            target, changed = (
-                _prior_equations(k, ratio)[1] for k in (known, known.add_error(error))
-            )
-            columns.append(np.concatenate([*changes, changed - target]))
+            columns.append(np.concatenate([*changes, prior]))
         return ls.moves(self.equations, factor, np.column_stack(columns))
 
     @property
@@ -248,7 +245,7 @@ def _assemble(
     pieces: Sequence[FilteredColumns],
     known: RigidKnowledge,
     x: FloatArray,
-    standing: float = _STICTION_STD,
+    stiction_std: float = _STICTION_STD,
 ) -> ls.Equations:
     """Equations (S6) and (S7) of all records around x, then those of the rigid model."""
     shared, local, target, group, block, free_friction_std = [], [], [], [], [], []
@@ -273,8 +270,8 @@ def _assemble(
         target += [p.torque, p.torsion[:, 0] + x[_COMPLIANCE] * link_torque]
         group += [np.full(n_rows, 2 * number), np.full(n_rows, 2 * number + 1)]
         block += [block_index, block_index]
-        free_friction_std += [max(standing * abs(float(x[_COULOMB])), 1e-300)] * n_free
-    prior_rows, prior_target = _prior_equations(known, pieces[0].ratio)
+        free_friction_std += [max(stiction_std * abs(float(x[_COULOMB])), 1e-300)] * n_free
+    prior_rows, prior_target, _ = _prior_equations(known, pieces[0].ratio)
     prior_group = np.full(len(prior_target), ls.PRIOR_GROUP)
     rows = np.concatenate([*shared, prior_rows])
     return ls.Equations(
@@ -290,26 +287,29 @@ def _assemble(
     )
 
 
-def _prior_equations(known: RigidKnowledge, n: float) -> tuple[FloatArray, FloatArray]:
+def _prior_equations(known: RigidKnowledge, n: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Rows (n_values, n_unknowns) and right-hand sides (n_values,) for the rigid-step values.
 
-    Both are divided by the standard deviations.
+    Third, the changes of the right-hand sides with the errors of the rigid model, (n_values,
+    n_errors). All are divided by the standard deviations of the values.
     """
-    rows, values = [], []
-    for value, columns in (
-        (known.total_inertia, {_MOTOR: 1.0, _LINK: n * n}),
-        (known.total_viscous_friction, {_MOTOR_VISCOUS: 1.0, _LINK_VISCOUS: n * n}),
-        (known.coulomb_friction, {_COULOMB: 1.0}),
-    ):
+    rows, values, changes = [], [], []
+    columns = (
+        {_MOTOR: 1.0, _LINK: n * n},
+        {_MOTOR_VISCOUS: 1.0, _LINK_VISCOUS: n * n},
+        {_COULOMB: 1.0},
+    )
+    for k, (value, factors) in enumerate(zip(known.sums, columns, strict=True)):
         if value is None:
             continue
         row = np.zeros(len(COLUMNS))
-        for column, factor in columns.items():
-            row[column] = factor
+        row[list(factors)] = list(factors.values())
         std = max(value[1], _MIN_RELATIVE_STD * abs(value[0]))
         rows.append(row / std)
         values.append(value[0] / std)
-    return np.reshape(rows, (-1, len(COLUMNS))), np.array(values)
+        changes.append([error.changes[k] / std for error in known.errors])
+    changed = np.reshape(changes, (len(values), len(known.errors)))
+    return np.reshape(rows, (-1, len(COLUMNS))), np.array(values), changed
 
 
 def physical_values(x: FloatArray) -> FloatArray:

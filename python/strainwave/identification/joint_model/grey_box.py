@@ -19,7 +19,7 @@ friction, are added as one equation each, weighted by the inverse of its standar
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -46,6 +46,7 @@ from strainwave.identification.joint_model.stretches import (
     same_band,
 )
 from strainwave.numerics import least_squares as ls
+from strainwave.numerics.parallel import one_blas_thread
 
 Columns = TypeVar("Columns", LinkSignals, Decoupled)
 
@@ -65,8 +66,11 @@ _MODEL_ERROR_TOLERANCE = 0.5  # the same tolerance for the fits that measure the
 
 
 @dataclass(frozen=True, slots=True)
-class Solved:
-    """Solved equations of one joint in its band and in two neighbouring bands."""
+class JointFit:
+    """Solved equations of one joint in its band and in two neighbouring bands.
+
+    The fit of one record can start from them.
+    """
 
     records: tuple[tuple[LinkSignals, Decoupled], ...]
     arm: Arm
@@ -75,8 +79,13 @@ class Solved:
     with_sign_friction: WeightedEquations
     # in a narrower and a wider band; empty if the band is given
     in_other_bands: tuple[WeightedEquations, ...]
+    model: JointModel = field(init=False)
 
-    def model(self) -> JointModel:
+    def __post_init__(self) -> None:
+        """Compute the model."""
+        object.__setattr__(self, "model", self._model())
+
+    def _model(self) -> JointModel:
         """The joint model, with the model error added to the covariance.
 
         The model error consists of the changes of the estimates with the treatment of friction near
@@ -122,7 +131,15 @@ class Solved:
         enlarged[k, k] += (self.in_band.joint.gear_stiffness * delays[0].std) ** 2
         return enlarged
 
-    def of_record(self, k: int) -> Solved:
+    def of_record(self, name: str) -> JointModel:
+        """Model of one record alone. `name` is the experiment's name."""
+        names = self.model.experiments
+        if names == (name,):
+            return self.model
+        with one_blas_thread():
+            return self._fit_record(names.index(name)).model
+
+    def _fit_record(self, k: int) -> JointFit:
         """Fit record `k` alone, starting from the solution of all records in the same bands.
 
         If its resonances differ, the equations are solved in new bands.
@@ -134,7 +151,7 @@ class Solved:
             each.of_record(k).iterate(_MODEL_ERROR_TOLERANCE)
             for each in (self.with_sign_friction, *self.in_other_bands)
         ]
-        return Solved(record, self.arm, own, with_sign_friction, tuple(in_other_bands))
+        return JointFit(record, self.arm, own, with_sign_friction, tuple(in_other_bands))
 
 
 def solve(
@@ -143,7 +160,7 @@ def solve(
     known: RigidKnowledge,
     band_hz: Band | None = None,
     search_from_hz: Band = FIRST_BAND_HZ,
-) -> Solved:
+) -> JointFit:
     """Estimate the physical parameters of one joint from one or several records.
 
     `band_hz` is the filter band; None derives it from the estimated resonances, and the search
@@ -168,7 +185,7 @@ def solve(
     with_sign_friction, *in_other_bands = [
         each.iterate(_MODEL_ERROR_TOLERANCE) for each in (own.with_sign_friction(), *in_other_bands)
     ]
-    return Solved(tuple(records), arm, own, with_sign_friction, tuple(in_other_bands))
+    return JointFit(tuple(records), arm, own, with_sign_friction, tuple(in_other_bands))
 
 
 def _search_band(

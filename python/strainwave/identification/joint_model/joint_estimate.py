@@ -47,7 +47,9 @@ class JointEstimate:
         notes: Iterable[Diagnostic] = (),
     ) -> JointModel:
         """The joint model. `modes` are anti-resonance and resonance, `notes` further warnings."""
-        warnings = (*self._warnings(), *notes)
+        stds = np.sqrt(np.clip(np.diag(self.covariance), 0.0, None)).tolist()
+        parameters = tuple(self._parameters(stds))
+        warnings = (*self._warnings(stds, parameters), *notes)
         codes = {warning.code for warning in warnings}
         is_partial = "not-identifiable" in codes
         status: Literal["determined", "partly-determined", "implausible"]
@@ -56,7 +58,7 @@ class JointEstimate:
             joint=self.number,
             experiments=self.experiments,
             method=method,
-            parameters=tuple(self._parameters()),
+            parameters=parameters,
             values=self.values,
             covariance=self.covariance,
             anti_resonance=modes[0],
@@ -68,50 +70,41 @@ class JointEstimate:
             posture=self.posture,
         )
 
-    def _entries(self) -> Iterator[_ReportedValue]:
-        variances = np.clip(np.diag(self.covariance), 0.0, None)
-        for (name, value), std, determined in zip(
-            self.values.items(), np.sqrt(variances).tolist(), self.determined, strict=True
-        ):
-            # in fast records only the sum of the viscous frictions is well determined
-            is_split = name in VISCOUS
-            is_precise = std <= _MAX_VISCOUS_RELATIVE_STD * abs(value)
-            yield _ReportedValue(
-                name, value, std, bool(determined) and (is_precise or not is_split)
-            )
-
-    def _parameters(self) -> Iterator[Parameter]:
+    def _parameters(self, stds: Sequence[float]) -> Iterator[Parameter]:
         """Each value as a parameter, None if not determined, then the total viscous friction."""
-        for entry in self._entries():
-            yield self._parameter(entry)
-        ratio, values = self.joint.gear_ratio, np.array(list(self.values.values()))
-        weights = dict(zip(VISCOUS, (1.0, ratio**2), strict=True))
+
+        def parameter(name: str, value: float, std: float, is_identified: bool) -> Parameter:
+            key, unit = (name, self.number), unit_of(name, self.joint)
+            if is_identified and np.isfinite(std):
+                return Parameter.estimated(key, value, std, unit, "decoupled")
+            return Parameter(*key, value if is_identified else None, None, unit, "decoupled")
+
+        values = zip(self.values.items(), stds, self.determined, strict=True)
+        for (name, value), std, determined in values:
+            # in fast records only the sum of the viscous frictions is well determined
+            is_precise = name not in VISCOUS or std <= _MAX_VISCOUS_RELATIVE_STD * abs(value)
+            yield parameter(name, value, std, bool(determined) and is_precise)
+        weights = dict(zip(VISCOUS, (1.0, self.joint.gear_ratio**2), strict=True))
         weight = np.array([weights.get(name, 0.0) for name in self.values])
-        std = np.sqrt(np.clip(weight @ self.covariance @ weight, 0.0, None))
-        total = _ReportedValue("total_viscous_friction", float(weight @ values), float(std), True)
-        yield self._parameter(total)
+        total = float(weight @ np.array(list(self.values.values())))
+        total_std = float(np.sqrt(np.clip(weight @ self.covariance @ weight, 0.0, None)))
+        yield parameter("total_viscous_friction", total, total_std, True)
 
-    def _parameter(self, entry: _ReportedValue) -> Parameter:
-        key, unit = (entry.name, self.number), unit_of(entry.name, self.joint)
-        known = entry.value if entry.is_identified else None
-        if known is None or not np.isfinite(entry.std):
-            return Parameter(*key, known, None, unit, "decoupled")
-        return Parameter.estimated(key, entry.value, entry.std, unit, "decoupled")
-
-    def _warnings(self) -> Iterator[Diagnostic]:
+    def _warnings(
+        self, stds: Sequence[float], parameters: Sequence[Parameter]
+    ) -> Iterator[Diagnostic]:
         """Warnings about parameters that are not identifiable, implausible or equivalent values."""
         joint, records = self.joint, self.experiments
-        for entry in self._entries():
-            name, value, std = entry.name, entry.value, entry.std
+        for (name, value), std, p in zip(self.values.items(), stds, parameters, strict=False):
             place, unit = Place(joint=self.number, parameter=name), unit_of(name, joint)
             estimate = Clause("estimate", value=value, std=std, unit=unit)
             if not np.isfinite(std):
                 estimate = Clause("estimate/no-std", value=value, unit=unit)
             is_viscous = name in VISCOUS
             is_negative = value + 2.0 * np.nan_to_num(std) < 0.0
-            if is_negative and (entry.is_identified or not is_viscous):
+            if is_negative and (p.value is not None or not is_viscous):
                 yield Diagnostic("implausible", place, estimate=estimate, records=records)
-            elif not entry.is_identified:
+            elif p.value is None:
                 split = Clause("viscous-split") if is_viscous else None
                 yield Diagnostic(
                     "not-identifiable",
@@ -124,13 +117,3 @@ class JointEstimate:
         if joint.law.is_curved or joint.selects_law:
             place, note = Place(joint=self.number, parameter=STIFFNESS), joint.law.equivalent_note
             yield Diagnostic("equivalent-stiffness", place, records=records, note=note)
-
-
-@dataclass(frozen=True, slots=True)
-class _ReportedValue:
-    """One value, and whether it is reported."""
-
-    name: str
-    value: float
-    std: float
-    is_identified: bool

@@ -194,8 +194,11 @@ def _model(
     order = options.order or (near.order if near else None) or _best_order(data, options)
     if physical is not None and physical.order == order:
         return physical
-    start = near if near is not None and near.order == order else None
-    model = _fit_from(data, start, options) or _fit(data, order, options)
+    model = None
+    # an alternating pole models the edge of the other band
+    if near is not None and near.order == order and remove_alternating_poles(near) is near:
+        model = _fit_near(data, near, options)
+    model = model or _fit(data, order, options)
     place = Place.in_records(*(record.experiment.name for record in records))
     notes = []
     if not options.order and order != PHYSICAL_ORDER and not _is_usable(model):
@@ -231,19 +234,6 @@ def _fit(data: Sequence[InputOutput], order: int, options: LinearOptions) -> Sta
         return pem(data, order, start=start or None, options=PemOptions(focus=options.focus))
     method = "auto" if options.method == "subspace" else options.method
     return subspace(data, order, method=method, horizon=options.horizon, focus=options.focus)
-
-
-def _fit_from(
-    data: Sequence[InputOutput], near: StateSpace | None, options: LinearOptions
-) -> StateSpace | None:
-    """Fit starting from a model in another band; None if the result is not usable.
-
-    A model with an alternating pole is not used, because that pole models the edge of the other
-    band.
-    """
-    if near is None or remove_alternating_poles(near) is not near:
-        return None
-    return _fit_near(data, near, options)
 
 
 def _fit_near(

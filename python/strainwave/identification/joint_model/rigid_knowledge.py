@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,9 +19,8 @@ class RigidError:
     """Changes for one standard deviation along one eigenvector of the rigid model's covariance."""
 
     tau: tuple[FloatArray, ...]  # one per record, (n_samples,) [N m] at the link
-    total_inertia: float  # [kg m^2]
-    total_viscous_friction: float  # [N m s/rad]
-    coulomb_friction: float  # [N m]
+    # of total inertia [kg m^2], total viscous friction [N m s/rad] and Coulomb friction [N m]
+    changes: tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,22 +32,15 @@ class RigidKnowledge:
     coulomb_friction: tuple[float, float] | None  # f [N m]
     errors: tuple[RigidError, ...] = ()  # independent error directions of tau
 
-    def add_error(self, error: RigidError) -> RigidKnowledge:
-        """The values changed by one error."""
-        return RigidKnowledge(
-            _add_change(self.total_inertia, error.total_inertia),
-            _add_change(self.total_viscous_friction, error.total_viscous_friction),
-            _add_change(self.coulomb_friction, error.coulomb_friction),
-        )
+    @property
+    def sums(self) -> tuple[tuple[float, float] | None, ...]:
+        """Total inertia, total viscous friction and Coulomb friction."""
+        return self.total_inertia, self.total_viscous_friction, self.coulomb_friction
 
     def of_record(self, k: int) -> RigidKnowledge:
         """The values and errors for record `k` alone."""
         errors = tuple(replace(error, tau=(error.tau[k],)) for error in self.errors)
         return replace(self, errors=errors)
-
-
-def _add_change(known: tuple[float, float] | None, change: float) -> tuple[float, float] | None:
-    return known and (known[0] + change, known[1])
 
 
 def rigid_knowledge(
@@ -72,30 +64,25 @@ def rigid_knowledge(
         {("total_viscous_friction", joint): 1.0},
         {("motor_coulomb_friction", joint): 1.0},
     )
-    weights = [_weight(model, part) for part in parts]
-    known = [_sum(model, weight) for weight in weights]
-    errors: tuple[RigidError, ...] = ()
-    if records and not is_uncoupled(arm):
-        errors = tuple(_errors(model, arm, joint, angles, records, weights))
-    return RigidKnowledge(known[0], known[1], known[2], errors)
-
-
-def _weight(model: RigidModel, part: Row) -> FloatArray | None:
-    """Weight of each rigid parameter in a sum; None if one of them is unknown."""
-    weight = np.array([part.get(p.key, 0.0) for p in model.parameters])
+    names = [p.key for p in model.parameters]
     identified = np.array([p.value is not None for p in model.parameters])
-    if np.count_nonzero(weight) != len(part) or not identified[weight != 0.0].all():
-        return None
-    return weight
-
-
-def _sum(model: RigidModel, weight: FloatArray | None) -> tuple[float, float] | None:
-    """Weighted sum of rigid parameters and its standard deviation."""
-    if weight is None:
-        return None
-    used = np.flatnonzero(weight)
-    variance = weight[used] @ model.covariance[np.ix_(used, used)] @ weight[used]
-    return float(weight @ model.solution), float(np.sqrt(variance))
+    weights: list[FloatArray | None] = []
+    known: list[tuple[float, float] | None] = []
+    for part in parts:
+        weight = np.array([part.get(key, 0.0) for key in names])
+        used = np.flatnonzero(weight)
+        if len(used) != len(part) or not identified[used].all():
+            weights.append(None)
+            known.append(None)
+            continue
+        variance = weight[used] @ model.covariance[np.ix_(used, used)] @ weight[used]
+        weights.append(weight)
+        known.append((float(weight @ model.solution), float(np.sqrt(variance))))
+    errors: Iterable[RigidError] = ()
+    if records and not is_uncoupled(arm):
+        errors = _errors(model, arm, joint, angles, records, weights)
+    inertia, viscous, coulomb = known
+    return RigidKnowledge(inertia, viscous, coulomb, tuple(errors))
 
 
 def _errors(
@@ -124,8 +111,8 @@ def _errors(
         change = regression @ step
         change[used] = step
         base = variations @ change
-        changes = [0.0 if weight is None else float(weight @ change) for weight in weights]
+        inertia, viscous, coulomb = (0.0 if w is None else float(w @ change) for w in weights)
         tau = tuple(
             interaction_torques(arm, base, *motion, postures)[:, joint - 1] for motion in motions
         )
-        yield RigidError(tau, *changes)
+        yield RigidError(tau, (inertia, viscous, coulomb))

@@ -20,7 +20,6 @@ from strainwave.domain import (
     ComplexArray,
     Decoupled,
     FloatArray,
-    Fusion,
     InputOutput,
     JointModel,
     LinearOptions,
@@ -118,16 +117,11 @@ def velocities(f: FloatArray, record: Decoupled) -> ComplexArray:
     inverse = np.zeros((len(f), 2, 2), dtype=complex)
     inverse[:, 0, 0] = inverse[:, 1, 1] = 1.0
     if record.fusion is not None:
-        F = _fusion_low_pass(f, record.fusion)
+        x = 2j * np.pi * f * record.fusion.time_constant
+        F = 1.0 / (1.0 + x if record.fusion.order == 1 else 1.0 + np.sqrt(2.0) * x + x * x)
         inverse[:, 1, 1] = 1.0 / (1.0 - F)
         inverse[:, 1, 0] = -record.gear_ratio * F / (1.0 - F)
     return inverse
-
-
-def _fusion_low_pass(f: FloatArray, fusion: Fusion) -> ComplexArray:
-    """Low-pass F of the fusion (10)."""
-    x = 2j * np.pi * f * fusion.time_constant
-    return np.asarray(1.0 / (1.0 + x if fusion.order == 1 else 1.0 + np.sqrt(2.0) * x + x * x))
 
 
 def input_output_of(

@@ -96,7 +96,13 @@ def from_state_space(
     names = tuple(record.experiment.name for record in joint_records)
     nominal = _pairs(model, None)
     vector, pair_covariance = _pairs_with_covariance(model, nominal, others)
-    coefficients, lag_covariance = _with_rigid(vector[:6], pair_covariance[:6, :6], known)
+    coefficients, lag_covariance = vector[:6].copy(), pair_covariance[:6, :6].copy()
+    # (18) has c_0 and c_1 of the rigid model
+    for index, value in ((4, known.total_viscous_friction), (5, known.total_inertia)):
+        if value is not None:
+            coefficients[index] = value[0]
+            lag_covariance[index] = lag_covariance[:, index] = 0.0
+            lag_covariance[index, index] = value[1] ** 2
     two_inertia = from_coefficients(coefficients[:2], coefficients[2:4], coefficients[4:], ratio)
     J = jacobian(lambda q: from_coefficients(q[:2], q[2:4], q[4:], ratio).vector, coefficients)
     covariance = J @ lag_covariance @ J.T
@@ -195,19 +201,6 @@ def _response(model: ContinuousStateSpace, s: ComplexArray) -> ComplexArray:
     inner = s[:, None, None] * np.eye(model.A.shape[-1]) - model.A
     right = np.broadcast_to(model.B + 0j, (len(s), *model.B.shape[-2:]))
     return np.asarray(model.C @ np.linalg.solve(inner, right) + model.D)
-
-
-def _with_rigid(
-    own: FloatArray, covariance: FloatArray, known: RigidKnowledge
-) -> tuple[FloatArray, FloatArray]:
-    """Replace c_0 and c_1 in (b1, b2, d1, d2, c_0, c_1) by those of the rigid model, (18)."""
-    vector, new_covariance = own.copy(), covariance.copy()
-    for index, value in ((4, known.total_viscous_friction), (5, known.total_inertia)):
-        if value is not None:
-            vector[index] = value[0]
-            new_covariance[index] = new_covariance[:, index] = 0.0
-            new_covariance[index, index] = value[1] ** 2
-    return vector, new_covariance
 
 
 def _mode(value: complex, deviation: FloatArray) -> Mode:

@@ -36,9 +36,10 @@ from strainwave.identification.rigid.bandwidth import (
     search_bandwidths,
     select_bandwidth,
 )
-from strainwave.identification.rigid.bounds import Bounded, bound
+from strainwave.identification.rigid.conclusion import Bounded, bound, torque_ratios, warnings_of
 from strainwave.identification.rigid.drive_gains import estimate_drive_gains, gain_sensitivity
 from strainwave.identification.rigid.equations import FurtherTerm, MotorShares, anti_resonances
+from strainwave.identification.rigid.filtered_record import decimation, n_compliances, sample_motion
 from strainwave.identification.rigid.friction_terms import (
     MAX_POWER_RATIO,
     corrected_motions,
@@ -55,10 +56,7 @@ from strainwave.identification.rigid.model_choice import (
     candidates_of,
     is_selected,
 )
-from strainwave.identification.rigid.stretch import decimation, n_compliances, sample_motion
-from strainwave.identification.rigid.torque_constants import torque_ratios
 from strainwave.identification.rigid.trial import Trial, fit_trial
-from strainwave.identification.rigid.trial_warnings import warnings_of
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 from strainwave.signals.motor import period_of
 
@@ -114,7 +112,11 @@ def _fit(
                 best, nearby, choice = distant
         doubt, noise_share, changes = choice.model_error(), choice.noise_share(), choice.changes()
         if any(c.effect in LOAD_TERMS for c in best.candidates):
-            other = _with_other_shares(best)
+            # other shares of the rotors in inertias, on which the gears' loads depend
+            shares = replace(best.estimate.shares, inertia=_ALTERNATIVE_INERTIA_SHARE)
+            other = fit_trial(
+                best.arm, best.stretches, best.estimate, shares, best.candidates, best.factor.root
+            )
             change = other.solution - best.solution
             doubt += np.outer(change, change)
             of_terms = other.factor.common - best.factor.common
@@ -136,7 +138,10 @@ def _fit(
     if plain is best:
         plain = fit.trial
     ratios = torque_ratios(trials, fit.trial, plain)
-    fits = {s.experiment.name: _fits(fit.trial, s, further) for s in signals}
+    fits = {}
+    for s in signals:
+        band = band_fit(fit.trial.arm, fit.trial.solution, s, fit.trial.bandwidth_hz, further)
+        fits[s.experiment.name] = dict(zip(s.torque_channel, band.tolist(), strict=True))
     motion = sample_motion(signals, fit.trial.bandwidth_hz)
     return _model(fit, noise, further, ratios, fits, motion)
 
@@ -226,14 +231,6 @@ def _started(trial: Trial, start: Trial) -> Trial:
     return replace(trial, estimate=start.estimate, factor=start.factor)
 
 
-def _with_other_shares(best: Trial) -> Trial:
-    """The fit with other shares of the rotors in inertias, on which the gears' loads depend."""
-    shares = replace(best.estimate.shares, inertia=_ALTERNATIVE_INERTIA_SHARE)
-    return fit_trial(
-        best.arm, best.stretches, best.estimate, shares, best.candidates, best.factor.root
-    )
-
-
 def _elastic_model_error(best: Trial) -> FloatArray:
     """Variance (n_parameters,) of the error of the first-order compliance model.
 
@@ -315,9 +312,3 @@ def _model(
         friction_terms=terms,
         motion=motion,
     )
-
-
-def _fits(best: Trial, record: Signals, terms: tuple[FrictionTerm, ...]) -> dict[str, float]:
-    """Fit in percent of each torque of a fitted record, within the model's band."""
-    fits = band_fit(best.arm, best.solution, record, best.bandwidth_hz, terms)
-    return dict(zip(record.torque_channel, fits.tolist(), strict=True))

@@ -9,7 +9,7 @@ import numpy as np
 from strainwave.domain import FloatArray, Signals
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.rigid.equations import convert_estimate
-from strainwave.identification.rigid.stretch import FilteredRecord, n_compliances, prepare
+from strainwave.identification.rigid.filtered_record import FilteredRecord, n_compliances, prepare
 from strainwave.identification.rigid.trial import Trial, fit_trial
 
 _BANDWIDTH_RATIO = 2.0**0.5  # ratio of successive bandwidths; squared if no gear is elastic
@@ -56,23 +56,20 @@ def bandwidths_of(motions: Sequence[Motion], step: float) -> Iterator[float]:
 
 def _motion_band(records: Sequence[Signals]) -> float:
     """Frequency [Hz] below which 90 % of the power of each velocity in the records lies."""
-    frequencies, powers = zip(*map(_velocity_power, records), strict=True)
+    frequencies, powers = [], []
+    for signals in records:
+        velocity, count = signals.motor_velocity, len(signals.time)
+        centred_index = np.arange(count) - 0.5 * (count - 1)
+        detrended = velocity - velocity.mean(axis=0)
+        slope = centred_index @ detrended / (centred_index @ centred_index)
+        detrended -= np.outer(centred_index, slope)
+        frequencies.append(np.fft.rfftfreq(count, signals.sample_time))
+        powers.append(np.abs(np.fft.rfft(detrended, axis=0)) ** 2 / count)
     frequency, power = np.concatenate(frequencies), np.concatenate(powers)
     order = np.argsort(frequency, kind="stable")
     cumulative = np.cumsum(power[order], axis=0)
     reached = [np.searchsorted(c, 0.9 * c[-1]) for c in cumulative.T if c[-1] > 0.0]
     return max((float(frequency[order[k]]) for k in reached), default=0.0)
-
-
-def _velocity_power(signals: Signals) -> tuple[FloatArray, FloatArray]:
-    """Frequencies (n,) [Hz] and power (n, n_joints) of the velocities without their trends."""
-    velocity, count = signals.motor_velocity, len(signals.time)
-    centred_index = np.arange(count) - 0.5 * (count - 1)
-    detrended = velocity - velocity.mean(axis=0)
-    slope = centred_index @ detrended / (centred_index @ centred_index)
-    detrended -= np.outer(centred_index, slope)
-    power = np.abs(np.fft.rfft(detrended, axis=0)) ** 2 / count
-    return np.asarray(np.fft.rfftfreq(count, signals.sample_time)), power
 
 
 def prepare_all(

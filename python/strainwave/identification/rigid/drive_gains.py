@@ -37,7 +37,7 @@ from strainwave.identification.rigid.bandwidth import (
     select_bandwidth,
 )
 from strainwave.identification.rigid.equations import Estimate, assemble
-from strainwave.identification.rigid.stretch import FilteredRecord
+from strainwave.identification.rigid.filtered_record import FilteredRecord
 from strainwave.identification.rigid.trial import Trial, fit_trial
 from strainwave.numerics import least_squares as ls
 from strainwave.numerics.parallel import one_blas_thread
@@ -60,7 +60,8 @@ def estimate_drive_gains(signals: Sequence[Signals], arm: Arm) -> DriveGains:
     with one_blas_thread():
         motions = [(s, period_of(s)) for s in signals]
         first = _first_gains(arm.behind_rigid_gears(), motions, joints)
-        scaled = [(_scaled(s, joints, first), period) for s, period in motions]
+        scale = _scale_of(arm, joints, first)
+        scaled = [(_scaled(s, scale), period) for s, period in motions]
         trials = search_bandwidths(scaled, arm)
         best = select_bandwidth(trials)
         at_best = _refine(best, joints, np.ones(len(joints)))
@@ -70,9 +71,7 @@ def estimate_drive_gains(signals: Sequence[Signals], arm: Arm) -> DriveGains:
     excess = excess_variance(np.log(at_best.factor), pairs)
     covariance = at_best.covariance + np.diag(excess)
     gains, stds = first * at_best.factor, np.sqrt(np.diag(covariance))
-    unclear = joints[~(at_best.identified & (stds < _MAX_RELATIVE_STD) & (gains > 0.0))]
-    if unclear.size:
-        raise NotIdentifiable(_unclear_text((unclear + 1).tolist()))
+    _require(joints, at_best.identified & (stds < _MAX_RELATIVE_STD) & (gains > 0.0))
     width = best.interval_half_width
     parameters = tuple(
         Parameter.estimated(
@@ -85,7 +84,16 @@ def estimate_drive_gains(signals: Sequence[Signals], arm: Arm) -> DriveGains:
         )
         for joint, gain, std in zip(joints.tolist(), gains.tolist(), stds.tolist(), strict=True)
     )
-    return DriveGains(parameters, covariance, tuple(map(_warning, parameters)))
+    warnings = [  # later stages take the estimates for exact
+        Diagnostic(
+            "estimated-drive",
+            Place(joint=p.joint, parameter=p.name),
+            value=p.value,
+            share=(p.std or 0.0) / (p.value or 1.0),
+        )
+        for p in parameters
+    ]
+    return DriveGains(parameters, covariance, tuple(warnings))
 
 
 def gain_sensitivity(trial: Trial, gains: DriveGains) -> FloatArray:
@@ -122,9 +130,7 @@ def _first_gains(arm: Arm, motions: Sequence[Motion], joints: IntArray) -> Float
     factor = ls.factorise(extended, ls.initial_weights(equations.target, equations.group))
     gains = np.asarray(factor.value[-len(joints) :])
     unresolved = np.abs(factor.directions[~factor.is_resolved, -len(joints) :]).max(0, initial=0.0)
-    unclear = joints[(gains <= 0.0) | (unresolved > _MAX_UNRESOLVED)]
-    if unclear.size:
-        raise NotIdentifiable(_unclear_text((unclear + 1).tolist()))
+    _require(joints, (gains > 0.0) & (unresolved <= _MAX_UNRESOLVED))
     return gains
 
 
@@ -156,7 +162,16 @@ def _refine(trial: Trial, joints: IntArray, factors: FloatArray) -> _Refined:
 
 def _rescaled(trial: Trial, joints: IntArray, factors: FloatArray) -> Trial:
     """The trial repeated with multiplied torques of joints, from 0."""
-    stretches = tuple(_scaled_stretch(s, joints, factors) for s in trial.stretches)
+    scale = _scale_of(trial.arm, joints, factors)
+    stretches = tuple(
+        replace(
+            s,
+            torque=s.torque * scale,
+            drive=(s.drive[0] * scale, s.drive[1]),
+            signals=_scaled(s.signals, scale),
+        )
+        for s in trial.stretches
+    )
     return fit_trial(trial.arm, stretches, trial.estimate, trial.estimate.shares)
 
 
@@ -170,11 +185,14 @@ def _extended(equations: ls.Equations, columns: FloatArray) -> ls.Equations:
 
 
 def _torque_rows(
-    arm: Arm, stretches: Sequence[FilteredRecord], around: Estimate | None, equations: ls.Equations
+    arm: Arm,
+    stretches: Sequence[FilteredRecord],
+    linearised_at: Estimate | None,
+    equations: ls.Equations,
 ) -> FloatArray:
     """The part of the target that is the measured torque: (n_rows,)."""
     unmoved = [replace(s, torque=np.zeros_like(s.torque)) for s in stretches]
-    return np.asarray(equations.target - assemble(arm, unmoved, around).target)
+    return np.asarray(equations.target - assemble(arm, unmoved, linearised_at).target)
 
 
 def _is_of(equations: ls.Equations, joints: IntArray) -> BoolArray:
@@ -182,38 +200,23 @@ def _is_of(equations: ls.Equations, joints: IntArray) -> BoolArray:
     return np.asarray(equations.group[:, None] == joints)
 
 
-def _scaled(signals: Signals, joints: IntArray, gains: FloatArray) -> Signals:
-    """Signals with multiplied torques of joints, from 0."""
-    torque = signals.motor_torque.copy()
-    torque[:, joints] *= gains
-    return replace(signals, motor_torque=torque)
+def _scale_of(arm: Arm, joints: IntArray, factors: FloatArray) -> FloatArray:
+    """Factors (n_joints,) on the torques of all joints; `joints` count from 0."""
+    scale = np.ones(arm.n_joints)
+    scale[joints] = factors
+    return scale
 
 
-def _scaled_stretch(
-    stretch: FilteredRecord, joints: IntArray, factors: FloatArray
-) -> FilteredRecord:
-    """A filtered record with multiplied torques of joints, from 0."""
-    torque = stretch.torque.copy()
-    torque[:, joints] *= factors
-    drive = stretch.drive
-    if drive:
-        gear_side = drive[0].copy()
-        gear_side[:, joints] *= factors
-        drive = (gear_side, *drive[1:])
-    signals = _scaled(stretch.signals, joints, factors)
-    return replace(stretch, torque=torque, drive=drive, signals=signals)
+def _scaled(signals: Signals, scale: FloatArray) -> Signals:
+    return replace(signals, motor_torque=signals.motor_torque * scale)
 
 
-def _unclear_text(joints: Sequence[int]) -> str:
-    listed = ", ".join(map(str, joints))
-    return (
-        f"the records with and without payload do not determine torque_per_volt of joint {listed}: "
-        "move the payload so that its weight and inertia load these joints, or take a heavier one"
-    )
-
-
-def _warning(parameter: Parameter) -> Diagnostic:
-    """Warning that later stages take an estimate for exact."""
-    place = Place(joint=parameter.joint, parameter=parameter.name)
-    share = (parameter.std or 0.0) / (parameter.value or 1.0)
-    return Diagnostic("estimated-drive", place, value=parameter.value, share=share)
+def _require(joints: IntArray, is_clear: BoolArray) -> None:
+    """Raise NotIdentifiable unless the gains of all joints, from 0, are clear."""
+    if not is_clear.all():
+        listed = ", ".join(map(str, (joints[~is_clear] + 1).tolist()))
+        raise NotIdentifiable(
+            "the records with and without payload do not determine torque_per_volt of joint "
+            f"{listed}: move the payload so that its weight and inertia load these joints, or take "
+            "a heavier one"
+        )

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, IntArray
+from strainwave.domain import BoolArray, FloatArray
 from strainwave.domain.combinations import FRICTION_COLUMNS
 from strainwave.domain.kinds.base import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
@@ -27,10 +27,9 @@ from strainwave.dynamics.rigid_prediction import (
     gear_load,
 )
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.rigid.stretch import FilteredRecord, motion_of, n_compliances
+from strainwave.identification.rigid.filtered_record import FilteredRecord, n_compliances
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.least_squares import Equations, Factor, Local
-from strainwave.numerics.linalg import Banded
 
 # prior standard deviation of the stiction torque in units of f: uniform distribution in [-f, f]
 _STICTION_STD = 0.58
@@ -70,7 +69,7 @@ class Estimate:
     solution: FloatArray  # (n_parameters,)
     compliance: FloatArray  # (n_joints,) [rad/(N m)] link side, at least 0
     # per record (n_motion, n_joints) free friction [N m], or empty
-    standing: tuple[FloatArray, ...]
+    stiction_torque: tuple[FloatArray, ...]
     shares: MotorShares
 
 
@@ -83,13 +82,13 @@ def convert_estimate(
     interpolated to the motion's samples at the other bandwidth.
     """
     stiction_torque = []
-    for friction, old, new in zip(estimate.standing, before, after, strict=True):
+    for friction, old, new in zip(estimate.stiction_torque, before, after, strict=True):
         old_samples, target_samples = old.motion_samples(), new.motion_samples()
         columns = [
             np.interp(target_samples, old_samples, column) for column in friction.T if len(column)
         ]
         stiction_torque.append(np.column_stack(columns) if columns else friction)
-    return replace(estimate, standing=tuple(stiction_torque))
+    return replace(estimate, stiction_torque=tuple(stiction_torque))
 
 
 ALL_JOINTS = -1
@@ -112,121 +111,107 @@ class FurtherTerm:
         return self.effect, self.joint
 
 
-@dataclass(frozen=True, slots=True)
-class Terms:
-    """Further terms, with the direction of motion of all joints."""
+def term_stds(
+    terms: Sequence[FurtherTerm], arm: Arm, stretches: Sequence[FilteredRecord]
+) -> FloatArray:
+    """Prior standard deviations of the sizes, then of the estimated shapes' logarithms.
 
-    candidates: tuple[FurtherTerm, ...]
-    direction: tuple[FloatArray, ...]  # per record (n_motion, n_joints)
+    They correspond to the largest torque of the joint, or to a known size.
+    """
+    of_links = [np.max(np.abs(arm.joints_of(s.torque)), axis=0) for s in stretches]
+    at_link = np.max(of_links, axis=0)
+    torque = np.max([np.max(np.abs(s.torque), axis=0) for s in stretches], axis=0)
+    speed, angle = (
+        np.max([np.max(np.abs(s.motion[k]), axis=0) for s in stretches], axis=0) for k in (1, 0)
+    )
+    tiny = np.finfo(float).tiny
 
-    @staticmethod
-    def of(candidates: Sequence[FurtherTerm], stretches: Sequence[FilteredRecord]) -> Terms:
-        """Terms in the records of a fit."""
-        directions = (
-            motion_of(s.signals.direction, s.bandwidth_hz, s.signals.sample_time) for s in stretches
+    def deviation(c: FurtherTerm) -> float:
+        per_unit = {
+            "direction-friction": speed[c.joint],
+            "load-speed-friction": speed[c.joint] * torque[c.joint] / _LOAD_FRICTION_STD,
+            SPRING: angle[c.joint],
+        }.get(c.effect, 1.0)
+        if c.effect == TORSION:
+            return float(_TORSION_STD / max(at_link[c.joint], tiny))
+        known = _KNOWN_STDS.get(c.effect)
+        return known if known is not None else float(torque[c.joint] / max(per_unit, tiny))
+
+    sizes = [deviation(c) for c in terms]
+    return np.array([*sizes, *(_LOG_SHAPE_STD for c in terms if c.size is not None)])
+
+
+def term_columns(
+    terms: Sequence[FurtherTerm], arm: Arm, stretch: FilteredRecord, linearised_at: Estimate
+) -> FloatArray:
+    """Regressors in the order of `term_stds`, (n_rows, n_joints, n_columns).
+
+    The load is that of the gears by the estimate, without friction.
+    """
+    q, dq, ddq = stretch.link_motion(arm)
+    solution, payload = linearised_at.solution, stretch.signals.experiment.payload
+    share = linearised_at.shares.inertia
+    load = gear_load(arm, solution, (q, dq, ddq), payload, share)
+    base = arm.links_of_rigid() @ solution[: arm.n_body] + arm.payload_vector(payload)
+    velocity, direction = stretch.motion[1], stretch.drive[1]
+    interval = stretch.motion_step * stretch.signals.sample_time
+
+    def motor_torque() -> FloatArray:
+        viscous, coulomb, _ = arm.joint_friction(solution).T
+        rotors = arm.motors_of_rigid(share) @ solution[: arm.n_body]
+        body = load + rotors * stretch.motion[2]
+        return np.asarray(body + viscous * velocity + coulomb * direction)
+
+    def torque_per_shift(*shift: FloatArray) -> FloatArray:
+        """Motor torques per shift of the links: an angle and its derivatives."""
+        step = _ANGLE_STEP / max(float(np.max(np.abs(shift[0]))), np.finfo(float).tiny)
+        ahead, behind = (
+            arm.link_torques(base, *(x + h * dx for x, dx in zip((q, dq, ddq), shift, strict=True)))
+            for h in (step, -step)
         )
-        return Terms(tuple(candidates), tuple(directions))
+        return arm.motors_of((ahead - behind) / (2.0 * step))
 
-    def deviations(self, arm: Arm, stretches: Sequence[FilteredRecord]) -> FloatArray:
-        """Prior standard deviations of the sizes, then of the estimated shapes' logarithms.
+    def regressor(c: FurtherTerm, factor: float = 1.0) -> FloatArray:
+        """Torques of all joints per size, or those of the joint alone."""
+        i, unit = c.joint, np.eye(arm.n_joints)[c.joint]
+        if c.effect == SPRING:
+            return arm.motors_of(q * unit)
+        if c.effect == ZERO:
+            return torque_per_shift(np.ones_like(q) * unit, 0.0 * dq, 0.0 * ddq)
+        if c.effect == DELAY:
+            return -differentiate(motor_torque(), interval)
+        if c.effect == TORSION:
+            twist = arm.joints_of(motor_torque()) * unit
+            rate = differentiate(twist, interval)
+            return -torque_per_shift(twist, rate, differentiate(rate, interval))
+        law = friction_per_size(c.effect, factor * c.shape, velocity[:, i], load[:, i])
+        return np.asarray(law * direction[:, i])
 
-        They correspond to the largest torque of the joint, or to a known size.
-        """
-        of_links = [np.max(np.abs(arm.joints_of(s.torque)), axis=0) for s in stretches]
-        at_link = np.max(of_links, axis=0)
-        torque = np.max([np.max(np.abs(s.torque), axis=0) for s in stretches], axis=0)
-        speed, angle = (
-            np.max([np.max(np.abs(s.motion[k]), axis=0) for s in stretches], axis=0) for k in (1, 0)
-        )
-        tiny = np.finfo(float).tiny
-
-        def deviation(c: FurtherTerm) -> float:
-            per_unit = {
-                "direction-friction": speed[c.joint],
-                "load-speed-friction": speed[c.joint] * torque[c.joint] / _LOAD_FRICTION_STD,
-                SPRING: angle[c.joint],
-            }.get(c.effect, 1.0)
-            if c.effect == TORSION:
-                return float(_TORSION_STD / max(at_link[c.joint], tiny))
-            known = _KNOWN_STDS.get(c.effect)
-            return known if known is not None else float(torque[c.joint] / max(per_unit, tiny))
-
-        sizes = [deviation(c) for c in self.candidates]
-        return np.array([*sizes, *(_LOG_SHAPE_STD for c in self.candidates if c.size is not None)])
-
-    def columns(
-        self, arm: Arm, stretch: FilteredRecord, record: int, around: Estimate
-    ) -> FloatArray:
-        """Regressors in the order of `deviations`, (n_rows, n_joints, n_columns).
-
-        The load is that of the gears by the estimate, without friction.
-        """
-        q, dq, ddq = stretch.link_motion(arm)
-        solution, payload = around.solution, stretch.signals.experiment.payload
-        share = around.shares.inertia
-        load = gear_load(arm, solution, (q, dq, ddq), payload, share)
-        base = arm.links_of_rigid() @ solution[: arm.n_body] + arm.payload_vector(payload)
-        velocity, direction = stretch.motion[1], self.direction[record]
-        interval = stretch.motion_step * stretch.signals.sample_time
-
-        def motor_torque() -> FloatArray:
-            viscous, coulomb, _ = arm.joint_friction(solution).T
-            rotors = arm.motors_of_rigid(share) @ solution[: arm.n_body]
-            body = load + rotors * stretch.motion[2]
-            return np.asarray(body + viscous * velocity + coulomb * direction)
-
-        def torque_per_shift(*shift: FloatArray) -> FloatArray:
-            """Motor torques per shift of the links: an angle and its derivatives."""
-            step = _ANGLE_STEP / max(float(np.max(np.abs(shift[0]))), np.finfo(float).tiny)
-            ahead, behind = (
-                arm.link_torques(
-                    base, *(x + h * dx for x, dx in zip((q, dq, ddq), shift, strict=True))
-                )
-                for h in (step, -step)
-            )
-            return arm.motors_of((ahead - behind) / (2.0 * step))
-
-        def regressor(c: FurtherTerm, factor: float = 1.0) -> FloatArray:
-            """Torques of all joints per size, or those of the joint alone."""
-            i, unit = c.joint, np.eye(arm.n_joints)[c.joint]
-            if c.effect == SPRING:
-                return arm.motors_of(q * unit)
-            if c.effect == ZERO:
-                return torque_per_shift(np.ones_like(q) * unit, 0.0 * dq, 0.0 * ddq)
-            if c.effect == DELAY:
-                return -differentiate(motor_torque(), interval)
-            if c.effect == TORSION:
-                twist = arm.joints_of(motor_torque()) * unit
-                rate = differentiate(twist, interval)
-                return -torque_per_shift(twist, rate, differentiate(rate, interval))
-            law = friction_per_size(c.effect, factor * c.shape, velocity[:, i], load[:, i])
-            return np.asarray(law * direction[:, i])
-
-        step = np.exp(_SHAPE_STEP)
-        parts = [(c, regressor(c)) for c in self.candidates]
-        for c in self.candidates:
-            if c.size is not None:
-                change = regressor(c, step) - regressor(c, 1.0 / step)
-                parts.append((c, c.size / (2.0 * _SHAPE_STEP) * change))
-        columns = np.zeros((len(stretch.rows), arm.n_joints, len(parts)))
-        at = [
-            (k, joints)
-            for k, (c, part) in enumerate(parts)
-            for joints in (range(arm.n_joints) if part.ndim == 2 else [c.joint])
-        ]
-        if at:
-            flat = [part if part.ndim == 2 else part[:, None] for _, part in parts]
-            filtered = stretch.filtered(np.concatenate(flat, axis=1))
-            for column, (k, joint) in zip(filtered.T, at, strict=True):
-                columns[:, joint, k] = column
-        return columns
+    step = np.exp(_SHAPE_STEP)
+    parts = [(c, regressor(c)) for c in terms]
+    for c in terms:
+        if c.size is not None:
+            change = regressor(c, step) - regressor(c, 1.0 / step)
+            parts.append((c, c.size / (2.0 * _SHAPE_STEP) * change))
+    columns = np.zeros((len(stretch.rows), arm.n_joints, len(parts)))
+    at = [
+        (k, joints)
+        for k, (c, part) in enumerate(parts)
+        for joints in (range(arm.n_joints) if part.ndim == 2 else [c.joint])
+    ]
+    if at:
+        flat = [part if part.ndim == 2 else part[:, None] for _, part in parts]
+        filtered = stretch.filtered(np.concatenate(flat, axis=1))
+        for column, (k, joint) in zip(filtered.T, at, strict=True):
+            columns[:, joint, k] = column
+    return columns
 
 
 def assemble(
     arm: Arm,
     stretches: Sequence[FilteredRecord],
-    around: Estimate | None,
-    terms: Terms | None = None,
+    linearised_at: Estimate | None,
+    terms: Sequence[FurtherTerm] = (),
 ) -> Equations:
     """Assemble the equations of all records and joints.
 
@@ -236,65 +221,53 @@ def assemble(
     proportion to the time in which joints slide. The offset of a joint that slides in one direction
     only is zero, because it acts as Coulomb friction.
 
-    Without `around`, the joints are rigid, the prior of the free friction is the size of the
+    Without `linearised_at`, the joints are rigid, the prior of the free friction is the size of the
     torque, and there are no `terms`, whose unknowns are common to all rows.
     """
-    n_elastic = n_compliances(arm) if around is not None else 0
-    parts = list(_parts(arm, stretches, around, terms if around is not None else None))
-    term_std = np.zeros(0)
-    if terms is not None and around is not None:
-        term_std = terms.deviations(arm, stretches)
-    compliance_std = np.zeros(0)
-    if around is not None and n_elastic:
-        compliance_std = _compliance_std(arm, stretches, around)
+    parts = list(_parts(arm, stretches, linearised_at, terms))
+    common_std = np.zeros(0)
+    if linearised_at is not None and n_compliances(arm):  # anti-resonances exceed the bandwidth
+        w = 2.0 * np.pi * max(s.bandwidth_hz for s in stretches)
+        inertia = np.abs(arm.link_inertias(_base(arm, linearised_at)))
+        common_std = _COMPLIANCE_STD / (np.maximum(inertia, _MIN_INERTIA) * w**2)
+    if linearised_at is not None and terms:
+        common_std = np.concatenate([common_std, term_stds(terms, arm, stretches)])
     ends = np.cumsum([0, *(len(part.target) for part in parts)])
     return Equations(
         shared=np.concatenate([part.shared for part in parts]),
         noise=np.sqrt(np.mean([s.noise**2 for s in stretches], axis=0)),
         common=np.concatenate([part.common for part in parts]),
-        common_deviation=np.concatenate([compliance_std, term_std]),
+        common_deviation=common_std,
         local=tuple(
-            Local(np.arange(first, last), part.free)
-            for part, first, last in zip(parts, ends, ends[1:], strict=False)
+            Local(first + own.rows, own.columns)
+            for part, first in zip(parts, ends, strict=False)
+            for own in part.local
         ),
-        local_deviation=np.repeat(
-            [part.free_std for part in parts], [part.free.n_columns for part in parts]
-        ),
+        local_deviation=np.concatenate([part.local_deviation for part in parts]),
         target=np.concatenate([part.target for part in parts]),
-        group=np.repeat([part.joint for part in parts], np.diff(ends)),
+        group=np.concatenate([part.group for part in parts]),
         block=np.concatenate([part.block for part in parts]),
         repetition=np.concatenate([part.repetition for part in parts]),
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Equations of one joint in one record."""
-
-    joint: int  # from 0
-    shared: FloatArray  # (n_rows, n_parameters)
-    common: FloatArray  # (n_rows, n_elastic + n_terms)
-    free: Banded  # (n_rows, n_free) of the free friction
-    free_std: float  # [N m]
-    target: FloatArray  # (n_rows,)
-    block: IntArray  # (n_rows,)
-    repetition: IntArray  # (n_rows,)
-
-
 def _parts(
-    arm: Arm, stretches: Sequence[FilteredRecord], around: Estimate | None, terms: Terms | None
-) -> Iterator[_Part]:
-    """Equations record by record and joint by joint."""
+    arm: Arm,
+    stretches: Sequence[FilteredRecord],
+    linearised_at: Estimate | None,
+    terms: Sequence[FurtherTerm],
+) -> Iterator[Equations]:
+    """Equations record by record and joint by joint, without deviations of common unknowns."""
     first_block, counts = 0, blocks_of(stretches)
     is_two_way = slides_both_ways(stretches)
     for record, stretch in enumerate(stretches):
-        body = _body_equations(arm, stretch, around, record)
+        body = _body_equations(arm, stretch, linearised_at, record)
         n_blocks = counts[record]
         block = first_block + stretch.blocks(n_blocks)
         first_block += n_blocks
         common = body.lags
-        if terms is not None and around is not None:
-            of_terms = terms.columns(arm, stretch, record, around)
+        if terms and linearised_at is not None:
+            of_terms = term_columns(terms, arm, stretch, linearised_at)
             common = np.concatenate([common, of_terms], axis=2)
         shared = arm.shared_friction_regressor(stretch.friction[:, :, 0])
         for i, free in enumerate(stretch.free):
@@ -306,19 +279,22 @@ def _parts(
             X[:, friction] -= body.own_lag[:, i]
             X[:, len(arm.rigid_columns) - arm.n_shared :] = shared[:, i] - body.shared_lag[:, i]
             keep = np.flatnonzero(stretch.keep[:, i])
-            if around is not None:
-                coulomb = float(around.solution[friction + 1])
+            if linearised_at is not None:
+                coulomb = float(linearised_at.solution[friction + 1])
             else:  # a record at an edge throughout has no rows
                 coulomb = float(np.std(stretch.torque[:, i])) if len(stretch.rows) else 0.0
-            yield _Part(
-                i,
-                X[keep],
-                common[keep, i],
-                free if len(keep) == len(stretch.rows) else free.rows(keep),
-                max(_STICTION_STD * abs(coulomb), 1e-300),
-                body.torque[keep, i],
-                block[keep],
-                stretch.repetition[keep],
+            std = max(_STICTION_STD * abs(coulomb), 1e-300)
+            yield Equations(
+                shared=X[keep],
+                noise=stretch.noise,
+                common=common[keep, i],
+                common_deviation=np.zeros(0),
+                local=(Local(np.arange(len(keep)), free.rows(keep)),),
+                local_deviation=np.full(free.n_columns, std),
+                target=body.torque[keep, i],
+                group=np.full(len(keep), i),
+                block=block[keep],
+                repetition=stretch.repetition[keep],
             )
 
 
@@ -359,8 +335,10 @@ def estimate_of(
         compliance = np.clip(factor.common[:n], 0.0, upper_bound) * elastic
     stiction_torque, start = [], 0
     for stretch in stretches:
-        friction = np.zeros_like(stretch.motion[0] if stretch.standing else stretch.torque[:0])
-        for i, (near, shapes) in enumerate(stretch.standing):
+        friction = np.zeros_like(
+            stretch.motion[0] if stretch.stiction_shapes else stretch.torque[:0]
+        )
+        for i, (near, shapes) in enumerate(stretch.stiction_shapes):
             friction[near, i] = shapes @ factor.local[start : start + shapes.n_columns]
             start += shapes.n_columns
         stiction_torque.append(friction)
@@ -372,7 +350,9 @@ def average_estimates(one: Estimate, other: Estimate) -> Estimate:
     return Estimate(
         0.5 * (one.solution + other.solution),
         0.5 * (one.compliance + other.compliance),
-        tuple(0.5 * (a + b) for a, b in zip(one.standing, other.standing, strict=True)),
+        tuple(
+            0.5 * (a + b) for a, b in zip(one.stiction_torque, other.stiction_torque, strict=True)
+        ),
         other.shares,
     )
 
@@ -400,10 +380,10 @@ class _BodyEquations:
 
 
 def _body_equations(
-    arm: Arm, stretch: FilteredRecord, around: Estimate | None, record: int
+    arm: Arm, stretch: FilteredRecord, linearised_at: Estimate | None, record: int
 ) -> _BodyEquations:
     links = stretch.link_motion(arm)
-    if around is None or not n_compliances(arm):
+    if linearised_at is None or not n_compliances(arm):
         phi = stretch.body
         if not phi.size:
             phi = stretch.filtered(body_regressor(arm, links, stretch.torsion))
@@ -411,42 +391,44 @@ def _body_equations(
         shape = len(phi), arm.n_joints
         lags, shared_lag = np.zeros((*shape, 0)), np.zeros((*shape, arm.n_shared))
         return _BodyEquations(phi, lags, torque, np.zeros(shape), shared_lag)
-    gear = _gear_torque(arm, stretch, around, around.standing[record])
+    gear = _gear_torque(arm, stretch, linearised_at, linearised_at.stiction_torque[record])
     interval = stretch.motion_step * stretch.signals.sample_time
     dgear = differentiate(gear, interval)
     ddgear = differentiate(dgear, interval)
-    c = around.compliance
+    c = linearised_at.compliance
     angle, torsion = links[0], (c * gear, c * dgear, c * ddgear)
     links = [x - twist for x, twist in zip(links, torsion, strict=True)]
-    phi = body_regressor(arm, links, torsion, around.shares.inertia)
+    phi = body_regressor(arm, links, torsion, linearised_at.shares.inertia)
     elastic = np.array([joint.elastic for joint in arm.joints])
     payload = arm.payload_vector(stretch.signals.experiment.payload)
-    lags = _compliance_regressor(arm, _base(arm, around) + payload, angle, ddgear)
-    lags -= dgear[:, None] * (arm.transmission.T * _link_viscous_friction(arm, around))
+    # motor torque per compliance, -N C^T M_j(q) ddT_j: (n_samples, n_joints, n_joints)
+    per_link = arm.torques_of_accelerations(_base(arm, linearised_at) + payload, angle, ddgear)
+    lags = -arm.motors_of(np.swapaxes(per_link, 1, 2)).swapaxes(1, 2)
+    lags -= dgear[:, None] * (arm.transmission.T * _link_viscous_friction(arm, linearised_at))
     lags *= elastic
     filtered = stretch.filtered(np.concatenate([phi, lags], axis=2))
     phi, lags = filtered[:, :, : phi.shape[2]], filtered[:, :, phi.shape[2] :]
     torque = stretch.torque - _payload_torque(arm, stretch, links)
     lag_velocity = stretch.filtered(c * dgear)
-    own_lag = lag_velocity * (1.0 - _motor_shares(arm, around)) / arm.gear_ratios
+    own_lag = lag_velocity * (1.0 - _motor_shares(arm, linearised_at)) / arm.gear_ratios
     at_links = list(arm.shared_links)
     shared_lag = lag_velocity[:, None, at_links] * arm.transmission[at_links].T
     return _BodyEquations(phi, lags, torque + lags @ c, own_lag, shared_lag)
 
 
-def _motor_shares(arm: Arm, around: Estimate) -> FloatArray:
+def _motor_shares(arm: Arm, linearised_at: Estimate) -> FloatArray:
     """Motors' shares of the total viscous friction without that of shared links: (n_joints,)."""
-    shares = np.full(arm.n_joints, around.shares.viscous_friction)
+    shares = np.full(arm.n_joints, linearised_at.shares.viscous_friction)
     shares[list(arm.shared_links)] = 1.0
     return shares
 
 
-def _link_viscous_friction(arm: Arm, around: Estimate) -> FloatArray:
+def _link_viscous_friction(arm: Arm, linearised_at: Estimate) -> FloatArray:
     """Viscous friction of the links, link side: (n_joints,)."""
-    total = arm.joint_friction(around.solution)[:, 0]
-    friction = (1.0 - _motor_shares(arm, around)) * total / arm.gear_ratios**2
+    total = arm.joint_friction(linearised_at.solution)[:, 0]
+    friction = (1.0 - _motor_shares(arm, linearised_at)) * total / arm.gear_ratios**2
     at = list(arm.shared_links)
-    friction[at] = around.solution[len(around.solution) - len(at) :]
+    friction[at] = linearised_at.solution[len(linearised_at.solution) - len(at) :]
     return np.asarray(friction)
 
 
@@ -459,39 +441,26 @@ def _payload_torque(
 
 
 def _gear_torque(
-    arm: Arm, stretch: FilteredRecord, around: Estimate, standing: FloatArray
+    arm: Arm, stretch: FilteredRecord, linearised_at: Estimate, stiction_torque: FloatArray
 ) -> FloatArray:
     """Torque through each gear, link side: motor torque minus friction and motor inertia.
 
     Low-passed at twice the bandwidth of the equations, because it is differentiated twice.
     """
     (_, velocity, acceleration), (torque, direction) = stretch.motion, stretch.drive
-    solution = around.solution
+    solution = linearised_at.solution
     viscous, coulomb, offset = arm.joint_friction(solution).T
-    viscous = viscous - _link_viscous_friction(arm, around) * arm.gear_ratios**2
-    friction = viscous * velocity + coulomb * direction + offset + standing
-    inertia = arm.motors_of_rigid(around.shares.inertia) @ solution[: arm.n_body]
+    viscous = viscous - _link_viscous_friction(arm, linearised_at) * arm.gear_ratios**2
+    friction = viscous * velocity + coulomb * direction + offset + stiction_torque
+    inertia = arm.motors_of_rigid(linearised_at.shares.inertia) @ solution[: arm.n_body]
     net = torque - friction - inertia * acceleration
     at_links = np.asarray(np.linalg.solve(arm.transmission.T, net.T).T, dtype=np.float64)
     T, step = stretch.signals.sample_time, stretch.motion_step
     return low_pass(at_links, 2.0 * stretch.bandwidth_hz, T, decimated=step)
 
 
-def _compliance_regressor(
-    arm: Arm, base: FloatArray, angle: FloatArray, ddgear: FloatArray
-) -> FloatArray:
-    """Motor torque per compliance, -N C^T M_j(q) ddT_j: (n_samples, n_joints, n_joints)."""
-    torque = arm.torques_of_accelerations(base, angle, ddgear)
-    return np.asarray(-arm.motors_of(np.swapaxes(torque, 1, 2)).swapaxes(1, 2))
-
-
-def _base(arm: Arm, around: Estimate) -> FloatArray:
+def _base(arm: Arm, linearised_at: Estimate) -> FloatArray:
     """Base parameters of the links, (n_base,)."""
-    return np.asarray(arm.links_of_rigid(around.shares.inertia) @ around.solution[: arm.n_body])
-
-
-def _compliance_std(arm: Arm, stretches: Sequence[FilteredRecord], around: Estimate) -> FloatArray:
-    """Prior standard deviation of the compliances: anti-resonances exceed the bandwidth."""
-    w = 2.0 * np.pi * max(s.bandwidth_hz for s in stretches)
-    inertia = np.abs(arm.link_inertias(_base(arm, around)))
-    return np.asarray(_COMPLIANCE_STD / (np.maximum(inertia, _MIN_INERTIA) * w**2))
+    return np.asarray(
+        arm.links_of_rigid(linearised_at.shares.inertia) @ linearised_at.solution[: arm.n_body]
+    )

@@ -65,20 +65,21 @@ def fit_with_terms(trial: Trial, motions: Sequence[Motion], terms: Sequence[Furt
         possible = [
             c
             for c, size in zip(moved, sizes, strict=True)
-            if (c.corrected or size) >= 0.0 or _can_be_negative(c) or not is_selected(trial.arm, c)
+            if (c.corrected or size) >= 0.0
+            or physical_range(effect_named(c.effect).sizes[0]) == "any"
+            or not is_selected(trial.arm, c)
         ]
         if has_converged and len(possible) == len(moved):
             break
         terms = possible
-    turned = [_hanging_down(trial, c) for c in trial.candidates]
+    turned = [
+        # half a turn away if gravity pulls the link of a planar arm up there
+        replace(c, corrected=c.corrected - math.copysign(math.pi, c.corrected))
+        if c.effect == ZERO and _gravity_torque(trial, c.joint) < 0.0
+        else c
+        for c in trial.candidates
+    ]
     return refit(trial, motions, turned) if turned != list(trial.candidates) else trial
-
-
-def _hanging_down(trial: Trial, c: FurtherTerm) -> FurtherTerm:
-    """A zero of a planar arm half a turn away if gravity pulls its link up there."""
-    if c.effect != ZERO or _gravity_torque(trial, c.joint) >= 0.0:
-        return c
-    return replace(c, corrected=c.corrected - math.copysign(math.pi, c.corrected))
 
 
 def _gravity_torque(trial: Trial, joint: int) -> float:
@@ -86,10 +87,6 @@ def _gravity_torque(trial: Trial, joint: int) -> float:
     key = (f"gravity_torque_{joint + 1}", None)
     keys = [column.key for column in trial.arm.rigid_columns]
     return float(dict(zip(keys, trial.solution, strict=True)).get(key, 0.0))
-
-
-def _can_be_negative(candidate: FurtherTerm) -> bool:
-    return physical_range(effect_named(candidate.effect).sizes[0]) == "any"
 
 
 def with_delay(

@@ -18,9 +18,9 @@ from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
 from strainwave.domain.ranges import physical_range
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import DELAY, TORSION, ZERO
-from strainwave.identification.rigid.bounds import MAX_NEGLIGIBLE_SHARE, has_zero_bound
-from strainwave.identification.rigid.equations import ALL_JOINTS, FurtherTerm, Terms, assemble
-from strainwave.identification.rigid.stretch import FilteredRecord, n_compliances
+from strainwave.identification.rigid.conclusion import MAX_NEGLIGIBLE_SHARE, has_zero_bound
+from strainwave.identification.rigid.equations import ALL_JOINTS, FurtherTerm, assemble
+from strainwave.identification.rigid.filtered_record import FilteredRecord, n_compliances
 from strainwave.identification.rigid.submodels import Submodels
 from strainwave.identification.rigid.trial import Trial
 from strainwave.numerics import least_squares as ls
@@ -109,8 +109,7 @@ class ModelChoice:
         taken = {c.key for c in trial.candidates}
         rest = [c for c in candidates if c.key not in taken]
         candidates = [*trial.candidates, *rest]
-        terms = Terms.of(candidates, trial.stretches)
-        equations = assemble(arm, trial.stretches, trial.estimate, terms)
+        equations = assemble(arm, trial.stretches, trial.estimate, candidates)
         if arm.n_joints > 1:
             equations = _with_gains(equations, trial, len(trial.candidates))
         return ModelChoice(trial, tuple(candidates), Submodels(trial, equations))

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, IntArray
+from strainwave.identification.rigid.equations import blocks_of
 from strainwave.identification.rigid.trial import Trial
 from strainwave.numerics import least_squares as ls
 from strainwave.numerics.held_out import MIN_CORRELATION_TIMES, log_density
@@ -216,7 +217,8 @@ class Submodels:
         np.add.at(change, label, (Q[: len(rows)] * error[:, None]) @ to_parameters.T)
         first = np.unique(label, return_index=True)[1]
         block, repetition = fold[first], self.equations.repetition[at][first]
-        record = self.trial.record_of_block[block]
+        stretches = self.trial.stretches
+        record = np.repeat(np.arange(len(stretches)), blocks_of(stretches))[block]
         parts = _scatter(change, block)
         periods, number = np.unique(
             np.column_stack([record, repetition]), axis=0, return_inverse=True

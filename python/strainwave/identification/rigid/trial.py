@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, IntArray
+from strainwave.domain import BoolArray, FloatArray
 from strainwave.domain.distributions import student_quantile
 from strainwave.domain.parameter_table import family_of, parameter_table
 from strainwave.dynamics.arm import Arm
@@ -16,15 +16,13 @@ from strainwave.identification.rigid.equations import (
     Estimate,
     FurtherTerm,
     MotorShares,
-    Terms,
     anti_resonances,
     assemble,
     average_estimates,
-    blocks_of,
     estimate_of,
     slides_both_ways,
 )
-from strainwave.identification.rigid.stretch import FilteredRecord, n_compliances
+from strainwave.identification.rigid.filtered_record import FilteredRecord, n_compliances
 from strainwave.numerics import least_squares as ls
 
 MAX_ITERATIONS = 20
@@ -80,11 +78,6 @@ class Trial:
     def n_blocks(self) -> int:
         """Number of blocks of the jackknife."""
         return len(np.unique(self.equations.block))
-
-    @property
-    def record_of_block(self) -> IntArray:
-        """Number of the record of each block."""
-        return np.repeat(np.arange(len(self.stretches)), blocks_of(self.stretches))
 
     @property
     def interval_half_width(self) -> float:
@@ -155,7 +148,7 @@ class Trial:
 def fit_trial(
     arm: Arm,
     stretches: tuple[FilteredRecord, ...],
-    around: Estimate | None,
+    start: Estimate | None,
     shares: MotorShares | None = None,
     candidates: Sequence[FurtherTerm] = (),
     weights: FloatArray | None = None,
@@ -165,8 +158,7 @@ def fit_trial(
     `weights` (n_rows,) are square roots of weights to start from, if the rows are the same.
     """
     shares = shares or MotorShares.usual(arm)
-    terms = Terms.of(candidates, stretches) if candidates else None
-    equations = assemble(arm, stretches, around, terms)
+    equations = assemble(arm, stretches, start, candidates)
     if not len(equations.target):
         raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
     root = ls.initial_weights(equations.target, equations.group)
@@ -175,25 +167,25 @@ def fit_trial(
     last_step = np.zeros(len(arm.rigid_columns))
     for iteration in range(MAX_ITERATIONS):
         factor = ls.factorise(equations, root)
-        previous = factor.value if around is None else around.solution
+        previous = factor.value if start is None else start.solution
         change = factor.value - previous
         change_size = np.abs(change)
         known = factor.deviation > 0.0  # other parameters do not change
         step = np.divide(change, factor.deviation, out=np.zeros_like(change), where=known)
         has_converged = iteration > 1 and np.all(change_size <= _TOLERANCE * factor.deviation)
         estimate = estimate_of(arm, stretches, equations, factor, shares)
-        if around is not None and step @ last_step < 0.0 and not has_converged:  # oscillates
-            estimate = average_estimates(around, estimate)
-        around, last_step = estimate, step
+        if start is not None and step @ last_step < 0.0 and not has_converged:  # oscillates
+            estimate = average_estimates(start, estimate)
+        start, last_step = estimate, step
         if has_converged:
             break
         root = ls.root_weights(equations, factor)
-        equations = assemble(arm, stretches, around, terms)
+        equations = assemble(arm, stretches, start, candidates)
     covariance, common_variance = ls.jackknife(equations, factor)
-    assert around is not None
-    change, variance, weighed = _weights_of_links(arm, stretches, factor, around.solution)
+    assert start is not None
+    change, variance, weighed = _weights_of_links(arm, stretches, factor, start.solution)
     if weighed:
-        around = replace(around, solution=around.solution + change)
+        start = replace(start, solution=start.solution + change)
         covariance = covariance + variance
     resolved = replace(factor, is_resolved=factor.is_resolved | bool(weighed))
     identified = ls.determined(equations, resolved, covariance)
@@ -202,7 +194,7 @@ def fit_trial(
     return Trial(
         arm=arm,
         stretches=stretches,
-        estimate=around,
+        estimate=start,
         common_deviation=np.sqrt(common_variance),
         equations=equations,
         factor=factor,

@@ -17,10 +17,11 @@ from strainwave.identification.joint_model.motor_side.arms import (
     COORDINATES_PER_JOINT,
     NO_ARM,
     ConsistentArms,
+    LinearisedArms,
+    MotorMotion,
     Posture,
     posture_of,
 )
-from strainwave.identification.joint_model.motor_side.impedance import LinearisedArms, MotorMotion
 from strainwave.identification.joint_model.motor_side.spectra import Piece
 from strainwave.numerics.coordinate_search import Choice, CoordinateSearch
 
@@ -81,15 +82,17 @@ def minima(
     (least_cost, best), *others = distinct_minima
     least_cost, best = _descend(family, least_cost, best, records)
     points = np.array([best, *(p for _, p in others), *_alternatives(family, best, records)])
-    costs = _costs_by_joint(family, points, records)
+    costs = _costs(family, points, records)
     is_near = np.all(costs <= _MAX_COST_RATIO * costs[0], axis=1)
     unknown = np.full((len(best), len(best)), np.nan)
+    fits = _fits(costs, records)
     alternatives = [
-        GearMinimum(points[k], float(costs[k].sum()), unknown, _fits(family, points[k], records))
+        GearMinimum(points[k], float(costs[k].sum()), unknown, fits[k])
         for k in np.flatnonzero(is_near)[1:]
     ]
+    covariance = _covariance(family, best, records)
     return [
-        _with_covariance(family, best, least_cost, records),
+        GearMinimum(best, least_cost, covariance, fits[0]),
         *sorted(alternatives, key=lambda each: each.cost),
     ]
 
@@ -153,7 +156,7 @@ def _starts(family: ConsistentArms, records: Sequence[_PieceInPosture]) -> list[
         inertia = family.least_inertia(arms)
         cost, proper = _IMPROPER_COST * (1.0 - inertia), inertia > 0.0
         if proper.any():
-            cost[proper] = sum(_costs(family, arms[proper], each) for each in records)
+            cost[proper] = _costs(family, arms[proper], records).sum(axis=1)
         return np.asarray(cost)
 
     alike = [
@@ -185,39 +188,37 @@ def _grid(family: ConsistentArms, pieces: Sequence[Piece], i: int) -> FloatArray
     line_frequencies = np.concatenate([piece.s.imag for piece in pieces])
     low, high = 1.2 * line_frequencies.min(), 0.7 * line_frequencies.max()
     known, rigid = family.known_share[i], family.total_inertia
+    if rigid is None:  # candidates from the ratio of torque to acceleration
+        ratios = [np.abs(p.torque[:, i] / (p.s * p.velocity[:, i])) for p in pieces]
+        least, most = np.quantile(np.concatenate(ratios), (0.1, 0.9)).tolist()
+        inertias = np.geomspace(0.5 * least, 2.0 * most, _N_INERTIAS)
+    else:
+        inertias = rigid[i : i + 1]
     axes = (
         np.geomspace(low, high, _N_ANTI_RESONANCES),
         _MOTOR_SHARES if np.isnan(known) else [known],
-        _inertias(pieces, i) if rigid is None else [rigid[i]],
+        inertias,
     )
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     return np.asarray(grid.reshape(_N_ANTI_RESONANCES, -1, len(axes)))
 
 
-def _inertias(records: Sequence[Piece], i: int) -> FloatArray:
-    """Candidate inertias of a joint, from the ratio of torque to acceleration."""
-    ratio = np.concatenate([np.abs(p.torque[:, i] / (p.s * p.velocity[:, i])) for p in records])
-    low, high = np.quantile(ratio, (0.1, 0.9)).tolist()
-    return np.geomspace(0.5 * low, 2.0 * high, _N_INERTIAS)
-
-
 def _errors(
-    family: ConsistentArms, points: FloatArray, piece_in_posture: _PieceInPosture
-) -> Iterator[tuple[ComplexArray, FloatArray]]:
-    """Yield the velocity error and the velocity of each motor in a piece, relative to its RMS.
+    family: ConsistentArms, points: FloatArray, records: Sequence[_PieceInPosture]
+) -> Iterator[tuple[Piece, int, ComplexArray]]:
+    """Yield the velocity error of each motor, from 0, in each piece, over the norm of the velocity.
 
-    The shapes are (..., n_lines) for the arms of the points, and (n_lines,).
+    The errors are (..., n_lines) for the arms of the points.
     """
-    piece, posture = piece_in_posture
-    arm = family.linear(points, posture)
-    for i in piece.rows:
-        motion = _motion(family, arm, piece, i)
-        error = motion.error
-        if family.coulomb is None:
-            response, friction = _friction(motion, piece)
-            error = error - friction * response
-        norm = _norm(piece, i)
-        yield error / norm, np.abs(piece.velocity[:, i]) / norm
+    for piece, posture in records:
+        arm = family.linear(points, posture)
+        for i in piece.rows:
+            motion = _motion(family, arm, piece, i)
+            error = motion.error
+            if family.coulomb is None:
+                response, friction = _friction(motion, piece)
+                error = error - friction * response
+            yield piece, i, np.asarray(error / np.linalg.norm(piece.velocity[:, i]))
 
 
 def _motion(family: ConsistentArms, arm: LinearisedArms, piece: Piece, i: int) -> MotorMotion:
@@ -236,55 +237,49 @@ def _friction(motion: MotorMotion, piece: Piece) -> tuple[ComplexArray, FloatArr
     return response, np.minimum(friction, 0.0)
 
 
-def _norm(piece: Piece, i: int) -> float:
-    """RMS velocity of motor i, from 0, times the root of the number of lines."""
-    return float(np.sqrt(np.mean(np.abs(piece.velocity[:, i]) ** 2) * len(piece.s)))
-
-
 def _error_derivatives(
-    family: ConsistentArms, point: FloatArray, piece_in_posture: _PieceInPosture
-) -> Iterator[ComplexArray]:
+    family: ConsistentArms, point: FloatArray, records: Sequence[_PieceInPosture]
+) -> Iterator[tuple[Piece, ComplexArray]]:
     """Yield the derivatives (n_coordinates, n_lines) of the errors of `_errors` at one point."""
-    piece, posture = piece_in_posture
-    arm, steps = family.linear(point, posture), _DIFFERENCE_STEP * np.eye(len(point))
-    above, below = (family.linear(point + sign * steps, posture) for sign in (1.0, -1.0))
-    changes = arm.derivative(above, below, _DIFFERENCE_STEP)
-    for i in piece.rows:
-        motion = _motion(family, arm, piece, i)
-        error, impedance = motion.derivatives(changes)
-        if family.coulomb is None:
-            response, friction = _friction(motion, piece)
-            of_response = -response * impedance / motion.impedance
-            residual, squared = motion.error - friction * response, np.sum(np.abs(response) ** 2)
-            gradient = np.conj(of_response) * residual + np.conj(response) * (
-                error - friction * of_response
-            )
-            of_friction = gradient.real.sum(axis=-1, keepdims=True) / squared
-            error = error - friction * of_response - (friction < 0.0) * of_friction * response
-        yield error / _norm(piece, i)
+    steps = _DIFFERENCE_STEP * np.eye(len(point))
+    for piece, posture in records:
+        arm = family.linear(point, posture)
+        above, below = (family.linear(point + sign * steps, posture) for sign in (1.0, -1.0))
+        changes = arm.derivative(above, below, _DIFFERENCE_STEP)
+        for i in piece.rows:
+            motion = _motion(family, arm, piece, i)
+            error, impedance = motion.derivatives(changes)
+            if family.coulomb is None:
+                response, friction = _friction(motion, piece)
+                of_response = -response * impedance / motion.impedance
+                residual = motion.error - friction * response
+                gradient = np.conj(of_response) * residual + np.conj(response) * (
+                    error - friction * of_response
+                )
+                of_friction = gradient.real.sum(axis=-1, keepdims=True)
+                of_friction = of_friction / np.sum(np.abs(response) ** 2)
+                error = error - friction * of_response - (friction < 0.0) * of_friction * response
+            yield piece, np.asarray(error / np.linalg.norm(piece.velocity[:, i]))
 
 
 def _costs(
-    family: ConsistentArms, points: FloatArray, piece_in_posture: _PieceInPosture
-) -> FloatArray:
-    """Sums of squared errors, (n_points,)."""
-    costs = [
-        np.sum(np.abs(error) ** 2, axis=-1)
-        for error, _ in _errors(family, points, piece_in_posture)
-    ]
-    return np.asarray(sum(costs, np.zeros(len(points))))
-
-
-def _costs_by_joint(
     family: ConsistentArms, points: FloatArray, records: Sequence[_PieceInPosture]
 ) -> FloatArray:
     """Sums of squared errors of each motor over all pieces, (n_points, n_joints)."""
     costs = np.zeros((len(points), family.n_joints))
-    for record in records:
-        errors = _errors(family, points, record)
-        for i, (error, _) in zip(record[0].rows, errors, strict=True):
-            costs[:, i] += np.sum(np.abs(error) ** 2, axis=-1)
+    for _, i, error in _errors(family, points, records):
+        costs[:, i] += np.sum(np.abs(error) ** 2, axis=-1)
     return costs
+
+
+def _fits(costs: FloatArray, records: Sequence[_PieceInPosture]) -> FloatArray:
+    """Fit of each motor velocity over all pieces, 100 (1 - |error| / |velocity|).
+
+    From the costs (n_points, n_joints), whose errors are relative to the velocity of each piece.
+    """
+    n_pieces = [sum(i in piece.rows for piece, _ in records) for i in range(costs.shape[1])]
+    with np.errstate(invalid="ignore"):
+        return np.asarray(100.0 * (1.0 - np.sqrt(costs / np.where(n_pieces, n_pieces, np.nan))))
 
 
 def _objectives(
@@ -292,9 +287,8 @@ def _objectives(
 ) -> FloatArray:
     """Objectives of `_minimize`, (n_points,)."""
     residuals = [_prior_residuals(family, points)]
-    for record in records:
-        for error, _ in _errors(family, points, record):
-            residuals += [error.real, error.imag]
+    for _, _, error in _errors(family, points, records):
+        residuals += [error.real, error.imag]
     losses = [np.sum(np.sqrt(1.0 + (x / _ROBUST_SCALE) ** 2) - 1.0, axis=-1) for x in residuals]
     return np.asarray(_ROBUST_SCALE**2 * sum(losses, np.zeros(len(points))))
 
@@ -304,10 +298,9 @@ def _residual(
 ) -> FloatArray:
     """Real and imaginary errors of all pieces, then the residuals of known motor inertias."""
     parts = []
-    for record in records:
-        weight = _line_weights(record[0], tilt)
-        for error, _ in _errors(family, point, record):
-            parts += [(error * weight).real, (error * weight).imag]
+    for piece, _, error in _errors(family, point, records):
+        weighted = error * _line_weights(piece, tilt)
+        parts += [weighted.real, weighted.imag]
     return np.concatenate([*parts, _prior_residuals(family, point)])
 
 
@@ -359,22 +352,18 @@ def _jacobian(
 ) -> FloatArray:
     """Jacobian (n_rows, n_coordinates) of the residuals."""
     parts = []
-    for record in records:
-        weight = _line_weights(record[0], tilt)
-        for change in _error_derivatives(family, point, record):
-            parts += [(change * weight).real.T, (change * weight).imag.T]
+    for piece, change in _error_derivatives(family, point, records):
+        weighted = change * _line_weights(piece, tilt)
+        parts += [weighted.real.T, weighted.imag.T]
     steps = _DIFFERENCE_STEP * np.eye(len(point))
-    prior = [
-        _prior_residuals(family, point + step) - _prior_residuals(family, point - step)
-        for step in steps
-    ]
-    return np.concatenate([*parts, np.column_stack(prior) / (2.0 * _DIFFERENCE_STEP)])
+    prior = _prior_residuals(family, point + steps) - _prior_residuals(family, point - steps)
+    return np.concatenate([*parts, prior.T / (2.0 * _DIFFERENCE_STEP)])
 
 
-def _with_covariance(
-    family: ConsistentArms, point: FloatArray, cost: float, records: Sequence[_PieceInPosture]
-) -> GearMinimum:
-    """Add the covariance: scatter of the gradient over frequency bands, and the model error.
+def _covariance(
+    family: ConsistentArms, point: FloatArray, records: Sequence[_PieceInPosture]
+) -> FloatArray:
+    """Covariance: scatter of the gradient over frequency bands, and the model error.
 
     The model error is the change of the estimates with other frequency weights.
     """
@@ -382,39 +371,12 @@ def _with_covariance(
     weight = 1.0 / np.sqrt(1.0 + (residual / _ROBUST_SCALE) ** 2)
     bread = np.linalg.pinv((J * weight[:, None]).T @ J, hermitian=True)
     gradient = J * (weight * residual)[:, None]
-    prior_labels = -1 - np.arange(len(_prior_residuals(family, point)))
-    labels = np.concatenate([*_bands(records), prior_labels])
-    meat = np.zeros_like(bread)
-    for label in np.unique(labels):
-        block_gradient = gradient[labels == label].sum(axis=0)
-        meat += np.outer(block_gradient, block_gradient)
-    covariance = bread @ meat @ bread
+    n_lines = [len(piece.s) for piece, _ in records for _ in piece.rows]
+    bands = [_N_BANDS * k + np.arange(n) * _N_BANDS // n for k, n in enumerate(n_lines)]
+    of_priors = -1 - np.arange(len(_prior_residuals(family, point)))
+    # real and imaginary parts of each motor in each piece, then the priors, one by one
+    labels = np.concatenate([*(np.tile(band, 2) for band in bands), of_priors])
+    sums = np.array([gradient[labels == label].sum(axis=0) for label in np.unique(labels)])
     changes = [_minimize(family, point, records, tilt)[0] - point for tilt in _WEIGHT_POWERS]
-    covariance = covariance + np.mean([np.outer(move, move) for move in changes], axis=0)
-    return GearMinimum(point, cost, covariance, _fits(family, point, records))
-
-
-def _bands(records: Sequence[_PieceInPosture]) -> Iterator[FloatArray]:
-    """Number of the frequency band of each row of the residual, counted over all pieces."""
-    count = 0
-    for piece, _ in records:
-        n = len(piece.s)
-        for _ in piece.rows:
-            band = count + np.arange(n) * _N_BANDS // n
-            yield np.concatenate([band, band]).astype(float)
-            count += _N_BANDS
-
-
-def _fits(
-    family: ConsistentArms, point: FloatArray, records: Sequence[_PieceInPosture]
-) -> FloatArray:
-    """Fit of each motor velocity over all pieces, 100 (1 - |error| / |velocity|), (n_joints,)."""
-    error_sum, total = np.zeros(family.n_joints), np.zeros(family.n_joints)
-    for record in records:
-        for i, (error, velocity) in zip(
-            record[0].rows, _errors(family, point, record), strict=True
-        ):
-            error_sum[i] += np.sum(np.abs(error) ** 2)
-            total[i] += np.sum(velocity**2)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(100.0 * (1.0 - np.sqrt(error_sum / np.where(total > 0.0, total, np.nan))))
+    model_error = np.mean([np.outer(move, move) for move in changes], axis=0)
+    return np.asarray(bread @ sums.T @ sums @ bread + model_error)

@@ -53,7 +53,7 @@ def pieces(signals: LinkSignals, arm: Arm, *, max_lines: int) -> Iterator[Piece]
         chunk = slice(start, start + length)
         sliding_share = np.mean(np.abs(signals.direction[chunk]) > 0.5, axis=0)
         torque, direction, velocity = (
-            _spectrum(x[chunk])[inside]
+            window_spectra(x[chunk], np.hanning(length), length)[0][inside]
             for x in (signals.motor_torque, signals.direction, signals.motor_velocity)
         )
         piece = Piece(
@@ -83,8 +83,3 @@ def thin_lines(piece: Piece, max_lines: int) -> Piece:
         direction=piece.direction[chosen],
         velocity=piece.velocity[chosen],
     )
-
-
-def _spectrum(columns: FloatArray) -> ComplexArray:
-    (spectrum,) = window_spectra(columns, np.hanning(len(columns)), len(columns))
-    return np.asarray(spectrum)

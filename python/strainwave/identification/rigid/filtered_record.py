@@ -37,7 +37,7 @@ _EDGE_PERIODS = 2.5
 _MAX_EDGE_SHARE = 0.1
 # Weight of the standstill in a filtered sample from which its friction is unknown. Where most
 # samples of a joint are such, the others would not determine its residuals.
-_MAX_STANDING_WEIGHT = 0.95
+_MAX_STICTION_WEIGHT = 0.95
 _KNOTS_PER_PERIOD = 16.0  # knots of the free friction per period of the cut-off; 8 suffice
 _MAX_MOTION_SAMPLES = 400  # of the motion in the result; exports have the nearest torques at them
 
@@ -50,7 +50,7 @@ class FilteredRecord:
     bandwidth_hz: float
     motion_step: int  # samples between successive rows of `motion`
     motion: tuple[FloatArray, ...]  # angle, velocity, acceleration: (n_motion, n_joints)
-    drive: tuple[FloatArray, ...]  # torque and direction, as `motion`; empty if rigid
+    drive: tuple[FloatArray, FloatArray]  # torque and direction, as `motion`
     torsion: tuple[FloatArray, ...]  # measured and its derivatives, as `motion`; otherwise empty
     body: FloatArray  # (n_rows, n_joints, n_body) regressor of the links if rigid, otherwise empty
     rows: IntArray  # (n_rows,) sample indices
@@ -59,20 +59,16 @@ class FilteredRecord:
     friction: FloatArray  # (n_rows, n_joints, 3) per dq, sgn(dq), 1
     # per joint, shape functions of the free friction at the motion's samples: indices (n_near,)
     # with nonzero values and the values (n_near, n_free); empty if rigid
-    standing: tuple[tuple[IntArray, Banded], ...]
+    stiction_shapes: tuple[tuple[IntArray, Banded], ...]
     free: tuple[Banded, ...]  # per joint (n_rows, n_free), filtered shape functions
     noise: FloatArray  # (n_parameters,) standard deviation of the noise of each column
     period: float  # [samples] of the motion; the whole record if it does not repeat
 
     @property
-    def duration(self) -> float:
-        """Duration [s] of one period of the motion."""
-        return self.period * self.signals.sample_time
-
-    @property
     def sliding_time(self) -> float:
         """Mean time [s] over the joints in which they slide, in one period of the motion."""
-        return self.duration * float(np.mean(self.signals.direction != 0.0))
+        duration = self.period * self.signals.sample_time
+        return duration * float(np.mean(self.signals.direction != 0.0))
 
     def blocks(self, count: int) -> IntArray:
         """Block number of each row, (n_rows,): one of `count` equal parts of the period."""
@@ -163,18 +159,18 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
     motion_samples = np.arange(n_samples)[_motion_slice(T, bandwidth_hz)]
     kernel = _impulse_response(bandwidth_hz, T)
     motion_kernel = _impulse_response(_MOTION_CUTOFFS * bandwidth_hz, T)
-    keep, standing, free = [], [], []
+    keep, stiction_shapes, free = [], [], []
     for i in range(n_joints):
         spacing = max(2, round(cutoff_period / _KNOTS_PER_PERIOD))
         shapes = free_friction(signals.direction[:, i], spacing)
         if elastic:
             at_rest = signals.direction[:, i] == 0.0
             near = np.flatnonzero(~_exclude_neighbours(at_rest, len(motion_kernel))[motion_samples])
-            standing.append((near, responses(shapes, motion_samples[near], motion_kernel)))
+            stiction_shapes.append((near, responses(shapes, motion_samples[near], motion_kernel)))
         friction = responses(shapes, rows, kernel)
         informative = _exclude_neighbours(~signals.valid[:, i], int(cutoff_period / 2))[rows]
         if np.mean(signals.direction[:, i] == 0.0) > MAX_STICTION_SHARE:
-            informative &= friction.entries.sum(axis=1) < _MAX_STANDING_WEIGHT
+            informative &= friction.entries.sum(axis=1) < _MAX_STICTION_WEIGHT
         keep.append(informative)
         no_shapes = Banded(0 * rows, np.zeros((len(rows), 0)), 0)
         free.append(friction if elastic or informative.any() else no_shapes)
@@ -196,14 +192,14 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
         bandwidth_hz=bandwidth_hz,
         motion_step=step,
         motion=(angle, velocity, acceleration),
-        drive=(torque, direction) if elastic else (),
+        drive=(torque, direction),
         torsion=tuple(motion_of(x, bandwidth_hz, T) for x in torsion_motion(signals)),
         body=np.zeros(0),
         rows=rows,
         keep=np.column_stack(keep),
         torque=filtered[:, :, 0],
         friction=filtered[:, :, 1:],
-        standing=tuple(standing),
+        stiction_shapes=tuple(stiction_shapes),
         free=tuple(free),
         noise=_column_noise(arm, signals, bandwidth_hz),
         period=period,
