@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from strainwave.domain import FloatArray, IntArray
-from strainwave.identification.whole_arm.inference.bounds import at_bounds, at_zero
 from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.search.fit import Fit
@@ -80,8 +79,7 @@ def _scores(
         table = np.concatenate([weighted, residual], axis=2)
         factors.append(triangular_factor(table.reshape(-1, table.shape[2])))
     prior = np.column_stack(fit.space.linearise_prior(fit.z))
-    held_at_bounds = np.array(at_bounds(fit)) | np.array(at_zero(fit))
-    free = np.flatnonzero(~held_at_bounds)
+    free = np.flatnonzero(~(fit.at_bounds | fit.at_zero))
     predicted = [np.zeros_like(residual) for residual in residuals]
     for number, (k, held) in enumerate(parts):
         others = np.concatenate([prior, *factors[:number], *factors[number + 1 :]])

@@ -15,12 +15,7 @@ from strainwave.domain import FloatArray
 from strainwave.domain.parameter_table import SETTLING
 from strainwave.domain.ranges import physical_range
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.identification.whole_arm.inference.bounds import at_bounds
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
-from strainwave.identification.whole_arm.problem.arm_unknowns import (
-    SETTLING_START,
-    add_settling_unknowns,
-)
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     add_effects,
     insignificant_effects,
@@ -32,8 +27,11 @@ from strainwave.identification.whole_arm.problem.objective import (
     ROUGH_INITIAL_STATE_TOLERANCE,
     Objective,
 )
-from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
-from strainwave.identification.whole_arm.problem.prior import Prior
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Prior
+from strainwave.identification.whole_arm.problem.starting_values import (
+    SETTLING_START,
+    add_settling_unknowns,
+)
 from strainwave.identification.whole_arm.records.loads import loads_of
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import (
@@ -197,7 +195,7 @@ def extend_ranges(fit: Fit, selection: Selection) -> Fit:
     """The fine fit with frictions and dampings at the end of their range centred in a new one."""
     bounded = [
         k
-        for k, (unknown, at) in enumerate(zip(fit.space.unknowns, at_bounds(fit), strict=True))
+        for k, (unknown, at) in enumerate(zip(fit.space.unknowns, fit.at_bounds, strict=True))
         if at
         and not unknown.signed
         and unknown.limits is None

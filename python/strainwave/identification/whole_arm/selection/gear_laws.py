@@ -23,9 +23,9 @@ from strainwave.identification.whole_arm.inference.covariance import confidence_
 from strainwave.identification.whole_arm.inference.held_out import held_out_scores, simplest_model
 from strainwave.identification.whole_arm.inference.parameter_estimates import identified_curves
 from strainwave.identification.whole_arm.inference.score_tests import TestedEffect, curve_tests_of
-from strainwave.identification.whole_arm.problem.arm_unknowns import replace_stiffness
 from strainwave.identification.whole_arm.problem.effect_unknowns import with_effects
-from strainwave.identification.whole_arm.problem.restrictions import limit_unknown
+from strainwave.identification.whole_arm.problem.parameter_space import limit_unknown
+from strainwave.identification.whole_arm.problem.starting_values import replace_stiffness
 from strainwave.identification.whole_arm.records.loads import gear_torques
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search, resumed_coarse_search

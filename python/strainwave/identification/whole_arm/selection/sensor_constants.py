@@ -29,8 +29,11 @@ from strainwave.domain.parameter_table import record_of
 from strainwave.dynamics.link_sensors import MAX_SCALE_ERROR, MAX_SENSOR_DELAY
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.problem.effect_unknowns import update_prior_trust
-from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
-from strainwave.identification.whole_arm.problem.restrictions import is_held
+from strainwave.identification.whole_arm.problem.parameter_space import (
+    ParameterSpace,
+    Unknown,
+    is_held,
+)
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import refine, resumed_coarse_search
