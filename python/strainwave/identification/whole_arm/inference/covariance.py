@@ -287,13 +287,9 @@ def evidence_of(record: Dataset, rows: Rows, block: IntArray, noise: FloatArray)
     `noise` is the sensor noise in weighted standard deviations. The gradient of the soft L1 loss
     has the weights (1 + r^2)^(-1/2), its second derivative (1 + r^2)^(-3/2).
     """
-    n_initial, width = rows.evaluated.n_initial, rows.residual.shape[1]
-    table = rows.columns
-    flat = table.reshape(-1, table.shape[2])
-    local, shared = flat[:, :n_initial], flat[:, n_initial:]
-    n = shared.shape[1]
-    if n_initial:  # orthogonal to the record's own unknowns
-        shared = shared - local @ np.linalg.lstsq(local, shared)[0]
+    table = rows.shared_columns
+    width, n = table.shape[1:]
+    shared = table.reshape(-1, n)
     gradients = shared * (rows.residual * rows.root).reshape(-1, 1)
     labels, segment = np.unique(np.repeat(block, width), return_inverse=True)
     sums = np.zeros((len(labels), n))

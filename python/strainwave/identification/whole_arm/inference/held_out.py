@@ -66,7 +66,11 @@ def _scores(
     fit: Fit, rows: Sequence[Rows], folds: Sequence[IntArray], correlation: Sequence[FloatArray]
 ) -> FloatArray:
     """Log predictive densities of the folds of all records, (n_folds,)."""
-    columns = [_shared_columns(one)[: len(f)] for one, f in zip(rows, folds, strict=True)]
+    # derivatives of the residuals in standard deviations
+    columns = [
+        (one.shared_columns / one.root[..., None])[: len(f)]
+        for one, f in zip(rows, folds, strict=True)
+    ]
     residuals = [one.residual[: len(f)] for one, f in zip(rows, folds, strict=True)]
     roots = [one.root[: len(f)] for one, f in zip(rows, folds, strict=True)]
     parts = [
@@ -93,17 +97,3 @@ def _scores(
         count, others = np.sum(held) / correlation[k], np.sum(~held) / correlation[k]
         scores.append(float(np.sum(log_density(held_out, variance, count, others))))
     return np.array(scores)
-
-
-def _shared_columns(rows: Rows) -> FloatArray:
-    """Derivatives of the residuals in standard deviations by the shared unknowns.
-
-    They are orthogonal to the record parameters, as those of the weighted rows. Their shape is
-    (n_rows, n_channels, n_unknowns).
-    """
-    table, n = rows.columns, rows.evaluated.n_initial
-    flat = table.reshape(-1, table.shape[2])
-    shared = flat[:, n:]
-    if n:
-        shared = shared - flat[:, :n] @ np.linalg.lstsq(flat[:, :n], shared)[0]
-    return np.asarray(shared.reshape(*table.shape[:2], -1) / rows.root[..., None])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -107,7 +107,7 @@ def _information_of(
     channels, tangent = record.linearise(values, record.start(), keys)
     n_rows, n_channels = channels.shape
     n_initial, n = len(record.initial_states), len(keys)
-    biased = [k for k, channel in enumerate(record.channels) if channel.shifted]
+    biased = [k for k, channel in enumerate(record.channels) if channel.sensor.has_bias]
     n_own = n_initial + len(biased)
     columns = np.zeros((n_rows, n_channels, n_own + n))
     columns[..., :n_initial] = tangent[..., n:]
@@ -161,13 +161,8 @@ _MEAN_ROBUST_WEIGHT = 0.79  # mean weight (1 + r^2)^(-1/2) of the soft L1 loss, 
 _REPORTED = ("gear_damping", "motor_inertia", "link_inertia")  # in addition to those of gear laws
 
 
-@dataclass(frozen=True, slots=True)
-class _AddedSensor:
-    """A sensor that a link lacks."""
-
-    sensor: str
-    channel: SensorAxis
-    typical: TypicalSensor
+_AddedSensor = tuple[SensorAxis, TypicalSensor]
+"""A sensor that a link lacks."""
 
 
 def sensor_gains(fit: Fit, arm: Arm, parameters: Sequence[Parameter]) -> list[SensorGain]:
@@ -205,35 +200,32 @@ def sensor_gains(fit: Fit, arm: Arm, parameters: Sequence[Parameter]) -> list[Se
     meat = present @ own @ confidence_of(fit).combined @ own.T @ present
     local = _variances(W, inverse_information(present))
     gains = []
-    for candidate, information in zip(candidates, extended, strict=True):
+    for (axis, typical), information in zip(candidates, extended, strict=True):
         inverse = inverse_information(information)
         stds = np.array([p.std for p in reported])
         sandwich = _variances(W, inverse @ (meat + information - present) @ inverse)
         shares = np.maximum(sandwich / stds**2, _variances(W, inverse) / local)
         shares = np.sqrt(np.minimum(1.0, shares))
         for parameter, share in zip(reported, shares.tolist(), strict=True):
-            gains.append(_gain(candidate, parameter, share))
+            assert parameter.std is not None
+            gains.append(
+                SensorGain(
+                    sensor=axis.sensor.name.replace("_", "-"),
+                    link=axis.joint,
+                    assumed=typical.specification,
+                    name=parameter.name,
+                    joint=parameter.joint,
+                    std=parameter.std,
+                    predicted_std=share * parameter.std,
+                    value=parameter.value or 0.0,
+                )
+            )
     return gains
 
 
 def _variances(rows: FloatArray, covariance: FloatArray) -> FloatArray:
     """Variances (n_rows,) of linear combinations, one per row."""
     return np.asarray(np.einsum("ij,jk,ik->i", rows, covariance, rows))
-
-
-def _gain(candidate: _AddedSensor, parameter: Parameter, share: float) -> SensorGain:
-    """Gain of a candidate; `share` is the predicted over the present standard deviation."""
-    assert parameter.std is not None
-    return SensorGain(
-        sensor=candidate.sensor,
-        link=candidate.channel.joint,
-        assumed=candidate.typical.specification,
-        name=parameter.name,
-        joint=parameter.joint,
-        std=parameter.std,
-        predicted_std=share * parameter.std,
-        value=parameter.value or 0.0,
-    )
 
 
 def _weights(parameter: Parameter, keys: Sequence[Key], arm: Arm) -> FloatArray:
@@ -255,7 +247,7 @@ def _candidates(records: Sequence[Dataset], arm: Arm) -> Iterator[_AddedSensor]:
             sensor = typical and kind.of_joint(typical.joint)
             if typical and sensor:
                 (axis,) = sensor.axes(number)
-                yield _AddedSensor(kind.name.replace("_", "-"), axis, typical)
+                yield axis, typical
 
 
 def _length(arm: Arm) -> float:
@@ -280,19 +272,19 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_AddedSensor]) -> list
         columns = rows.columns
         factor = triangular_factor(columns.reshape(-1, columns.shape[2]))
         information = [_shared_information(factor, n_begin)]
-        for k, candidate in enumerate(candidates):
+        for k, (axis, _) in enumerate(candidates):
             # columns: bias of the sensor, initial states, shared unknowns
             sensor_rows = np.zeros((len(readings), 1 + columns.shape[2]))
-            sensor_rows[:, 0] = candidate.channel.shifted
+            sensor_rows[:, 0] = axis.sensor.has_bias
             sensor_rows[:, 1 : 1 + n_begin] = tangent[:, k, len(parameter_places) :]
             sensor_rows[:, 1 + n_begin :] = (
                 tangent[:, k, : len(parameter_places)] @ slope[parameter_places]
             )
             stacked = np.concatenate([np.pad(factor, ((0, 0), (1, 0))), scale[k] * sensor_rows])
-            if not candidate.channel.shifted:
+            if not axis.sensor.has_bias:
                 stacked = stacked[:, 1:]
             information.append(
-                _shared_information(triangular_factor(stacked), n_begin + candidate.channel.shifted)
+                _shared_information(triangular_factor(stacked), n_begin + axis.sensor.has_bias)
             )
         return information
 
@@ -308,17 +300,17 @@ def _shared_information(factor: FloatArray, n_first: int) -> FloatArray:
 
 def _with_candidates(record: Dataset, arm: Arm, candidates: Sequence[_AddedSensor]) -> Dataset:
     """Replace the channels of a record by the candidates, with their filtered noise."""
-    missing_joints = {candidate.channel.joint for candidate in candidates}
+    missing_joints = {axis.joint for axis, _ in candidates}
     joints = list(record.arm.joints)
     for number in missing_joints:
         for kind in all_types():
             typical = kind.typical(joints[number - 1], _length(arm))
             joints[number - 1] = typical.joint if typical else joints[number - 1]
-    channels = tuple(candidate.channel for candidate in candidates)
+    channels = tuple(axis for axis, _ in candidates)
     T = record.log.sample_time
     noise = [
-        one.typical.sample_std(T) * np.linalg.norm(record.kernels.taps(rate=one.channel.rate))
-        for one in candidates
+        typical.sample_std(T) * np.linalg.norm(record.kernels.taps(slope=axis.reads_angle))
+        for axis, typical in candidates
     ]
     return replace(
         record,

@@ -405,9 +405,5 @@ def _with_possible_effect(arm: Arm, one: NamedEffect) -> Arm:
     law = effect_named(effect).fitted_law
     if law:
         return arm.with_joint(number, spring=law)
-    return arm.with_joints(
-        replace(joint, effects=tuple(dict.fromkeys((*joint.possible_effects, effect))))
-        if k == number
-        else joint
-        for k, joint in enumerate(arm.joints, start=1)
-    )
+    possible = arm.joints[number - 1].possible_effects
+    return arm.with_joint(number, effects=tuple(dict.fromkeys((*possible, effect))))

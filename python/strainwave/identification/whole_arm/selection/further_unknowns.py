@@ -44,6 +44,7 @@ from strainwave.identification.whole_arm.selection.candidate import (
     MIN_SIGNIFICANCE_STDS,
     Selection,
     refit_without,
+    revise,
     run_trial,
     select_better,
 )
@@ -93,12 +94,14 @@ def remove_insignificant_effects(fit: Fit, selection: Selection) -> Fit:
     arm = selection.arm
     if not named_effects(arm):
         return fit
-    while effects := set(insignificant_effects(fit.space, fit.z, confidence_of(fit).cautious)):
+
+    def reduce(fit: Fit) -> Fit | None:
+        effects = set(insignificant_effects(fit.space, fit.z, confidence_of(fit).cautious))
         space = remove_effects(fit.space, effects, arm)
         objective = with_effects(fit.objective, space, arm)
-        start = fit.restart(objective, space.coordinates(fit.values))
-        fit = fine_search(start, selection.options)
-    return fit
+        return fit.restart(objective, space.coordinates(fit.values)) if effects else None
+
+    return revise(fit, reduce, fine_search, selection)
 
 
 def add_settling_times(fit: Fit, selection: Selection) -> Fit:
@@ -107,7 +110,7 @@ def add_settling_times(fit: Fit, selection: Selection) -> Fit:
     Keeps them if the options require them or the cost decreases significantly.
     """
     required = selection.options.settling
-    if required is False or selection.has_ended(fit):
+    if required is False or selection.is_budget_exhausted(fit):
         return fit
     space = add_settling_unknowns(fit.space)
     starts = {key: SETTLING_START for key in space.keys if key[0] == SETTLING}
@@ -139,7 +142,7 @@ def add_significant_initial_motion(fit: Fit, selection: Selection) -> Fit:
 
     Returns the fit itself if no such record exists or no evaluations are left.
     """
-    if selection.has_ended(fit):
+    if selection.is_budget_exhausted(fit):
         return fit
     objective = add_initial_states(fit.objective, fit.z)
     if objective is fit.objective:

@@ -60,7 +60,7 @@ def select_gear_laws(fit: Fit, selection: Selection) -> Fit:
     if not free:
         return fit
     trials = _LawTrials(fit, selection)
-    while free and not selection.has_ended(fit):
+    while free and not selection.is_budget_exhausted(fit):
         tested = curve_tests_of(fit, selection.arm, free)
         for one in tested:
             joint = one.named_effect[0]
@@ -222,7 +222,7 @@ def restart_coarse_fit(fit: Fit, selection: Selection) -> Fit:
         values = fit.values
         largest = gear_torques(fit.objective.records, values)[number - 1]
         for start in alternative_curves(law, values, number, largest):
-            if selection.has_ended(fit):
+            if selection.is_budget_exhausted(fit):
                 return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
             z = fit.space.coordinates(start)
             try:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -27,23 +28,24 @@ from strainwave.domain.link_sensors.imu import (
 from strainwave.domain.link_sensors.single_axis import ACCELEROMETER_DISTANCE, Accelerometer
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import MountResonance
-from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
+from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.inference.residual_analysis import channels_above_noise
 from strainwave.identification.whole_arm.problem.parameter_space import is_held
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import (
+    COARSE_TOLERANCE,
     fine_search,
     refine,
     resumed_coarse_search,
     search_minimum,
 )
-from strainwave.identification.whole_arm.selection.candidate import Selection
+from strainwave.identification.whole_arm.selection.candidate import Selection, best_trial, revise
 from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
 from strainwave.signals.imu_attitude import imu_candidates, mirror_mounting
 from strainwave.signals.mounting_start import distance_of
 
-_MAX_STARTS = 3  # mountings of least cost that start a short search
+_MAX_STARTS = 3  # mountings of least cost, or mounts, that start a short search
 _MAX_PLANAR_STARTS = 2  # the same of mountings in the plane of motion
 _MAX_SEARCH_EVALUATIONS = 12  # maximum evaluations of a short search
 _MIN_TILT_SIGNIFICANCE = 4.0  # standard deviations from which a tilt is significant
@@ -113,8 +115,12 @@ def _rank(starts: Iterable[Fit]) -> list[Fit]:
     return [start for start, _ in sorted(costs, key=lambda one: one[1])]
 
 
-def _search_briefly(start: Fit, options: WholeArmOptions) -> Fit:
-    return search_minimum(start, options, max_evaluations=_MAX_SEARCH_EVALUATIONS)
+def _search_briefly(
+    start: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERANCE
+) -> Fit:
+    return search_minimum(
+        start, options, tolerance=tolerance, max_evaluations=_MAX_SEARCH_EVALUATIONS
+    )
 
 
 def _is_in_plane(fit: Fit, joint: int) -> bool:
@@ -132,7 +138,7 @@ def improve_mountings(fit: Fit, selection: Selection) -> Fit:
     for joint in range(1, arm.n_joints + 1):
         axes, rotation = _axes_on(fit, joint), (IMU_ROTATION[2], joint)
         has_attitude = rotation in fit.space.keys and rotation in unknowns_of(axes)
-        if not has_attitude or selection.has_ended(fit):
+        if not has_attitude or selection.is_budget_exhausted(fit):
             continue
         mountings = _simulated_attitudes(fit, axes, flat=_is_in_plane(fit, joint))
         for start in _rank(_with_mounting(fit, one) for one in mountings)[:_MAX_STARTS]:
@@ -162,13 +168,12 @@ def add_significant_tilts(fit: Fit, selection: Selection) -> Fit:
         if not _is_in_plane(fit, joint) or not axes[0].space.has_varying_force:
             continue
         tilts: list[Key] = [(name, joint) for name in IMU_ROTATION[:2]]
-        trials = []
-        for side in (1.0, -1.0):
-            starts = {tilts[0]: _START_TILT, tilts[1]: side * _START_TILT}
-            space = add_sensor_constants(fit.space, tilts, starts)
-            trials.append(_search_briefly(fit.with_unknowns(space, starts), options))
-        best = min(trials, key=lambda one: one.cost)
-        if fit.cost - best.cost > _MIN_TILT_SIGNIFICANCE**2:
+        tilted = [{tilts[0]: _START_TILT, tilts[1]: side * _START_TILT} for side in (1.0, -1.0)]
+        starts = (
+            fit.with_unknowns(add_sensor_constants(fit.space, tilts, one), one) for one in tilted
+        )
+        best = best_trial(starts, partial(_search_briefly, options=options))
+        if best is not None and fit.cost - best.cost > _MIN_TILT_SIGNIFICANCE**2:
             fit = refine(best, options)
     return fit
 
@@ -208,8 +213,6 @@ _MAX_BAND_RATIO = 2.0  # maximum frequency over the cut-off; beyond, at most 1/4
 _FALSE_ALARM_PROBABILITY = 1e-4  # false alarm probability over all tested mounts
 # minimum cost reduction of a linear step, as a share of the sensor's cost
 _MIN_LINEAR_COST_SHARE = 0.1
-_MAX_MOUNT_STARTS = 3  # starting mounts of a fit
-_MAX_TRIAL_EVALUATIONS = 12  # maximum evaluations per start
 _TRIAL_TOLERANCE = 0.1  # predicted cost reduction at which a trial ends
 _MAX_REMAINING_COST_SHARE = 0.3  # maximum cost of the sensor after the fit, relative to that before
 _MAX_SPILLOVER_SHARE = 0.2  # maximum cost increase of other channels, relative to the reduction
@@ -225,24 +228,20 @@ def add_mount_resonances(fit: Fit, selection: Selection) -> Fit:
 
     Returns the fit itself if no sensor has residuals above its noise.
     """
-    options = selection.options
-    while fit.iterations < options.max_iterations:
-        best = _best_mount_fit(fit, selection)
-        if best is None:
-            break
-        selection.allow(selection.options.max_iterations + best.iterations)
-        best = replace(best, iterations=fit.iterations + best.iterations)
-        fit = fine_search(best, selection.options)
-    return fit
+    max_iterations = selection.options.max_iterations
 
+    def extend(fit: Fit) -> Fit | None:
+        """The fit with the most significant acceptable mount."""
+        if fit.iterations >= max_iterations:
+            return None
+        for names, mounts in _significant_mounts(fit, selection).items():
+            trial = _fit_mount(fit, names, mounts, selection.options)
+            if trial is not None and _is_acceptable(fit, trial, names):
+                selection.allow(selection.options.max_iterations + trial.iterations)
+                return replace(trial, iterations=fit.iterations + trial.iterations)
+        return None
 
-def _best_mount_fit(fit: Fit, selection: Selection) -> Fit | None:
-    """Fit with the most significant acceptable mount; None if there is none."""
-    for names, mounts in _significant_mounts(fit, selection).items():
-        refit = _fit_mount(fit, names, mounts, selection)
-        if refit is not None and _is_acceptable(fit, refit, names):
-            return refit
-    return None
+    return revise(fit, extend, fine_search, selection)
 
 
 def _significant_mounts(fit: Fit, selection: Selection) -> Mounts:
@@ -266,9 +265,7 @@ def _significant_mounts(fit: Fit, selection: Selection) -> Mounts:
         ranked = sorted(((next(gain), mount) for mount in mounts), key=lambda one: -one[0])
         threshold = max(limit, _MIN_LINEAR_COST_SHARE * _split_cost(fit, names)[0])
         if ranked[0][0] > threshold:
-            significant.append(
-                (ranked[0][0], names, [mount for _, mount in ranked[:_MAX_MOUNT_STARTS]])
-            )
+            significant.append((ranked[0][0], names, [mount for _, mount in ranked[:_MAX_STARTS]]))
     significant.sort(key=lambda one: -one[0])
     return {names: mounts for _, names, mounts in significant}
 
@@ -297,22 +294,18 @@ def _mounts_to_test(fit: Fit, selection: Selection) -> Mounts:
 
 
 def _fit_mount(
-    fit: Fit, names: Names, mounts: Sequence[MountResonance], selection: Selection
+    fit: Fit, names: Names, mounts: Sequence[MountResonance], options: WholeArmOptions
 ) -> Fit | None:
-    """Best of short searches with a mount as additional unknowns, from several starts."""
-    best: Fit | None = None
+    """Best of short searches with a mount as additional unknowns, from several starts.
+
+    Their evaluations count from zero.
+    """
+    fits = []
     for mount in mounts:
         starts = dict(zip(names, (mount.frequency, mount.damping), strict=True))
         space = add_sensor_constants(fit.space, list(starts), starts)
-        start = replace(fit.with_unknowns(space, starts), iterations=0)
-        options = replace(selection.options, max_iterations=_MAX_TRIAL_EVALUATIONS)
-        try:
-            trial = search_minimum(start, options, tolerance=_TRIAL_TOLERANCE)
-        except NotIdentifiable:
-            continue
-        if best is None or trial.cost < best.cost:
-            best = trial
-    return best
+        fits.append(replace(fit.with_unknowns(space, starts), iterations=0))
+    return best_trial(fits, partial(_search_briefly, options=options, tolerance=_TRIAL_TOLERANCE))
 
 
 def _is_acceptable(before: Fit, after: Fit, names: Names) -> bool:
