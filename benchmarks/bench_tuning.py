@@ -39,8 +39,11 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import fit_whole_arm
-from strainwave.identification.whole_arm.problem.arm_unknowns import add_stiffness_curves, space_of
 from strainwave.identification.whole_arm.problem.objective import Objective
+from strainwave.identification.whole_arm.problem.starting_values import (
+    add_stiffness_curves,
+    space_of,
+)
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.records.preparation import dataset_of
 from strainwave.io.logs import read_logs

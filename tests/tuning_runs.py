@@ -27,8 +27,11 @@ from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.domain.link_sensors.single_axis import Accelerometer, LinkEncoder
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, simulate
-from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
-from strainwave.identification.whole_arm.problem.prior import Prior
+from strainwave.identification.whole_arm.problem.parameter_space import (
+    ParameterSpace,
+    Prior,
+    Unknown,
+)
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.low_pass import Kernels
 from strainwave.io.logs import read_log

@@ -85,7 +85,7 @@ def test_rows_are_filtered_samples(spring: Spring, n_directions: int) -> None:
     directions = arm.parameter_names[:n_directions]
     full = arm.sensitivities(values, VOLTAGE, with_respect_to=directions, **EXPERIMENT)
     kernels = low_pass_kernels(60.0, 1e-3)
-    taps = [kernels.taps(rate=name == "link_angle") for name in RECORD]
+    taps = [kernels.taps(slope=name == "link_angle") for name in RECORD]
     recorded = arm.sensitivities(
         values,
         VOLTAGE,
@@ -96,7 +96,7 @@ def test_rows_are_filtered_samples(spring: Spring, n_directions: int) -> None:
     )
     for name in RECORD:
         for rows, samples in zip(recorded[name], full[name], strict=True):
-            wanted = kernels.rows(samples, rate=name == "link_angle")
+            wanted = kernels.rows(samples, slope=name == "link_angle")
             assert rows.shape == wanted.shape
             size = np.abs(wanted).max(initial=0.0)
             np.testing.assert_allclose(rows, wanted, atol=1e-12 * size)

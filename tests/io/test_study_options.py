@@ -191,7 +191,7 @@ def test_options_can_be_records_or_tables(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
 def test_options_accept_all_parameters_of_the_fit(spring: str) -> None:
-    from strainwave.identification.whole_arm.problem.arm_unknowns import (
+    from strainwave.identification.whole_arm.problem.starting_values import (
         add_stiffness_curves,
         space_of,
     )

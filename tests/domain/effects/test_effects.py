@@ -22,14 +22,13 @@ from strainwave.domain import (
     effects,
     is_physical,
 )
-from strainwave.domain.effects import Effect, KnownJoint, RecordEffect, effect_named
-from strainwave.domain.effects.interface import Values
+from strainwave.domain.effects import Effect, KnownJoint, RecordEffect, Values, effect_named
 from strainwave.domain.gear_laws import RIGID
 from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, record_inputs, simulate
 from strainwave.errors import InvalidInput
-from strainwave.identification.whole_arm.selection.causes import warn_likely_cause
+from strainwave.identification.whole_arm.conclusion import warn_likely_cause
 from strainwave.io.study import read_study
 from strainwave.report.document.verdict import advice
 from virtual_arms import ELASTIC_JOINT

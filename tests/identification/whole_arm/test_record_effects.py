@@ -25,8 +25,7 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     remove_effects,
     sizes_of,
 )
-from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
-from strainwave.identification.whole_arm.problem.prior import Prior
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Prior
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.loads import Loads
 from strainwave.identification.whole_arm.records.preparation import dataset_of

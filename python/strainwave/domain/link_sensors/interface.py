@@ -306,14 +306,9 @@ class SensorAxis:
         return f"{self.sensor.channel_kinds[self.number]}{self.joint}"
 
     @property
-    def rate(self) -> bool:
+    def reads_angle(self) -> bool:
         """Whether its reading is an angle, which is compared as a velocity."""
         return self.sensor.reads_angle
-
-    @property
-    def shifted(self) -> bool:
-        """Whether its reading has an unknown bias."""
-        return self.sensor.has_bias
 
     @property
     def is_mounted(self) -> bool:

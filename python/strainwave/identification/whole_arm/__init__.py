@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 from strainwave.domain import ArmModel, JointModel, Log, RigidModel, WholeArmOptions
 from strainwave.domain.keys import Key
@@ -20,9 +21,11 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     set_record_effects,
     with_effects,
 )
-from strainwave.identification.whole_arm.problem.restrictions import expand_published_options
 from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.published import published_search
+from strainwave.identification.whole_arm.search.published import (
+    expand_published_options,
+    published_search,
+)
 from strainwave.identification.whole_arm.search.solver import (
     Progress,
     are_exceptions,
@@ -33,9 +36,14 @@ from strainwave.identification.whole_arm.search.solver import (
     refine,
     report_progress,
 )
-from strainwave.identification.whole_arm.selection.candidate import Selection
+from strainwave.identification.whole_arm.selection import (
+    further_unknowns,
+    gear_laws,
+    mountings,
+    sensor_constants,
+)
+from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection
 from strainwave.identification.whole_arm.selection.causes import ModelComparison, include_effects
-from strainwave.identification.whole_arm.selection.model_selection import COARSE, FINE, select_model
 from strainwave.identification.whole_arm.start import Start, prepare_start
 from strainwave.numerics.parallel import one_blas_thread
 
@@ -47,6 +55,33 @@ __all__ = [
     "has_likelier_effect",
     "predicted_parameters",
 ]
+
+_COARSE: tuple[Candidate, ...] = (
+    further_unknowns.add_significant_initial_motion,
+    mountings.improve_mountings,
+    gear_laws.select_gear_laws,
+    gear_laws.restart_coarse_fit,
+    partial(sensor_constants.add_significant_sensor_constants, coarse=True),
+    partial(sensor_constants.add_sensor_bandwidths, coarse=True),
+    further_unknowns.add_settling_times,
+    further_unknowns.add_named_effects,
+)
+"""Candidates of a coarse fit, in the order of their trials. They only add parameters."""
+
+_FINE: tuple[Candidate, ...] = (
+    further_unknowns.extend_ranges,
+    gear_laws.restart_fine_fit,
+    gear_laws.remove_insignificant_stiffness_terms,
+    further_unknowns.remove_insignificant_effects,
+    partial(sensor_constants.add_significant_sensor_constants, coarse=False),
+    partial(sensor_constants.add_sensor_bandwidths, coarse=False),
+    mountings.add_mount_resonances,
+    mountings.add_significant_tilts,
+    sensor_constants.remove_insignificant_sensor_constants,
+    further_unknowns.remove_insignificant_settling_times,
+    gear_laws.straighten_curves,
+)
+"""Candidates of the fine fit, which also remove parameters that are not significant."""
 
 
 def fit_whole_arm(
@@ -143,7 +178,9 @@ def _fit(start: Start, selection: Selection) -> Fit:
 
 def _search(start: Start, selection: Selection) -> Fit:
     """Fit in long steps to near the minimum, then in short steps, with the selected model."""
-    coarse = select_model(coarse_search(start.coarse, selection.options), COARSE, selection)
+    coarse = coarse_search(start.coarse, selection.options)
+    for candidate in _COARSE:
+        coarse = candidate(coarse, selection)
     records = [
         replace(record, begins_in_motion=long_steps.begins_in_motion)
         for record, long_steps in zip(start.records, coarse.objective.records, strict=True)
@@ -154,4 +191,6 @@ def _search(start: Start, selection: Selection) -> Fit:
     fine = fine_search(replace(coarse, objective=objective), selection.options)
     if fine.end.is_minimum:  # the model selection has its own budget of evaluations
         selection.renew(fine)
-    return polish(select_model(fine, FINE, selection), selection.options)
+    for candidate in _FINE:
+        fine = candidate(fine, selection)
+    return polish(fine, selection.options)

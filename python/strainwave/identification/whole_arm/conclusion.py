@@ -1,16 +1,31 @@
-"""Result of the whole-arm fit: parameters, covariance, warnings and residual analysis."""
+"""Result of the whole-arm fit: parameters, covariance, residual analysis, effects and warnings."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from strainwave.domain import ArmModel, Criticism, Prediction, SearchEnd
+from strainwave.domain import (
+    WHOLE_ARM_FIT,
+    ArmModel,
+    Cause,
+    Clause,
+    Criticism,
+    Diagnostic,
+    Parameter,
+    ParameterShift,
+    Place,
+    Prediction,
+    SearchEnd,
+)
+from strainwave.domain.effects import effect_named
+from strainwave.domain.gear_laws import gear_law
 from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import is_hidden
-from strainwave.domain.parameter_table import SETTLING
+from strainwave.domain.parameter_table import SETTLING, base_name
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import predict_closed_loop
 from strainwave.identification.whole_arm.inference.agreement import (
@@ -18,35 +33,37 @@ from strainwave.identification.whole_arm.inference.agreement import (
     disagreement,
     stage_differences,
 )
-from strainwave.identification.whole_arm.inference.bounds import at_bounds, parameters_at_bounds
-from strainwave.identification.whole_arm.inference.parameter_estimates import parameters_of
-from strainwave.identification.whole_arm.inference.parameter_warnings import warnings_of
+from strainwave.identification.whole_arm.inference.parameter_estimates import (
+    parameters_at_bounds,
+    parameters_of,
+    warnings_of,
+)
+from strainwave.identification.whole_arm.inference.predicted_precision import sensor_gains
 from strainwave.identification.whole_arm.inference.residual_analysis import (
     residual_tests,
     residual_warnings,
 )
-from strainwave.identification.whole_arm.inference.sensor_gains import sensor_gains
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     effects_among,
     warn_removed_effects,
 )
 from strainwave.identification.whole_arm.records.loads import (
     gear_torque_samples,
+    gear_torques,
     histograms_of,
     largest_of,
 )
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.selection.candidate import Selection
-from strainwave.identification.whole_arm.selection.causes import (
-    ModelComparison,
-    effect_warnings,
-    list_causes,
-)
+from strainwave.identification.whole_arm.selection.causes import ModelComparison, Rival
 from strainwave.identification.whole_arm.selection.gear_laws import equivalent_stiffnesses
 from strainwave.identification.whole_arm.selection.sensor_constants import sensor_warnings
 from strainwave.identification.whole_arm.start import Start
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.recorded_input import missing_recorded_input
+
+MIN_LISTED_WEIGHT = 0.05  # of a plausible effect
+MAX_NAMED_PARAMETERS = 3  # in a warning, of the effect and of the arm
 
 
 def arm_model(
@@ -79,10 +96,10 @@ def arm_model(
         simulated=_predict(values, start, arm),
         initial=_predict(start.coarse.space.values(start.initial), start, arm),
         iterations=fit.iterations,
-        end=SearchEnd.BOUND if fit.end.is_minimum and any(at_bounds(fit)) else fit.end,
+        end=SearchEnd.BOUND if fit.end.is_minimum and any(fit.at_bounds) else fit.end,
         warnings=(
             *start.rejected,
-            *warnings_of(fit, at_bounds(fit), parameters),
+            *warnings_of(fit, parameters),
             *disagreement(differences, agreement),
             *warn_removed_effects(fit.space, arm),
             *effect_warnings(criticism.causes, comparison),
@@ -119,3 +136,94 @@ def _predict(values: Values, start: Start, arm: Arm) -> tuple[Prediction, ...]:
         if log.experiment.use == "tuning" and missing_recorded_input(arm, log) is None
     ]
     return tuple(run_parallel([partial(predict_closed_loop, values, log, arm) for log in logs]))
+
+
+def list_causes(comparison: ModelComparison, parameters: Sequence[Parameter]) -> Iterator[Cause]:
+    """The included effects with their `parameters` of the result, then the plausible ones."""
+    for rival in comparison.included:
+        yield _cause(rival, parameters, is_included=True)
+    for rival in comparison.rivals:
+        if rival.weight > MIN_LISTED_WEIGHT:
+            largest = gear_torques(rival.fit.objective.records, rival.fit.values).tolist()
+            yield _cause(rival, parameters_of(rival.fit, rival.arm, largest)[0], is_included=False)
+
+
+def _cause(rival: Rival, parameters: Sequence[Parameter], *, is_included: bool) -> Cause:
+    joint, name = rival.named_effect
+    law = effect_named(name).fitted_law
+    names = gear_law(law).names if law else effect_named(name).names
+    return Cause(
+        joint,
+        name,
+        tuple(p for p in parameters if p.joint == joint and base_name(p.name) in names),
+        rival.gain,
+        rival.share,
+        rival.shifts,
+        rival.weight,
+        is_included,
+        rival.is_linearised,
+    )
+
+
+def effect_warnings(causes: Sequence[Cause], comparison: ModelComparison) -> Iterator[Diagnostic]:
+    """Warn about included effects, the most likely plausible one, and those without a fit."""
+    for cause in causes:
+        if cause.is_included:
+            effect = effect_named(cause.effect)
+            yield Diagnostic(
+                "effect-taken-up",
+                Place(joint=cause.joint),
+                effect=effect.name,
+                description=effect.description,
+                consequence=effect.consequence,
+                sizes=tuple(_sizes(cause.parameters)),
+                changes=_changes(cause.shifts),
+                experiment=effect.experiment,
+            )
+    yield from warn_likely_cause([cause for cause in causes if not cause.is_included])
+    if comparison.excluded:
+        effects = tuple(Clause("of-joint", name=e, joint=j) for j, e in comparison.excluded)
+        evaluations = comparison.evaluations
+        yield Diagnostic(
+            "causes-not-fitted", WHOLE_ARM_FIT, effects=effects, evaluations=evaluations
+        )
+
+
+def warn_likely_cause(causes: Sequence[Cause]) -> Iterator[Diagnostic]:
+    """Warn about the most likely effect that is not included, with its rivals."""
+    for cause in causes[:1]:
+        effect = effect_named(cause.effect)
+        rivals = tuple(Clause("of-joint", name=c.effect, joint=c.joint) for c in causes[1:])
+        clause = Clause(
+            "effect-likely",
+            effect=cause.effect,
+            setting=effect.setting,
+            share=cause.share,
+            sizes=tuple(_sizes(cause.parameters)),
+            changes=_changes(cause.shifts) if cause.shifts else None,
+            rivals=Clause("rivals", effects=rivals) if rivals else None,
+            experiment=effect.experiment,
+        )
+        yield Diagnostic.of(effect.warning_code, Place(joint=cause.joint), clause)
+
+
+def _sizes(parameters: Sequence[Parameter]) -> Iterator[Clause]:
+    """The parameters of an effect."""
+    estimates = [p for p in parameters if p.value is not None and p.std is not None]
+    for p in estimates[:MAX_NAMED_PARAMETERS]:
+        template = "effect-size" if p.unit else "effect-size/no-unit"
+        yield Clause(template, name=p.name, value=p.value, std=p.std, unit=p.unit)
+
+
+def _changes(shifts: Sequence[ParameterShift]) -> Clause:
+    """The parameters that an effect changes most."""
+    listed = tuple(
+        Clause(
+            "shift",
+            parameter=Place(joint=shift.joint, parameter=shift.name),
+            change=shift.shift / shift.without,
+        )
+        for shift in shifts[:MAX_NAMED_PARAMETERS]
+        if shift.without
+    )
+    return Clause("changes", shifts=listed)

@@ -18,16 +18,17 @@ from strainwave.domain.link_sensors.single_axis import LinkEncoder
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.closed_loop import keep_known_effects
-from strainwave.identification.whole_arm.problem.arm_unknowns import add_stiffness_curves, space_of
 from strainwave.identification.whole_arm.problem.objective import Objective
-from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
-from strainwave.identification.whole_arm.problem.restrictions import (
-    published_records,
+from strainwave.identification.whole_arm.problem.parameter_space import (
+    ParameterSpace,
+    Unknown,
     restrict_space,
 )
 from strainwave.identification.whole_arm.problem.starting_values import (
     TYPICAL_ANTI_RESONANCE_HZ,
     StartingValues,
+    add_stiffness_curves,
+    space_of,
     starting_values_of,
     warn_rejected_starts,
 )
@@ -41,6 +42,7 @@ from strainwave.identification.whole_arm.records.preparation import (
     select_usable_records,
 )
 from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search.published import published_records
 from strainwave.identification.whole_arm.search.start_comparison import (
     SelectedCandidate,
     select_candidate,

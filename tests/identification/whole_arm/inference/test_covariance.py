@@ -11,10 +11,13 @@ from scipy.signal import lfilter
 
 from strainwave.domain import FloatArray
 from strainwave.identification.whole_arm.inference.covariance import Confidence, confidence_at
-from strainwave.identification.whole_arm.inference.parameter_warnings import only_together
+from strainwave.identification.whole_arm.inference.parameter_estimates import only_together
 from strainwave.identification.whole_arm.problem.objective import Objective
-from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
-from strainwave.identification.whole_arm.problem.prior import Prior
+from strainwave.identification.whole_arm.problem.parameter_space import (
+    ParameterSpace,
+    Prior,
+    Unknown,
+)
 from strainwave.identification.whole_arm.problem.weighted_rows import Weights
 from strainwave.identification.whole_arm.records.low_pass import Kernels
 from tuning_runs import linear_record, linear_search

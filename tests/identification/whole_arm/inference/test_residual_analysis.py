@@ -28,7 +28,7 @@ ROW = KERNELS.step * T
 
 
 def behind(noise: FloatArray) -> FloatArray:
-    return KERNELS.rows(noise, rate=False)
+    return KERNELS.rows(noise, slope=False)
 
 
 def test_a_spectral_density_is_welchs() -> None:

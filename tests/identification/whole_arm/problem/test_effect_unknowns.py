@@ -26,8 +26,7 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     remove_effects,
     set_record_effects,
 )
-from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
-from strainwave.identification.whole_arm.problem.prior import Prior
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Prior
 from strainwave.identification.whole_arm.records.loads import Loads
 from strainwave.identification.whole_arm.records.preparation import dataset_of
 from tuning_runs import linear_search, truth

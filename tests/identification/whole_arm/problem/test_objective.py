@@ -12,14 +12,13 @@ from scipy.signal import lfilter
 
 from strainwave.domain import FloatArray
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm.problem.arm_unknowns import (
+from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD, Objective
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Prior
+from strainwave.identification.whole_arm.problem.starting_values import (
     add_settling_unknowns,
     add_stiffness_curves,
     space_of,
 )
-from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD, Objective
-from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
-from strainwave.identification.whole_arm.problem.prior import Prior
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows, Weights
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.preparation import dataset_of

@@ -15,13 +15,11 @@ from strainwave.domain.kinds import change_arm_keys, single_joint
 from strainwave.domain.parameter_table import COULOMB, SETTLING, VISCOUS
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.whole_arm.problem.arm_unknowns import (
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
+from strainwave.identification.whole_arm.problem.starting_values import (
     add_settling_unknowns,
     add_stiffness_curves,
     space_of,
-)
-from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
-from strainwave.identification.whole_arm.problem.starting_values import (
     starting_values_of,
     warn_rejected_starts,
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from strainwave.domain.keys import Values
-from strainwave.identification.whole_arm.problem.prior import reference_sizes
+from strainwave.identification.whole_arm.problem.parameter_space import reference_sizes
 
 
 def test_inertial_values_of_either_sign_have_the_size_of_the_largest_of_their_kind() -> None:

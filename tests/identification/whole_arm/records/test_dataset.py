@@ -32,9 +32,9 @@ def test_a_ramp_has_its_slope_and_a_constant_its_value(cutoff: float, sample_tim
     kernels = low_pass_kernels(cutoff, sample_time)
     n = 5 * len(kernels.smooth)
     ramp: FloatArray = 3.0 - 7.0 * sample_time * np.arange(n, dtype=np.float64)
-    np.testing.assert_allclose(kernels.rows(ramp, rate=True), -7.0, rtol=1e-11)
-    np.testing.assert_allclose(kernels.rows(np.full(n, 2.5), rate=False), 2.5, rtol=1e-13)
-    slope_of_constant = kernels.rows(np.full(n, 2.5), rate=True)
+    np.testing.assert_allclose(kernels.rows(ramp, slope=True), -7.0, rtol=1e-11)
+    np.testing.assert_allclose(kernels.rows(np.full(n, 2.5), slope=False), 2.5, rtol=1e-13)
+    slope_of_constant = kernels.rows(np.full(n, 2.5), slope=True)
     assert np.max(np.abs(slope_of_constant)) * sample_time < 1e-13
 
 
@@ -45,7 +45,7 @@ def test_rows_are_a_convolution(cutoff: float, sample_time: float) -> None:
     # the last block is incomplete
     x = rng.normal(size=(5 * len(kernels.smooth) + kernels.step // 2, 2, 3))
     for rate, taps in [(False, kernels.smooth), (True, kernels.slope)]:
-        rows = kernels.rows(x, rate=rate)
+        rows = kernels.rows(x, slope=rate)
         for i in range(2):
             for j in range(3):
                 convolution = np.correlate(x[:, i, j], taps, "valid")[:: kernels.step]
@@ -82,12 +82,12 @@ def test_a_low_sine_comes_through_in_its_phase() -> None:
     time = T * np.arange(4000)
     omega = 2.0 * np.pi * 0.25 * CUTOFF
     reach = len(kernels.smooth)
-    smooth = kernels.rows(np.sin(omega * time), rate=False)
+    smooth = kernels.rows(np.sin(omega * time), slope=False)
     middle = 0.5 * (reach - 1) * T + kernels.step * T * np.arange(len(smooth))
     # ripple of the window at a quarter of the cut-off
     np.testing.assert_allclose(smooth, np.sin(omega * middle), atol=0.005)
     # the slope kernel weights the ends of the window, and is exact for a ramp
-    rate = kernels.rows(np.sin(omega * time), rate=True)
+    rate = kernels.rows(np.sin(omega * time), slope=True)
     np.testing.assert_allclose(rate, omega * np.cos(omega * middle), atol=0.025 * omega)
 
 
@@ -188,7 +188,7 @@ def test_the_noise_estimate_excludes_the_simulated_motion() -> None:
         channels[name] = channels[name] + rng.normal(0.0, size, len(channels[name]))
     slow = replace(log, sample_time=4.0 * log.sample_time, time=log.time[::4], channels=channels)
     dataset = dataset_of(slow, Arm.of(study.arm), CUTOFF)
-    kernels = [dataset.kernels.taps(rate=channel.rate) for channel in dataset.channels]
+    kernels = [dataset.kernels.taps(slope=channel.reads_angle) for channel in dataset.channels]
     true = np.array([s * np.linalg.norm(k) for s, k in zip(sizes.values(), kernels, strict=True)])
     assert np.all(dataset.noise > 3.0 * true)
     np.testing.assert_allclose(
@@ -208,7 +208,7 @@ def test_counts_are_noise() -> None:
 
 def named(log: Log, study: Study) -> list[tuple[str, str, bool, bool]]:
     channels = dataset_of(log, Arm.of(study.arm), CUTOFF).channels
-    return [(c.channel, c.quantities[0], c.rate, c.shifted) for c in channels]
+    return [(c.channel, c.quantities[0], c.reads_angle, c.sensor.has_bias) for c in channels]
 
 
 def test_what_is_compared() -> None:

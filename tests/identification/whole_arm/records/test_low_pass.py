@@ -19,7 +19,7 @@ def test_velocities_of_advanced_rows(cutoff: float, sample_time: float, ahead: f
     """Whatever the advance, a motor at rest far from zero has no velocity and a ramp its own."""
     kernels = low_pass_kernels(cutoff, sample_time, ahead)
     t = sample_time * np.arange(float(len(kernels.slope) + 8 * kernels.step))
-    assert kernels.rows(np.full(len(t), 300.0), rate=True) == pytest.approx(0.0, abs=1e-9)
+    assert kernels.rows(np.full(len(t), 300.0), slope=True) == pytest.approx(0.0, abs=1e-9)
     ramp = np.asarray(300.0 + 7.0 * t)
-    assert kernels.rows(ramp, rate=True) == pytest.approx(7.0, rel=1e-9)
-    assert kernels.rows(np.full(len(t), 300.0), rate=False) == pytest.approx(300.0)
+    assert kernels.rows(ramp, slope=True) == pytest.approx(7.0, rel=1e-9)
+    assert kernels.rows(np.full(len(t), 300.0), slope=False) == pytest.approx(300.0)

@@ -13,7 +13,7 @@ from strainwave.domain import ArmModel
 from strainwave.domain.effects import KnownJoint, all_effects, effect_named
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm.inference.effect_columns import (
+from strainwave.identification.whole_arm.inference.score_tests import (
     EffectColumns,
     EffectHypothesis,
     Shapes,

@@ -16,7 +16,7 @@ from strainwave.domain.parameter_table import of_record
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import shift_samples
 from strainwave.identification.whole_arm import fit_whole_arm
-from strainwave.identification.whole_arm.problem.restrictions import is_held
+from strainwave.identification.whole_arm.problem.parameter_space import is_held
 from strainwave.identification.whole_arm.records.preparation import dataset_of
 from tuning_runs import joint_models, rigid_model, shaken
 

@@ -25,8 +25,11 @@ from strainwave.domain.link_sensors.link_space import attitude, axes_about
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.identification.whole_arm.problem.objective import Objective
-from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
-from strainwave.identification.whole_arm.problem.prior import Prior
+from strainwave.identification.whole_arm.problem.parameter_space import (
+    ParameterSpace,
+    Prior,
+    Unknown,
+)
 from strainwave.identification.whole_arm.records.preparation import dataset_of
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.selection.mountings import select_mountings

@@ -22,7 +22,7 @@ from strainwave.domain.keys import Values
 from strainwave.domain.parameter_table import family_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.inference.covariance import confidence_of, with_variances
-from strainwave.identification.whole_arm.problem.prior import reference_sizes
+from strainwave.identification.whole_arm.problem.parameter_space import reference_sizes
 from strainwave.identification.whole_arm.search.fit import Fit
 
 _Group = tuple[Literal["all", "inertias", "friction"], int | None]  # scope and joint of a test

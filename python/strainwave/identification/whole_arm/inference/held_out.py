@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from strainwave.domain import FloatArray, IntArray
-from strainwave.identification.whole_arm.inference.bounds import at_bounds, at_zero
 from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.search.fit import Fit
@@ -67,7 +66,11 @@ def _scores(
     fit: Fit, rows: Sequence[Rows], folds: Sequence[IntArray], correlation: Sequence[FloatArray]
 ) -> FloatArray:
     """Log predictive densities of the folds of all records, (n_folds,)."""
-    columns = [_shared_columns(one)[: len(f)] for one, f in zip(rows, folds, strict=True)]
+    # derivatives of the residuals in standard deviations
+    columns = [
+        (one.shared_columns / one.root[..., None])[: len(f)]
+        for one, f in zip(rows, folds, strict=True)
+    ]
     residuals = [one.residual[: len(f)] for one, f in zip(rows, folds, strict=True)]
     roots = [one.root[: len(f)] for one, f in zip(rows, folds, strict=True)]
     parts = [
@@ -80,8 +83,7 @@ def _scores(
         table = np.concatenate([weighted, residual], axis=2)
         factors.append(triangular_factor(table.reshape(-1, table.shape[2])))
     prior = np.column_stack(fit.space.linearise_prior(fit.z))
-    held_at_bounds = np.array(at_bounds(fit)) | np.array(at_zero(fit))
-    free = np.flatnonzero(~held_at_bounds)
+    free = np.flatnonzero(~(fit.at_bounds | fit.at_zero))
     predicted = [np.zeros_like(residual) for residual in residuals]
     for number, (k, held) in enumerate(parts):
         others = np.concatenate([prior, *factors[:number], *factors[number + 1 :]])
@@ -95,17 +97,3 @@ def _scores(
         count, others = np.sum(held) / correlation[k], np.sum(~held) / correlation[k]
         scores.append(float(np.sum(log_density(held_out, variance, count, others))))
     return np.array(scores)
-
-
-def _shared_columns(rows: Rows) -> FloatArray:
-    """Derivatives of the residuals in standard deviations by the shared unknowns.
-
-    They are orthogonal to the record parameters, as those of the weighted rows. Their shape is
-    (n_rows, n_channels, n_unknowns).
-    """
-    table, n = rows.columns, rows.evaluated.n_initial
-    flat = table.reshape(-1, table.shape[2])
-    shared = flat[:, n:]
-    if n:
-        shared = shared - flat[:, :n] @ np.linalg.lstsq(flat[:, :n], shared)[0]
-    return np.asarray(shared.reshape(*table.shape[:2], -1) / rows.root[..., None])

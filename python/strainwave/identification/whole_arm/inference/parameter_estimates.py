@@ -1,29 +1,37 @@
-"""Parameters of a whole-arm fit with confidence intervals."""
+"""Parameters of a whole-arm fit with confidence intervals, and warnings about them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Parameter
+from strainwave.domain import (
+    WHOLE_ARM_FIT,
+    Clause,
+    Diagnostic,
+    FloatArray,
+    Parameter,
+    Place,
+    SearchEnd,
+)
 from strainwave.domain.arm import unit_in
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.effects import effect_named
-from strainwave.domain.gear_laws import is_by_load
+from strainwave.domain.gear_laws import is_by_load, is_slope
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors import constant_of
-from strainwave.domain.parameter_table import VISCOUS
+from strainwave.domain.link_sensors import constant_of, is_hidden
+from strainwave.domain.parameter_table import SETTLING, VISCOUS
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm.inference.bounds import at_zero
 from strainwave.identification.whole_arm.inference.covariance import confidence_of, with_variances
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     effects_in,
     whole_inertia_of,
 )
-from strainwave.identification.whole_arm.problem.prior import combination
+from strainwave.identification.whole_arm.problem.parameter_space import combination
 from strainwave.identification.whole_arm.search.fit import Fit
 
 # maximum relative standard deviation of a published viscous friction, slope or knee
@@ -81,7 +89,7 @@ def parameters_of(
     total = np.diag(covariance)
     stds = np.sqrt(np.where(total >= 0.0, total, np.inf))  # negative only by rounding
     model_stds = np.sqrt(np.diag(shifts))
-    zeros = {key for key, at in zip(fit.space.keys, at_zero(fit), strict=True) if at}
+    zeros = {key for key, at in zip(fit.space.keys, fit.at_zero, strict=True) if at}
     rows = zip(quantities, stds.tolist(), model_stds.tolist(), strict=True)
     return tuple(_parameter(q, std, model, q.key in zeros) for q, std, model in rows), covariance
 
@@ -171,6 +179,21 @@ def _mountings(fit: Fit) -> Iterator[_Quantity]:
             yield _Quantity((name, joint), unit, value, slope)
 
 
+def parameters_at_bounds(fit: Fit, arm: Arm) -> Iterator[Key]:
+    """Yield the parameters at a bound, and the inertias that contain them, as (name, joint).
+
+    The total viscous friction of a joint is omitted, because it can be identifiable although its
+    parts are not.
+    """
+    pairs = zip(fit.space.keys, fit.at_bounds, strict=True)
+    ended = [key for key, at in pairs if at and key[0] != SETTLING]
+    yield from ended
+    links = {key: row for key, row in arm.reported.items() if key[0] == "link_inertia"}
+    for key, parts in (*arm.lumped_inertias.items(), *links.items()):
+        if key not in ended and any(part in ended for part in parts):
+            yield key
+
+
 def vanished_parameters(fit: Fit, arm: Arm) -> Iterator[tuple[str, int]]:
     """Yield gear parameters that the fit fixes to zero."""
     for number, joint in enumerate(arm.joints, start=1):
@@ -211,3 +234,96 @@ def _parameter(quantity: _Quantity, std: float, model_std: float, is_zero: bool)
     if is_zero:
         estimate = Parameter.at_zero(key, value + CI95_STDS * std, unit, "tuned")
     return replace(estimate, model_std=model_std or None)
+
+
+_Name = TypeVar("_Name")
+
+_MAX_DIRECTION_STD = 0.1  # relative standard deviation above which a direction is poorly identified
+# minimum ratio of marginal to conditional standard deviation for a group to be reported
+_MIN_STD_RATIO = 5.0
+_MIN_COMPONENT = 0.2  # minimum component of a group member, relative to the largest component
+
+
+def _curve_warning(index: int, parameters: Sequence[Parameter], place: Place) -> Diagnostic:
+    """Warn why a slope or knee has no value; one at higher torque can have a value."""
+    parameter = parameters[index]
+    has_value_beyond = any(
+        p.joint == parameter.joint
+        and p.value is not None
+        and is_slope(p.name) == is_slope(parameter.name)
+        for p in parameters[index + 1 :]
+        if is_by_load(p.name)
+    )
+    if has_value_beyond:
+        return Diagnostic("not-identifiable", place, "no-bend")
+    return Diagnostic("not-reached", place)
+
+
+def warnings_of(fit: Fit, parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
+    """Yield the warnings about the parameters of a fit."""
+    space = fit.space
+    values = space.parameters(fit.z)
+    stds = np.sqrt(np.diag(confidence_of(fit).combined))
+    places = [Place(joint=joint, parameter=name) for name, joint in space.keys]
+    rows = zip(space.unknowns, places, fit.at_bounds, strict=True)
+    for k, (unknown, place, at_bound) in enumerate(rows):
+        if at_bound and unknown.name != SETTLING:
+            value = float(values[k])
+            yield Diagnostic("at-bounds", place, value=value, unit=unknown.unit)
+        if parameters[k].value is not None:
+            continue
+        if is_by_load(unknown.name):
+            yield _curve_warning(k, parameters[: len(space.unknowns)], place)
+            continue
+        value, std, unit = float(values[k]), float(stds[k]), unknown.unit
+        estimate = Clause("estimate", value=value, std=std, unit=unit)
+        split = Clause("viscous-split") if unknown.name in VISCOUS else None
+        yield Diagnostic("not-identifiable", place, "whole-arm", estimate=estimate, split=split)
+    arm = fit.objective.records[0].arm
+    for name, number in vanished_parameters(fit, arm):
+        place, law = Place(joint=number, parameter=name), arm.joints[number - 1].law.simpler
+        yield Diagnostic("not-reached", place, "simpler-law", law=law)
+    for place, value in zip(places, values.tolist(), strict=True):
+        if place.parameter == SETTLING:
+            yield Diagnostic("friction-settles", place, time=value)
+    combinable = [
+        k
+        for k, unknown in enumerate(space.unknowns)
+        if not is_hidden(unknown.key)
+        and unknown.prior_std is None  # deviations from a prior at zero are not combined
+    ]
+    names = [places[k] for k in combinable]
+    covariance = confidence_of(fit).combined[np.ix_(combinable, combinable)]
+    for group, spread in only_together(names, values[combinable], covariance):
+        yield Diagnostic("only-together", group, spread=float(spread))
+    if fit.end is SearchEnd.NO_DESCENT:
+        yield Diagnostic("no-descent", WHOLE_ARM_FIT)
+    elif fit.end is SearchEnd.EVALUATION_LIMIT:
+        yield Diagnostic("iteration-limit", WHOLE_ARM_FIT, iterations=fit.iterations)
+
+
+def only_together(
+    names: Sequence[_Name], values: FloatArray, covariance: FloatArray
+) -> Iterator[tuple[tuple[_Name, ...], float]]:
+    """Yield groups of parameters of which the data identify only a combination.
+
+    `values` is (n,), `covariance` is (n, n). Yields the names of each group, and the relative
+    standard deviation of the unidentified combination.
+    """
+    scale = np.where(values == 0.0, 1.0, np.abs(values))
+    relative = covariance / np.outer(scale, scale)
+    variances, directions = np.linalg.eigh(relative)
+    for variance, direction in zip(variances[::-1], directions.T[::-1], strict=True):
+        std = float(np.sqrt(max(variance, 0.0)))
+        if std < _MAX_DIRECTION_STD:
+            return
+        is_member = np.abs(direction) > _MIN_COMPONENT * np.max(np.abs(direction))
+        members = np.flatnonzero(is_member)
+        if len(members) < 2:
+            continue
+        # marginal and conditional standard deviation, others unknown and fixed
+        information = np.linalg.pinv(relative[np.ix_(members, members)], hermitian=True)
+        marginal = np.sqrt(np.diag(relative)[members])
+        conditional = 1.0 / np.sqrt(np.diag(information))
+        if np.min(marginal / conditional) > _MIN_STD_RATIO:
+            yield tuple(names[int(k)] for k in members), std

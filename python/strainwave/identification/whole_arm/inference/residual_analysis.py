@@ -40,7 +40,7 @@ def residual_tests(objective: Objective, z: FloatArray) -> tuple[ResidualTest, .
     """
 
     def tested(record: Dataset, rows: Rows) -> list[ResidualTest]:
-        inputs = record.kernels.rows(record.drive.voltage[: len(record.log)], rate=False)
+        inputs = record.kernels.rows(record.drive.voltage[: len(record.log)], slope=False)
         errors = rows.errors.T
         return [_test_channel(record, k, column, inputs) for k, column in enumerate(errors)]
 
@@ -54,7 +54,7 @@ def _test_channel(
     channel, kernels = record.channels[k], record.kernels
     T = record.log.sample_time
     frequency, density = spectral_density(residual, kernels.step * T)
-    taps = kernels.taps(rate=channel.rate)
+    taps = kernels.taps(slope=channel.reads_angle)
     # response of the low-pass on the frequency grid of the density; its taps have the period T
     gain = np.abs(np.fft.rfft(taps, round(1.0 / (frequency[1] * T))))[: len(frequency)]
     raw = record.noise[k] / np.linalg.norm(taps)

@@ -89,10 +89,13 @@ def update_prior_trust(space: ParameterSpace, arm: Arm) -> ParameterSpace:
 
     The rigid step does not know how logged torques continue between samples, and when they act.
     """
-    biased = {key for one in effects_in(space, arm) for key in biased_parameters(one, arm)}
-    for name, joint in space.keys:
-        if joint is not None and name in (MOTOR_ENCODER_DELAY, TORQUE_HOLD):
-            biased |= friction_parameters(arm, joint)
+    biased = set[Key]()
+    for joint, effect in effects_in(space, arm):
+        biased |= friction_parameters(arm, joint)
+        biased |= body_parameters(arm) if effect_named(effect).misleads_inertias else set()
+    for name, of_joint in space.keys:
+        if of_joint is not None and name in (MOTOR_ENCODER_DELAY, TORQUE_HOLD):
+            biased |= friction_parameters(arm, of_joint)
     return replace(space, prior=space.prior.restore().relax(biased))
 
 
@@ -113,13 +116,6 @@ def whole_inertia_of(one: NamedEffect, arm: Arm) -> Key | None:
     """The inertia that includes the size of an effect in slow motion; None for other effects."""
     joint, effect = one
     return next(iter(arm.link_inertia(joint))) if effect_named(effect).is_part_of_link else None
-
-
-def biased_parameters(one: NamedEffect, arm: Arm) -> set[Key]:
-    """Rigid-step parameters that are biased if the joint has the effect."""
-    joint, effect = one
-    friction = friction_parameters(arm, joint)
-    return friction | body_parameters(arm) if effect_named(effect).misleads_inertias else friction
 
 
 def body_parameters(arm: Arm) -> set[Key]:

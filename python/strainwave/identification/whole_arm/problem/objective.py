@@ -403,7 +403,7 @@ class Objective:
 
 def _biased(record: Dataset) -> tuple[int, ...]:
     """Channels whose sensor has a bias."""
-    return tuple(k for k, channel in enumerate(record.channels) if channel.shifted)
+    return tuple(k for k, channel in enumerate(record.channels) if channel.sensor.has_bias)
 
 
 def _spread(biases: FloatArray, record: Dataset) -> FloatArray:

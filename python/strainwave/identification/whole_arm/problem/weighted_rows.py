@@ -155,6 +155,19 @@ class Rows:
         self.evaluated.remove_biases(table, scale)
         return np.asarray(table)
 
+    @property
+    def shared_columns(self) -> FloatArray:
+        """Weighted columns of the shared unknowns, orthogonal to the record parameters.
+
+        Their shape is (n_rows, n_channels, n_unknowns).
+        """
+        table, n = self.columns, self.evaluated.n_initial
+        flat = table.reshape(-1, table.shape[2])
+        shared = flat[:, n:]
+        if n:
+            shared = shared - flat[:, :n] @ np.linalg.lstsq(flat[:, :n], shared)[0]
+        return np.asarray(shared.reshape(*table.shape[:2], -1))
+
     def factor(self, min_curvature_ratio: float) -> FloatArray:
         """R of [shared, residual] after elimination of the record parameters.
 
@@ -198,19 +211,17 @@ def _robust_weight(residual: FloatArray, weights: Weights) -> FloatArray:
     return np.asarray(1.0 / (np.sqrt(1.0 + residual**2) * weights.rows_per_error))
 
 
-def white_noise_autocovariance(taps: FloatArray, step: int) -> FloatArray:
-    """Autocovariance (n_lags,) of filtered and decimated white noise of unit variance.
-
-    `taps` (n_taps,) are those of the filter; a row follows every `step` samples. The first lag is
-    zero.
-    """
-    return np.array([taps[: len(taps) - k] @ taps[k:] for k in range(0, len(taps), step)])
-
-
 def noise_autocovariances(record: Dataset) -> list[FloatArray]:
-    """Autocovariance (n_lags,) of each channel's noise for white sensor noise of unit variance."""
-    taps = (record.kernels.taps(rate=channel.rate) for channel in record.channels)
-    return [white_noise_autocovariance(one, record.kernels.step) for one in taps]
+    """Autocovariance (n_lags,) of each channel's noise for white sensor noise of unit variance.
+
+    The lags are those of rows, from zero.
+    """
+    each = (record.kernels.taps(slope=channel.reads_angle) for channel in record.channels)
+    step = record.kernels.step
+    return [
+        np.array([taps[: len(taps) - k] @ taps[k:] for k in range(0, len(taps), step)])
+        for taps in each
+    ]
 
 
 def filtered_rows_per_error(record: Dataset) -> FloatArray:

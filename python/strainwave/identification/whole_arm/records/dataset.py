@@ -209,7 +209,7 @@ class Dataset:
             raw = self.log.channels[channel.channel]
             advanced = raw[np.clip(np.arange(len(raw)) + n_delay, 0, len(raw) - 1)]
             kernels = low_pass_kernels(self.cutoff_hz, T, delay / T - n_delay)
-            channels[:, k] = kernels.rows(advanced, rate=channel.rate)
+            channels[:, k] = kernels.rows(advanced, slope=channel.reads_angle)
         return channels
 
     def sensor_tangent(
@@ -252,7 +252,7 @@ class Dataset:
                 )
                 if self._has_resonant_mount(values):
                     quantities = self.kernels.rows(
-                        self._filter_by_mount(channel, quantities, values), rate=False
+                        self._filter_by_mount(channel, quantities, values), slope=False
                     )
                 by = channel.slopes(values, [keys[at] for at in mounting])
                 tangent[:, k, mounting] += scales[k] * quantities @ by
@@ -305,7 +305,7 @@ class Dataset:
             return {}
         slopes = mount.slopes(channel.reading(motion, values), self.log.sample_time)
         pairs = zip(names, slopes, strict=True)
-        return {n: self.kernels.rows(x, rate=channel.rate) for n, x in pairs if n in keys}
+        return {n: self.kernels.rows(x, slope=channel.reads_angle) for n, x in pairs if n in keys}
 
     def sensor_constants(self) -> list[Key]:
         """Constants of the sensors: delays, scale factors, tilts and drifts."""
@@ -428,7 +428,7 @@ class Dataset:
 
     def low_pass(self) -> LowPass:
         """Low-pass taps of each quantity that the core records with derivatives."""
-        taps = {c.summed_quantity: self.kernels.taps(rate=c.rate) for c in self.channels}
+        taps = {c.summed_quantity: self.kernels.taps(slope=c.reads_angle) for c in self.channels}
         return LowPass(taps, self.kernels.step)
 
     def filtered_channels(
@@ -446,7 +446,7 @@ class Dataset:
             for c in self.channels
         ]
         pairs = zip(readings, self.channels, strict=True)
-        return np.stack([self.kernels.rows(x, rate=c.rate) for x, c in pairs], axis=1)
+        return np.stack([self.kernels.rows(x, slope=c.reads_angle) for x, c in pairs], axis=1)
 
     def mount_tangent(
         self,
@@ -468,7 +468,9 @@ class Dataset:
             for at, (names, mount) in enumerate(tested):
                 if names == channel.mount:
                     change = mount.read(reading, self.log.sample_time) - reading
-                    changes[:, k, at] = scales[k] * self.kernels.rows(change, rate=channel.rate)
+                    changes[:, k, at] = scales[k] * self.kernels.rows(
+                        change, slope=channel.reads_angle
+                    )
         return changes
 
     def _has_resonant_mount(self, values: Mapping[Key, float]) -> bool:
@@ -484,8 +486,8 @@ class Dataset:
 
     def _rows(self, runs: Mapping[Quantity, FloatArray]) -> dict[Quantity, FloatArray]:
         """Rows (n_rows, n_joints, ...) of each quantity from its samples."""
-        kinds = dict.fromkeys((name, c.rate) for c in self.channels for name in c.quantities)
-        return {name: self.kernels.rows(runs[name], rate=rate) for name, rate in kinds}
+        kinds = dict.fromkeys((name, c.reads_angle) for c in self.channels for name in c.quantities)
+        return {name: self.kernels.rows(runs[name], slope=rate) for name, rate in kinds}
 
     def _stack_channels(
         self, rows: Mapping[Quantity, FloatArray], values: Mapping[Key, float]
@@ -506,6 +508,6 @@ def noise_behind(
     channels; the noise is at least that of rounding, count / sqrt(12).
     """
     stds = [noise_std(x) for x in samples]
-    gain = [np.linalg.norm(kernels.taps(rate=channel.rate)) for channel in channels]
+    gain = [np.linalg.norm(kernels.taps(slope=channel.reads_angle)) for channel in channels]
     stds = np.maximum(stds, np.array(counts) / np.sqrt(12.0)) * gain
     return np.asarray(np.maximum(stds, _MIN_NOISE))

@@ -22,16 +22,16 @@ class Kernels:
     slope: FloatArray  # (n_taps,) [1/s]
     step: int  # samples per row
 
-    def taps(self, *, rate: bool) -> FloatArray:
-        """Taps (n_taps,) of the derivative if `rate` is true, otherwise of the low-pass."""
-        return self.slope if rate else self.smooth
+    def taps(self, *, slope: bool) -> FloatArray:
+        """Taps (n_taps,) of the derivative if `slope` is true, otherwise of the low-pass."""
+        return self.slope if slope else self.smooth
 
-    def rows(self, samples: FloatArray, *, rate: bool) -> FloatArray:
+    def rows(self, samples: FloatArray, *, slope: bool) -> FloatArray:
         """Filter and decimate samples (n_samples, ...) to rows (n_rows, ...), without the edges.
 
         One product of a banded matrix with overlapping blocks of samples computes several rows.
         """
-        taps, step = self.taps(rate=rate), self.step
+        taps, step = self.taps(slope=slope), self.step
         n_rows = (len(samples) - len(taps)) // step + 1
         band = np.zeros((_ROWS_PER_PRODUCT, (_ROWS_PER_PRODUCT - 1) * step + len(taps)))
         for k in range(_ROWS_PER_PRODUCT):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -12,7 +13,6 @@ from strainwave.domain.link_sensors import SensorAxis, compared_axes
 from strainwave.domain.link_sensors.imu import ImuSensor
 from strainwave.domain.link_sensors.single_axis import MotorEncoder
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
 from strainwave.identification.closed_loop import velocity_band
 from strainwave.identification.whole_arm.records.dataset import (
@@ -77,11 +77,18 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
             where=log.name,
             remedy=f"record at least {4 * n_taps * T:.2g} s",
         )
-    channels = tuple(_channels(log, arm))
+    motors = (
+        SensorAxis(MotorEncoder.of_joint(one), i) for i, one in enumerate(arm.joints, start=1)
+    )
+    links = (compared_axes(arm, i, log.channels) for i in range(1, arm.n_joints + 1))
+    channels = (*motors, *chain.from_iterable(links))
     raw = [log.channels[channel.channel] for channel in channels]
-    rows = [kernels.rows(x, rate=c.rate) for x, c in zip(raw, channels, strict=True)]
+    rows = [kernels.rows(x, slope=c.reads_angle) for x, c in zip(raw, channels, strict=True)]
     counts = tuple(channel.sensor.resolution for channel in channels)
-    drive = _drive(log, arm, closed_loop=closed_loop)
+    if closed_loop and missing_recorded_input(arm, log) is None:
+        drive = recorded_drive(arm, log)
+    else:
+        drive = driven_by_voltage(arm, log)[1]
     half_length = 0.5 * (n_taps - 1) * T
     return Dataset(
         log=log,
@@ -175,21 +182,6 @@ def _unmasked_rows(log: Log, channels: Sequence[SensorAxis], kernels: Kernels) -
     n_taps, step = len(kernels.smooth), kernels.step
     masked_before = [np.r_[0, np.cumsum(bad)] for bad in masked]
     return np.column_stack([(b[n_taps:] - b[:-n_taps])[::step] == 0 for b in masked_before])
-
-
-def _channels(log: Log, arm: Arm) -> Iterator[SensorAxis]:
-    """Compared channels of a log: motor angles, then the link sensors of each joint."""
-    for i, joint in enumerate(arm.joints, start=1):
-        yield SensorAxis(MotorEncoder.of_joint(joint), i)
-    for i in range(1, arm.n_joints + 1):
-        yield from compared_axes(arm, i, log.channels)
-
-
-def _drive(log: Log, arm: Arm, *, closed_loop: bool) -> Drive:
-    """Inputs of the simulation: recorded voltages, or references and servos in closed loop."""
-    if closed_loop and missing_recorded_input(arm, log) is None:
-        return recorded_drive(arm, log)
-    return driven_by_voltage(arm, log)[1]
 
 
 def _begins_in_motion(log: Log, arm: Arm) -> bool:

@@ -6,10 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, SearchEnd
+from strainwave.domain import BoolArray, FloatArray, SearchEnd
 from strainwave.domain.keys import Values
+from strainwave.domain.ranges import physical_range
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
+
+# distance to a bound, relative to half the range, that counts as at the bound
+_BOUND_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,3 +54,19 @@ class Fit:
     def records(self) -> list[str]:
         """Names of the records."""
         return [record.log.name for record in self.objective.records]
+
+    @property
+    def at_bounds(self) -> BoolArray:
+        """Unknowns (n_unknowns,) at a bound of their search range that is no physical zero."""
+        at_upper = self._is_near(self.space.upper - self.z)
+        return np.asarray((at_upper | self._is_near(self.z - self.space.lower)) & ~self.at_zero)
+
+    @property
+    def at_zero(self) -> BoolArray:
+        """Unknowns (n_unknowns,) at the lower bound of a range that begins at zero."""
+        may_vanish = [physical_range(name) == "non-negative" for name, _ in self.space.keys]
+        return np.asarray(self._is_near(self.z - self.space.lower) & np.array(may_vanish))
+
+    def _is_near(self, distance: FloatArray) -> BoolArray:
+        margin = 0.5 * _BOUND_TOLERANCE * (self.space.upper - self.space.lower)
+        return np.asarray(distance < margin)

@@ -13,16 +13,52 @@ from functools import partial
 
 import numpy as np
 
-from strainwave.domain import FloatArray, SearchEnd
+from strainwave.domain import FloatArray, Log, SearchEnd, WholeArmOptions
+from strainwave.domain.parameter_table import COULOMB, OFFSET
 from strainwave.dynamics.arm import Arm
+from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.link_motion import prepare_link_signals
+from strainwave.signals.recorded_input import missing_recorded_input
 
 _TOLERANCE = 1e-4  # relative change of the cost or of the coordinates at which the search ends
 _DIFFERENCE_STEP = 1e-3  # of a coordinate, the logarithm of a positive parameter
 _ROWS_PER_PERIOD = 8  # of the cut-off; closer samples have no further information
+
+
+def expand_published_options(options: WholeArmOptions) -> WholeArmOptions:
+    """Expand the option `as_published` into the options that it implies."""
+    if not options.as_published:
+        return options
+    return replace(
+        options,
+        closed_loop=True,
+        settling=bool(options.settling),
+        hold=tuple(dict.fromkeys((*options.hold, COULOMB, OFFSET))),
+    )
+
+
+def published_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
+    """Select the records of the published tuning method: steps in closed loop.
+
+    `logs` have the motor signals that a simulation needs. Raises `NotIdentifiable` if none has
+    use = "tuning", or if one lacks data for a closed-loop simulation.
+    """
+    selected = [log for log in logs if log.experiment.use == "tuning" and not log.is_continuation]
+    if not selected:
+        raise NotIdentifiable(
+            'tuning as published needs records with use = "tuning": steps under servo'
+        )
+    for log in selected:
+        missing = missing_recorded_input(arm, log)
+        if missing is not None:
+            raise NotIdentifiable(
+                f"tuning as published simulates {log.name} in closed loop, but {missing}: add the "
+                "missing data, or set tuning.as_published = false"
+            )
+    return selected
 
 
 def published_search(start: Fit, records: Sequence[Dataset], arm: Arm, budget: int) -> Fit:

@@ -1,14 +1,18 @@
-"""Common interface and decision rule of candidate models."""
+"""Candidate models: test a further unknown, add it, fit, keep or drop it.
+
+`best_trial` fits, `select_better` keeps or drops, `revise` repeats both until nothing changes.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 from strainwave.domain import LawChoice, WholeArmOptions
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
+from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import (
     COARSE_RELATIVE_TOLERANCE,
@@ -38,7 +42,7 @@ class Selection:
     def __post_init__(self) -> None:
         self.budget = self.options.max_iterations
 
-    def has_ended(self, fit: Fit) -> bool:
+    def is_budget_exhausted(self, fit: Fit) -> bool:
         """Whether no evaluations are left after those of `fit`."""
         return fit.iterations >= self.options.max_iterations
 
@@ -52,11 +56,11 @@ class Selection:
         self.allow(fit.iterations + self.budget)
 
 
-class Candidate(Protocol):
-    """A change of the model: added parameters, removed parameters or another starting value."""
+Candidate = Callable[[Fit, Selection], Fit]
+"""A change of the model: added parameters, removed parameters or another starting value.
 
-    def __call__(self, fit: Fit, selection: Selection) -> Fit:
-        """Return the fit of the changed model if the data support it, otherwise `fit`."""
+It returns the fit of the changed model if the data support it, otherwise the fit itself.
+"""
 
 
 def run_trial(start: Fit, selection: Selection, max_evaluations: int | None) -> Fit:
@@ -71,6 +75,31 @@ def run_trial(start: Fit, selection: Selection, max_evaluations: int | None) -> 
         relative=COARSE_RELATIVE_TOLERANCE,
         max_evaluations=max_evaluations,
     )
+
+
+def best_trial(starts: Iterable[Fit], search: Callable[[Fit], Fit]) -> Fit | None:
+    """The search of least cost from several starts; None if the arm can be simulated at none."""
+    trials = []
+    for start in starts:
+        with suppress(NotIdentifiable):
+            trials.append(search(start))
+    return min(trials, key=lambda trial: trial.cost, default=None)
+
+
+def revise(
+    fit: Fit,
+    change: Callable[[Fit], Fit | None],
+    search: Callable[[Fit, WholeArmOptions], Fit],
+    selection: Selection,
+) -> Fit:
+    """Search from each change of the model until `change` finds none.
+
+    `change` tests unknowns and returns the start with those that the data support, or without one
+    that they do not support.
+    """
+    while (start := change(fit)) is not None:
+        fit = search(start, selection.options)
+    return fit
 
 
 def refit_without(values: Mapping[Key, float], fit: Fit, selection: Selection) -> Fit:

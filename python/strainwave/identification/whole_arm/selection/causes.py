@@ -8,20 +8,14 @@ predict about as well as the one that is handed over remain plausible, and enter
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from strainwave.domain import (
-    WHOLE_ARM_FIT,
-    Cause,
-    Clause,
-    Diagnostic,
-    Parameter,
     ParameterShift,
-    Place,
     WholeArmOptions,
 )
 from strainwave.domain.arm_model import MAX_RESIDUAL_NOISE
@@ -32,7 +26,6 @@ from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import base_name
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
-from strainwave.identification.whole_arm.inference.bounds import at_bounds
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.inference.held_out import held_out_scores, simplest_model
 from strainwave.identification.whole_arm.inference.parameter_estimates import (
@@ -48,7 +41,6 @@ from strainwave.identification.whole_arm.inference.score_tests import (
     score_tests_of,
     shifts,
 )
-from strainwave.identification.whole_arm.problem.arm_unknowns import replace_stiffness
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     NamedEffect,
     add_effects,
@@ -57,6 +49,7 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     whole_inertia_of,
     with_effects,
 )
+from strainwave.identification.whole_arm.problem.starting_values import replace_stiffness
 from strainwave.identification.whole_arm.records.loads import Loads, gear_torques, loads_of
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search, polish, search_minimum
@@ -74,7 +67,6 @@ MAX_OTHER_EFFECTS = 4  # fitted effects of the same joint if the rivals explain 
 MAX_LINEARISED_EFFECTS = 6  # further effects, one step from the fit
 MIN_EXPLAINED_SHARE = 0.25  # of the cost; below, further effects of the joint are fitted
 MIN_RIVAL_GAIN_SHARE = 0.4  # of the best effect's linear gain
-MIN_LISTED_WEIGHT = 0.05  # of a plausible effect
 MAX_REFIT_EVALUATIONS = 20  # of each search; most converge in 4 to 9, added inertias in 15
 RIVAL_ROWS = 1_200_000
 """Budget of fits with one additional effect, in evaluated residual rows: 124 evaluations of a study
@@ -84,7 +76,6 @@ MIN_ACHIEVED_GAIN_SHARE = 0.5  # share of the linear gain below which a second s
 LARGE_PART = 1.0 / 3.0  # of a link's inertia, of a vibrating part of it
 MIN_REMAINING_COMPLIANCE = 0.3  # share of the gear; a slower part moves with its own spring only
 MAX_INCLUDED_EFFECTS = 4  # that the data select
-MAX_NAMED_PARAMETERS = 3  # in a warning, of the effect and of the arm
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +211,7 @@ def _include(fit: Fit, rival: Rival, selection: Selection) -> Fit | None:
     insignificant = insignificant_effects(
         extended.space, extended.z, confidence_of(extended).cautious
     )
-    bounded = zip(extended.space.keys, at_bounds(extended), strict=True)
+    bounded = zip(extended.space.keys, extended.at_bounds, strict=True)
     sizes = effect_named(name).sizes
     if rival.named_effect in insignificant or any(
         at and base_name(key[0]) in sizes and key[1] == joint for key, at in bounded
@@ -414,100 +405,5 @@ def _with_possible_effect(arm: Arm, one: NamedEffect) -> Arm:
     law = effect_named(effect).fitted_law
     if law:
         return arm.with_joint(number, spring=law)
-    return arm.with_joints(
-        replace(joint, effects=tuple(dict.fromkeys((*joint.possible_effects, effect))))
-        if k == number
-        else joint
-        for k, joint in enumerate(arm.joints, start=1)
-    )
-
-
-def list_causes(comparison: ModelComparison, parameters: Sequence[Parameter]) -> Iterator[Cause]:
-    """The included effects with their `parameters` of the result, then the plausible ones."""
-    for rival in comparison.included:
-        yield _cause(rival, parameters, is_included=True)
-    for rival in comparison.rivals:
-        if rival.weight > MIN_LISTED_WEIGHT:
-            largest = gear_torques(rival.fit.objective.records, rival.fit.values).tolist()
-            yield _cause(rival, parameters_of(rival.fit, rival.arm, largest)[0], is_included=False)
-
-
-def _cause(rival: Rival, parameters: Sequence[Parameter], *, is_included: bool) -> Cause:
-    joint, name = rival.named_effect
-    law = effect_named(name).fitted_law
-    names = gear_law(law).names if law else effect_named(name).names
-    return Cause(
-        joint,
-        name,
-        tuple(p for p in parameters if p.joint == joint and base_name(p.name) in names),
-        rival.gain,
-        rival.share,
-        rival.shifts,
-        rival.weight,
-        is_included,
-        rival.is_linearised,
-    )
-
-
-def effect_warnings(causes: Sequence[Cause], comparison: ModelComparison) -> Iterator[Diagnostic]:
-    """Warn about included effects, the most likely plausible one, and those without a fit."""
-    for cause in causes:
-        if cause.is_included:
-            effect = effect_named(cause.effect)
-            yield Diagnostic(
-                "effect-taken-up",
-                Place(joint=cause.joint),
-                effect=effect.name,
-                description=effect.description,
-                consequence=effect.consequence,
-                sizes=tuple(_sizes(cause.parameters)),
-                changes=_changes(cause.shifts),
-                experiment=effect.experiment,
-            )
-    yield from warn_likely_cause([cause for cause in causes if not cause.is_included])
-    if comparison.excluded:
-        effects = tuple(Clause("of-joint", name=e, joint=j) for j, e in comparison.excluded)
-        evaluations = comparison.evaluations
-        yield Diagnostic(
-            "causes-not-fitted", WHOLE_ARM_FIT, effects=effects, evaluations=evaluations
-        )
-
-
-def warn_likely_cause(causes: Sequence[Cause]) -> Iterator[Diagnostic]:
-    """Warn about the most likely effect that is not included, with its rivals."""
-    for cause in causes[:1]:
-        effect = effect_named(cause.effect)
-        rivals = tuple(Clause("of-joint", name=c.effect, joint=c.joint) for c in causes[1:])
-        clause = Clause(
-            "effect-likely",
-            effect=cause.effect,
-            setting=effect.setting,
-            share=cause.share,
-            sizes=tuple(_sizes(cause.parameters)),
-            changes=_changes(cause.shifts) if cause.shifts else None,
-            rivals=Clause("rivals", effects=rivals) if rivals else None,
-            experiment=effect.experiment,
-        )
-        yield Diagnostic.of(effect.warning_code, Place(joint=cause.joint), clause)
-
-
-def _sizes(parameters: Sequence[Parameter]) -> Iterator[Clause]:
-    """The parameters of an effect."""
-    estimates = [p for p in parameters if p.value is not None and p.std is not None]
-    for p in estimates[:MAX_NAMED_PARAMETERS]:
-        template = "effect-size" if p.unit else "effect-size/no-unit"
-        yield Clause(template, name=p.name, value=p.value, std=p.std, unit=p.unit)
-
-
-def _changes(shifts: Sequence[ParameterShift]) -> Clause:
-    """The parameters that an effect changes most."""
-    listed = tuple(
-        Clause(
-            "shift",
-            parameter=Place(joint=shift.joint, parameter=shift.name),
-            change=shift.shift / shift.without,
-        )
-        for shift in shifts[:MAX_NAMED_PARAMETERS]
-        if shift.without
-    )
-    return Clause("changes", shifts=listed)
+    possible = arm.joints[number - 1].possible_effects
+    return arm.with_joint(number, effects=tuple(dict.fromkeys((*possible, effect))))

@@ -15,12 +15,7 @@ from strainwave.domain import FloatArray
 from strainwave.domain.parameter_table import SETTLING
 from strainwave.domain.ranges import physical_range
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.identification.whole_arm.inference.bounds import at_bounds
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
-from strainwave.identification.whole_arm.problem.arm_unknowns import (
-    SETTLING_START,
-    add_settling_unknowns,
-)
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     add_effects,
     insignificant_effects,
@@ -32,8 +27,11 @@ from strainwave.identification.whole_arm.problem.objective import (
     ROUGH_INITIAL_STATE_TOLERANCE,
     Objective,
 )
-from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
-from strainwave.identification.whole_arm.problem.prior import Prior
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Prior
+from strainwave.identification.whole_arm.problem.starting_values import (
+    SETTLING_START,
+    add_settling_unknowns,
+)
 from strainwave.identification.whole_arm.records.loads import loads_of
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import (
@@ -46,6 +44,7 @@ from strainwave.identification.whole_arm.selection.candidate import (
     MIN_SIGNIFICANCE_STDS,
     Selection,
     refit_without,
+    revise,
     run_trial,
     select_better,
 )
@@ -95,12 +94,14 @@ def remove_insignificant_effects(fit: Fit, selection: Selection) -> Fit:
     arm = selection.arm
     if not named_effects(arm):
         return fit
-    while effects := set(insignificant_effects(fit.space, fit.z, confidence_of(fit).cautious)):
+
+    def reduce(fit: Fit) -> Fit | None:
+        effects = set(insignificant_effects(fit.space, fit.z, confidence_of(fit).cautious))
         space = remove_effects(fit.space, effects, arm)
         objective = with_effects(fit.objective, space, arm)
-        start = fit.restart(objective, space.coordinates(fit.values))
-        fit = fine_search(start, selection.options)
-    return fit
+        return fit.restart(objective, space.coordinates(fit.values)) if effects else None
+
+    return revise(fit, reduce, fine_search, selection)
 
 
 def add_settling_times(fit: Fit, selection: Selection) -> Fit:
@@ -109,7 +110,7 @@ def add_settling_times(fit: Fit, selection: Selection) -> Fit:
     Keeps them if the options require them or the cost decreases significantly.
     """
     required = selection.options.settling
-    if required is False or selection.has_ended(fit):
+    if required is False or selection.is_budget_exhausted(fit):
         return fit
     space = add_settling_unknowns(fit.space)
     starts = {key: SETTLING_START for key in space.keys if key[0] == SETTLING}
@@ -141,7 +142,7 @@ def add_significant_initial_motion(fit: Fit, selection: Selection) -> Fit:
 
     Returns the fit itself if no such record exists or no evaluations are left.
     """
-    if selection.has_ended(fit):
+    if selection.is_budget_exhausted(fit):
         return fit
     objective = add_initial_states(fit.objective, fit.z)
     if objective is fit.objective:
@@ -197,7 +198,7 @@ def extend_ranges(fit: Fit, selection: Selection) -> Fit:
     """The fine fit with frictions and dampings at the end of their range centred in a new one."""
     bounded = [
         k
-        for k, (unknown, at) in enumerate(zip(fit.space.unknowns, at_bounds(fit), strict=True))
+        for k, (unknown, at) in enumerate(zip(fit.space.unknowns, fit.at_bounds, strict=True))
         if at
         and not unknown.signed
         and unknown.limits is None

@@ -23,9 +23,9 @@ from strainwave.identification.whole_arm.inference.covariance import confidence_
 from strainwave.identification.whole_arm.inference.held_out import held_out_scores, simplest_model
 from strainwave.identification.whole_arm.inference.parameter_estimates import identified_curves
 from strainwave.identification.whole_arm.inference.score_tests import TestedEffect, curve_tests_of
-from strainwave.identification.whole_arm.problem.arm_unknowns import replace_stiffness
 from strainwave.identification.whole_arm.problem.effect_unknowns import with_effects
-from strainwave.identification.whole_arm.problem.restrictions import limit_unknown
+from strainwave.identification.whole_arm.problem.parameter_space import limit_unknown
+from strainwave.identification.whole_arm.problem.starting_values import replace_stiffness
 from strainwave.identification.whole_arm.records.loads import gear_torques
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search, resumed_coarse_search
@@ -60,7 +60,7 @@ def select_gear_laws(fit: Fit, selection: Selection) -> Fit:
     if not free:
         return fit
     trials = _LawTrials(fit, selection)
-    while free and not selection.has_ended(fit):
+    while free and not selection.is_budget_exhausted(fit):
         tested = curve_tests_of(fit, selection.arm, free)
         for one in tested:
             joint = one.named_effect[0]
@@ -222,7 +222,7 @@ def restart_coarse_fit(fit: Fit, selection: Selection) -> Fit:
         values = fit.values
         largest = gear_torques(fit.objective.records, values)[number - 1]
         for start in alternative_curves(law, values, number, largest):
-            if selection.has_ended(fit):
+            if selection.is_budget_exhausted(fit):
                 return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
             z = fit.space.coordinates(start)
             try:

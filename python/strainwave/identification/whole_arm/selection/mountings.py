@@ -1,17 +1,23 @@
-"""Starting values of unknown sensor mountings from a simulated arm.
+"""Mountings of link sensors: place and attitude, and the resonance of the mount.
 
 The slow part of a record determines a mounting only as far as the links turn. The simulated link
 motion of an approximate arm extends the regression of the sensor readings up to the cut-off.
+
+A mount resonance changes only the channels of its sensor. A resonance of the arm also moves the
+motor and is left to the effects. The model therefore includes a mount resonance only if its fit
+reduces the residuals of its sensor strongly and increases those of other channels hardly.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from strainwave.domain import WholeArmOptions
+from strainwave.domain import FloatArray, WholeArmOptions
+from strainwave.domain.distributions import chi_square_limit
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import SensorAxis, unknowns_of
 from strainwave.domain.link_sensors.imu import (
@@ -21,19 +27,25 @@ from strainwave.domain.link_sensors.imu import (
 )
 from strainwave.domain.link_sensors.single_axis import ACCELEROMETER_DISTANCE, Accelerometer
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import MountResonance
 from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.identification.whole_arm.inference.residual_analysis import channels_above_noise
+from strainwave.identification.whole_arm.problem.parameter_space import is_held
+from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import (
+    COARSE_TOLERANCE,
+    fine_search,
     refine,
     resumed_coarse_search,
     search_minimum,
 )
-from strainwave.identification.whole_arm.selection.candidate import Selection
+from strainwave.identification.whole_arm.selection.candidate import Selection, best_trial, revise
 from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
 from strainwave.signals.imu_attitude import imu_candidates, mirror_mounting
 from strainwave.signals.mounting_start import distance_of
 
-_MAX_STARTS = 3  # mountings of least cost that start a short search
+_MAX_STARTS = 3  # mountings of least cost, or mounts, that start a short search
 _MAX_PLANAR_STARTS = 2  # the same of mountings in the plane of motion
 _MAX_SEARCH_EVALUATIONS = 12  # maximum evaluations of a short search
 _MIN_TILT_SIGNIFICANCE = 4.0  # standard deviations from which a tilt is significant
@@ -103,8 +115,12 @@ def _rank(starts: Iterable[Fit]) -> list[Fit]:
     return [start for start, _ in sorted(costs, key=lambda one: one[1])]
 
 
-def _search_briefly(start: Fit, options: WholeArmOptions) -> Fit:
-    return search_minimum(start, options, max_evaluations=_MAX_SEARCH_EVALUATIONS)
+def _search_briefly(
+    start: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERANCE
+) -> Fit:
+    return search_minimum(
+        start, options, tolerance=tolerance, max_evaluations=_MAX_SEARCH_EVALUATIONS
+    )
 
 
 def _is_in_plane(fit: Fit, joint: int) -> bool:
@@ -122,7 +138,7 @@ def improve_mountings(fit: Fit, selection: Selection) -> Fit:
     for joint in range(1, arm.n_joints + 1):
         axes, rotation = _axes_on(fit, joint), (IMU_ROTATION[2], joint)
         has_attitude = rotation in fit.space.keys and rotation in unknowns_of(axes)
-        if not has_attitude or selection.has_ended(fit):
+        if not has_attitude or selection.is_budget_exhausted(fit):
             continue
         mountings = _simulated_attitudes(fit, axes, flat=_is_in_plane(fit, joint))
         for start in _rank(_with_mounting(fit, one) for one in mountings)[:_MAX_STARTS]:
@@ -152,13 +168,12 @@ def add_significant_tilts(fit: Fit, selection: Selection) -> Fit:
         if not _is_in_plane(fit, joint) or not axes[0].space.has_varying_force:
             continue
         tilts: list[Key] = [(name, joint) for name in IMU_ROTATION[:2]]
-        trials = []
-        for side in (1.0, -1.0):
-            starts = {tilts[0]: _START_TILT, tilts[1]: side * _START_TILT}
-            space = add_sensor_constants(fit.space, tilts, starts)
-            trials.append(_search_briefly(fit.with_unknowns(space, starts), options))
-        best = min(trials, key=lambda one: one.cost)
-        if fit.cost - best.cost > _MIN_TILT_SIGNIFICANCE**2:
+        tilted = [{tilts[0]: _START_TILT, tilts[1]: side * _START_TILT} for side in (1.0, -1.0)]
+        starts = (
+            fit.with_unknowns(add_sensor_constants(fit.space, tilts, one), one) for one in tilted
+        )
+        best = best_trial(starts, partial(_search_briefly, options=options))
+        if best is not None and fit.cost - best.cost > _MIN_TILT_SIGNIFICANCE**2:
             fit = refine(best, options)
     return fit
 
@@ -189,3 +204,128 @@ def _simulated_attitudes(
     if axes[0].space.axis is None:
         return mountings
     return mountings + [mirror_mounting(one, axes[0]) for one in mountings]
+
+
+# natural frequencies [Hz] of the tested mounts
+_TESTED_FREQUENCIES_HZ = (30.0, 37.0, 45.0, 55.0, 67.0, 82.0, 100.0, 122.0, 150.0, 183.0, 223.0)
+_TESTED_DAMPING_RATIOS = (0.05, 0.12)  # damping ratios of the tested mounts, at each frequency
+_MAX_BAND_RATIO = 2.0  # maximum frequency over the cut-off; beyond, at most 1/4 change in the band
+_FALSE_ALARM_PROBABILITY = 1e-4  # false alarm probability over all tested mounts
+# minimum cost reduction of a linear step, as a share of the sensor's cost
+_MIN_LINEAR_COST_SHARE = 0.1
+_TRIAL_TOLERANCE = 0.1  # predicted cost reduction at which a trial ends
+_MAX_REMAINING_COST_SHARE = 0.3  # maximum cost of the sensor after the fit, relative to that before
+_MAX_SPILLOVER_SHARE = 0.2  # maximum cost increase of other channels, relative to the reduction
+
+Names = tuple[Key, Key]
+"""Keys of the frequency and the damping ratio of a sensor's mount."""
+
+Mounts = dict[Names, list[MountResonance]]
+
+
+def add_mount_resonances(fit: Fit, selection: Selection) -> Fit:
+    """Add mount resonances one by one, the most significant first.
+
+    Returns the fit itself if no sensor has residuals above its noise.
+    """
+    max_iterations = selection.options.max_iterations
+
+    def extend(fit: Fit) -> Fit | None:
+        """The fit with the most significant acceptable mount."""
+        if fit.iterations >= max_iterations:
+            return None
+        for names, mounts in _significant_mounts(fit, selection).items():
+            trial = _fit_mount(fit, names, mounts, selection.options)
+            if trial is not None and _is_acceptable(fit, trial, names):
+                selection.allow(selection.options.max_iterations + trial.iterations)
+                return replace(trial, iterations=fit.iterations + trial.iterations)
+        return None
+
+    return revise(fit, extend, fine_search, selection)
+
+
+def _significant_mounts(fit: Fit, selection: Selection) -> Mounts:
+    """Mounts with significant score tests, by sensor, the most significant first."""
+    tested = _mounts_to_test(fit, selection)
+    n = sum(map(len, tested.values()))
+    if not n:
+        return {}
+    objective, values = fit.objective.lengthen_steps(fit.z), fit.values
+
+    def columns(k: int, _: Evaluation) -> FloatArray:
+        return objective.records[k].mount_tangent(values, objective.initial_states(k), tested)
+
+    projected, target = objective.project_columns(fit.z, n, columns)
+    square = np.sum(projected**2, axis=0)
+    gains = np.where(projected.T @ target < 0.0, (projected.T @ target) ** 2, 0.0)
+    gains /= np.where(square > 0.0, square, np.inf)
+    gain, limit = iter(gains.tolist()), chi_square_limit(_FALSE_ALARM_PROBABILITY / n, 1)
+    significant: list[tuple[float, Names, list[MountResonance]]] = []
+    for names, mounts in tested.items():
+        ranked = sorted(((next(gain), mount) for mount in mounts), key=lambda one: -one[0])
+        threshold = max(limit, _MIN_LINEAR_COST_SHARE * _split_cost(fit, names)[0])
+        if ranked[0][0] > threshold:
+            significant.append((ranked[0][0], names, [mount for _, mount in ranked[:_MAX_STARTS]]))
+    significant.sort(key=lambda one: -one[0])
+    return {names: mounts for _, names, mounts in significant}
+
+
+def _mounts_to_test(fit: Fit, selection: Selection) -> Mounts:
+    """Mounts to test: of sensors with residuals above noise and without a mount resonance."""
+    objective, mounts = fit.objective, Mounts()
+    limit_hz = _MAX_BAND_RATIO * max(record.cutoff_hz for record in objective.records)
+    present = objective.space.keys
+    candidates = [
+        MountResonance(f, d)
+        for f in _TESTED_FREQUENCIES_HZ
+        if f < limit_hz
+        for d in _TESTED_DAMPING_RATIOS
+    ]
+    for record, beyond in zip(
+        objective.records, channels_above_noise(objective, fit.z), strict=True
+    ):
+        for channel, exceeds_noise in zip(record.channels, beyond.tolist(), strict=True):
+            names = channel.mount
+            if not exceeds_noise or names is None or names[0] in present:
+                continue
+            if not any(is_held(key, selection.options) for key in names):
+                mounts[names] = candidates
+    return mounts
+
+
+def _fit_mount(
+    fit: Fit, names: Names, mounts: Sequence[MountResonance], options: WholeArmOptions
+) -> Fit | None:
+    """Best of short searches with a mount as additional unknowns, from several starts.
+
+    Their evaluations count from zero.
+    """
+    fits = []
+    for mount in mounts:
+        starts = dict(zip(names, (mount.frequency, mount.damping), strict=True))
+        space = add_sensor_constants(fit.space, list(starts), starts)
+        fits.append(replace(fit.with_unknowns(space, starts), iterations=0))
+    return best_trial(fits, partial(_search_briefly, options=options, tolerance=_TRIAL_TOLERANCE))
+
+
+def _is_acceptable(before: Fit, after: Fit, names: Names) -> bool:
+    """Whether a mount explains the residuals of its sensor without increasing others much."""
+    (cost_before, others_before), (cost_after, others_after) = (
+        _split_cost(fit, names) for fit in (before, after)
+    )
+    return (
+        cost_after < _MAX_REMAINING_COST_SHARE * cost_before
+        and others_after - others_before < _MAX_SPILLOVER_SHARE * (cost_before - cost_after)
+    )
+
+
+def _split_cost(fit: Fit, names: Names) -> tuple[float, float]:
+    """Cost of the channels of the mount's sensor, and of all other channels."""
+    costs = np.zeros(2)
+    objective = fit.objective
+    evaluated = zip(objective.records, objective.weights, objective.rows(fit.z), strict=True)
+    for record, weights, rows in evaluated:
+        for channel, cost in zip(record.channels, rows.costs(weights), strict=True):
+            costs[0 if channel.mount == names else 1] += cost
+    sensor_cost, others = costs.tolist()
+    return sensor_cost, others

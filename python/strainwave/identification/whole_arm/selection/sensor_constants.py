@@ -29,12 +29,15 @@ from strainwave.domain.parameter_table import record_of
 from strainwave.dynamics.link_sensors import MAX_SCALE_ERROR, MAX_SENSOR_DELAY
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.problem.effect_unknowns import update_prior_trust
-from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
-from strainwave.identification.whole_arm.problem.restrictions import is_held
+from strainwave.identification.whole_arm.problem.parameter_space import (
+    ParameterSpace,
+    Unknown,
+    is_held,
+)
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import refine, resumed_coarse_search
-from strainwave.identification.whole_arm.selection.candidate import Selection
+from strainwave.identification.whole_arm.selection.candidate import Selection, revise
 from strainwave.numerics.spectra import estimate_rows_per_error
 
 # standard deviations from which a constant joins: no false alarm in 8 candidates
@@ -107,9 +110,7 @@ def add_sensor_bandwidths(fit: Fit, selection: Selection, *, coarse: bool) -> Fi
     The starting values attribute half of each delay to the low-pass. `coarse` selects the search
     that follows.
     """
-    options = selection.options
-    space = fit.space
-    values, starts = space.values(fit.z), {}
+    options, values, starts = selection.options, fit.values, Values()
     for delay, bandwidth in _delayed_sensors(fit):
         lag = values[delay]
         if (
@@ -119,9 +120,9 @@ def add_sensor_bandwidths(fit: Fit, selection: Selection, *, coarse: bool) -> Fi
         ):
             starts[bandwidth] = np.sqrt(2.0) / (2.0 * np.pi * _LOW_PASS_DELAY_SHARE * lag)
             values[delay] = (1.0 - _LOW_PASS_DELAY_SHARE) * lag
-    if not starts or fit.iterations >= options.max_iterations:
+    if not starts or selection.is_budget_exhausted(fit):
         return fit
-    extended = add_sensor_constants(space, list(starts), starts)
+    extended = add_sensor_constants(fit.space, list(starts), starts)
     search = resumed_coarse_search if coarse else refine
     return search(fit.with_unknowns(extended, values | starts), options)
 
@@ -142,27 +143,29 @@ def add_significant_sensor_constants(fit: Fit, selection: Selection, *, coarse: 
 
     `coarse` selects the search that follows and raises the required cost reduction.
     """
-    options = selection.options
-    while fit.iterations < options.max_iterations:
-        estimates = _significant_constants(
-            fit, options, _MIN_COARSE_COST_SHARE * fit.cost if coarse else 0.0
-        )
-        estimates |= _significant_drifts(fit, options)
-        if not estimates:
-            break
+
+    def extend(fit: Fit) -> Fit | None:
+        if selection.is_budget_exhausted(fit):
+            return None
+        min_gain = _MIN_COARSE_COST_SHARE * fit.cost if coarse else 0.0
+        estimates = _significant_constants(fit, selection.options, min_gain)
+        estimates |= _significant_drifts(fit, selection.options)
         space = add_sensor_constants(fit.space, list(estimates))
         space = update_prior_trust(space, selection.arm)
-        search = resumed_coarse_search if coarse else refine
-        fit = search(fit.with_unknowns(space, estimates), options)
-    return fit
+        return fit.with_unknowns(space, estimates) if estimates else None
+
+    return revise(fit, extend, resumed_coarse_search if coarse else refine, selection)
 
 
 def remove_insignificant_sensor_constants(fit: Fit, selection: Selection) -> Fit:
     """Remove sensor constants that are not significant, one by one."""
-    while insignificant := _least_significant(fit):
+
+    def reduce(fit: Fit) -> Fit | None:
+        insignificant = _least_significant(fit)
         space = update_prior_trust(fit.space.fix_values(insignificant), selection.arm)
-        fit = refine(fit.with_unknowns(space), selection.options)
-    return fit
+        return fit.with_unknowns(space) if insignificant else None
+
+    return revise(fit, reduce, refine, selection)
 
 
 def _least_significant(fit: Fit) -> dict[Key, float]:
@@ -280,7 +283,7 @@ def _significant_drifts(fit: Fit, options: WholeArmOptions) -> dict[Key, float]:
         time = record.since_middle
         for channel, residual in zip(record.channels, rows.errors.T, strict=True):
             key = channel.key(ConstantKind.DRIFT, record.log.name)
-            if key is None or not channel.shifted or key in objective.space.keys:
+            if key is None or not channel.sensor.has_bias or key in objective.space.keys:
                 continue
             if is_held(key, options):
                 continue
