@@ -81,9 +81,6 @@ from strainwave.domain.options import RigidOptions as RigidOptions
 from strainwave.domain.options import Stage as Stage
 from strainwave.domain.options import WholeArmOptions as WholeArmOptions
 from strainwave.domain.parameter_table import ParameterDescription as ParameterDescription
-from strainwave.domain.ranges import ImplausibleJoint as ImplausibleJoint
-from strainwave.domain.ranges import PlausibleRange as PlausibleRange
-from strainwave.domain.ranges import SizedValue as SizedValue
 from strainwave.domain.ranges import is_physical as is_physical
 from strainwave.domain.ranges import physical_range as physical_range
 from strainwave.domain.signals import Activity as Activity

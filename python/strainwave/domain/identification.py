@@ -11,7 +11,7 @@ from strainwave.domain.estimates import Diagnostic, Parameter
 from strainwave.domain.final_table import Decision, decide
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.messages import Clause, Place, merge_clauses
-from strainwave.domain.ranges import implausible_joints
+from strainwave.domain.ranges import size_warnings
 from strainwave.domain.stage_results import StageResults
 from strainwave.domain.verdict import (
     MIN_STIFFNESS_EFFECT,
@@ -42,8 +42,7 @@ def published_warnings(
         if not any(map(math.isfinite, fits.values())):  # it has no fit in any check record
             places = tuple(map(Place.in_records, fits))
             warnings.append(Diagnostic("nothing-to-predict", places, "rest", channel=channel))
-    for size in implausible_joints(results.study.arm, [d.parameter for d in decisions]):
-        warnings.append(size.warning)
+    warnings += size_warnings(results.study.arm, [d.parameter for d in decisions])
     if results.whole_arm is not None and not verdict.validated.elastic and not defects:
         warnings.append(missing_validation(results))
     return merge_by_cause(dict.fromkeys(warnings))

@@ -18,7 +18,7 @@ from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.keys import Key, grouped_labels
 from strainwave.domain.messages import Clause, Place, text_of
 from strainwave.domain.options import Stage
-from strainwave.domain.ranges import implausible_joints
+from strainwave.domain.ranges import size_warnings
 from strainwave.domain.stage_results import StageResults
 
 _MAX_LISTED_CAUSES = 3  # in a reason
@@ -131,9 +131,8 @@ def _failure_reasons(
     yield from _missing_stages(results, stages)
     for defect in model_defects(results):
         yield Clause("defect", places=defect.places, defect=defect.clause)
-    parameters = [decision.parameter for decision in decisions]
-    sizes = implausible_joints(results.study.arm, parameters)
-    yield from (size.warning.clause for size in sizes)
+    sizes = size_warnings(results.study.arm, [decision.parameter for decision in decisions])
+    yield from (warning.clause for warning in sizes)
     for test in results.whole_arm.contradictions if results.whole_arm else ():
         size, causes = test.deviations, _likely_causes(results.whole_arm)
         yield Clause("disagreement", deviations=size, subject=test.subject, causes=causes)

@@ -31,15 +31,14 @@ from strainwave.export.completion import (
     gravity_warnings,
     link_bodies,
 )
-from strainwave.export.coordinates import Coordinates, coordinates_of
+from strainwave.export.linear_arm import Coordinates, coordinates_of
 from strainwave.export.omissions import (
     LINEAR,
     SENSORS,
-    comment,
+    comment_text,
     numbers,
     omission_note,
-    root,
-    to_bytes,
+    sentence_of,
 )
 from strainwave.export.source import Export, IdentifiedArm
 
@@ -66,15 +65,18 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     gravity = effective_gravity(arm)
     bodies = link_bodies(arm, gravity)
     coordinates = coordinates_of(arm.study.arm)
-    mujoco = root("mujoco", "model", notes)
+    mujoco = ET.Element("mujoco", model="arm")
+    origin = "Identified by strainwave. SI units, angles in rad."
+    for text in (origin, *map(sentence_of, notes)):
+        _comment(mujoco, text)
     ET.SubElement(mujoco, "compiler", angle="radian", eulerseq="XYZ")  # as rpy in URDF
     note = kind_of(arm.study.arm).gravity_note
     if gravity and note:
-        comment(mujoco, f"Gravity is {note}, which gives the measured gravity torques.")
+        _comment(mujoco, f"Gravity is {note}, which gives the measured gravity torques.")
     option = ET.SubElement(mujoco, "option", timestep=numbers(_STEP_S), integrator="RK4")
     option.set("gravity", numbers(*(chain_of(arm, gravity).gravity or (0.0, 0.0, 0.0))))
     world = ET.SubElement(mujoco, "worldbody")
-    comment(world, "One of many sets of masses with the same motion; see docs/export.md.")
+    _comment(world, "One of many sets of masses with the same motion; see docs/export.md.")
     parent = world
     for number, body in enumerate(bodies, start=1):
         parent = _link(parent, arm, number, body, coordinates)
@@ -96,11 +98,17 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
         _actuator(actuators, arm, number, is_shared=number in shared)
     sensors = ET.SubElement(mujoco, "sensor")
     names = "Named as channels: a is the second component, gyro the third, imu_a is ax, ay, az."
-    comment(sensors, names)
+    _comment(sensors, names)
     for number in numbers_of_joints:
         _sensors(sensors, arm, number, is_shared=number in shared)
     warnings = arm.assumed() + _approximations(arm)
-    return Export(to_bytes(mujoco), warnings + gravity_warnings(arm), notes)
+    ET.indent(mujoco)
+    data: bytes = ET.tostring(mujoco, encoding="utf-8", xml_declaration=True)
+    return Export(data + b"\n", warnings + gravity_warnings(arm), notes)
+
+
+def _comment(parent: ET.Element, text: str) -> None:
+    parent.append(ET.Comment(f" {comment_text(text)} "))
 
 
 def _terms(
