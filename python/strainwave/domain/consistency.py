@@ -116,7 +116,13 @@ def steps_of(study: Study, corrections: Sequence[Correction]) -> tuple[Clause, .
 def _step(after: Study, correction: Correction) -> Clause:
     entry, key, value = correction.entry, correction.key, correction.value
     if correction.table == "channels":
-        return Clause("step/channel", line=channel_line(after, entry))
+        channel = after.channels.get(entry) or Channel(entry)
+        scale = f", scale = {channel.scale:.7g}" if channel.scale != 1.0 else ""
+        offset = f", offset = {channel.offset:.7g}" if channel.offset else ""
+        meaning = f', meaning = "{channel.meaning}"' if channel.meaning != "motor" else ""
+        column, rest = f'"{channel.column}"', f"{scale}{offset}{meaning}"
+        source = f"{{ column = {column}{rest} }}" if rest else column
+        return Clause("step/channel", line=f"channels.{entry} = {source}")
     if correction.table == "log":
         change = correction.number
         side = "earlier" if change > 0.0 else "later"
@@ -137,17 +143,6 @@ def _list_text(value: tuple[float, ...] | Matrix) -> str:
     """A vector or a matrix as a TOML value."""
     entries = (f"{e:.5g}" if isinstance(e, float | int) else _list_text(e) for e in value)
     return f"[{', '.join(entries)}]"
-
-
-def channel_line(study: Study, name: str) -> str:
-    """Line of a channel in [channels]."""
-    channel = study.channels.get(name) or Channel(name)
-    scale = f", scale = {channel.scale:.7g}" if channel.scale != 1.0 else ""
-    offset = f", offset = {channel.offset:.7g}" if channel.offset else ""
-    meaning = f', meaning = "{channel.meaning}"' if channel.meaning != "motor" else ""
-    if not scale and not offset and not meaning:
-        return f'channels.{name} = "{channel.column}"'
-    return f'channels.{name} = {{ column = "{channel.column}"{scale}{offset}{meaning} }}'
 
 
 Bound = Literal["equal", "least", "most"]

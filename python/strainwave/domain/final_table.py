@@ -7,7 +7,7 @@ value is rejected if the input contradicts it, or if it is impossible beyond its
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from strainwave.domain.arm import ArmDescription
@@ -96,9 +96,8 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
     table: _Table = {}
     if rigid is not None:
         further = [p for term in rigid.friction_terms for p in term.parameters]
-        table = {p.key: Decision(p) for p in (*rigid.parameters, *further)}
-    if first_affected <= _RIGID:
-        table = _reject_all(table.values(), _FAULT_REASON)
+        reason = _FAULT_REASON if first_affected <= _RIGID else None
+        table = {p.key: Decision(p, rejected=reason) for p in (*rigid.parameters, *further)}
     accepted: list[JointModel] = []
     if first_affected <= _DECOUPLED:
         for p in (p for joint in results.joints for p in joint.parameters):
@@ -159,10 +158,6 @@ def first_affected_stage(suspicion: Suspicion, study: Study) -> int:
     return max(channel_stage, min(record_stages, default=_RIGID))
 
 
-def _reject_all(entries: Iterable[Decision], reason: Clause) -> _Table:
-    return {e.parameter.key: e.reject(reason) for e in entries}
-
-
 def _enter_whole_arm(table: _Table, whole_arm: ArmModel, first_affected: int) -> None:
     """Enter the estimates of the whole-arm fit, identified or not, into the table.
 
@@ -178,7 +173,7 @@ def _enter_whole_arm(table: _Table, whole_arm: ArmModel, first_affected: int) ->
         reason = Clause("reason/at-bound", value=p.value or 0.0, unit=p.unit)
         table[p.key] = Decision(p, rejected=reason if p.key in bounded else None)
     if whole_arm.contradictions:
-        table.update(_reject_all(table.values(), _CONTRADICTION_REASON))
+        table.update({key: row.reject(_CONTRADICTION_REASON) for key, row in table.items()})
 
 
 def _at_zero_angles(model: JointModel, table: _Table, arm: ArmDescription) -> JointModel:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from strainwave.domain.arm_model import ArmModel, ResidualTest
+from strainwave.domain.arm_model import ArmModel
 from strainwave.domain.base_parameters import base_parameters
 from strainwave.domain.combinations import is_uncoupled, viscous_friction
 from strainwave.domain.consistency import Suspicion
@@ -248,9 +248,17 @@ def model_defects(results: StageResults) -> Iterator[Diagnostic]:
                 fit=float(fits[worst]),
                 ratio=float(check.unexplained[worst]),
             )
-    worst_residual = _worst_residual(results)
-    if worst_residual is not None:
-        ratio, test = worst_residual
+    fit = results.whole_arm
+    if fit is None or fit.criticism is None:
+        return
+    residuals = []
+    for test in fit.criticism.residuals:
+        percent = fit.fit_percent.get(test.experiment, {}).get(test.channel, math.nan)
+        relative_residual = 1.0 - 0.01 * percent
+        if relative_residual > MAX_RELATIVE_RESIDUAL and test.is_far_above_noise:
+            residuals.append((relative_residual, test))
+    if residuals:
+        ratio, test = max(residuals, key=lambda residual: residual[0])
         yield Diagnostic(
             "not-described",
             Place.in_records(test.experiment),
@@ -259,16 +267,3 @@ def model_defects(results: StageResults) -> Iterator[Diagnostic]:
             share=ratio,
             advice=_likely_causes(results.whole_arm),
         )
-
-
-def _worst_residual(results: StageResults) -> tuple[float, ResidualTest] | None:
-    """Largest residual far above the noise, relative to the signal; None without one."""
-    if results.whole_arm is None or results.whole_arm.criticism is None:
-        return None
-    candidates = []
-    for test in results.whole_arm.criticism.residuals:
-        fit = results.whole_arm.fit_percent.get(test.experiment, {}).get(test.channel, math.nan)
-        relative_residual = 1.0 - 0.01 * fit
-        if relative_residual > MAX_RELATIVE_RESIDUAL and test.is_far_above_noise:
-            candidates.append((relative_residual, test))
-    return max(candidates, key=lambda candidate: candidate[0], default=None)

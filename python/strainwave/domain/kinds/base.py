@@ -196,21 +196,13 @@ class Kind(ABC, Generic[Table]):
     moments and inertias about the joint's frame.
     """
 
-    name: str
-    """Value of `kind` in a study file."""
-
-    max_joints: int = MAX_JOINTS
-    """Most joints of an arm of this kind."""
-
-    table: type[Table]
-    """Keys of `[arm]`, without `kind`."""
-
+    name: str  # value of `kind` in a study file
+    max_joints: int = MAX_JOINTS  # most joints of an arm of this kind
+    table: type[Table]  # keys of `[arm]`, without `kind`
+    # whether the kind places the joints; otherwise their tables or a URDF do, and motors may be
+    # coupled
     places_joints: bool = True
-    """Whether the kind places the joints; otherwise their tables or a URDF do, and motors may be
-    coupled."""
-
-    gravity_note: str = ""
-    """Formula of `effective_gravity`, if it is not the gravity of the study."""
+    gravity_note: str = ""  # formula of `effective_gravity`, if it is not the gravity of the study
 
     def faults(self, table: Table, joints: Sequence[Joint]) -> Iterator[Fault]:
         """Contradictions between the tables of a study file and this kind, most severe first."""
