@@ -50,6 +50,9 @@ from strainwave.domain.estimates import SearchEnd as SearchEnd
 from strainwave.domain.final_table import Decision as Decision
 from strainwave.domain.final_table import half_width as half_width
 from strainwave.domain.identification import Identification as Identification
+from strainwave.domain.identification import Status as Status
+from strainwave.domain.identification import Validation as Validation
+from strainwave.domain.identification import Verdict as Verdict
 from strainwave.domain.keys import BoolArray as BoolArray
 from strainwave.domain.keys import ComplexArray as ComplexArray
 from strainwave.domain.keys import FloatArray as FloatArray
@@ -116,6 +119,3 @@ from strainwave.domain.study import Use as Use
 from strainwave.domain.study import channel_kinds as channel_kinds
 from strainwave.domain.study import channel_names as channel_names
 from strainwave.domain.study import channel_parts as channel_parts
-from strainwave.domain.verdict import Status as Status
-from strainwave.domain.verdict import Validation as Validation
-from strainwave.domain.verdict import Verdict as Verdict
