@@ -54,11 +54,7 @@ _FIRST_ROWS = (
     "inertia",
     "motor_inertia",
     "link_inertia",
-    "motor_viscous_friction",
-    "link_viscous_friction",
-    "total_viscous_friction",
-    "motor_coulomb_friction",
-    "friction_offset",
+    *_FRICTIONS,
     "friction_settling_time",
 )
 """First rows of each joint in the table; the other parameters follow in the order of the core."""
