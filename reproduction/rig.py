@@ -44,7 +44,7 @@ from strainwave.identification.joint_model import from_state_space, identify_joi
 from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.signals import motor as signals
 from strainwave.signals.link_motion import prepare_link_signals
-from strainwave.virtual.records import STEP_HOLD, smooth_reference
+from strainwave.virtual.experiments import STEP_HOLD, smooth_reference
 from strainwave.virtual.scara import SOFT, BuiltInArm
 
 

@@ -38,8 +38,7 @@ from strainwave.io.logs import read_log
 from strainwave.io.study import read_study
 from strainwave.signals.recorded_input import recorded_drive
 from strainwave.virtual import scara
-from strainwave.virtual.experiments import derived, simulate_study
-from strainwave.virtual.records import Simulator
+from strainwave.virtual.experiments import Simulator, derived, simulate_study
 
 JOINT_NAMES = (
     "motor_inertia",

@@ -21,10 +21,10 @@ from strainwave.domain import Control, Joint, Prbs, Servo, Spring, Study
 from strainwave.domain.arm import NonNegative, Positive
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import planar_two_link
-from strainwave.domain.kinds.base import in_plane_gravity
+from strainwave.domain.kinds.planar import in_plane_gravity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
-from strainwave.virtual.records import Plan, default_plan
+from strainwave.virtual.experiments import Plan, default_plan
 
 GEAR_CATALOGUE = {
     # size: T1, T2 [N m]; K1, K2, K3 [10^4 N m/rad] at ratios of 80 and above; the same at 50

@@ -43,8 +43,7 @@ from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.logs import read_logs
 from strainwave.io.study.reader import Reader
 from strainwave.signals.hygiene import Kind
-from strainwave.virtual.experiments import derived
-from strainwave.virtual.records import record_experiment
+from strainwave.virtual.experiments import derived, record_experiment
 
 Share = Annotated[float, Ge(0.0), Le(1.0)]
 LinkSensors = Literal["accelerometer", "gyro", "accelerometer-and-gyro", "encoder", "none"]

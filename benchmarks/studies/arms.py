@@ -19,8 +19,7 @@ from strainwave.domain import Experiment, Prbs, Spring, Study
 from strainwave.domain.keys import Values
 from strainwave.dynamics.simulation import simulate
 from strainwave.virtual import scara
-from strainwave.virtual.experiments import simulate_study
-from strainwave.virtual.records import Simulator
+from strainwave.virtual.experiments import Simulator, simulate_study
 
 Work = Callable[[Path, Values], dict[str, Any]]
 Change = Callable[[Path, Rig], None]

@@ -26,8 +26,7 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.simulation import simulate
 from strainwave.io.study import read_study
 from strainwave.pipeline import identify
-from strainwave.virtual.experiments import derived
-from strainwave.virtual.records import Simulator
+from strainwave.virtual.experiments import Simulator, derived
 
 EXACT_STEP = 4e-6
 """Time step of the simulated logs [s].

@@ -47,8 +47,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise, simulate
 from strainwave.io.study import read_study
 from strainwave.pipeline import STAGES, identify
-from strainwave.virtual.experiments import derived, simulate_study
-from strainwave.virtual.records import Simulator
+from strainwave.virtual.experiments import Simulator, derived, simulate_study
 
 _MAX_STDS, _MAX_ERROR = 3.0, 0.05
 _COUNTS = (4096, 8192, 65536)  # of encoders, per motor turn

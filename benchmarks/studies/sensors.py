@@ -40,8 +40,7 @@ from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.io import logs
 from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import identify
-from strainwave.virtual.experiments import derived
-from strainwave.virtual.records import Simulator
+from strainwave.virtual.experiments import Simulator, derived
 
 LINKS: Mapping[str, tuple[str, ...]] = {
     "none": (),

@@ -20,7 +20,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.input_check import check_consistency
 from strainwave.io.logs import read_logs
-from strainwave.virtual.records import record_experiment
+from strainwave.virtual.experiments import record_experiment
 
 _SERIES = 7500  # of the catalogue
 _FIRST_MOTION_SEED = 500_000

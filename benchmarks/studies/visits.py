@@ -28,7 +28,7 @@ from strainwave.fleet.monitoring.comparison import DIFFERS, compare
 from strainwave.fleet.monitoring.result_estimates import ResultEstimates, estimates_of
 from strainwave.io.results import to_document
 from strainwave.pipeline import identify
-from strainwave.virtual.records import record_experiment
+from strainwave.virtual.experiments import record_experiment
 
 _SERIES = 9000  # of the catalogue
 _VERTICAL_EVERY = 3  # arms

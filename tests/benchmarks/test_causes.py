@@ -21,7 +21,7 @@ from benchmarks.studies.causes.tables import tables
 
 from strainwave.domain import FloatArray
 from strainwave.dynamics.arm import Arm
-from strainwave.virtual.records import Plan, Simulator
+from strainwave.virtual.experiments import Plan, Simulator
 
 SAMPLES = 400
 FINE_COUNTS = 1e12  # per motor turn, so that quantisation does not matter

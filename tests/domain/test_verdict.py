@@ -34,9 +34,8 @@ from strainwave.domain import (
     is_physical,
 )
 from strainwave.domain.arm import unit_of
-from strainwave.domain.identification import merge_by_cause
+from strainwave.domain.identification import merge_by_cause, model_defects
 from strainwave.domain.messages import Clause
-from strainwave.domain.verdict import model_defects
 from strainwave.virtual import scara
 from virtual_arms import rigid_drive, rigid_two_link
 

@@ -14,8 +14,7 @@ from strainwave.domain import FloatArray
 from strainwave.domain.arm import Matrix
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
-from strainwave.export.coordinates import coordinates_of
-from strainwave.export.linear_arm import linear_arm
+from strainwave.export.linear_arm import coordinates_of, linear_arm
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import IdentifiedArm
 from strainwave.export.state_space import state_space

@@ -7,9 +7,7 @@ import pytest
 
 from strainwave.domain import Control, Experiment, FloatArray, Joint, Log, Study
 from strainwave.domain.arm import ArmDescription, Origin
-from strainwave.domain.kinds.base import in_plane_gravity
-from strainwave.domain.kinds.planar_two_link import planar_two_link
-from strainwave.domain.kinds.single_joint import single_joint
+from strainwave.domain.kinds.planar import in_plane_gravity, planar_two_link, single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.input_check.evidence import collect_evidence
 from strainwave.input_check.sensors import regress_readings

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import ArmDescription, Experiment, FloatArray, Imu, Joint, Log, Origin
-from strainwave.domain.kinds.single_joint import single_joint
+from strainwave.domain.kinds.planar import single_joint
 from strainwave.domain.link_sensors.imu import ImuAccelerometers
 from strainwave.domain.link_sensors.link_space import link_space
 from strainwave.dynamics.arm import Arm

@@ -18,8 +18,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.problem.effect_unknowns import effects_among
 from strainwave.pipeline import identify
-from strainwave.virtual.experiments import derived
-from strainwave.virtual.records import Simulator, record_experiment
+from strainwave.virtual.experiments import Simulator, derived, record_experiment
 
 Engine = Literal["own", "mujoco"]
 

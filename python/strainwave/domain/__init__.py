@@ -50,6 +50,9 @@ from strainwave.domain.estimates import SearchEnd as SearchEnd
 from strainwave.domain.final_table import Decision as Decision
 from strainwave.domain.final_table import half_width as half_width
 from strainwave.domain.identification import Identification as Identification
+from strainwave.domain.identification import Status as Status
+from strainwave.domain.identification import Validation as Validation
+from strainwave.domain.identification import Verdict as Verdict
 from strainwave.domain.keys import BoolArray as BoolArray
 from strainwave.domain.keys import ComplexArray as ComplexArray
 from strainwave.domain.keys import FloatArray as FloatArray
@@ -81,9 +84,6 @@ from strainwave.domain.options import RigidOptions as RigidOptions
 from strainwave.domain.options import Stage as Stage
 from strainwave.domain.options import WholeArmOptions as WholeArmOptions
 from strainwave.domain.parameter_table import ParameterDescription as ParameterDescription
-from strainwave.domain.ranges import ImplausibleJoint as ImplausibleJoint
-from strainwave.domain.ranges import PlausibleRange as PlausibleRange
-from strainwave.domain.ranges import SizedValue as SizedValue
 from strainwave.domain.ranges import is_physical as is_physical
 from strainwave.domain.ranges import physical_range as physical_range
 from strainwave.domain.signals import Activity as Activity
@@ -119,6 +119,3 @@ from strainwave.domain.study import Use as Use
 from strainwave.domain.study import channel_kinds as channel_kinds
 from strainwave.domain.study import channel_names as channel_names
 from strainwave.domain.study import channel_parts as channel_parts
-from strainwave.domain.verdict import Status as Status
-from strainwave.domain.verdict import Validation as Validation
-from strainwave.domain.verdict import Verdict as Verdict

@@ -226,14 +226,9 @@ class ArmDescription:
     @property
     def coupled_joints(self) -> frozenset[int]:
         """Joints, from 1, that several motors move, or whose motor moves several joints."""
-        rows = enumerate(self.coupling or (), start=1)
-        pairs = (
-            {i, j}
-            for i, row in rows
-            for j, value in enumerate(row, start=1)
-            if value != 0.0 and i != j
-        )
-        return frozenset(one for pair in pairs for one in pair)
+        coupled = np.array(self.coupling or np.zeros((self.n_joints,) * 2)) != 0.0
+        np.fill_diagonal(coupled, val=False)
+        return frozenset((np.flatnonzero(coupled.any(axis=0) | coupled.any(axis=1)) + 1).tolist())
 
     def has_posture_free(self, number: int) -> bool:
         """Whether neither gravity nor the inertia of the arm depends on the angle of a motor.
@@ -284,14 +279,12 @@ class ArmDescription:
 
     def with_selected_laws(self, known: Collection[Key]) -> Self:
         """Copy with the laws of gears with `spring = "auto"` that known (name, joint) determine."""
-        return self.with_joints(
-            replace(
-                joint, spring=determined_law(AUTO, [key[0] for key in known if key[1] == i]).name
-            )
-            if joint.selects_law
-            else joint
-            for i, joint in enumerate(self.joints, start=1)
-        )
+        arm = self
+        for number, joint in enumerate(self.joints, start=1):
+            if joint.selects_law:
+                law = determined_law(AUTO, [key[0] for key in known if key[1] == number])
+                arm = arm.with_joint(number, spring=law.name)
+        return arm
 
     def behind_rigid_gears(self) -> Self:
         """Copy of the arm with rigid gears and without effects."""

@@ -74,33 +74,17 @@ class BaseParameters:
         `motor_share` is the share of the motors in base parameters that contain inertias of a motor
         and of links. The torques do not depend on it.
         """
-        particular = self._leading
-        for motor, shift in self._shifts.items():
-            group = np.flatnonzero(self.rows[:, motor])[0]
-            particular[:, group] += motor_share / self.rows[group, motor] * shift
-        return particular
-
-    @property
-    def _leading(self) -> FloatArray:
-        """The independent parameters alone that have given base parameters."""
         leading = np.zeros(self.rows.T.shape)
         for k, at in enumerate(self.independent):
             leading[at, k] = 1.0 / self.rows[k, at]
-        return leading
-
-    @property
-    def _shifts(self) -> dict[int, FloatArray]:
-        """Changes of all parameters per inertia of a motor that motion does not separate.
-
-        The torques do not change. The keys are the places of these motors.
-        """
-        leading, n_links = self._leading, len(self.links)
-        units = np.eye(self.rows.shape[1])
-        return {
-            motor: units[motor] - leading @ self.rows[:, motor]
-            for motor in range(n_links, self.rows.shape[1])
-            if motor not in self.independent and self.rows[:, motor].any()
-        }
+        particular = leading.copy()
+        for motor in range(len(self.links), self.rows.shape[1]):
+            groups = np.flatnonzero(self.rows[:, motor])
+            if len(groups) and motor not in self.independent:
+                shift = -leading @ self.rows[:, motor]
+                shift[motor] += 1.0
+                particular[:, groups[0]] += motor_share / self.rows[groups[0], motor] * shift
+        return particular
 
     @property
     def links_per_motor(self) -> FloatArray:
@@ -109,10 +93,7 @@ class BaseParameters:
         (n_links, n_joints); zero for the motors whose inertia motion determines.
         """
         n_links = len(self.links)
-        change = np.zeros((n_links, self.rows.shape[1] - n_links))
-        for motor, shift in self._shifts.items():
-            change[:, motor - n_links] = shift[:n_links]
-        return change
+        return -(self.particular() @ self.rows)[:n_links, n_links:]
 
     @cached_property
     def independent_links(self) -> tuple[Key, ...]:

@@ -73,28 +73,25 @@ def exchange_corrections(pairs: Iterable[tuple[str, str]], study: Study) -> tupl
 def apply_corrections(study: Study, corrections: Sequence[Correction]) -> Study:
     """Return the study with all corrections of its keys. Corrections of logs do not change it."""
     for correction in corrections:
+        arm, entry = study.arm, correction.entry
         if correction.table == "arm":
-            arm = change_arm_keys(study.arm, **{correction.key: correction.value})
-            study = replace(study, arm=arm)
-        elif correction.table == "joint":
-            joints = list(study.arm.joints)
-            at = int(correction.entry) - 1
-            joints[at] = _with_value(joints[at], correction)
-            study = replace(study, arm=study.arm.with_joints(joints))
+            arm = change_arm_keys(arm, **{correction.key: correction.value})
         elif correction.table == "transmission":
-            changes = {correction.key: correction.value}
-            study = replace(study, arm=replace(study.arm, **changes))  # type: ignore[arg-type]
+            arm = _with_value(arm, correction)
+        elif correction.table == "joint":
+            joints = list(arm.joints)
+            joints[int(entry) - 1] = _with_value(joints[int(entry) - 1], correction)
+            arm = arm.with_joints(joints)
         elif correction.table == "channels":
-            before = study.channels.get(correction.entry) or Channel(correction.entry)
-            after = replace(before, **{correction.key: correction.value})  # type: ignore[arg-type]
-            study = replace(study, channels={**study.channels, correction.entry: after})
+            channel = _with_value(study.channels.get(entry) or Channel(entry), correction)
+            study = replace(study, channels={**study.channels, entry: channel})
         elif correction.table == "experiment":
-            named = correction.entry
-            experiments = [
-                _with_value(each, correction) if each.name == named else each
+            experiments = (
+                _with_value(each, correction) if each.name == entry else each
                 for each in study.experiments
-            ]
+            )
             study = replace(study, experiments=tuple(experiments))
+        study = replace(study, arm=arm)
     return study
 
 
@@ -116,7 +113,13 @@ def steps_of(study: Study, corrections: Sequence[Correction]) -> tuple[Clause, .
 def _step(after: Study, correction: Correction) -> Clause:
     entry, key, value = correction.entry, correction.key, correction.value
     if correction.table == "channels":
-        return Clause("step/channel", line=channel_line(after, entry))
+        channel = after.channels.get(entry) or Channel(entry)
+        scale = f", scale = {channel.scale:.7g}" if channel.scale != 1.0 else ""
+        offset = f", offset = {channel.offset:.7g}" if channel.offset else ""
+        meaning = f', meaning = "{channel.meaning}"' if channel.meaning != "motor" else ""
+        column, rest = f'"{channel.column}"', f"{scale}{offset}{meaning}"
+        source = f"{{ column = {column}{rest} }}" if rest else column
+        return Clause("step/channel", line=f"channels.{entry} = {source}")
     if correction.table == "log":
         change = correction.number
         side = "earlier" if change > 0.0 else "later"
@@ -137,17 +140,6 @@ def _list_text(value: tuple[float, ...] | Matrix) -> str:
     """A vector or a matrix as a TOML value."""
     entries = (f"{e:.5g}" if isinstance(e, float | int) else _list_text(e) for e in value)
     return f"[{', '.join(entries)}]"
-
-
-def channel_line(study: Study, name: str) -> str:
-    """Line of a channel in [channels]."""
-    channel = study.channels.get(name) or Channel(name)
-    scale = f", scale = {channel.scale:.7g}" if channel.scale != 1.0 else ""
-    offset = f", offset = {channel.offset:.7g}" if channel.offset else ""
-    meaning = f', meaning = "{channel.meaning}"' if channel.meaning != "motor" else ""
-    if not scale and not offset and not meaning:
-        return f'channels.{name} = "{channel.column}"'
-    return f'channels.{name} = {{ column = "{channel.column}"{scale}{offset}{meaning} }}'
 
 
 Bound = Literal["equal", "least", "most"]

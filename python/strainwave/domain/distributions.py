@@ -1,7 +1,7 @@
 """Factors of intervals; the chi-square, Student's t and F distributions.
 
-An identification needs integer degrees of freedom, for which there are closed forms. The import of
-SciPy takes longer than most stages, so only comparisons of results load it, for real degrees.
+Integer degrees of freedom have closed forms. The import of SciPy takes longer than most stages, so
+only real degrees and small tails of Student's t load it.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ value is rejected if the input contradicts it, or if it is impossible beyond its
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from strainwave.domain.arm import ArmDescription
@@ -54,11 +54,7 @@ _FIRST_ROWS = (
     "inertia",
     "motor_inertia",
     "link_inertia",
-    "motor_viscous_friction",
-    "link_viscous_friction",
-    "total_viscous_friction",
-    "motor_coulomb_friction",
-    "friction_offset",
+    *_FRICTIONS,
     "friction_settling_time",
 )
 """First rows of each joint in the table; the other parameters follow in the order of the core."""
@@ -69,22 +65,16 @@ class Decision:
     """One row of the final table."""
 
     parameter: Parameter  # value None if not identified or rejected
-    identified: bool
-    rejected: Clause | None = None  # reason for the rejection; None if no value was rejected
+    identified: bool = False
+    rejected: Clause | None = None  # the first reason for the rejection; None: not rejected
     raw: float | None = None  # rejected value
 
-
-@dataclass(frozen=True, slots=True)
-class _Entry:
-    parameter: Parameter
-    rejected: Clause | None = None
-
-    def reject(self, reason: Clause) -> _Entry:
-        """The entry, rejected for the first reason."""
+    def reject(self, reason: Clause) -> Decision:
+        """The row, rejected for the first reason."""
         return self if self.rejected else replace(self, rejected=reason)
 
 
-_Table = dict[Key, _Entry]
+_Table = dict[Key, Decision]
 
 
 def decide(results: StageResults) -> tuple[Decision, ...]:
@@ -102,20 +92,19 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
     table: _Table = {}
     if rigid is not None:
         further = [p for term in rigid.friction_terms for p in term.parameters]
-        table = {p.key: _Entry(p) for p in (*rigid.parameters, *further)}
-    if first_affected <= _RIGID:
-        table = _reject_all(table.values(), _FAULT_REASON)
+        reason = _FAULT_REASON if first_affected <= _RIGID else None
+        table = {p.key: Decision(p, rejected=reason) for p in (*rigid.parameters, *further)}
     accepted: list[JointModel] = []
     if first_affected <= _DECOUPLED:
         for p in (p for joint in results.joints for p in joint.parameters):
-            table.setdefault(p.key, _Entry(p, _FAULT_REASON))
+            table.setdefault(p.key, Decision(p, rejected=_FAULT_REASON))
     else:
         accepted = [_at_zero_angles(joint, table, study.arm) for joint in results.joints]
         for p in (p for joint in accepted for p in joint.parameters):
             if p.key not in table or not _is_impossible(p):
-                table[p.key] = _Entry(p)
+                table[p.key] = Decision(p)
     for torsion in results.torsions:
-        entry = _Entry(torsion.stiffness)
+        entry = Decision(torsion.stiffness)
         is_faulty = first_affected <= _DECOUPLED
         table.setdefault(torsion.stiffness.key, entry.reject(_FAULT_REASON) if is_faulty else entry)
     if whole_arm is not None:
@@ -129,7 +118,7 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
         is_calculated = channel is not None and channel.meaning in ("without-friction", "desired")
         if is_calculated and key[0] in _FRICTIONS:  # the model that calculates it has no friction
             table[key] = entry.reject(Clause("reason/calculated-effort"))
-    drives = {p.key: _Entry(p) for p in results.drive_gains}
+    drives = {p.key: Decision(p) for p in results.drive_gains}
     levels_by_joint = {level.joint: level for level in results.activity}
     rows = [_decide_row(entry, study, levels_by_joint) for entry in (drives | table).values()]
     order = list(dict.fromkeys([*_FIRST_ROWS, *parameter_table()]))
@@ -165,10 +154,6 @@ def first_affected_stage(suspicion: Suspicion, study: Study) -> int:
     return max(channel_stage, min(record_stages, default=_RIGID))
 
 
-def _reject_all(entries: Iterable[_Entry], reason: Clause) -> _Table:
-    return {e.parameter.key: e.reject(reason) for e in entries}
-
-
 def _enter_whole_arm(table: _Table, whole_arm: ArmModel, first_affected: int) -> None:
     """Enter the estimates of the whole-arm fit, identified or not, into the table.
 
@@ -177,14 +162,14 @@ def _enter_whole_arm(table: _Table, whole_arm: ArmModel, first_affected: int) ->
     """
     if first_affected <= _TUNED:
         for p in whole_arm.parameters:
-            table.setdefault(p.key, _Entry(p, _FAULT_REASON))
+            table.setdefault(p.key, Decision(p, rejected=_FAULT_REASON))
         return
     bounded = set(whole_arm.at_bounds)
     for p in whole_arm.parameters:
         reason = Clause("reason/at-bound", value=p.value or 0.0, unit=p.unit)
-        table[p.key] = _Entry(p, reason if p.key in bounded else None)
+        table[p.key] = Decision(p, rejected=reason if p.key in bounded else None)
     if whole_arm.contradictions:
-        table.update(_reject_all(table.values(), _CONTRADICTION_REASON))
+        table.update({key: row.reject(_CONTRADICTION_REASON) for key, row in table.items()})
 
 
 def _at_zero_angles(model: JointModel, table: _Table, arm: ArmDescription) -> JointModel:
@@ -230,7 +215,7 @@ def _make_consistent(
             ((_, own),) = parts(row)
             parameter = own and replace(own, name=key[0], joint=key[1])
         if parameter is not None and key not in row:
-            table[key], derived_rows[key] = _Entry(parameter), row
+            table[key], derived_rows[key] = Decision(parameter), row
     for key, row in lumped_inertias(arm).items():
         if derived_rows.keys().isdisjoint(row):
             continue
@@ -241,7 +226,7 @@ def _make_consistent(
         }
         total = _weighted_sum(key, parts(expanded_row))
         if total is not None:
-            table[key] = _Entry(total)
+            table[key] = Decision(total)
 
 
 def _accepted_estimate(table: _Table, key: Key) -> Parameter | None:
@@ -275,7 +260,7 @@ def _reject_contradictions(table: _Table, arm: ArmDescription) -> None:
         table[key] = replace(table[key], rejected=reason)
 
 
-def _decide_row(entry: _Entry, study: Study, levels: Mapping[int, Activity]) -> Decision:
+def _decide_row(entry: Decision, study: Study, levels: Mapping[int, Activity]) -> Decision:
     """Decide one row: accept its value, set it to the bound of zero, or reject it."""
     p, reason = entry.parameter, entry.rejected
     if not reason and p.value is not None and not is_physical(p.name, p.value):

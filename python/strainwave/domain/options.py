@@ -1,6 +1,7 @@
 """Options of each stage, the stages of a run, and its progress.
 
-`strainwave.io.study` checks the constraints of `annotated_types`.
+`options.toml` has the meaning of every option, its default in words, which also explains None, and
+the reason for it. `strainwave.io.study` checks the constraints of `annotated_types`.
 """
 
 from __future__ import annotations
@@ -49,17 +50,15 @@ class _Checked:
 class RigidOptions(_Checked):
     """Options of the rigid-joint model, (5) to (7): `rigid`."""
 
-    bandwidth_hz: Positive | None = None  # of the equations' filter; None: from the data
+    bandwidth_hz: Positive | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class LinkOptions(_Checked):
     """Options of the links' motion, (8) to (10): `links`."""
 
-    time_constant: Positive = 0.2  # T_V [s] of the fusion (10)
-    order: Literal[1, 2] = 2  # of its low-pass
-    # of a zero-phase filter of all signals; None: no filter, unless angles are
-    # differentiated twice: then the widest bandwidth that their noise allows
+    time_constant: Positive = 0.2
+    order: Literal[1, 2] = 2
     bandwidth_hz: Positive | None = None
 
 
@@ -67,61 +66,49 @@ class LinkOptions(_Checked):
 class FrequencyOptions(_Checked):
     """Options of the nonparametric frequency responses: `responses`."""
 
-    inputs: Annotated[int, Ge(1)] | None = None  # number of inputs to use; None: all
-    segment: Positive | None = None  # [s] of Welch's method; None: a period, or a quarter record
-    transient_periods: Annotated[int, Ge(0)] = 1  # discarded at the start if enough remain
+    inputs: Annotated[int, Ge(1)] | None = None
+    segment: Positive | None = None
+    transient_periods: Annotated[int, Ge(0)] = 1
 
 
 @dataclass(frozen=True, slots=True)
 class LinearOptions(_Checked):
     """Options of the state-space models, (11), (12): `statespace`."""
 
-    # None: 2 to 6, selected by held-out data and Schwarz's criterion
     order: Annotated[int, Ge(2), Le(10)] | None = None
     outputs: Channels = "both"
-    inputs: Channels = "both"  # "motor": without the interaction torque
-    # "subspace": the better of MOESP and a long autoregression (consistent under feedback)
+    inputs: Channels = "both"
     method: EstimationMethod = "pem"
-    focus: Focus = "prediction"  # "stability": the estimate is the best stable model
-    horizon: Annotated[int, Ge(2)] | None = None  # past samples of the subspace step; None: AIC
-    # factor of downsampling, which sets the upper edge of the band; None: from the band
+    focus: Focus = "prediction"
+    horizon: Annotated[int, Ge(2)] | None = None
     decimation: Annotated[int, Ge(1)] | None = None
-    # [s] after downsampling by the nearest factor, in place of `decimation`
     sample_time: Positive | None = None
-    # "band": for the prediction-error method; "decimation": as published, a low-pass below the new
-    # Nyquist frequency, with fused link velocities
     filter: Literal["band", "decimation"] = "band"
-    band_hz: Band | None = None  # of the filter; None: from the estimated resonances
+    band_hz: Band | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class PhysicalOptions(_Checked):
     """Options of a joint's physical parameters: `physical`."""
 
-    route: Route = "equations"  # equations of motion, or (15) to (18) from the state-space models
-    band_hz: Band | None = None  # of the equations' filter; None: from the data
-    use_rigid: bool = True  # whether the rigid model adds equations, or enters (18)
+    route: Route = "equations"
+    band_hz: Band | None = None
+    use_rigid: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class WholeArmOptions(_Checked):
     """Options of the whole-arm fit: `tuning`."""
 
-    # link velocities (10) of `tuning` records in closed loop by plain least squares, no information
-    # of other stages except starting values; Coulomb friction fixed, other parameters without an
-    # entry in `ranges` limited to `PUBLISHED_RANGE`
     as_published: bool = False
-    # (lowest, highest) value over the starting value, by parameter: "gear_stiffness", or
-    # "gear_stiffness 2" for one joint
     ranges: Mapping[str, tuple[Positive, Positive]] = field(default_factory=dict)
-    hold: tuple[str, ...] = ()  # parameters fixed at their starting values, named as in `ranges`
-    cutoff_hz: Positive | None = None  # of the compared signals; None: from the resonances
-    settling: bool | None = None  # whether friction has a settling time; None: from the data
-    closed_loop: bool = False  # simulate the servo from references instead of recorded voltages
-    least_deviation: Positive = 0.002  # relative standard deviation added to rigid estimates
+    hold: tuple[str, ...] = ()
+    cutoff_hz: Positive | None = None
+    settling: bool | None = None
+    closed_loop: bool = False
+    least_deviation: Positive = 0.002
     max_iterations: Annotated[int, Ge(1)] = 100
-    rival_effort: Annotated[float, Ge(0.0)] = 1.0  # work on fits with one more effect each, which
-    # tell the causes of unexplained residuals apart, in units of the usual budget; 0: none is done
+    rival_effort: Annotated[float, Ge(0.0)] = 1.0
 
 
 @dataclass(frozen=True, slots=True)

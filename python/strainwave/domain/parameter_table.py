@@ -25,7 +25,6 @@ Family = Literal["inertia", "gravity", "dry friction", "damping", "stiffness", "
 COULOMB = "motor_coulomb_friction"
 OFFSET = "friction_offset"
 SETTLING = "friction_settling_time"
-FRICTION_CHANGE = "friction_change"
 VISCOUS = ("motor_viscous_friction", "link_viscous_friction")
 
 

@@ -13,9 +13,11 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from annotated_types import Ge, MinLen
 
 from strainwave.domain.arm import ArmDescription, Positive, Vector
+from strainwave.domain.consistent_links import standard_parameters
 from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.domain.options import Options
 
@@ -113,10 +115,7 @@ class Payload:
     @property
     def parameters(self) -> tuple[float, ...]:
         """Its ten standard parameters, in the order of the core."""
-        m, (x, y, z) = self.mass, self.xyz
-        first = (m * x, m * y, m * z)
-        xx, yy, zz = m * (y * y + z * z), m * (x * x + z * z), m * (x * x + y * y)
-        return m, *first, xx, -m * x * y, yy, -m * x * z, -m * y * z, zz
+        return standard_parameters(self.mass, np.array(self.xyz), np.zeros((3, 3)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,8 +30,6 @@ __all__ = [
     "state_space",
 ]
 
-FORMATS = ("mjcf", "urdf", "srdf", "state-space", "matlab", "c", "json")
-
 _FORMAT_BY_ENDING = {
     ".xml": "mjcf",
     ".mjcf": "mjcf",
@@ -47,9 +45,11 @@ _RENDERERS: dict[str, Callable[[IdentifiedArm], Export]] = {
     "urdf": to_urdf,
     "srdf": to_srdf,
     "state-space": to_state_space,
+    "matlab": to_mat,
     "c": to_c_header,
     "json": to_json,
 }
+FORMATS = tuple(_RENDERERS)
 
 
 def export_file(
@@ -92,9 +92,7 @@ def export_arm(
     if out.is_dir() or not out.name:
         raise InvalidInput("is a directory", where=f"--out {out}", remedy="name a file in it")
     arm = completed(arm, form)
-    if form == "matlab":
-        export = to_script(arm) if out.suffix == ".m" else to_mat(arm)
-    else:
-        export = _RENDERERS[form](arm)
+    render = to_script if form == "matlab" and out.suffix == ".m" else _RENDERERS[form]
+    export = render(arm)
     write_whole(out.parent, {out.name: export.data})
     return export

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from strainwave.export.state_space import (
     INPUTS,
     OUTPUTS,
     STATES,
-    Models,
+    Matrices,
     joint_model,
     linearised,
     models_of,
@@ -35,8 +36,7 @@ def to_mat(arm: IdentifiedArm) -> Export:
     """
     from scipy.io import savemat
 
-    models = models_of(arm)
-
+    joints, whole_arm = models_of(arm)
     all_entries = entries(arm)
     content: dict[str, Any] = {
         "parameters": {e.name: _UNKNOWN if e.value is None else e.value for e in all_entries},
@@ -44,25 +44,25 @@ def to_mat(arm: IdentifiedArm) -> Export:
             e.name: _UNKNOWN if e.std is None else e.std for e in all_entries if not e.known
         },
         "units": {e.name: e.unit for e in all_entries},
-        "joints": _joints(arm.study.arm.n_joints, models),
+        "joints": _joints(arm.study.arm.n_joints, joints),
         "states": np.array(STATES, dtype=object),
         "inputs": np.array(INPUTS, dtype=object),
         "outputs": np.array(OUTPUTS, dtype=object),
         "notes": np.array(_notes(arm), dtype=object),
     }
     names = ("states", "inputs", "outputs")
-    arrays = {key: np.array(getattr(models.whole_arm, key), dtype=object) for key in names}
-    content["whole_arm"] = models.whole_arm.matrices | arrays
+    arrays = {key: np.array(getattr(whole_arm, key), dtype=object) for key in names}
+    content["whole_arm"] = whole_arm.matrices | arrays
     file = io.BytesIO()
     savemat(file, content, long_field_names=True, oned_as="column")
     return Export(file.getvalue(), linearised(arm), _notes(arm))
 
 
-def _joints(count: int, models: Models) -> FloatArray:
+def _joints(count: int, models: Mapping[int, Matrices]) -> FloatArray:
     array = np.zeros(count, dtype=[(name, object) for name in "ABCD"])
     for i in range(count):
         for name in "ABCD":
-            array[name][i] = getattr(models.joints.get(i + 1), name, np.zeros((0, 0)))
+            array[name][i] = getattr(models.get(i + 1), name, np.zeros((0, 0)))
     return array
 
 
@@ -78,9 +78,9 @@ def to_script(arm: IdentifiedArm) -> Export:
     They are `sys{i}` and `grey(i)` of each joint with a model of its own, and `sys_arm` of the
     whole arm. Errors as for `models_of`.
     """
-    models = models_of(arm)
+    models, whole_arm = models_of(arm)
     joints = []
-    for number, matrices in models.joints.items():
+    for number, matrices in models.items():
         model = joint_model(arm, number)
         values = {name: getattr(model, name) for name in NAMES}
         joints.append((number, values, model.gear_ratio, matrices._asdict()))
@@ -88,13 +88,13 @@ def to_script(arm: IdentifiedArm) -> Export:
         Path(__file__).with_name("arm.m.j2"),
         entries=entries(arm),
         joints=joints,
-        whole_arm=models.whole_arm,
+        whole_arm=whole_arm,
         states=STATES,
         inputs=INPUTS,
         outputs=OUTPUTS,
         notes=_notes(arm),
         matrix=_matrix,
-        names=_names,
+        names=lambda names: "{" + ", ".join(f"'{name}'" for name in names) + "}",
         number=lambda value: "NaN" if value is None else repr(value),
         sentence_of=sentence_of,
     )
@@ -104,7 +104,3 @@ def to_script(arm: IdentifiedArm) -> Export:
 def _matrix(matrix: FloatArray) -> str:
     rows = (", ".join(repr(float(x)) for x in row) for row in matrix)
     return f"[{'; '.join(rows)}]"
-
-
-def _names(names: tuple[str, ...]) -> str:
-    return "{" + ", ".join(f"'{name}'" for name in names) + "}"

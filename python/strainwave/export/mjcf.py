@@ -31,15 +31,14 @@ from strainwave.export.completion import (
     gravity_warnings,
     link_bodies,
 )
-from strainwave.export.coordinates import Coordinates, coordinates_of
+from strainwave.export.linear_arm import Coordinates, coordinates_of
 from strainwave.export.omissions import (
     LINEAR,
     SENSORS,
-    comment,
+    comment_text,
     numbers,
     omission_note,
-    root,
-    to_bytes,
+    sentence_of,
 )
 from strainwave.export.source import Export, IdentifiedArm
 
@@ -66,15 +65,18 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     gravity = effective_gravity(arm)
     bodies = link_bodies(arm, gravity)
     coordinates = coordinates_of(arm.study.arm)
-    mujoco = root("mujoco", "model", notes)
+    mujoco = ET.Element("mujoco", model="arm")
+    origin = "Identified by strainwave. SI units, angles in rad."
+    for text in (origin, *map(sentence_of, notes)):
+        _comment(mujoco, text)
     ET.SubElement(mujoco, "compiler", angle="radian", eulerseq="XYZ")  # as rpy in URDF
     note = kind_of(arm.study.arm).gravity_note
     if gravity and note:
-        comment(mujoco, f"Gravity is {note}, which gives the measured gravity torques.")
+        _comment(mujoco, f"Gravity is {note}, which gives the measured gravity torques.")
     option = ET.SubElement(mujoco, "option", timestep=numbers(_STEP_S), integrator="RK4")
     option.set("gravity", numbers(*(chain_of(arm, gravity).gravity or (0.0, 0.0, 0.0))))
     world = ET.SubElement(mujoco, "worldbody")
-    comment(world, "One of many sets of masses with the same motion; see docs/export.md.")
+    _comment(world, "One of many sets of masses with the same motion; see docs/export.md.")
     parent = world
     for number, body in enumerate(bodies, start=1):
         parent = _link(parent, arm, number, body, coordinates)
@@ -96,11 +98,17 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
         _actuator(actuators, arm, number, is_shared=number in shared)
     sensors = ET.SubElement(mujoco, "sensor")
     names = "Named as channels: a is the second component, gyro the third, imu_a is ax, ay, az."
-    comment(sensors, names)
+    _comment(sensors, names)
     for number in numbers_of_joints:
         _sensors(sensors, arm, number, is_shared=number in shared)
     warnings = arm.assumed() + _approximations(arm)
-    return Export(to_bytes(mujoco), warnings + gravity_warnings(arm), notes)
+    ET.indent(mujoco)
+    data: bytes = ET.tostring(mujoco, encoding="utf-8", xml_declaration=True)
+    return Export(data + b"\n", warnings + gravity_warnings(arm), notes)
+
+
+def _comment(parent: ET.Element, text: str) -> None:
+    parent.append(ET.Comment(f" {comment_text(text)} "))
 
 
 def _terms(
@@ -128,18 +136,14 @@ def _link(
         "type": "slide" if joint.motion == "prismatic" else "hinge",
         "axis": numbers(*joint.axis),
     }
-    damping = [arm.need("link_viscous_friction", number)]
+    viscous = arm.need("link_viscous_friction", number)
+    attributes["damping"] = numbers(viscous)
     if not joint.elastic and coordinates.has_own_motor(number):
-        n2 = joint.gear_ratio**2
-        of_motor = _damping(arm, number, 1.0 / abs(joint.gear_ratio))
-        damping = [damping[0] + of_motor[0], *of_motor[1:]]
-        friction = arm.need("motor_coulomb_friction", number) / abs(joint.gear_ratio)
-        offset = arm.values.get(("friction_offset", number), 0.0) / joint.gear_ratio
-        attributes |= {"frictionloss": numbers(friction), **_settling(arm, number)}
-        attributes |= _constant_torque(offset, "springref")
+        attributes |= _motor_friction(arm, number, "springref", joint.gear_ratio, viscous)
         if not is_rigid_drive(arm.study.arm):
-            attributes["armature"] = numbers(arm.need("motor_inertia", number) / n2)
-    ET.SubElement(element, "joint", attributes, damping=numbers(*damping))
+            inertia = arm.need("motor_inertia", number) / joint.gear_ratio**2
+            attributes["armature"] = numbers(inertia)
+    ET.SubElement(element, "joint", attributes)
     x, y, _ = axes_about(joint.axis)
     for axis, tag, _ in _installed(arm, number):
         site = ET.SubElement(element, "site", name=f"{tag}{number}")
@@ -166,14 +170,8 @@ def _motor(world: ET.Element, arm: IdentifiedArm, number: int) -> None:
     _inertial(element, Body.in_plane(inertia, 0.0, inertia))
     # also the motor of a prismatic joint turns; gravity would pull a slide
     hinge = {"type": "hinge", "axis": numbers(*arm.joint(number).axis)}
-    hinge |= _constant_torque(arm.values.get(("friction_offset", number), 0.0), "springref")
-    ET.SubElement(
-        element,
-        "joint",
-        {"name": f"motor_joint{number}", **hinge, **_settling(arm, number)},
-        damping=numbers(*_damping(arm, number)),
-        frictionloss=numbers(arm.need("motor_coulomb_friction", number)),
-    )
+    hinge |= _motor_friction(arm, number, "springref")
+    ET.SubElement(element, "joint", hinge, name=f"motor_joint{number}")
 
 
 def _inertial(element: ET.Element, body: Body) -> None:
@@ -182,29 +180,33 @@ def _inertial(element: ET.Element, body: Body) -> None:
     ET.SubElement(element, "inertial", pos=centre, mass=mass, fullinertia=inertia)
 
 
-def _settling(arm: IdentifiedArm, number: int) -> dict[str, str]:
-    """Friction constraint; its time constant is twice the settling time (S9)."""
-    settling = arm.values.get(("friction_settling_time", number), 0.0)
-    constant = max(2.0 * settling, 2.0 * _STEP_S)
-    return {"solreffriction": numbers(constant, 1.0), "solimpfriction": "0.9999 0.9999 0.001"}
+def _motor_friction(
+    arm: IdentifiedArm, number: int, rest: str, ratio: float = 1.0, of_link: float = 0.0
+) -> dict[str, str]:
+    """Attributes for the friction of a motor at an element that turns `ratio` times as fast.
 
-
-def _damping(arm: IdentifiedArm, number: int, turns: float = 1.0) -> list[float]:
-    """Coefficients of the damping of a motor that turns `turns` times as fast as the joint."""
+    `of_link` is the viscous friction of the element itself. The time constant of the friction
+    constraint is twice the settling time (S9). The offset is a soft spring that is far from its
+    rest, the attribute `rest`: -stiffness (q - rest). It is a passive force, so that inverse
+    dynamics contain it.
+    """
     higher = [arm.values.get((name, number), 0.0) for name in DAMPING]
     powers = [arm.need("motor_viscous_friction", number), *(higher if any(higher) else ())]
-    return [coefficient * turns ** (k + 2) for k, coefficient in enumerate(powers)]
-
-
-def _constant_torque(offset: float, rest: str) -> dict[str, str]:
-    """A friction offset as a soft spring that is far from its rest: `-stiffness (q - rest)`.
-
-    It is a passive force, so that inverse dynamics contain it.
-    """
-    if not offset:
-        return {}
-    stiffness, far = abs(offset) / _FAR, -math.copysign(_FAR, offset)
-    return {"stiffness": numbers(stiffness), rest: numbers(far)}
+    turns = 1.0 / abs(ratio)
+    damping = [coefficient * turns ** (k + 2) for k, coefficient in enumerate(powers)]
+    damping[0] += of_link
+    settling = arm.values.get(("friction_settling_time", number), 0.0)
+    attributes = {
+        "damping": numbers(*damping),
+        "frictionloss": numbers(arm.need("motor_coulomb_friction", number) / abs(ratio)),
+        "solreffriction": numbers(max(2.0 * settling, 2.0 * _STEP_S), 1.0),
+        "solimpfriction": "0.9999 0.9999 0.001",
+    }
+    offset = arm.values.get(("friction_offset", number), 0.0) / ratio
+    if offset:
+        attributes["stiffness"] = numbers(abs(offset) / _FAR)
+        attributes[rest] = numbers(-math.copysign(_FAR, offset))
+    return attributes
 
 
 def _gear(
@@ -228,15 +230,10 @@ def _shared_motor(
     tendons: ET.Element, arm: IdentifiedArm, number: int, terms: Iterable[tuple[str, float]]
 ) -> None:
     """A motor behind a rigid gear that turns with several joints."""
-    attributes = {"name": f"motor{number}", **_settling(arm, number)}
-    offset = arm.values.get(("friction_offset", number), 0.0)
-    attributes |= _constant_torque(offset, "springlength")
+    attributes = {"name": f"motor{number}", **_motor_friction(arm, number, "springlength")}
     if not is_rigid_drive(arm.study.arm):
         attributes["armature"] = numbers(arm.need("motor_inertia", number))
-    viscous = numbers(*_damping(arm, number))
-    coulomb = numbers(arm.need("motor_coulomb_friction", number))
-    fixed = ET.SubElement(tendons, "fixed", attributes, damping=viscous, frictionloss=coulomb)
-    _add_terms(fixed, terms)
+    _add_terms(ET.SubElement(tendons, "fixed", attributes), terms)
 
 
 def _add_terms(fixed: ET.Element, terms: Iterable[tuple[str, float]]) -> None:

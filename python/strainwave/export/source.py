@@ -194,14 +194,13 @@ def arm_of(
             remedy="identify again; the reason in the result states the cause",
         )
     parameters = parameters_of(document, str(path))
-    _check_names(parameters, path)
     study = None if study_path else study_of(document, path)
     warnings: tuple[Diagnostic, ...] = ()
     if study is None:
         study, warnings = study_file_of(document, path, study_path)
     elif "urdf" in document["study"]:
         study, warnings = _with_urdf(study, document, path)
-    _check_joints(parameters, study, path)
+    _check_parameters(parameters, study, path)
     study = replace(study, arm=study.arm.with_selected_laws([p.key for p in parameters]))
     accepted, rejected = _drop_rejected(parameters, document, path)
     standard = standard_parameters_of(document, study.arm, str(path))
@@ -272,18 +271,27 @@ def _drop_rejected(
     return accepted, rejected
 
 
-def _check_names(parameters: Sequence[Parameter], path: Path) -> None:
-    """Check that names are unique identifiers; the name of a record may follow in brackets."""
+def _check_parameters(parameters: Sequence[Parameter], study: Study, path: Path) -> None:
+    """Check that names are unique identifiers, and that the arm has their joints.
+
+    The name of a record may follow in brackets.
+    """
     labels = [parameter.label for parameter in parameters]
     for k, parameter in enumerate(parameters):
-        problem = ""
+        problem, remedy, joint = "", NOT_A_RESULT, parameter.joint
         if not re.fullmatch(r"[a-z][a-z0-9_]*(\[.*\])?", parameter.name):
             problem = f"{parameter.name!r} is not a parameter name"
         elif parameter.label in labels[:k]:
             problem = f"{parameter.label} is listed twice"
+        elif joint is not None and not 1 <= joint <= study.arm.n_joints:
+            problem = (
+                f"{parameter.name} belongs to joint {joint}, but the arm of {study.path} has "
+                f"{study.arm.n_joints}"
+            )
+            remedy = "give the study that was identified, with --study"
         if problem:
             place = f"{path}: parameters, entry {k + 1}"
-            raise InvalidInput(problem, where=place, remedy=NOT_A_RESULT)
+            raise InvalidInput(problem, where=place, remedy=remedy)
 
 
 def _find_study(path: Path, named: str, sha256: str, folders: Sequence[Path]) -> Path:
@@ -306,15 +314,3 @@ def _is_file(path: Path) -> bool:
         return path.is_file()
     except (OSError, ValueError):  # not a valid file name
         return False
-
-
-def _check_joints(parameters: Sequence[Parameter], study: Study, path: Path) -> None:
-    for number, parameter in enumerate(parameters, start=1):
-        joint = parameter.joint
-        if joint is not None and not 1 <= joint <= study.arm.n_joints:
-            raise InvalidInput(
-                f"{parameter.name} belongs to joint {joint}, but the arm of {study.path} has "
-                f"{study.arm.n_joints}",
-                where=f"{path}: parameters, entry {number}",
-                remedy="give the study that was identified, with --study",
-            )

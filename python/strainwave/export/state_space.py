@@ -112,18 +112,14 @@ def joint_model_covariance(
     return np.asarray(J @ matrix @ J.T)
 
 
-class Models(NamedTuple):
-    """Linear models of an arm."""
+def models_of(arm: IdentifiedArm) -> tuple[dict[int, Matrices], LinearArm]:
+    """Models of elastic joints without coupled motors, by number, and of the whole arm.
 
-    joints: dict[int, Matrices]  # by number, of elastic joints without coupled motors
-    whole_arm: LinearArm
-
-
-def models_of(arm: IdentifiedArm) -> Models:
-    """Models of the joints, and of the whole arm. Raises `InvalidInput` as `state_space`."""
+    Raises `InvalidInput` as `state_space`.
+    """
     is_coupled, joints = arm.study.arm.is_coupled, enumerate(arm.study.arm.joints, start=1)
     numbers = [number for number, joint in joints if joint.elastic and not is_coupled]
-    return Models({number: state_space(arm, number) for number in numbers}, linear_arm(arm))
+    return {number: state_space(arm, number) for number in numbers}, linear_arm(arm)
 
 
 def linearised(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
@@ -138,17 +134,17 @@ def linearised(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
 
 def to_state_space(arm: IdentifiedArm) -> Export:
     """The matrices of all joints and of the whole arm as JSON; errors as for `models_of`."""
-    models = models_of(arm)
+    joints, whole_arm = models_of(arm)
     notes = (*arm.assumptions, *omission_note(arm, LINEAR))
     document = {
         "schema": _SCHEMA,
         "states": STATES,
         "inputs": INPUTS,
         "outputs": OUTPUTS,
-        "joints": [{"joint": n, **model._asdict()} for n, model in models.joints.items()],
+        "joints": [{"joint": n, **model._asdict()} for n, model in joints.items()],
         "whole_arm": {
-            **{name: getattr(models.whole_arm, name) for name in ("states", "inputs", "outputs")},
-            **models.whole_arm.matrices,
+            **{name: getattr(whole_arm, name) for name in ("states", "inputs", "outputs")},
+            **whole_arm.matrices,
         },
         "notes": notes,
     }

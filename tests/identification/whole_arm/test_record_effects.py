@@ -29,7 +29,7 @@ from strainwave.identification.whole_arm.problem.parameter_space import Paramete
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.loads import Loads
 from strainwave.identification.whole_arm.records.preparation import dataset_of
-from strainwave.virtual.records import Simulator
+from strainwave.virtual.experiments import Simulator
 from tuning_runs import shaken_study, simulated_logs, truth
 
 PRIMARY = (COULOMB, "motor_inertia", STIFFNESS, "gear_damping")

@@ -45,29 +45,20 @@ class GearLaw(ABC):
     [rad] and torques [N m] have shape (n,).
     """
 
-    name: str
-    """Value of `spring` in a study file."""
-
+    name: str  # value of `spring` in a study file
+    # in the order of the core. `gear_damping` belongs to every elastic gear, not to a law
     parameters: tuple[GearParameter, ...] = ()
-    """In the order of the core. `gear_damping` belongs to every elastic gear, not to a law."""
-
-    elastic: bool = True
-    """Whether the gear has torsion."""
-
+    elastic: bool = True  # whether the gear has torsion
+    # name of the law to use if none of this law's own parameters is known
     simpler: str | None = None
-    """Name of the law to use if none of this law's own parameters is known."""
-
+    # parameter that a linear model of the joint uses as its stiffness
     linearised_by: str = STIFFNESS
-    """Parameter that a linear model of the joint uses as its stiffness."""
-
+    # note on a linear model of a joint with this law
     linearised_note: str = "the gear is nonlinear; the linear model has one stiffness"
-    """Note on a linear model of a joint with this law."""
-
+    # position of the equivalent linear stiffness relative to the law's own
     equivalent_note: str = "between the lowest and the highest stiffness"
-    """Position of the equivalent linear stiffness relative to the law's own."""
-
+    # keys of a parameter file that accept a list, with the names of the listed parameters
     lists: Mapping[str, tuple[str, ...]] = {}
-    """Keys of a parameter file that accept a list, with the names of the listed parameters."""
 
     @property
     def core_name(self) -> str:

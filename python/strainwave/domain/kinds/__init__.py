@@ -1,7 +1,7 @@
-"""Arm kinds: one file for each value of `kind` in a study's `[arm]` table.
+"""Arm kinds: a class for each value of `kind` in a study's `[arm]` table.
 
-A new kind needs a file in this package and its entry in `KINDS`. It is simulated as a chain, unless
-`strainwave.domain.arm` names a compiled program for it.
+A new kind needs a class in this package and its entry in `KINDS`. It is simulated as a chain,
+unless `strainwave.domain.arm` names a compiled program for it.
 """
 
 from __future__ import annotations
@@ -13,11 +13,10 @@ from strainwave.domain.arm import ArmDescription
 from strainwave.domain.kinds.base import Fault as Fault
 from strainwave.domain.kinds.base import Kind as Kind
 from strainwave.domain.kinds.base import RigidColumn as RigidColumn
-from strainwave.domain.kinds.planar_two_link import PlanarTwoLink
-from strainwave.domain.kinds.planar_two_link import planar_two_link as planar_two_link
+from strainwave.domain.kinds.planar import PlanarTwoLink, SingleJoint
+from strainwave.domain.kinds.planar import planar_two_link as planar_two_link
+from strainwave.domain.kinds.planar import single_joint as single_joint
 from strainwave.domain.kinds.serial import SerialChain
-from strainwave.domain.kinds.single_joint import SingleJoint
-from strainwave.domain.kinds.single_joint import single_joint as single_joint
 from strainwave.errors import entry_of
 
 KINDS: dict[str, Kind[Any]] = {

@@ -21,9 +21,6 @@ LINK_PARAMETERS = (
 )
 """Standard parameters of a link in the order of the core, without `link_`."""
 
-ASSUMED_LENGTH = 1.0
-"""Length [m] of a link if the study gives none."""
-
 
 @dataclass(frozen=True, slots=True)
 class Body:
@@ -55,19 +52,6 @@ class ParameterLookup(Protocol):
 
     def __call__(self, name: str, joint: int | None = None) -> float:
         """Value of the parameter."""
-
-
-def about_axis(inertia: float, moment: float, length: float) -> Body:
-    """Body with inertia J > 0 [kg m^2] and first moment s [kg m] about its axis.
-
-        m = 3 J/l^2 + s^2/J
-
-    The first term is the mass of a uniform rod of the given length l [m]. The second keeps the
-    inertia about the centre of mass, J - s^2/m = (3 J/l^2) J/m, positive.
-    """
-    rod_mass = 3.0 * inertia / length**2
-    mass = rod_mass + moment**2 / inertia
-    return Body.in_plane(mass, moment / mass, inertia * rod_mass / mass)
 
 
 MOTOR_SHARE = 0.5
@@ -153,35 +137,6 @@ class Fault:
     key: str | None = None
 
 
-def wrong_number_of_joints(kind: str, count: int, expected: int) -> Fault:
-    """Fault of a study file with the wrong number of `[[joint]]` tables."""
-    return Fault(
-        f"a {kind} arm has {expected} joint(s), but there are {count} [[joint]] tables",
-        f"write {expected} [[joint]] table(s) from the base, recorded with all other joints at"
-        " rest, or change kind in [arm]",
-        "joint",
-    )
-
-
-def negative_ratios(joints: Sequence[Joint]) -> Iterator[Fault]:
-    """Faults of planar arms: their motors are reversed by the scale of a channel."""
-    for index, joint in enumerate(joints):
-        if joint.gear_ratio < 0.0:
-            yield Fault(
-                f"'gear_ratio' is {joint.gear_ratio:g}, but it should be greater than 0",
-                f"set a positive ratio; reverse the motor with channels.theta_m{index + 1} = "
-                "{ column = ..., scale = -1.0 }",
-                "joint",
-                index,
-                "gear_ratio",
-            )
-
-
-def in_plane_gravity(gravity: float | None) -> Vector | None:
-    """Gravity [m/s^2] along -y as a vector; None without gravity."""
-    return (0.0, -gravity, 0.0) if gravity else None
-
-
 Table = TypeVar("Table")
 
 MAX_JOINTS = 7
@@ -196,21 +151,13 @@ class Kind(ABC, Generic[Table]):
     moments and inertias about the joint's frame.
     """
 
-    name: str
-    """Value of `kind` in a study file."""
-
-    max_joints: int = MAX_JOINTS
-    """Most joints of an arm of this kind."""
-
-    table: type[Table]
-    """Keys of `[arm]`, without `kind`."""
-
+    name: str  # value of `kind` in a study file
+    max_joints: int = MAX_JOINTS  # most joints of an arm of this kind
+    table: type[Table]  # keys of `[arm]`, without `kind`
+    # whether the kind places the joints; otherwise their tables or a URDF do, and motors may be
+    # coupled
     places_joints: bool = True
-    """Whether the kind places the joints; otherwise their tables or a URDF do, and motors may be
-    coupled."""
-
-    gravity_note: str = ""
-    """Formula of `effective_gravity`, if it is not the gravity of the study."""
+    gravity_note: str = ""  # formula of `effective_gravity`, if it is not the gravity of the study
 
     def faults(self, table: Table, joints: Sequence[Joint]) -> Iterator[Fault]:
         """Contradictions between the tables of a study file and this kind, most severe first."""
