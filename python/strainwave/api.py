@@ -23,6 +23,7 @@ from strainwave.domain import (
     FrequencyResponse,
     Identification,
     InputCheck,
+    Log,
     Options,
     Parameter,
     Prediction,
@@ -42,12 +43,14 @@ from strainwave.fleet.monitoring import comparison, result_estimates
 from strainwave.identification.validation import predict_rigid
 from strainwave.io import results
 from strainwave.io.atomic_files import write_whole
-from strainwave.io.joint_covariance import JointCovariance, covariance_of
+from strainwave.io.joint_covariance import JointCovariance
 from strainwave.io.logs import read_log
 from strainwave.io.logs.arrow import Data
+from strainwave.io.results import covariance_of
 from strainwave.io.study import check_study
 from strainwave.io.study import read_study as _read_study
 from strainwave.numerics.parallel import Stopped, limited
+from strainwave.pipeline.inputs import read_records
 from strainwave.signals import hygiene
 from strainwave.signals.motor import detect_standing_motors, prepare_motor_signals
 
@@ -143,6 +146,23 @@ def identify(
             progress(events.get())
 
     return Result.of(_run_in_thread(run, is_cancelled or (lambda: False), report_progress))
+
+
+def read_logs(
+    study: Study | Path | str,
+    experiments: Sequence[Experiment] | None = None,
+    *,
+    data: Data | None = None,
+) -> tuple[Log, ...]:
+    """Read the logs of a study, as the stages of `identify` get them.
+
+    Channels are in SI units, within the window of the experiment and on a uniform clock. A record
+    with pauses has one log per segment. Torques of rigid joints without a logged motor torque are
+    those of the sensors behind the gears. Defects of sensors are not repaired; see
+    `repair_records`. All experiments are read by default; `data` is that of `identify`. Raises
+    `InvalidInput` if the study or a log is at fault.
+    """
+    return read_records(_study_of(study, data or {}), experiments, data=data)[1]
 
 
 def check(study: Study | Path | str, *, data: Data | None = None) -> InputCheck:
@@ -631,8 +651,8 @@ class Result:
         from strainwave.tune.tune import tune_document
 
         folder = None if out is None else Path(out)
-        document, options = self._document, options or ServoOptions()
-        return tune_document(document, self.source, options, folder, progress=progress)
+        options = options or ServoOptions()
+        return tune_document(self._document, self._arm(), options, folder, progress)
 
     def plot(
         self,
@@ -682,7 +702,8 @@ class Result:
     def _arm(self) -> Any:
         from strainwave.export import arm_of
 
-        return arm_of(self._document, self.source)
+        study = None if self.run is None else self.run.study
+        return arm_of(self._document, self.source, identified=study)
 
     def _rigid_model(self) -> tuple[Arm, RigidModel]:
         arm = Arm.of(self._arm().with_identified_drives().study.arm)

@@ -32,7 +32,6 @@ from strainwave.domain.options import Progress, ProgressEvent, ignore_progress
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.identification import amplitude_sweep as sweep
 from strainwave.identification import whole_arm
-from strainwave.io import logs
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.logs.arrow import Data
 from strainwave.io.results import to_document, to_json
@@ -44,8 +43,8 @@ from strainwave.pipeline.inputs import (
     Inputs,
     check_input,
     check_inputs,
+    read_records,
     read_start,
-    with_sensed_torques,
 )
 from strainwave.pipeline.reporter import Reporter, attempt
 from strainwave.pipeline.rigid_joints import (
@@ -109,10 +108,7 @@ def identify(
             if options is not None:
                 the_study = with_options(the_study, options)
             starts = read_start(start, the_study)
-            the_study, raw_logs = with_sensed_torques(
-                the_study, logs.read_logs(the_study, data=data)
-            )
-        the_study = the_study.with_segments(log.experiment for log in raw_logs)
+            the_study, raw_logs = read_records(the_study, data=data)
         return _identify(the_study, raw_logs, chosen, reporter, starts)
 
 
