@@ -46,7 +46,6 @@ from strainwave.io.atomic_files import write_whole
 from strainwave.io.joint_covariance import JointCovariance
 from strainwave.io.logs import read_log
 from strainwave.io.logs.arrow import Data
-from strainwave.io.results import covariance_of
 from strainwave.io.study import check_study
 from strainwave.io.study import read_study as _read_study
 from strainwave.numerics.parallel import Stopped, limited
@@ -407,7 +406,7 @@ class Result:
     @property
     def covariance(self) -> JointCovariance | None:
         """Covariance of the estimates with the names of rows and columns; `.to_frame()`."""
-        return covariance_of(self._document)
+        return results.covariance_of(self._document)
 
     @property
     def checks(self) -> dict[str, dict[str, float | None]]:
@@ -513,6 +512,7 @@ class Result:
         By default the frequencies range from a tenth of the anti-resonance to ten times the
         resonance. Errors as for `state_space`, except that python-control is not needed.
         """
+        from strainwave.dynamics.two_inertia import anti_resonance, resonance
         from strainwave.export.state_space import joint_model, joint_model_covariance
         from strainwave.identification.joint_model.agreement import (
             motor_response,
@@ -521,7 +521,11 @@ class Result:
 
         arm = self._arm()
         model = joint_model(arm, joint)
-        f = _response_frequencies(model) if frequencies_hz is None else np.array(frequencies_hz)
+        if frequencies_hz is None:
+            factor = 10.0**_DECADES_BEYOND_MODES
+            low, high = (mode(model).frequency_hz for mode in (anti_resonance, resonance))
+            frequencies_hz = np.geomspace(low / factor, high * factor, _N_FREQUENCIES)
+        f = np.array(frequencies_hz)
         G = motor_response(model.vector, model.gear_ratio, f)
         covariance = joint_model_covariance(arm, joint, self.covariance)
         magnitude_std, phase_std = None, None
@@ -596,8 +600,13 @@ class Result:
         study's [channels] name; a result read from a file needs the study file for that. Predicted
         and measured torques are those within the bandwidth of the rigid model.
         """
+        from strainwave.export.source import study_file_of
+
         arm, model = self._rigid_model()
-        study = self._study_of_records() if self.run is None else self.run.study
+        if self.run is None:  # the logs need [channels] of the study file
+            study, _ = study_file_of(self._document, results.result_path(self.source))
+        else:
+            study = self.run.study
         name = record if isinstance(record, str) else None
         named = [each for each in study.experiments if each.name == name]
         logs = [log for log in (self.run.logs if self.run else ()) if log.name == name]
@@ -716,12 +725,6 @@ class Result:
             )
         return arm, model
 
-    def _study_of_records(self) -> Study:
-        """The study file of a result, whose [channels] its logs need."""
-        from strainwave.export.source import study_file_of
-
-        return study_file_of(self._document, results.result_path(self.source))[0]
-
     def _needs_run(self, subject: str) -> Identification:
         if self.run is None:
             raise InvalidInput(
@@ -729,14 +732,6 @@ class Result:
                 remedy="identify the study again, or keep the fresh result by pickle.dump",
             )
         return self.run
-
-
-def _response_frequencies(model: Any) -> FloatArray:
-    from strainwave.dynamics.two_inertia import anti_resonance, resonance
-
-    factor = 10.0**_DECADES_BEYOND_MODES
-    low = anti_resonance(model).frequency_hz / factor
-    return np.geomspace(low, resonance(model).frequency_hz * factor, _N_FREQUENCIES)
 
 
 def _study_of(study: Study | Path | str, data: Data) -> Study:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Identification, Parameter, Stage
+from strainwave.domain import (
+    ArmModel,
+    FloatArray,
+    Identification,
+    JointModel,
+    RigidModel,
+    Stage,
+)
 from strainwave.errors import import_optional
 
 if TYPE_CHECKING:
@@ -46,10 +53,17 @@ def joint_covariance(identification: Identification) -> JointCovariance | None:
     the stage. Values that are clipped at zero, combined from several stages or rejected have none.
     """
     published = {p.label: p for p in identification.parameters}
-    stage, blocks = _blocks(identification)
+    stage: Stage = "rigid"
+    models: list[RigidModel | JointModel | ArmModel]
+    models = [] if identification.rigid is None else [identification.rigid]
+    if identification.whole_arm is not None:
+        stage, models = "tuned", [identification.whole_arm]
+    elif identification.joints:  # of which also values without an estimate have a covariance
+        stage, models = "decoupled", [*identification.joints]
     names: list[str] = []
     matrix = np.zeros((0, 0))
-    for parameters, covariance in blocks:
+    for model in models:
+        parameters, covariance = model.parameters, model.covariance
         selected = [
             k
             for k, p in enumerate(parameters[: len(covariance)])
@@ -62,21 +76,6 @@ def joint_covariance(identification: Identification) -> JointCovariance | None:
         matrix = np.pad(matrix, (0, len(selected)))
         matrix[n:, n:] = covariance[np.ix_(selected, selected)]
     return JointCovariance(stage, tuple(names), matrix) if names else None
-
-
-def _blocks(
-    identification: Identification,
-) -> tuple[Stage, Iterator[tuple[Sequence[Parameter], FloatArray]]]:
-    if identification.whole_arm is not None:
-        whole_arm = identification.whole_arm
-        return "tuned", iter([(whole_arm.parameters, whole_arm.covariance)])
-    if identification.joints:
-        return "decoupled", (
-            (joint.parameters, joint.covariance[: len(joint.parameters), : len(joint.parameters)])
-            for joint in identification.joints
-        )
-    rigid = identification.rigid
-    return "rigid", iter([(rigid.parameters, rigid.covariance)] if rigid is not None else [])
 
 
 def _is_equal(first: float | None, second: float | None) -> bool:

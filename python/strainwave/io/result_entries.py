@@ -89,7 +89,8 @@ class _Source:
 class Entry(BaseModel):
     """An entry that is made from the attributes of a record, or from JSON."""
 
-    model_config = ConfigDict(from_attributes=True, populate_by_name=True)
+    # validators are built when they are first used
+    model_config = ConfigDict(from_attributes=True, populate_by_name=True, defer_build=True)
 
     @classmethod
     def of(cls, record: Any, **computed: Any) -> Self:
@@ -113,7 +114,9 @@ class Resonances(Entry):
     resonance_damping: float | None = _at("resonance", "damping")
 
 
-class _PhysicalModel(Resonances):
+class JointEntry(Resonances):
+    """The physical model of a joint, from all its records or by (17), (18)."""
+
     experiments: tuple[str, ...] | None = None
     joint: int
     method: str | None
@@ -122,12 +125,7 @@ class _PhysicalModel(Resonances):
     band_hz: tuple[float, float] | None = None
     parameters: tuple[Estimate, ...] = ()
     warnings: tuple[Warned, ...] = ()
-
-
-class JointEntry(_PhysicalModel):
-    """The physical model of a joint, from all its records or by (17), (18)."""
-
-    fit_percent: Fits
+    fit_percent: Fits | tuple[float, ...] | None  # of a record: of each output
 
 
 class HeldOutEntry(Entry):
@@ -159,12 +157,11 @@ class StateSpaceEntry(Resonances):
     held_out: HeldOutEntry | None = None
 
 
-class RecordEntry(_PhysicalModel):
+class RecordEntry(JointEntry):
     """All models of the joint that is excited in one record."""
 
     experiment: str
     equation_fit_percent: Fits | None = None
-    fit_percent: tuple[float, ...] | None
     state_space: StateSpaceEntry | None = None
     transfer_function: JointEntry | None = None
     checks: tuple[Any, ...] | None = None

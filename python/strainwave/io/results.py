@@ -9,9 +9,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from strainwave import __version__
 from strainwave.domain import (
@@ -42,19 +43,28 @@ from strainwave.io.base_parameters import (
     standard_parameter_entries,
 )
 from strainwave.io.joint_covariance import IdentifiedNoise, JointCovariance, joint_covariance
+from strainwave.io.result_entries import (
+    ArmEntry,
+    BaseParameterEntry,
+    CheckEntry,
+    CovarianceEntry,
+    EstimatesEntry,
+    FrictionEntry,
+    InputCheckEntry,
+    JointValue,
+    PredictionEntry,
+    RecordEntry,
+    ResidualEntry,
+    ResponseEntry,
+    ResultEntry,
+    RigidEntry,
+    StagesEntry,
+    StateSpaceEntry,
+    TorqueRatio,
+    VerdictEntry,
+)
 from strainwave.io.study import document_of
 from strainwave.io.study.reader import Reader
-
-if TYPE_CHECKING:  # pydantic is loaded when a file is read or written
-    from pydantic import BaseModel, TypeAdapter
-
-    from strainwave.io.result_entries import (
-        BaseParameterEntry,
-        RecordEntry,
-        ResponseEntry,
-        RigidEntry,
-        StagesEntry,
-    )
 
 T = TypeVar("T")
 
@@ -73,8 +83,6 @@ _RIG_TABLES = ("arm", "joint", "transmission", "servo")  # of the study file, wh
 
 def to_document(identification: Identification) -> dict[str, Any]:
     """The result as plain JSON values in the layout of docs/result.md; numbers are finite."""
-    from strainwave.io.result_entries import ResultEntry
-
     base = _base_entries(identification.study.arm, identification.parameters)
     # drive signals by the rigid model, motion by the elastic model
     fits: dict[str, dict[str, float]] = {}
@@ -97,8 +105,6 @@ def to_document(identification: Identification) -> dict[str, Any]:
 
 def check_document(check: InputCheck) -> dict[str, Any]:
     """An input check as plain JSON values, in the layout of docs/result.md."""
-    from strainwave.io.result_entries import InputCheckEntry
-
     study = {"path": str(check.study.path), "sha256": check.study.sha256}
     schema = "strainwave/check/1"
     return _plain(InputCheckEntry.of(check, schema_=schema, version=__version__, study=study))
@@ -108,8 +114,6 @@ def estimates_document(
     arm: ArmDescription, parameters: Iterable[Parameter], rigid: Iterable[Parameter]
 ) -> dict[str, Any]:
     """The keys `parameters`, and `base_parameters` of serial arms from those of the rigid model."""
-    from strainwave.io.result_entries import EstimatesEntry
-
     base = _base_entries(arm, rigid)
     entry = EstimatesEntry(parameters=tuple(parameters), base_parameters=base)
     return _plain(entry, () if base else ("base_parameters",))
@@ -118,8 +122,6 @@ def estimates_document(
 def _base_entries(
     arm: ArmDescription, parameters: Iterable[Parameter]
 ) -> tuple[BaseParameterEntry, ...]:
-    from strainwave.io.result_entries import BaseParameterEntry
-
     return tuple(
         BaseParameterEntry.of(one.estimate, name=one.name, combination=one.combination)
         for one in base_parameter_list(arm, parameters)
@@ -141,8 +143,6 @@ def to_json(document: Mapping[str, Any]) -> bytes:
 
 def read_document(path: Path) -> dict[str, Any]:
     """Read a result.json, or the one in a directory; `InvalidInput` if it is not a result."""
-    from strainwave.io.result_entries import CheckEntry
-
     path = result_path(path)
     document = read_json(path, "the result", NOT_A_RESULT)
     schema = document.get("schema") if isinstance(document, dict) else None
@@ -229,8 +229,6 @@ def warnings_of(document: Mapping[str, Any]) -> tuple[PublishedWarning, ...]:
 
 def verdict_of(document: Mapping[str, Any]) -> Verdict:
     """The verdict of a result; results of earlier versions have all reasons in one text."""
-    from strainwave.io.result_entries import VerdictEntry
-
     entry = _read(
         VerdictEntry,
         {"status": document.get("status"), **document.get("verdict", {})},
@@ -269,8 +267,6 @@ def covariance_of(
     document: Mapping[str, Any], source: str = "the result"
 ) -> JointCovariance | None:
     """The joint covariance of a result document; None if it has none, as in earlier versions."""
-    from strainwave.io.result_entries import CovarianceEntry
-
     if document.get("covariance") is None:
         return None
     place = f"{source}: covariance"
@@ -291,8 +287,6 @@ def noise_of(document: Mapping[str, Any], source: str = "the result") -> Identif
 
     `source` names the document in messages.
     """
-    from strainwave.io.result_entries import JointValue, ResidualEntry
-
     stages = document.get("stages") or {}
     rigid, tuned = stages.get("rigid") or {}, stages.get("tuned") or {}
     residuals = (tuned.get("criticism") or {}).get("residuals", [])
@@ -316,8 +310,6 @@ def rigid_model_of(document: Mapping[str, Any], n_parameters: int) -> RigidModel
     `n_parameters` is the number of the arm's rigid columns. Files of earlier versions have no
     entry `prediction`.
     """
-    from strainwave.io.result_entries import RigidEntry
-
     table = document.get("stages", {}).get("rigid") or {}
     if "prediction" not in table or table.get("status") == "not-identifiable":
         return None
@@ -350,8 +342,6 @@ def rigid_model_of(document: Mapping[str, Any], n_parameters: int) -> RigidModel
 
 def response_of(document: Mapping[str, Any], joint: int) -> FrequencyResponse | None:
     """The nonparametric response of a joint at full amplitude; None if the result has none."""
-    from strainwave.io.result_entries import ResponseEntry
-
     responses = document.get("stages", {}).get("responses", [])
     table = next((each for each in responses if each["joint"] == joint), None)
     if table is None:
@@ -379,8 +369,6 @@ def response_of(document: Mapping[str, Any], joint: int) -> FrequencyResponse | 
 
 def _read(kind: type[T], value: Any, place: str) -> T:
     """A JSON value as an entry or a record; keys that this version does not know are ignored."""
-    from pydantic import ValidationError
-
     try:
         entry: T = _adapter(kind).validate_json(  # type: ignore[arg-type]
             json.dumps(value), strict=True
@@ -402,8 +390,6 @@ def _read(kind: type[T], value: Any, place: str) -> T:
 
 @cache
 def _adapter(kind: Any) -> TypeAdapter[Any]:
-    from pydantic import TypeAdapter
-
     return TypeAdapter(kind)
 
 
@@ -418,8 +404,6 @@ def _study(study: Study) -> dict[str, Any]:
 
 
 def _stages(identification: Identification) -> StagesEntry:
-    from strainwave.io.result_entries import ArmEntry, StagesEntry
-
     stages: dict[str, Any] = {}
     if identification.rigid is not None:
         stages["rigid"] = _rigid(identification.rigid)
@@ -441,14 +425,6 @@ def _stages(identification: Identification) -> StagesEntry:
 
 
 def _rigid(model: RigidModel) -> RigidEntry:
-    from strainwave.io.result_entries import (
-        FrictionEntry,
-        JointValue,
-        PredictionEntry,
-        RigidEntry,
-        TorqueRatio,
-    )
-
     ratios = tuple(
         TorqueRatio(joint=joint, value=value, std=std)
         for joint, (value, std) in model.torque_ratios.items()
@@ -469,8 +445,6 @@ def _rigid(model: RigidModel) -> RigidEntry:
 
 def _record(record: RecordModel) -> RecordEntry:
     """The physical model and the state-space model of one excited record."""
-    from strainwave.io.result_entries import RecordEntry, StateSpaceEntry
-
     linear, chosen, fit, state_space = record.state_space, record.joint_model, None, None
     if linear is not None:
         # a simulation of an unstable model has no fit
@@ -511,8 +485,6 @@ def _record(record: RecordModel) -> RecordEntry:
 
 def _motor_response_records(joints: Iterable[JointModel]) -> Iterator[RecordEntry]:
     """One entry per record for joints that are modelled from motor signals alone."""
-    from strainwave.io.result_entries import RecordEntry
-
     for joint in joints:
         for name in joint.experiments if joint.method == "motor-response" else ():
             yield RecordEntry.of(
@@ -535,8 +507,6 @@ def _responses(identification: Identification) -> Iterator[ResponseEntry]:
 def _response(
     response: FrequencyResponse, number: int, names: tuple[str, ...], joint: JointModel | None
 ) -> ResponseEntry:
-    from strainwave.io.result_entries import ResponseEntry
-
     low, high = joint.band_hz if joint else (0.0, math.inf)
     lines = response.between(low / _BAND_FACTOR, high * _BAND_FACTOR, _MAX_RESPONSE_LINES)
     _, n_out, n_in = lines.response.shape

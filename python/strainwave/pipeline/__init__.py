@@ -34,7 +34,6 @@ from strainwave.identification import amplitude_sweep as sweep
 from strainwave.identification import whole_arm
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.logs.arrow import Data
-from strainwave.io.results import to_document, to_json
 from strainwave.io.study import read_study, with_options
 from strainwave.numerics.parallel import limited, one_blas_thread
 from strainwave.pipeline.elastic_arm import ElasticStages, fit_elastic_arm
@@ -239,6 +238,7 @@ def write(
     The files appear all at once or not at all, and replace an earlier result in the folder. Raises
     `InvalidInput` if the folder cannot be written to or Matplotlib is missing.
     """
+    from strainwave.io.results import to_document, to_json
     from strainwave.report.document import figures_of, render
 
     reporter = Reporter(identification.stages, progress)

@@ -31,7 +31,6 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.io import logs
 from strainwave.io.logs.arrow import Data
-from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study, with_options
 from strainwave.numerics.parallel import one_blas_thread
 from strainwave.signals import hygiene
@@ -125,6 +124,8 @@ def read_start(start: Path | Mapping[Key, float] | None, study: Study) -> Values
     Other values of a result.json, such as combinations and sensor constants, are left out. Raises
     InvalidInput if none of the values is a parameter of the arm.
     """
+    from strainwave.io.parameters import read_parameters
+
     if start is None:
         return {}
     values = read_parameters(start) if isinstance(start, Path) else dict(start)
