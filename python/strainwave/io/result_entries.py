@@ -275,14 +275,19 @@ class RigidEntry(Entry):
     prediction: PredictionEntry | None = None
 
 
-class ResidualEntry(Entry):
+class ChannelNoise(Entry):
+    """Noise of the samples of one channel; results of earlier versions do not have it."""
+
+    channel: str
+    sample_noise: float | None = None
+
+
+class ResidualEntry(ChannelNoise):
     """Residual of one channel in one record, without its spectrum."""
 
     experiment: str
-    channel: str
     deviation: float
     noise: float
-    sample_noise: float | None = None  # lacks in results of earlier versions
     worst_hz: float | None
     whiteness: float | None
     input_joint: int
@@ -370,7 +375,7 @@ class VerdictEntry(Entry):
     rejected: tuple[Label, ...]
     validated: Validation
     suspected: tuple[Suspected, ...] = ()
-    reasons: tuple[str, ...] | None = None  # lack in results of earlier versions
+    reasons: tuple[str, ...] | None = None  # None in results of earlier versions
 
 
 class CovarianceEntry(Entry):

@@ -46,6 +46,7 @@ from strainwave.io.joint_covariance import IdentifiedNoise, JointCovariance, joi
 from strainwave.io.result_entries import (
     ArmEntry,
     BaseParameterEntry,
+    ChannelNoise,
     CheckEntry,
     CovarianceEntry,
     EstimatesEntry,
@@ -54,7 +55,6 @@ from strainwave.io.result_entries import (
     JointValue,
     PredictionEntry,
     RecordEntry,
-    ResidualEntry,
     ResponseEntry,
     ResultEntry,
     RigidEntry,
@@ -292,7 +292,7 @@ def noise_of(document: Mapping[str, Any], source: str = "the result") -> Identif
     residuals = (tuned.get("criticism") or {}).get("residuals", [])
     place = f"{source}: stages.tuned.criticism.residuals"
     samples: dict[str, list[float]] = {}
-    for test in _read(tuple[ResidualEntry, ...], residuals, place):
+    for test in _read(tuple[ChannelNoise, ...], residuals, place):
         if test.sample_noise:
             samples.setdefault(test.channel, []).append(test.sample_noise)
     place = f"{source}: stages.rigid.torque_errors"
