@@ -14,7 +14,6 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from strainwave import __version__
 from strainwave.domain import (
     ArmDescription,
     ArmModel,
@@ -65,6 +64,7 @@ from strainwave.io.result_entries import (
 )
 from strainwave.io.study import document_of
 from strainwave.io.study.reader import Reader
+from strainwave.version import __version__
 
 T = TypeVar("T")
 
