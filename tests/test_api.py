@@ -129,6 +129,26 @@ def test_invalid_tables_are_refused() -> None:
         sw.identify(STUDY, data={first: pa.table([[1.0], [2.0]], names=["t", "t"])})
 
 
+def test_logs_are_those_of_the_stages() -> None:
+    run = rigid().run
+    assert run is not None
+    logs = sw.read_logs(STUDY)
+    assert [log.name for log in logs] == [log.name for log in run.logs]
+    for log, of_run in zip(logs, run.logs, strict=True):
+        np.testing.assert_array_equal(log.time, of_run.time)
+        assert log.channels.keys() == of_run.channels.keys()
+    (named,) = sw.read_logs(STUDY, sw.read_study(STUDY).experiments[:1])
+    assert named.name == logs[0].name
+    motor = 1e-3 * np.arange(1000.0)
+    study = sw.Study(
+        arm=sw.ArmDescription("single-joint", joints=(sw.Joint(spring="rigid", gear_ratio=0.01),)),
+        experiments=(sw.Experiment("motion", "", "motion", ("open",)),),
+    )
+    table = {"t": motor, "tau_l1": np.sin(motor), "theta_m1": motor}
+    (sensed,) = sw.read_logs(study, data={"motion": table})
+    np.testing.assert_allclose(sensed.channels["torque1"], 0.01 * np.sin(motor))
+
+
 def test_a_missing_log_is_reported_with_its_line(tmp_path: Path) -> None:
     path = tmp_path / "study.toml"
     path.write_text(STUDY.read_text())

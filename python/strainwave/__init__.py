@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from strainwave.api import check as check
     from strainwave.api import compare as compare
     from strainwave.api import identify as identify
+    from strainwave.api import read_logs as read_logs
     from strainwave.api import read_result as read_result
     from strainwave.api import read_study as read_study
     from strainwave.domain import ArmDescription as ArmDescription
@@ -60,7 +61,6 @@ if TYPE_CHECKING:
     from strainwave.identification.validation import predict_rigid as predict_rigid
     from strainwave.identification.whole_arm import fit_whole_arm as fit_whole_arm
     from strainwave.input_check import check_consistency as check_consistency
-    from strainwave.io.logs import read_logs as read_logs
     from strainwave.signals.hygiene import repair_records as repair_records
     from strainwave.signals.link_motion import prepare_link_signals as prepare_link_signals
     from strainwave.signals.motor import prepare_motor_signals as prepare_motor_signals
@@ -69,7 +69,7 @@ if TYPE_CHECKING:
     from strainwave.tune.margins import Requirements as Requirements
 
 _NAMES_OF_MODULE = {
-    "strainwave.api": "Result check compare identify read_result read_study",
+    "strainwave.api": "Result check compare identify read_logs read_result read_study",
     "strainwave.fleet.campaign.store": "read_parameters read_runs",
     "strainwave.domain": (
         "ArmDescription Channel Experiment FrequencyOptions Joint LinearOptions LinkOptions "
@@ -88,7 +88,6 @@ _NAMES_OF_MODULE = {
     "strainwave.identification.rigid": "fit_rigid",
     "strainwave.identification.validation": "predict_elastic predict_rigid",
     "strainwave.identification.whole_arm": "fit_whole_arm",
-    "strainwave.io.logs": "read_logs",
     "strainwave.tune.design": "ServoDesign ServoOptions",
     "strainwave.tune.margins": "Requirements",
     "strainwave.input_check": "check_consistency",

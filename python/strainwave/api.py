@@ -23,6 +23,7 @@ from strainwave.domain import (
     FrequencyResponse,
     Identification,
     InputCheck,
+    Log,
     Options,
     Parameter,
     Prediction,
@@ -42,12 +43,13 @@ from strainwave.fleet.monitoring import comparison, result_estimates
 from strainwave.identification.validation import predict_rigid
 from strainwave.io import results
 from strainwave.io.atomic_files import write_whole
-from strainwave.io.joint_covariance import JointCovariance, covariance_of
+from strainwave.io.joint_covariance import JointCovariance
 from strainwave.io.logs import read_log
 from strainwave.io.logs.arrow import Data
 from strainwave.io.study import check_study
 from strainwave.io.study import read_study as _read_study
 from strainwave.numerics.parallel import Stopped, limited
+from strainwave.pipeline.inputs import read_records
 from strainwave.signals import hygiene
 from strainwave.signals.motor import detect_standing_motors, prepare_motor_signals
 
@@ -143,6 +145,23 @@ def identify(
             progress(events.get())
 
     return Result.of(_run_in_thread(run, is_cancelled or (lambda: False), report_progress))
+
+
+def read_logs(
+    study: Study | Path | str,
+    experiments: Sequence[Experiment] | None = None,
+    *,
+    data: Data | None = None,
+) -> tuple[Log, ...]:
+    """Read the logs of a study, as the stages of `identify` get them.
+
+    Channels are in SI units, within the window of the experiment and on a uniform clock. A record
+    with pauses has one log per segment. Torques of rigid joints without a logged motor torque are
+    those of the sensors behind the gears. Defects of sensors are not repaired; see
+    `repair_records`. All experiments are read by default; `data` is that of `identify`. Raises
+    `InvalidInput` if the study or a log is at fault.
+    """
+    return read_records(_study_of(study, data or {}), experiments, data=data)[1]
 
 
 def check(study: Study | Path | str, *, data: Data | None = None) -> InputCheck:
@@ -387,7 +406,7 @@ class Result:
     @property
     def covariance(self) -> JointCovariance | None:
         """Covariance of the estimates with the names of rows and columns; `.to_frame()`."""
-        return covariance_of(self._document)
+        return results.covariance_of(self._document)
 
     @property
     def checks(self) -> dict[str, dict[str, float | None]]:
@@ -493,6 +512,7 @@ class Result:
         By default the frequencies range from a tenth of the anti-resonance to ten times the
         resonance. Errors as for `state_space`, except that python-control is not needed.
         """
+        from strainwave.dynamics.two_inertia import anti_resonance, resonance
         from strainwave.export.state_space import joint_model, joint_model_covariance
         from strainwave.identification.joint_model.agreement import (
             motor_response,
@@ -501,7 +521,11 @@ class Result:
 
         arm = self._arm()
         model = joint_model(arm, joint)
-        f = _response_frequencies(model) if frequencies_hz is None else np.array(frequencies_hz)
+        if frequencies_hz is None:
+            factor = 10.0**_DECADES_BEYOND_MODES
+            low, high = (mode(model).frequency_hz for mode in (anti_resonance, resonance))
+            frequencies_hz = np.geomspace(low / factor, high * factor, _N_FREQUENCIES)
+        f = np.array(frequencies_hz)
         G = motor_response(model.vector, model.gear_ratio, f)
         covariance = joint_model_covariance(arm, joint, self.covariance)
         magnitude_std, phase_std = None, None
@@ -576,8 +600,13 @@ class Result:
         study's [channels] name; a result read from a file needs the study file for that. Predicted
         and measured torques are those within the bandwidth of the rigid model.
         """
+        from strainwave.export.source import study_file_of
+
         arm, model = self._rigid_model()
-        study = self._study_of_records() if self.run is None else self.run.study
+        if self.run is None:  # the logs need [channels] of the study file
+            study, _ = study_file_of(self._document, results.result_path(self.source))
+        else:
+            study = self.run.study
         name = record if isinstance(record, str) else None
         named = [each for each in study.experiments if each.name == name]
         logs = [log for log in (self.run.logs if self.run else ()) if log.name == name]
@@ -631,8 +660,8 @@ class Result:
         from strainwave.tune.tune import tune_document
 
         folder = None if out is None else Path(out)
-        document, options = self._document, options or ServoOptions()
-        return tune_document(document, self.source, options, folder, progress=progress)
+        options = options or ServoOptions()
+        return tune_document(self._document, self._arm(), options, folder, progress)
 
     def plot(
         self,
@@ -682,7 +711,8 @@ class Result:
     def _arm(self) -> Any:
         from strainwave.export import arm_of
 
-        return arm_of(self._document, self.source)
+        study = None if self.run is None else self.run.study
+        return arm_of(self._document, self.source, identified=study)
 
     def _rigid_model(self) -> tuple[Arm, RigidModel]:
         arm = Arm.of(self._arm().with_identified_drives().study.arm)
@@ -695,12 +725,6 @@ class Result:
             )
         return arm, model
 
-    def _study_of_records(self) -> Study:
-        """The study file of a result, whose [channels] its logs need."""
-        from strainwave.export.source import study_file_of
-
-        return study_file_of(self._document, results.result_path(self.source))[0]
-
     def _needs_run(self, subject: str) -> Identification:
         if self.run is None:
             raise InvalidInput(
@@ -708,14 +732,6 @@ class Result:
                 remedy="identify the study again, or keep the fresh result by pickle.dump",
             )
         return self.run
-
-
-def _response_frequencies(model: Any) -> FloatArray:
-    from strainwave.dynamics.two_inertia import anti_resonance, resonance
-
-    factor = 10.0**_DECADES_BEYOND_MODES
-    low = anti_resonance(model).frequency_hz / factor
-    return np.geomspace(low, resonance(model).frequency_hz * factor, _N_FREQUENCIES)
 
 
 def _study_of(study: Study | Path | str, data: Data) -> Study:

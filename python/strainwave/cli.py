@@ -254,6 +254,7 @@ def tune(
     quiet: Quiet = False,
 ) -> None:
     """Design the servos of an arm. Writes DIR/tune.html and servo.*, with input shapers."""
+    from strainwave.export import arm_of
     from strainwave.io.results import read_document, result_path
     from strainwave.tune.design import ServoOptions
     from strainwave.tune.margins import Requirements
@@ -273,7 +274,7 @@ def tune(
     with _progress(quiet) as report:
         path = result_path(result)
         document = read_document(path)
-        design = tune_document(document, path, options, out, study=study, progress=report)
+        design = tune_document(document, arm_of(document, path, study), options, out, report)
     if not quiet:
         print_design(design, out / PAGE)
 

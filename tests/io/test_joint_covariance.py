@@ -12,7 +12,8 @@ from results import arm_model, identification
 from strainwave.domain import Parameter
 from strainwave.errors import InvalidInput
 from strainwave.io import results
-from strainwave.io.joint_covariance import covariance_of, joint_covariance
+from strainwave.io.joint_covariance import joint_covariance
+from strainwave.io.results import covariance_of
 
 
 def test_rigid_stage_without_unidentified_parameters() -> None:

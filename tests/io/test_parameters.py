@@ -58,7 +58,9 @@ def test_reads_the_torque_errors_of_a_result(tmp_path: Path) -> None:
     assert read_torque_errors(path) == {2: 0.03}
     assert read_torque_errors(_write(tmp_path, {"parameters": [], "stages": None})) == {}
     rigid["torque_errors"] = [{"value": 0.03}]
-    with pytest.raises(InvalidInput, match=r"p\.json: an entry of torque_errors .* lacks joint"):
+    with pytest.raises(
+        InvalidInput, match=r"p\.json: stages\.rigid\.torque_errors, entry 1: 'joint'"
+    ):
         read_torque_errors(_write(tmp_path, {"parameters": [], "stages": {"rigid": rigid}}))
 
 

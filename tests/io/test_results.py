@@ -95,6 +95,25 @@ def test_the_rig_is_read_back() -> None:
     assert result.study_of({"study": {"path": "study.toml", "sha256": ""}}, Path("r.json")) is None
 
 
+def test_a_torque_behind_the_gear_is_read_back() -> None:
+    one = identification()
+    arm = one.study.arm.with_joint(1, torque_at_link=True)
+    document = result.to_document(replace(one, study=replace(one.study, arm=arm)))
+    study = result.study_of(json.loads(result.to_json(document)), Path("r.json"))
+    assert study is not None
+    assert study.arm == arm
+
+
+def test_reasons_are_read_back_one_by_one() -> None:
+    """A reason may contain the separator of the key `reason`."""
+    document = result.to_document(identification())
+    reasons = ["one; two", "three"]
+    document["verdict"]["reasons"], document["reason"] = reasons, "; ".join(reasons)
+    assert result.verdict_of(document).reasons == tuple(reasons)
+    del document["verdict"]["reasons"]  # as in results of earlier versions
+    assert result.verdict_of(document).reasons == ("one; two; three",)
+
+
 def test_motor_response_models_have_one_entry_per_record() -> None:
     joint = replace(joint_model(), method="motor-response", experiments=("a", "b"))
     found = replace(elastic_identification(), records=(), sweeps=(), joints=(joint,))

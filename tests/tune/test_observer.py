@@ -13,7 +13,8 @@ import exports
 from servo_arms import correct, predict, rig
 from strainwave.domain.arm import Imu
 from strainwave.export import IdentifiedArm
-from strainwave.io.joint_covariance import IdentifiedNoise, noise_of
+from strainwave.io.joint_covariance import IdentifiedNoise
+from strainwave.io.results import noise_of
 from strainwave.tune.closed_loop import Clock
 from strainwave.tune.design import ServoDesign, ServoOptions, design_servo
 from strainwave.tune.observer import Observer, design_observers

@@ -17,6 +17,7 @@ import strainwave as sw
 from command_line import Finished, run_here
 from servo_arms import rig
 from strainwave.domain import JointLimits
+from strainwave.export import arm_of
 from strainwave.io.study import read_study, write_study
 from strainwave.tune.design import design_servo
 from strainwave.tune.handover import FILES
@@ -238,7 +239,7 @@ def test_draws_follow_the_joint_covariance(result: Path) -> None:
     covariance = {"stage": "tuned", "names": names, "matrix": matrix}
     options = replace(FEW, draws=10)
     narrow, wide = (
-        tune_document(document | extra, result, options)
+        tune_document(document | extra, arm_of(document | extra, result), options)
         for extra in ({}, {"covariance": covariance})
     )
     ratios = [each.modes_hz[0, 1] / each.modes_hz[0, 0] for each in (narrow, wide)]

@@ -16,8 +16,7 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise
 from strainwave.export.source import arm_of
-from strainwave.io.joint_covariance import covariance_of, noise_of
-from strainwave.io.results import read_document, result_path
+from strainwave.io.results import covariance_of, noise_of, read_document, result_path
 from strainwave.pipeline import identify, write
 from strainwave.tune.design import ServoDesign, ServoOptions, design_servo
 from strainwave.tune.feed_forward import FeedForward

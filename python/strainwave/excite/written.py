@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -27,7 +26,8 @@ from strainwave.excite.command_table import (
 from strainwave.excite.guessed_arm import torque_errors_of
 from strainwave.excite.plan import LIMITED, Design, Limits, PredictedMotion, clock_of
 from strainwave.io.atomic_files import write_whole
-from strainwave.io.results import base_parameter_entries, parameter_entry, to_json
+from strainwave.io.base_parameters import base_parameter_list
+from strainwave.io.results import estimates_document, to_json
 from strainwave.io.study import copy_to, write_study
 from strainwave.io.templates import fill_text
 from strainwave.report.document.blocks import number
@@ -64,7 +64,6 @@ def _texts(design: Design) -> dict[str, str]:
 def _predicted(design: Design) -> str:
     """Predicted parameters with intervals, in the layout of result.json."""
     rigid = design.records[0].precision
-    base = base_parameter_entries(design.study.arm, rigid)
     final = {p.key: p for p in (*rigid, *design.precision)}  # the whole-arm fit comes last
     known = design.torque_errors
     errors = torque_errors_of(Arm.of(design.study.arm), known).tolist()
@@ -72,10 +71,10 @@ def _predicted(design: Design) -> str:
         "torque_errors": [
             {"joint": i, "value": error, "source": "measured" if i in known else "assumed"}
             for i, error in enumerate(errors, start=1)
-        ],
-        "parameters": [parameter_entry(p) for p in final.values()],
+        ]
     }
-    return to_json(document | ({"base_parameters": base} if base else {})).decode()
+    predicted = estimates_document(design.study.arm, final.values(), rigid)
+    return to_json(document | predicted).decode()
 
 
 def _row(values: Iterable[float]) -> str:
@@ -138,20 +137,18 @@ def _precision(design: Design) -> Iterator[str]:
 
 def _base_precision(design: Design) -> Iterator[str]:
     """Largest predicted half-width of the base parameters of a chain, by unit."""
-    entries = base_parameter_entries(design.study.arm, design.records[0].precision)
-    by_unit: dict[str, list[dict[str, Any]]] = {}
-    for entry in entries:
-        by_unit.setdefault(entry["unit"], []).append(entry)
-    if any(entry["std"] is None for entry in entries):
+    base = base_parameter_list(design.study.arm, design.records[0].precision)
+    if any(one.estimate.std is None for one in base):
         yield "the motion does not determine all base parameters"
-    elif entries:
+    elif base:
         texts = []
-        for unit, group in by_unit.items():
-            widest = max(group, key=lambda entry: float(entry["std"]))
-            largest = max(abs(entry["value"]) for entry in group)
-            width = CI95_STDS * widest["std"]
+        for unit in dict.fromkeys(one.estimate.unit for one in base):
+            group = [one for one in base if one.estimate.unit == unit]
+            widest = max(group, key=lambda one: one.estimate.std or 0.0)
+            largest = max(abs(one.estimate.value or 0.0) for one in group)
+            width = CI95_STDS * (widest.estimate.std or 0.0)
             share = f" ({100.0 * width / largest:.2g} % of the largest)" if largest else ""
-            texts.append(f"{widest['name']} {width:.2g} {unit}{share}")
+            texts.append(f"{widest.name} {width:.2g} {unit}{share}")
         yield f"widest predicted half-widths of base parameters: {', '.join(texts)}"
 
 

@@ -184,9 +184,15 @@ def read_arm(path: Path | str, study_path: Path | str | None = None) -> Identifi
 
 
 def arm_of(
-    document: Mapping[str, Any], path: Path, study_path: Path | str | None = None
+    document: Mapping[str, Any],
+    path: Path,
+    study_path: Path | str | None = None,
+    identified: Study | None = None,
 ) -> IdentifiedArm:
-    """The arm of a result document; `path` names it in messages. See `read_arm`."""
+    """The arm of a result document; `path` names it in messages. See `read_arm`.
+
+    `identified` is the study of a result that was not read from a file.
+    """
     if not isinstance(document.get("parameters"), list) or not document["parameters"]:
         raise InvalidInput(
             "contains no parameters",
@@ -194,11 +200,11 @@ def arm_of(
             remedy="identify again; the reason in the result states the cause",
         )
     parameters = parameters_of(document, str(path))
-    study = None if study_path else study_of(document, path)
+    study = None if study_path else identified or study_of(document, path)
     warnings: tuple[Diagnostic, ...] = ()
     if study is None:
         study, warnings = study_file_of(document, path, study_path)
-    elif "urdf" in document["study"]:
+    elif identified is None and "urdf" in document["study"]:
         study, warnings = _with_urdf(study, document, path)
     _check_parameters(parameters, study, path)
     study = replace(study, arm=study.arm.with_selected_laws([p.key for p in parameters]))

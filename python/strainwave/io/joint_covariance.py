@@ -1,18 +1,22 @@
-"""Joint covariance of the parameters in the final table: into result.json, and back.
-
-Noise of sensors and torques that an identification found, from result.json.
-"""
+"""What a result states of errors: joint covariance of the final table, noise of the sensors."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from strainwave.domain import STAGES, FloatArray, Identification, Parameter, Stage
-from strainwave.errors import InvalidInput, import_optional
+from strainwave.domain import (
+    ArmModel,
+    FloatArray,
+    Identification,
+    JointModel,
+    RigidModel,
+    Stage,
+)
+from strainwave.errors import import_optional
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -49,10 +53,17 @@ def joint_covariance(identification: Identification) -> JointCovariance | None:
     the stage. Values that are clipped at zero, combined from several stages or rejected have none.
     """
     published = {p.label: p for p in identification.parameters}
-    stage, blocks = _blocks(identification)
+    stage: Stage = "rigid"
+    models: list[RigidModel | JointModel | ArmModel]
+    models = [] if identification.rigid is None else [identification.rigid]
+    if identification.whole_arm is not None:
+        stage, models = "tuned", [identification.whole_arm]
+    elif identification.joints:  # of which also values without an estimate have a covariance
+        stage, models = "decoupled", [*identification.joints]
     names: list[str] = []
     matrix = np.zeros((0, 0))
-    for parameters, covariance in blocks:
+    for model in models:
+        parameters, covariance = model.parameters, model.covariance
         selected = [
             k
             for k, p in enumerate(parameters[: len(covariance)])
@@ -65,41 +76,6 @@ def joint_covariance(identification: Identification) -> JointCovariance | None:
         matrix = np.pad(matrix, (0, len(selected)))
         matrix[n:, n:] = covariance[np.ix_(selected, selected)]
     return JointCovariance(stage, tuple(names), matrix) if names else None
-
-
-def covariance_of(document: Mapping[str, Any]) -> JointCovariance | None:
-    """The joint covariance of a result document; None if it has none, as in earlier versions."""
-    table = document.get("covariance")
-    if table is None:
-        return None
-    try:
-        names = tuple(str(name) for name in table["names"])
-        matrix = np.array(table["matrix"], dtype=np.float64)
-        stage = STAGES[STAGES.index(table["stage"])]
-    except (KeyError, TypeError, ValueError) as error:
-        raise InvalidInput("covariance is incomplete", where="the result") from error
-    if matrix.shape != (len(names), len(names)) or not np.isfinite(matrix).all():
-        raise InvalidInput(
-            f"covariance has {len(names)} names and a matrix of shape {matrix.shape}, "
-            "or an entry that is not a finite number",
-            where="the result",
-        )
-    return JointCovariance(stage, names, matrix)
-
-
-def _blocks(
-    identification: Identification,
-) -> tuple[Stage, Iterator[tuple[Sequence[Parameter], FloatArray]]]:
-    if identification.whole_arm is not None:
-        whole_arm = identification.whole_arm
-        return "tuned", iter([(whole_arm.parameters, whole_arm.covariance)])
-    if identification.joints:
-        return "decoupled", (
-            (joint.parameters, joint.covariance[: len(joint.parameters), : len(joint.parameters)])
-            for joint in identification.joints
-        )
-    rigid = identification.rigid
-    return "rigid", iter([(rigid.parameters, rigid.covariance)] if rigid is not None else [])
 
 
 def _is_equal(first: float | None, second: float | None) -> bool:
@@ -117,26 +93,3 @@ class IdentifiedNoise:
     # by joint, from 1: of the motor torque that the rigid model does not explain [N m]
     torques: Mapping[int, float] = field(default_factory=dict)
     torque_band_hz: float | None = None  # of `torques`
-
-
-def noise_of(document: Mapping[str, Any], source: str = "the result") -> IdentifiedNoise:
-    """The noise of a result document: of each channel the median over the records.
-
-    `source` names the document in messages.
-    """
-    stages = document.get("stages") or {}
-    rigid, tuned = stages.get("rigid") or {}, stages.get("tuned") or {}
-    samples: dict[str, list[float]] = {}
-    try:
-        for test in (tuned.get("criticism") or {}).get("residuals", []):
-            if test.get("sample_noise"):
-                samples.setdefault(str(test["channel"]), []).append(float(test["sample_noise"]))
-        torques = {int(one["joint"]): float(one["value"]) for one in rigid.get("torque_errors", [])}
-    except (KeyError, TypeError, ValueError) as error:
-        raise InvalidInput(
-            "an entry of torque_errors or of the residuals lacks joint, channel or value",
-            where=source,
-            remedy="use a result.json as identify writes it",
-        ) from error
-    medians = {channel: float(np.median(values)) for channel, values in samples.items()}
-    return IdentifiedNoise(medians, torques, rigid.get("bandwidth_hz"))

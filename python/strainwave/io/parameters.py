@@ -12,8 +12,7 @@ from strainwave.domain.keys import Values
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import read_json
 from strainwave.io.base_parameters import standard_key
-from strainwave.io.joint_covariance import noise_of
-from strainwave.io.results import parameters_of, rigid_model_of
+from strainwave.io.results import noise_of, parameters_of, rigid_model_of
 
 
 def read_parameters(path: Path) -> Values:

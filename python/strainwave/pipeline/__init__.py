@@ -33,18 +33,16 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.identification import amplitude_sweep as sweep
 from strainwave.identification import whole_arm
-from strainwave.io import logs
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.logs.arrow import Data
-from strainwave.io.results import to_document, to_json
 from strainwave.io.study import read_study, with_options
 from strainwave.numerics.parallel import limited, one_blas_thread
 from strainwave.pipeline.elastic_arm import fit_elastic_arm
 from strainwave.pipeline.inputs import (
     check_input,
     check_inputs,
+    read_records,
     read_start,
-    with_sensed_torques,
 )
 from strainwave.pipeline.reporter import Reporter, attempt
 from strainwave.pipeline.rigid_joints import (
@@ -107,10 +105,7 @@ def identify(
             if options is not None:
                 the_study = with_options(the_study, options)
             starts = read_start(start, the_study)
-            the_study, raw_logs = with_sensed_torques(
-                the_study, logs.read_logs(the_study, data=data)
-            )
-        the_study = the_study.with_segments(log.experiment for log in raw_logs)
+            the_study, raw_logs = read_records(the_study, data=data)
         return _identify(the_study, raw_logs, chosen, reporter, starts)
 
 
@@ -213,6 +208,7 @@ def write(
     The files appear all at once or not at all, and replace an earlier result in the folder. Raises
     `InvalidInput` if the folder cannot be written to or Matplotlib is missing.
     """
+    from strainwave.io.results import to_document, to_json
     from strainwave.report.document import figures_of, render
 
     reporter = Reporter(identification.stages, progress)

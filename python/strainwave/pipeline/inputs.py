@@ -13,7 +13,17 @@ from pathlib import Path
 import numpy as np
 
 from strainwave import input_check
-from strainwave.domain import Consistency, Diagnostic, InputCheck, Log, Place, Stage, Study, Use
+from strainwave.domain import (
+    Consistency,
+    Diagnostic,
+    Experiment,
+    InputCheck,
+    Log,
+    Place,
+    Stage,
+    Study,
+    Use,
+)
 from strainwave.domain.identification import merge_by_cause
 from strainwave.domain.keys import Key, Values, label_of
 from strainwave.domain.parameters import complete_values
@@ -21,7 +31,6 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.io import logs
 from strainwave.io.logs.arrow import Data
-from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study, with_options
 from strainwave.numerics.parallel import one_blas_thread
 from strainwave.signals import hygiene
@@ -101,12 +110,22 @@ def with_sensed_torques(study: Study, logs: Sequence[Log]) -> tuple[Study, tuple
     return replace(study, arm=described), tuple(converted)
 
 
+def read_records(
+    study: Study, experiments: Sequence[Experiment] | None = None, *, data: Data | None = None
+) -> tuple[Study, tuple[Log, ...]]:
+    """The logs of a study, and the study with one experiment per log; see `logs.read_logs`."""
+    study, read = with_sensed_torques(study, logs.read_logs(study, experiments, data=data))
+    return study.with_segments(log.experiment for log in read), read
+
+
 def read_start(start: Path | Mapping[Key, float] | None, study: Study) -> Values:
     """Values at which the whole-arm fit starts, from a parameter file or as they are.
 
     Other values of a result.json, such as combinations and sensor constants, are left out. Raises
     InvalidInput if none of the values is a parameter of the arm.
     """
+    from strainwave.io.parameters import read_parameters
+
     if start is None:
         return {}
     values = read_parameters(start) if isinstance(start, Path) else dict(start)
@@ -161,8 +180,7 @@ def check_input(
     with one_blas_thread():
         given = study if isinstance(study, Study) else read_study(study)
         given = given if options is None else with_options(given, options)
-        given, raw_logs = with_sensed_torques(given, logs.read_logs(given, data=data))
-        given = given.with_segments(log.experiment for log in raw_logs)
+        given, raw_logs = read_records(given, data=data)
         _, consistency = check_inputs(given, raw_logs)
     return InputCheck(
         study=given,

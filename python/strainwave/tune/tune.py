@@ -9,9 +9,9 @@ from typing import Any
 
 from strainwave.domain import Payload
 from strainwave.errors import InvalidInput
-from strainwave.export.source import arm_of
+from strainwave.export.source import IdentifiedArm
 from strainwave.io.atomic_files import write_whole
-from strainwave.io.joint_covariance import covariance_of, noise_of
+from strainwave.io.results import covariance_of, noise_of
 from strainwave.tune.design import ServoDesign, ServoOptions, design_servo
 
 PAGE = "tune.html"
@@ -20,19 +20,12 @@ PAGE = "tune.html"
 
 def tune_document(
     document: Mapping[str, Any],
-    source: Path,
+    arm: IdentifiedArm,
     options: ServoOptions,
     out: Path | None = None,
-    *,
-    study: Path | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> ServoDesign:
-    """Design the servos for a result document; write page and hand-over to a directory `out`.
-
-    `source` names the document in messages. `study` is a study file with other gear ratios, limits
-    or another servo.
-    """
-    arm = arm_of(document, source, study)
+    """Design the servos for a result and its arm; write page and hand-over to a directory `out`."""
     design = design_servo(arm, covariance_of(document), options, progress, noise_of(document))
     if out is not None:
         from strainwave.tune.handover import FILES

@@ -13,7 +13,7 @@ from strainwave.domain.link_sensors import ConstantKind, is_kind
 from strainwave.domain.parameter_table import record_of
 from strainwave.errors import InvalidInput
 from strainwave.io import results
-from strainwave.io.joint_covariance import JointCovariance, covariance_of
+from strainwave.io.joint_covariance import JointCovariance
 
 _USUAL_NAMES = ("result.json", "study.toml")  # files whose folder is a better label
 _QUANTILE_TOLERANCE = 1e-3  # beyond it an interval is Student's; nu is then below about 2,400
@@ -46,14 +46,8 @@ def read_estimates(paths: Sequence[Path]) -> tuple[ResultEstimates, ...]:
         raise InvalidInput(
             "a comparison needs two results", remedy="give at least two result.json files"
         )
-    estimates = []
-    for path in map(results.result_path, paths):
-        try:
-            estimates.append(estimates_of(results.read_document(path), path))
-        except InvalidInput as error:
-            if error.where != "the result":
-                raise
-            raise InvalidInput(error.problem, where=str(path), remedy=error.remedy) from error
+    files = map(results.result_path, paths)
+    estimates = [estimates_of(results.read_document(path), path) for path in files]
     labels = [one.label for one in estimates]
     return tuple(
         one if labels.count(one.label) == 1 else replace(one, label=one.path) for one in estimates
@@ -75,7 +69,7 @@ def estimates_of(document: Mapping[str, Any], path: Path) -> ResultEstimates:
         parameters=tuple(
             p for p in results.parameters_of(document, str(path)) if not is_record_parameter(p.name)
         ),
-        covariance=covariance_of(document),
+        covariance=results.covariance_of(document, str(path)),
     )
 
 

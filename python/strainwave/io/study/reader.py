@@ -61,6 +61,7 @@ class Reader:
 
     path: Path
     text: str
+    is_result: bool = False  # tables of result.json, with keys that identification adds
 
     def study(
         self, document: Mapping[str, Any], sha256: str, *, experiments_exist: bool = True
@@ -290,7 +291,9 @@ class Reader:
             )
         if isinstance(names, list):
             self._check_registered(names, effects.study_names(), names, "joint", index, "effects")
-        return self.record(Joint, table, "joint", index, torque_at_link=False, **placed)
+        if not self.is_result:
+            placed = {**placed, "torque_at_link": False}
+        return self.record(Joint, table, "joint", index, **placed)
 
     def _check_registered(
         self, names: Sequence[Any], known: Sequence[str], value: Any, *place: Any
