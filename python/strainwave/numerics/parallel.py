@@ -45,18 +45,10 @@ def configure_process() -> None:
     gc.set_threshold(_COLLECTOR_THRESHOLD)
     sys.setswitchinterval(_SWITCH_INTERVAL)
     atexit.register(gc.freeze)
-    _keep_memory()
-
-
-def _keep_memory() -> None:
-    """Keep freed memory in the process if the C library is glibc.
-
-    Otherwise the kernel clears the pages of each new large array, which takes an eighth of a run's
-    time.
-    """
+    # otherwise the kernel clears the pages of each new large array, an eighth of a run's time
     try:
         mallopt = ctypes.CDLL(None).mallopt
-    except (AttributeError, OSError, TypeError):  # another C library
+    except (AttributeError, OSError, TypeError):  # another C library than glibc
         return
     for option in (_MMAP_THRESHOLD, _TRIM_THRESHOLD):
         mallopt(option, _KEPT_BYTES)

@@ -189,7 +189,12 @@ def fit_trial(
         covariance = covariance + variance
     resolved = replace(factor, is_resolved=factor.is_resolved | bool(weighed))
     identified = ls.determined(equations, resolved, covariance)
-    identified &= _determines_friction(arm, stretches)
+    # the apparent information on dry friction of a joint that never slides in both directions comes
+    # from the prior of the stiction torque, not from data
+    is_two_way = slides_both_ways(stretches)
+    for k, column in enumerate(arm.rigid_columns):
+        if column.joint is not None and family_of(column.name) == "dry friction":
+            identified[k] &= is_two_way[column.joint - 1]
     standard_deviations = np.sqrt(np.clip(np.diag(covariance), 1e-300, None))
     return Trial(
         arm=arm,
@@ -229,16 +234,3 @@ def _weights_of_links(
     change = np.linalg.lstsq(rows, -solution[at] / sizes)[0] @ directions
     variance = directions.T @ np.linalg.inv(rows.T @ rows) @ directions
     return change, variance, tuple(offsets)
-
-
-def _determines_friction(arm: Arm, stretches: Sequence[FilteredRecord]) -> BoolArray:
-    """False for Coulomb friction and offset of a joint that never slides in both directions.
-
-    The apparent information on them comes from the prior of the stiction torque, not from data.
-    """
-    is_two_way = slides_both_ways(stretches)
-    identified = np.ones(len(arm.rigid_columns), dtype=bool)
-    for k, column in enumerate(arm.rigid_columns):
-        if column.joint is not None and family_of(column.name) == "dry friction":
-            identified[k] = is_two_way[column.joint - 1]
-    return identified
