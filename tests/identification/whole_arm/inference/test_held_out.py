@@ -10,6 +10,7 @@ import pytest
 
 from strainwave.domain import FloatArray, IntArray
 from strainwave.identification.whole_arm.inference.held_out import held_out_scores
+from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation, Rows
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.numerics.held_out import model_weights
@@ -32,7 +33,7 @@ def fit_of(columns: FloatArray) -> Fit:
         linearise_prior=lambda _: prior, keys=names, lower=-1e6 + 0.0 * z, upper=1e6 + 0.0 * z
     )
     objective = SimpleNamespace(rows=lambda _: [rows], space=space)
-    return cast(Fit, SimpleNamespace(objective=objective, space=space, z=z))
+    return Fit.at(cast(Objective, objective), z)
 
 
 def test_one_step_without_a_fold_is_a_refit_without_it() -> None:
