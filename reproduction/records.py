@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from strainwave.domain.estimates import Diagnostic
+from strainwave.domain.results.estimates import Diagnostic
 
 Outcome = Literal["shown", "not-shown", "does-not-hold"]
 Protocol = Literal["own", "as-published"]

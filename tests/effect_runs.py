@@ -18,9 +18,9 @@ from strainwave.domain import (
     Servo,
     Study,
 )
-from strainwave.domain.effects import RecordEffect, all_effects
+from strainwave.domain.arm.effects import RecordEffect, all_effects
+from strainwave.domain.arm.kinds import single_joint
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import WholeArmOptions, fit_whole_arm

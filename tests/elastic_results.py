@@ -25,7 +25,7 @@ from strainwave.domain import (
     Study,
     TorqueHistogram,
 )
-from strainwave.domain.arm import unit_of
+from strainwave.domain.arm.description import unit_of
 from strainwave.dynamics.two_inertia import (
     NAMES,
     TwoInertia,

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from strainwave.domain import Experiment, FloatArray, Log, Parameter, Prbs, RigidModel, Study
+from strainwave.domain.arm.kinds import change_arm_keys
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import change_arm_keys
 from strainwave.dynamics import excitation, simulation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory

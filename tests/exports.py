@@ -11,10 +11,10 @@ import numpy as np
 
 from serial_chains import parameters_of, random_body
 from strainwave.domain import ArmDescription, Experiment, Joint, Motion, Origin, Spring, Study
-from strainwave.domain.arm import Matrix, unit_of
+from strainwave.domain.arm.description import Matrix, unit_of
+from strainwave.domain.arm.kinds import change_arm_keys, single_joint
+from strainwave.domain.arm.kinds.base import LINK_PARAMETERS
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import change_arm_keys, single_joint
-from strainwave.domain.kinds.base import LINK_PARAMETERS
 from strainwave.export import IdentifiedArm, read_arm
 from strainwave.io.base_parameters import standard_name
 from strainwave.io.study import write_study

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from strainwave.domain import gear_laws, link_sensors
+from strainwave.domain.arm import gear_laws, link_sensors
 
 
 @contextmanager

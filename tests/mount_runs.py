@@ -9,8 +9,8 @@ import numpy as np
 from scipy.signal import lsim
 
 from strainwave.domain import FloatArray
+from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.keys import Values
-from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Trajectory, simulate
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from effect_runs import FACTORS, rig
 from strainwave.domain import ArmModel, EffectName, Log, Study
+from strainwave.domain.arm.kinds import change_arm_keys
+from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.kinds import change_arm_keys
-from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory, simulate
 from strainwave.identification.whole_arm import WholeArmOptions, fit_whole_arm

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from strainwave.domain import FloatArray, Parameter, Study
+from strainwave.domain.arm.kinds import change_arm_keys
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import change_arm_keys
 from strainwave.export import IdentifiedArm
 from strainwave.tune.observer import Observer
 from strainwave.virtual import scara

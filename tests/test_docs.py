@@ -18,8 +18,8 @@ import pytest
 
 from command_line import run_here
 from strainwave import cli
-from strainwave.domain.effects import possible_causes
-from strainwave.domain.messages import catalogue
+from strainwave.domain.arm.effects import possible_causes
+from strainwave.domain.messages.catalogue import catalogue
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
 from strainwave.virtual import experiments as virtual
@@ -149,7 +149,7 @@ def test_every_key_of_a_study_is_documented() -> None:
     from dataclasses import fields
 
     from strainwave.domain import Experiment, Joint, Servo
-    from strainwave.domain.kinds import KINDS
+    from strainwave.domain.arm.kinds import KINDS
 
     page = (ROOT / "docs" / "study.md").read_text(encoding="utf-8")
     for record in (*(kind.table for kind in KINDS.values()), Joint, Servo, Experiment):

@@ -29,8 +29,8 @@ from strainwave.domain import (
     Study,
     WholeArmOptions,
 )
-from strainwave.domain.kinds import single_joint
-from strainwave.domain.options import PUBLISHED_OPTIONS
+from strainwave.domain.arm.kinds import single_joint
+from strainwave.domain.study.options import PUBLISHED_OPTIONS
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification import frequency, rigid, whole_arm

@@ -21,10 +21,10 @@ from strainwave.domain import (
     RigidModel,
     Study,
 )
+from strainwave.domain.arm.link_sensors import SensorAxis
+from strainwave.domain.arm.link_sensors.link_space import Quantity
+from strainwave.domain.arm.link_sensors.single_axis import Accelerometer, LinkEncoder
 from strainwave.domain.keys import Values
-from strainwave.domain.link_sensors import SensorAxis
-from strainwave.domain.link_sensors.link_space import Quantity
-from strainwave.domain.link_sensors.single_axis import Accelerometer, LinkEncoder
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, simulate
 from strainwave.identification.whole_arm.problem.parameter_space import (

@@ -18,10 +18,10 @@ from annotated_types import Ge, Le, MinLen
 
 from benchmarks.families.rigs import Rig, between, rig_experiments
 from strainwave.domain import Control, Joint, Prbs, Servo, Spring, Study
-from strainwave.domain.arm import NonNegative, Positive
+from strainwave.domain.arm.description import NonNegative, Positive
+from strainwave.domain.arm.kinds import planar_two_link
+from strainwave.domain.arm.kinds.planar import in_plane_gravity
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import planar_two_link
-from strainwave.domain.kinds.planar import in_plane_gravity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.virtual.experiments import Plan, default_plan

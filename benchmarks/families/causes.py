@@ -13,9 +13,9 @@ import numpy as np
 from benchmarks.families.catalogue import plans
 from benchmarks.families.rigs import Rig, between
 from strainwave.domain import ArmDescription, FloatArray, Study
-from strainwave.domain.effects import KnownJoint, all_effects, effect_named, names
+from strainwave.domain.arm.effects import KnownJoint, all_effects, effect_named, names
+from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.keys import Values
-from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Trajectory, simulate
 

@@ -36,7 +36,7 @@ from benchmarks.families.input_faults import INPUT_FAULTS, Fault
 from benchmarks.families.rigs import Rig, between
 from benchmarks.families.sensor_defects import DEFECT_SIZES, injected
 from strainwave.domain import Channel, FloatArray, Log, Study
-from strainwave.domain.arm import Joint
+from strainwave.domain.arm.description import Joint
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, suggest_name

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import FloatArray, Log, Study, channel_parts
-from strainwave.domain.arm import Origin
+from strainwave.domain.arm.description import Origin
 
 Logs = tuple[Log, ...]
 

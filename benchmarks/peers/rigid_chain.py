@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import FloatArray, Signals
-from strainwave.domain.combinations import FRICTION_COLUMNS
+from strainwave.domain.arm.combinations import FRICTION_COLUMNS
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import low_pass
 

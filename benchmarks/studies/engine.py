@@ -25,9 +25,9 @@ from benchmarks.console import Console, share_of
 from benchmarks.families.rigs import Rig
 from benchmarks.studies.arms import draw_arm, run_all, run_on_logs
 from strainwave.domain import Control, Experiment, FloatArray, Joint, Parameter, Prbs, Study, Use
+from strainwave.domain.arm.kinds import change_arm_keys
+from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import change_arm_keys
-from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Trajectory
 from strainwave.export.mjcf import to_mjcf

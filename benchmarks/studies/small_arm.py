@@ -29,8 +29,8 @@ from strainwave.domain import (
     Study,
     Use,
 )
+from strainwave.domain.arm.kinds import planar_two_link
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import planar_two_link
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.io.study import read_study, write_study
 from strainwave.virtual.experiments import derived, simulate_study

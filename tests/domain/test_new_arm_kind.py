@@ -12,9 +12,9 @@ import pytest
 from extensions import added
 from strainwave import identify
 from strainwave.domain import ArmDescription, Joint, Origin, Servo
-from strainwave.domain.combinations import value_of
+from strainwave.domain.arm.combinations import value_of
+from strainwave.domain.arm.kinds import KINDS, Fault, Kind
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import KINDS, Fault, Kind
 from strainwave.dynamics.arm import Arm
 from strainwave.io.study import read_study
 from strainwave.virtual.experiments import simulate_study

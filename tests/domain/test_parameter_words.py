@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from strainwave.domain.effects import all_effects
-from strainwave.domain.link_sensors import optional_constants
-from strainwave.domain.parameter_table import family_of
-from strainwave.domain.parameters import parameter_descriptions
+from strainwave.domain.arm.effects import all_effects
+from strainwave.domain.arm.link_sensors import optional_constants
+from strainwave.domain.arm.parameter_table import family_of
+from strainwave.domain.arm.parameters import parameter_descriptions
 
 NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
 

@@ -10,7 +10,7 @@ from pkgutil import iter_modules
 
 from strainwave import domain as records
 from strainwave.domain import Channel, Experiment, Joint, Study
-from strainwave.domain.kinds import single_joint
+from strainwave.domain.arm.kinds import single_joint
 
 
 def test_the_package_exports_every_record() -> None:

@@ -3,9 +3,9 @@
 import pytest
 from benchmarks.studies.drawn_chains import draw_chain
 
-from strainwave.domain.combinations import value_of
-from strainwave.domain.kinds import kind_of
-from strainwave.domain.kinds.base import StageInertias
+from strainwave.domain.arm.combinations import value_of
+from strainwave.domain.arm.kinds import kind_of
+from strainwave.domain.arm.kinds.base import StageInertias
 from strainwave.dynamics.arm import Arm
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from strainwave.domain import ArmDescription, FloatArray, Joint
-from strainwave.domain.combinations import value_of
+from strainwave.domain.arm.combinations import value_of
+from strainwave.domain.arm.kinds import change_arm_keys, single_joint
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import change_arm_keys, single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.virtual import scara
 

@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 
 from strainwave import pipeline
 from strainwave.domain import EffectName, FloatArray, Joint, Study
+from strainwave.domain.arm.kinds import single_joint
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, sensitivities, simulate
 from strainwave.errors import InvalidInput

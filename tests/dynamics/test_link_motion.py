@@ -7,8 +7,8 @@ import pytest
 
 from serial_chains import Joint, chain, random_joints
 from strainwave.domain import Joint as Drive
+from strainwave.domain.arm.kinds.planar import planar_two_link, single_joint
 from strainwave.domain.keys import Key
-from strainwave.domain.kinds.planar import planar_two_link, single_joint
 from strainwave.dynamics.arm import Arm
 
 GRAVITY, LENGTH = 9.81, 0.35

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from strainwave.domain import Imu, Joint
-from strainwave.domain.keys import Values
-from strainwave.domain.kinds import planar_two_link, single_joint
-from strainwave.domain.link_sensors import (
+from strainwave.domain.arm.kinds import planar_two_link, single_joint
+from strainwave.domain.arm.link_sensors import (
     ConstantKind,
     LinkSensor,
     all_types,
@@ -24,7 +23,8 @@ from strainwave.domain.link_sensors import (
     with_bandwidths,
     with_estimates,
 )
-from strainwave.domain.link_sensors.single_axis import MotorEncoder
+from strainwave.domain.arm.link_sensors.single_axis import MotorEncoder
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import apply_sensor_model, differentiate_rows, shift_samples
 from strainwave.signals.hygiene.defects import count_of

@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import lsim
 
 from strainwave.domain import FloatArray, Joint
-from strainwave.domain.kinds import planar_two_link
-from strainwave.domain.link_sensors import compared_axes
+from strainwave.domain.arm.kinds import planar_two_link
+from strainwave.domain.arm.link_sensors import compared_axes
 from strainwave.dynamics.link_sensors import MountResonance, apply_sensor_model, mount_resonance
 
 T = 1e-3

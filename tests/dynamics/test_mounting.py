@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from strainwave.domain import FloatArray, Imu, Study
-from strainwave.domain.kinds import change_arm_keys
-from strainwave.domain.link_sensors import SensorAxis, mounted_axes, unknowns_of
-from strainwave.domain.link_sensors.imu import ImuAccelerometers
-from strainwave.domain.link_sensors.link_space import (
+from strainwave.domain.arm.kinds import change_arm_keys
+from strainwave.domain.arm.link_sensors import SensorAxis, mounted_axes, unknowns_of
+from strainwave.domain.arm.link_sensors.imu import ImuAccelerometers
+from strainwave.domain.arm.link_sensors.link_space import (
     Quantity,
     accelerometer_weights,
     angles,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import FloatArray, Prbs, Spring
-from strainwave.domain.link_sensors.link_space import (
+from strainwave.domain.arm.link_sensors.link_space import (
     ACCELEROMETER_QUANTITIES,
     GYRO_QUANTITIES,
     LINK_SIGNALS,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from strainwave.domain import Experiment, FloatArray, Prbs, Study
+from strainwave.domain.arm.kinds import change_arm_keys
+from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import change_arm_keys
-from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics.arm import MAX_TIME_STEP, Arm
 from strainwave.dynamics.simulation import (
     Drive,

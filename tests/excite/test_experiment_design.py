@@ -17,9 +17,9 @@ import pytest
 from strainwave import excite as design
 from strainwave import pipeline
 from strainwave.domain import Experiment, FloatArray, Joint, Servo, Study
+from strainwave.domain.arm.kinds import change_arm_keys, single_joint
+from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import change_arm_keys, single_joint
-from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics import excitation, simulation
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput

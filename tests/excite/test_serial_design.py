@@ -13,9 +13,9 @@ from scipy.interpolate import CubicHermiteSpline
 
 from strainwave import excite as design
 from strainwave.domain import ArmDescription, Experiment, JointLimits, Study
-from strainwave.domain.combinations import value_of
+from strainwave.domain.arm.combinations import value_of
 from strainwave.domain.keys import Values
-from strainwave.domain.stage_results import ASSUMED_TORQUE_ERROR
+from strainwave.domain.results.stage_results import ASSUMED_TORQUE_ERROR
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.excite import rigid_motion

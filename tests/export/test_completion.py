@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 import exports
 from strainwave.domain import FloatArray, FrictionTerm, Parameter, RigidModel, Study
-from strainwave.domain.combinations import rigid_columns, value_of
+from strainwave.domain.arm.combinations import rigid_columns, value_of
 from strainwave.domain.keys import Values
-from strainwave.domain.stage_results import ASSUMED_TORQUE_ERROR
+from strainwave.domain.results.stage_results import ASSUMED_TORQUE_ERROR
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import inverse_dynamics
 from strainwave.export import IdentifiedArm, export_arm, export_file

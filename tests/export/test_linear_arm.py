@@ -11,7 +11,7 @@ import pytest
 
 import exports
 from strainwave.domain import FloatArray
-from strainwave.domain.arm import Matrix
+from strainwave.domain.arm.description import Matrix
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export.linear_arm import coordinates_of, linear_arm

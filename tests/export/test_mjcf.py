@@ -12,11 +12,11 @@ import pytest
 
 import exports
 from strainwave.domain import FloatArray, Imu, Motion, Parameter, Prbs, Spring, Study
-from strainwave.domain.arm import Matrix
+from strainwave.domain.arm.description import Matrix
+from strainwave.domain.arm.link_sensors import mounted_axes
+from strainwave.domain.arm.link_sensors.imu import IMU_ATTITUDE, IMU_POSITION
+from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.keys import Values
-from strainwave.domain.link_sensors import mounted_axes
-from strainwave.domain.link_sensors.imu import IMU_ATTITUDE, IMU_POSITION
-from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate

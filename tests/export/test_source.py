@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 import exports
+from strainwave.domain.arm.kinds import change_arm_keys
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import change_arm_keys
 from strainwave.errors import InvalidInput
 from strainwave.export import IdentifiedArm, read_arm
 from strainwave.export.flat import to_json

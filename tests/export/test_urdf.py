@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 import exports
 from strainwave.domain import JointLimits, Parameter
+from strainwave.domain.arm.kinds.base import LINK_PARAMETERS, Body
+from strainwave.domain.arm.kinds.planar import about_axis
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds.base import LINK_PARAMETERS, Body
-from strainwave.domain.kinds.planar import about_axis
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export import IdentifiedArm

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from elastic_runs import log_of, prbs_run, rig, rig_values
 from strainwave.domain import ArmModel, Joint, Log, SearchEnd, Study
+from strainwave.domain.arm.kinds import single_joint
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.motor_responses import modes_of_motor, motor_response
 from strainwave.report.document import motors

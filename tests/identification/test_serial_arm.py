@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from strainwave import Result, identify
-from strainwave.domain.combinations import value_of
+from strainwave.domain.arm.combinations import value_of
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from consistency_inputs import Input
-from strainwave.domain.kinds import change_arm_keys
+from strainwave.domain.arm.kinds import change_arm_keys
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study

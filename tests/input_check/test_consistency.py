@@ -13,7 +13,7 @@ from benchmarks.studies.short_motions import suspected
 from consistency_inputs import Input, changed, delayed
 from strainwave import pipeline
 from strainwave.domain import Suspicion
-from strainwave.domain.kinds import change_arm_keys
+from strainwave.domain.arm.kinds import change_arm_keys
 from strainwave.dynamics.arm import Arm
 from strainwave.identification import rigid
 from strainwave.input_check import check_consistency

@@ -9,7 +9,7 @@ import pytest
 
 from consistency_inputs import Input
 from strainwave.domain import Correction, Experiment, Joint, Lag, Log, Prbs
-from strainwave.domain.kinds import single_joint
+from strainwave.domain.arm.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.excitation import prbs
 from strainwave.input_check.evidence import collect_evidence, motion_bands

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from strainwave.domain import Experiment, FloatArray, Joint, Log, Place, Study
-from strainwave.domain.kinds import single_joint
+from strainwave.domain.arm.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.input_check import stuck_sensors
 

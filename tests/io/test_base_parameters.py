@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 import exports
 from serial_chains import parameters_of, random_body
 from strainwave.domain import FloatArray, RigidModel
-from strainwave.domain.arm import ArmDescription, LinkPrior, Urdf
-from strainwave.domain.base_parameters import BaseParameters, base_parameters
-from strainwave.domain.consistent_links import consistent_links, is_consistent, priors_of
+from strainwave.domain.arm.base_parameters import BaseParameters, base_parameters
+from strainwave.domain.arm.consistent_links import consistent_links, is_consistent, priors_of
+from strainwave.domain.arm.description import ArmDescription, LinkPrior, Urdf
+from strainwave.domain.arm.kinds.base import LINK_PARAMETERS
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.kinds.base import LINK_PARAMETERS
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NumericalFailure
 from strainwave.io import base_parameters as module

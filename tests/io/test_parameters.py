@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from strainwave.domain import Joint
-from strainwave.domain.arm import unit_of
-from strainwave.domain.parameters import complete_values
+from strainwave.domain.arm.description import unit_of
+from strainwave.domain.arm.parameters import complete_values
 from strainwave.errors import InvalidInput
 from strainwave.io.parameters import read_assumptions, read_parameters, read_torque_errors
 from strainwave.virtual import experiments as virtual

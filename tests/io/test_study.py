@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import studies
 from strainwave.domain import Channel, Experiment, Joint, Origin, Prbs, Servo, Study
-from strainwave.domain.kinds import planar_two_link
+from strainwave.domain.arm.kinds import planar_two_link
 from strainwave.errors import InvalidInput
 from strainwave.io.study import read_study, write_study
 

@@ -18,8 +18,8 @@ from strainwave.domain import (
     Study,
     WholeArmOptions,
 )
-from strainwave.domain.options import PUBLISHED_OPTIONS, changed_options
-from strainwave.domain.parameters import whole_arm_parameter_names
+from strainwave.domain.arm.parameters import whole_arm_parameter_names
+from strainwave.domain.study.options import PUBLISHED_OPTIONS, changed_options
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.io.study import AS_PUBLISHED, read_study, with_options, write_study

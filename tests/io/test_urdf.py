@@ -11,7 +11,7 @@ import pytest
 
 from strainwave import InvalidInput
 from strainwave.domain import JointLimits
-from strainwave.domain.consistent_links import is_consistent, standard_parameters
+from strainwave.domain.arm.consistent_links import is_consistent, standard_parameters
 from strainwave.io.urdf import patch_urdf, read_urdf
 
 pinocchio = pytest.importorskip("pinocchio")

@@ -11,7 +11,7 @@ import pytest
 
 from elastic_runs import SAMPLE, log_of, prbs_run, rig
 from strainwave.domain import FloatArray, Fusion, Lag, LinkOptions, Log, Study
-from strainwave.domain.link_sensors.link_space import Quantity
+from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Trajectory
 from strainwave.errors import InvalidInput

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from strainwave.domain import Control, Experiment, FloatArray, Joint, Log, Study
-from strainwave.domain.arm import ArmDescription, Origin
-from strainwave.domain.kinds.planar import in_plane_gravity, planar_two_link, single_joint
+from strainwave.domain.arm.description import ArmDescription, Origin
+from strainwave.domain.arm.kinds.planar import in_plane_gravity, planar_two_link, single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.input_check.evidence import collect_evidence
 from strainwave.input_check.sensors import regress_readings

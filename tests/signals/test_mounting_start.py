@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from strainwave.domain import ArmDescription, Experiment, FloatArray, Imu, Joint, Log, Origin
-from strainwave.domain.kinds.planar import single_joint
-from strainwave.domain.link_sensors.imu import ImuAccelerometers
-from strainwave.domain.link_sensors.link_space import link_space
+from strainwave.domain.arm.kinds.planar import single_joint
+from strainwave.domain.arm.link_sensors.imu import ImuAccelerometers
+from strainwave.domain.arm.link_sensors.link_space import link_space
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.link_readings import JointMotion, read_accelerometer
 from strainwave.signals.mounting_start import link_quantities, substitute_equivalent_sensors

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 import exports
 from strainwave.domain import FloatArray, JointLimits, Parameter, Payload, Study
+from strainwave.domain.arm.kinds import change_arm_keys
+from strainwave.domain.arm.kinds.base import LINK_PARAMETERS
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import change_arm_keys
-from strainwave.domain.kinds.base import LINK_PARAMETERS
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.errors import InvalidInput

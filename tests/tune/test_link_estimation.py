@@ -12,8 +12,8 @@ import pytest
 
 from servo_arms import identified, rig, vertical_rig
 from strainwave.domain import FloatArray
-from strainwave.domain.arm import Imu
-from strainwave.domain.link_sensors.link_space import Quantity
+from strainwave.domain.arm.description import Imu
+from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.dynamics.simulation import Drive, simulate_arms
 from strainwave.errors import InvalidInput
 from strainwave.export import IdentifiedArm

@@ -11,7 +11,7 @@ import pytest
 
 import exports
 from servo_arms import correct, predict, rig
-from strainwave.domain.arm import Imu
+from strainwave.domain.arm.description import Imu
 from strainwave.export import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise
 from strainwave.io.results import noise_of

@@ -24,8 +24,8 @@ from benchmarks.families.causes import (
 )
 from benchmarks.studies.engine import STEP, Plant, in_mujoco
 from strainwave.domain import FloatArray
+from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.keys import Values
-from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Trajectory
 

@@ -11,7 +11,7 @@ from benchmarks.families import catalogue
 from benchmarks.families.catalogue import with_short_records
 from benchmarks.families.causes import Cause, cause_names, joint_of, sizes_of
 from benchmarks.families.rigs import Rig
-from strainwave.domain.effects import names
+from strainwave.domain.arm.effects import names
 
 _SEEDS = 1_000_000  # even, so that an arm that is drawn again has the same kind of spring
 _SERIES = 7000  # first series of the catalogue

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from strainwave.domain import Correction, FloatArray, Lag, Study, channel_parts
-from strainwave.domain.consistency import apply_corrections
-from strainwave.domain.link_sensors import link_channel_kinds
+from strainwave.domain.arm.link_sensors import link_channel_kinds
+from strainwave.domain.results.consistency import apply_corrections
 from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study
 from strainwave.numerics.filters import apply_lags

@@ -12,7 +12,7 @@ import numpy as np
 
 from strainwave import _core
 from strainwave.domain import ArmDescription, FloatArray, Joint, Payload
-from strainwave.domain.base_parameters import (
+from strainwave.domain.arm.base_parameters import (
     MOTOR_INERTIA,
     BaseParameters,
     base_parameters,
@@ -20,19 +20,19 @@ from strainwave.domain.base_parameters import (
     link_inertia,
     transmission,
 )
-from strainwave.domain.combinations import (
+from strainwave.domain.arm.combinations import (
     FRICTION_COLUMNS,
     lumped_inertias,
     reported,
     rigid_columns,
     shared_viscous_friction,
 )
-from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
+from strainwave.domain.arm.effects import OF_RIGID_JOINTS, effect_named
+from strainwave.domain.arm.kinds import RigidColumn
+from strainwave.domain.arm.link_sensors import low_passes
+from strainwave.domain.arm.parameter_table import family_of
+from strainwave.domain.arm.parameters import complete_values
 from strainwave.domain.keys import Key, Row, Values
-from strainwave.domain.kinds import RigidColumn
-from strainwave.domain.link_sensors import low_passes
-from strainwave.domain.parameter_table import family_of
-from strainwave.domain.parameters import complete_values
 from strainwave.errors import InvalidInput, NumericalFailure
 
 MAX_TIME_STEP = 1.25e-4

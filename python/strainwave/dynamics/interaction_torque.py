@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from strainwave.domain import FloatArray, LinkSignals, RigidModel
-from strainwave.domain.combinations import total_inertia
+from strainwave.domain.arm.combinations import total_inertia
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 

@@ -18,8 +18,8 @@ from functools import cache
 import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray
+from strainwave.domain.arm.link_sensors import ConstantKind, SensorAxis
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors import ConstantKind, SensorAxis
 from strainwave.numerics.filters import fast_length
 
 _DECAY_TIME_CONSTANTS = 7.0  # the response has then decayed to 1/1000

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, FrictionTerm, Payload, RigidModel, Signals
-from strainwave.domain.kinds.base import MOTOR_SHARE
+from strainwave.domain.arm.kinds.base import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
 

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import FloatArray, LinearServo, Payload, Servo
-from strainwave.domain.effects import Input, RecordEffect, all_effects, effect_named
+from strainwave.domain.arm.effects import Input, RecordEffect, all_effects, effect_named
+from strainwave.domain.arm.link_sensors.link_space import ACCELEROMETER_QUANTITIES, Quantity
+from strainwave.domain.arm.link_sensors.single_axis import ACCELEROMETER_DENSITY
+from strainwave.domain.arm.parameter_table import base_name, of_record
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.link_sensors.link_space import ACCELEROMETER_QUANTITIES, Quantity
-from strainwave.domain.link_sensors.single_axis import ACCELEROMETER_DENSITY
-from strainwave.domain.parameter_table import base_name, of_record
 from strainwave.dynamics.arm import MAX_TIME_STEP, Arm, core_errors
 from strainwave.errors import InvalidInput
 from strainwave.numerics.parallel import raise_if_stopped

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from strainwave.domain import Clause, Diagnostic, Place, Study
+from strainwave.domain.arm.parameters import complete_values, with_known_constants
 from strainwave.domain.keys import Values, label_of
-from strainwave.domain.parameters import complete_values, with_known_constants
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.excite.guessed_arm import (

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import Control, FloatArray, Log, Parameter, Study
-from strainwave.domain.base_parameters import link_inertia
-from strainwave.domain.combinations import value_of
+from strainwave.domain.arm.base_parameters import link_inertia
+from strainwave.domain.arm.combinations import value_of
+from strainwave.domain.arm.link_sensors import installed_axes
+from strainwave.domain.arm.link_sensors.link_space import Quantity
+from strainwave.domain.arm.parameters import complete_values
 from strainwave.domain.keys import Values
-from strainwave.domain.link_sensors import installed_axes
-from strainwave.domain.link_sensors.link_space import Quantity
-from strainwave.domain.parameters import complete_values
-from strainwave.domain.stage_results import ASSUMED_TORQUE_ERROR
+from strainwave.domain.results.stage_results import ASSUMED_TORQUE_ERROR
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory, measure, simulate
 from strainwave.dynamics.two_inertia import TwoInertia, anti_resonance, resonance

@@ -15,9 +15,9 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import FloatArray, Parameter
-from strainwave.domain.combinations import value_of
+from strainwave.domain.arm.combinations import value_of
+from strainwave.domain.arm.parameters import complete_values
 from strainwave.domain.keys import Values
-from strainwave.domain.parameters import complete_values
 from strainwave.dynamics.arm import Arm
 from strainwave.excite.guessed_arm import GuessedArm, Motion, smallest_distance
 from strainwave.excite.plan import Limits, clock_of

@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import Control, Experiment, FloatArray, Prbs
-from strainwave.domain.link_sensors import installed_axes
-from strainwave.domain.link_sensors.link_space import Quantity
-from strainwave.domain.link_sensors.single_axis import Accelerometer
+from strainwave.domain.arm.link_sensors import installed_axes
+from strainwave.domain.arm.link_sensors.link_space import Quantity
+from strainwave.domain.arm.link_sensors.single_axis import Accelerometer
 from strainwave.dynamics import excitation
 from strainwave.dynamics.simulation import Drive, SensorNoise
 from strainwave.errors import InvalidInput

@@ -14,8 +14,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from strainwave.domain.distributions import CI95_STDS
-from strainwave.domain.link_sensors import installed_axes
+from strainwave.domain.arm.link_sensors import installed_axes
+from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.dynamics.arm import Arm
 from strainwave.excite.command_table import (
     applied_columns,

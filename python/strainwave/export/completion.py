@@ -24,16 +24,16 @@ from strainwave.domain import (
     Place,
     RigidModel,
 )
-from strainwave.domain.arm import unit_in
-from strainwave.domain.base_parameters import MOTOR_INERTIA
-from strainwave.domain.combinations import LINK_INERTIA, is_rigid_drive, rigid_columns
-from strainwave.domain.consistent_links import standard_parameters
-from strainwave.domain.effects import all_effects
+from strainwave.domain.arm.base_parameters import MOTOR_INERTIA
+from strainwave.domain.arm.combinations import LINK_INERTIA, is_rigid_drive, rigid_columns
+from strainwave.domain.arm.consistent_links import standard_parameters
+from strainwave.domain.arm.description import unit_in
+from strainwave.domain.arm.effects import all_effects
+from strainwave.domain.arm.kinds import arm_keys, kind_of
+from strainwave.domain.arm.kinds.base import Body
+from strainwave.domain.arm.parameter_table import family_of
 from strainwave.domain.keys import Key, Values, label_of
-from strainwave.domain.kinds import arm_keys, kind_of
-from strainwave.domain.kinds.base import Body
-from strainwave.domain.parameter_table import family_of
-from strainwave.domain.ranges import is_physical
+from strainwave.domain.results.ranges import is_physical
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import inverse_dynamics
 from strainwave.errors import InvalidInput

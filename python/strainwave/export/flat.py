@@ -9,9 +9,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from strainwave.domain import ArmDescription
-from strainwave.domain.arm import unit_in
-from strainwave.domain.kinds import kind_of
-from strainwave.domain.link_sensors import key_texts
+from strainwave.domain.arm.description import unit_in
+from strainwave.domain.arm.kinds import kind_of
+from strainwave.domain.arm.link_sensors import key_texts
 from strainwave.export.omissions import CORRELATIONS, sentence_of
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.io.templates import fill_text

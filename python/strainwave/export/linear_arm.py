@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import ArmDescription, FloatArray
-from strainwave.domain.base_parameters import transmission
+from strainwave.domain.arm.base_parameters import transmission
 from strainwave.dynamics.arm import Arm
 from strainwave.export.source import IdentifiedArm
 

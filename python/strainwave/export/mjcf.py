@@ -16,14 +16,14 @@ from functools import partial
 from xml.etree import ElementTree as ET
 
 from strainwave.domain import Diagnostic, FloatArray, Joint, Place
-from strainwave.domain.arm import Vector
-from strainwave.domain.combinations import is_rigid_drive
-from strainwave.domain.kinds import kind_of
-from strainwave.domain.kinds.base import Body
-from strainwave.domain.link_sensors import SensorAxis, installed_axes
-from strainwave.domain.link_sensors.imu import IMU_ATTITUDE, IMU_POSITION
-from strainwave.domain.link_sensors.link_space import axes_about, link_space
-from strainwave.domain.link_sensors.single_axis import Accelerometer, Gyro
+from strainwave.domain.arm.combinations import is_rigid_drive
+from strainwave.domain.arm.description import Vector
+from strainwave.domain.arm.kinds import kind_of
+from strainwave.domain.arm.kinds.base import Body
+from strainwave.domain.arm.link_sensors import SensorAxis, installed_axes
+from strainwave.domain.arm.link_sensors.imu import IMU_ATTITUDE, IMU_POSITION
+from strainwave.domain.arm.link_sensors.link_space import axes_about, link_space
+from strainwave.domain.arm.link_sensors.single_axis import Accelerometer, Gyro
 from strainwave.export.completion import (
     DAMPING,
     chain_of,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from strainwave.domain.link_sensors import key_texts, sensor_constants
-from strainwave.domain.parameter_table import base_name, family_of
+from strainwave.domain.arm.link_sensors import key_texts, sensor_constants
+from strainwave.domain.arm.parameter_table import base_name, family_of
 from strainwave.export.source import IdentifiedArm
 
 GEAR, SENSORS, ERRORS = "gear", "sensors", "standard deviations and correlations"

@@ -20,12 +20,12 @@ from strainwave.domain import (
     is_physical,
     physical_range,
 )
-from strainwave.domain.arm import Urdf
-from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters
-from strainwave.domain.combinations import is_rigid_drive, lumped_inertias, rigid_columns
+from strainwave.domain.arm.base_parameters import MOTOR_INERTIA, base_parameters
+from strainwave.domain.arm.combinations import is_rigid_drive, lumped_inertias, rigid_columns
+from strainwave.domain.arm.description import Urdf
+from strainwave.domain.arm.kinds import kind_of
+from strainwave.domain.arm.parameters import complete_values
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import kind_of
-from strainwave.domain.parameters import complete_values
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import read_bytes
 from strainwave.io.results import (

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Place
-from strainwave.domain.base_parameters import link_inertia
+from strainwave.domain.arm.base_parameters import link_inertia
 from strainwave.domain.keys import Key, label_of
 from strainwave.dynamics import two_inertia
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, joint_of

@@ -9,7 +9,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from strainwave.domain import Joint, JointLimits, LinkPrior
-from strainwave.domain.kinds.base import Body
+from strainwave.domain.arm.kinds.base import Body
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NumericalFailure
 from strainwave.export.completion import (

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import FloatArray, Log, Prediction
-from strainwave.domain.effects import effect_named
-from strainwave.domain.gear_laws import determined_law
+from strainwave.domain.arm.effects import effect_named
+from strainwave.domain.arm.gear_laws import determined_law
+from strainwave.domain.arm.link_sensors import SensorAxis, compared_axes
+from strainwave.domain.arm.link_sensors.link_space import Quantity
+from strainwave.domain.arm.link_sensors.single_axis import MotorEncoder
+from strainwave.domain.arm.parameter_table import base_name
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.link_sensors import SensorAxis, compared_axes
-from strainwave.domain.link_sensors.link_space import Quantity
-from strainwave.domain.link_sensors.single_axis import MotorEncoder
-from strainwave.domain.parameter_table import base_name
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import apply_sensor_model
 from strainwave.dynamics.rigid_prediction import fit_percent

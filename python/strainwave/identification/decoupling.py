@@ -19,8 +19,8 @@ from strainwave.domain import (
     RigidModel,
     Value,
 )
-from strainwave.domain.combinations import is_uncoupled, viscous_friction
-from strainwave.domain.parameter_table import COULOMB, OFFSET
+from strainwave.domain.arm.combinations import is_uncoupled, viscous_friction
+from strainwave.domain.arm.parameter_table import COULOMB, OFFSET
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.interaction_torque import (
     base_parameters,

@@ -20,7 +20,7 @@ from strainwave.domain import (
     Log,
     MotorResponse,
 )
-from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.arm.gear_laws import STIFFNESS
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate_arms

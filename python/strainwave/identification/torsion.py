@@ -29,10 +29,10 @@ from strainwave.domain import (
     RigidModel,
     TorsionFit,
 )
-from strainwave.domain.arm import unit_in
-from strainwave.domain.distributions import student_quantile
-from strainwave.domain.gear_laws import STIFFNESS
-from strainwave.domain.kinds.base import MOTOR_SHARE
+from strainwave.domain.arm.description import unit_in
+from strainwave.domain.arm.gear_laws import STIFFNESS
+from strainwave.domain.arm.kinds.base import MOTOR_SHARE
+from strainwave.domain.results.distributions import student_quantile
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import link_motion, torsion_motion
 from strainwave.numerics.filters import differentiate, low_pass

@@ -17,8 +17,8 @@ from strainwave.domain import (
     Signals,
     channel_parts,
 )
+from strainwave.domain.arm.parameter_table import COULOMB, family_of
 from strainwave.domain.keys import Values
-from strainwave.domain.parameter_table import COULOMB, family_of
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_prediction
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
 from strainwave.domain import channel_kinds
-from strainwave.domain.kinds import KINDS
+from strainwave.domain.arm.kinds import KINDS
 
 Quantity = Literal[
     "temperature",

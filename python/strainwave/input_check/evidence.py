@@ -23,7 +23,7 @@ from strainwave.domain import (
     Study,
     channel_parts,
 )
-from strainwave.domain.consistency import apply_corrections
+from strainwave.domain.results.consistency import apply_corrections
 from strainwave.dynamics.arm import Arm
 from strainwave.input_check.timing import (
     Clocks,

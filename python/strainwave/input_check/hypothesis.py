@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import Clause, Correction, Place, Relation, Study, Suspicion, channel_parts
-from strainwave.domain.consistency import exchange_corrections, steps_of
+from strainwave.domain.results.consistency import exchange_corrections, steps_of
 from strainwave.input_check.evidence import BestFit, Evidence
 from strainwave.input_check.sensors import LINK_CHANNELS, estimate_rotation_factors
 from strainwave.input_check.torque_fit import Gain

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import Place, Relation, channel_parts
-from strainwave.domain.consistency import Bound
+from strainwave.domain.results.consistency import Bound
 from strainwave.input_check.evidence import Evidence, PredictedSignal, exchanged_tests
 from strainwave.input_check.sensors import (
     IMU_ACCELEROMETERS,

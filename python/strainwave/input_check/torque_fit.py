@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import ArmDescription, Diagnostic, FloatArray, IntArray, Place
-from strainwave.domain.consistent_links import is_consistent, principal_moments
-from strainwave.domain.distributions import CI95_STDS, student_tail
-from strainwave.domain.kinds import kind_of
+from strainwave.domain.arm.consistent_links import is_consistent, principal_moments
+from strainwave.domain.arm.kinds import kind_of
+from strainwave.domain.results.distributions import CI95_STDS, student_tail
 from strainwave.input_check.evidence import Evidence, is_slow
 from strainwave.input_check.torque_rows import (
     EFFORTS,

@@ -15,8 +15,8 @@ from itertools import combinations
 import numpy as np
 
 from strainwave.domain import Clause, Correction, FloatArray, Place, channel_parts
-from strainwave.domain.effects import OF_RIGID_JOINTS
-from strainwave.domain.kinds import arm_keys, kind_of
+from strainwave.domain.arm.effects import OF_RIGID_JOINTS
+from strainwave.domain.arm.kinds import arm_keys, kind_of
 from strainwave.input_check.evidence import Evidence
 from strainwave.input_check.hypothesis import (
     Hypothesis,

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.domain.distributions import CI95_STDS
+from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.input_check.evidence import Evidence, is_slow
 from strainwave.input_check.hypothesis import Hypothesis
 from strainwave.input_check.torque_fit import (

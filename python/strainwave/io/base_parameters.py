@@ -8,12 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import FloatArray, Identification, Parameter, RigidModel
-from strainwave.domain.arm import ArmDescription
-from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters, core_arm, transmission
-from strainwave.domain.consistent_links import consistent_links, priors_of
+from strainwave.domain.arm.base_parameters import (
+    MOTOR_INERTIA,
+    base_parameters,
+    core_arm,
+    transmission,
+)
+from strainwave.domain.arm.consistent_links import consistent_links, priors_of
+from strainwave.domain.arm.description import ArmDescription
+from strainwave.domain.arm.kinds.base import LINK_PARAMETERS
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.kinds.base import LINK_PARAMETERS
-from strainwave.domain.stage_results import ASSUMED_TORQUE_ERROR
+from strainwave.domain.results.stage_results import ASSUMED_TORQUE_ERROR
 from strainwave.errors import NumericalFailure
 
 _PREFIXES = {"link_mass": "m", "link_first_moment_": "m", "link_inertia_": "I"}

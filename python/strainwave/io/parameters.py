@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from strainwave.domain import gear_laws
+from strainwave.domain.arm import gear_laws
 from strainwave.domain.keys import Values
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import read_json

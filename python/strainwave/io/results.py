@@ -32,7 +32,7 @@ from strainwave.domain import (
     Suspicion,
     Verdict,
 )
-from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters
+from strainwave.domain.arm.base_parameters import MOTOR_INERTIA, base_parameters
 from strainwave.domain.keys import Key, Values
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import read_json

@@ -15,9 +15,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from strainwave.domain import FloatArray, JointLimits, LinkPrior, Motion, Origin
-from strainwave.domain.consistent_links import is_consistent, standard_parameters
-from strainwave.domain.kinds.base import Body
-from strainwave.domain.link_sensors.link_space import angles, attitude
+from strainwave.domain.arm.consistent_links import is_consistent, standard_parameters
+from strainwave.domain.arm.kinds.base import Body
+from strainwave.domain.arm.link_sensors.link_space import angles, attitude
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
 

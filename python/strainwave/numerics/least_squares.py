@@ -9,7 +9,7 @@ import numpy as np
 
 from strainwave import _core
 from strainwave.domain import BoolArray, FloatArray, IntArray
-from strainwave.domain.distributions import STD_PER_MEDIAN
+from strainwave.domain.results.distributions import STD_PER_MEDIAN
 from strainwave.numerics.linalg import Banded, singular_values
 
 HUBER_LIMIT_STDS = 4.0

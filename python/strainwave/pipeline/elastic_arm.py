@@ -18,8 +18,8 @@ from strainwave.domain import (
     RecordModel,
     RigidModel,
 )
-from strainwave.domain.link_sensors import with_estimates
-from strainwave.domain.stage_results import StageResults
+from strainwave.domain.arm.link_sensors import with_estimates
+from strainwave.domain.results.stage_results import StageResults
 from strainwave.errors import NotIdentifiable, NumericalFailure
 from strainwave.identification import validation, whole_arm
 from strainwave.identification.motor_responses import motor_response

@@ -24,9 +24,9 @@ from strainwave.domain import (
     RigidModel,
     StateSpace,
 )
-from strainwave.domain.combinations import is_uncoupled
+from strainwave.domain.arm.combinations import is_uncoupled
+from strainwave.domain.arm.parameter_table import COULOMB
 from strainwave.domain.keys import Key
-from strainwave.domain.parameter_table import COULOMB
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.interaction_torque import mean_postures
 from strainwave.errors import InvalidInput, NotIdentifiable

@@ -24,9 +24,9 @@ from strainwave.domain import (
     Study,
     Use,
 )
-from strainwave.domain.identification import merge_by_cause
+from strainwave.domain.arm.parameters import complete_values
 from strainwave.domain.keys import Key, Values, label_of
-from strainwave.domain.parameters import complete_values
+from strainwave.domain.results.identification import merge_by_cause
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.io import logs

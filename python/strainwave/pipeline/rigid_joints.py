@@ -21,10 +21,10 @@ from strainwave.domain import (
     RigidModel,
     Signals,
 )
-from strainwave.domain.combinations import is_uncoupled
-from strainwave.domain.effects import OF_RIGID_JOINTS
-from strainwave.domain.link_sensors import link_channel_kinds
-from strainwave.domain.stage_results import StageResults
+from strainwave.domain.arm.combinations import is_uncoupled
+from strainwave.domain.arm.effects import OF_RIGID_JOINTS
+from strainwave.domain.arm.link_sensors import link_channel_kinds
+from strainwave.domain.results.stage_results import StageResults
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, RecordTooShort
 from strainwave.identification import rigid, validation

@@ -19,8 +19,8 @@ from strainwave.domain import (
     InputCheck,
     Suspicion,
 )
-from strainwave.domain.formatting import percent, plus_minus
 from strainwave.domain.keys import Key
+from strainwave.domain.messages.formatting import percent, plus_minus
 from strainwave.report.document import blocks
 from strainwave.report.document.blocks import Cell, number
 from strainwave.report.document.elastic import trend_title

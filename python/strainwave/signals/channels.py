@@ -9,7 +9,7 @@ from typing import Literal, Self
 import numpy as np
 
 from strainwave.domain import BoolArray, Decoupled, Diagnostic, FloatArray, Joint, Lag, Log, Place
-from strainwave.domain.link_sensors import sensor_of
+from strainwave.domain.arm.link_sensors import sensor_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, RecordTooShort
 from strainwave.signals.standstill import runs_of

@@ -11,11 +11,11 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from strainwave.domain import Delay, Diagnostic, FloatArray, LinkSignals, Place
-from strainwave.domain.distributions import CI95_STDS
+from strainwave.domain.arm.link_sensors import ConstantKind, LinkSensor
+from strainwave.domain.arm.link_sensors.single_axis import Accelerometer, Gyro, LinkEncoder
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors import ConstantKind, LinkSensor
-from strainwave.domain.link_sensors.single_axis import Accelerometer, Gyro, LinkEncoder
-from strainwave.domain.signals import LinkSource
+from strainwave.domain.results.distributions import CI95_STDS
+from strainwave.domain.results.signals import LinkSource
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.signals.link_readings import acceleration_gain, preceding_gains

@@ -14,9 +14,8 @@ from itertools import product
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors import ConstantKind, SensorAxis, is_kind, unknowns_of
-from strainwave.domain.link_sensors.imu import (
+from strainwave.domain.arm.link_sensors import ConstantKind, SensorAxis, is_kind, unknowns_of
+from strainwave.domain.arm.link_sensors.imu import (
     IMU_BEARING,
     IMU_DISTANCE,
     IMU_POSITION,
@@ -24,7 +23,8 @@ from strainwave.domain.link_sensors.imu import (
     IMU_START_ATTITUDE,
     attitude_of,
 )
-from strainwave.domain.link_sensors.link_space import angles, attitude
+from strainwave.domain.arm.link_sensors.link_space import angles, attitude
+from strainwave.domain.keys import Key
 
 _MAX_SEARCHES = 16  # number of best starting values from which the search continues
 _MAX_ITERATIONS = 120  # maximum number of iterations of each search
@@ -46,7 +46,7 @@ def imu_candidates(
     They are the distinct local minima. `axes` belong to one link. Each table is (n_rows,
     n_quantities + 1): the quantities of an axis and, in the last column, its reading. With `flat`,
     the x and y axes of the IMU lie in the plane of motion. Each estimate has (name, joint) -> value
-    for `strainwave.domain.link_sensors.unknowns_of` and for the attitude at which the rotation
+    for `strainwave.domain.arm.link_sensors.unknowns_of` and for the attitude at which the rotation
     starts.
     """
     problems = [_AxisProblem.of(axis, table) for axis, table in zip(axes, tables, strict=True)]

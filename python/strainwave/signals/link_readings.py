@@ -17,9 +17,9 @@ from typing import Self
 import numpy as np
 
 from strainwave.domain import FloatArray, Joint
-from strainwave.domain.link_sensors import sensor_of
-from strainwave.domain.link_sensors.imu import ImuGyros
-from strainwave.domain.link_sensors.link_space import attitude, axes_about
+from strainwave.domain.arm.link_sensors import sensor_of
+from strainwave.domain.arm.link_sensors.imu import ImuGyros
+from strainwave.domain.arm.link_sensors.link_space import attitude, axes_about
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate
 

@@ -13,17 +13,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import FloatArray, Joint, Log
-from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors import SensorAxis, mounted_axes, unknowns_of
-from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros, ImuSensor
-from strainwave.domain.link_sensors.link_space import (
+from strainwave.domain.arm.link_sensors import SensorAxis, mounted_axes, unknowns_of
+from strainwave.domain.arm.link_sensors.imu import ImuAccelerometers, ImuGyros, ImuSensor
+from strainwave.domain.arm.link_sensors.link_space import (
     ACCELEROMETER_QUANTITIES,
     GYRO_QUANTITIES,
     LinkSpace,
     accelerometer_weights,
     axes_about,
 )
-from strainwave.domain.link_sensors.single_axis import ACCELEROMETER_DISTANCE, Accelerometer
+from strainwave.domain.arm.link_sensors.single_axis import ACCELEROMETER_DISTANCE, Accelerometer
+from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import low_pass
 from strainwave.signals.channels import unmeasured

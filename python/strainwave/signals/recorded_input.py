@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import FloatArray, Log
+from strainwave.domain.arm.link_sensors.interface import TORQUE_HOLD
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors.interface import TORQUE_HOLD
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, common_step

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import FloatArray, HypothesisTest, ModelCheck, StateSpace
-from strainwave.domain.distributions import CI99_STDS, chi_square_tail
+from strainwave.domain.results.distributions import CI99_STDS, chi_square_tail
 from strainwave.errors import InvalidInput
 from strainwave.statespace._evaluate import Evaluator, fit_percent
 from strainwave.statespace._scaled import Data, ModelMatrices, Stack, rescale, stack

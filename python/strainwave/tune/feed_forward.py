@@ -30,8 +30,8 @@ import numpy as np
 from scipy.interpolate import PPoly
 
 from strainwave.domain import FloatArray, JointLimits
-from strainwave.domain.effects import Effect, all_effects
-from strainwave.domain.parameter_table import base_name
+from strainwave.domain.arm.effects import Effect, all_effects
+from strainwave.domain.arm.parameter_table import base_name
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import FloatArray, Joint
-from strainwave.domain.arm import Imu
-from strainwave.domain.link_sensors import SensorAxis, axes_of, with_estimates
-from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros
-from strainwave.domain.link_sensors.interface import LinkSensor
-from strainwave.domain.link_sensors.link_space import Quantity, attitude, axes_about
-from strainwave.domain.link_sensors.single_axis import (
+from strainwave.domain.arm.description import Imu
+from strainwave.domain.arm.link_sensors import SensorAxis, axes_of, with_estimates
+from strainwave.domain.arm.link_sensors.imu import ImuAccelerometers, ImuGyros
+from strainwave.domain.arm.link_sensors.interface import LinkSensor
+from strainwave.domain.arm.link_sensors.link_space import Quantity, attitude, axes_about
+from strainwave.domain.arm.link_sensors.single_axis import (
     Accelerometer,
     Gyro,
     LinkEncoder,

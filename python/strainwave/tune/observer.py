@@ -21,7 +21,7 @@ import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
 from strainwave.domain import FloatArray, Joint
-from strainwave.domain.link_sensors.link_space import Quantity
+from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import TwoInertia
 from strainwave.errors import InvalidInput

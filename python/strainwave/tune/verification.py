@@ -16,9 +16,9 @@ from typing import Self
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.domain.control_law import ControlLaw, LinearServo
+from strainwave.domain.arm.control_law import ControlLaw, LinearServo
+from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.keys import Values
-from strainwave.domain.link_sensors.link_space import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate_arms
 from strainwave.errors import InvalidInput, NumericalFailure

@@ -23,13 +23,13 @@ from strainwave.domain import (
     Prbs,
     Study,
 )
-from strainwave.domain.combinations import reported, value_of
+from strainwave.domain.arm.combinations import reported, value_of
+from strainwave.domain.arm.link_sensors import SensorAxis, installed_axes
+from strainwave.domain.arm.link_sensors.imu import ImuAccelerometers, ImuGyros, ImuSensor
+from strainwave.domain.arm.link_sensors.link_space import Quantity
+from strainwave.domain.arm.parameters import with_known_constants
 from strainwave.domain.keys import Values
-from strainwave.domain.link_sensors import SensorAxis, installed_axes
-from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros, ImuSensor
-from strainwave.domain.link_sensors.link_space import Quantity
-from strainwave.domain.options import ProgressEvent
-from strainwave.domain.parameters import with_known_constants
+from strainwave.domain.study.options import ProgressEvent
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import (

@@ -16,9 +16,9 @@ from pathlib import Path
 from pydantic import TypeAdapter
 
 from strainwave.domain import Control, Experiment, Joint, Prbs, Servo, Spring, Study, Use
-from strainwave.domain.gear_laws import gear_law
+from strainwave.domain.arm.gear_laws import gear_law
+from strainwave.domain.arm.kinds import planar_two_link
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import planar_two_link
 from strainwave.errors import InvalidInput
 
 MAX_DISKS = 5  # payload of the rig

@@ -14,7 +14,7 @@ import pytest
 
 import strainwave as sw
 from campaign_rigs import inertia_of, log, rig
-from strainwave.domain.kinds import single_joint
+from strainwave.domain.arm.kinds import single_joint
 from strainwave.fleet.campaign import worker
 from strainwave.fleet.campaign.records import Task
 from strainwave.fleet.campaign.runner import CampaignPlan

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from strainwave.domain import FloatArray
-from strainwave.domain.distributions import student_tail
+from strainwave.domain.results.distributions import student_tail
 from strainwave.fleet.monitoring.shapes import (
     MIN_VISITS,
     DetectedChange,

@@ -11,7 +11,7 @@ import pytest
 from elastic_runs import SAMPLE, log_of, prbs_run, rig, rig_values, true_model
 from joint_records import Case, case, truth_of
 from strainwave.domain import Decoupled, Delay, FloatArray, Joint, JointModel, LinkSignals, Mode
-from strainwave.domain.arm import unit_of
+from strainwave.domain.arm.description import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.errors import NotIdentifiable

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import Decoupled, RecordModel
-from strainwave.domain.base_parameters import link_inertia
+from strainwave.domain.arm.base_parameters import link_inertia
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import TwoInertia, anti_resonance, resonance
 from strainwave.identification import decoupling, rigid

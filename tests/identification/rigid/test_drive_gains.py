@@ -21,9 +21,9 @@ from strainwave.domain import (
     Signals,
     Study,
 )
-from strainwave.domain.arm import UNKNOWN
-from strainwave.domain.base_parameters import base_parameters
-from strainwave.domain.combinations import value_of
+from strainwave.domain.arm.base_parameters import base_parameters
+from strainwave.domain.arm.combinations import value_of
+from strainwave.domain.arm.description import UNKNOWN
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise, record_inputs

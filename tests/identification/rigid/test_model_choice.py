@@ -9,7 +9,7 @@ import pytest
 
 import virtual_arms
 from strainwave.domain import FloatArray, Signals
-from strainwave.domain.kinds.base import MOTOR_SHARE
+from strainwave.domain.arm.kinds.base import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid import fit_rigid

@@ -11,8 +11,8 @@ from benchmarks.studies.arms import draw_arm
 from scipy.signal import lfilter
 
 from strainwave.domain import FloatArray, RigidModel, Signals, Study
+from strainwave.domain.arm.kinds import change_arm_keys
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import change_arm_keys
 from strainwave.dynamics import simulation
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable

@@ -21,9 +21,9 @@ from strainwave.domain import (
     Signals,
     Study,
 )
-from strainwave.domain.combinations import value_of
+from strainwave.domain.arm.combinations import value_of
+from strainwave.domain.arm.kinds import KINDS, Fault, Kind
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import KINDS, Fault, Kind
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import friction_per_size
 from strainwave.dynamics.simulation import SensorNoise

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from extensions import added
-from strainwave.domain import ArmModel, Channel, Joint, Log, link_sensors
+from strainwave.domain import ArmModel, Channel, Joint, Log
+from strainwave.domain.arm import link_sensors
+from strainwave.domain.arm.link_sensors import LinkSensor, optional_constants
+from strainwave.domain.arm.link_sensors.link_space import Quantity
+from strainwave.domain.arm.parameters import parameter_descriptions
 from strainwave.domain.keys import Values
-from strainwave.domain.link_sensors import LinkSensor, optional_constants
-from strainwave.domain.link_sensors.link_space import Quantity
-from strainwave.domain.parameters import parameter_descriptions
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import fit_whole_arm

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from strainwave.domain import ArmModel, Imu, Joint, Log, Parameter, Study
+from strainwave.domain.arm.kinds import change_arm_keys
+from strainwave.domain.arm.link_sensors.link_space import angles, attitude
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import change_arm_keys
-from strainwave.domain.link_sensors.link_space import angles, attitude
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import fit_whole_arm

@@ -12,10 +12,10 @@ import pytest
 from effect_runs import rig
 from record_effect_runs import CHANGES, From, Runs, fitted, runs
 from strainwave.domain import ArmModel, EffectName, Log, Study
-from strainwave.domain.effects import RecordEffect, all_effects, effect_named
-from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.arm.effects import RecordEffect, all_effects, effect_named
+from strainwave.domain.arm.gear_laws import STIFFNESS
+from strainwave.domain.arm.parameter_table import COULOMB, base_name, of_record
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.parameter_table import COULOMB, base_name, of_record
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.identification.whole_arm.problem.effect_unknowns import (

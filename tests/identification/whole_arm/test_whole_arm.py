@@ -20,10 +20,10 @@ from strainwave.domain import (
     Servo,
     Study,
 )
-from strainwave.domain.gear_laws.laws import KNEES, SLOPES
+from strainwave.domain.arm.gear_laws.laws import KNEES, SLOPES
+from strainwave.domain.arm.kinds import single_joint
+from strainwave.domain.arm.parameter_table import SETTLING
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import single_joint
-from strainwave.domain.parameter_table import SETTLING
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import validation

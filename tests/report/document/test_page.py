@@ -16,7 +16,7 @@ import pytest
 from elastic_results import elastic_identification
 from results import arm_model, identification, prediction
 from strainwave.domain import Diagnostic, Identification, Parameter, Place
-from strainwave.domain.parameters import parameter_descriptions
+from strainwave.domain.arm.parameters import parameter_descriptions
 from strainwave.report.document import figures_of, render
 from strainwave.report.document.verdict import TROUBLESHOOTING_PAGE, advice
 from strainwave.report.html import read_template

@@ -12,7 +12,7 @@ import pytest
 import exports
 from results import identification
 from strainwave.domain import Identification, Parameter
-from strainwave.domain.base_parameters import base_parameters
+from strainwave.domain.arm.base_parameters import base_parameters
 from strainwave.report.document import render
 from strainwave.report.document.parameters import combination_text
 

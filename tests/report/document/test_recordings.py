@@ -12,7 +12,7 @@ import exports
 from elastic_results import elastic_identification, log, study
 from figure_parts import line, names
 from strainwave.domain import ArmDescription, Imu, Joint
-from strainwave.domain.kinds import planar_two_link
+from strainwave.domain.arm.kinds import planar_two_link
 from strainwave.report.document.blocks import Block, Facts, Fold, Plot, Table
 from strainwave.report.document.predictions import recording_figure, recordings
 from strainwave.report.document.rig import rig_constants

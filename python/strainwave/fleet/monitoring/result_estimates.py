@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from strainwave.domain import Parameter
-from strainwave.domain.distributions import CI95_STDS, student_degrees
-from strainwave.domain.link_sensors import ConstantKind, is_kind
-from strainwave.domain.parameter_table import record_of
+from strainwave.domain.arm.link_sensors import ConstantKind, is_kind
+from strainwave.domain.arm.parameter_table import record_of
+from strainwave.domain.results.distributions import CI95_STDS, student_degrees
 from strainwave.errors import InvalidInput
 from strainwave.io import results
 from strainwave.io.joint_covariance import JointCovariance

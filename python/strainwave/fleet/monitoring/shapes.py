@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import FloatArray, IntArray
-from strainwave.domain.distributions import student_tail
+from strainwave.domain.results.distributions import student_tail
 
 Kind = Literal["drift", "step", "drift since"]
 

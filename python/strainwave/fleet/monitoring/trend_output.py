@@ -11,8 +11,8 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from strainwave.domain.distributions import CI95_STDS
-from strainwave.domain.formatting import plus_minus
+from strainwave.domain.messages.formatting import plus_minus
+from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.fleet.monitoring import output
 from strainwave.fleet.monitoring.output import format_p
 from strainwave.fleet.monitoring.shapes import fitted_line

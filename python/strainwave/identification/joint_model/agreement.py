@@ -15,7 +15,7 @@ from strainwave.domain import (
     JointModel,
     Place,
 )
-from strainwave.domain.distributions import CI95_STDS
+from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.dynamics.two_inertia import jacobian, joint_of, state_space
 
 BAND_EXTENSION_FACTOR = 3.0

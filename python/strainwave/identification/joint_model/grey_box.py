@@ -25,7 +25,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from strainwave.domain import Decoupled, FloatArray, JointModel, LinkSignals
-from strainwave.domain.parameter_table import COULOMB
+from strainwave.domain.arm.parameter_table import COULOMB
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, anti_resonance, jacobian, resonance
 from strainwave.errors import NotIdentifiable

@@ -18,9 +18,9 @@ from strainwave.domain import (
     Parameter,
     Place,
 )
-from strainwave.domain.arm import unit_of
-from strainwave.domain.gear_laws import STIFFNESS
-from strainwave.domain.parameter_table import VISCOUS
+from strainwave.domain.arm.description import unit_of
+from strainwave.domain.arm.gear_laws import STIFFNESS
+from strainwave.domain.arm.parameter_table import VISCOUS
 
 # relative standard deviation up to which a viscous friction is reported
 _MAX_VISCOUS_RELATIVE_STD = 0.3

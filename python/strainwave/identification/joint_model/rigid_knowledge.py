@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import FloatArray, LinkSignals, RigidModel
-from strainwave.domain.combinations import is_uncoupled, total_inertia
+from strainwave.domain.arm.combinations import is_uncoupled, total_inertia
 from strainwave.domain.keys import Row
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.interaction_torque import base_variations, interaction_torques

@@ -24,7 +24,7 @@ from strainwave.domain import (
     RigidOptions,
     Signals,
 )
-from strainwave.domain.gear_laws import RIGID
+from strainwave.domain.arm.gear_laws import RIGID
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import CORRECTIONS, LOAD_TERMS, band_fit
 from strainwave.errors import NotIdentifiable

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray
-from strainwave.domain.combinations import FRICTION_COLUMNS
-from strainwave.domain.kinds.base import MOTOR_SHARE
+from strainwave.domain.arm.combinations import FRICTION_COLUMNS
+from strainwave.domain.arm.kinds.base import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import (
     DELAY,

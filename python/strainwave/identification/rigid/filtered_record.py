@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from strainwave.domain import BoolArray, FloatArray, IntArray, Signals
-from strainwave.domain.combinations import FRICTION_COLUMNS
+from strainwave.domain.arm.combinations import FRICTION_COLUMNS
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import (
     MAX_STICTION_SHARE,

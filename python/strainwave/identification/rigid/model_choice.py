@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray
-from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
-from strainwave.domain.ranges import physical_range
+from strainwave.domain.arm.effects import OF_RIGID_JOINTS, effect_named
+from strainwave.domain.results.ranges import physical_range
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import DELAY, TORSION, ZERO
 from strainwave.identification.rigid.conclusion import MAX_NEGLIGIBLE_SHARE, has_zero_bound

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray
-from strainwave.domain.distributions import student_quantile
-from strainwave.domain.parameter_table import family_of, parameter_table
+from strainwave.domain.arm.parameter_table import family_of, parameter_table
+from strainwave.domain.results.distributions import student_quantile
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.equations import (

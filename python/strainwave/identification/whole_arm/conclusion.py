@@ -21,11 +21,11 @@ from strainwave.domain import (
     Prediction,
     SearchEnd,
 )
-from strainwave.domain.effects import effect_named
-from strainwave.domain.gear_laws import gear_law
+from strainwave.domain.arm.effects import effect_named
+from strainwave.domain.arm.gear_laws import gear_law
+from strainwave.domain.arm.link_sensors import is_hidden
+from strainwave.domain.arm.parameter_table import SETTLING, base_name
 from strainwave.domain.keys import Values
-from strainwave.domain.link_sensors import is_hidden
-from strainwave.domain.parameter_table import SETTLING, base_name
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import predict_closed_loop
 from strainwave.identification.whole_arm.inference.agreement import (

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, JointModel, Log, RigidModel, WholeArmOptions
-from strainwave.domain.combinations import value_of
-from strainwave.domain.effects import effect_named
-from strainwave.domain.gear_laws import STIFFNESS, is_slope
+from strainwave.domain.arm.combinations import value_of
+from strainwave.domain.arm.effects import effect_named
+from strainwave.domain.arm.gear_laws import STIFFNESS, is_slope
+from strainwave.domain.arm.link_sensors import constant_of
+from strainwave.domain.arm.link_sensors.imu import IMU_START_ATTITUDE
+from strainwave.domain.arm.link_sensors.single_axis import LinkEncoder
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.link_sensors import constant_of
-from strainwave.domain.link_sensors.imu import IMU_START_ATTITUDE
-from strainwave.domain.link_sensors.single_axis import LinkEncoder
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.closed_loop import keep_known_effects

@@ -22,9 +22,9 @@ from strainwave.domain import (
     channel_names,
     channel_parts,
 )
-from strainwave.domain.arm import UNKNOWN
-from strainwave.domain.kinds import kind_of
-from strainwave.domain.link_sensors import link_channel_kinds
+from strainwave.domain.arm.description import UNKNOWN
+from strainwave.domain.arm.kinds import kind_of
+from strainwave.domain.arm.link_sensors import link_channel_kinds
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.logs.arrow import Data, open_memory_table
 from strainwave.io.logs.bags import Bag, is_bag

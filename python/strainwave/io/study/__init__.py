@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from strainwave.domain import Options, Study
-from strainwave.domain.kinds import kind_of
-from strainwave.domain.options import PUBLISHED_OPTIONS
+from strainwave.domain.arm.kinds import kind_of
+from strainwave.domain.study.options import PUBLISHED_OPTIONS
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, parse_toml, read_bytes, write_whole
 from strainwave.io.study.checks import (

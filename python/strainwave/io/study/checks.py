@@ -21,13 +21,13 @@ from strainwave.domain import (
     channel_names,
     channel_parts,
 )
-from strainwave.domain.arm import UNKNOWN, Matrix
-from strainwave.domain.effects import OF_RIGID_JOINTS, effect_named
-from strainwave.domain.effects import names as effect_names
-from strainwave.domain.kinds import kind_of
-from strainwave.domain.link_sensors import optional_constants, sensor_of
-from strainwave.domain.parameters import whole_arm_parameter_names
-from strainwave.domain.study import study_keys
+from strainwave.domain.arm.description import UNKNOWN, Matrix
+from strainwave.domain.arm.effects import OF_RIGID_JOINTS, effect_named
+from strainwave.domain.arm.effects import names as effect_names
+from strainwave.domain.arm.kinds import kind_of
+from strainwave.domain.arm.link_sensors import optional_constants, sensor_of
+from strainwave.domain.arm.parameters import whole_arm_parameter_names
+from strainwave.domain.study.study import study_keys
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.study.reader import Reader
 

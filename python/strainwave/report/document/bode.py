@@ -19,8 +19,8 @@ from strainwave.domain import (
     Modes,
     StateSpace,
 )
-from strainwave.domain.distributions import chi_square_limit
-from strainwave.domain.formatting import plus_minus
+from strainwave.domain.messages.formatting import plus_minus
+from strainwave.domain.results.distributions import chi_square_limit
 from strainwave.dynamics.two_inertia import coefficients, jacobian, joint_of
 from strainwave.identification.joint_model.agreement import (
     BAND_EXTENSION_FACTOR,

@@ -16,8 +16,8 @@ from strainwave.domain import (
     TorqueHistogram,
     TorsionFit,
 )
-from strainwave.domain.distributions import CI95_STDS
-from strainwave.domain.gear_laws import GearLaw, gear_law
+from strainwave.domain.arm.gear_laws import GearLaw, gear_law
+from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.report.figures import (
     SHORT_DASH,
     Area,

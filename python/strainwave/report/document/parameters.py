@@ -14,11 +14,11 @@ from strainwave.domain import (
     Identification,
     Parameter,
 )
-from strainwave.domain.combinations import reported
-from strainwave.domain.formatting import plus_minus
-from strainwave.domain.messages import text_of
-from strainwave.domain.parameter_table import base_name
-from strainwave.domain.parameters import parameter_descriptions
+from strainwave.domain.arm.combinations import reported
+from strainwave.domain.arm.parameter_table import base_name
+from strainwave.domain.arm.parameters import parameter_descriptions
+from strainwave.domain.messages.catalogue import text_of
+from strainwave.domain.messages.formatting import plus_minus
 from strainwave.io.base_parameters import BaseParameter
 from strainwave.report.document.blocks import (
     Cell,

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from strainwave.domain import Identification, Joint, Log, Prediction, channel_parts
-from strainwave.domain.link_sensors import all_types
+from strainwave.domain.arm.link_sensors import all_types
 from strainwave.report.document.blocks import Block, FigureName, Fold, Plot
 from strainwave.report.figures import (
     DASHES,

@@ -17,9 +17,9 @@ from strainwave.domain import (
     ResidualCorrelation,
     ResidualTest,
 )
-from strainwave.domain.distributions import CI99_STDS
-from strainwave.domain.effects import effect_named
-from strainwave.domain.formatting import plus_minus
+from strainwave.domain.arm.effects import effect_named
+from strainwave.domain.messages.formatting import plus_minus
+from strainwave.domain.results.distributions import CI99_STDS
 from strainwave.numerics.spectra import correlate_residuals, expected_autocorrelation
 from strainwave.report.document.blocks import (
     Block,

@@ -9,9 +9,9 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import ArmDescription, FloatArray, Identification, Joint, SensorGain
-from strainwave.domain.kinds import kind_of
-from strainwave.domain.link_sensors import all_types, key_texts
-from strainwave.domain.link_sensors.link_space import attitude
+from strainwave.domain.arm.kinds import kind_of
+from strainwave.domain.arm.link_sensors import all_types, key_texts
+from strainwave.domain.arm.link_sensors.link_space import attitude
 from strainwave.report.document.blocks import Block, Cell, Facts, Row, number, table
 from strainwave.report.figures import (
     SHORT_DASH,

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from strainwave.domain import BoolArray, ComplexArray, FloatArray
-from strainwave.domain.distributions import CI95_STDS
+from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.report.figures import (
     DASHES,
     FREQUENCY_AXIS,

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import Clause, Diagnostic, FloatArray, Log, Place, channel_parts
-from strainwave.domain.link_sensors import all_types, sensor_of
+from strainwave.domain.arm.link_sensors import all_types, sensor_of
 from strainwave.dynamics.arm import Arm
 
 Kind = Literal["spikes", "frozen", "encoder-steps", "flat-tops", "mains-hum"]

@@ -23,11 +23,11 @@ from strainwave.domain import (
     Study,
     channel_parts,
 )
-from strainwave.domain.arm import unit_in
+from strainwave.domain.arm.description import unit_in
+from strainwave.domain.arm.kinds.base import LINK_PARAMETERS
+from strainwave.domain.arm.parameter_table import base_name, parameter_table
+from strainwave.domain.arm.parameters import complete_values
 from strainwave.domain.keys import Values, label_of
-from strainwave.domain.kinds.base import LINK_PARAMETERS
-from strainwave.domain.parameter_table import base_name, parameter_table
-from strainwave.domain.parameters import complete_values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import resonance
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure

@@ -18,8 +18,8 @@ from starlette.responses import Response
 
 from strainwave import pipeline
 from strainwave.domain import Clause
-from strainwave.domain.consistency import Correction
-from strainwave.domain.messages import text_of as message_text
+from strainwave.domain.messages.catalogue import text_of as message_text
+from strainwave.domain.results.consistency import Correction
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, write_whole
 from strainwave.io.results import check_document, to_json

@@ -18,9 +18,9 @@ from starlette.responses import Response
 
 import strainwave as sw
 from strainwave.domain import ComplexArray, Parameter
-from strainwave.domain.distributions import CI95_STDS
-from strainwave.domain.formatting import plus_minus
 from strainwave.domain.keys import Key, label_of
+from strainwave.domain.messages.formatting import plus_minus
+from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.errors import InvalidInput
 from strainwave.export import arm_of
 from strainwave.export.state_space import Matrices, joint_model, state_space

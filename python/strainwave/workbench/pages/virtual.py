@@ -13,7 +13,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from strainwave.domain import Study
-from strainwave.domain.gear_laws import is_slope
+from strainwave.domain.arm.gear_laws import is_slope
 from strainwave.domain.keys import Values, label_of
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import write_whole

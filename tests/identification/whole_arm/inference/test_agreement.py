@@ -19,7 +19,7 @@ from strainwave.domain import (
     StageDifference,
     Study,
 )
-from strainwave.domain.kinds import change_arm_keys
+from strainwave.domain.arm.kinds import change_arm_keys
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm.inference.agreement import (
     _as_normal,

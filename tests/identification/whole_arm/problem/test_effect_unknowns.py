@@ -13,10 +13,10 @@ import pytest
 
 from effect_runs import ALL, EVERY, OF_THE_CORE, SIZES, records, rig, single_tuned, whole_arm
 from strainwave.domain import ArmModel
-from strainwave.domain.effects import effect_named
-from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.arm.effects import effect_named
+from strainwave.domain.arm.gear_laws import STIFFNESS
+from strainwave.domain.arm.parameter_table import COULOMB
 from strainwave.domain.keys import Values
-from strainwave.domain.parameter_table import COULOMB
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import keep_known_effects, restrict_to_values
 from strainwave.identification.whole_arm.problem.effect_unknowns import (

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from strainwave.domain import FloatArray, Joint, JointModel, RigidModel, Study
-from strainwave.domain.gear_laws.laws import KNEES, SLOPES
+from strainwave.domain.arm.gear_laws.laws import KNEES, SLOPES
+from strainwave.domain.arm.kinds import change_arm_keys, single_joint
+from strainwave.domain.arm.parameter_table import COULOMB, SETTLING, VISCOUS
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import change_arm_keys, single_joint
-from strainwave.domain.parameter_table import COULOMB, SETTLING, VISCOUS
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace

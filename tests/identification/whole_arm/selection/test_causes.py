@@ -10,8 +10,8 @@ import pytest
 
 from effect_runs import ALIKE, EVERY, OF_THE_CORE, SHARES, whole_arm
 from strainwave.domain import ArmModel
-from strainwave.domain.effects import KnownJoint, all_effects, effect_named
-from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.arm.effects import KnownJoint, all_effects, effect_named
+from strainwave.domain.arm.gear_laws import STIFFNESS
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.inference.score_tests import (
     EffectColumns,

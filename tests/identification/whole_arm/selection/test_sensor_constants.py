@@ -11,8 +11,8 @@ import pytest
 from scipy.signal import lfilter
 
 from strainwave.domain import ArmModel, Log, Study, WholeArmOptions
+from strainwave.domain.arm.parameter_table import of_record
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.parameter_table import of_record
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import shift_samples
 from strainwave.identification.whole_arm import fit_whole_arm

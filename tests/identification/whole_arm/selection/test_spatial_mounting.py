@@ -18,10 +18,10 @@ from strainwave.domain import (
     Origin,
     WholeArmOptions,
 )
+from strainwave.domain.arm.link_sensors import mounted_axes, unknowns_of
+from strainwave.domain.arm.link_sensors.imu import IMU_START_ATTITUDE, attitude_of
+from strainwave.domain.arm.link_sensors.link_space import attitude, axes_about
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.link_sensors import mounted_axes, unknowns_of
-from strainwave.domain.link_sensors.imu import IMU_START_ATTITUDE, attitude_of
-from strainwave.domain.link_sensors.link_space import attitude, axes_about
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.identification.whole_arm.problem.objective import Objective

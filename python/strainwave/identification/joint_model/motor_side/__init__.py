@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from strainwave.domain import FloatArray, JointModel, LinkSignals, RigidModel
-from strainwave.domain.parameter_table import VISCOUS
+from strainwave.domain.arm.parameter_table import VISCOUS
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, anti_resonance, resonance
 from strainwave.errors import NotIdentifiable

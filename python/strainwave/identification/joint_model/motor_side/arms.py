@@ -21,7 +21,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray, RigidModel
-from strainwave.domain.combinations import FRICTION_COLUMNS, LINK_INERTIA, inertias_of_links
+from strainwave.domain.arm.combinations import FRICTION_COLUMNS, LINK_INERTIA, inertias_of_links
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.interaction_torque import base_parameters, total_inertias
 from strainwave.dynamics.two_inertia import TwoInertia

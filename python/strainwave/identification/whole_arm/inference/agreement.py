@@ -16,10 +16,10 @@ from strainwave.domain import (
     Place,
     StageDifference,
 )
-from strainwave.domain.arm import unit_in
-from strainwave.domain.distributions import chi_square_tail
+from strainwave.domain.arm.description import unit_in
+from strainwave.domain.arm.parameter_table import family_of
 from strainwave.domain.keys import Values
-from strainwave.domain.parameter_table import family_of
+from strainwave.domain.results.distributions import chi_square_tail
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.inference.covariance import confidence_of, with_variances
 from strainwave.identification.whole_arm.problem.parameter_space import reference_sizes

@@ -41,7 +41,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from strainwave.domain import FloatArray, IntArray
-from strainwave.domain.distributions import CI95_STDS, student_quantile
+from strainwave.domain.results.distributions import CI95_STDS, student_quantile
 from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD, Objective
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows, noise_autocovariances
 from strainwave.identification.whole_arm.records.dataset import Dataset

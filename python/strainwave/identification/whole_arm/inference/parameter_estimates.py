@@ -18,13 +18,13 @@ from strainwave.domain import (
     Place,
     SearchEnd,
 )
-from strainwave.domain.arm import unit_in
-from strainwave.domain.distributions import CI95_STDS
-from strainwave.domain.effects import effect_named
-from strainwave.domain.gear_laws import is_by_load, is_slope
+from strainwave.domain.arm.description import unit_in
+from strainwave.domain.arm.effects import effect_named
+from strainwave.domain.arm.gear_laws import is_by_load, is_slope
+from strainwave.domain.arm.link_sensors import constant_of, is_hidden
+from strainwave.domain.arm.parameter_table import SETTLING, VISCOUS
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors import constant_of, is_hidden
-from strainwave.domain.parameter_table import SETTLING, VISCOUS
+from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.inference.covariance import confidence_of, with_variances
 from strainwave.identification.whole_arm.problem.effect_unknowns import (

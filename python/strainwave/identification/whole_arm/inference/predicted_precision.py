@@ -16,19 +16,19 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import FloatArray, Log, Parameter, SensorGain
-from strainwave.domain.arm import unit_in
-from strainwave.domain.combinations import value_of
-from strainwave.domain.gear_laws import gear_parameters
-from strainwave.domain.keys import Key, Row, Values
-from strainwave.domain.link_sensors import (
+from strainwave.domain.arm.combinations import value_of
+from strainwave.domain.arm.description import unit_in
+from strainwave.domain.arm.gear_laws import gear_parameters
+from strainwave.domain.arm.link_sensors import (
     SensorAxis,
     SensorGroup,
     TypicalSensor,
     all_types,
     constant_of,
 )
-from strainwave.domain.parameter_table import OFFSET, SETTLING
-from strainwave.domain.parameters import complete_values
+from strainwave.domain.arm.parameter_table import OFFSET, SETTLING
+from strainwave.domain.arm.parameters import complete_values
+from strainwave.domain.keys import Key, Row, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import (

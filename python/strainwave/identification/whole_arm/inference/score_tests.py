@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import BoolArray, EffectName, FloatArray, ParameterShift
-from strainwave.domain.distributions import chi_square_limit
-from strainwave.domain.effects import (
+from strainwave.domain.arm.effects import (
     STIFFNESS_CURVE,
     Effect,
     all_effects,
@@ -22,11 +21,12 @@ from strainwave.domain.effects import (
     names,
     possible_causes,
 )
-from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.arm.gear_laws import STIFFNESS
+from strainwave.domain.arm.link_sensors import constant_of
+from strainwave.domain.arm.link_sensors.single_axis import LinkEncoder
+from strainwave.domain.arm.parameter_table import OFFSET, SETTLING, VISCOUS, base_name
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.link_sensors import constant_of
-from strainwave.domain.link_sensors.single_axis import LinkEncoder
-from strainwave.domain.parameter_table import OFFSET, SETTLING, VISCOUS, base_name
+from strainwave.domain.results.distributions import chi_square_limit
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import confidence_of

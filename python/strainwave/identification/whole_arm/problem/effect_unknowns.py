@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import Diagnostic, EffectName, FloatArray, Place
-from strainwave.domain.arm import unit_of
-from strainwave.domain.distributions import chi_square_limit
-from strainwave.domain.effects import KnownJoint, RecordEffect, all_effects, effect_named
+from strainwave.domain.arm.description import unit_of
+from strainwave.domain.arm.effects import KnownJoint, RecordEffect, all_effects, effect_named
+from strainwave.domain.arm.link_sensors.interface import MOTOR_ENCODER_DELAY, TORQUE_HOLD
+from strainwave.domain.arm.parameter_table import COULOMB, base_name, of_record
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.link_sensors.interface import MOTOR_ENCODER_DELAY, TORQUE_HOLD
-from strainwave.domain.parameter_table import COULOMB, base_name, of_record
+from strainwave.domain.results.distributions import chi_square_limit
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import keep_known_effects
 from strainwave.identification.whole_arm.problem.objective import Objective

@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from strainwave.domain import FloatArray, IntArray
-from strainwave.domain.distributions import STD_PER_MEDIAN
+from strainwave.domain.results.distributions import STD_PER_MEDIAN
 from strainwave.dynamics.rigid_prediction import fit_percent
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.closed_loop import MIN_SIGNAL_TO_NOISE

@@ -11,11 +11,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, RigidModel, WholeArmOptions
-from strainwave.domain.gear_laws import STIFFNESS, is_slope
-from strainwave.domain.keys import Key, Keyed, Row, Values
-from strainwave.domain.link_sensors import constant_of
-from strainwave.domain.options import PUBLISHED_RANGE
-from strainwave.domain.parameter_table import (
+from strainwave.domain.arm.gear_laws import STIFFNESS, is_slope
+from strainwave.domain.arm.link_sensors import constant_of
+from strainwave.domain.arm.parameter_table import (
     COULOMB,
     OFFSET,
     SETTLING,
@@ -24,6 +22,8 @@ from strainwave.domain.parameter_table import (
     family_of,
     parameter_table,
 )
+from strainwave.domain.keys import Key, Keyed, Row, Values
+from strainwave.domain.study.options import PUBLISHED_RANGE
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 

@@ -12,13 +12,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Joint, JointModel, Place, RigidModel
-from strainwave.domain.arm import unit_in, unit_of
-from strainwave.domain.combinations import change_from, value_of
-from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.arm.combinations import change_from, value_of
+from strainwave.domain.arm.description import unit_in, unit_of
+from strainwave.domain.arm.gear_laws import STIFFNESS
+from strainwave.domain.arm.kinds import kind_of
+from strainwave.domain.arm.kinds.base import StageInertias, is_positive
+from strainwave.domain.arm.parameter_table import (
+    COULOMB,
+    OFFSET,
+    SETTLING,
+    VISCOUS,
+    parameter_table,
+)
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.kinds import kind_of
-from strainwave.domain.kinds.base import StageInertias, is_positive
-from strainwave.domain.parameter_table import COULOMB, OFFSET, SETTLING, VISCOUS, parameter_table
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.problem.parameter_space import (

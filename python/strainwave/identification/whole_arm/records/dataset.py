@@ -13,8 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, Log
-from strainwave.domain.keys import Key, Values
-from strainwave.domain.link_sensors import (
+from strainwave.domain.arm.link_sensors import (
     ConstantKind,
     SensorAxis,
     SensorGroup,
@@ -22,7 +21,8 @@ from strainwave.domain.link_sensors import (
     is_kind,
     with_bandwidths,
 )
-from strainwave.domain.link_sensors.link_space import LINK_SIGNALS, Quantity
+from strainwave.domain.arm.link_sensors.link_space import LINK_SIGNALS, Quantity
+from strainwave.domain.keys import Key, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import MountResonance, differentiate_rows, mount_resonance
 from strainwave.dynamics.simulation import (

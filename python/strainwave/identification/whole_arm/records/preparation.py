@@ -9,9 +9,9 @@ from itertools import chain
 import numpy as np
 
 from strainwave.domain import BoolArray, Imu, Log, channel_parts
-from strainwave.domain.link_sensors import SensorAxis, compared_axes
-from strainwave.domain.link_sensors.imu import ImuSensor
-from strainwave.domain.link_sensors.single_axis import MotorEncoder
+from strainwave.domain.arm.link_sensors import SensorAxis, compared_axes
+from strainwave.domain.arm.link_sensors.imu import ImuSensor
+from strainwave.domain.arm.link_sensors.single_axis import MotorEncoder
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.identification.closed_loop import velocity_band

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import FloatArray, Log, SearchEnd, WholeArmOptions
-from strainwave.domain.parameter_table import COULOMB, OFFSET
+from strainwave.domain.arm.parameter_table import COULOMB, OFFSET
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.records.dataset import Dataset

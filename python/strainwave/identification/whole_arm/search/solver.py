@@ -11,8 +11,8 @@ from itertools import count
 import numpy as np
 
 from strainwave.domain import FloatArray, SearchEnd, WholeArmOptions
-from strainwave.domain.arm_model import MAX_RESIDUAL_NOISE
-from strainwave.domain.identification import MAX_RELATIVE_RESIDUAL
+from strainwave.domain.results.arm_model import MAX_RESIDUAL_NOISE
+from strainwave.domain.results.identification import MAX_RELATIVE_RESIDUAL
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.search.fit import Fit

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import JointModel, WholeArmOptions
-from strainwave.domain.gear_laws import STIFFNESS, gear_parameters, is_slope
+from strainwave.domain.arm.gear_laws import STIFFNESS, gear_parameters, is_slope
 from strainwave.domain.keys import Values
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.problem.objective import Objective

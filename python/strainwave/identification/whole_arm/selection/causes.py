@@ -18,12 +18,12 @@ from strainwave.domain import (
     ParameterShift,
     WholeArmOptions,
 )
-from strainwave.domain.arm_model import MAX_RESIDUAL_NOISE
-from strainwave.domain.effects import STIFFNESS_CURVE, effect_named
-from strainwave.domain.final_table import is_identified
-from strainwave.domain.gear_laws import STIFFNESS, gear_law
+from strainwave.domain.arm.effects import STIFFNESS_CURVE, effect_named
+from strainwave.domain.arm.gear_laws import STIFFNESS, gear_law
+from strainwave.domain.arm.parameter_table import base_name
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.parameter_table import base_name
+from strainwave.domain.results.arm_model import MAX_RESIDUAL_NOISE
+from strainwave.domain.results.final_table import is_identified
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import confidence_of

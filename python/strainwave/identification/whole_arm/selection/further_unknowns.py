@@ -12,8 +12,8 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.domain.parameter_table import SETTLING
-from strainwave.domain.ranges import physical_range
+from strainwave.domain.arm.parameter_table import SETTLING
+from strainwave.domain.results.ranges import physical_range
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.problem.effect_unknowns import (

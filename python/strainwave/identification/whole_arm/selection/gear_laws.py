@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import Diagnostic, LawChoice, LawMargin, Place, SearchEnd
-from strainwave.domain.distributions import CI95_STDS
-from strainwave.domain.effects import STIFFNESS_CURVE
-from strainwave.domain.gear_laws import AUTO, STIFFNESS, GearLaw, curved_laws, stated_law
-from strainwave.domain.gear_laws.laws import CUBIC
+from strainwave.domain.arm.effects import STIFFNESS_CURVE
+from strainwave.domain.arm.gear_laws import AUTO, STIFFNESS, GearLaw, curved_laws, stated_law
+from strainwave.domain.arm.gear_laws.laws import CUBIC
 from strainwave.domain.keys import Key, Values
+from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import confidence_of

@@ -17,15 +17,15 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import FloatArray, WholeArmOptions
-from strainwave.domain.distributions import chi_square_limit
-from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors import SensorAxis, unknowns_of
-from strainwave.domain.link_sensors.imu import (
+from strainwave.domain.arm.link_sensors import SensorAxis, unknowns_of
+from strainwave.domain.arm.link_sensors.imu import (
     IMU_ROTATION,
     IMU_START_ATTITUDE,
     ImuAccelerometers,
 )
-from strainwave.domain.link_sensors.single_axis import ACCELEROMETER_DISTANCE, Accelerometer
+from strainwave.domain.arm.link_sensors.single_axis import ACCELEROMETER_DISTANCE, Accelerometer
+from strainwave.domain.keys import Key
+from strainwave.domain.results.distributions import chi_square_limit
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import MountResonance
 from strainwave.errors import InvalidInput, NumericalFailure

@@ -15,17 +15,17 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Parameter, Place, WholeArmOptions
-from strainwave.domain.distributions import CI95_STDS
-from strainwave.domain.keys import Key, Values
-from strainwave.domain.link_sensors import ConstantKind, constant_of, is_kind, nominal
-from strainwave.domain.link_sensors.imu import (
+from strainwave.domain.arm.link_sensors import ConstantKind, constant_of, is_kind, nominal
+from strainwave.domain.arm.link_sensors.imu import (
     IMU_DISTANCE,
     IMU_ROTATION,
     IMU_START_ATTITUDE,
     ImuAccelerometers,
 )
-from strainwave.domain.link_sensors.single_axis import MotorEncoder
-from strainwave.domain.parameter_table import record_of
+from strainwave.domain.arm.link_sensors.single_axis import MotorEncoder
+from strainwave.domain.arm.parameter_table import record_of
+from strainwave.domain.keys import Key, Values
+from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.dynamics.link_sensors import MAX_SCALE_ERROR, MAX_SENSOR_DELAY
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.problem.effect_unknowns import update_prior_trust

@@ -1,0 +1,1 @@
+"""The arm: joints, kinds, gear laws, effects, link sensors and parameters."""

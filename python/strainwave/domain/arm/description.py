@@ -1,0 +1,307 @@
+"""Description of an arm: a serial chain of joints with drives, gears and sensors.
+
+`strainwave.io.study` checks the constraints of `annotated_types`. The kinds of
+`strainwave.domain.arm.kinds` construct descriptions from the `[arm]` tables of study files.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from annotated_types import Ge, Gt
+
+from strainwave.domain.arm.effects import all_effects
+from strainwave.domain.arm.gear_laws import AUTO, RIGID, GearLaw, determined_law, stated_law
+from strainwave.domain.arm.link_sensors import LinkSensor, sensors_of
+from strainwave.domain.arm.link_sensors.link_space import are_parallel, attitude
+from strainwave.domain.arm.parameter_table import base_name, parameter_table
+from strainwave.domain.keys import Key
+
+Positive = Annotated[float, Gt(0.0)]
+NonNegative = Annotated[float, Ge(0.0)]
+
+Motion = Literal["revolute", "prismatic"]
+Spring = str  # name of a gear law, or "auto"
+EffectName = str  # of one of `domain.effects`
+Vector = tuple[float, float, float]
+Matrix = tuple[tuple[float, ...], ...]  # rows
+UNKNOWN: Literal["unknown"] = "unknown"
+LinkPrior = tuple[float, ...]  # the ten standard parameters of a link, in the order of the core
+
+_PLANAR_PROGRAMS = ("planar-two-link", "single-joint")  # kinds with a compiled program
+
+
+def _without_rounding(angle: float) -> float:
+    """The multiple of pi/2 that an angle [rad] such as 1.5708 or 3.14 has the first digits of."""
+    text = repr(float(angle))
+    digits = len(text.partition(".")[2])
+    if "e" in text or digits < 2:
+        return angle
+    multiple = round(angle / (0.5 * math.pi)) * 0.5 * math.pi
+    truncated = math.trunc(multiple * 10**digits) / 10**digits
+    return multiple if angle in (round(multiple, digits), truncated) else angle
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Frame of a joint at zero angle in the frame of the link before it, as in URDF."""
+
+    xyz: Vector = (0.0, 0.0, 0.0)  # [m]
+    rpy: Vector = (0.0, 0.0, 0.0)  # [rad] roll, pitch and yaw
+
+    def __post_init__(self) -> None:
+        # axes that are parallel but for rounding would have base parameters that no motion shows
+        roll, pitch, yaw = (_without_rounding(angle) for angle in self.rpy)
+        object.__setattr__(self, "rpy", (roll, pitch, yaw))
+
+
+@dataclass(frozen=True, slots=True)
+class Imu:
+    """Accelerometers and gyros in one case on a joint's link, at any position and attitude."""
+
+    xyz: tuple[float, float, float] | None = None  # position [m] in the link's frame
+    rpy: tuple[float, float, float] | None = None  # [rad] roll, pitch and yaw, as in URDF
+    accelerometer_hz: Positive | None = None  # second-order Butterworth
+    gyro_hz: Positive | None = None  # second-order Butterworth
+
+
+@dataclass(frozen=True, slots=True)
+class JointLimits:
+    """Limits of a joint's motion and load, as in URDF; None: unknown or none."""
+
+    lower: float | None = None  # [rad, m] position
+    upper: float | None = None
+    velocity: Positive | None = None  # [rad/s, m/s]
+    effort: Positive | None = None  # [N m, N]
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """Placement, drive, gear and sensors of one joint: `[[joint]]`."""
+
+    spring: Spring
+    gear_ratio: float  # n, link turns (prismatic: m per rad) of the motor; not zero
+    motion: Motion = "revolute"
+    # e [N m/V], motor side; "unknown": estimated from records with and without a known payload
+    torque_per_volt: Positive | Literal["unknown"] | None = None
+    current_loop_hz: Positive | None = None
+    encoder_counts: Positive | None = None  # per motor turn
+    link_encoder_counts: Positive | None = None  # per turn of the link
+    accelerometer_distance: Positive | None = None  # l_a [m]; None: estimated
+    accelerometer_hz: Positive | None = None  # second-order Butterworth
+    gyro_hz: Positive | None = None  # first-order low-pass
+    imu: Imu | None = None
+    # optional terms of the model; "auto": those that the data support
+    effects: tuple[EffectName, ...] | Literal["auto"] = "auto"
+    origin: Origin = Origin()
+    axis: Vector = (0.0, 0.0, 1.0)  # in the joint's frame; its length does not matter
+    name: str | None = None  # in the URDF and in exports
+    limits: JointLimits | None = None
+    # the logs have no torque of the motor, but that of a sensor between gear and link, which shows
+    # neither the rotor's inertia nor the motor's friction
+    torque_at_link: bool = False
+
+    @property
+    def torque_per_command(self) -> float:
+        """Motor torque per unit of the input: e [N m/V]; 1 if it is a torque, or e unknown."""
+        return self.known_torque_per_volt or 1.0
+
+    @property
+    def known_torque_per_volt(self) -> float | None:
+        """E [N m/V]; None if it is not given."""
+        return None if self.torque_per_volt == UNKNOWN else self.torque_per_volt
+
+    @property
+    def encoder_resolution(self) -> float:
+        """One count of the motor encoder [rad]; zero if unknown."""
+        return math.tau / self.encoder_counts if self.encoder_counts else 0.0
+
+    @property
+    def law(self) -> GearLaw:
+        """Elastic law of the gear; the linear law while the data have not selected one."""
+        return stated_law(self.spring)
+
+    @property
+    def sensors(self) -> tuple[LinkSensor, ...]:
+        """Sensors that the link can have, with the constants that the table gives."""
+        return sensors_of(self)
+
+    @property
+    def elastic(self) -> bool:
+        """Whether the gear is elastic."""
+        return self.law.elastic
+
+    @property
+    def selects_law(self) -> bool:
+        """Whether the fit selects the elastic law of this joint."""
+        return self.spring == AUTO
+
+    @property
+    def selects_effects(self) -> bool:
+        """Whether the fit selects the effects of this joint."""
+        return self.effects == "auto"
+
+    @property
+    def named_effects(self) -> tuple[EffectName, ...]:
+        """Effects that the study names."""
+        return () if self.effects == "auto" else self.effects
+
+    @property
+    def possible_effects(self) -> tuple[EffectName, ...]:
+        """Effects that the joint may have: the named ones, or all if the fit selects."""
+        if self.effects != "auto":
+            return self.effects
+        return tuple(e.name for e in all_effects() if self.elastic or not e.needs_elastic_gear)
+
+
+@dataclass(frozen=True, slots=True)
+class Servo:
+    """PI velocity servo: u = kp e + ki integral(e), e = reference - encoder difference / period.
+
+    With `position_gain`, e contains position_gain (theta_M(0) + integral(reference) - encoder) in
+    addition.
+    """
+
+    kind: Literal["pi-velocity"]
+    period: Positive  # [s]
+    kp: tuple[NonNegative, ...]  # [V s/rad], one per joint
+    ki: tuple[NonNegative, ...]  # [V/rad], one per joint
+    limit: Positive  # [V]
+    position_gain: tuple[NonNegative, ...] | None = None  # [1/s], one per joint
+
+
+@dataclass(frozen=True, slots=True)
+class Urdf:
+    """The URDF file that places the joints, and the inertial values in it."""
+
+    file: str  # relative to the study file
+    priors: tuple[LinkPrior, ...]  # of the links from the base
+    held: tuple[str, ...] = ()  # joints that stay at zero
+
+
+_MAX_SINE = 1e-3  # of the angle between an axis and gravity that count as parallel
+
+
+@dataclass(frozen=True, slots=True)
+class Transmission:
+    """Coupling between motors and joints: `[transmission]`."""
+
+    coupling: Matrix  # C, (n_joints, n_joints): link angles = C (gear_ratio * motor angles)
+
+
+@dataclass(frozen=True, slots=True)
+class ArmDescription:
+    """A serial chain on a fixed base, with its servo.
+
+    Frames, axes and angles are those of URDF. Link angles are C N theta_M: C is `coupling`, the
+    transmission between joints, and N holds the gear ratios.
+    """
+
+    kind: str  # of `domain.kinds`; selects the compiled program and names of combinations
+    joints: tuple[Joint, ...]  # in order from the base
+    gravity: Vector | None = None  # [m/s^2] in the frame of the base; None: without gravity
+    coupling: Matrix | None = None  # C, (n_joints, n_joints); None: identity
+    servo: Servo | None = None
+    urdf: Urdf | None = None
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def gravity_size(self) -> float:
+        """Size of gravity [m/s^2]; zero without gravity."""
+        return math.hypot(*self.gravity) if self.gravity else 0.0
+
+    @property
+    def is_coupled(self) -> bool:
+        """Whether a motor moves several joints."""
+        return bool(self.coupled_joints)
+
+    @property
+    def coupled_joints(self) -> frozenset[int]:
+        """Joints, from 1, that several motors move, or whose motor moves several joints."""
+        coupled = np.array(self.coupling or np.zeros((self.n_joints,) * 2)) != 0.0
+        np.fill_diagonal(coupled, val=False)
+        return frozenset((np.flatnonzero(coupled.any(axis=0) | coupled.any(axis=1)) + 1).tolist())
+
+    def has_posture_free(self, number: int) -> bool:
+        """Whether neither gravity nor the inertia of the arm depends on the angle of a motor.
+
+        So it is for sliding joints behind sliding joints, and for the first joint if it slides or
+        turns about an axis along gravity.
+        """
+        before = self.joints[: number - 1]
+        if self.is_coupled or any(joint.motion != "prismatic" for joint in before):
+            return False
+        joint = self.joints[number - 1]
+        if joint.motion == "prismatic" or number > 1 or not self.gravity:
+            return joint.motion == "prismatic" or number == 1
+        axis = attitude(joint.origin.rpy) @ joint.axis
+        return are_parallel(axis, np.array(self.gravity), _MAX_SINE)
+
+    @property
+    def has_planar_program(self) -> bool:
+        """Whether the core has a compiled program of this kind, for motion in the xy plane."""
+        return self.kind in _PLANAR_PROGRAMS
+
+    @property
+    def unknown_drives(self) -> tuple[int, ...]:
+        """Joints, from 1, whose torque per volt is unknown."""
+        numbered = enumerate(self.joints, start=1)
+        return tuple(number for number, joint in numbered if joint.torque_per_volt == UNKNOWN)
+
+    @property
+    def rigid_joints(self) -> tuple[int, ...]:
+        """Joints, from 1, with rigid gears."""
+        return tuple(n for n, joint in enumerate(self.joints, start=1) if not joint.elastic)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints in models for other programs: `joint1` for a joint without name."""
+        numbered = enumerate(self.joints, start=1)
+        return tuple(joint.name or f"joint{number}" for number, joint in numbered)
+
+    def with_joints(self, joints: Iterable[Joint]) -> Self:
+        """Copy of the arm with other joints."""
+        return replace(self, joints=tuple(joints))
+
+    def with_joint(self, number: int, **changes: Any) -> Self:
+        """Copy of the arm with other values of one joint, from 1."""
+        joints = list(self.joints)
+        joints[number - 1] = replace(joints[number - 1], **changes)
+        return self.with_joints(joints)
+
+    def with_selected_laws(self, known: Collection[Key]) -> Self:
+        """Copy with the laws of gears with `spring = "auto"` that known (name, joint) determine."""
+        arm = self
+        for number, joint in enumerate(self.joints, start=1):
+            if joint.selects_law:
+                law = determined_law(AUTO, [key[0] for key in known if key[1] == number])
+                arm = arm.with_joint(number, spring=law.name)
+        return arm
+
+    def behind_rigid_gears(self) -> Self:
+        """Copy of the arm with rigid gears and without effects."""
+        return self.with_joints(replace(j, spring=RIGID, effects=()) for j in self.joints)
+
+
+def unit_of(name: str, joint: Joint | None = None) -> str:
+    """SI unit of a parameter, by its name in docs/notation.md; None for a parameter of the arm.
+
+    Raises KeyError if there is no parameter of that name.
+    """
+    return parameter_table()[base_name(name)].units[
+        joint is not None and joint.motion == "prismatic"
+    ]
+
+
+def unit_in(arm: ArmDescription, key: Key) -> str:
+    """SI unit of a parameter of an arm, by name and joint, from 1."""
+    name, joint = key
+    return unit_of(name, None if joint is None else arm.joints[joint - 1])

@@ -1,0 +1,1 @@
+"""Texts of warnings and faults, and the numbers in them."""

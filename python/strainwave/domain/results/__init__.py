@@ -1,0 +1,1 @@
+"""Records that stages hand on, to the verdict."""

@@ -1,0 +1,1 @@
+"""The study: logs, channels and options."""
