@@ -48,17 +48,16 @@ def _voltage() -> FloatArray:
 def _time_step() -> float:
     rig = Arm.of(scara.STIFF.study(Path()).arm)
     values = rig.parameter_vector(scara.STIFF.parameters())[None, :]
-    return best_of(lambda: rig.core.simulate(values, **_experiment())) / STEPS
+    experiment = rig.core.experiment(**_experiment())
+    return best_of(lambda: rig.core.simulate(values, experiment)) / STEPS
 
 
 def _time_derivatives(count: int) -> float:
     rig = Arm.of(scara.STIFF.study(Path()).arm)
     values = rig.parameter_vector(scara.STIFF.parameters())
     names = [name for name in rig.parameter_names if not name[0].startswith("gravity")][:count]
-    return (
-        best_of(lambda: rig.core.sensitivities(values, with_respect_to=names, **_experiment()))
-        / STEPS
-    )
+    experiment = rig.core.experiment(**_experiment())
+    return best_of(lambda: rig.core.sensitivities(values, experiment, names)) / STEPS
 
 
 def _experiment() -> dict[str, Any]:

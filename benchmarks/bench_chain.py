@@ -73,7 +73,8 @@ def _experiment(n: int) -> dict[str, Any]:
 def _time_step(chain: Chain) -> float:
     arm = Arm.of(chain.study.arm)
     values = arm.parameter_vector(chain.values)[None, :]
-    return best_of(lambda: arm.core.simulate(values, **_experiment(arm.n_joints))) / STEPS
+    experiment = arm.core.experiment(**_experiment(arm.n_joints))
+    return best_of(lambda: arm.core.simulate(values, experiment)) / STEPS
 
 
 def _directions(arm: Arm) -> list[tuple[str, int | None]]:
@@ -84,10 +85,10 @@ def _directions(arm: Arm) -> list[tuple[str, int | None]]:
 def _time_derivatives(chain: Chain) -> float:
     arm = Arm.of(chain.study.arm)
     values, names = arm.parameter_vector(chain.values), _directions(arm)
-    experiment = _experiment(arm.n_joints)
+    experiment = arm.core.experiment(**_experiment(arm.n_joints))
 
     def run() -> None:
-        arm.core.sensitivities(values, with_respect_to=names, **experiment)
+        arm.core.sensitivities(values, experiment, names)
 
     return best_of(run, repeats=3) / STEPS
 

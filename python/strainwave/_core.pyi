@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 __all__ = [
     "GEAR_CORNER",
     "Arm",
+    "Experiment",
     "Innovations",
     "InnovationsFit",
     "eliminate",
@@ -35,6 +36,10 @@ _Servo = (
     tuple[Sequence[float], Sequence[float], float, Sequence[bool], Sequence[float] | None]
     | tuple[Sequence[_Law | None], float]
 )
+
+@final
+class Experiment:
+    """Inputs of an experiment, its initial state, and the quantities that it records."""
 
 @final
 class Arm:
@@ -83,9 +88,8 @@ class Arm:
     def n_joints(self) -> int: ...
     @property
     def parameter_names(self) -> list[tuple[str, int | None]]: ...
-    def simulate(
+    def experiment(
         self,
-        parameters: NDArray[np.float64],
         voltage: NDArray[np.float64],
         *,
         motor_angle: Sequence[float],
@@ -101,38 +105,34 @@ class Arm:
         link_angle: Sequence[float] | None = None,
         link_velocity: Sequence[float] | None = None,
         initial_voltage: Sequence[float] | None = None,
-    ) -> dict[str, NDArray[np.float64]]:
-        """Arms in one experiment, a row of `parameters` each: (n_arms, samples, n_joints) arrays.
+        link_sensors: Sequence[tuple[str, bool, NDArray[np.float64]]] | None = None,
+    ) -> Experiment:
+        """An experiment; `voltage` and `reference` have a row per tick and a column per joint.
 
         `servo` is (kp, ki, limit, active joints, gains of a position loop around it), or (laws,
         limit) with a linear law per joint, None for a joint without servo: v_k = C x_k +
         D (r_k, w_k, y_k), u_k = v_k + voltage_k limited, x_k+1 = A x_k + B (r_k, w_k, y_k) +
         E (u_k - voltage_k), with w the reference, r its integral from the first encoder reading,
-        and y the encoder reading. Raises ValueError for sizes that do not fit and values no arm can
-        have, FloatingPointError where a motion leaves the finite numbers.
+        and y the encoder reading. Links without an angle hang on their gears in equilibrium.
+        `link_sensors` are names for `record`, whether each is a gyro, and weights (n_joints,
+        n_signals) of the links' signals. Raises ValueError for sizes that do not fit.
+        """
+    def simulate(
+        self, parameters: NDArray[np.float64], experiment: Experiment
+    ) -> dict[str, NDArray[np.float64]]:
+        """Arms in one experiment, a row of `parameters` each: (n_arms, samples, n_joints) arrays.
+
+        Raises ValueError for sizes that do not fit and values no arm can have, FloatingPointError
+        where a motion leaves the finite numbers.
         """
     def sensitivities(
         self,
         parameters: NDArray[np.float64],
-        voltage: NDArray[np.float64],
-        *,
+        experiment: Experiment,
         with_respect_to: Sequence[tuple[str, int | None]],
-        motor_angle: Sequence[float],
-        step: float,
-        steps_per_tick: int,
-        steps_per_sample: int,
-        samples: int,
-        record: Sequence[str],
-        reference: NDArray[np.float64] | None = None,
-        servo: _Servo | None = None,
-        steps_per_servo: int = 1,
-        motor_velocity: Sequence[float] | None = None,
-        link_angle: Sequence[float] | None = None,
-        link_velocity: Sequence[float] | None = None,
-        initial_voltage: Sequence[float] | None = None,
+        *,
         taps: Sequence[NDArray[np.float64]] | None = None,
         samples_per_row: int = 1,
-        link_sensors: Sequence[tuple[str, bool, NDArray[np.float64]]] | None = None,
     ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
         """One arm's experiment with its exact derivatives.
 

@@ -38,8 +38,7 @@ def simulate(spring: str, motors: Array, transmission: Array | None, ratios: Arr
         transmission=None if transmission is None else transmission.tolist(),
         current_loop_hz=[1000.0] * N,
     )
-    record = arm.simulate(
-        np.concatenate([base, drives(spring, motors).ravel()])[None],
+    experiment = arm.experiment(
         torque @ motors.T,
         motor_angle=(motors @ rng.uniform(-30.0, 30.0, N)).tolist(),
         step=1.25e-4,
@@ -48,6 +47,8 @@ def simulate(spring: str, motors: Array, transmission: Array | None, ratios: Arr
         samples=60,
         record=["motor_angle", "motor_velocity", "link_angle", "link_velocity", "gear_torque"],
     )
+    parameters = np.concatenate([base, drives(spring, motors).ravel()])
+    record = arm.simulate(parameters[None], experiment)
     angle, velocity, *others = (array[0] for array in record.values())
     assert (velocity == 0.0).any()
     return np.array([angle @ motors, velocity @ motors, *others])
@@ -86,8 +87,7 @@ def test_rigid_motion_agrees_with_inverse_dynamics() -> None:
     values = np.concatenate([base, drives("rigid", np.eye(N)).ravel()])
     torque = rng.choice([-8.0, 8.0], (40, N))
     motion = ["link_angle", "link_velocity", "link_acceleration"]
-    record = arm.simulate(
-        values[None],
+    experiment = arm.experiment(
         torque,
         motor_angle=rng.uniform(-10.0, 10.0, N).tolist(),
         step=1.25e-4,
@@ -96,6 +96,7 @@ def test_rigid_motion_agrees_with_inverse_dynamics() -> None:
         samples=40,
         record=[*motion, "motor_velocity", "motor_torque"],
     )
+    record = arm.simulate(values[None], experiment)
     computed = arm.inverse_dynamics(values, *(record[name][0] for name in motion))
     moves = record["motor_velocity"][0] != 0.0
     assert moves.mean() > 0.9

@@ -71,6 +71,7 @@ def test_a_single_joint_is_a_chain() -> None:
     signals = ["specific_force_x", "specific_force_y", "angular_acceleration_z"]
     signals += ["rate_product_zz", "angular_rate_z"]
     experiment: dict[str, Any] = {
+        "voltage": np.random.default_rng(3).choice([-0.3, 0.3], (50, 1)),
         "motor_angle": [30.0],
         "step": 1.25e-4,
         "steps_per_tick": 8,
@@ -78,12 +79,11 @@ def test_a_single_joint_is_a_chain() -> None:
         "samples": 50,
         "record": ["motor_angle", "torsion", "gear_torque", "accelerometer", "gyro", *signals],
     }
-    torque = np.random.default_rng(3).choice([-0.3, 0.3], (50, 1))
     planar: list[Key] = [("link_inertia", 1), ("gravity_torque_1", None)]
     spatial: list[Key] = [("link_inertia_zz", 1), ("link_first_moment_x", 1)]
     one, other = (
         core.sensitivities(
-            np.array([*base, *drive]), torque, with_respect_to=[*of_link, *names], **experiment
+            np.array([*base, *drive]), core.experiment(**experiment), [*of_link, *names]
         )
         for core, base, of_link in (
             (arm, [inertia, GRAVITY * moment], planar),

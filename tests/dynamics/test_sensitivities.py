@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from serial_chains import chain
 from strainwave.domain import FloatArray, Prbs, Spring
 from strainwave.domain.arm.link_sensors.link_space import (
     ACCELEROMETER_QUANTITIES,
@@ -27,6 +28,7 @@ ONE = excitation.prbs(Prbs(8, 1e-3, 1, 6.0))[:200]
 VOLTAGE = np.column_stack([ONE, ONE[::-1]])
 RECORD = ["motor_velocity", "accelerometer", "gyro", "link_angle"]
 EXPERIMENT: dict[str, Any] = {
+    "voltage": VOLTAGE,
     "motor_angle": (0.0, 0.0),
     "step": 1.25e-4,
     "steps_per_tick": 8,
@@ -38,8 +40,8 @@ EXPERIMENT: dict[str, Any] = {
 
 def test_values_match_the_simulation() -> None:
     directions = [("alpha", None), ("motor_inertia", 2), ("initial_link_angle", 1)]
-    recorded = ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=directions, **EXPERIMENT)
-    plain = ARM.simulate(VALUES[None], VOLTAGE, **EXPERIMENT)
+    recorded = ARM.sensitivities(VALUES, ARM.experiment(**EXPERIMENT), directions)
+    plain = ARM.simulate(VALUES[None], ARM.experiment(**EXPERIMENT))
     for name in RECORD:
         values, tangents = recorded[name]
         np.testing.assert_array_equal(values, plain[name][0])
@@ -49,10 +51,10 @@ def test_values_match_the_simulation() -> None:
 def test_derivatives_match_differences() -> None:
     k = ARM.parameter_names.index(("gear_damping", 1))
     directions = [ARM.parameter_names[k]]
-    recorded = ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=directions, **EXPERIMENT)
+    recorded = ARM.sensitivities(VALUES, ARM.experiment(**EXPERIMENT), directions)
     step = 1e-5 * VALUES[k]
     moved = VALUES + step * np.array([[1.0], [-1.0]]) * (np.arange(len(VALUES)) == k)
-    both = ARM.simulate(moved, VOLTAGE, **EXPERIMENT)
+    both = ARM.simulate(moved, ARM.experiment(**EXPERIMENT))
     for name in RECORD:
         difference = (both[name][0] - both[name][1]) / (2.0 * step)
         # central differences over rounded knees have five digits
@@ -63,7 +65,7 @@ def test_derivatives_match_differences() -> None:
 def test_threads_do_not_change_the_result() -> None:
     def run(_: int) -> np.ndarray[Any, np.dtype[np.float64]]:
         names = ARM.parameter_names
-        recorded = ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=names, **EXPERIMENT)
+        recorded = ARM.sensitivities(VALUES, ARM.experiment(**EXPERIMENT), names)
         return recorded["motor_velocity"][1]
 
     with ThreadPoolExecutor(2) as pool:
@@ -74,7 +76,7 @@ def test_threads_do_not_change_the_result() -> None:
 @pytest.mark.parametrize("direction", [("alpha", 1), ("initial_link_angle", 3), ("mass", None)])
 def test_unknown_directions_are_rejected(direction: tuple[str, int | None]) -> None:
     with pytest.raises(ValueError, match=f'unknown direction "{direction[0]}"'):
-        ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=[direction], **EXPERIMENT)
+        ARM.sensitivities(VALUES, ARM.experiment(**EXPERIMENT), [direction])
 
 
 @pytest.mark.parametrize("spring", ["three-slope", "rigid"])  # two implementations of derivatives
@@ -83,16 +85,12 @@ def test_rows_are_filtered_samples(spring: Spring, n_directions: int) -> None:
     rig = Arm.of(scara.STIFF.study(Path(), spring).arm)
     arm, values = rig.core, rig.parameter_vector(scara.STIFF.parameters(spring=spring))
     directions = arm.parameter_names[:n_directions]
-    full = arm.sensitivities(values, VOLTAGE, with_respect_to=directions, **EXPERIMENT)
+    experiment = arm.experiment(**EXPERIMENT)
+    full = arm.sensitivities(values, experiment, directions)
     kernels = low_pass_kernels(60.0, 1e-3)
     taps = [kernels.taps(slope=name == "link_angle") for name in RECORD]
     recorded = arm.sensitivities(
-        values,
-        VOLTAGE,
-        with_respect_to=directions,
-        **EXPERIMENT,
-        taps=taps,
-        samples_per_row=kernels.step,
+        values, experiment, directions, taps=taps, samples_per_row=kernels.step
     )
     for name in RECORD:
         for rows, samples in zip(recorded[name], full[name], strict=True):
@@ -110,9 +108,8 @@ def test_invalid_taps_are_rejected(taps: list[FloatArray], samples_per_row: int)
     with pytest.raises(ValueError, match="expected taps for each quantity"):
         ARM.sensitivities(
             VALUES,
-            VOLTAGE,
-            with_respect_to=[],
-            **EXPERIMENT,
+            ARM.experiment(**EXPERIMENT),
+            [],
             taps=taps,
             samples_per_row=samples_per_row,
         )
@@ -122,18 +119,14 @@ def test_readings_of_imus_are_weighted_sums_of_signals_of_links() -> None:
     rng = np.random.default_rng(3)
     directions = [("alpha", None), ("gear_damping", 2), ("initial_link_angle", 1)]
     for is_gyro, signals in ((False, ACCELEROMETER_QUANTITIES), (True, GYRO_QUANTITIES)):
-        experiment = EXPERIMENT | {"record": list(signals)}
-        expected = ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=directions, **experiment)
+        experiment = ARM.experiment(**EXPERIMENT | {"record": list(signals)})
+        expected = ARM.sensitivities(VALUES, experiment, directions)
         weights = np.zeros((2, len(LINK_SIGNALS)))
         at = [LINK_SIGNALS.index(name) for name in signals]
         weights[:, at] = rng.normal(size=(2, len(signals)))
-        (reading,) = ARM.sensitivities(
-            VALUES,
-            VOLTAGE,
-            with_respect_to=directions,
-            link_sensors=[("reading", is_gyro, weights)],
-            **EXPERIMENT | {"record": ["reading"]},
-        ).values()
+        changes = {"record": ["reading"], "link_sensors": [("reading", is_gyro, weights)]}
+        experiment = ARM.experiment(**EXPERIMENT | changes)
+        (reading,) = ARM.sensitivities(VALUES, experiment, directions).values()
         for part, weight in ((0, weights[:, at]), (1, weights[:, at, None])):
             stacked = np.stack([expected[name][part] for name in signals], 2)
             total = (stacked * weight).sum(axis=2)
@@ -142,10 +135,13 @@ def test_readings_of_imus_are_weighted_sums_of_signals_of_links() -> None:
 
 def test_sensors_on_links_have_weights_for_each_joint() -> None:
     with pytest.raises(ValueError, match="link_sensors"):
-        ARM.sensitivities(
-            VALUES,
-            VOLTAGE,
-            with_respect_to=[],
+        ARM.experiment(
             link_sensors=[("reading", False, np.zeros((1, 15)))],
             **EXPERIMENT | {"record": ["reading"]},
         )
+
+
+def test_experiments_on_other_arms_are_rejected() -> None:
+    joint = chain([("revolute", [0.0] * 3, [0.0] * 3, [0.0, 0.0, 1.0])])
+    with pytest.raises(ValueError, match="expected an experiment on 1 joints, got 2"):
+        joint.simulate(np.zeros((1, 18)), ARM.experiment(**EXPERIMENT))

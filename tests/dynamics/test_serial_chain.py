@@ -111,8 +111,7 @@ def test_sensors_match_mujoco() -> None:
     arm = chain(joints, accelerometer_distance=[distance] * n)
     parameters = np.concatenate([parameters_of(body) for body in bodies] + [MOTOR] * n)
     motion = ["link_angle", "link_velocity", "link_acceleration"]
-    record = arm.simulate(
-        parameters[None],
+    experiment = arm.experiment(
         rng.uniform(-5.0, 5.0, (10, n)),
         motor_angle=rng.uniform(-20.0, 20.0, n).tolist(),
         link_velocity=rng.uniform(-1.0, 1.0, n).tolist(),
@@ -122,6 +121,7 @@ def test_sensors_match_mujoco() -> None:
         samples=10,
         record=[*motion, "accelerometer", "gyro", *FORCES, *TURNING, *PRODUCTS, *RATES],
     )
+    record = arm.simulate(parameters[None], experiment)
     model = mujoco_chain(joints, bodies, distance).compile()
     data = mujoco.MjData(model)
     for k in range(10):
@@ -167,8 +167,8 @@ def test_elastic_motion_matches_mujoco(types: str) -> None:
     link_angle = transmission @ (ratio * motor_angle) + rng.uniform(-1e-3, 1e-3, n)
     ticks, steps, step = 40, 8, 1.25e-4
     torque = rng.uniform(-1.0, 1.0, (ticks, n))
-    record = chain(joints, gear_ratio=ratio, transmission=transmission.tolist()).simulate(
-        np.concatenate([parameters_of(body) for body in bodies] + [drive] * n)[None],
+    arm = chain(joints, gear_ratio=ratio, transmission=transmission.tolist())
+    experiment = arm.experiment(
         torque,
         motor_angle=motor_angle.tolist(),
         link_angle=link_angle.tolist(),
@@ -178,6 +178,8 @@ def test_elastic_motion_matches_mujoco(types: str) -> None:
         samples=ticks,
         record=["motor_angle", "link_angle", "motor_velocity", "torsion", "gear_torque"],
     )
+    parameters = np.concatenate([parameters_of(body) for body in bodies] + [drive] * n)
+    record = arm.simulate(parameters[None], experiment)
     spec = mujoco_chain(joints, bodies, 0.3)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     spec.option.timestep = step

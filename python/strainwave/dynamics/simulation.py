@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from strainwave import _core
 from strainwave.domain import FloatArray, LinearServo, Payload, Servo
 from strainwave.domain.arm.effects import Input, RecordEffect, all_effects, effect_named
 from strainwave.domain.arm.link_sensors.link_space import ACCELEROMETER_QUANTITIES, Quantity
@@ -123,10 +124,10 @@ def simulate_arms(
     n_samples, n_joints).
     """
     vectors = np.array([arm.parameter_vector(values) for values in arms])
-    experiment = _experiment(arm, drive, sample_time, samples, max_time_step)
+    experiment = _experiment(arm, drive, (sample_time, samples), record, max_time_step)
     with core_errors():
         raise_if_stopped()
-        recorded = arm.core.simulate(vectors, record=record, **experiment)
+        recorded = arm.core.simulate(vectors, experiment)
     return {name: recorded[name] for name in record}
 
 
@@ -153,27 +154,28 @@ def sensitivities(
     `simulate_arms`.
     """
     vector = arm.parameter_vector(values)
-    experiment = _experiment(arm, drive, sample_time, samples, max_time_step)
-    if low_pass is not None:
-        experiment["taps"] = [low_pass.taps[name] for name in record]
-        experiment["samples_per_row"] = low_pass.samples_per_row
-    if sums:
-        n_accelerometer = len(ACCELEROMETER_QUANTITIES)
-        experiment["link_sensors"] = [
-            (name, bool(np.any(weights[:, n_accelerometer:])), np.ascontiguousarray(weights))
-            for name, weights in sums.items()
-        ]
+    experiment = _experiment(arm, drive, (sample_time, samples), record, max_time_step, sums)
     with core_errors():
         raise_if_stopped()
         recorded = arm.core.sensitivities(
-            vector, with_respect_to=list(directions), record=record, **experiment
+            vector,
+            experiment,
+            list(directions),
+            taps=None if low_pass is None else [low_pass.taps[name] for name in record],
+            samples_per_row=1 if low_pass is None else low_pass.samples_per_row,
         )
     return {name: recorded[name] for name in record}
 
 
 def _experiment(
-    arm: Arm, drive: Drive, sample_time: float, samples: int, max_time_step: float
-) -> dict[str, Any]:
+    arm: Arm,
+    drive: Drive,
+    sampling: tuple[float, int],
+    record: Sequence[Quantity],
+    max_time_step: float,
+    sums: Mapping[Quantity, FloatArray] | None = None,
+) -> _core.Experiment:
+    """The experiment for the core; `sampling` is the time and number of samples."""
     servo = drive.linear_servo or arm.servo if any(drive.servo) else None
     if any(drive.servo) and servo is None:
         raise InvalidInput(
@@ -183,24 +185,32 @@ def _experiment(
         )
     if isinstance(servo, LinearServo) and len(servo.laws) != arm.n_joints:
         raise InvalidInput(f"expected {arm.n_joints} control laws, got {len(servo.laws)}")
+    sample_time, samples = sampling
     clocks = [drive.tick, sample_time] + ([servo.period] if servo else [])
     step = common_step(clocks, max_time_step)
     counts = [round(clock / step) for clock in clocks]
-    return {
-        "voltage": np.ascontiguousarray(drive.voltage, dtype=float),
-        "reference": np.ascontiguousarray(drive.reference, dtype=float),
-        "servo": servo and _servo_arguments(servo, drive.servo),
-        "step": step,
-        "steps_per_tick": counts[0],
-        "steps_per_sample": counts[1],
-        "steps_per_servo": counts[2] if servo else counts[0],
-        "samples": samples,
-        "motor_angle": drive.motor_angle,
-        "motor_velocity": drive.motor_velocity,
-        "link_angle": drive.link_angle,
-        "link_velocity": drive.link_velocity,
-        "initial_voltage": drive.initial_voltage,
-    }
+    n_accelerometer = len(ACCELEROMETER_QUANTITIES)
+    with core_errors():
+        return arm.core.experiment(
+            np.ascontiguousarray(drive.voltage, dtype=float),
+            reference=np.ascontiguousarray(drive.reference, dtype=float),
+            servo=None if servo is None else _servo_arguments(servo, drive.servo),
+            step=step,
+            steps_per_tick=counts[0],
+            steps_per_sample=counts[1],
+            steps_per_servo=counts[2] if servo else counts[0],
+            samples=samples,
+            motor_angle=drive.motor_angle,
+            motor_velocity=drive.motor_velocity,
+            link_angle=drive.link_angle,
+            link_velocity=drive.link_velocity,
+            initial_voltage=drive.initial_voltage,
+            record=record,
+            link_sensors=[
+                (name, bool(np.any(weights[:, n_accelerometer:])), np.ascontiguousarray(weights))
+                for name, weights in (sums or {}).items()
+            ],
+        )
 
 
 def _servo_arguments(servo: Servo | LinearServo, active: tuple[bool, ...]) -> tuple[Any, ...]:

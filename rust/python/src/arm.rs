@@ -6,16 +6,16 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use strainwave_arms::{Drives, Links, compiled_arm};
 use strainwave_core::arm::Kinematics;
-use strainwave_core::compiled::{CompiledArm, Derivatives, Experiment, InitialState, LinkMotion};
+use strainwave_core::compiled::{self, CompiledArm, Derivatives, InitialState, LinkMotion};
 use strainwave_core::experiment::{Clock, Diverged, Source};
 use strainwave_core::joint::gear;
 use strainwave_core::program::Width;
 use strainwave_core::sensors::decimation::Decimation;
 
 use crate::arguments::{
-    JointPlacement, Joints, LinkSensorArguments, Matrix, ServoArguments, Vector, chain_joints,
-    check_clock, per_joint, quantities, rows, same_rows, value_error,
+    JointPlacement, Joints, Matrix, Vector, chain_joints, per_joint, rows, same_rows, value_error,
 };
+use crate::experiment::{Experiment, LinkSensorArguments, ServoArguments, check_clock, quantities};
 
 /// Name of a parameter or an initial state, and its joint from 1 if it belongs to a joint.
 type Direction = (String, Option<usize>);
@@ -89,28 +89,27 @@ impl Arm {
         self.0.parameter_names()
     }
 
-    #[pyo3(signature = (parameters, voltage, *, motor_angle, step, steps_per_tick, steps_per_sample,
-        samples, record, reference=None, servo=None, steps_per_servo=1, motor_velocity=None,
-        link_angle=None, link_velocity=None, initial_voltage=None))]
-    fn simulate<'py>(
+    #[pyo3(signature = (voltage, *, motor_angle, step, steps_per_tick, steps_per_sample, samples,
+        record, reference=None, servo=None, steps_per_servo=1, motor_velocity=None,
+        link_angle=None, link_velocity=None, initial_voltage=None, link_sensors=None))]
+    fn experiment(
         &self,
-        py: Python<'py>,
-        parameters: Matrix<'py>,
-        voltage: Matrix<'py>,
+        voltage: Matrix<'_>,
         motor_angle: Vec<f64>,
         step: f64,
         steps_per_tick: usize,
         steps_per_sample: usize,
         samples: usize,
         record: Vec<String>,
-        reference: Option<Matrix<'py>>,
-        servo: Option<ServoArguments<'py>>,
+        reference: Option<Matrix<'_>>,
+        servo: Option<ServoArguments<'_>>,
         steps_per_servo: usize,
         motor_velocity: Option<Vec<f64>>,
         link_angle: Option<Vec<f64>>,
         link_velocity: Option<Vec<f64>>,
         initial_voltage: Option<Vec<f64>>,
-    ) -> PyResult<Bound<'py, PyDict>> {
+        link_sensors: Option<Vec<LinkSensorArguments<'_>>>,
+    ) -> PyResult<Experiment> {
         let clock = Clock {
             step,
             steps_per_tick,
@@ -119,15 +118,42 @@ impl Arm {
             samples,
         };
         check_clock(&clock)?;
-        let initial = InitialState {
-            motor_angle,
-            motor_velocity,
-            link_angle,
-            link_velocity,
-            voltage: initial_voltage,
+        let (joints, ticks) = (self.n_joints(), clock.ticks());
+        let (quantities, link_sensors) =
+            quantities(&record, &link_sensors.unwrap_or_default(), joints)?;
+        let core = compiled::Experiment {
+            clock,
+            servo: servo.map(ServoArguments::settings).transpose()?,
+            voltage: rows(&voltage, "voltage", ticks, joints)?,
+            reference: match reference {
+                Some(reference) => rows(&reference, "reference", ticks, joints)?,
+                None => vec![0.0; ticks * joints],
+            },
+            initial: InitialState {
+                motor_angle,
+                motor_velocity,
+                link_angle,
+                link_velocity,
+                voltage: initial_voltage,
+            },
+            record: quantities,
+            link_sensors,
         };
-        let inputs = (&voltage, reference.as_ref());
-        let experiment = self.experiment(clock, inputs, servo, initial, &record, &[])?;
+        core.check(joints).map_err(value_error)?;
+        Ok(Experiment {
+            core,
+            joints,
+            record,
+        })
+    }
+
+    fn simulate<'py>(
+        &self,
+        py: Python<'py>,
+        parameters: Matrix<'py>,
+        experiment: &Experiment,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let core = experiment.of(self.n_joints())?;
         let arms: Vec<Vec<f64>> = parameters
             .as_array()
             .rows()
@@ -141,13 +167,13 @@ impl Arm {
         for values in &arms {
             self.check(values)?;
         }
-        let simulate = |values: &Vec<f64>| self.0.simulate(&experiment, values);
+        let simulate = |values: &Vec<f64>| self.0.simulate(core, values);
         let recordings = py
             .detach(|| arms.iter().map(simulate).collect::<Result<Vec<_>, _>>())
             .map_err(divergence)?;
-        let shape = [arms.len(), samples, self.n_joints()];
+        let shape = [arms.len(), core.clock.samples, self.n_joints()];
         let result = PyDict::new(py);
-        for (k, name) in record.iter().enumerate() {
+        for (k, name) in experiment.record.iter().enumerate() {
             let column = recordings.iter().flat_map(|recording| &recording[k]);
             let array: Bound<'py, PyArray3<f64>> =
                 PyArray1::from_iter(py, column.copied()).reshape(shape)?;
@@ -156,54 +182,20 @@ impl Arm {
         Ok(result)
     }
 
-    #[pyo3(signature = (parameters, voltage, *, with_respect_to, motor_angle, step, steps_per_tick,
-        steps_per_sample, samples, record, reference=None, servo=None, steps_per_servo=1,
-        motor_velocity=None, link_angle=None, link_velocity=None, initial_voltage=None, taps=None,
-        samples_per_row=1, link_sensors=None))]
+    #[pyo3(signature = (parameters, experiment, with_respect_to, *, taps=None, samples_per_row=1))]
     fn sensitivities<'py>(
         &self,
         py: Python<'py>,
         parameters: Vector<'py>,
-        voltage: Matrix<'py>,
+        experiment: &Experiment,
         with_respect_to: Vec<Direction>,
-        motor_angle: Vec<f64>,
-        step: f64,
-        steps_per_tick: usize,
-        steps_per_sample: usize,
-        samples: usize,
-        record: Vec<String>,
-        reference: Option<Matrix<'py>>,
-        servo: Option<ServoArguments<'py>>,
-        steps_per_servo: usize,
-        motor_velocity: Option<Vec<f64>>,
-        link_angle: Option<Vec<f64>>,
-        link_velocity: Option<Vec<f64>>,
-        initial_voltage: Option<Vec<f64>>,
         taps: Option<Vec<Vec<f64>>>,
         samples_per_row: usize,
-        link_sensors: Option<Vec<LinkSensorArguments<'py>>>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let clock = Clock {
-            step,
-            steps_per_tick,
-            steps_per_servo,
-            steps_per_sample,
-            samples,
-        };
-        check_clock(&clock)?;
-        let initial = InitialState {
-            motor_angle,
-            motor_velocity,
-            link_angle,
-            link_velocity,
-            voltage: initial_voltage,
-        };
-        let inputs = (&voltage, reference.as_ref());
-        let sensors = link_sensors.unwrap_or_default();
-        let experiment = self.experiment(clock, inputs, servo, initial, &record, &sensors)?;
+        let core = experiment.of(self.n_joints())?;
         let decimation = match taps {
             None => None,
-            Some(taps) if taps.len() == experiment.record.len() => {
+            Some(taps) if taps.len() == core.record.len() => {
                 let decimation = Decimation::new(taps, samples_per_row);
                 Some(decimation.ok_or_else(|| PyValueError::new_err(TAPS))?)
             }
@@ -214,13 +206,14 @@ impl Arm {
         let decimation = decimation.as_ref();
         let differentiate = || {
             self.0
-                .sensitivities(&experiment, &parameters, &directions, decimation)
+                .sensitivities(core, &parameters, &directions, decimation)
         };
         let Derivatives { values, tangents } = py.detach(differentiate).map_err(divergence)?;
+        let samples = core.clock.samples;
         let rows = decimation.map_or(samples, |all| all.rows(samples));
         let joints = self.n_joints();
         let result = PyDict::new(py);
-        for ((name, values), tangents) in record.iter().zip(values).zip(tangents) {
+        for ((name, values), tangents) in experiment.record.iter().zip(values).zip(tangents) {
             let values: Bound<'py, PyArray2<f64>> =
                 PyArray1::from_vec(py, values).reshape([rows, joints])?;
             let tangents: Bound<'py, PyArray3<f64>> =
@@ -344,36 +337,6 @@ impl Arm {
 }
 
 impl Arm {
-    /// An experiment with checked sizes; `voltage` and `reference` have a row per tick.
-    fn experiment(
-        &self,
-        clock: Clock,
-        (voltage, reference): (&Matrix<'_>, Option<&Matrix<'_>>),
-        servo: Option<ServoArguments<'_>>,
-        initial: InitialState,
-        record: &[String],
-        link_sensors: &[LinkSensorArguments<'_>],
-    ) -> PyResult<Experiment> {
-        let (n, ticks) = (self.n_joints(), clock.ticks());
-        let servo = servo.map(ServoArguments::settings).transpose()?;
-        let reference = match reference {
-            Some(reference) => rows(reference, "reference", ticks, n)?,
-            None => vec![0.0; ticks * n],
-        };
-        let (record, link_sensors) = quantities(record, link_sensors, n)?;
-        let experiment = Experiment {
-            clock,
-            servo,
-            voltage: rows(voltage, "voltage", ticks, n)?,
-            reference,
-            initial,
-            record,
-            link_sensors,
-        };
-        experiment.check(n).map_err(value_error)?;
-        Ok(experiment)
-    }
-
     fn check(&self, values: &[f64]) -> PyResult<()> {
         let (expected, got) = (self.0.parameter_names().len(), values.len());
         if got != expected {

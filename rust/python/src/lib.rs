@@ -2,6 +2,7 @@
 
 mod arguments;
 mod arm;
+mod experiment;
 mod least_squares;
 mod parameters;
 mod statespace;
@@ -12,6 +13,7 @@ use pyo3::prelude::*;
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<arm::Arm>()?;
+    module.add_class::<experiment::Experiment>()?;
     statespace::register(module)?;
     least_squares::register(module)?;
     parameters::register(module)?;

@@ -81,7 +81,7 @@ fn decay<R: Real>(bandwidth: f64, t: R) -> R {
     if bandwidth.is_infinite() {
         R::splat(0.0)
     } else {
-        (R::splat(-bandwidth) * t).exp()
+        (t * -bandwidth).exp()
     }
 }
 
@@ -95,7 +95,7 @@ fn mean<R: Real>(bandwidth: f64, t: R) -> R {
     if bandwidth.is_infinite() {
         return R::splat(0.0);
     }
-    let x = R::splat(bandwidth) * t;
+    let x = t * bandwidth;
     let c = R::splat;
     if x.lane(0) < 0.05 {
         // the closed form would lose digits by cancellation
@@ -105,5 +105,5 @@ fn mean<R: Real>(bandwidth: f64, t: R) -> R {
     }
     let share = (-x).exp();
     let one = c(1.0);
-    c(0.25) * (c(6.0) * (one - share) / x - one - share)
+    ((one - share) * 6.0 / x - one - share) * 0.25
 }

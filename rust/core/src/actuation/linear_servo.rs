@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::Controller;
-use crate::scalar::{Real, Work};
+use crate::scalar::{Real, works};
 
 /// Largest number of states of the law of a joint.
 pub const MAX_LAW_STATES: usize = 16;
@@ -92,7 +92,7 @@ impl JointLaw {
         let before = *x;
         for (state, one) in self.states.iter().zip(x) {
             if !(is_limited && state.holds) {
-                let driven = R::splat(state.e) * without_feed_forward;
+                let driven = without_feed_forward * state.e;
                 let driven = add_product(&state.b, inputs, driven);
                 *one = add_product(&state.a[..self.states.len()], &before, driven);
             }
@@ -129,7 +129,7 @@ impl<const N: usize> Controller<N> for LinearServo<N> {
         for (i, law) in self.laws.iter().take(N).enumerate() {
             for (k, state) in law.iter().flat_map(|law| law.states.iter().enumerate()) {
                 let [per_angle, per_volt] = state.rest;
-                states[i][k] = R::splat(per_angle) * encoder[i] + R::splat(per_volt * voltage[i]);
+                states[i][k] = encoder[i] * per_angle + per_volt * voltage[i];
             }
         }
         LinearServoMemory {
@@ -149,13 +149,7 @@ impl<const N: usize> Controller<N> for LinearServo<N> {
         feed_forward: &[f64; N],
     ) -> [R; N] {
         const { assert!(R::LANES == 1) };
-        R::scope(Command {
-            servo: self,
-            memory,
-            reference,
-            encoder,
-            feed_forward,
-        })
+        R::scope(Command(self, memory, reference, encoder, feed_forward))
     }
 
     fn drives(&self, joint: usize) -> bool {
@@ -163,29 +157,31 @@ impl<const N: usize> Controller<N> for LinearServo<N> {
     }
 }
 
-/// [`LinearServo::command`] as work for [`Real::scope`].
-struct Command<'a, R: Real, const N: usize> {
-    servo: &'a LinearServo<N>,
-    memory: &'a mut LinearServoMemory<R, N>,
-    reference: &'a [f64; N],
-    encoder: &'a [R; N],
-    feed_forward: &'a [f64; N],
-}
-
-impl<R: Real, const N: usize> Work for Command<'_, R, N> {
-    type Output = [R; N];
-
+impl<const N: usize> LinearServo<N> {
     #[inline(always)]
-    fn run(self) -> [R; N] {
-        let LinearServoMemory { states, path } = self.memory;
-        let mut voltage = self.feed_forward.map(R::splat);
+    fn compute_command<R: Real>(
+        &self,
+        memory: &mut LinearServoMemory<R, N>,
+        reference: &[f64; N],
+        encoder: &[R; N],
+        feed_forward: &[f64; N],
+    ) -> [R; N] {
+        let LinearServoMemory { states, path } = memory;
+        let mut voltage = feed_forward.map(R::splat);
         for (i, x) in states.iter_mut().enumerate() {
-            if let Some(law) = &self.servo.laws[i] {
-                let inputs = [path[i], R::splat(self.reference[i]), self.encoder[i]];
-                voltage[i] = law.command(x, &inputs, voltage[i], self.servo.limit);
+            if let Some(law) = &self.laws[i] {
+                let inputs = [path[i], R::splat(reference[i]), encoder[i]];
+                voltage[i] = law.command(x, &inputs, voltage[i], self.limit);
             }
-            path[i] = path[i] + R::splat(self.reference[i] * self.servo.period);
+            path[i] = path[i] + reference[i] * self.period;
         }
         voltage
     }
+}
+
+works! {
+    ['a, R: Real, const N: usize] ['a, R, N]
+    /// [`LinearServo::command`].
+    Command(0: &'a LinearServo<N>, 1: &'a mut LinearServoMemory<R, N>, 2: &'a [f64; N],
+        3: &'a [R; N], 4: &'a [f64; N]) -> [R; N] = LinearServo::compute_command;
 }

@@ -59,8 +59,8 @@ impl<const N: usize> Controller<N> for PiPosition<N> {
         let mut corrected = reference.map(R::splat);
         for i in 0..N {
             let error = memory.path[i] - encoder[i];
-            corrected[i] = corrected[i] + R::splat(self.position_gain[i]) * error;
-            memory.path[i] = memory.path[i] + R::splat(reference[i] * self.velocity.period);
+            corrected[i] = corrected[i] + error * self.position_gain[i];
+            memory.path[i] = memory.path[i] + reference[i] * self.velocity.period;
         }
         self.velocity
             .follow(&mut memory.velocity, &corrected, encoder, feed_forward)

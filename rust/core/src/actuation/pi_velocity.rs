@@ -57,8 +57,8 @@ impl<const N: usize> PiVelocity<N> {
         for i in 0..N {
             if self.active[i] {
                 let error = reference[i] - (encoder[i] - memory.last_angle[i]) / c(self.period);
-                let integral = memory.integral[i] + error * c(self.period);
-                let unlimited = voltage[i] + c(self.kp[i]) * error + c(self.ki[i]) * integral;
+                let integral = memory.integral[i] + error * self.period;
+                let unlimited = voltage[i] + error * self.kp[i] + integral * self.ki[i];
                 if unlimited.lane(0).abs() <= self.limit {
                     voltage[i] = unlimited;
                     memory.integral[i] = integral;

@@ -126,7 +126,7 @@ impl Arm<1> for OneLink {
 
     #[inline(always)]
     fn regressor<R: Real>(&self, at: &SineCosine<R>, _: &[R; 1], ddq: &[R; 1]) -> [[R; 1]; 2] {
-        [[ddq[0]], [R::splat(has_gravity(self.gravity)) * at.cos]]
+        [[ddq[0]], [at.cos * has_gravity(self.gravity)]]
     }
 
     #[inline(always)]
@@ -141,7 +141,7 @@ impl Arm<1> for OneLink {
 
     #[inline(always)]
     fn accelerometers<R: Real>(&self, at: &SineCosine<R>, _: &[R; 1], ddq: &[R; 1]) -> [R; 1] {
-        let reading = R::splat(self.accelerometer_distance) * ddq[0];
+        let reading = ddq[0] * self.accelerometer_distance;
         [R::splat(self.gravity).mul_add(at.cos, reading)]
     }
 
@@ -153,7 +153,7 @@ impl Arm<1> for OneLink {
         _: &[R; 1],
     ) -> (Slopes<R, 1>, [[R; 1]; 1]) {
         let slopes = Slopes {
-            angle: [[-(R::splat(self.gravity) * at.sin)]],
+            angle: [[-(at.sin * self.gravity)]],
             velocity: [[R::splat(0.0)]],
         };
         (slopes, [[R::splat(self.accelerometer_distance)]])

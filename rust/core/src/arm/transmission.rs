@@ -74,7 +74,7 @@ pub(crate) fn link_of<A: Arm<N>, R: Real, const N: usize>(
     };
     let mut sum = plus;
     for j in 0..N {
-        let factor = R::splat(transmission.matrix[joint][j]) * factors[j];
+        let factor = factors[j] * transmission.matrix[joint][j];
         sum = factor.mul_add(motors[j], sum);
     }
     sum
@@ -94,7 +94,7 @@ pub(crate) fn motor_of<A: Arm<N>, R: Real, const N: usize>(
     };
     let mut sum = plus;
     for i in 0..N {
-        let factor = R::splat(transmission.matrix[i][motor]) * factor;
+        let factor = factor * transmission.matrix[i][motor];
         sum = factor.mul_add(torques[i], sum);
     }
     sum

@@ -245,9 +245,9 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
     fn accelerometers<R: Real>(&self, at: &TwoLinkPosture<R>, dq: &[R; 2], ddq: &[R; 2]) -> [R; 2] {
         // acceleration of axis 2 across link 2, per metre of link 1
         let elbow = ddq[0].mul_add(at.second.cos, dq[0] * dq[0] * at.second.sin);
-        let mut first = R::splat(self.accelerometer_distance[0]) * ddq[0];
-        let mut second = R::splat(self.accelerometer_distance[1]) * (ddq[0] + ddq[1])
-            + R::splat(self.link_length) * elbow;
+        let mut first = ddq[0] * self.accelerometer_distance[0];
+        let mut second =
+            (ddq[0] + ddq[1]) * self.accelerometer_distance[1] + elbow * self.link_length;
         if VERTICAL {
             let g = R::splat(self.gravity);
             first = g.mul_add(at.first.cos, first);

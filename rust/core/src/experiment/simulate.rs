@@ -7,17 +7,15 @@ use crate::actuation::Controller;
 use crate::actuation::controller::ServoMemory;
 use crate::actuation::current_loop::CurrentLoop;
 use crate::arm::Arm;
-use crate::arm::link_signals::LINK_SIGNALS;
 use crate::experiment::start::start;
 use crate::experiment::{Diverged, Event, Member, Quantity, RecordOf, Source, Task};
 use crate::joint::Joint;
 use crate::joint::gear::Gears;
 use crate::plant::friction::{Motion, Span, sign};
 use crate::plant::{Instant, Plant, Watch};
-use crate::scalar::{Real, Work};
+use crate::scalar::{Real, Work, works};
 use crate::sensors::encoder::encoder_angle;
-use crate::sensors::imu::Imus;
-use crate::sensors::low_pass::LowPass;
+use crate::sensors::link_sensors::Sensors;
 
 /// Simulation over scalars `S` of one lane, as work for [`Real::scope`].
 pub struct Simulate<'a, A, S, F, G: Gears, const N: usize, const EFFECTS: bool = false> {
@@ -87,20 +85,10 @@ pub(crate) struct Simulation<
     pub(crate) has_drive_lag: bool,
     servo: Option<ServoMemory<S, N>>,
     pub(crate) sensors: Option<Sensors<S, N>>,
-    /// Whether accelerometers or gyros at fixed places are recorded.
-    has_tangential_sensors: bool,
     /// Spans between the friction events of the last step; empty without events.
     pub(crate) spans: Vec<Span<S, N>>,
     record: RecordOf<S, N>,
     diverged: Option<Diverged>,
-}
-
-/// Sensors with states, one of each kind per joint.
-pub(crate) struct Sensors<S, const N: usize> {
-    pub(crate) accelerometer: [Option<LowPass<S, 2>>; N],
-    pub(crate) gyro: [Option<LowPass<S, 1>>; N],
-    pub(crate) imus: Imus<S, N>,
-    readings: [[S; N]; 2],
 }
 
 impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
@@ -120,7 +108,6 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         let effective_voltage =
             std::array::from_fn(|i| plant.joints[i].effective_voltage(voltage[i]));
         let lag = |joint: &Joint<S, G>| joint.effects.drive_lag.is_some();
-        let is_recorded = |quantity| task.record.contains(&quantity);
         let mut simulation = Self {
             task,
             member,
@@ -135,8 +122,6 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
             effective_voltage,
             servo: None,
             sensors: None,
-            has_tangential_sensors: is_recorded(Quantity::Accelerometer)
-                || is_recorded(Quantity::Gyro),
             spans: Vec::new(),
             record: vec![Vec::with_capacity(task.clock.samples); task.record.len()],
             diverged: None,
@@ -145,9 +130,8 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
             let encoder = simulation.encoder();
             simulation.servo = Some(servo.at_rest(&member.initial.voltage, &encoder));
         }
-        if simulation.has_tangential_sensors || !task.link_sensors.is_empty() {
-            simulation.sensors = Some(simulation.sensors_at_rest());
-        }
+        let (arm, state) = (&simulation.plant.arm, &simulation.motion.state);
+        simulation.sensors = Sensors::at_rest(task, arm, state, &simulation.instant());
         simulation
     }
 
@@ -223,7 +207,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
             let joint = &self.plant.joints[i];
             let effective_voltage =
                 joint.hold_voltage(effective_voltage, memory, self.task.clock.step);
-            let torque = S::splat(self.current.torque_per_volt[i]) * effective_voltage;
+            let torque = effective_voltage * self.current.torque_per_volt[i];
             self.target[i] = torque;
             if self.current.bandwidth[i].is_infinite() {
                 self.motion.torque[i] = torque;
@@ -283,72 +267,10 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         self.has_held_motors = has_held_motors(&self.motion);
     }
 
-    fn sensors_at_rest(&self) -> Sensors<S, N> {
-        let now = self.instant();
-        let readings = self.readings(&now);
-        let joints = self.task.config.joints();
-        let h = self.task.clock.step;
-        Sensors {
-            accelerometer: std::array::from_fn(|i| {
-                let hz = joints.get(i)?.accelerometer_hz?;
-                Some(LowPass::butterworth(hz, h, readings[0][i]))
-            }),
-            gyro: std::array::from_fn(|i| {
-                let hz = joints.get(i)?.gyro_hz?;
-                Some(LowPass::first_order(hz, h, readings[1][i]))
-            }),
-            imus: Imus::at_rest(self.task, h, &self.signals(&now)),
-            readings,
-        }
-    }
-
-    /// Readings of ideal accelerometers and gyros.
-    #[inline(always)]
-    fn readings(&self, now: &Instant<A, S, N>) -> [[S; N]; 2] {
-        let state = &self.motion.state;
-        let (arm, velocity) = (&self.plant.arm, &state.link_velocity);
-        let acceleration = &now.acceleration.link;
-        [
-            arm.accelerometers(&now.posture, velocity, acceleration),
-            arm.absolute_rates(&now.posture, velocity),
-        ]
-    }
-
-    /// Signals of ideal IMUs, before the low-passes.
-    #[inline(always)]
-    fn signals(&self, now: &Instant<A, S, N>) -> [[S; N]; LINK_SIGNALS] {
-        let velocity = &self.motion.state.link_velocity;
-        let acceleration = &now.acceleration.link;
-        self.plant
-            .arm
-            .link_signals(&now.posture, velocity, acceleration)
-    }
-
     #[inline(always)]
     pub(crate) fn sense(&mut self, now: &Instant<A, S, N>) {
-        if !self.task.link_sensors.is_empty() {
-            let signals = self.signals(now);
-            if let Some(sensors) = &mut self.sensors {
-                sensors.imus.update(self.task, &signals);
-            }
-        }
-        if !self.has_tangential_sensors {
-            return;
-        }
-        let readings = self.readings(now);
-        let Some(sensors) = &mut self.sensors else {
-            return;
-        };
-        sensors.readings = readings;
-        for i in 0..N {
-            if let Some(filter) = &mut sensors.accelerometer[i] {
-                filter.update(readings[0][i]);
-                sensors.readings[0][i] = filter.output();
-            }
-            if let Some(filter) = &mut sensors.gyro[i] {
-                filter.update(readings[1][i]);
-                sensors.readings[1][i] = filter.output();
-            }
+        if let Some(sensors) = &mut self.sensors {
+            sensors.update(self.task, &self.plant.arm, &self.motion.state, now);
         }
     }
 
@@ -393,7 +315,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     #[inline(always)]
     fn link_readings(&self, sensor: usize) -> [S; N] {
         match &self.sensors {
-            Some(sensors) => sensors.imus.readings[sensor],
+            Some(sensors) => sensors.imu_readings[sensor],
             None => [S::splat(0.0); N],
         }
     }
@@ -415,39 +337,16 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     }
 }
 
-/// [`Simulation::record`] in the scope of its scalar. Outside of it, operations that the compiler
-/// moves out of the loop would be calls.
-struct RecordWork<'g, 'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>(
-    &'g mut Simulation<'a, A, S, G, N, EFFECTS>,
-    usize,
-    &'g Instant<A, S, N>,
-);
-
-impl<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for RecordWork<'_, '_, A, S, G, N, EFFECTS>
-{
-    type Output = ();
-    #[inline(always)]
-    fn run(self) {
-        self.0.record_all(self.1, self.2);
-    }
-}
-
-/// [`Simulation::command`].
-struct CommandWork<'g, 'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>(
-    &'g mut Simulation<'a, A, S, G, N, EFFECTS>,
-    usize,
-    bool,
-);
-
-impl<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for CommandWork<'_, '_, A, S, G, N, EFFECTS>
-{
-    type Output = ();
-    #[inline(always)]
-    fn run(self) {
-        self.0.apply_command(self.1, self.2);
-    }
+works! {
+    ['g, 'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool]
+    ['g, 'a, A, S, G, N, EFFECTS]
+    /// [`Simulation::record`] in the scope of its scalar. Outside of it, operations that the compiler
+    /// moves out of the loop would be calls.
+    RecordWork(0: &'g mut Simulation<'a, A, S, G, N, EFFECTS>, 1: usize, 2: &'g Instant<A, S, N>) -> ()
+        = Simulation::record_all;
+    /// [`Simulation::command`].
+    CommandWork(0: &'g mut Simulation<'a, A, S, G, N, EFFECTS>, 1: usize, 2: bool) -> ()
+        = Simulation::apply_command;
 }
 
 fn has_held_motors<S: Real, const N: usize>(motion: &Motion<S, N>) -> bool {

@@ -48,7 +48,7 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
     plant.load_bases(&mut state);
     let torque = std::array::from_fn(|i| {
         let voltage = plant.joints[i].effective_voltage(S::splat(initial.voltage[i]));
-        S::splat(current.torque_per_volt[i]) * voltage
+        voltage * current.torque_per_volt[i]
     });
     let modes = plant.modes_at(&state, &torque);
     for i in 0..plant.arm.joints() {

@@ -25,8 +25,9 @@ use crate::actuation::current_loop::CurrentLoop;
 use crate::arm::Arm;
 use crate::arm::transmission::{coupled, link_of};
 use crate::joint::gear::Gears;
-use crate::plant::{Instant, Modes, Plant, State, Watch, plant_work};
-use crate::scalar::{Real, Work, run_out_of_line};
+use crate::plant::outlined::{BeginWork, HoldingWork};
+use crate::plant::{Instant, Modes, Plant, State, Watch};
+use crate::scalar::{Real, run_out_of_line, works};
 
 /// Largest number of events within one step. After that, motors at rest are held until the step
 /// ends.
@@ -93,7 +94,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
 
     /// Holding torques and friction limits of all motors.
     #[inline(always)]
-    fn holding_torques_and_limits(
+    pub(super) fn holding_torques_and_limits(
         &self,
         x: &State<R, N>,
         torque: &[R; N],
@@ -127,9 +128,9 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             for i in 0..self.arm.joints() {
                 let (joint, limit) = (&self.joints[i], limits[i]);
                 let reserve = limit - holding[i].abs();
-                let held = (R::splat(1.0) - modes.free[i]) * reserve;
+                let held = (-modes.free[i] + 1.0) * reserve;
                 // 1 for an instant stop, 0 with a settling time
-                let is_instant = R::splat(1.0) - joint.settling_time * joint.settling_rate;
+                let is_instant = -joint.settling_time * joint.settling_rate + 1.0;
                 let beyond = modes.direction[i] * holding[i] - limit;
                 let velocity_per_torque =
                     joint.settling_time * joint.motor_mobility * modes.free[i];
@@ -168,7 +169,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             };
             now = integrator.end(part).0;
             self.change_mode(&mut now, joint);
-            remaining = remaining * (R::splat(1.0) - part);
+            remaining = remaining * (-part + 1.0);
             if remaining.lane(0) <= 1e-15 * h {
                 return now;
             }
@@ -261,14 +262,6 @@ impl<R: Real, const N: usize> Span<R, N> {
     }
 }
 
-plant_work! {
-    /// [`Plant::holding_torques_and_limits`].
-    HoldingWork(1: State<R, N>, 2: [R; N], 3: Modes<R, N>) -> [[R; N]; 2]
-        = holding_torques_and_limits;
-    /// [`Plant::instant`].
-    BeginWork(1: State<R, N>, 2: [R; N], 3: Modes<R, N>) -> Instant<A, R, N> = instant;
-}
-
 /// A span of time with fixed modes, and the integrator's step over any part of it.
 struct SpanIntegrator<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> {
     plant: &'a Plant<A, R, G, N, EFFECTS>,
@@ -280,40 +273,15 @@ struct SpanIntegrator<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EF
     has_held_motors: bool,
 }
 
-struct BeginMarginWork<'l, 'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
-    &'l SpanIntegrator<'a, A, R, G, N, EFFECTS>,
-);
-
-impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for BeginMarginWork<'_, '_, A, R, G, N, EFFECTS>
-{
-    type Output = [R; N];
-    #[inline(always)]
-    fn run(self) -> Self::Output {
-        let Motion {
-            state,
-            torque,
-            modes,
-        } = self.0.from;
-        self.0
-            .plant
-            .margins(state, torque, modes, self.0.has_held_motors)
-    }
-}
-
-struct EndWork<'l, 'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
-    &'l SpanIntegrator<'a, A, R, G, N, EFFECTS>,
-    R,
-);
-
-impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for EndWork<'_, '_, A, R, G, N, EFFECTS>
-{
-    type Output = (Motion<R, N>, [R; N]);
-    #[inline(always)]
-    fn run(self) -> Self::Output {
-        self.0.integrate(self.1, &mut ())
-    }
+works! {
+    ['l, 'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool]
+    ['l, 'a, A, R, G, N, EFFECTS]
+    /// [`SpanIntegrator::margins_at_begin`].
+    BeginMarginWork(0: &'l SpanIntegrator<'a, A, R, G, N, EFFECTS>) -> [R; N]
+        = SpanIntegrator::margins_at_begin;
+    /// [`SpanIntegrator::integrate`].
+    EndWork(0: &'l SpanIntegrator<'a, A, R, G, N, EFFECTS>, 1: R, 2: &'l mut ())
+        -> (Motion<R, N>, [R; N]) = SpanIntegrator::integrate;
 }
 
 impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
@@ -339,7 +307,18 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
 
     /// Motion and margins after a part of the length.
     fn end(&self, part: R) -> (Motion<R, N>, [R; N]) {
-        R::scope(EndWork(self, part))
+        R::scope(EndWork(self, part, &mut ()))
+    }
+
+    #[inline(always)]
+    fn margins_at_begin(&self) -> [R; N] {
+        let Motion {
+            state,
+            torque,
+            modes,
+        } = self.from;
+        self.plant
+            .margins(state, torque, modes, self.has_held_motors)
     }
 
     #[inline(always)]

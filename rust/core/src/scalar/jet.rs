@@ -131,7 +131,7 @@ mod tests {
     /// A function that uses every operation.
     fn mixed<R: Real>(x: R) -> R {
         let (sin, cos) = x.sin_cos();
-        let ratio = (sin - x) / (R::splat(2.0) + cos);
+        let ratio = (sin - x) / (cos + 2.0);
         let ratio = ratio * (-x).exp();
         let bent = ratio.abs().max(R::splat(0.1)).min(R::splat(0.3));
         bent.mul_add(x, -(ratio * cos)).copysign(x * sin) + x

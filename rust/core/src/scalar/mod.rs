@@ -7,10 +7,12 @@ mod jet;
 pub(crate) mod lanes;
 mod real;
 mod solve;
+mod work;
 
 pub(crate) use aligned::Aligned;
 pub use dual::Dual;
 pub use jet::Jet;
-pub(crate) use real::run_out_of_line;
-pub use real::{Lanes, MAX_LANES, Real, Work};
+pub use real::{Lanes, MAX_LANES, Real};
 pub(crate) use solve::{inverse, solve, symmetrise};
+pub use work::Work;
+pub(crate) use work::{run_out_of_line, works};

@@ -6,13 +6,7 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// Work for [`Real::scope`]: a closure whose `run` can be forced inline.
-pub trait Work {
-    /// Result of the work.
-    type Output;
-    /// Runs the work. Implementations are `#[inline(always)]`.
-    fn run(self) -> Self::Output;
-}
+use super::Work;
 
 /// Largest number of lanes of any scalar.
 pub const MAX_LANES: usize = 8;
@@ -27,6 +21,9 @@ pub trait Real:
     + Sub<Output = Self>
     + Mul<Output = Self>
     + Div<Output = Self>
+    + Add<f64, Output = Self>
+    + Sub<f64, Output = Self>
+    + Mul<f64, Output = Self>
     + Neg<Output = Self>
 {
     /// Number of lanes.
@@ -136,7 +133,7 @@ pub trait Real:
         let mut rest = turns.mul_add(Self::splat(-3.141_592_502_593_994), self);
         rest = turns.mul_add(Self::splat(-1.509_957_883_172_319_3e-7), rest);
         rest = turns.mul_add(Self::splat(-1.078_060_571_631_623_8e-14), rest);
-        let half = rest * Self::splat(0.5);
+        let half = rest * 0.5;
         let square = half * half;
         let sine = half * series(square, &SINE);
         let cosine = series(square, &COSINE);
@@ -199,13 +196,6 @@ pub trait Lanes: Real {
             rows[lane] = four.map(|number| number.lane(lane));
         }
     }
-}
-
-/// Runs work in a separate function, so that long code that every stage of every step calls is
-/// compiled once.
-#[inline(never)]
-pub(crate) fn run_out_of_line<R: Real, W: Work>(work: W) -> W::Output {
-    R::scope(work)
 }
 
 /// Implements [`Lanes`] for a scalar with one lane.
@@ -314,7 +304,8 @@ impl Real for f64 {
     }
 }
 
-/// Implements the arithmetic operators for a type, with its generic parameters in braces.
+/// Implements the arithmetic operators for a type, with its generic parameters in braces, also with
+/// constants on the right.
 macro_rules! operators {
     ({$($generics:tt)*} $type:ty, |$a:ident, $b:ident| $add:expr, $sub:expr, $mul:expr, $div:expr, $neg:expr) => {
         impl<$($generics)*> std::ops::Add for $type {
@@ -357,9 +348,27 @@ macro_rules! operators {
                 $neg
             }
         }
+        $crate::scalar::real::with_constants!({$($generics)*} $type, Add add, Sub sub, Mul mul);
     };
 }
 pub(crate) use operators;
+
+/// Implements operators with constants on the right.
+macro_rules! with_constants {
+    ($generics:tt $type:ty, $($operator:ident $method:ident),*) => {
+        $($crate::scalar::real::with_constants!(@ $generics $type, $operator, $method);)*
+    };
+    (@ {$($generics:tt)*} $type:ty, $operator:ident, $method:ident) => {
+        impl<$($generics)*> std::ops::$operator<f64> for $type {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(self, constant: f64) -> Self {
+                std::ops::$operator::$method(self, <Self as $crate::scalar::Real>::splat(constant))
+            }
+        }
+    };
+}
+pub(crate) use with_constants;
 
 /// Methods of [`Real`] for a number with a `value` and a `tangent`, whose type is `$tangent`.
 macro_rules! tangent_methods {

@@ -1,6 +1,6 @@
 //! Small symmetric positive definite systems.
 
-use super::{Real, Work, run_out_of_line};
+use super::{Real, run_out_of_line, works};
 
 /// Solves a small symmetric positive definite system of `n` rows, by Cramer's rule for two rows (one
 /// division) and by elimination for more, which reads the rows up to the diagonal.
@@ -44,17 +44,6 @@ pub(crate) fn inverse<R: Real, const N: usize>(
         all[j] = solve(matrix, &column, (n, true));
     }
     all
-}
-
-/// [`solve`] for more than two rows.
-struct SolveWork<'m, R, const N: usize>(&'m [[R; N]; N], &'m [R; N], usize);
-
-impl<R: Real, const N: usize> Work for SolveWork<'_, R, N> {
-    type Output = [R; N];
-    #[inline(always)]
-    fn run(self) -> [R; N] {
-        eliminate(self.0, self.1, self.2)
-    }
 }
 
 /// Places of a row in [`eliminate`], whole packs.
@@ -114,21 +103,28 @@ pub(crate) fn symmetrise<R: Real, const N: usize>(matrix: &mut [[R; N]; N]) {
 }
 
 /// [`inverse`] for more than two rows.
-struct InverseWork<'m, R, const N: usize>(&'m [[R; N]; N], R, usize);
-
-impl<R: Real, const N: usize> Work for InverseWork<'_, R, N> {
-    type Output = [[R; N]; N];
-    #[inline(always)]
-    fn run(self) -> [[R; N]; N] {
-        let factor = Factor::new(self.0, self.2);
-        let mut all = *self.0;
-        for j in 0..self.2 {
-            let mut column = [R::splat(0.0); N];
-            column[j] = self.1;
-            all[j] = factor.solve(&column);
-        }
-        all
+#[inline(always)]
+fn inverse_by_factor<R: Real, const N: usize>(
+    matrix: &[[R; N]; N],
+    scale: R,
+    n: usize,
+) -> [[R; N]; N] {
+    let factor = Factor::new(matrix, n);
+    let mut all = *matrix;
+    for j in 0..n {
+        let mut column = [R::splat(0.0); N];
+        column[j] = scale;
+        all[j] = factor.solve(&column);
     }
+    all
+}
+
+works! {
+    ['m, R: Real, const N: usize] ['m, R, N]
+    /// [`eliminate`].
+    SolveWork(0: &'m [[R; N]; N], 1: &'m [R; N], 2: usize) -> [R; N] = eliminate;
+    /// [`inverse_by_factor`].
+    InverseWork(0: &'m [[R; N]; N], 1: R, 2: usize) -> [[R; N]; N] = inverse_by_factor;
 }
 
 /// L below the diagonal, and 1/D.

@@ -110,7 +110,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
                 first[0][i] = accelerometer.map_or(zero[i], |filter| filter.output().tangent);
                 first[1][i] = gyro.map_or(zero[i], |filter| filter.output().tangent);
             }
-            let imus = sensors.imus.readings.iter();
+            let imus = sensors.imu_readings.iter();
             let imus = imus.map(|row| row.map(|one| one.tangent)).collect();
             trajectory.block_sensors = Some(BlockSensors::at_rest(sensing, first, imus));
         }
@@ -197,8 +197,8 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
                     .directional_derivative(&linearised_span.rates, &linearised_span.torque_rates)
                     .lane(0);
                 let derivative = event.directional_derivative(&self.block.tangent, &self.torque);
-                delay = (derivative + event.by_parameters(&self.parameter_indices))
-                    * V::splat(-1.0 / per_time);
+                delay = (derivative + event.by_parameters::<V>(&self.parameter_indices))
+                    * (-1.0 / per_time);
             }
             self.remaining = self.remaining - delay;
         }
@@ -332,7 +332,7 @@ fn joint_parameter_indices<A: Arm<N>, const N: usize>(
 fn to_motor_side<V: Real, const N: usize>(ratio: &[f64; N], link_side: &[V; N]) -> [V; N] {
     let mut motor = *link_side;
     for i in 0..N {
-        motor[i] = link_side[i] * V::splat(1.0 / ratio[i]);
+        motor[i] = link_side[i] * (1.0 / ratio[i]);
     }
     motor
 }
@@ -351,13 +351,13 @@ impl<V: Real, const N: usize> Tangent<V, N> {
     /// Derivatives of the motor velocities [rad/s]; `half` [s] is half a step.
     #[inline(always)]
     fn motor_velocities(&self, ratio: &[f64; N], half: f64) -> [V; N] {
-        to_motor_side(ratio, &self.motor).map(|one| V::splat(1.0 / half) * one)
+        to_motor_side(ratio, &self.motor).map(|one| one * (1.0 / half))
     }
 
     /// Derivatives of the link velocities [rad/s].
     #[inline(always)]
     fn link_velocities(&self, half: f64) -> [V; N] {
-        self.link.map(|one| V::splat(1.0 / half) * one)
+        self.link.map(|one| one * (1.0 / half))
     }
 }
 
@@ -412,9 +412,7 @@ fn tangent_of<A: Arm<N>, S: Real, V: Real, const N: usize>(
     Tangent {
         torsion: std::array::from_fn(|i| link_of(arm, i, &ratios, &motor_angle, -angle[i])),
         angle,
-        motor: std::array::from_fn(|i| V::splat(half) * (ratios[i] * x.motor_velocity[i].tangent)),
-        link: x
-            .link_velocity
-            .map(|number| V::splat(half) * number.tangent),
+        motor: std::array::from_fn(|i| ratios[i] * x.motor_velocity[i].tangent * half),
+        link: x.link_velocity.map(|number| number.tangent * half),
     }
 }

@@ -247,7 +247,7 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
                 let (angle, spring) = (each(|stage| &stage.angle), &joint.spring);
                 let [output, transmitted] = at_motor(plant, trace, first, i);
                 let instant = JointInstant {
-                    motor_angle: output * L::splat(1.0 / trace.ratio[i]),
+                    motor_angle: output * (1.0 / trace.ratio[i]),
                     motor_velocity: each(|stage| &stage.motor_velocity),
                     link_angle: angle,
                     angle_in_space: trace
@@ -269,7 +269,7 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
                         SizeDerivatives::of(&size.effects, size.size.affects, &instant);
                     let opposing = direction
                         .mul_add(derivatives.friction, derivatives.local_ratio * transmitted);
-                    let motor = L::splat(push[i]) * (opposing - derivatives.motor);
+                    let motor = (opposing - derivatives.motor) * push[i];
                     let (quad, slot) = (size.size.index / 4, size.size.index % 4);
                     for lane in 0..L::LANES {
                         let stage = first + lane;

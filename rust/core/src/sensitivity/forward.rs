@@ -13,7 +13,7 @@ use crate::joint::Joint;
 use crate::joint::gear::Gears;
 use crate::plant::friction::{Motion, Span};
 use crate::plant::{Instant, Watch};
-use crate::scalar::{Dual, Lanes, Work};
+use crate::scalar::{Dual, Lanes, Work, works};
 use crate::sensitivity::block_trajectory::{BlockTrajectory, LinearisedSpan};
 use crate::sensitivity::event::EventSensitivity;
 use crate::sensitivity::sample_buffer::SampleBuffer;
@@ -211,13 +211,8 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
                 block_sensors.sense(&self.nominal.plant.arm, sensing, &block.tangent, response);
             }
             if event.samples {
-                V::scope(RecordWork {
-                    trajectory,
-                    quantities: &self.task.record,
-                    buffer: &mut self.buffer,
-                    first,
-                    response,
-                });
+                let (quantities, buffer) = (&self.task.record, &mut self.buffer);
+                V::scope(RecordWork(trajectory, quantities, buffer, first, response));
             }
             if smooth {
                 trajectory.advance(&self.linear, response, workspace);
@@ -302,55 +297,19 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
     }
 }
 
-/// [`VariationalSimulation::repeat_step`] in a separate scope, because it is rare and long.
-struct RepeatWork<
-    'c,
-    'a,
-    A: Arm<N>,
-    S: Lanes,
-    V: Lanes,
-    L: Lanes,
-    G: Gears,
-    const N: usize,
-    const EFFECTS: bool,
->(&'c mut VariationalSimulation<'a, A, S, V, L, G, N, EFFECTS>);
-
-impl<A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for RepeatWork<'_, '_, A, S, V, L, G, N, EFFECTS>
-{
-    type Output = ();
-    #[inline(always)]
-    fn run(self) {
-        self.0.repeat_step();
-    }
+works! {
+    ['c, 'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, const EFFECTS: bool]
+    ['c, 'a, A, S, V, L, G, N, EFFECTS]
+    /// [`VariationalSimulation::repeat_step`] in a separate scope, because it is rare and long.
+    RepeatWork(0: &'c mut VariationalSimulation<'a, A, S, V, L, G, N, EFFECTS>) -> ()
+        = VariationalSimulation::repeat_step;
 }
 
-/// [`BlockTrajectory::record`] in a separate scope, so that steps without a sample stay short.
-struct RecordWork<
-    'c,
-    'a,
-    A: Arm<N>,
-    S: Lanes,
-    V: Lanes,
-    G: Gears,
-    const N: usize,
-    const EFFECTS: bool,
-> {
-    trajectory: &'c BlockTrajectory<'a, A, S, V, G, N, EFFECTS>,
-    quantities: &'c [Quantity],
-    buffer: &'c mut SampleBuffer,
-    /// Index of the block's first direction.
-    first: usize,
-    response: &'c Response<V, N>,
-}
-
-impl<A: Arm<N>, S: Lanes, V: Lanes, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for RecordWork<'_, '_, A, S, V, G, N, EFFECTS>
-{
-    type Output = ();
-    #[inline(always)]
-    fn run(self) {
-        self.trajectory
-            .record(self.quantities, self.buffer, self.first, self.response);
-    }
+works! {
+    ['c, 'a, A: Arm<N>, S: Lanes, V: Lanes, G: Gears, const N: usize, const EFFECTS: bool]
+    ['c, 'a, A, S, V, G, N, EFFECTS]
+    /// [`BlockTrajectory::record`] in a separate scope, so that steps without a sample stay short.
+    /// The number is that of the block's first direction.
+    RecordWork(0: &'c BlockTrajectory<'a, A, S, V, G, N, EFFECTS>, 1: &'c [Quantity],
+        2: &'c mut SampleBuffer, 3: usize, 4: &'c Response<V, N>) -> () = BlockTrajectory::record;
 }

@@ -13,7 +13,6 @@ mod event;
 mod forcing;
 pub(crate) mod forward;
 mod holding;
-mod imu;
 mod sample_buffer;
 mod sensing;
 mod step_length;

@@ -6,7 +6,7 @@ use crate::arm::{Arm, Outlined};
 use crate::experiment::Source;
 use crate::joint::gear::Gears;
 use crate::plant::config::{Config, Role};
-use crate::scalar::{Lanes, Work, run_out_of_line};
+use crate::scalar::{Lanes, run_out_of_line, works};
 use crate::sensitivity::forcing::{Forcing, Row};
 use crate::sensitivity::step_length::StepLengthSensitivity;
 use crate::sensitivity::tangent::{Response, Tangent, Workspace, advance, set_sums};
@@ -105,7 +105,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
             }
         }
         for i in 0..arm.joints() {
-            let mut link = c(step.inverse[i][0][k]) * load[0];
+            let mut link = load[0] * step.inverse[i][0][k];
             for j in 1..arm.joints() {
                 link = c(step.inverse[i][j][k]).mul_add(load[j], link);
             }
@@ -229,8 +229,8 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
                 }
                 let share = c(share(&step.plant.arm, j, i));
                 let torsion = &mut stage.torsion[j];
-                *torsion = (share * c(elapsed)).mul_add(difference, *torsion);
-                *torsion = (share * c(settling.angle[end])).mul_add(motor, *torsion);
+                *torsion = (share * elapsed).mul_add(difference, *torsion);
+                *torsion = (share * settling.angle[end]).mul_add(motor, *torsion);
                 *torsion = (share * by_time).mul_add(self.settling[i], *torsion);
             }
             stage.motor[i] = c(settling.velocity[end]).mul_add(motor, stage.motor[i]);
@@ -239,23 +239,10 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
     }
 }
 
-/// [`TangentBlock::compute_response`].
-struct ResponseWork<'b, A: Arm<N>, L: Lanes, V: Lanes, G: Gears, const N: usize>(
-    &'b TangentBlock<V, N>,
-    &'b LinearisedStep<A, L, G, N>,
-    usize,
-    &'b Tangent<V, N>,
-    Option<&'b [V; N]>,
-    &'b mut Response<V, N>,
-);
-
-impl<A: Arm<N>, L: Lanes, V: Lanes, G: Gears, const N: usize> Work
-    for ResponseWork<'_, A, L, V, G, N>
-{
-    type Output = ();
-    #[inline(always)]
-    fn run(self) {
-        self.0
-            .compute_response(self.1, self.2, self.3, self.4, self.5);
-    }
+works! {
+    ['b, A: Arm<N>, L: Lanes, V: Lanes, G: Gears, const N: usize] ['b, A, L, V, G, N]
+    /// [`TangentBlock::compute_response`].
+    ResponseWork(0: &'b TangentBlock<V, N>, 1: &'b LinearisedStep<A, L, G, N>, 2: usize,
+        3: &'b Tangent<V, N>, 4: Option<&'b [V; N]>, 5: &'b mut Response<V, N>) -> ()
+        = TangentBlock::compute_response;
 }

@@ -17,7 +17,7 @@ use crate::arm::{Arm, Outlined};
 use crate::joint::gear::{Gears, Spring};
 use crate::plant::config::Config;
 use crate::plant::{Modes, Plant, State};
-use crate::scalar::{Lanes, Real, Work, inverse, run_out_of_line};
+use crate::scalar::{Lanes, Real, inverse, run_out_of_line, works};
 use crate::sensitivity::effect::EffectSensitivity;
 use crate::sensitivity::forcing::{GEAR, MOTOR, Quads, all_link_quads, link_quads};
 use crate::sensitivity::trace::{Stages, Trace};
@@ -199,7 +199,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
     fn links(&mut self, trace: &Trace<A, N>, begin: &A::Posture<L>, first: usize) {
         let mut rotation: [L; N] = trace.joints(first, |stage| &stage.angle);
         for i in 0..self.plant.arm.joints() {
-            rotation[i] = rotation[i] - L::splat(trace.stages[0].angle[i]);
+            rotation[i] = rotation[i] - trace.stages[0].angle[i];
         }
         let dq = trace.joints(first, |stage| &stage.velocity);
         let ddq = trace.joints(first, |stage| &stage.link_acceleration);
@@ -266,29 +266,17 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
     }
 }
 
-/// [`LinearisedStep::compute`].
-struct UpdateWork<'s, A: Arm<N>, L: Lanes, S: Real, G: Gears, const N: usize>(
-    &'s mut LinearisedStep<A, L, G, N>,
-    &'s Trace<A, N>,
-    &'s A::Posture<S>,
-    &'s Modes<S, N>,
-    f64,
-);
-
-impl<A: Arm<N>, L: Lanes, S: Real, G: Gears, const N: usize> Work
-    for UpdateWork<'_, A, L, S, G, N>
-{
-    type Output = ();
-    #[inline(always)]
-    fn run(self) {
-        self.0.compute(self.1, self.2, self.3, self.4);
-    }
+works! {
+    ['s, A: Arm<N>, L: Lanes, S: Real, G: Gears, const N: usize] ['s, A, L, S, G, N]
+    /// [`LinearisedStep::compute`].
+    UpdateWork(0: &'s mut LinearisedStep<A, L, G, N>, 1: &'s Trace<A, N>, 2: &'s A::Posture<S>,
+        3: &'s Modes<S, N>, 4: f64) -> () = LinearisedStep::compute;
 }
 
 /// Stores four numbers times a factor, as one vector if possible.
 #[inline(always)]
 fn store_scaled<L: Real>(to: &mut [f64; 4], numbers: &[f64; 4], factor: f64) {
     for first in (0..4).step_by(L::LANES) {
-        (L::load(&numbers[first..]) * L::splat(factor)).store(&mut to[first..]);
+        (L::load(&numbers[first..]) * factor).store(&mut to[first..]);
     }
 }

@@ -1,6 +1,6 @@
-//! Sensors: encoders, low-passes, IMUs, and decimation of samples.
+//! Sensors: encoders, sensors on links, low-passes, and decimation of samples.
 
 pub mod decimation;
 pub mod encoder;
-pub(crate) mod imu;
+pub(crate) mod link_sensors;
 pub mod low_pass;

@@ -14,7 +14,7 @@ pub use posture::Posture;
 use super::link_signals::{LINK_SIGNALS, of_link};
 use super::{Arm, Name, Outlined, Slopes, Transmission, first_joints};
 use crate::parameter::Parameter;
-use crate::scalar::{Real, Work, run_out_of_line, symmetrise};
+use crate::scalar::{Real, Work, run_out_of_line, symmetrise, works};
 use placement::{JointPosture, Placement};
 use posture::{Placements, ROOM, Rows, zeros};
 use std::f64::consts::TAU;
@@ -325,7 +325,7 @@ impl<const N: usize, const KNOWN: bool> Arm<N> for SerialChain<N, KNOWN> {
         ddq: &[R; N],
         regressor: &mut Regressor<R, N>,
     ) {
-        equation::<R, _, KNOWN>(PerParameter(self, at, dq, ddq, regressor));
+        equation::<R, _, KNOWN>(PerParameter(self, at, dq, ddq, &mut regressor.0));
     }
 
     /// A joint carries its link and those behind it.
@@ -441,51 +441,22 @@ fn equation<R: Real, W: Work, const KNOWN: bool>(work: W) -> W::Output {
     }
 }
 
-/// Recursions compiled as separate functions, because every stage of every step calls them:
-/// inlined, those of six links would be most of the program.
-macro_rules! out_of_line {
-    ($($(#[$doc:meta])* $name:ident($($at:tt: $argument:ty),*) -> $output:ty = $work:expr;)*) => {$(
-        $(#[$doc])*
-        struct $name<'a, R: Real, const N: usize, const KNOWN: bool>(&'a SerialChain<N, KNOWN>, $(&'a $argument),*);
-
-        impl<R: Real, const N: usize, const KNOWN: bool> Work for $name<'_, R, N, KNOWN> {
-            type Output = $output;
-            #[inline(always)]
-            fn run(self) -> $output {
-                $work(self.0, $(self.$at),*)
-            }
-        }
-    )*};
-}
-
-out_of_line! {
+// Recursions compiled as separate functions, because every stage of every step calls them: inlined,
+// those of six links would be most of the program.
+works! {
+    ['a, R: Real, const N: usize, const KNOWN: bool] ['a, R, N, KNOWN]
     /// [`SerialChain::dynamics`].
-    Dynamics(1: Bodies<R>, 2: Posture<R>, 3: [R; N], 4: [R; N]) -> ([[R; N]; N], [R; N])
-        = SerialChain::dynamics;
+    Dynamics(0: &'a SerialChain<N, KNOWN>, 1: &'a Bodies<R>, 2: &'a Posture<R>, 3: &'a [R; N], 4: &'a [R; N])
+        -> ([[R; N]; N], [R; N]) = SerialChain::dynamics;
     /// [`SerialChain::linearised`].
-    Linearised(1: Bodies<R>, 2: Posture<R>, 3: [R; N], 4: [R; N]) -> ([[R; N]; N], Slopes<R, N>)
-        = SerialChain::linearised;
+    Linearised(0: &'a SerialChain<N, KNOWN>, 1: &'a Bodies<R>, 2: &'a Posture<R>, 3: &'a [R; N], 4: &'a [R; N])
+        -> ([[R; N]; N], Slopes<R, N>) = SerialChain::linearised;
     /// [`SerialChain::motions`].
-    Motions(1: Posture<R>, 2: [R; N], 3: [R; N]) -> [recursion::LinkMotion<R>; N]
-        = SerialChain::motions;
-}
-
-/// [`SerialChain::set_torques_per_parameter`].
-struct PerParameter<'a, R: Real, const N: usize, const KNOWN: bool>(
-    &'a SerialChain<N, KNOWN>,
-    &'a Posture<R>,
-    &'a [R; N],
-    &'a [R; N],
-    &'a mut Regressor<R, N>,
-);
-
-impl<R: Real, const N: usize, const KNOWN: bool> Work for PerParameter<'_, R, N, KNOWN> {
-    type Output = ();
-    #[inline(always)]
-    fn run(self) {
-        let Self(chain, at, dq, ddq, regressor) = self;
-        chain.set_torques_per_parameter(at, dq, ddq, &mut regressor.0);
-    }
+    Motions(0: &'a SerialChain<N, KNOWN>, 1: &'a Posture<R>, 2: &'a [R; N], 3: &'a [R; N])
+        -> [recursion::LinkMotion<R>; N] = SerialChain::motions;
+    /// [`SerialChain::set_torques_per_parameter`].
+    PerParameter(0: &'a SerialChain<N, KNOWN>, 1: &'a Posture<R>, 2: &'a [R; N], 3: &'a [R; N],
+        4: &'a mut [[[R; N]; LINK_PARAMETER_COUNT]; N]) -> () = SerialChain::set_torques_per_parameter;
 }
 
 #[cfg(test)]

@@ -46,7 +46,7 @@ impl<R: Real> Inertia<R> {
     #[inline(always)]
     pub(super) fn seen_from(&self, turn: &Matrix<R>, r: &Vector<R>) -> Self {
         let h = times(turn, &self.first_moment);
-        let half = self.mass * R::splat(0.5);
+        let half = self.mass * 0.5;
         let (w, moved) = (scaled(half, r, &h), scaled(self.mass, r, &h));
         let mut columns = *turn;
         let mut products = w;
@@ -540,7 +540,7 @@ impl<P: Real> Coupling<P> {
     fn new(body: &Inertia<P>, velocity: &[P; 6]) -> Self {
         let [omega, v] = parts(velocity);
         let (h, i) = (&body.first_moment, &body.second_moment);
-        let half = (i[0][0] + i[1][1] + i[2][2]) * P::splat(0.5);
+        let half = (i[0][0] + i[1][1] + i[2][2]) * 0.5;
         let along = dot(h, &v);
         let mut matrix = *i;
         for b in 0..3 {

@@ -40,7 +40,7 @@ impl<R: Real> Effect<R> for DriveLag<R> {
         let divisor = self.time_constant.max(R::splat(time / MAX_TIME_RATIO));
         let decay = (R::splat(-time) / divisor).exp();
         let difference = voltage - memory;
-        let share = R::splat(1.0 / time) * self.time_constant * (R::splat(1.0) - decay);
+        let share = self.time_constant * (1.0 / time) * (-decay + 1.0);
         [voltage - difference * share, voltage - difference * decay]
     }
 }

@@ -42,7 +42,7 @@ impl<R: Real> Effect<R> for FlexibleLink<R> {
     fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self {
         Self {
             inertia: values[0],
-            rate: R::splat(TAU) * values[1],
+            rate: values[1] * TAU,
             damping: values[2],
         }
     }
@@ -62,7 +62,7 @@ impl<R: Real> Effect<R> for FlexibleLink<R> {
     fn energy(&self, at: &JointState<R>) -> R {
         let strained = self.rate * at.deflection.angle;
         let moving = at.part_velocity * at.part_velocity;
-        R::splat(0.5) * self.inertia * (strained * strained + moving)
+        self.inertia * 0.5 * (strained * strained + moving)
     }
 
     /// 2 J zeta w dx^2.

@@ -45,6 +45,6 @@ impl<R: Real> Effect<R> for GroundSpring<R> {
     }
 
     fn energy(&self, at: &JointState<R>) -> R {
-        (R::splat(0.5) * self.stiffness * at.link_angle + self.preload) * at.link_angle
+        (self.stiffness * 0.5 * at.link_angle + self.preload) * at.link_angle
     }
 }

@@ -41,7 +41,7 @@ impl<R: Real> Hysteresis<R> {
             return self.relax(z, change);
         }
         let (begin, end) = (from.rate * time, to.rate * time);
-        let square = R::splat(3.0) * change - begin - begin - end;
+        let square = change * 3.0 - begin - begin - end;
         let cube = begin + end - change - change;
         let at = R::splat(extremum(begin.lane(0), square.lane(0), cube.lane(0)));
         let first_change = cube.mul_add(at, square).mul_add(at, begin) * at;
@@ -51,7 +51,7 @@ impl<R: Real> Hysteresis<R> {
     /// Recoverable energy [J]: T_h delta_h z^2 / 2.
     #[inline(always)]
     pub fn stored_energy(&self, z: R) -> R {
-        R::splat(0.5) * self.torque * self.reversal_torsion * z * z
+        self.torque * 0.5 * self.reversal_torsion * z * z
     }
 }
 

@@ -25,8 +25,7 @@ impl<R: Real> PowerFriction<R> {
     /// The torque against a velocity [rad/s].
     #[inline(always)]
     fn at(&self, velocity: R) -> R {
-        let speed = velocity.abs() * R::splat(1.0 / REFERENCE_VELOCITY)
-            + R::splat(RELATIVE_VELOCITY_OFFSET);
+        let speed = velocity.abs() * (1.0 / REFERENCE_VELOCITY) + RELATIVE_VELOCITY_OFFSET;
         let power = |base: R| (self.exponent * base.ln()).exp();
         (self.friction * (power(speed) - power(R::splat(RELATIVE_VELOCITY_OFFSET))))
             .copysign(velocity)

@@ -43,7 +43,7 @@ impl<R: Real> Effect<R> for SoftBase<R> {
     fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self {
         Self {
             compliance: values[0],
-            rate: R::splat(TAU) * values[1],
+            rate: values[1] * TAU,
             damping: values[2],
         }
     }
@@ -64,7 +64,7 @@ impl<R: Real> Effect<R> for SoftBase<R> {
     fn energy(&self, at: &JointState<R>) -> R {
         let moving = at.base.rate / self.rate;
         let both = at.base.torque * at.base.torque + moving * moving;
-        R::splat(0.5) * self.compliance * both
+        self.compliance * 0.5 * both
     }
 
     /// 2 c zeta ds^2 / w.

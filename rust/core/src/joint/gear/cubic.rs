@@ -48,14 +48,14 @@ impl<R: Real> Spring<R> for CubicSpring<R> {
 
     #[inline(always)]
     fn stiffness(&self, delta: R) -> R {
-        (R::splat(3.0) * self.cubic * delta).mul_add(delta, self.stiffness)
+        (self.cubic * 3.0 * delta).mul_add(delta, self.stiffness)
     }
 
     #[inline(always)]
     fn energy(&self, delta: R) -> R {
         let square = delta * delta;
-        let half = R::splat(0.5) * self.stiffness;
-        (R::splat(0.25) * self.cubic).mul_add(square, half) * square
+        let half = self.stiffness * 0.5;
+        (self.cubic * 0.25).mul_add(square, half) * square
     }
 
     fn least_stiffness(&self, _: R) -> R {

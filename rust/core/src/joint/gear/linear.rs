@@ -46,7 +46,7 @@ impl<R: Real> Spring<R> for LinearSpring<R> {
 
     #[inline(always)]
     fn energy(&self, delta: R) -> R {
-        R::splat(0.5) * self.stiffness * delta * delta
+        self.stiffness * 0.5 * delta * delta
     }
 
     fn least_stiffness(&self, _: R) -> R {

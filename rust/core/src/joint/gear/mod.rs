@@ -112,7 +112,7 @@ pub trait Spring<R: Real>: Copy + Send + Sync {
             let mut next_excess = self.torque(next) - target;
             let outside = (next - low).any_negative() || (high - next).any_negative();
             if outside || next_excess.lane(0).abs() > 0.5 * excess.lane(0).abs() {
-                next = R::splat(0.5) * (low + high);
+                next = (low + high) * 0.5;
                 next_excess = self.torque(next) - target;
             }
             (torsion, excess) = (next, next_excess);

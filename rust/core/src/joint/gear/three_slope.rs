@@ -68,9 +68,9 @@ impl GearLaw for ThreeSlope {
         let first = knee_torques[0] / slopes[0];
         let second = first + (knee_torques[1] - knee_torques[0]) / slopes[1];
         let knee = |at: R, change: R| Knee {
-            shift: R::splat(corner) - at,
+            shift: -at + corner,
             width: R::splat(2.0 * corner),
-            half_rise: change * R::splat(0.25 / corner),
+            half_rise: change * (0.25 / corner),
             slope_change: change,
             per_width: R::splat(0.25 / corner),
         };
@@ -100,7 +100,7 @@ impl<R: Real> Spring<R> for ThreeSlopeSpring<R> {
     #[inline(always)]
     fn energy(&self, delta: R) -> R {
         let torsion = delta.abs();
-        let mut energy = R::splat(0.5) * self.k1 * torsion * torsion;
+        let mut energy = self.k1 * 0.5 * torsion * torsion;
         for knee in &self.knees {
             energy = energy + knee.energy(torsion);
         }
@@ -136,7 +136,7 @@ impl<R: Real> Spring<R> for ThreeSlopeSpring<R> {
     fn shared(&self) -> PerSlope<R> {
         let one = R::splat(1.0);
         let k2 = one / (self.k1 + self.knees[0].slope_change);
-        let at = |knee: &Knee<R>| R::splat(0.5) * knee.width - knee.shift;
+        let at = |knee: &Knee<R>| knee.width * 0.5 - knee.shift;
         let (first, second) = (at(&self.knees[0]), at(&self.knees[1]));
         PerSlope {
             k1: one / self.k1,
@@ -175,7 +175,7 @@ impl<R: Real> Knee<R> {
     #[inline(always)]
     fn slope(&self, torsion: R) -> R {
         let inside = (torsion + self.shift).max(R::splat(0.0)).min(self.width);
-        R::splat(2.0) * self.half_rise * inside
+        self.half_rise * 2.0 * inside
     }
 
     /// Integral of `add_to` from zero torsion.
