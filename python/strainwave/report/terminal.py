@@ -23,7 +23,7 @@ from strainwave.domain import (
 from strainwave.domain.formatting import percent, plus_minus
 from strainwave.domain.keys import Key
 from strainwave.report.document.blocks import Cell, Row, RowGroup, Table, number, prose, table
-from strainwave.report.document.elastic import trend_title
+from strainwave.report.document.elastic import mode_cells, trend_title
 from strainwave.report.document.parameters import SUMMARY_HEADS, summary_row
 from strainwave.report.document.rig import gain_sentences
 from strainwave.report.document.verdict import (
@@ -175,13 +175,8 @@ def _resonance_table(identification: Identification) -> Iterator[Table]:
     for joint in identification.joints:
         if not responses or joint.joint not in by_motor:
             modes = (joint.anti_resonance, joint.resonance)
-            cells = (
-                "none"
-                if mode is None
-                else " ± ".join(plus_minus(mode.frequency_hz, mode.frequency_std_hz))
-                for mode in modes
-            )
-            rows.append((f"joint {joint.joint}", "joint model", *cells))
+            frequencies = (mode_cells(mode)[0] for mode in modes)
+            rows.append((f"joint {joint.joint}", "joint model", *frequencies))
     for response in responses:
         if response.joint in by_motor:
             kinds = (response.anti_resonances_hz, response.resonances_hz)
