@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from strainwave.display import Display, register
+from strainwave.version import __version__
 
 if TYPE_CHECKING:
     from strainwave.api import Result as Result
@@ -66,8 +67,6 @@ if TYPE_CHECKING:
     from strainwave.tune.design import ServoDesign as ServoDesign
     from strainwave.tune.design import ServoOptions as ServoOptions
     from strainwave.tune.margins import Requirements as Requirements
-
-__version__ = "0.1.0"
 
 _NAMES_OF_MODULE = {
     "strainwave.api": "Result check compare identify read_result read_study",

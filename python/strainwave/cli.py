@@ -17,9 +17,9 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from strainwave import __version__
 from strainwave.commands import command_texts
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
+from strainwave.version import __version__
 
 app = typer.Typer(
     name="strainwave",
@@ -447,7 +447,8 @@ def serve(
     max_upload: Annotated[int, _option("serve.max-upload", min=1)] = 2048,
 ) -> None:
     """Serve the workbench, the whole method in a browser. Ctrl-C ends it."""
-    from strainwave.workbench.server import ServerOptions, serve
+    from strainwave.workbench.options import ServerOptions
+    from strainwave.workbench.server import serve
 
     serve(ServerOptions(folder, host, port, token, max_upload))
 

@@ -53,7 +53,7 @@ def client(folder: Path) -> TestClient:
     from starlette.testclient import TestClient
 
     from strainwave.workbench.app import create_app
-    from strainwave.workbench.server import ServerOptions
+    from strainwave.workbench.options import ServerOptions
 
     app = create_app(ServerOptions(folder), 8765)
     return TestClient(app, base_url="http://127.0.0.1:8765", raise_server_exceptions=True)

@@ -21,9 +21,9 @@ from starlette.testclient import TestClient
 
 import strainwave as sw
 from strainwave.workbench.app import ROUTES, create_app
+from strainwave.workbench.options import ServerOptions
 from strainwave.workbench.pages.check import run_check
 from strainwave.workbench.runs import Run, Runs
-from strainwave.workbench.server import ServerOptions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from strainwave.errors import InvalidInput
-from strainwave.workbench.server import ServerOptions, check_options
+from strainwave.workbench.options import ServerOptions, check_options
 from strainwave.workbench.workspace import Workspace
 
 pytest.importorskip("starlette")

@@ -89,7 +89,7 @@ def test_clients_on_different_studies_do_not_mix(server: Any) -> None:
 
 def test_a_second_server_sees_the_same(server: Any) -> None:
     from strainwave.workbench.app import create_app
-    from strainwave.workbench.server import ServerOptions
+    from strainwave.workbench.options import ServerOptions
 
     post(f"{server.url}/api/check/arm/study.toml", {})
     from starlette.testclient import TestClient

@@ -182,7 +182,7 @@ def test_uploads_are_bounded_and_leave_nothing(folder: Path) -> None:
     from starlette.testclient import TestClient
 
     from strainwave.workbench.app import create_app
-    from strainwave.workbench.server import ServerOptions
+    from strainwave.workbench.options import ServerOptions
 
     app = create_app(ServerOptions(folder, max_upload_mib=1), 8765)
     client = TestClient(app, base_url="http://127.0.0.1:8765")

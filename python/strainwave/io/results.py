@@ -14,7 +14,6 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from strainwave import __version__
 from strainwave.domain import (
     ArmDescription,
     ArmModel,
@@ -54,6 +53,7 @@ from strainwave.io.base_parameters import (
 from strainwave.io.joint_covariance import joint_covariance
 from strainwave.io.study import document_of
 from strainwave.io.study.reader import Reader
+from strainwave.version import __version__
 
 T = TypeVar("T")
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
-from strainwave import __version__
 from strainwave.domain import (
     STAGES,
     Consistency,
@@ -60,6 +59,7 @@ from strainwave.signals.torque_constants import (
     find_doubtful_torque_constant,
     suspect_torque_constants,
 )
+from strainwave.version import __version__
 
 __all__ = ["STAGES", "check_input", "check_stages", "identify", "with_report_loading", "write"]
 

@@ -6,6 +6,7 @@ the pages. `workspace` is the served folder, `runs` are the command lines that r
 show the same.
 """
 
-from strainwave.workbench.server import ServerOptions, serve
+from strainwave.workbench.options import ServerOptions
+from strainwave.workbench.server import serve
 
 __all__ = ["ServerOptions", "serve"]

@@ -10,6 +10,7 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from strainwave.report.document.blocks import plotly_script
+from strainwave.workbench.options import ServerOptions
 from strainwave.workbench.pages import (
     by_hand,
     check,
@@ -23,7 +24,6 @@ from strainwave.workbench.pages import (
     virtual,
 )
 from strainwave.workbench.security import Guard, allowed_hosts
-from strainwave.workbench.server import ServerOptions
 from strainwave.workbench.web import HANDLED, HERE, error_response
 from strainwave.workbench.workspace import Workspace
 

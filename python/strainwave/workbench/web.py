@@ -14,9 +14,9 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 from starlette.routing import BaseRoute, Route
 
-from strainwave import __version__
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.io.templates import template_environment
+from strainwave.version import __version__
 from strainwave.workbench.workspace import Workspace
 
 if TYPE_CHECKING:

@@ -18,11 +18,11 @@ from typing import Any
 
 import pyarrow as pa
 
-from strainwave import __version__
 from strainwave.domain import Identification, Parameter, Stage
 from strainwave.domain.keys import Key, label_of
 from strainwave.fleet.campaign.study_files import Case, Opened
 from strainwave.io.results import to_document, to_json
+from strainwave.version import __version__
 
 FAILED_STATUS = "failed"
 """Status of a run without a verdict: wrong input, a crash, or the time limit."""

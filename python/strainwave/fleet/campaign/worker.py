@@ -17,7 +17,6 @@ import sys
 from collections.abc import Callable, Mapping
 from typing import Any, TextIO
 
-from strainwave import __version__
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.fleet.campaign.records import (
     FAILED_STATUS,
@@ -29,6 +28,7 @@ from strainwave.fleet.campaign.records import (
     record_of,
 )
 from strainwave.fleet.campaign.store import Store
+from strainwave.version import __version__
 
 Perform = Callable[[Task], RunRecord]
 
