@@ -94,14 +94,6 @@ def test_figures_of_reports_are_side_by_side(client: TestClient, two_runs: Path)
     assert all(one["figure"]["data"] for one in figures)
 
 
-@pytest.mark.parametrize("text", ["", "<html>", '<script id="figures">{', "\udcff"])
-def test_a_damaged_report_has_no_figures(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "report.html"
-    path.write_bytes(text.encode("utf-8", "surrogateescape"))
-    assert compare.report_figures(path) == {}
-    assert compare.report_figures(tmp_path / "missing.html") == {}
-
-
 @pytest.mark.parametrize("paths", [[], [A], [A, "../../etc/passwd"], "x", [A, 3]])
 def test_wrong_choices_give_a_sentence(client: TestClient, two_runs: Path, paths: object) -> None:
     answer = client.post("/api/compare/arm/study.toml", json={"paths": paths})

@@ -18,7 +18,7 @@ from benchmarks.studies.servo_moves.page import (
 )
 from benchmarks.studies.servo_moves.sweep import sweep
 from benchmarks.studies.servo_moves.tuned import arms
-from strainwave.report.document.blocks import Cell, Row
+from strainwave.report.document.blocks import Row, table
 from strainwave.report.terminal import printed_table
 
 
@@ -42,10 +42,8 @@ def main() -> None:
 
 
 def _print(console: Console, heads: Row, rows: Iterable[Row]) -> None:
-    table = printed_table(*heads)
-    for row in rows:
-        table.add_row(*(cell.text if isinstance(cell, Cell) else cell for cell in row))
-    console.print(table)
+    for each in table("", heads, rows):
+        console.print(printed_table(each))
 
 
 if __name__ == "__main__":

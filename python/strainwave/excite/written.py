@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from strainwave.domain.arm.link_sensors import installed_axes
@@ -30,7 +29,7 @@ from strainwave.io.base_parameters import base_parameter_list
 from strainwave.io.results import estimates_document, to_json
 from strainwave.io.study import copy_to, write_study
 from strainwave.io.templates import fill_text
-from strainwave.report.document.blocks import number
+from strainwave.report.document.blocks import Row, Table, number, table
 from strainwave.report.terminal import printed_table
 
 HEADER_FILE = "excitation.h"
@@ -93,7 +92,8 @@ def print_design(design: Design, folder: Path) -> None:
     shortage = f"; omitted for the duration: {', '.join(design.omitted)}" if design.omitted else ""
     total = f"{len(design.records)} records of {design.duration / 60.0:.1f} minutes together"
     console.print(Text(total + shortage, style="bold"))
-    console.print(_table(design))
+    for predicted in _table(design):
+        console.print(printed_table(predicted))
     for record in design.records:
         reasons = "; ".join(record.reasons)
         console.print(Text(f"{record.experiment.name}: {record.duration:.1f} s. {reasons}."))
@@ -152,17 +152,16 @@ def _base_precision(design: Design) -> Iterator[str]:
         yield f"widest predicted half-widths of base parameters: {', '.join(texts)}"
 
 
-def _table(design: Design) -> Table:
+def _table(design: Design) -> Iterator[Table]:
     """One row per record and joint, followed by the limits."""
-    heads = ("joint", "angle", "motor speed", "voltage", "gear torque", "standstill")
-    table = printed_table("predicted, SI units", *map(number, heads))
-    table.columns[0].no_wrap = True
-    rows: list[tuple[str, PredictedMotion | Limits]]
-    rows = [(record.experiment.name, record.predicted) for record in design.records]
-    for name, row in (*rows, ("limit", design.limits)):
+    motions: list[tuple[str, PredictedMotion | Limits]]
+    motions = [(record.experiment.name, record.predicted) for record in design.records]
+    rows: list[Row] = []
+    for name, row in (*motions, ("limit", design.limits)):
         for i in range(design.study.arm.n_joints):
             sizes = [getattr(row, key)[i] for key, *_ in LIMITED]
             texts = [f"{size:.3g}" if np.isfinite(size) else "" for size in sizes]
             rest = f"{100.0 * row.rest_share[i]:.0f} %" if isinstance(row, PredictedMotion) else ""
-            table.add_row(*map(Text, (name, str(i + 1), *texts, rest)))
-    return table
+            rows.append((name, str(i + 1), *texts, rest))
+    heads = ("joint", "angle", "motor speed", "voltage", "gear torque", "standstill")
+    return table("Predicted motion", ("predicted, SI units", *map(number, heads)), rows)

@@ -6,9 +6,10 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
+from typing import Literal
 
+from rich import table as rich_table
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from strainwave.domain import (
@@ -21,9 +22,9 @@ from strainwave.domain import (
 )
 from strainwave.domain.keys import Key
 from strainwave.domain.messages.formatting import percent, plus_minus
-from strainwave.report.document import blocks
-from strainwave.report.document.blocks import Cell, number
-from strainwave.report.document.elastic import trend_title
+from strainwave.report.document.blocks import Cell, Row, RowGroup, Table, number, prose, table
+from strainwave.report.document.elastic import mode_cells, trend_title
+from strainwave.report.document.parameters import SUMMARY_HEADS, summary_row
 from strainwave.report.document.rig import gain_sentences
 from strainwave.report.document.verdict import (
     advice,
@@ -55,13 +56,9 @@ def print_summary(
     files were written; `console` defaults to standard output.
     """
     console = console or Console(highlight=False)
-    decisions = identification.decisions
-    if decisions:
-        console.print(_parameter_table(decisions, truth))
-    for table in (_resonance_table(identification), _fit_table(identification)):
-        if table.row_count:
-            console.print()
-            console.print(table)
+    for parameters in _parameter_table(identification.decisions, truth):
+        console.print(printed_table(parameters))
+    print_tables(console, _resonance_table(identification), _fit_table(identification))
     for note in filter(None, (drive_note(identification), scale_note(identification))):
         console.print(Text(note))
     if identification.sweeps:
@@ -99,7 +96,7 @@ def print_check(check: InputCheck, *, console: Console | None = None) -> None:
     """Print the relations of an input check as a table, warnings, and the suspected faults."""
     console = console or Console(highlight=False)
     numbers = map(number, ("measured", "expected", "accuracy"))
-    table = printed_table("relation", "place", *numbers, "verdict")
+    heads: Row = (prose("relation"), "place", *numbers, "verdict")
     places: dict[tuple[str, ...], list[str]] = {}
     for relation in sorted(check.relations, key=lambda each: each.is_consistent):
         verdict = "consistent" if relation.is_consistent else "contradiction"
@@ -109,10 +106,12 @@ def print_check(check: InputCheck, *, console: Console | None = None) -> None:
         accuracy = f"{relation.accuracy:.2g}" if relation.accuracy else ""
         row = relation.text, measured, expected, accuracy, verdict
         places.setdefault(row, []).append(relation.where)
-    for (text, *values), names in places.items():
-        style = "" if values[-1] == "consistent" else _FAULT_STYLE
-        table.add_row(*map(Text, (text, ", ".join(names), *values)), style=style)
-    console.print(table)
+    rows: list[Row] = []
+    for (text, *values, verdict), names in places.items():
+        mark = Cell(verdict, mark="" if verdict == "consistent" else "bad")
+        rows.append((text, ", ".join(names), *values, mark))
+    for relations in table("Relations", heads, rows):
+        console.print(printed_table(relations))
     if check.unchecked:
         console.print(Text(f"in no relation, not checked: {', '.join(check.unchecked)}"))
     _print_warnings(check.warnings, console)
@@ -132,15 +131,15 @@ def _print_warnings(warnings: Sequence[Diagnostic], console: Console) -> None:
         console.print()
         kind, style = ("note", "") if is_note(code) else ("warning", "yellow")
         console.print(Text(f"{kind} [{code}]"), style=style)
-        table = Table.grid(padding=(0, 1))
-        table.add_column(no_wrap=True)
-        table.add_column()
+        grid = rich_table.Table.grid(padding=(0, 1))
+        grid.add_column(no_wrap=True)
+        grid.add_column()
         for warning in same:
-            table.add_row("  observed", Text(f"{warning.where}: {warning.observation}"))
+            grid.add_row("  observed", Text(f"{warning.where}: {warning.observation}"))
         if known := advice().get(code):  # the report has the whole messages
-            table.add_row("  meaning", Text(known.meaning))
-            table.add_row("  what to do", Text(known.remedy))
-        console.print(table)
+            grid.add_row("  meaning", Text(known.meaning))
+            grid.add_row("  what to do", Text(known.remedy))
+        console.print(grid)
 
 
 def _suspicion_lines(suspicions: Sequence[Suspicion]) -> Iterator[str]:
@@ -150,86 +149,83 @@ def _suspicion_lines(suspicions: Sequence[Suspicion]) -> Iterator[str]:
         yield f"    correction: {suspicion.remedy}"
 
 
-def _fit_table(identification: Identification) -> Table:
-    rows: dict[tuple[str, str], dict[str, float]] = {}
+def _fit_table(identification: Identification) -> Iterator[Table]:
+    fits: dict[tuple[str, str], dict[str, float]] = {}
     for use, predictions in (("fitted", identification.fitted), ("check", identification.checks)):
         for prediction in predictions:
-            rows.setdefault((prediction.experiment, use), {}).update(prediction.fit_percent)
+            fits.setdefault((prediction.experiment, use), {}).update(prediction.fit_percent)
     if not identification.fitted and identification.whole_arm is not None:
-        for name, fits in identification.whole_arm.fit_percent.items():
-            rows[name, "fitted"] = dict(fits)
-    channels = list(dict.fromkeys(name for fits in rows.values() for name in fits))
-    table = printed_table("fit of record", "use", *map(number, channels))
-    for (experiment, use), fits in rows.items():
-        cells = [""] * len(channels)
-        for name, fit in fits.items():
-            cells[channels.index(name)] = percent(fit) if math.isfinite(fit) else "-"
-        table.add_row(Text(experiment), use, *cells)
-    return table
+        for name, of_record in identification.whole_arm.fit_percent.items():
+            fits[name, "fitted"] = dict(of_record)
+    channels = list(dict.fromkeys(name for of_record in fits.values() for name in of_record))
+    rows: list[Row] = []
+    for key, of_record in fits.items():
+        cells = dict.fromkeys(channels, "")
+        cells |= {name: percent(x) if math.isfinite(x) else "-" for name, x in of_record.items()}
+        rows.append((*key, *cells.values()))
+    heads: Row = ("fit of record", "use", *map(number, channels))
+    return table("Fits of the records", heads, rows, heading=False)
 
 
-def _resonance_table(identification: Identification) -> Table:
+def _resonance_table(identification: Identification) -> Iterator[Table]:
     """Resonances of the joints; if only motors were measured, those of the fitted arm."""
-    table = printed_table("resonances [Hz]", "of", number("anti-resonance"), number("resonance"))
+    rows: list[Row] = []
     responses = identification.motor_responses
     by_motor = {joint.joint for joint in identification.joints if joint.method == "motor-response"}
     for joint in identification.joints:
         if not responses or joint.joint not in by_motor:
             modes = (joint.anti_resonance, joint.resonance)
-            cells = (
-                "none"
-                if mode is None
-                else " ± ".join(plus_minus(mode.frequency_hz, mode.frequency_std_hz))
-                for mode in modes
-            )
-            table.add_row(f"joint {joint.joint}", "joint model", *cells)
+            frequencies = (mode_cells(mode)[0] for mode in modes)
+            rows.append((f"joint {joint.joint}", "joint model", *frequencies))
     for response in responses:
         if response.joint in by_motor:
             kinds = (response.anti_resonances_hz, response.resonances_hz)
             cells = (", ".join(f"{value:.4g}" for value in values) for values in kinds)
-            where = Text(f"{response.experiment}, {CONDITION_TEXTS[response.condition]}")
-            table.add_row(f"motor {response.joint}", where, *cells)
-    return table
+            where = f"{response.experiment}, {CONDITION_TEXTS[response.condition]}"
+            rows.append((f"motor {response.joint}", where, *cells))
+    heads: Row = ("resonances [Hz]", "of", number("anti-resonance"), number("resonance"))
+    return table("Resonances", heads, rows, heading=False)
 
 
-def printed_table(*heads: str | Cell) -> Table:
-    """An empty table for the terminal; columns whose head is a number are on the right."""
-    table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold")
-    for head in heads:
-        cell = head if isinstance(head, Cell) else Cell(head)
-        table.add_column(Text(cell.text), justify="right" if cell.kind == "number" else "left")
-    return table
-
-
-def print_tables(console: Console, *tables: Iterable[blocks.Table]) -> None:
-    """Print tables of a page with their titles, without rows that title others."""
-    for each in chain(*tables):
-        table = printed_table(*each.heads)
-        for row in each.rows:
-            if not isinstance(row, blocks.RowGroup):
-                table.add_row(*(Text(cell.text) for cell in row))
-        console.print()
-        console.print(Text(each.label, style="bold"))
-        console.print(table)
-
-
-def _parameter_table(decisions: Sequence[Decision], truth: Truth | None) -> Table:
-    heads: list[str | Cell] = ["parameter", "joint", number("value"), number("± std"), "unit"]
-    if truth is not None:
-        heads += map(number, ("true", "error %"))
-    table = printed_table(*heads)
-    table.columns[0].no_wrap = True
+def _parameter_table(decisions: Sequence[Decision], truth: Truth | None) -> Iterator[Table]:
+    rows: list[Row] = []
     for decision in decisions:
         p = decision.parameter
-        value, std = plus_minus(p.value, p.std)
-        if p.value is None:
-            value, std = "rejected" if decision.rejected else "not identified", ""
-        row = [p.name, str(p.joint or "arm"), value, std, p.unit]
+        row = summary_row(p, is_rejected=decision.rejected is not None)
         if truth is not None:
             true = truth.get(p.key)
             error = ""
             if true and p.value is not None:
                 error = f"{100.0 * (p.value / true - 1.0):+.2f}"
-            row += ["" if true is None else f"{true:.4g}", error]
-        table.add_row(*map(Text, row))
-    return table
+            row = (*row, "" if true is None else f"{true:.4g}", error)
+        rows.append(row)
+    heads = SUMMARY_HEADS
+    if truth is not None:
+        heads = (*heads, *map(number, ("true", "error %")))
+    return table("Parameters", heads, rows, heading=False)
+
+
+def printed_table(cells: Table) -> rich_table.Table:
+    """A table of a page for the terminal, without its label and rows that title others.
+
+    Numbers are on the right, the heads of rows wrap only if they are prose, and a row with a bad
+    cell has the colour of faults.
+    """
+    printed = rich_table.Table(box=None, padding=(0, 1, 0, 0), header_style="bold")
+    for k, head in enumerate(cells.heads):
+        side: Literal["left", "right"] = "right" if head.kind == "number" else "left"
+        printed.add_column(Text(head.text), justify=side, no_wrap=k == 0 and head.kind != "text")
+    for row in cells.rows:
+        if not isinstance(row, RowGroup):
+            is_bad = any(cell.mark == "bad" for cell in row)
+            printed.add_row(*(Text(cell.text) for cell in row), style=_FAULT_STYLE * is_bad)
+    return printed
+
+
+def print_tables(console: Console, *tables: Iterable[Table]) -> None:
+    """Print tables, each after an empty line and under its label if that is visible."""
+    for each in chain(*tables):
+        console.print()
+        if each.heading:
+            console.print(Text(each.label, style="bold"))
+        console.print(printed_table(each))

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from strainwave.fleet.monitoring import output
-from strainwave.report.terminal import printed_table
+from strainwave.report.document.blocks import table
 
 
 @pytest.mark.parametrize(
@@ -21,7 +21,7 @@ def test_p_values_as_text(p: float, text: str) -> None:
 @pytest.mark.parametrize("width", [20, 60])
 def test_tables_are_never_truncated(width: int) -> None:
     text = io.StringIO()
-    table = printed_table("parameter", "value")
-    table.add_row("motor_viscous_friction 1", "1.234567e-04")
-    output.print_table(Console(file=text, width=width), table)
+    rows = [("motor_viscous_friction 1", "1.234567e-04")]
+    tables = table("Parameters", ("parameter", "value"), rows)
+    output.print_tables(Console(file=text, width=width), tables)
     assert "motor_viscous_friction 1 1.234567e-04" in text.getvalue()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
 from jinja2 import UndefinedError
@@ -22,11 +23,14 @@ from strainwave.report.document.blocks import (
     keyed,
     number,
     paragraph,
+    read_figures,
     table,
 )
 from strainwave.report.figures import Axis, Figure, Panel
 from strainwave.report.html import fill_template, typeset
+from strainwave.report.plotly_backend import plotly
 
+FIGURES_START = '<script type="application/json" id="figures">'
 EVIL = '</p><script>alert(1)</script>" onload="alert(1)'
 
 
@@ -98,8 +102,25 @@ def test_every_text_is_escaped() -> None:
     assert 'onload="' not in page
 
 
+def test_the_figures_of_a_page_are_read_from_it(tmp_path: Path) -> None:
+    plot = Plot("a", EVIL, Figure(Axis("x"), (Panel(Axis(EVIL), ()),)))
+    path = tmp_path / "report.html"
+    path.write_text(document(EVIL, EVIL, [Section("one", "One", (plot,))]), encoding="utf-8")
+    assert read_figures(path) == {"a": {"title": EVIL, **plotly(plot.figure)}}
+
+
+@pytest.mark.parametrize(
+    "text", ["", "<html>", f"{FIGURES_START}{{", f"{FIGURES_START}[]", "\udcff"]
+)
+def test_a_damaged_page_has_no_figures(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "report.html"
+    path.write_bytes(text.encode("utf-8", "surrogateescape"))
+    assert read_figures(path) == {}
+    assert read_figures(tmp_path / "missing.html") == {}
+
+
 def test_a_missing_template_value_is_an_error() -> None:
-    with pytest.raises(UndefinedError, match="rows"):
+    with pytest.raises(UndefinedError, match="tables"):
         fill_template("notebook/table", head="", columns=())
 
 

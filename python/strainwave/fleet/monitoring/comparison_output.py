@@ -38,7 +38,6 @@ from strainwave.report.document.blocks import (
 )
 from strainwave.report.document.blocks import document as page_of
 from strainwave.report.figures import Axis, Colour, Figure, Markers, Panel
-from strainwave.report.terminal import printed_table
 
 SCHEMA = "strainwave/comparison/1"
 
@@ -121,13 +120,15 @@ def print_comparison(
         labels = (pair.first, pair.second)
         is_short = all(len(label) <= _MAX_HEADER for label in labels)
         heads = (*(labels if is_short else ("first", "second")), "change %", "z", "adj. p")
-        printed = printed_table("parameter", *map(number, heads), "verdict")
+        rows: list[Row] = []
         for difference in pair.parameters:
             verdict = comparison.verdict(difference)
             values = (plus_minus(p.value, p.std)[0] for p in (difference.first, difference.second))
-            cells = (difference.first.label, *values, *_test_cells(difference), verdict)
-            printed.add_row(*map(Text, cells), style="red" if verdict == DIFFERS else "")
-        output.print_table(console, printed)
+            mark = Cell(verdict, mark="bad" if verdict == DIFFERS else "")
+            rows.append((difference.first.label, *values, *_test_cells(difference), mark))
+        output.print_tables(
+            console, table("Parameters", ("parameter", *map(number, heads), "verdict"), rows)
+        )
         if pair.joint is not None:
             console.print(Text(f"{_ALL_PARAMETERS}: {_describe_test(comparison, pair.joint)}"))
         if pair.left_out:

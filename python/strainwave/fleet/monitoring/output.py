@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from strainwave.io.atomic_files import write_whole
-from strainwave.report.document.blocks import Callout, Mark, Span, paragraph
+from strainwave.report.document.blocks import Callout, Mark, Span, Table, paragraph
+from strainwave.report.terminal import printed_table
 
 _MIN_PRINTED_P = 1e-16  # rounding of the test statistics limits smaller values
 
@@ -23,11 +23,12 @@ def write(name: str, document: dict[str, Any], page: str, folder: Path) -> None:
     write_whole(folder, {f"{name}.json": (text + "\n").encode(), f"{name}.html": page.encode()})
 
 
-def print_table(console: Console, table: Table) -> None:
-    """Print a table without truncation; the terminal wraps rows that are too long."""
-    wide = console.options.update(width=10_000)
-    table.width = table.__rich_measure__(console, wide).maximum
-    console.print(table, crop=False, no_wrap=True, overflow="ignore")
+def print_tables(console: Console, tables: Iterable[Table]) -> None:
+    """Print tables without truncation; the terminal wraps rows that are too long."""
+    for printed in map(printed_table, tables):
+        wide = console.options.update(width=10_000)
+        printed.width = printed.__rich_measure__(console, wide).maximum
+        console.print(printed, crop=False, no_wrap=True, overflow="ignore")
 
 
 def print_end(

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.text import Text
 
 from strainwave.domain.messages.formatting import plus_minus
 from strainwave.domain.results.distributions import CI95_STDS
@@ -32,7 +31,6 @@ from strainwave.report.document.blocks import (
 )
 from strainwave.report.document.blocks import document as page_of
 from strainwave.report.figures import SOLID, Axis, Colour, Figure, Line, Markers, Panel
-from strainwave.report.terminal import printed_table
 
 SCHEMA = "strainwave/trend/1"
 
@@ -128,19 +126,18 @@ def print_trend(
 ) -> None:
     """Print the most significant change of each arm, the verdict, and the files in `folder`."""
     console = console or Console(highlight=False)
-    summary = printed_table(
-        "arm", number("visits"), "parameter", "change", number("%"), number("adj. p")
-    )
+    rows: list[Row] = []
     for arm in trend.arms:
         for k, parameter in enumerate(trend.concerns(arm) or arm.parameters[:1]):
             first = (arm.history.arm, str(len(arm.history.visits))) if k == 0 else ("", "")
             label = "" if parameter.is_likely_chance else parameter.history.label
-            cells = (*first, label, parameter.words, *_test_cells(parameter))
-            style = "red" if parameter.adjusted_p < trend.level else ""
-            summary.add_row(*map(Text, cells), style=style)
+            words = Cell(parameter.words, mark="bad" if parameter.adjusted_p < trend.level else "")
+            rows.append((*first, label, words, *_test_cells(parameter)))
         if not arm.parameters:
-            summary.add_row(Text(arm.history.arm), str(len(arm.history.visits)), "too few visits")
-    output.print_table(console, summary)
+            rows.append((arm.history.arm, str(len(arm.history.visits)), "too few visits"))
+    numbers = map(number, ("%", "adj. p"))
+    heads: Row = ("arm", number("visits"), "parameter", "change", *numbers)
+    output.print_tables(console, table("Arms", heads, rows))
     output.print_end(console, "trend", headline(trend), trend.notes, folder, bad=trend.concern)
 
 

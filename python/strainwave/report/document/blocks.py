@@ -6,13 +6,14 @@ self-contained HTML file.
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import chain, count
 from pathlib import Path
-from typing import ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 from strainwave.report.figures import Figure
 from strainwave.report.html import fill_template, read_template
@@ -251,14 +252,10 @@ def document(
 ) -> str:
     """A complete page that needs no network. `before` precedes the contents and has no figures."""
     from markupsafe import Markup
-    from pydantic_core import to_json  # in a quarter of the time of the standard encoder
 
     filled = [section for section in sections if section.blocks]
     plots = keyed(filled)
     keys = {id(plot): key for key, plot in plots.items()}
-    figures = {key: plotly(plot.figure) | {"title": plot.label} for key, plot in plots.items()}
-    # `<` is escaped because it could end the script element
-    figure_json = to_json(figures, inf_nan_mode="null").decode().replace("<", "\\u003c")
     return fill_template(
         "document/page",
         policy=_POLICY,
@@ -268,9 +265,46 @@ def document(
         sections=filled,
         key_of=lambda plot: keys[id(plot)],
         style=Markup(read_template("document/page.css")),
-        figures=Markup(figure_json),
+        figures=Markup(_figure_element(plots)),
         scripts=[Markup(script) for script in page_scripts()] if plots else [],
     )
+
+
+_FIGURES_START = '<script type="application/json" id="figures">'
+_FIGURES_END = "</script>"
+_MAX_PAGE_BYTES = 64 << 20  # of a page whose figures are read
+
+
+def _figure_element(plots: Mapping[str, Plot]) -> str:
+    """The element with all figures of a page, which the script of the page draws."""
+    from pydantic_core import to_json  # in a quarter of the time of the standard encoder
+
+    figures = {key: plotly(plot.figure) | {"title": plot.label} for key, plot in plots.items()}
+    # `<` is escaped because it could end the element
+    figure_json = to_json(figures, inf_nan_mode="null").decode().replace("<", "\\u003c")
+    return f"{_FIGURES_START}{figure_json}{_FIGURES_END}"
+
+
+def read_figures(page: Path) -> dict[str, dict[str, Any]]:
+    """`title`, `data` and `layout` of the figures that `document` wrote into a page, by key.
+
+    Empty if the file is missing, damaged or no page. Pages of earlier versions have no titles.
+    """
+    try:
+        is_small = page.stat().st_size <= _MAX_PAGE_BYTES
+        text = page.read_text(encoding="utf-8") if is_small else ""
+        # no other text of a page has the start of the element: each `<` of it is escaped
+        figure_json = text.partition(_FIGURES_START)[2].partition(_FIGURES_END)[0]
+        figures: object = json.loads(figure_json or "{}")
+    except (OSError, ValueError):
+        return {}
+    if not isinstance(figures, dict):
+        return {}
+    return {
+        key: {"title": key} | figure
+        for key, figure in figures.items()
+        if isinstance(figure, dict) and isinstance(figure.get("data"), list)
+    }
 
 
 def page_scripts() -> list[str]:

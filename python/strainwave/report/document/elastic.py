@@ -106,13 +106,14 @@ def _resonance_row(joint: JointModel, name: str) -> tuple[str, ...]:
     return (
         str(joint.joint),
         name,
-        *_mode_cells(joint.anti_resonance),
-        *_mode_cells(joint.resonance),
+        *mode_cells(joint.anti_resonance),
+        *mode_cells(joint.resonance),
         " ± ".join(plus_minus(joint.values["gear_stiffness"], std)),
     )
 
 
-def _mode_cells(mode: Mode | None) -> tuple[str, str]:
+def mode_cells(mode: Mode | None) -> tuple[str, str]:
+    """Frequency [Hz] and damping of a mode; "none" if the joint has none."""
     if mode is None:
         return "none", ""
     return (

@@ -41,6 +41,17 @@ _HEADS: tuple[str | Cell, ...] = (
     "stage",
 )
 
+SUMMARY_HEADS: Row = ("parameter", "joint", number("value"), number("± std"), "unit")
+"""Heads of the short table in terminal and notebook."""
+
+
+def summary_row(p: Parameter, *, is_rejected: bool = False) -> Row:
+    """A parameter under `SUMMARY_HEADS`."""
+    numbers = plus_minus(p.value, p.std)
+    if p.value is None:
+        numbers = "rejected" if is_rejected else "not identified", ""
+    return (p.name, str(p.joint or "arm"), *map(number, numbers), p.unit)
+
 
 def descriptions_table(decisions: Sequence[Decision]) -> Iterator[Table]:
     """Symbol and description of every parameter in the table, once."""

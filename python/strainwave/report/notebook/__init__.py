@@ -6,7 +6,7 @@ those of the report, drawn by Matplotlib.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import singledispatch
 from typing import TYPE_CHECKING, Any
@@ -32,6 +32,8 @@ from strainwave.domain import (
 from strainwave.domain.messages.formatting import percent, plus_minus
 from strainwave.errors import InvalidInput
 from strainwave.report.document import bode, elastic, predictions
+from strainwave.report.document.blocks import Row, number, table
+from strainwave.report.document.parameters import SUMMARY_HEADS, summary_row
 from strainwave.report.figures import (
     DASHES,
     PALETTE,
@@ -64,9 +66,6 @@ def picture_of(record: object, **which: Any) -> Drawing:
     return draw(figure_of(record, **which))
 
 
-_PARAMETER_HEADS = ("parameter", "joint", "value", "± std", "unit")
-
-
 @singledispatch
 def table_of(record: object) -> str:
     """A record of `strainwave.domain` as an HTML table."""
@@ -75,24 +74,25 @@ def table_of(record: object) -> str:
 
 def table_of_parameters(parameters: Iterable[Parameter]) -> str:
     """Parameters as a table."""
-    return _html("", _PARAMETER_HEADS, _rows(parameters), ())
+    return _html("", SUMMARY_HEADS, map(summary_row, parameters), ())
 
 
 @table_of.register
 def _(log: Log) -> str:
-    rows = [
-        (name, f"{values.min():.4g}", f"{values.max():.4g}", f"{values.std():.4g}")
+    rows: list[Row] = [
+        (name, *(number(f"{x:.4g}") for x in (values.min(), values.max(), values.std())))
         for name, values in log.channels.items()
     ]
     head = f"log {log.name}: {len(log)} samples every {1e3 * log.sample_time:.4g} ms"
-    return _html(head, ("channel", "minimum", "maximum", "standard deviation"), rows, log.warnings)
+    sizes = map(number, ("minimum", "maximum", "standard deviation"))
+    return _html(head, ("channel", *sizes), rows, log.warnings)
 
 
 @table_of.register
 def _(model: RigidModel) -> str:
     head = f"rigid model, {model.status}: {model.n_rows} equations, condition number "
     head += f"{model.condition_number:.3g}, band to {model.bandwidth_hz:.3g} Hz"
-    return _html(head, _PARAMETER_HEADS, _rows(model.parameters), model.warnings)
+    return _html(head, SUMMARY_HEADS, map(summary_row, model.parameters), model.warnings)
 
 
 @table_of.register
@@ -107,11 +107,11 @@ def _(joint: Decoupled) -> str:
 def _(joint: JointModel) -> str:
     head = f"joint {joint.joint}, {joint.status}, by {joint.method} from "
     head += ", ".join(joint.experiments)
-    rows = _rows(joint.parameters)
+    rows = list(map(summary_row, joint.parameters))
     for name, mode in bode.modes_of(joint):
-        frequency = plus_minus(mode.frequency_hz, mode.frequency_std_hz)
+        frequency = map(number, plus_minus(mode.frequency_hz, mode.frequency_std_hz))
         rows.append((name, str(joint.joint), *frequency, "Hz"))
-    return _html(head, _PARAMETER_HEADS, rows, joint.warnings)
+    return _html(head, SUMMARY_HEADS, rows, joint.warnings)
 
 
 @table_of.register
@@ -137,25 +137,26 @@ def _(response: FrequencyResponse) -> str:
 
 @table_of.register
 def _(sweep: Sweep) -> str:
-    rows = []
+    rows: list[Row] = []
     for point in sweep.points:
         stiffness = " ± ".join(plus_minus(point.gear_stiffness, point.gear_stiffness_std))
-        rows.append((point.experiment, f"{point.amplitude:g}", stiffness))
+        rows.append((point.experiment, *map(number, (f"{point.amplitude:g}", stiffness))))
     head = f"joint {sweep.joint}, stiffness over amplitude: {sweep.verdict}"
-    return _html(head, ("record", "amplitude", "k [N m/rad]"), rows, ())
+    heads = ("record", number("amplitude"), number("k [N m/rad]"))
+    return _html(head, heads, rows, ())
 
 
 @table_of.register
 def _(arm: ArmModel) -> str:
     head = f"whole-arm fit: {arm.end} after {arm.iterations} evaluations"
-    return _html(head, _PARAMETER_HEADS, _rows(arm.parameters), arm.warnings)
+    return _html(head, SUMMARY_HEADS, map(summary_row, arm.parameters), arm.warnings)
 
 
 @table_of.register
 def _(prediction: Prediction) -> str:
-    rows = [(name, percent(fit)) for name, fit in prediction.fit_percent.items()]
+    rows = [(name, number(percent(fit))) for name, fit in prediction.fit_percent.items()]
     head = f"prediction of record {prediction.experiment}"
-    return _html(head, ("channel", "fit"), rows, ())
+    return _html(head, ("channel", number("fit")), rows, ())
 
 
 @table_of.register
@@ -163,23 +164,12 @@ def _(result: Identification) -> str:
     head = f"{result.study.path.name}: {result.verdict.status}"
     if result.reason is not None:
         head += f" ({result.reason})"
-    return _html(head, _PARAMETER_HEADS, _rows(result.parameters), result.warnings)
+    return _html(head, SUMMARY_HEADS, map(summary_row, result.parameters), result.warnings)
 
 
-def _rows(parameters: Iterable[Parameter]) -> list[tuple[str, ...]]:
-    return [
-        (p.name, str(p.joint or "arm"), *plus_minus(p.value, p.std), p.unit) for p in parameters
-    ]
-
-
-def _html(
-    head: str,
-    columns: Iterable[str],
-    rows: Iterable[tuple[str, ...]],
-    warnings: Iterable[Diagnostic],
-) -> str:
-    columns, rows, warnings = tuple(columns), tuple(rows), tuple(warnings)
-    return fill_template("notebook/table", head=head, columns=columns, rows=rows, warnings=warnings)
+def _html(head: str, heads: Row, rows: Iterable[Row], warnings: Sequence[Diagnostic]) -> str:
+    tables = table(head, heads, rows, heading=False)
+    return fill_template("notebook/table", head=head, tables=tables, warnings=warnings)
 
 
 MAX_RELATIVE_STD = 0.3  # of a response: less certain points would hide the others

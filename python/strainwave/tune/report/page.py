@@ -46,7 +46,7 @@ from strainwave.report.figures import (
 from strainwave.tune.design import JointServo, LoopResults, ServoDesign
 from strainwave.tune.handover.json_document import Units
 from strainwave.tune.report import words
-from strainwave.tune.verification import EstimationError, MoveComparison
+from strainwave.tune.verification import EstimationError
 
 _TEXTS: dict[str, str] = tomllib.loads(Path(__file__).with_name("page.toml").read_text("utf-8"))
 """Paragraphs and captions; fields in braces are numbers of the design."""
@@ -71,10 +71,16 @@ def render(design: ServoDesign) -> str:
         factor=10.0 ** (required.gain_db / 20.0),
         amplification=1.0 / required.modulus,
     )
+    designed: tuple[Block, ...] = (
+        *words.gains(design),
+        *words.behaviour(design),
+        paragraph(_TEXTS["law"]),
+        *words.worst_margin_table(design),
+    )
     sections = (
         Section("scope", "Scope of the design", tuple(_scope(design))),
         Section("current", "Current servo", current or (paragraph(_TEXTS["no-servo"]),)),
-        Section("designed", "Designed servo", tuple(_designed(design))),
+        Section("designed", "Designed servo", designed),
         Section("loops", "Open loops", tuple(_loops(design))),
         Section("steps", "Steps of the links", tuple(_steps(design))),
         Section("shapers", "Input shapers", tuple(_shapers(design))),
@@ -86,14 +92,10 @@ def render(design: ServoDesign) -> str:
     )
     n = len(design.joints)
     subtitle = f"{arm.source}: {n} joint{'s' if n > 1 else ''}, {design.n_plants} plants"
-    return document("Servo design", subtitle, sections, before=(_headline(design),))
-
-
-def _headline(design: ServoDesign) -> Callout:
-    required = design.options.required
     lead = _TEXTS["headline"].format(**asdict(required), plants=design.n_plants)
     limits = (words.limit_sentence(design, joint) for joint in design.joints)
-    return Callout("good", (paragraph(Span(lead, strong=True)), *map(_sentence, limits)))
+    headline = Callout("good", (paragraph(Span(lead, strong=True)), *map(_sentence, limits)))
+    return document("Servo design", subtitle, sections, before=(headline,))
 
 
 def _sentence(text: str) -> Block:
@@ -132,13 +134,6 @@ def _scope(design: ServoDesign) -> Iterator[Block]:
     yield from table("Postures and payloads", heads, rows)
 
 
-def _designed(design: ServoDesign) -> Iterator[Block]:
-    yield from words.gains(design)
-    yield from words.behaviour(design)
-    yield paragraph(_TEXTS["law"])
-    yield from words.worst_margin_table(design)
-
-
 def _loops(design: ServoDesign) -> Iterator[Block]:
     for joint in design.joints:
         title = f"Joint {joint.joint}: open loop"
@@ -152,8 +147,15 @@ def _steps(design: ServoDesign) -> Iterator[Block]:
         text = caption
         if joint.current is not None and not joint.current.position_gain:
             text += f" {_TEXTS['pulse-step']}"
+        servos = list(_servos(joint))
+        shown = max(_duration(each.steps.settling, each.steps.time) for *_, each in servos)
+        marks: list[Mark] = []
+        for name, colour, dash, results in servos:
+            steps = results.steps
+            marks += _over_time(steps.time, steps.link, shown, name, colour, dash)
+        figure = Figure(Axis("time [s]"), (Panel(Axis("link angle / step"), tuple(marks)),))
         title = f"Joint {joint.joint}: step of the link"
-        yield Plot(f"step {joint.joint}", title, _steps_of(joint), text)
+        yield Plot(f"step {joint.joint}", title, figure, text)
 
 
 def _shapers(design: ServoDesign) -> Iterator[Block]:
@@ -206,8 +208,14 @@ def _moves(design: ServoDesign) -> Iterator[Block]:
     if any(joint.current and not joint.current.position_gain for joint in design.joints):
         yield paragraph(_TEXTS["pulse-move"])
     for move in design.moves:
-        title = f"Joint {move.joint}: step and planned move"
-        yield Plot(f"move {move.joint}", title, _moves_of(move))
+        settling = np.array([move.step.settling, move.planned.settling])
+        shown = _duration(settling, move.time)
+        marks = [
+            *_over_time(move.time, move.step_link, shown, "step", Colour.MEASURED, SHORT_DASH),
+            *_over_time(move.time, move.planned_link, shown, "planned", Colour.MODEL, SOLID),
+        ]
+        figure = Figure(Axis("time [s]"), (Panel(Axis("link angle / move"), tuple(marks)),))
+        yield Plot(f"move {move.joint}", f"Joint {move.joint}: step and planned move", figure)
 
 
 def _trial(design: ServoDesign) -> Iterator[Block]:
@@ -245,28 +253,6 @@ def _loops_of(joint: JointServo, required: float) -> Figure:
         Panel(Axis("|1 + L|", range=(0.0, _FARTHEST)), tuple(distance)),
     )
     return Figure(FREQUENCY_AXIS, panels)
-
-
-def _steps_of(joint: JointServo) -> Figure:
-    """Steps of the link, with the band over all plants."""
-    servos = list(_servos(joint))
-    shown = max(_duration(results.steps.settling, results.steps.time) for *_, results in servos)
-    marks: list[Mark] = []
-    for name, colour, dash, results in servos:
-        steps = results.steps
-        marks += _over_time(steps.time, steps.link, shown, name, colour, dash)
-    return Figure(Axis("time [s]"), (Panel(Axis("link angle / step"), tuple(marks)),))
-
-
-def _moves_of(move: MoveComparison) -> Figure:
-    """A step and the planned move, with the band over the simulated draws."""
-    settling = np.array([move.step.settling, move.planned.settling])
-    shown = _duration(settling, move.time)
-    marks = [
-        *_over_time(move.time, move.step_link, shown, "step", Colour.MEASURED, SHORT_DASH),
-        *_over_time(move.time, move.planned_link, shown, "planned", Colour.MODEL, SOLID),
-    ]
-    return Figure(Axis("time [s]"), (Panel(Axis("link angle / move"), tuple(marks)),))
 
 
 def _estimation_of(one: EstimationError) -> Figure:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -27,6 +26,7 @@ from strainwave.export.state_space import Matrices, joint_model, state_space
 from strainwave.fleet.monitoring import comparison as monitoring
 from strainwave.fleet.monitoring.comparison_output import to_document
 from strainwave.fleet.monitoring.result_estimates import read_estimates
+from strainwave.report.document.blocks import read_figures
 from strainwave.report.figures import DASHES, PALETTE, Axis, Figure, Line, Markers, Panel
 from strainwave.report.figures.curves import Curve, bode
 from strainwave.report.plotly_backend import plotly
@@ -196,27 +196,6 @@ def check_fits(results: Sequence[NamedResult]) -> list[dict[str, Any]]:
     ]
 
 
-_MAX_BYTES = 64 << 20  # of a report
-
-
-def report_figures(path: Path) -> dict[str, dict[str, Any]]:
-    """`title`, `data` and `layout` of the figures of a report, by key.
-
-    Empty if the file is missing, damaged or no report. Reports of earlier versions have no titles.
-    """
-    try:
-        text = path.read_text(encoding="utf-8") if path.stat().st_size <= _MAX_BYTES else ""
-        json_text = text.partition(' id="figures">')[2].partition("</script>")[0]
-        figures: dict[str, dict[str, Any]] = json.loads(json_text or "{}")
-    except (OSError, ValueError):
-        return {}
-    return {
-        key: {"title": key} | figure
-        for key, figure in figures.items()
-        if isinstance(figure, dict) and isinstance(figure.get("data"), list)
-    }
-
-
 routes = Routes()
 
 _MAX_RESULTS = 200  # listed
@@ -265,7 +244,7 @@ def compare(request: Request, body: Body) -> object:
         document = to_document(monitoring.compare(estimates))
     except InvalidInput as error:
         note = message_of(request, error)
-    first = report_figures(results[0].path.parent / "report.html")
+    first = read_figures(results[0].path.parent / "report.html")
     return {
         "names": [one.name for one in results],
         "rows": parameter_rows(results),
@@ -297,7 +276,7 @@ def report_figure(request: Request, body: Body) -> object:
     key = body.get("key")
     shown = []
     for one in _chosen(request, body.get("paths")):
-        figure = report_figures(one.path.parent / "report.html").get(str(key))
+        figure = read_figures(one.path.parent / "report.html").get(str(key))
         shown.append({"name": one.name, "figure": figure})
     return shown
 

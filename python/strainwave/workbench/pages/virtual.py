@@ -155,7 +155,11 @@ def _show_virtual(request: Request) -> Response:
 def record_and_identify(request: Request, body: Body) -> object:
     """Simulate the records of a virtual arm in a new folder, and identify it from them."""
     workspace = workspace_of(request)
-    folder = _new_folder(workspace.folder)
+    for number in count(1):
+        folder = workspace.folder / f"virtual-{number}"
+        with suppress(FileExistsError):
+            folder.mkdir()
+            break
     try:
         rig = virtual_rig(body, folder)
     except InvalidInput:
@@ -174,15 +178,6 @@ def record_and_identify(request: Request, body: Body) -> object:
     ]
     run = runs.start(_RUN, "virtual", commands)
     return describe(run) | {"study": workspace.relative(folder / "study.toml")}
-
-
-def _new_folder(parent: Path) -> Path:
-    for number in count(1):
-        folder = parent / f"virtual-{number}"
-        with suppress(FileExistsError):
-            folder.mkdir()
-            break
-    return folder
 
 
 @routes.get("/api/virtual/{study:path}")
