@@ -23,7 +23,7 @@ MEASURED = 1.0 + 2.0 * TIME + 0.1 * RNG.normal(size=N_ROWS)
 
 def fit_of(columns: FloatArray) -> Fit:
     """Least squares fit of one record with one channel, with unit weights."""
-    z = np.linalg.lstsq(columns, MEASURED)[0].astype(np.float64)
+    z: FloatArray = np.asarray(np.linalg.lstsq(columns, MEASURED)[0], dtype=np.float64)
     residual = (columns @ z - MEASURED)[:, None]
     evaluated = Evaluation(residual, columns[:, None, :], np.zeros(0), ())
     rows = Rows(residual, np.ones_like(residual), evaluated, np.ones(1), np.zeros(0))
