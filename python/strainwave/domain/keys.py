@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,14 @@ IntArray = NDArray[np.int_]
 ComplexArray = NDArray[np.complex128]
 
 
-Key = tuple[str, int | None]
-"""Name of a parameter and its joint, from 1; None for parameters of the whole arm."""
+JointNumber: TypeAlias = int
+"""A joint as people count: from 1, at the base. Study files, results and messages have these."""
+
+JointIndex: TypeAlias = int
+"""A joint as a column or an element of an array: from 0."""
+
+Key = tuple[str, JointNumber | None]
+"""Name of a parameter and its joint; None for parameters of the whole arm."""
 
 Values = dict[Key, float]
 """Parameter values."""

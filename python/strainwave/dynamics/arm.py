@@ -32,7 +32,7 @@ from strainwave.domain.arm.kinds import RigidColumn
 from strainwave.domain.arm.link_sensors import low_passes
 from strainwave.domain.arm.parameter_table import family_of
 from strainwave.domain.arm.parameters import complete_values
-from strainwave.domain.keys import Key, Row, Values
+from strainwave.domain.keys import JointNumber, Key, Row, Values
 from strainwave.errors import InvalidInput, NumericalFailure
 
 MAX_TIME_STEP = 1.25e-4
@@ -170,8 +170,8 @@ class Arm(ArmDescription):
         """Inertias that rigid motion does not separate into motor and link, as rows."""
         return lumped_inertias(self)
 
-    def link_inertia(self, joint: int) -> Row:
-        """m_L of (3) for a joint, from 1, with the arm stretched: a row over the parameters."""
+    def link_inertia(self, joint: JointNumber) -> Row:
+        """m_L of (3) for a joint with the arm stretched: a row over the parameters."""
         return link_inertia(self, joint)
 
     def parameter_vector(self, values: Values) -> FloatArray:

@@ -16,7 +16,7 @@ from strainwave.domain.arm.combinations import value_of
 from strainwave.domain.arm.link_sensors import installed_axes
 from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.arm.parameters import complete_values
-from strainwave.domain.keys import Values
+from strainwave.domain.keys import JointNumber, Values
 from strainwave.domain.results.stage_results import ASSUMED_TORQUE_ERROR
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory, measure, simulate
@@ -145,9 +145,9 @@ class ExcitationBand:
 
 
 def band_of(
-    arm: Arm, values: Values, joint: int, posture: FloatArray | None = None
+    arm: Arm, values: Values, joint: JointNumber, posture: FloatArray | None = None
 ) -> ExcitationBand | None:
-    """Band of one joint, from 1, with the others at rest; None if the gear is rigid.
+    """Band of one joint with the others at rest; None if the gear is rigid.
 
     The zeros of (17) give omega_a^2 = k/m_L and the width (d_L + d_G)/m_L; the poles give omega_r.
     The link inertia is that in a posture (n_joints,); without one, that of the stretched arm. The

@@ -11,6 +11,7 @@ from strainwave.domain import Control, Experiment, FloatArray, Prbs
 from strainwave.domain.arm.link_sensors import installed_axes
 from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.arm.link_sensors.single_axis import Accelerometer
+from strainwave.domain.keys import JointNumber
 from strainwave.dynamics import excitation
 from strainwave.dynamics.simulation import Drive, SensorNoise
 from strainwave.errors import InvalidInput
@@ -45,7 +46,7 @@ class Signal:
     """One joint's excitation of unit amplitude."""
 
     guess: GuessedArm
-    joint: int  # from 1
+    joint: JointNumber
     kind: Kind
     clock: float  # [s]
     order: int  # of the PRBS

@@ -17,6 +17,7 @@ import numpy as np
 
 from strainwave.domain import ArmDescription, FloatArray
 from strainwave.domain.arm.base_parameters import transmission
+from strainwave.domain.keys import JointNumber
 from strainwave.dynamics.arm import Arm
 from strainwave.export.source import IdentifiedArm
 
@@ -29,8 +30,8 @@ class Coordinates:
     motor_angles: FloatArray  # theta_M, (n_joints, n_elastic + n_joints)
     torsions: FloatArray  # C N theta_M - q of the elastic joints, (n_elastic, n_elastic + n_joints)
 
-    def has_own_motor(self, joint: int) -> bool:
-        """Whether the motor of a rigid joint, from 1, turns with this joint's link only."""
+    def has_own_motor(self, joint: JointNumber) -> bool:
+        """Whether the motor of a rigid joint turns with this joint's link only."""
         others = np.delete(self.motor_angles[joint - 1], len(self.elastic) + joint - 1)
         return not others.any()
 

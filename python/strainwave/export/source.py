@@ -25,7 +25,7 @@ from strainwave.domain.arm.combinations import is_rigid_drive, lumped_inertias, 
 from strainwave.domain.arm.description import Urdf
 from strainwave.domain.arm.kinds import kind_of
 from strainwave.domain.arm.parameters import complete_values
-from strainwave.domain.keys import Values
+from strainwave.domain.keys import JointNumber, Values
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import read_bytes
 from strainwave.io.results import (
@@ -114,8 +114,8 @@ class IdentifiedArm:
             arm = arm.with_joint(number, torque_per_volt=self.need("torque_per_volt", number))
         return replace(self, study=replace(self.study, arm=arm))
 
-    def joint(self, number: int) -> Joint:
-        """The configuration of a joint, numbered from 1; `InvalidInput` if there is none."""
+    def joint(self, number: JointNumber) -> Joint:
+        """The configuration of a joint; `InvalidInput` if there is none."""
         if not 1 <= number <= self.study.arm.n_joints:
             raise InvalidInput(
                 f"there is no joint {number}: the arm has {self.study.arm.n_joints}",

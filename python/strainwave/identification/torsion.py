@@ -32,6 +32,7 @@ from strainwave.domain import (
 from strainwave.domain.arm.description import unit_in
 from strainwave.domain.arm.gear_laws import STIFFNESS
 from strainwave.domain.arm.kinds.base import MOTOR_SHARE
+from strainwave.domain.keys import JointIndex, JointNumber
 from strainwave.domain.results.distributions import student_quantile
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import link_motion, torsion_motion
@@ -65,9 +66,9 @@ class _TorsionRows:
 
 
 def fit_torsions(
-    logs: Sequence[Log], model: RigidModel, arm: Arm, joints: Sequence[int]
+    logs: Sequence[Log], model: RigidModel, arm: Arm, joints: Sequence[JointNumber]
 ) -> tuple[tuple[TorsionFit, ...], tuple[Diagnostic, ...]]:
-    """Estimate the stiffness of joints, numbered from 1, from records of slow motion.
+    """Estimate the stiffness of joints from records of slow motion.
 
     Joints without torsion in any record are left out. A joint whose torsion does not follow its
     torque gets a warning instead of an estimate.
@@ -136,8 +137,8 @@ class _TorsionRegression:
     block: IntArray  # (n_rows,) of the jackknife
 
     @staticmethod
-    def of(records: Sequence[_TorsionRows], joint: int) -> _TorsionRegression | None:
-        """The rows of a joint, from 0; None if there are too few."""
+    def of(records: Sequence[_TorsionRows], joint: JointIndex) -> _TorsionRegression | None:
+        """The rows of a joint; None if there are too few."""
         parts = [(r, r.valid[:, joint]) for r in records if r.valid[:, joint].any()]
         per_record = max(2, round(_BLOCKS / max(1, len(parts))))
         blocks = [k * per_record + (per_record * r.phase[at]) for k, (r, at) in enumerate(parts)]
@@ -162,9 +163,9 @@ class _TorsionRegression:
 
 
 def _fit_joint(
-    records: Sequence[_TorsionRows], model: RigidModel, arm: Arm, joint: int
+    records: Sequence[_TorsionRows], model: RigidModel, arm: Arm, joint: JointNumber
 ) -> TorsionFit | Diagnostic:
-    """The stiffness of one joint, from 1, with its interval; a warning without one."""
+    """The stiffness of one joint with its interval; a warning without one."""
     key, lacking = (STIFFNESS, joint), Diagnostic("no-torsion", Place(joint=joint), joint=joint)
     equations = _TorsionRegression.of(records, joint - 1)
     if equations is None:

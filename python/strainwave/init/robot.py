@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from strainwave.domain import FloatArray, JointLimits
+from strainwave.domain.keys import JointNumber
 from strainwave.errors import InvalidInput
 from strainwave.init.names import MAX_JOINTS, position, words_of
 from strainwave.io.urdf import UrdfJoint, read_chains, read_urdf
@@ -27,7 +28,7 @@ _LIMIT_TOLERANCE = 0.2
 class Motion(NamedTuple):
     """Motion of a joint in a record."""
 
-    joint: int  # from 1
+    joint: JointNumber
     angle: FloatArray  # (n_samples,) [rad, m]
     period: float  # [s] sampling period
 
@@ -35,7 +36,7 @@ class Motion(NamedTuple):
 class NamedJoint(NamedTuple):
     """A joint of the URDF that a name contains."""
 
-    number: int  # from 1
+    number: JointNumber
     words: Words  # words of the name that are the joint's
 
 

@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import Correction, FloatArray, Lag, channel_parts
+from strainwave.domain.keys import JointIndex, JointNumber
 from strainwave.dynamics.arm import Arm
 from strainwave.input_check.evidence import Evidence, PredictedSignal, SlowRecord, is_slow
 from strainwave.numerics.filters import apply_lags, differentiate, low_pass
@@ -92,8 +93,10 @@ def regress_readings(evidence: Evidence) -> Iterator[tuple[str, list[PredictedSi
                 yield name, [each for each in readings if each is not None]
 
 
-def _recall(record: SlowRecord, evidence: Evidence, kind: str, i: int) -> PredictedSignal | None:
-    """Regression of a channel of joint i (from 0), computed once per hypothesis about its sources.
+def _recall(
+    record: SlowRecord, evidence: Evidence, kind: str, i: JointIndex
+) -> PredictedSignal | None:
+    """Regression of a channel of joint i, computed once per hypothesis about its sources.
 
     A link moves with the motors up to its own, or with all if the motors are coupled.
     """
@@ -187,9 +190,9 @@ def recall_motion(record: SlowRecord, evidence: Evidence, *, is_kept: bool = Tru
 
 
 def _predicted_parts(
-    arm: Arm, motion: JointMotion, kind: str, i: int
+    arm: Arm, motion: JointMotion, kind: str, i: JointIndex
 ) -> dict[str, FloatArray] | None:
-    """Parts whose sum is the predicted reading of a channel of joint i, from 0.
+    """Parts whose sum is the predicted reading of a channel of joint i.
 
     Returns None if the study does not give the distance of the accelerometer.
     """
@@ -208,9 +211,9 @@ def _predicted_parts(
 
 
 def _tilt_derivatives(
-    arm: Arm, motion: JointMotion, kind: str, i: int
+    arm: Arm, motion: JointMotion, kind: str, i: JointIndex
 ) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Derivatives of a reading of joint i, from 0, by the tilt of the base and the encoder zeros.
+    """Derivatives of a reading of joint i by the tilt of the base and the encoder zeros.
 
     The tilt of a horizontal arm adds gravity along the axes of the base. The tilt of an arm under
     gravity rotates the known gravity. The zero of an encoder rotates the acceleration of the
@@ -225,9 +228,9 @@ def _tilt_derivatives(
 
 
 def _regress_channel(
-    record: SlowRecord, evidence: Evidence, motion: JointMotion, kind: str, i: int
+    record: SlowRecord, evidence: Evidence, motion: JointMotion, kind: str, i: JointIndex
 ) -> PredictedSignal | None:
-    """Regress a channel of joint i (from 0); None if the record does not determine it."""
+    """Regress a channel of joint i; None if the record does not determine it."""
     name, arm = f"{kind}{i + 1}", evidence.arm
     T, parts = record.sample_time, _predicted_parts(arm, motion, kind, i)
     if parts is None:
@@ -307,8 +310,8 @@ def _regress_channel(
     )
 
 
-def _rotations(arm: Arm, motion: JointMotion, kind: str, i: int) -> list[FloatArray]:
-    """Parts of the rotation in a reading of link i, from 0: of its joint, of the joints before.
+def _rotations(arm: Arm, motion: JointMotion, kind: str, i: JointIndex) -> list[FloatArray]:
+    """Parts of the rotation in a reading of link i: of its joint, of the joints before.
 
     Empty if the reading does not contain both.
     """
@@ -348,8 +351,8 @@ def compare_motor_signals(evidence: Evidence) -> Iterator[PredictedSignal]:
             yield from evidence.cache.recall(setting, signals, compute)
 
 
-def _compare_motor(evidence: Evidence, record: SlowRecord, i: int) -> list[PredictedSignal]:
-    """Comparisons of the signals of motor i, from 1."""
+def _compare_motor(evidence: Evidence, record: SlowRecord, i: JointNumber) -> list[PredictedSignal]:
+    """Comparisons of the signals of motor i."""
     signals, T, servo = record.channels, record.sample_time, evidence.arm.servo
     angle, velocity, reference = f"theta_m{i}", f"omega_m{i}", signals.get(f"ref{i}")
     motor, sensor, rate = f"torque{i}", f"tau_l{i}", differentiate(signals[f"theta_m{i}"], T)

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from strainwave.domain import ComplexArray, Delay, FloatArray, Log, Prbs, channel_parts
+from strainwave.domain.keys import JointIndex
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import band_passes
 from strainwave.numerics.linalg import singular_values
@@ -193,8 +194,8 @@ class DelayProfile:
     sample_time: float  # [s] of the log
 
 
-def compute_delay_profile(log: Log, arm: Arm, i: int) -> DelayProfile | None:
-    """Delay profile of joint i, from 0. Returns None if the record does not determine the delay."""
+def compute_delay_profile(log: Log, arm: Arm, i: JointIndex) -> DelayProfile | None:
+    """Delay profile of joint i. Returns None if the record does not determine the delay."""
     record, T = prepare_record(log, arm), log.sample_time
     top = _BAND_SHARE * record.bands_hz[i]
     motor = record.inputs[i]

@@ -15,6 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, IntArray, channel_parts
+from strainwave.domain.keys import JointIndex, JointNumber
 from strainwave.dynamics.arm import Arm
 from strainwave.input_check.evidence import Evidence, PredictedSignal, SlowRecord, is_slow
 from strainwave.input_check.sensors import recall_motion
@@ -105,8 +106,8 @@ def compute_motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
     return DriveLaw.of(arm.joints[i]).command(record.channels[name])
 
 
-def effort_channel(channels: Collection[str], joint: int) -> str | None:
-    """Channel of the effort of a joint, from 1: of its motor, or of a sensor behind the gear."""
+def effort_channel(channels: Collection[str], joint: JointNumber) -> str | None:
+    """Channel of the effort of a joint: of its motor, or of a sensor behind the gear."""
     names = (f"{kind}{joint}" for kind in EFFORTS)
     return next((name for name in names if name in channels), None)
 
@@ -125,7 +126,7 @@ class TorqueRows:
     """Rows of one joint in one record."""
 
     record: SlowRecord
-    joint: int  # from 1
+    joint: JointNumber
     torque: FloatArray  # (n_rows,) [N m] about its mean
     at: IntArray  # (n_rows,) numbers of the rows in the record, of `n_rows`
     n_rows: int
@@ -202,11 +203,11 @@ def torque_rows(
 def _block(
     evidence: Evidence,
     record: SlowRecord,
-    i: int,
+    i: JointIndex,
     stretches: Sequence[slice],
     of_motors: FloatArray,
 ) -> TorqueRows | None:
-    """Rows of joint i, from 0, in a record; None if the motor or its torque does not vary."""
+    """Rows of joint i in a record; None if the motor or its torque does not vary."""
     motion = _recall_basis(evidence, record, i, stretches)
     if motion is None:
         return None
@@ -244,9 +245,9 @@ def _motor_torques(
 
 
 def _recall_basis(
-    evidence: Evidence, record: SlowRecord, i: int, stretches: Sequence[slice]
+    evidence: Evidence, record: SlowRecord, i: JointIndex, stretches: Sequence[slice]
 ) -> tuple[BoolArray, FloatArray, FloatArray] | None:
-    """Sliding rows of joint i, from 0, what its motor and friction explain, and a basis of it.
+    """Sliding rows of joint i, what its motor and friction explain, and a basis of it.
 
     All inner rows if the sliding ones are too few. None if the motor does not move.
     """
@@ -304,9 +305,9 @@ def regress_torques(evidence: Evidence) -> Iterator[PredictedSignal]:
 
 
 def _regress_torque(
-    evidence: Evidence, records: Sequence[SlowRecord], i: int
+    evidence: Evidence, records: Sequence[SlowRecord], i: JointIndex
 ) -> PredictedSignal | None:
-    """Regress the torque of joint i (from 0) over records, with one constant per record.
+    """Regress the torque of joint i over records, with one constant per record.
 
     A spring to ground opposes the acceleration of an oscillation, as a wrong sign does. An inertia
     is therefore negative only if it is so with a spring.

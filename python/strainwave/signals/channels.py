@@ -10,6 +10,7 @@ import numpy as np
 
 from strainwave.domain import BoolArray, Decoupled, Diagnostic, FloatArray, Joint, Lag, Log, Place
 from strainwave.domain.arm.link_sensors import sensor_of
+from strainwave.domain.keys import JointNumber
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, RecordTooShort
 from strainwave.signals.standstill import runs_of
@@ -28,7 +29,7 @@ class MotorInput:
     """Logged input of one motor: its torque, or the voltage command of its drive."""
 
     kind: InputKind
-    joint: int  # from 1
+    joint: JointNumber
     values: FloatArray  # (n_samples,) [N m] or [V]
 
     @classmethod

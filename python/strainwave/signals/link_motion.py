@@ -22,6 +22,7 @@ from strainwave.domain import (
     Log,
     Place,
 )
+from strainwave.domain.keys import JointIndex
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import MAX_SENSOR_DELAY, shift_samples
 from strainwave.errors import InvalidInput
@@ -229,14 +230,14 @@ class _FilteredLog:
             return signal
         return low_pass(signal, self.bandwidth_hz, self.log.sample_time)
 
-    def held(self, i: int) -> bool:
-        """Whether the torque of joint i (from 0) is constant between samples."""
+    def held(self, i: JointIndex) -> bool:
+        """Whether the torque of joint i is constant between samples."""
         loop = self.arm.joints[i].current_loop_hz
         voltage = self.record.inputs[i].is_voltage
         return voltage and loop is None and not self.shared and self.bandwidth_hz is None
 
-    def torque(self, i: int) -> FloatArray:
-        """Motor torque of joint i (from 0); a voltage passes the hold and the current loop."""
+    def torque(self, i: JointIndex) -> FloatArray:
+        """Motor torque of joint i; a voltage passes the hold and the current loop."""
         motor = self.record.inputs[i]
         if not motor.is_voltage:
             return self.through(motor.values)

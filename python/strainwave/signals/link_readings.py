@@ -20,6 +20,7 @@ from strainwave.domain import FloatArray, Joint
 from strainwave.domain.arm.link_sensors import sensor_of
 from strainwave.domain.arm.link_sensors.imu import ImuGyros
 from strainwave.domain.arm.link_sensors.link_space import attitude, axes_about
+from strainwave.domain.keys import JointIndex
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate
 
@@ -45,8 +46,8 @@ class JointMotion:
         rest = np.zeros_like(angle)
         return cls(angle, rest, rest)
 
-    def without(self, i: int) -> Self:
-        """The motion without rate and acceleration of joint i, from 0."""
+    def without(self, i: JointIndex) -> Self:
+        """The motion without rate and acceleration of joint i."""
         others = np.arange(self.angle.shape[1]) != i
         return replace(
             self, velocity=self.velocity * others, acceleration=self.acceleration * others
@@ -57,8 +58,8 @@ class JointMotion:
         return arm.link_motion(self.angle, self.velocity, self.acceleration)
 
 
-def accelerometer_parts(arm: Arm, motion: JointMotion, i: int) -> dict[str, FloatArray]:
-    """Parts of the reading of the accelerometer on link i, from 0, each (n_samples,) [m/s^2].
+def accelerometer_parts(arm: Arm, motion: JointMotion, i: JointIndex) -> dict[str, FloatArray]:
+    """Parts of the reading of the accelerometer on link i, each (n_samples,) [m/s^2].
 
     "own-joint" is the rotation of the link about its frame's origin, or the motion of a slide;
     "origin-motion" is the acceleration of that origin.
@@ -73,8 +74,10 @@ def accelerometer_parts(arm: Arm, motion: JointMotion, i: int) -> dict[str, Floa
     return {"own-joint": rotation, "origin-motion": force - gravity, "gravity": gravity}
 
 
-def imu_parts(arm: Arm, motion: JointMotion, kind: str, i: int) -> dict[str, FloatArray] | None:
-    """Parts of the reading of one axis of the IMU on link i, from 0: of motion and of gravity.
+def imu_parts(
+    arm: Arm, motion: JointMotion, kind: str, i: JointIndex
+) -> dict[str, FloatArray] | None:
+    """Parts of the reading of one axis of the IMU on link i: of motion and of gravity.
 
     A gyro reads w . e, an accelerometer (f + dw x r + w x (w x r)) . e, where r is the place and e
     the axis of the sensor. None if the study does not give them.
@@ -95,19 +98,19 @@ def imu_parts(arm: Arm, motion: JointMotion, kind: str, i: int) -> dict[str, Flo
     return {"own-joint": (force + rotation) @ axis - gravity, "gravity": gravity}
 
 
-def read_accelerometer(arm: Arm, motion: JointMotion, i: int) -> FloatArray:
-    """Reading of the accelerometer on link i, from 0: (n_samples,) [m/s^2]."""
+def read_accelerometer(arm: Arm, motion: JointMotion, i: JointIndex) -> FloatArray:
+    """Reading of the accelerometer on link i: (n_samples,) [m/s^2]."""
     joint, link = arm.joints[i], motion.links(arm)[:, i]
     return np.asarray(link[:, 6:] @ _direction(joint) + _rotation(joint, link))
 
 
-def read_rotation(arm: Arm, motion: JointMotion, i: int) -> FloatArray:
-    """Contribution of the rotation of link i, from 0, to the reading of its accelerometer."""
+def read_rotation(arm: Arm, motion: JointMotion, i: JointIndex) -> FloatArray:
+    """Contribution of the rotation of link i to the reading of its accelerometer."""
     return _rotation(arm.joints[i], motion.links(arm)[:, i])
 
 
-def read_gyro(arm: Arm, motion: JointMotion, i: int) -> FloatArray:
-    """Reading of the gyro on link i, from 0: (n_samples,) [rad/s]."""
+def read_gyro(arm: Arm, motion: JointMotion, i: JointIndex) -> FloatArray:
+    """Reading of the gyro on link i: (n_samples,) [rad/s]."""
     return np.asarray(motion.links(arm)[:, i, :3] @ axes_about(arm.joints[i].axis)[2])
 
 

@@ -23,7 +23,7 @@ from strainwave.domain.arm.link_sensors.link_space import (
     axes_about,
 )
 from strainwave.domain.arm.link_sensors.single_axis import ACCELEROMETER_DISTANCE, Accelerometer
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import JointNumber, Key
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import low_pass
 from strainwave.signals.channels import unmeasured
@@ -71,8 +71,8 @@ def estimate_mounting_starts(
     return starting_values
 
 
-def axes_on(logs: Sequence[Log], arm: Arm, joint: int) -> tuple[SensorAxis, ...]:
-    """Sensor axes on the link of a joint (from 1) in any of the records, without duplicates."""
+def axes_on(logs: Sequence[Log], arm: Arm, joint: JointNumber) -> tuple[SensorAxis, ...]:
+    """Sensor axes on the link of a joint in any of the records, without duplicates."""
     axes_per_log = (mounted_axes(arm, joint, log.channels) for log in logs)
     return tuple(dict.fromkeys(axis for axes in axes_per_log for axis in axes))
 

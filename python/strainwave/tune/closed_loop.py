@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from strainwave.domain import BoolArray, ComplexArray, ControlLaw, FloatArray, IntArray
+from strainwave.domain.keys import JointIndex
 from strainwave.numerics.parallel import run_parallel
 from strainwave.tune.margins import band_over
 from strainwave.tune.plants import Plants
@@ -272,8 +273,8 @@ def are_stable(poles: ComplexArray) -> BoolArray:
     return np.asarray(np.abs(poles).max(axis=1) <= 1.0 + _POLE_TOLERANCE)
 
 
-def close(plants: SampledPlants, laws: Sequence[ControlLaw], joint: int) -> ClosedLoop:
-    """Close the loops of all joints; the reference is that of one joint, from 0."""
+def close(plants: SampledPlants, laws: Sequence[ControlLaw], joint: JointIndex) -> ClosedLoop:
+    """Close the loops of all joints; the reference is that of one joint."""
     count, n = plants.A.shape[:2]
     sizes = [len(law.A) for law in laws]
     starts = n + np.concatenate([[0], np.cumsum(sizes)]).astype(int)

@@ -20,6 +20,7 @@ import numpy as np
 
 from strainwave.domain import ControlLaw, FloatArray, IntArray
 from strainwave.domain.arm.control_law import MAX_LAW_STATES
+from strainwave.domain.keys import JointNumber
 from strainwave.tune.cascade_tuning import Loops
 from strainwave.tune.closed_loop import Gains, SampledPlants, are_stable, close
 from strainwave.tune.margins import Margins, Requirements
@@ -55,7 +56,7 @@ class DampingRatios:
 class Damping:
     """Feedback of the torsion of one joint, and the damping of the links with that of all."""
 
-    joint: int  # from 1
+    joint: JointNumber
     gains: tuple[float, float]  # of torsion [1/s] and its rate [1], at the motor; zero: not used
     reason: str  # why it is not used; empty otherwise
     without: DampingRatios

@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 
 from strainwave.domain import FloatArray, IntArray, Payload
-from strainwave.domain.keys import label_of
+from strainwave.domain.keys import JointNumber, label_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.export.source import IdentifiedArm
@@ -76,7 +76,7 @@ class LoopResults:
 class JointServo:
     """Servo of one joint: the designed one, and the current one for comparison."""
 
-    joint: int  # from 1
+    joint: JointNumber
     tuned: TunedJoint
     results: LoopResults
     current: Gains | None

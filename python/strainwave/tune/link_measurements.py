@@ -25,6 +25,7 @@ from strainwave.domain.arm.link_sensors.single_axis import (
     TorqueSensor,
     TorsionSensor,
 )
+from strainwave.domain.keys import JointIndex, JointNumber
 from strainwave.dynamics.arm import Arm
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise
@@ -90,9 +91,9 @@ def with_places(arm: IdentifiedArm) -> Arm:
 
 
 def measurements_of(
-    arm: IdentifiedArm, number: int, mode_hz: float, period: float, noise: IdentifiedNoise
+    arm: IdentifiedArm, number: JointNumber, mode_hz: float, period: float, noise: IdentifiedNoise
 ) -> tuple[tuple[Measurement, ...], tuple[str, ...]]:
-    """The readings of a joint, from 1, and the sensors that are not used with their reasons.
+    """The readings of a joint and the sensors that are not used with their reasons.
 
     `mode_hz` is the frequency of the link while the motor is held.
     """
@@ -113,10 +114,10 @@ def measurements_of(
     return tuple(used), tuple(unused)
 
 
-def known_part(one: Measurement, model: Arm, motion: JointMotion, i: int) -> FloatArray:
+def known_part(one: Measurement, model: Arm, motion: JointMotion, i: JointIndex) -> FloatArray:
     """Part of a reading that the other joints and gravity cause: (n_samples,).
 
-    `motion` is the planned motion of all joints, i the joint, from 0.
+    `motion` is the planned motion of all joints, i the joint.
     """
     total = np.zeros(len(motion.angle))
     for axis, weight in zip(one.axes, one.weights, strict=True) if one.axes else ():

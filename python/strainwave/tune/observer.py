@@ -22,6 +22,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 from strainwave.domain import FloatArray, Joint
 from strainwave.domain.arm.link_sensors.link_space import Quantity
+from strainwave.domain.keys import JointNumber
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import TwoInertia
 from strainwave.errors import InvalidInput
@@ -140,7 +141,7 @@ class Observer:
         xh = x + L (y - C x - D t_int),   x+ = A xh + B (u, t_int)
     """
 
-    joint: int  # from 1
+    joint: JointNumber
     period: float  # [s]
     A: FloatArray  # (n, n)
     B: FloatArray  # (n, 2)

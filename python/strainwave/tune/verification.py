@@ -18,7 +18,7 @@ import numpy as np
 from strainwave.domain import FloatArray
 from strainwave.domain.arm.control_law import ControlLaw, LinearServo
 from strainwave.domain.arm.link_sensors.link_space import Quantity
-from strainwave.domain.keys import Values
+from strainwave.domain.keys import JointIndex, JointNumber, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate_arms
 from strainwave.errors import InvalidInput, NumericalFailure
@@ -58,7 +58,7 @@ class Move:
 class MoveComparison:
     """Moves of one joint from one posture."""
 
-    joint: int  # from 1
+    joint: JointNumber
     duration: float  # [s] of the planned move
     current: Move | None  # step under the current servo; None without one
     step: Move
@@ -185,9 +185,9 @@ class Simulated:
 
 
 def _simulate_all(
-    simulated: Simulated, draws: Sequence[Values], drive: Drive, i: int
+    simulated: Simulated, draws: Sequence[Values], drive: Drive, i: JointIndex
 ) -> tuple[Move, FloatArray]:
-    """The worst move of joint i, from 0, over all draws, and the band of its link over the move."""
+    """The worst move of joint i over all draws, and the band of its link over the move."""
     model = simulated.model
     runs = simulate_arms(
         model,
@@ -241,7 +241,7 @@ def shortest_plan(
 class EstimationError:
     """Root mean square errors [rad, rad/s] of one joint, the largest over the draws."""
 
-    joint: int  # from 1
+    joint: JointNumber
     by_motor: float  # motor angle times gear ratio as link angle
     by_encoder: float  # observer that reads the motor encoder alone
     by_observer: float
@@ -391,9 +391,9 @@ def estimate_link(
 
 
 def read_runs(
-    runs: Runs, measurements: Sequence[Measurement], i: int, rng: np.random.Generator
+    runs: Runs, measurements: Sequence[Measurement], i: JointIndex, rng: np.random.Generator
 ) -> FloatArray:
-    """Readings (n_runs, n_samples, n_readings) of the sensors of joint i, from 0, with errors."""
+    """Readings (n_runs, n_samples, n_readings) of the sensors of joint i with errors."""
     columns, n_runs = [], len(runs["voltage"])
     each_run = [{name: rows[run] for name, rows in runs.items()} for run in range(n_runs)]
     for one in measurements:

@@ -19,7 +19,7 @@ from strainwave._core import Arm as CoreArm
 from strainwave.domain.arm.description import ArmDescription, Joint, unit_in
 from strainwave.domain.arm.kinds import RigidColumn, kind_of
 from strainwave.domain.arm.parameter_table import grouped_name
-from strainwave.domain.keys import FloatArray, Key, Row
+from strainwave.domain.keys import FloatArray, JointNumber, Key, Row
 
 
 def core_arm(arm: ArmDescription, springs: Sequence[str], **constants: Any) -> CoreArm:
@@ -211,8 +211,8 @@ def _grouping(
     return [kept[k] for k in ascending], weights[ascending]
 
 
-def link_inertia(arm: ArmDescription, joint: int, posture: FloatArray | None = None) -> Row:
-    """m_L of a joint, from 1: the diagonal element of M(q) as a row over link parameters.
+def link_inertia(arm: ArmDescription, joint: JointNumber, posture: FloatArray | None = None) -> Row:
+    """m_L of a joint: the diagonal element of M(q) as a row over link parameters.
 
     `posture` (n_joints,) are link angles; None: all are zero.
     """

@@ -16,7 +16,7 @@ from strainwave.domain.arm.base_parameters import (
 from strainwave.domain.arm.description import ArmDescription, unit_in
 from strainwave.domain.arm.kinds import RigidColumn
 from strainwave.domain.arm.parameter_table import grouped_name
-from strainwave.domain.keys import FloatArray, Key, Row, Values
+from strainwave.domain.keys import FloatArray, JointNumber, Key, Row, Values
 
 LINK_INERTIA = "link_inertia"
 
@@ -117,8 +117,8 @@ def viscous_friction(arm: ArmDescription) -> str:
     return "motor_viscous_friction" if is_rigid_drive(arm) else "total_viscous_friction"
 
 
-def total_viscous_friction(arm: ArmDescription, joint: int) -> Row:
-    """c_0 = d_M + n^2 d_L of a joint, from 1, (18)."""
+def total_viscous_friction(arm: ArmDescription, joint: JointNumber) -> Row:
+    """c_0 = d_M + n^2 d_L of a joint (18)."""
     ratio = arm.joints[joint - 1].gear_ratio
     return {("motor_viscous_friction", joint): 1.0, ("link_viscous_friction", joint): ratio**2}
 
@@ -149,8 +149,10 @@ def lumped_inertias(arm: ArmDescription) -> dict[Key, Row]:
     return {column.key: column.parts for column in columns if len(column.parts) > 1}
 
 
-def total_inertia(arm: ArmDescription, joint: int, posture: FloatArray | None = None) -> Row:
-    """c_1 = m_M + n^2 m_L of a joint, from 1, (18), over the unknowns of `rigid_columns`.
+def total_inertia(
+    arm: ArmDescription, joint: JointNumber, posture: FloatArray | None = None
+) -> Row:
+    """c_1 = m_M + n^2 m_L of a joint (18), over the unknowns of `rigid_columns`.
 
     `posture` (n_joints,) are link angles; None: all are zero.
     """
@@ -178,8 +180,8 @@ def inertias_of_links(arm: ArmDescription) -> tuple[tuple[Key, Row], ...]:
     return tuple(derived.items())
 
 
-def change_from(arm: ArmDescription, joint: int, posture: Sequence[float]) -> Row:
-    """`link_inertia` of a joint, from 1, at zero angles minus that in a posture, as a row."""
+def change_from(arm: ArmDescription, joint: JointNumber, posture: Sequence[float]) -> Row:
+    """`link_inertia` of a joint at zero angles minus that in a posture, as a row."""
     row = dict(link_inertia(arm, joint))
     for key, weight in link_inertia(arm, joint, np.array(posture)).items():
         row[key] = row.get(key, 0.0) - weight

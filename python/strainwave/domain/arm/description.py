@@ -19,7 +19,7 @@ from strainwave.domain.arm.gear_laws import AUTO, RIGID, GearLaw, determined_law
 from strainwave.domain.arm.link_sensors import LinkSensor, sensors_of
 from strainwave.domain.arm.link_sensors.link_space import are_parallel, attitude
 from strainwave.domain.arm.parameter_table import base_name, parameter_table
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import JointNumber, Key
 
 Positive = Annotated[float, Gt(0.0)]
 NonNegative = Annotated[float, Ge(0.0)]
@@ -224,8 +224,8 @@ class ArmDescription:
         return bool(self.coupled_joints)
 
     @property
-    def coupled_joints(self) -> frozenset[int]:
-        """Joints, from 1, that several motors move, or whose motor moves several joints."""
+    def coupled_joints(self) -> frozenset[JointNumber]:
+        """Joints that several motors move, or whose motor moves several joints."""
         coupled = np.array(self.coupling or np.zeros((self.n_joints,) * 2)) != 0.0
         np.fill_diagonal(coupled, val=False)
         return frozenset((np.flatnonzero(coupled.any(axis=0) | coupled.any(axis=1)) + 1).tolist())
@@ -251,14 +251,14 @@ class ArmDescription:
         return self.kind in _PLANAR_PROGRAMS
 
     @property
-    def unknown_drives(self) -> tuple[int, ...]:
-        """Joints, from 1, whose torque per volt is unknown."""
+    def unknown_drives(self) -> tuple[JointNumber, ...]:
+        """Joints whose torque per volt is unknown."""
         numbered = enumerate(self.joints, start=1)
         return tuple(number for number, joint in numbered if joint.torque_per_volt == UNKNOWN)
 
     @property
-    def rigid_joints(self) -> tuple[int, ...]:
-        """Joints, from 1, with rigid gears."""
+    def rigid_joints(self) -> tuple[JointNumber, ...]:
+        """Joints with rigid gears."""
         return tuple(n for n, joint in enumerate(self.joints, start=1) if not joint.elastic)
 
     @property
@@ -271,8 +271,8 @@ class ArmDescription:
         """Copy of the arm with other joints."""
         return replace(self, joints=tuple(joints))
 
-    def with_joint(self, number: int, **changes: Any) -> Self:
-        """Copy of the arm with other values of one joint, from 1."""
+    def with_joint(self, number: JointNumber, **changes: Any) -> Self:
+        """Copy of the arm with other values of one joint."""
         joints = list(self.joints)
         joints[number - 1] = replace(joints[number - 1], **changes)
         return self.with_joints(joints)

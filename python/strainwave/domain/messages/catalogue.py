@@ -17,6 +17,8 @@ from pathlib import Path, PurePath
 from string import Formatter
 from typing import Any
 
+from strainwave.domain.keys import JointNumber
+
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -24,7 +26,7 @@ class Place:
 
     experiments: tuple[str, ...] = ()
     channel: str | None = None
-    joint: int | None = None  # from 1
+    joint: JointNumber | None = None
     parameter: str | None = None  # name of an estimated parameter
     key: str | None = None  # key of the study file
     file: str | None = None  # path or name of a file

@@ -9,7 +9,7 @@ from typing import Literal
 
 from strainwave.display import Displayed
 from strainwave.domain.arm.description import EffectName
-from strainwave.domain.keys import ComplexArray, FloatArray, Key, Keyed
+from strainwave.domain.keys import ComplexArray, FloatArray, JointNumber, Key, Keyed
 from strainwave.domain.messages.catalogue import Clause
 from strainwave.domain.results.distributions import chi_square_tail
 from strainwave.domain.results.estimates import Diagnostic, Parameter, Prediction, SearchEnd
@@ -43,7 +43,7 @@ class ResidualTest:
     noise_density: FloatArray  # (n_frequencies,)
     worst_hz: float  # frequency of the largest ratio density / noise_density
     whiteness: float  # p-value: the residual has the spectrum of the sensor noise
-    input_joint: int  # joint whose input correlates most, from 1
+    input_joint: JointNumber  # joint whose input correlates most
     input_correlation: float  # with that input
     input_delay: float  # [s] of the residual relative to that input
     input_probability: float  # p-value: residual and input are independent
@@ -61,7 +61,7 @@ class ParameterShift(Keyed):
     """Shift of a parameter if one more effect is added to the model."""
 
     name: str
-    joint: int | None  # from 1; None for the whole arm
+    joint: JointNumber | None  # None for the whole arm
     without: float  # value without the effect
     shift: float  # value with the effect minus value without it
     deviations: float  # shift in standard deviations of the fit without the effect
@@ -71,7 +71,7 @@ class ParameterShift(Keyed):
 class Cause:
     """Effect that the model includes, or that a plausible model has in addition."""
 
-    joint: int  # from 1
+    joint: JointNumber
     effect: EffectName
     parameters: tuple[Parameter, ...]  # of the effect, with confidence intervals
     gain: float  # decrease of the objective
@@ -106,7 +106,7 @@ class LawChoice:
     Without margins, the score test of a curve decided: no curve was fitted.
     """
 
-    joint: int  # from 1
+    joint: JointNumber
     law: str
     margins: tuple[LawMargin, ...] = ()  # over the other laws
     gain: float = 0.0  # decrease of the objective by the linear step of a curve
@@ -118,7 +118,7 @@ class LawChoice:
 class TorqueHistogram:
     """Histogram of the absolute gear torque in the records, by the model."""
 
-    joint: int  # from 1
+    joint: JointNumber
     edges: FloatArray  # (n_bins + 1,) [N m], link side, from zero
     share: FloatArray  # (n_bins,) of all samples
 
@@ -132,7 +132,7 @@ class StageDifference(Keyed):
     """
 
     name: str
-    joint: int | None  # from 1; None for the whole arm
+    joint: JointNumber | None  # None for the whole arm
     rigid: float
     whole_arm: float
     std: float  # of the difference
@@ -156,7 +156,7 @@ class AgreementTest:
     """Chi-square test of the differences between rigid step and whole-arm fit in several values."""
 
     scope: Literal["all", "inertias", "friction"]  # "inertias" includes gravity torques
-    joint: int | None  # from 1, for "friction"; else None
+    joint: JointNumber | None  # for "friction"; else None
     chi_square: float
     degrees: int
     deviations: float  # two-sided normal quantile of the same p-value
@@ -190,7 +190,7 @@ class MotorResponse:
     """Frequency response from motor torque to motor velocity in one record, measured and fitted."""
 
     experiment: str
-    joint: int  # driven joint, from 1
+    joint: JointNumber  # driven joint
     condition: Condition
     frequencies_hz: FloatArray  # (n_frequencies,)
     measured: ComplexArray  # (n_frequencies,) [rad/s per N m]
@@ -208,7 +208,7 @@ class SensorGain(Keyed):
     link: int  # link that carries the sensor, from 1
     assumed: str  # assumed noise and position
     name: str
-    joint: int | None  # from 1; None for the whole arm
+    joint: JointNumber | None  # None for the whole arm
     value: float
     std: float  # without the sensor
     predicted_std: float  # with the sensor, same records

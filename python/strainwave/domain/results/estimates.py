@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from strainwave.display import Displayed
-from strainwave.domain.keys import FloatArray, Key, Keyed
+from strainwave.domain.keys import FloatArray, JointNumber, Key, Keyed
 from strainwave.domain.messages.catalogue import (
     Clause,
     Place,
@@ -108,7 +108,7 @@ class Parameter(Keyed):
     """Estimate of one physical parameter; value and uncertainty are None if not identified."""
 
     name: str  # as in docs/notation.md
-    joint: int | None  # from 1; None for the whole arm
+    joint: JointNumber | None  # None for the whole arm
     value: float | None
     std: float | None
     unit: str

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from strainwave.display import Displayed
-from strainwave.domain.keys import BoolArray, FloatArray
+from strainwave.domain.keys import BoolArray, FloatArray, JointNumber
 from strainwave.domain.results.estimates import Diagnostic
 from strainwave.domain.study.study import Experiment
 
@@ -97,7 +97,7 @@ class Activity:
     They convert the interval of a parameter into a torque and so give a scale for "negligible".
     """
 
-    joint: int  # from 1
+    joint: JointNumber
     torque: float  # [N m], or [N]
     velocity: float  # [rad/s], or [m/s]
     acceleration: float  # [rad/s^2], or [m/s^2]
@@ -108,7 +108,7 @@ class LinkSummary:
     """Source of one link's motion in one record, and the delays of its channels."""
 
     experiment: str
-    joint: int  # from 1
+    joint: JointNumber
     source: LinkSource
     fusion: Fusion | None = None  # None: a sensor measures the velocity
     fusion_error: float = 0.0  # [rad/s] estimated rms error of (10)

@@ -10,7 +10,7 @@ import numpy as np
 
 from strainwave.display import Displayed
 from strainwave.domain.arm.description import ArmDescription
-from strainwave.domain.keys import BoolArray, FloatArray
+from strainwave.domain.keys import BoolArray, FloatArray, JointNumber
 from strainwave.domain.messages.catalogue import Clause, Value, text_of
 from strainwave.domain.results.arm_model import ArmModel, MotorResponse
 from strainwave.domain.results.consistency import Suspicion
@@ -47,7 +47,7 @@ class FrictionTerm:
     """Effect of rigid joints in addition to inertia, viscous and Coulomb friction."""
 
     effect: str  # names the law
-    joint: int | None  # from 1; None for all joints
+    joint: JointNumber | None  # None for all joints
     size: Parameter
     shape: float  # of the law
     estimated_shape: Parameter | None = None  # None if the shape is given or the law has none
@@ -128,7 +128,7 @@ class Decoupled(Displayed):
     """
 
     experiment: Experiment
-    joint: int  # from 1
+    joint: JointNumber
     time: FloatArray  # (n_samples,) [s]
     sample_time: float  # [s]
     inputs: FloatArray  # (n_samples, 1 or 2) [N m] u, and tau if other links or gravity act
@@ -165,7 +165,7 @@ class TorsionFit:
     own acceleration and velocity.
     """
 
-    joint: int  # from 1
+    joint: JointNumber
     experiments: tuple[str, ...]
     stiffness: Parameter
     torque: FloatArray  # (n_rows,) [N m, N] of the rigid model
@@ -177,7 +177,7 @@ class TorsionFit:
 class JointModel(Displayed):
     """Physical parameters of one joint, estimated from one or several records."""
 
-    joint: int  # from 1
+    joint: JointNumber
     experiments: tuple[str, ...]
     method: Literal["grey-box", "transfer-function", "motor-response", "catalogue"]
     parameters: tuple[Parameter, ...]
@@ -228,7 +228,7 @@ class SweepPoint:
 class Sweep(Displayed):
     """Equivalent stiffness of one joint over the amplitude."""
 
-    joint: int  # from 1
+    joint: JointNumber
     points: tuple[SweepPoint, ...]  # by amplitude
     slope: float  # of the squared anti-resonance over the amplitude [rad^2/s^2 per V]
     slope_std: float

@@ -21,6 +21,7 @@ from strainwave.domain import (
 from strainwave.domain.arm.description import unit_of
 from strainwave.domain.arm.gear_laws import STIFFNESS
 from strainwave.domain.arm.parameter_table import VISCOUS
+from strainwave.domain.keys import JointNumber
 
 # relative standard deviation up to which a viscous friction is reported
 _MAX_VISCOUS_RELATIVE_STD = 0.3
@@ -31,7 +32,7 @@ class JointEstimate:
     """Values of one joint's parameters, and which of them the data determine."""
 
     joint: Joint
-    number: int  # of the joint, from 1
+    number: JointNumber  # of the joint
     experiments: tuple[str, ...]  # records that the values come from
     values: Mapping[str, float]
     covariance: FloatArray  # (n_values, n_values); NaN: no standard deviation

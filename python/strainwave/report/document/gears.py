@@ -17,6 +17,7 @@ from strainwave.domain import (
     TorsionFit,
 )
 from strainwave.domain.arm.gear_laws import GearLaw, gear_law
+from strainwave.domain.keys import JointNumber
 from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.report.figures import (
     SHORT_DASH,
@@ -42,7 +43,7 @@ _KNEE_SIZE = 9.0  # [px] of a knee marker
 class StiffnessCurve:
     """The identified stiffness curve of one gear."""
 
-    joint: int  # from 1
+    joint: JointNumber
     law: GearLaw
     values: Mapping[str, float]  # identified parameters of the law, in its order
     covariance: FloatArray  # of `values`

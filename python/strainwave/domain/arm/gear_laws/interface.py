@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain.arm.parameter_table import ParameterDescription, parameter_table
-from strainwave.domain.keys import FloatArray
+from strainwave.domain.keys import FloatArray, JointNumber
 from strainwave.domain.messages.formatting import plus_minus
 
 STIFFNESS = "gear_stiffness"
@@ -85,8 +85,10 @@ class GearLaw(ABC):
         """Whether the law needs more than one stiffness."""
         return self.elastic and self.names != (STIFFNESS,)
 
-    def of_joint(self, values: Mapping[tuple[str, int | None], float], joint: int) -> Values:
-        """Values of the law's parameters of a joint, from 1, among those of an arm; by name."""
+    def of_joint(
+        self, values: Mapping[tuple[str, int | None], float], joint: JointNumber
+    ) -> Values:
+        """Values of the law's parameters of a joint among those of an arm; by name."""
         return {name: values[name, joint] for name in self.names if (name, joint) in values}
 
     @abstractmethod

@@ -10,7 +10,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 
 from strainwave.domain.arm.description import ArmDescription, Joint, Servo, Vector
-from strainwave.domain.keys import Key, Keyed, Row, Values
+from strainwave.domain.keys import JointNumber, Key, Keyed, Row, Values
 from strainwave.domain.messages.catalogue import Clause
 from strainwave.errors import NotIdentifiable
 
@@ -115,8 +115,8 @@ class RigidColumn(Keyed):
     parts: Row
 
     @property
-    def motor(self) -> tuple[int, float] | None:
-        """Joint, from 1, whose motor inertia the combination contains, and its weight."""
+    def motor(self) -> tuple[JointNumber, float] | None:
+        """Joint whose motor inertia the combination contains, and its weight."""
         for (name, joint), weight in self.parts.items():
             if name == "motor_inertia" and joint is not None:
                 return joint, weight

@@ -30,7 +30,7 @@ from strainwave.domain.arm.link_sensors.single_axis import (
     TorsionSensor,
 )
 from strainwave.domain.arm.parameter_table import base_name
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import JointNumber, Key
 
 if TYPE_CHECKING:
     from strainwave.domain.arm.description import ArmDescription, Joint
@@ -115,16 +115,16 @@ def low_passes(joint: Joint) -> dict[str, float | None]:
     return passes
 
 
-def axes_of(arm: ArmDescription, number: int) -> tuple[SensorAxis, ...]:
-    """Axes of all sensors that the link of a joint, from 1, can have."""
+def axes_of(arm: ArmDescription, number: JointNumber) -> tuple[SensorAxis, ...]:
+    """Axes of all sensors that the link of a joint can have."""
     space, sensors = link_space(arm, number), arm.joints[number - 1].sensors
     return tuple(axis for sensor in sensors for axis in sensor.axes(number, space))
 
 
 def installed_axes(
-    arm: ArmDescription, number: int, channels: Collection[str]
+    arm: ArmDescription, number: JointNumber, channels: Collection[str]
 ) -> tuple[SensorAxis, ...]:
-    """Axes that the link of a joint, from 1, has by its table or by the channels of a study."""
+    """Axes that the link of a joint has by its table or by the channels of a study."""
     return tuple(
         axis
         for axis in axes_of(arm, number)
@@ -133,9 +133,9 @@ def installed_axes(
 
 
 def compared_axes(
-    arm: ArmDescription, number: int, channels: Collection[str]
+    arm: ArmDescription, number: JointNumber, channels: Collection[str]
 ) -> tuple[SensorAxis, ...]:
-    """Axes on a link, from 1, that a fit compares if a log has these channels.
+    """Axes on a link that a fit compares if a log has these channels.
 
     Of each group of sensors, in the order of the groups, these are the axes of least rank.
     """
@@ -161,15 +161,15 @@ def unknowns_of(axes: Sequence[SensorAxis]) -> list[Key]:
     return axes[0].sensor.unknowns(axes) if axes else []
 
 
-def with_estimates(joint: Joint, number: int, values: Mapping[Key, float]) -> Joint:
-    """The table of a joint, from 1, with estimated bandwidths and places of its sensors."""
+def with_estimates(joint: Joint, number: JointNumber, values: Mapping[Key, float]) -> Joint:
+    """The table of a joint with estimated bandwidths and places of its sensors."""
     for sensor in joint.sensors:
         joint = sensor.with_place(joint, number, values)
     return with_bandwidths(joint, number, values)
 
 
-def with_bandwidths(joint: Joint, number: int, values: Mapping[Key, float]) -> Joint:
-    """The table of a joint, from 1, with the finite bandwidths among some sensor constants."""
+def with_bandwidths(joint: Joint, number: JointNumber, values: Mapping[Key, float]) -> Joint:
+    """The table of a joint with the finite bandwidths among some sensor constants."""
     for sensor in joint.sensors:
         hz = sensor.axes(number)[0].value(ConstantKind.BANDWIDTH, values)
         joint = sensor.with_bandwidth(joint, hz) if np.isfinite(hz) else joint

@@ -21,7 +21,7 @@ import numpy as np
 
 from strainwave.domain.arm.link_sensors.link_space import LINK_SIGNALS, PLANE, LinkSpace, Quantity
 from strainwave.domain.arm.parameter_table import of_record
-from strainwave.domain.keys import FloatArray, Key
+from strainwave.domain.keys import FloatArray, JointNumber, Key
 
 if TYPE_CHECKING:
     from strainwave.domain.arm.description import Joint
@@ -207,8 +207,8 @@ class LinkSensor(ABC):
         changes: dict[str, Any] = {} if self.bandwidth_key is None else {self.bandwidth_key: hz}
         return replace(joint, **changes)
 
-    def with_place(self, joint: Joint, number: int, values: Mapping[Key, float]) -> Joint:
-        """The table of a joint, from 1, with the estimated place of the sensor."""
+    def with_place(self, joint: Joint, number: JointNumber, values: Mapping[Key, float]) -> Joint:
+        """The table of a joint with the estimated place of the sensor."""
         return joint
 
     @classmethod
@@ -296,7 +296,7 @@ class SensorAxis:
     """One axis of a sensor on the link of a joint."""
 
     sensor: LinkSensor
-    joint: int  # from 1
+    joint: JointNumber
     number: int = 0
     space: LinkSpace = PLANE  # in which the link moves
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from strainwave.domain.keys import FloatArray
+from strainwave.domain.keys import FloatArray, JointNumber
 
 if TYPE_CHECKING:
     from strainwave.domain.arm.description import ArmDescription
@@ -212,8 +212,8 @@ class LinkSpace:
 PLANE = LinkSpace()
 
 
-def link_space(arm: ArmDescription, number: int) -> LinkSpace:
-    """Space of the link of a joint, from 1."""
+def link_space(arm: ArmDescription, number: JointNumber) -> LinkSpace:
+    """Space of the link of a joint."""
     attitude_in_base, axes = np.eye(3), []
     for joint in arm.joints[:number]:
         attitude_in_base = attitude_in_base @ attitude(joint.origin.rpy)

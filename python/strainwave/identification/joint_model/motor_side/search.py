@@ -12,6 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from strainwave.domain import ComplexArray, FloatArray
+from strainwave.domain.keys import JointIndex
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model.motor_side.arms import (
     COORDINATES_PER_JOINT,
@@ -221,8 +222,10 @@ def _errors(
             yield piece, i, np.asarray(error / np.linalg.norm(piece.velocity[:, i]))
 
 
-def _motion(family: ConsistentArms, arm: LinearisedArms, piece: Piece, i: int) -> MotorMotion:
-    """Motion of motor i, from 0, with its known Coulomb friction."""
+def _motion(
+    family: ConsistentArms, arm: LinearisedArms, piece: Piece, i: JointIndex
+) -> MotorMotion:
+    """Motion of motor i with its known Coulomb friction."""
     drive = piece.torque[:, i]
     if family.coulomb is not None:
         drive = drive - family.coulomb[i] * piece.direction[:, i]

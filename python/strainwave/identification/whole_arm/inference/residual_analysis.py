@@ -19,6 +19,7 @@ from strainwave.domain import (
     ResidualCorrelation,
     ResidualTest,
 )
+from strainwave.domain.keys import JointNumber
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.records.dataset import Dataset
@@ -129,7 +130,7 @@ def has_noise_spectrum(
 class InputCorrelation:
     """Most significant correlation of a residual with an input."""
 
-    joint: int  # of the input, from 1
+    joint: JointNumber  # of the input
     correlation: float
     delay: float  # [s] of the residual
     probability: float  # p-value: residual and input are independent

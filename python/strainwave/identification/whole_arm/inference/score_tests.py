@@ -25,7 +25,7 @@ from strainwave.domain.arm.gear_laws import STIFFNESS
 from strainwave.domain.arm.link_sensors import constant_of
 from strainwave.domain.arm.link_sensors.single_axis import LinkEncoder
 from strainwave.domain.arm.parameter_table import OFFSET, SETTLING, VISCOUS, base_name
-from strainwave.domain.keys import Key, Values
+from strainwave.domain.keys import JointNumber, Key, Values
 from strainwave.domain.results.distributions import chi_square_limit
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
@@ -281,7 +281,7 @@ Shapes = Mapping[str, float]
 class EffectHypothesis:
     """The presence of an effect of given shapes in a joint."""
 
-    joint: int  # from 1
+    joint: JointNumber
     effect: EffectName
     number: int  # of the set of shapes among those that are tested, from 0
 
