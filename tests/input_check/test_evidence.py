@@ -12,10 +12,11 @@ from strainwave.domain import Correction, Experiment, Joint, Lag, Log, Prbs
 from strainwave.domain.arm.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.excitation import prbs
-from strainwave.input_check.evidence import collect_evidence, motion_bands
+from strainwave.input_check.evidence import collect_evidence
 from strainwave.input_check.timing import estimate_clocks
 from strainwave.input_check.torque_rows import regress_torques, spread_stretches
 from strainwave.numerics.filters import apply_lags
+from strainwave.numerics.spectra import motion_bands
 
 SAMPLE_TIME = 1e-3  # [s]
 TIME = SAMPLE_TIME * np.arange(6000)

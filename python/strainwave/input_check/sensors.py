@@ -289,7 +289,7 @@ def _regress_channel(
         rotations += [part for key, part in parts.items() if key != "own-joint"]
         # without tilt, an actual tilt biases the ratio; its columns absorb errors of springs
         fits = [fit_of(rotations, len(nuisance) - len(turned)), fit_of(rotations)]
-        ratios = [_coefficient_ratio(each) for each in fits if each is not None]
+        ratios = [each.ratio(_MIN_ROTATION_SIGNIFICANCE) for each in fits if each is not None]
         valid = [each for each in ratios if each is not None]
         if len(valid) == len(fits):
             values["rotation-ratio"] = min(valid, key=lambda r: abs(r[0] - 1.0) / r[1])
@@ -320,20 +320,6 @@ def _rotations(arm: Arm, motion: JointMotion, kind: str, i: JointIndex) -> list[
     read = read_gyro if kind == "gyro" else read_rotation
     before = read(arm, motion.without(i), i)
     return [read(arm, motion, i) - before, before] if np.any(before) else []
-
-
-def _coefficient_ratio(fit: Regression) -> tuple[float, float] | None:
-    """Ratio of the first two coefficients and its standard deviation under a true ratio of 1.
-
-    The standard deviation is evaluated at a ratio of 1 (Fieller): for an uncertain denominator,
-    the value at the estimated ratio makes ratios far from 1 appear significant. Returns None if
-    the denominator is not significant.
-    """
-    (a, b), covariance = fit.value[:2], fit.covariance[:2, :2]
-    if abs(b) < _MIN_ROTATION_SIGNIFICANCE * np.sqrt(covariance[1, 1]):
-        return None
-    variance = covariance[0, 0] - 2.0 * covariance[0, 1] + covariance[1, 1]
-    return float(a / b), float(np.sqrt(variance) / abs(b))
 
 
 def compare_motor_signals(evidence: Evidence) -> Iterator[PredictedSignal]:

@@ -10,7 +10,7 @@ torque that the fit does not explain is then larger than with the correct chain.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +28,7 @@ from strainwave.input_check.torque_rows import (
     inverse_root,
     torque_rows,
 )
+from strainwave.numerics.held_out import jackknife_std
 from strainwave.numerics.regression import ROWS_PER_INDEPENDENT_ROW, regress
 
 # Iterations of the weights, which are the residuals of the joints.
@@ -247,20 +248,7 @@ def predict_stretches(
     counts = np.zeros((n_folds, n_joints))
     np.add.at(counts, (system.fold, system.joint), 1.0)
     rows = fit.n_rows * counts / counts.sum(axis=0)
-    return FitQuality(squares / system.total, rows, _jackknife(estimates, system.records))
-
-
-def _jackknife(estimates: FloatArray, records: Sequence[str]) -> FloatArray:
-    """Standard deviations (n,) of estimates (n_folds, n), each without one stretch.
-
-    The jackknife (Efron and Stein, 1981) over stretches, or over records if these differ more:
-    errors of the model do not average out within a record. The effect of a record is the sum of
-    those of its stretches, to first order.
-    """
-    effects, names = estimates - estimates.mean(axis=0), np.array(records)
-    of_records = np.array([effects[names == name].sum(axis=0) for name in dict.fromkeys(records)])
-    variances = [(len(x) - 1) / len(x) * np.sum(x**2, axis=0) for x in (effects, of_records)]
-    return np.asarray(np.sqrt(np.max(variances, axis=0)))
+    return FitQuality(squares / system.total, rows, jackknife_std(estimates, system.records))
 
 
 def torque_system(

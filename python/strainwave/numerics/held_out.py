@@ -6,6 +6,8 @@ residuals are noise. Folds are stretches longer than ten correlation times of th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from strainwave.domain import FloatArray
@@ -52,3 +54,16 @@ def model_weights(scores: FloatArray, rng: np.random.Generator) -> FloatArray:
 def weight_over(scores: FloatArray, others: FloatArray, rng: np.random.Generator) -> float:
     """Weight of a model against one other, from their held-out scores (n_folds,)."""
     return float(model_weights(np.array([scores, others]), rng)[0])
+
+
+def jackknife_std(estimates: FloatArray, records: Sequence[str]) -> FloatArray:
+    """Standard deviations (n,) of estimates (n_folds, n), each without one stretch.
+
+    The jackknife (Efron and Stein, 1981) over stretches, or over records if these differ more:
+    errors of the model do not average out within a record. The effect of a record is the sum of
+    those of its stretches, to first order.
+    """
+    effects, names = estimates - estimates.mean(axis=0), np.array(records)
+    of_records = np.array([effects[names == name].sum(axis=0) for name in dict.fromkeys(records)])
+    variances = [(len(x) - 1) / len(x) * np.sum(x**2, axis=0) for x in (effects, of_records)]
+    return np.asarray(np.sqrt(np.max(variances, axis=0)))

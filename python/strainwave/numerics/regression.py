@@ -40,6 +40,19 @@ class Regression:
         (value, std), scale = self.coefficient(k), float(self.value[0])
         return (value / scale, std / abs(scale)) if scale else (0.0, np.inf)
 
+    def ratio(self, min_significance: float) -> tuple[float, float] | None:
+        """Ratio of the first two coefficients and its standard deviation under a true ratio of 1.
+
+        The standard deviation is evaluated at a ratio of 1 (Fieller): for an uncertain denominator,
+        the value at the estimated ratio makes ratios far from 1 appear significant. None if the
+        denominator is less than `min_significance` standard deviations from zero.
+        """
+        (a, b), covariance = self.value[:2], self.covariance[:2, :2]
+        if abs(b) < min_significance * np.sqrt(covariance[1, 1]):
+            return None
+        variance = covariance[0, 0] - 2.0 * covariance[0, 1] + covariance[1, 1]
+        return float(a / b), float(np.sqrt(variance) / abs(b))
+
 
 def regress(
     target: FloatArray, columns: FloatArray, prior: FloatArray | None = None
