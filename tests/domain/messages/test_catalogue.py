@@ -23,7 +23,7 @@ from strainwave.domain.messages.catalogue import (
 PACKAGE = Path(strainwave.__file__).parent
 MEASUREMENT = 1.5
 ALL = templates()
-FAULTS = tomllib.loads((PACKAGE / "domain/faults.toml").read_text(encoding="utf-8"))
+FAULTS = tomllib.loads((PACKAGE / "domain/messages/faults.toml").read_text(encoding="utf-8"))
 PARTS = FAULTS["parts"]
 GIVEN_LATER = {"record", "steps", "other", "gain"}
 """Values that a warning or a cause adds to its clause."""

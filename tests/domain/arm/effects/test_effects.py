@@ -37,7 +37,7 @@ KNOWN = KnownJoint(
     largest_torque=30.0,
     largest_voltage=10.0,
 )
-DOCS = Path(__file__).parents[3] / "docs"
+DOCS = Path(__file__).parents[4] / "docs"
 STUDY = """
 [arm]
 kind = "single-joint"
