@@ -65,13 +65,13 @@ def _published(warning: Any) -> Any:
 
 
 Numbers = Annotated[list[float], _from_array(np.ndarray.tolist)]
-Matrix = Annotated[list[list[float]], _from_array(np.ndarray.tolist)]
+NumberRows = Annotated[list[list[float]], _from_array(np.ndarray.tolist)]
 Rounded = Annotated[list[float | None], _from_array(short)]
 Fits = Mapping[str, float | None]  # by channel
 Label = Annotated[
     Key, BeforeValidator(_key_of), WrapSerializer(lambda key, _: label_of(*key), return_type=str)
 ]
-Estimate = Annotated[Parameter, _omitting(model_std=None)]
+ParameterEntry = Annotated[Parameter, _omitting(model_std=None)]
 Warned = Annotated[PublishedWarning, BeforeValidator(_published), _omitting(experiments=[])]
 
 
@@ -123,7 +123,7 @@ class JointEntry(Resonances):
     order: int | None = 3
     status: str
     band_hz: tuple[float, float] | None = None
-    parameters: tuple[Estimate, ...] = ()
+    parameters: tuple[ParameterEntry, ...] = ()
     warnings: tuple[Warned, ...] = ()
     fit_percent: Fits | tuple[float, ...] | None  # of a record: of each output
 
@@ -139,11 +139,11 @@ class HeldOutEntry(Entry):
 class StateSpaceEntry(Resonances):
     """The state-space model of one record."""
 
-    A: Matrix
-    B: Matrix
-    C: Matrix
-    D: Matrix
-    K: Matrix
+    A: NumberRows
+    B: NumberRows
+    C: NumberRows
+    D: NumberRows
+    K: NumberRows
     sample_time: float
     method: str
     order: int
@@ -174,7 +174,8 @@ class TorsionEntry(Entry):
     experiments: tuple[str, ...]
     fit_percent: float
     parameters: Annotated[
-        tuple[Estimate, ...], BeforeValidator(lambda p: (p,) if isinstance(p, Parameter) else p)
+        tuple[ParameterEntry, ...],
+        BeforeValidator(lambda p: (p,) if isinstance(p, Parameter) else p),
     ] = Field(validation_alias="stiffness")
 
 
@@ -262,7 +263,7 @@ class RigidEntry(Entry):
     """The rigid model."""
 
     status: Literal["determined", "partly-determined", "not-identifiable"]
-    parameters: tuple[Estimate, ...]
+    parameters: tuple[ParameterEntry, ...]
     fit_percent: Mapping[str, Fits] = {}
     condition_number: float | None = None
     bandwidth_hz: float
@@ -301,7 +302,7 @@ class CauseEntry(Entry):
 
     joint: int
     effect: str
-    parameters: tuple[Estimate, ...]
+    parameters: tuple[ParameterEntry, ...]
     gain: float
     share: float
     shifts: tuple[Any, ...]
@@ -323,7 +324,7 @@ class ArmEntry(Entry):
     status: str
     end: str
     iterations: int
-    parameters: tuple[Estimate, ...]
+    parameters: tuple[ParameterEntry, ...]
     fit_percent: Mapping[str, Fits]
     initial_fit_percent: Mapping[str, Fits]
     warnings: tuple[Warned, ...]
@@ -383,7 +384,7 @@ class CovarianceEntry(Entry):
 
     stage: Stage
     names: tuple[str, ...]
-    matrix: Matrix
+    matrix: NumberRows
 
 
 class BaseParameterEntry(_EstimateEntry):
@@ -402,7 +403,7 @@ class CheckEntry(Entry):
 class EstimatesEntry(Entry):
     """Parameters, and those of serial arms under their names in the literature."""
 
-    parameters: tuple[Estimate, ...]
+    parameters: tuple[ParameterEntry, ...]
     base_parameters: tuple[Annotated[BaseParameterEntry, _omitting(model_std=None)], ...]
 
 
