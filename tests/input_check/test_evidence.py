@@ -16,7 +16,7 @@ from strainwave.input_check.evidence import collect_evidence
 from strainwave.input_check.timing import estimate_clocks
 from strainwave.input_check.torque_rows import regress_torques, spread_stretches
 from strainwave.numerics.filters import apply_lags
-from strainwave.numerics.spectra import motion_bands
+from strainwave.signals.motor import motion_bands
 
 SAMPLE_TIME = 1e-3  # [s]
 TIME = SAMPLE_TIME * np.arange(6000)

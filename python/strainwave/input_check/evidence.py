@@ -34,9 +34,8 @@ from strainwave.input_check.timing import (
 )
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
-from strainwave.numerics.spectra import motion_bands
 from strainwave.signals.channels import estimate_encoder_count
-from strainwave.signals.motor import detect_standing_motors
+from strainwave.signals.motor import detect_standing_motors, motion_bands
 
 # Bandwidth of a record over the median of all motors in the slow records above which noise
 # determines it: a motor at constant velocity has no other power.

@@ -2,8 +2,7 @@
 
 SciPy provides the method too, but its import takes 0.2 s.
 
-Residual analysis: autocorrelation of residuals and cross-correlation with the inputs. Bandwidth of
-a commanded motion.
+Residual analysis: autocorrelation of residuals and cross-correlation with the inputs.
 """
 
 from __future__ import annotations
@@ -16,14 +15,6 @@ from strainwave.domain import ComplexArray, FloatArray, ResidualCorrelation
 
 Trend = Literal["mean", "line"]
 """Trend that is removed from each window before the transform."""
-
-# Share of the velocity power, and ratio of the bandwidth to the frequency below which that share
-# lies, for slow and for fast records.
-_SLOW_BAND = (0.8, 2.0)
-_FAST_BAND = (0.5, 0.25)
-# Minimum power of a spectral line of a motion over that of noise, which one line in 22,000 of white
-# noise exceeds.
-_MIN_LINE_OVER_NOISE = 10.0
 
 
 def window_spectra(
@@ -160,25 +151,3 @@ def rows_per_error(covariance: FloatArray) -> float:
     negative = np.flatnonzero(correlation < 0.0)
     n_lags = negative[0] if negative.size else len(correlation)
     return float(1.0 + 2.0 * np.sum(correlation[1:n_lags]))
-
-
-def motion_bands(angle: FloatArray, sample_time: float, *, slow: bool) -> list[float]:
-    """Bandwidth of the commanded motion of each motor that moves, below the gear resonances [Hz].
-
-    Slow records: 2 times the frequency below which 80 % of the velocity power lies. Fast records
-    excite the gear resonances: 0.25 times the frequency below which 50 % of the power lies.
-    Spectral lines of slow records that white angle noise can have do not count; the upper half band
-    gives its power. `angle` has shape (n_samples, n_joints).
-    """
-    velocity = np.diff(angle[: 2**16], axis=0)
-    power = np.abs(np.fft.rfft(velocity - velocity.mean(axis=0), axis=0)) ** 2
-    frequency = np.fft.rfftfreq(len(velocity), sample_time)
-    share, ratio = _SLOW_BAND if slow else _FAST_BAND
-    if slow:
-        n, upper = len(power), slice(len(power) // 2, None)
-        shape = np.sin(0.5 * np.pi * np.arange(n) / max(1, n - 1))[:, None] ** 2  # of differences
-        noise = shape * power[upper].mean(axis=0) / shape[upper].mean()
-        power[power < _MIN_LINE_OVER_NOISE * noise] = 0.0
-    power = np.cumsum(power, axis=0)
-    moving = power.T[power[-1] > 0.0]
-    return [ratio * float(frequency[np.searchsorted(p, share * p[-1])]) for p in moving]

@@ -27,6 +27,13 @@ from strainwave.signals.prepared_record import add_link_angles, prepare_record
 _MIN_TRAVEL_SHARE = 0.01
 # largest mean torsion [rad, m] of a gear; a larger one is a difference of the encoders' zeros
 _MAX_TORSION = 0.01
+# Share of the velocity power, and ratio of the bandwidth to the frequency below which that share
+# lies, for slow and for fast records.
+_SLOW_BAND = (0.8, 2.0)
+_FAST_BAND = (0.5, 0.25)
+# Minimum power of a spectral line of a motion over that of noise, which one line in 22,000 of white
+# noise exceeds.
+_MIN_LINE_OVER_NOISE = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,3 +231,25 @@ def _repeats(motion: FloatArray, period: int) -> bool:
         axis=0,
     )
     return bool(np.all(squared_difference <= (1.0 - _MIN_CORRELATION) * energy))
+
+
+def motion_bands(angle: FloatArray, sample_time: float, *, slow: bool) -> list[float]:
+    """Bandwidth of the commanded motion of each motor that moves, below the gear resonances [Hz].
+
+    Slow records: 2 times the frequency below which 80 % of the velocity power lies. Fast records
+    excite the gear resonances: 0.25 times the frequency below which 50 % of the power lies.
+    Spectral lines of slow records that white angle noise can have do not count; the upper half band
+    gives its power. `angle` has shape (n_samples, n_joints).
+    """
+    velocity = np.diff(angle[: 2**16], axis=0)
+    power = np.abs(np.fft.rfft(velocity - velocity.mean(axis=0), axis=0)) ** 2
+    frequency = np.fft.rfftfreq(len(velocity), sample_time)
+    share, ratio = _SLOW_BAND if slow else _FAST_BAND
+    if slow:
+        n, upper = len(power), slice(len(power) // 2, None)
+        shape = np.sin(0.5 * np.pi * np.arange(n) / max(1, n - 1))[:, None] ** 2  # of differences
+        noise = shape * power[upper].mean(axis=0) / shape[upper].mean()
+        power[power < _MIN_LINE_OVER_NOISE * noise] = 0.0
+    power = np.cumsum(power, axis=0)
+    moving = power.T[power[-1] > 0.0]
+    return [ratio * float(frequency[np.searchsorted(p, share * p[-1])]) for p in moving]
