@@ -23,6 +23,7 @@ from strainwave.domain import (
     Origin,
     Study,
 )
+from strainwave.domain.arm.combinations import has_posture_free
 from strainwave.errors import InvalidInput
 from strainwave.io.logs import read_logs
 from strainwave.io.logs.clock_text import time_of
@@ -280,8 +281,8 @@ def test_a_velocity_is_integrated_where_the_posture_does_not_matter() -> None:
 
 def test_the_posture_of_later_joints_matters_unless_all_slide() -> None:
     free = chain("prismatic", "prismatic", gravity=(0.0, 0.0, -9.81)).arm
-    assert free.has_posture_free(1)
-    assert free.has_posture_free(2)
+    assert has_posture_free(free, 1)
+    assert has_posture_free(free, 2)
     arm = chain("revolute", "revolute", gravity=None).arm
-    assert arm.has_posture_free(1)
-    assert not arm.has_posture_free(2)
+    assert has_posture_free(arm, 1)
+    assert not has_posture_free(arm, 2)

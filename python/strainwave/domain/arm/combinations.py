@@ -15,6 +15,7 @@ from strainwave.domain.arm.base_parameters import (
 )
 from strainwave.domain.arm.description import ArmDescription, unit_in
 from strainwave.domain.arm.kinds import RigidColumn
+from strainwave.domain.arm.link_sensors.link_space import are_parallel, attitude
 from strainwave.domain.arm.parameter_table import grouped_name
 from strainwave.domain.keys import FloatArray, JointNumber, Key, Row, Values
 
@@ -24,6 +25,7 @@ FRICTION_COLUMNS = 3
 """Viscous friction, Coulomb friction, offset: columns of each joint, after base parameters."""
 
 _MAX_ROUNDING_ERROR = 1e-8  # relative, of elements of viscous friction matrices
+_MAX_SINE = 1e-3  # of the angle between an axis and gravity that count as parallel
 
 
 def rigid_columns(arm: ArmDescription) -> tuple[RigidColumn, ...]:
@@ -110,6 +112,22 @@ def is_rigid_drive(arm: ArmDescription) -> bool:
 def is_uncoupled(arm: ArmDescription) -> bool:
     """Whether only the gear acts on the link: one joint, no gravity."""
     return arm.n_joints == 1 and arm.gravity is None
+
+
+def has_posture_free(arm: ArmDescription, number: JointNumber) -> bool:
+    """Whether neither gravity nor the inertia of the arm depends on the angle of a motor.
+
+    So it is for sliding joints behind sliding joints, and for the first joint if it slides or turns
+    about an axis along gravity.
+    """
+    before = arm.joints[: number - 1]
+    if arm.is_coupled or any(joint.motion != "prismatic" for joint in before):
+        return False
+    joint = arm.joints[number - 1]
+    if joint.motion == "prismatic" or number > 1 or not arm.gravity:
+        return joint.motion == "prismatic" or number == 1
+    axis = attitude(joint.origin.rpy) @ joint.axis
+    return are_parallel(axis, np.array(arm.gravity), _MAX_SINE)
 
 
 def viscous_friction(arm: ArmDescription) -> str:

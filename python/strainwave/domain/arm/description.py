@@ -16,8 +16,6 @@ from annotated_types import Ge, Gt
 
 from strainwave.domain.arm.effects import all_effects
 from strainwave.domain.arm.gear_laws import AUTO, RIGID, GearLaw, determined_law, stated_law
-from strainwave.domain.arm.link_sensors import LinkSensor, sensors_of
-from strainwave.domain.arm.link_sensors.link_space import are_parallel, attitude
 from strainwave.domain.arm.parameter_table import base_name, parameter_table
 from strainwave.domain.keys import JointNumber, Key
 
@@ -126,11 +124,6 @@ class Joint:
         return stated_law(self.spring)
 
     @property
-    def sensors(self) -> tuple[LinkSensor, ...]:
-        """Sensors that the link can have, with the constants that the table gives."""
-        return sensors_of(self)
-
-    @property
     def elastic(self) -> bool:
         """Whether the gear is elastic."""
         return self.law.elastic
@@ -183,9 +176,6 @@ class Urdf:
     held: tuple[str, ...] = ()  # joints that stay at zero
 
 
-_MAX_SINE = 1e-3  # of the angle between an axis and gravity that count as parallel
-
-
 @dataclass(frozen=True, slots=True)
 class Transmission:
     """Coupling between motors and joints: `[transmission]`."""
@@ -229,21 +219,6 @@ class ArmDescription:
         coupled = np.array(self.coupling or np.zeros((self.n_joints,) * 2)) != 0.0
         np.fill_diagonal(coupled, val=False)
         return frozenset((np.flatnonzero(coupled.any(axis=0) | coupled.any(axis=1)) + 1).tolist())
-
-    def has_posture_free(self, number: int) -> bool:
-        """Whether neither gravity nor the inertia of the arm depends on the angle of a motor.
-
-        So it is for sliding joints behind sliding joints, and for the first joint if it slides or
-        turns about an axis along gravity.
-        """
-        before = self.joints[: number - 1]
-        if self.is_coupled or any(joint.motion != "prismatic" for joint in before):
-            return False
-        joint = self.joints[number - 1]
-        if joint.motion == "prismatic" or number > 1 or not self.gravity:
-            return joint.motion == "prismatic" or number == 1
-        axis = attitude(joint.origin.rpy) @ joint.axis
-        return are_parallel(axis, np.array(self.gravity), _MAX_SINE)
 
     @property
     def has_planar_program(self) -> bool:

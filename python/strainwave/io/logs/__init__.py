@@ -22,6 +22,7 @@ from strainwave.domain import (
     channel_names,
     channel_parts,
 )
+from strainwave.domain.arm.combinations import has_posture_free
 from strainwave.domain.arm.description import UNKNOWN
 from strainwave.domain.arm.kinds import kind_of
 from strainwave.domain.arm.link_sensors import link_channel_kinds
@@ -256,7 +257,7 @@ def _check_required(sources: dict[str, Channel], study: Study, table: LogTable |
         if name not in sources:
             number = channel_parts(name)[1]
             if f"omega_m{number}" in sources:
-                if study.arm.has_posture_free(number):
+                if has_posture_free(study.arm, number):
                     continue
                 raise InvalidInput(
                     f"motor {number} logs its velocity (omega_m{number}) but no angle, and gravity"

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from strainwave.domain.arm.description import ArmDescription, Joint
 from strainwave.domain.arm.link_sensors.imu import ImuAccelerometers, ImuGyros
 from strainwave.domain.arm.link_sensors.interface import ConstantKind as ConstantKind
 from strainwave.domain.arm.link_sensors.interface import LinkSensor as LinkSensor
@@ -31,9 +31,6 @@ from strainwave.domain.arm.link_sensors.single_axis import (
 )
 from strainwave.domain.arm.parameter_table import base_name
 from strainwave.domain.keys import JointNumber, Key
-
-if TYPE_CHECKING:
-    from strainwave.domain.arm.description import ArmDescription, Joint
 
 TYPES: dict[str, type[LinkSensor]] = {
     sensor.name: sensor
@@ -104,20 +101,20 @@ def sensors_of(joint: Joint) -> tuple[LinkSensor, ...]:
 
 def sensor_of(joint: Joint, kind: str) -> LinkSensor | None:
     """The sensor of a joint with a channel of this kind; None if there is none."""
-    return next((sensor for sensor in joint.sensors if kind in sensor.channel_kinds), None)
+    return next((sensor for sensor in sensors_of(joint) if kind in sensor.channel_kinds), None)
 
 
 def low_passes(joint: Joint) -> dict[str, float | None]:
     """Low-passes [Hz] of a joint's simulated quantities by argument of the core."""
     passes: dict[str, float | None] = {}
-    for sensor in joint.sensors:
+    for sensor in sensors_of(joint):
         passes |= sensor.low_passes()
     return passes
 
 
 def axes_of(arm: ArmDescription, number: JointNumber) -> tuple[SensorAxis, ...]:
     """Axes of all sensors that the link of a joint can have."""
-    space, sensors = link_space(arm, number), arm.joints[number - 1].sensors
+    space, sensors = link_space(arm, number), sensors_of(arm.joints[number - 1])
     return tuple(axis for sensor in sensors for axis in sensor.axes(number, space))
 
 
@@ -163,14 +160,14 @@ def unknowns_of(axes: Sequence[SensorAxis]) -> list[Key]:
 
 def with_estimates(joint: Joint, number: JointNumber, values: Mapping[Key, float]) -> Joint:
     """The table of a joint with estimated bandwidths and places of its sensors."""
-    for sensor in joint.sensors:
+    for sensor in sensors_of(joint):
         joint = sensor.with_place(joint, number, values)
     return with_bandwidths(joint, number, values)
 
 
 def with_bandwidths(joint: Joint, number: JointNumber, values: Mapping[Key, float]) -> Joint:
     """The table of a joint with the finite bandwidths among some sensor constants."""
-    for sensor in joint.sensors:
+    for sensor in sensors_of(joint):
         hz = sensor.axes(number)[0].value(ConstantKind.BANDWIDTH, values)
         joint = sensor.with_bandwidth(joint, hz) if np.isfinite(hz) else joint
     return joint

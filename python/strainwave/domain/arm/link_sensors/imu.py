@@ -13,10 +13,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from strainwave.domain.arm.description import Imu, Joint
 from strainwave.domain.arm.link_sensors.interface import (
     ConstantKind,
     LinkSensor,
@@ -35,9 +36,6 @@ from strainwave.domain.arm.link_sensors.link_space import (
     rotation,
 )
 from strainwave.domain.keys import FloatArray, Key
-
-if TYPE_CHECKING:
-    from strainwave.domain.arm.description import Imu, Joint
 
 IMU_POSITION = ("imu_x", "imu_y", "imu_z")
 IMU_ATTITUDE = ("imu_roll", "imu_pitch", "imu_yaw")

@@ -15,16 +15,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, cast
+from typing import Any, ClassVar, Literal, Self, cast
 
 import numpy as np
 
+from strainwave.domain.arm.description import Joint
 from strainwave.domain.arm.link_sensors.link_space import LINK_SIGNALS, PLANE, LinkSpace, Quantity
 from strainwave.domain.arm.parameter_table import of_record
 from strainwave.domain.keys import FloatArray, JointNumber, Key
-
-if TYPE_CHECKING:
-    from strainwave.domain.arm.description import Joint
 
 MOTOR_ENCODER_DELAY = "motor_encoder_delay"
 TORQUE_HOLD = "torque_hold"

@@ -18,15 +18,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
+from strainwave.domain.arm.description import ArmDescription
 from strainwave.domain.keys import FloatArray, JointNumber
-
-if TYPE_CHECKING:
-    from strainwave.domain.arm.description import ArmDescription
-
 
 _AccelerometerQuantity = Literal[
     "specific_force_x",

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
+from strainwave.domain.arm.description import Joint
 from strainwave.domain.arm.link_sensors.interface import (
     ConstantKind,
     LinkSensor,
@@ -23,10 +24,6 @@ from strainwave.domain.arm.link_sensors.link_space import (
     accelerometer_weights,
 )
 from strainwave.domain.keys import FloatArray, Key
-
-if TYPE_CHECKING:
-    from strainwave.domain.arm.description import Joint
-
 
 ACCELEROMETER_DISTANCE, ACCELEROMETER_TILT = "accelerometer_distance", "accelerometer_tilt"
 """Unknowns of the mounting: distance from the axis, and angle to the tangent."""
