@@ -1,7 +1,7 @@
 """Records: the frozen data that stages pass on, study and logs -> signals -> models -> outcome.
 
 Samples are rows everywhere: arrays are (n_samples, n_joints) or (n_samples,). All units SI, angles
-in rad. Joints are numbered from 1 where a person reads them and from 0 as array columns.
+in rad.
 """
 
 from __future__ import annotations

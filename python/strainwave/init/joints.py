@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from strainwave.domain.keys import JointNumber
 from strainwave.init.inspection import InspectedLog
 from strainwave.init.joint_columns import Mapping
 from strainwave.init.names import (
@@ -84,8 +85,8 @@ def assign_columns(
 
 def find_logged_joints(
     records: Sequence[InspectedLog], fullest: InspectedLog, robot: Robot
-) -> set[int]:
-    """Joints of a robot, from 1, that logs have: with an angle that moves, or with an input."""
+) -> set[JointNumber]:
+    """Joints of a robot that logs have: with an angle that moves, or with an input."""
     parsed_names = {name: _parse(name, fullest) for name in fullest.columns}
     numbered, _ = _number_by_robot(parsed_names, robot, fullest)
     inputs = {e.number for e in numbered.values() if e.quantity in ("torque", "current", "voltage")}

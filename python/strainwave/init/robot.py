@@ -49,8 +49,8 @@ class Robot:
     held: tuple[str, ...] = ()  # joints that stay at zero
 
     @staticmethod
-    def read(path: Path, logged: Callable[[Robot], Collection[int]] | None = None) -> Robot:
-        """Read a URDF file; `logged` returns the joints, from 1, that logs have.
+    def read(path: Path, logged: Callable[[Robot], Collection[JointNumber]] | None = None) -> Robot:
+        """Read a URDF file; `logged` returns the joints that logs have.
 
         The arm is the chain of most logged joints, up to the last of them; the other joints are
         held at zero. Raises InvalidInput if it has more than seven joints, or if two chains of a
@@ -101,8 +101,8 @@ class Robot:
         ]
         return max(by_words, key=lambda matches: len({m.number for m in matches.values()}))
 
-    def number_of(self, number: int | None) -> int | None:
-        """Joint from 1 of a number in a name that counts from 1; None if there is none.
+    def number_of(self, number: int | None) -> JointNumber | None:
+        """Joint of a number in a name that counts from 1; None if there is none.
 
         Joints named by numbers alone, such as `joint_2`, have these numbers.
         """

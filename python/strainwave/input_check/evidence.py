@@ -23,6 +23,7 @@ from strainwave.domain import (
     Study,
     channel_parts,
 )
+from strainwave.domain.keys import JointNumber
 from strainwave.domain.results.consistency import apply_corrections
 from strainwave.dynamics.arm import Arm
 from strainwave.input_check.timing import (
@@ -105,7 +106,7 @@ class SlowRecord:
     moves: BoolArray  # (n_joints,) motors that move; the others deflect at most
     inside: BoolArray  # (n_rows,) rows without end effects of the filter
     clocks: Clocks
-    delays: Mapping[int, DelayProfile]  # joint -> profile, where the record determines the delay
+    delays: Mapping[JointNumber, DelayProfile]  # where the record determines the delay
     removed_delays: Mapping[str, float] = field(default_factory=dict)  # by channel [s]
 
 
@@ -136,7 +137,7 @@ class Evidence:
 
     study: Study  # with the corrections of the hypothesis
     records: tuple[SlowRecord, ...]
-    counts: Mapping[int, float]  # joint -> encoder count of its motor angle, if quantised
+    counts: Mapping[JointNumber, float]  # encoder count of its motor angle, if quantised
     high_passes: Mapping[str, float] = field(default_factory=dict)  # channel -> cutoff [Hz]
     best_fit: BestFit | None = None  # None without torques
     # of all hypotheses about the same logs
@@ -362,8 +363,8 @@ def _slow_record(
     )
 
 
-def _delay_profiles(log: Log, arm: Arm) -> dict[int, DelayProfile]:
-    """Delay profiles of the joints that a test signal excites. Keys are joints, from 1."""
+def _delay_profiles(log: Log, arm: Arm) -> dict[JointNumber, DelayProfile]:
+    """Delay profiles of the joints that a test signal excites."""
     profiles = {}
     if log.experiment.use in ("frequency", "sweep"):
         open_loop = {i for i, control in enumerate(log.experiment.control, 1) if control == "open"}

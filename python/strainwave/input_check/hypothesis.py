@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import Clause, Correction, Place, Relation, Study, Suspicion, channel_parts
+from strainwave.domain.keys import JointNumber
 from strainwave.domain.results.consistency import exchange_corrections, steps_of
 from strainwave.input_check.evidence import BestFit, Evidence
 from strainwave.input_check.sensors import LINK_CHANNELS, estimate_rotation_factors
@@ -60,8 +61,8 @@ class Hypothesis:
         return self.at or tuple(dict.fromkeys(map(_place_of, self.corrections)))
 
     @property
-    def joints(self) -> set[int]:
-        """Joints of the channels that the fault concerns, from 1."""
+    def joints(self) -> set[JointNumber]:
+        """Joints of the channels that the fault concerns."""
         return {channel_parts(p.channel)[1] for p in self.places if p.channel is not None}
 
     def is_as_good(self, best: Hypothesis) -> bool:
@@ -131,8 +132,8 @@ class UnexplainedEvidence:
     explanations: tuple[Hypothesis, ...] = ()  # of the torques, the best first
 
     @property
-    def joints(self) -> set[int]:
-        """Joints of the contradictions, from 1."""
+    def joints(self) -> set[JointNumber]:
+        """Joints of the contradictions."""
         return {o.joint for o in self.contradictions if o.joint is not None}
 
     def contradicts(self, *kinds: str) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from strainwave.domain import Clause, Correction, Log, Place, Relation, Suspicion, channel_parts
+from strainwave.domain.keys import JointNumber
 from strainwave.dynamics.arm import Arm
 from strainwave.input_check.sensors import IMU_CHANNELS
 from strainwave.input_check.timing import find_excited_inputs
@@ -106,8 +107,8 @@ def measure_standing_encoders(
         yield relation, fault if records else None
 
 
-def _moving_joints(logs: Sequence[Log], n_joints: int) -> dict[tuple[str, int], str]:
-    """Records and joints (from 1) that move, each with a channel that shows it."""
+def _moving_joints(logs: Sequence[Log], n_joints: int) -> dict[tuple[str, JointNumber], str]:
+    """Records and joints that move, each with a channel that shows it."""
     moving = {
         (log.name, joint): name
         for log in logs

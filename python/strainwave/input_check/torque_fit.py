@@ -18,6 +18,7 @@ import numpy as np
 from strainwave.domain import ArmDescription, Diagnostic, FloatArray, IntArray, Place
 from strainwave.domain.arm.consistent_links import is_consistent, principal_moments
 from strainwave.domain.arm.kinds import kind_of
+from strainwave.domain.keys import JointNumber
 from strainwave.domain.results.distributions import CI95_STDS, student_tail
 from strainwave.input_check.evidence import Evidence, is_slow
 from strainwave.input_check.torque_rows import (
@@ -54,7 +55,7 @@ class TorqueSystem:
     joint: IntArray  # (n_rows,) of each row, its place in `joints`
     fold: IntArray  # (n_rows,) stretch of each row, from 0; the stretches of a record are adjacent
     records: tuple[str, ...]  # record of each stretch
-    joints: tuple[int, ...]  # with a torque, from 1
+    joints: tuple[JointNumber, ...]  # with a torque
     total: FloatArray  # (n_joints,) sum of squares of the torque about its mean
     n_rows: FloatArray  # (n_joints,) independent rows beyond the joint's own parameters
     grams: FloatArray | None = None  # (n_joints, n_links, n_links) columns' columns; None: unknown

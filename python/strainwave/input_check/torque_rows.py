@@ -91,8 +91,8 @@ def spread_stretches(records: Sequence[SlowRecord], max_rows: int) -> list[list[
     return stretches
 
 
-def compute_motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
-    """Motor torque of joint i (from 0), (n_rows,) [N m].
+def compute_motor_torque(record: SlowRecord, arm: Arm, i: JointIndex) -> FloatArray:
+    """Motor torque of joint i, (n_rows,) [N m].
 
     Returns the logged torque, torque_per_volt times the voltage (with a scale of 1 if the study
     gives no torque_per_volt), or the reading of a sensor behind the gear.
@@ -169,7 +169,7 @@ def torque_rows(
     evidence: Evidence,
     links: FloatArray | None = None,
     records: Sequence[SlowRecord] | None = None,
-    only: int | None = None,
+    only: JointIndex | None = None,
 ) -> Iterator[TorqueRows]:
     """Rows of each joint, or one, in each slow record, or others, with torques of the links.
 

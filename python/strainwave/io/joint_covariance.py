@@ -16,6 +16,7 @@ from strainwave.domain import (
     RigidModel,
     Stage,
 )
+from strainwave.domain.keys import JointNumber
 from strainwave.errors import import_optional
 
 if TYPE_CHECKING:
@@ -90,6 +91,6 @@ class IdentifiedNoise:
 
     # by channel: of one sample; the angle for "omega_m1", the motor angle's velocity
     samples: Mapping[str, float] = field(default_factory=dict)
-    # by joint, from 1: of the motor torque that the rigid model does not explain [N m]
-    torques: Mapping[int, float] = field(default_factory=dict)
+    # by joint: of the motor torque that the rigid model does not explain [N m]
+    torques: Mapping[JointNumber, float] = field(default_factory=dict)
     torque_band_hz: float | None = None  # of `torques`

@@ -277,6 +277,6 @@ def unit_of(name: str, joint: Joint | None = None) -> str:
 
 
 def unit_in(arm: ArmDescription, key: Key) -> str:
-    """SI unit of a parameter of an arm, by name and joint, from 1."""
+    """SI unit of a parameter of an arm, by name and joint."""
     name, joint = key
     return unit_of(name, None if joint is None else arm.joints[joint - 1])

@@ -205,7 +205,7 @@ class SensorGain(Keyed):
     """Predicted standard deviation of one parameter with an additional link sensor."""
 
     sensor: str  # type of link sensor
-    link: int  # link that carries the sensor, from 1
+    link: JointNumber  # whose link carries the sensor
     assumed: str  # assumed noise and position
     name: str
     joint: JointNumber | None  # None for the whole arm

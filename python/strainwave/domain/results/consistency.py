@@ -9,6 +9,7 @@ from typing import Any, Literal
 from strainwave.domain.arm.description import Matrix
 from strainwave.domain.arm.kinds import change_arm_keys
 from strainwave.domain.arm.link_sensors import link_channel_kinds
+from strainwave.domain.keys import JointNumber
 from strainwave.domain.messages.catalogue import Clause, Place, places_text, text_of
 from strainwave.domain.results.estimates import Diagnostic
 from strainwave.domain.study.study import Channel, Study, channel_parts
@@ -173,8 +174,8 @@ class Relation:
         return places_text((self.place,))
 
     @property
-    def joint(self) -> int | None:
-        """Joint of the place, from 1; None for a record."""
+    def joint(self) -> JointNumber | None:
+        """Joint of the place; None for a record."""
         channel = self.place.channel
         return self.place.joint if channel is None else channel_parts(channel)[1]
 

@@ -19,6 +19,7 @@ from annotated_types import Ge, MinLen
 from strainwave.domain.arm.consistent_links import standard_parameters
 from strainwave.domain.arm.description import ArmDescription, Positive, Vector
 from strainwave.domain.arm.link_sensors import link_channel_kinds
+from strainwave.domain.keys import JointNumber
 from strainwave.domain.study.options import Options
 
 KeyKind = Literal["number", "numbers", "text", "choice"]
@@ -127,7 +128,7 @@ class Experiment:
     file: Annotated[str, MinLen(1)]
     use: Use
     control: tuple[Control, ...]  # one per joint
-    joint: Annotated[int, Ge(1)] | None = None  # the excited joint, from 1
+    joint: Annotated[JointNumber, Ge(1)] | None = None  # the excited joint
     prbs: Prbs | None = None
     start: float | None = None  # [s]
     stop: float | None = None  # [s]

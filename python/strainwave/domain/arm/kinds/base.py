@@ -10,7 +10,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 
 from strainwave.domain.arm.description import ArmDescription, Joint, Servo, Vector
-from strainwave.domain.keys import JointNumber, Key, Keyed, Row, Values
+from strainwave.domain.keys import JointIndex, JointNumber, Key, Keyed, Row, Values
 from strainwave.domain.messages.catalogue import Clause
 from strainwave.errors import NotIdentifiable
 
@@ -65,8 +65,8 @@ Designs match motor and link within a small factor.
 class StageInertias:
     """Inertias of motor and link from each joint model, and the estimates of the rigid model."""
 
-    motor: Mapping[int, float]  # [kg m^2] by joint, from 1
-    link: Mapping[int, float]  # [kg m^2] by joint, from 1
+    motor: Mapping[JointNumber, float]  # [kg m^2]
+    link: Mapping[JointNumber, float]  # [kg m^2]
     rigid: Mapping[Key, float | None]  # None: not identified
     rigid_std: Mapping[Key, float]
     combinations: Mapping[Key, Row]  # of link parameters and motor inertias, in the rigid model
@@ -133,7 +133,7 @@ class Fault:
     problem: str
     remedy: str
     table: str  # "arm" or "joint"
-    index: int | None = None  # of the [[joint]] table, from 0
+    index: JointIndex | None = None  # of the [[joint]] table
     key: str | None = None
 
 

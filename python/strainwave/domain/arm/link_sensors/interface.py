@@ -5,7 +5,7 @@ A sensor maps link motion and torsion to a reading
     y(t) = s x(t - D) + bias + r (t - t_m)
 
 x is a weighted sum of simulated quantities behind the sensor's low-pass and after the resonance of
-its mount, if it has one. t_m is the middle of the record. Joints count from 1.
+its mount, if it has one. t_m is the middle of the record.
 """
 
 from __future__ import annotations
