@@ -422,10 +422,10 @@ def robot_of(*names: str) -> Robot:
 def test_names_contain_joints() -> None:
     robot = robot_of(*(f"left_{name}" for name in JOINTS))
     both = [f"{side}_{name}" for side in ("left", "right") for name in JOINTS]
-    numbers = {name: match.number for name, match in robot.named_joints(both).items()}
+    numbers = {name: number for name, (number, _) in robot.named_joints(both).items()}
     assert numbers == {f"left_{name}": k for k, name in enumerate(JOINTS, start=1)}
     short = robot.named_joints(["wrist_1_pos", "elbow", "pos1"])
-    assert {name: match.number for name, match in short.items()} == {"wrist_1_pos": 4, "elbow": 3}
+    assert {name: number for name, (number, _) in short.items()} == {"wrist_1_pos": 4, "elbow": 3}
 
 
 def test_numbered_joints_keep_their_numbers() -> None:

@@ -20,7 +20,6 @@ from strainwave.domain.arm.description import Motion as Motion
 from strainwave.domain.arm.description import Origin as Origin
 from strainwave.domain.arm.description import Servo as Servo
 from strainwave.domain.arm.description import Spring as Spring
-from strainwave.domain.arm.description import Transmission as Transmission
 from strainwave.domain.arm.description import Urdf as Urdf
 from strainwave.domain.arm.parameter_table import ParameterDescription as ParameterDescription
 from strainwave.domain.keys import BoolArray as BoolArray

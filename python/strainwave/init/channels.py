@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.init.inspection import InspectedLog
 from strainwave.init.joint_columns import (
@@ -18,7 +19,7 @@ from strainwave.init.joint_columns import (
 )
 from strainwave.init.joints import assign_columns
 from strainwave.init.names import AXIS, UNITS, names_accelerometer, parse
-from strainwave.init.robot import Motion, Robot
+from strainwave.init.robot import Robot
 from strainwave.init.signal_features import (
     flat_top,
     is_register,
@@ -108,7 +109,7 @@ def _describe_joints(joints: Sequence[JointColumns], robot: Robot, record: Inspe
             "by joint names or numbers, such as theta_m1; if a joint stands still in all logs, set "
             'its type to "fixed" in the URDF',
         )
-    motions = [Motion(j.number, j.scaled_angle(), j.record.period) for j in joints]
+    motions = {j.number: (j.scaled_angle(), j.record.period) for j in joints}
     within = robot.are_within_limits(motions)
     if within is False and _are_degrees(joints, robot, motions):
         within = True
@@ -129,12 +130,14 @@ def _describe_joints(joints: Sequence[JointColumns], robot: Robot, record: Inspe
     joints[0].mapping.warnings = tuple(warnings)
 
 
-def _are_degrees(joints: Sequence[JointColumns], robot: Robot, motions: Sequence[Motion]) -> bool:
+def _are_degrees(
+    joints: Sequence[JointColumns], robot: Robot, motions: dict[int, tuple[FloatArray, float]]
+) -> bool:
     """Whether angles beyond the limits are degrees of the joints, not radians of the motors.
 
     Behind a gear, the torques are those of the joint divided by the ratio as well.
     """
-    degrees = [Motion(n, DEGREE * angle, period) for n, angle, period in motions]
+    degrees = {n: (DEGREE * angle, period) for n, (angle, period) in motions.items()}
     if not robot.are_within_limits(degrees):
         return False
     torque = sum(joint.largest_torque() for joint in joints)

@@ -124,8 +124,9 @@ def _number_by_robot(
     for name, each in parsed_names.items():
         match = matches.get(each.label or name)
         if match is not None:
-            parsed = each if each.label else _parse(name, record, match.words)
-            by_name[name] = replace(parsed, number=match.number, label="")
+            joint, words = match
+            parsed = each if each.label else _parse(name, record, words)
+            by_name[name] = replace(parsed, number=joint, label="")
         else:
             number = last_number(words_of(each.label)) if each.label else each.number
             if names_joints and each.rest and each.quantity not in _ON_LINK:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,21 +22,6 @@ Words = tuple[str, ...]
 _MIN_RANGE = 0.1
 # share by which logs exceed the limits of a URDF, which are set-points
 _LIMIT_TOLERANCE = 0.2
-
-
-class Motion(NamedTuple):
-    """Motion of a joint in a record."""
-
-    joint: JointNumber
-    angle: FloatArray  # (n_samples,) [rad, m]
-    period: float  # [s] sampling period
-
-
-class NamedJoint(NamedTuple):
-    """A joint of the URDF that a name contains."""
-
-    number: JointNumber
-    words: Words  # words of the name that are the joint's
 
 
 @dataclass(frozen=True)
@@ -82,8 +66,8 @@ class Robot:
         """The joints of a URDF file that are not held at zero."""
         return Robot(path, read_urdf(path, held), tuple(held))
 
-    def named_joints(self, names: Iterable[str]) -> dict[str, NamedJoint]:
-        """Joints that the names contain: by their whole names, else by their distinct words.
+    def named_joints(self, names: Iterable[str]) -> dict[str, tuple[JointNumber, Words]]:
+        """Joint and its words in each name: by the whole names, else by distinct words.
 
         The distinct words of `ur10e_wrist_1_joint` are `wrist_1`: the others are common to all
         joints.
@@ -99,7 +83,7 @@ class Robot:
             {name: match for name in listed if (match := _longest_match(words, name)) is not None}
             for words in (whole, distinct)
         ]
-        return max(by_words, key=lambda matches: len({m.number for m in matches.values()}))
+        return max(by_words, key=lambda matches: len({number for number, _ in matches.values()}))
 
     def number_of(self, number: int | None) -> JointNumber | None:
         """Joint of a number in a name that counts from 1; None if there is none.
@@ -117,13 +101,16 @@ class Robot:
             own_numbers = [str(k) for k in range(1, len(self.joints) + 1)]
         return own_numbers.index(str(number)) + 1 if str(number) in own_numbers else None
 
-    def are_within_limits(self, motions: Sequence[Motion]) -> bool | None:
+    def are_within_limits(
+        self, motions: Mapping[JointNumber, tuple[FloatArray, float]]
+    ) -> bool | None:
         """Whether all angles stay within the limits of position and velocity of their joints.
 
+        `motions` has the angle (n_samples,) [rad, m] and the sampling period [s] of each joint.
         None if no angle moves enough to tell, or if no joint that moves has limits.
         """
         tested = None
-        for number, values, period in motions:
+        for number, (values, period) in motions.items():
             limits = self.joints[number - 1].limits or JointLimits()
             if float(np.ptp(values)) < _MIN_RANGE:
                 continue
@@ -165,12 +152,12 @@ class Robot:
         return stripped
 
 
-def _longest_match(joints: Sequence[Words], name: str) -> NamedJoint | None:
+def _longest_match(joints: Sequence[Words], name: str) -> tuple[JointNumber, Words] | None:
     """The joint whose words are in a name, next to each other; of several, the longest."""
     inside = words_of(name)
     matches = [
-        NamedJoint(number, words)
+        (number, words)
         for number, words in enumerate(joints, start=1)
         if words and position(inside, words) is not None
     ]
-    return max(matches, key=lambda match: len(match.words), default=None)
+    return max(matches, key=lambda match: len(match[1]), default=None)

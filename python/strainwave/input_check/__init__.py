@@ -23,7 +23,7 @@ from strainwave.domain import (
     channel_parts,
 )
 from strainwave.dynamics.arm import Arm
-from strainwave.input_check.evidence import BestFit, Evidence, collect_evidence
+from strainwave.input_check.evidence import Evidence, collect_evidence
 from strainwave.input_check.hypothesis import MIN_SHARE_OF_GAIN, Hypothesis, UnexplainedEvidence
 from strainwave.input_check.input_hypotheses import propose_hypotheses
 from strainwave.input_check.observations import (
@@ -100,11 +100,12 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
     return Consistency(tuple(suspicions), relations, warnings, _unchecked(logs, relations))
 
 
-def _best_fit(explanations: Sequence[Hypothesis] | None) -> BestFit | None:
+def _best_fit(explanations: Sequence[Hypothesis] | None) -> tuple[float, float] | None:
+    """Cost of the best explanation, and tolerance up to which others are as good."""
     if not explanations:
-        return None if explanations is None else BestFit(np.inf, 0.0)
+        return None if explanations is None else (np.inf, 0.0)
     gain = explanations[0].gain.mean if explanations[0].gain else 0.0
-    return BestFit(explanations[0].cost, float(np.exp((1.0 - MIN_SHARE_OF_GAIN) * gain)) - 1.0)
+    return explanations[0].cost, float(np.exp((1.0 - MIN_SHARE_OF_GAIN) * gain)) - 1.0
 
 
 def _unchecked(logs: Sequence[Log], relations: Sequence[Relation]) -> tuple[str, ...]:

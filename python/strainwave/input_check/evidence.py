@@ -27,11 +27,11 @@ from strainwave.domain.keys import JointNumber
 from strainwave.domain.results.consistency import apply_corrections
 from strainwave.dynamics.arm import Arm
 from strainwave.input_check.timing import (
-    Clocks,
     DelayProfile,
     compute_delay_profile,
     estimate_clocks,
     find_excited_inputs,
+    input_levels,
 )
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
@@ -105,7 +105,10 @@ class SlowRecord:
     direction: FloatArray  # (n_rows, n_joints) mean sign of the motor velocity
     moves: BoolArray  # (n_joints,) motors that move; the others deflect at most
     inside: BoolArray  # (n_rows,) rows without end effects of the filter
-    clocks: Clocks
+    prbs_clock: float | None  # [s] of the PRBS
+    servo_clock: float | None  # [s] update period of the servo output
+    levels: Mapping[str, float]  # half the range of open-loop inputs
+    excited: frozenset[str]  # commands that contain a test signal
     delays: Mapping[JointNumber, DelayProfile]  # where the record determines the delay
     removed_delays: Mapping[str, float] = field(default_factory=dict)  # by channel [s]
 
@@ -124,14 +127,6 @@ class PredictedSignal:
 
 
 @dataclass(frozen=True, slots=True)
-class BestFit:
-    """How well the best explanation of the torques predicts held-out stretches."""
-
-    cost: float  # half the mean logarithm of the unexplained shares
-    tolerance: float  # ratio of unexplained variances, less 1, up to which others are as good
-
-
-@dataclass(frozen=True, slots=True)
 class Evidence:
     """A study and the low-frequency content of its logs, under one hypothesis about the input."""
 
@@ -139,7 +134,10 @@ class Evidence:
     records: tuple[SlowRecord, ...]
     counts: Mapping[JointNumber, float]  # encoder count of its motor angle, if quantised
     high_passes: Mapping[str, float] = field(default_factory=dict)  # channel -> cutoff [Hz]
-    best_fit: BestFit | None = None  # None without torques
+    # of the best explanation of the torques: half the mean logarithm of the unexplained shares of
+    # held-out stretches, and the ratio of unexplained variances, less 1, up to which others are as
+    # good; None without torques
+    best_fit: tuple[float, float] | None = None
     # of all hypotheses about the same logs
     cache: HypothesisCache = field(default_factory=HypothesisCache)
 
@@ -219,10 +217,10 @@ class Evidence:
         """Evidence after all time stamps are multiplied by `factor`."""
         records = []
         for each in self.records:
-            prbs, servo = (x and factor * x for x in (each.clocks.prbs, each.clocks.servo))
-            clocks = replace(each.clocks, prbs=prbs, servo=servo)
+            prbs, servo = (x and factor * x for x in (each.prbs_clock, each.servo_clock))
             T, hz = factor * each.sample_time, each.bandwidth_hz / factor
-            records.append(replace(each, sample_time=T, bandwidth_hz=hz, clocks=clocks, delays={}))
+            changed = replace(each, sample_time=T, bandwidth_hz=hz, delays={})
+            records.append(replace(changed, prbs_clock=prbs, servo_clock=servo))
         return replace(self, records=tuple(records))
 
 
@@ -253,8 +251,8 @@ def _remapped(record: SlowRecord, sources: Mapping[str, tuple[str, float, float]
     """Record with channels from others; `sources` have name -> (name before, factor, offset)."""
     channels = {name: x for name, x in record.channels.items() if name not in sources}
     noise = {name: std for name, std in record.noise.items() if name not in sources}
-    level = {name: x for name, x in record.clocks.level.items() if name not in sources}
-    excited = set(record.clocks.excited) - set(sources)
+    levels = {name: x for name, x in record.levels.items() if name not in sources}
+    excited = set(record.excited) - set(sources)
     direction, moves = record.direction.copy(), record.moves.copy()
     for name, (source, factor, offset) in sources.items():
         kind, joint = channel_parts(name)
@@ -262,15 +260,14 @@ def _remapped(record: SlowRecord, sources: Mapping[str, tuple[str, float, float]
             signal, is_same = record.channels[source], factor == 1.0 and offset == 0.0
             channels[name] = signal if is_same else factor * signal + offset
             noise[name] = abs(factor) * record.noise[source]
-        if source in record.clocks.level:
-            level[name] = abs(factor) * record.clocks.level[source]
-        if source in record.clocks.excited:
+        if source in record.levels:
+            levels[name] = abs(factor) * record.levels[source]
+        if source in record.excited:
             excited.add(name)
         if kind == "theta_m":
             origin = channel_parts(source)[1] - 1
             direction[:, joint - 1] = np.sign(factor) * record.direction[:, origin]
             moves[joint - 1] = record.moves[origin]
-    clocks = replace(record.clocks, level=level, excited=frozenset(excited))
     delays = {}
     for joint in range(1, direction.shape[1] + 1):
         names = [f"{kind}{joint}" for kind in ("theta_m", "u", "torque")]
@@ -284,7 +281,8 @@ def _remapped(record: SlowRecord, sources: Mapping[str, tuple[str, float, float]
         noise=noise,
         direction=direction,
         moves=moves,
-        clocks=clocks,
+        levels=levels,
+        excited=frozenset(excited),
         delays=delays,
     )
 
@@ -349,6 +347,7 @@ def _slow_record(
     inside[edge : n_rows - edge] = True
     all_band_noise = np.sqrt(np.mean(np.diff(samples, axis=0) ** 2, axis=0) / 2.0)
     share = np.sqrt(2.0 * band * T)  # of white noise in the band
+    prbs, servo = estimate_clocks(log, arm)
     return SlowRecord(
         experiment=log.experiment,
         sample_time=block * T,
@@ -358,7 +357,10 @@ def _slow_record(
         direction=slow[:, len(names) :],
         moves=moves,
         inside=inside,
-        clocks=estimate_clocks(log, arm),
+        prbs_clock=prbs,
+        servo_clock=servo,
+        levels=input_levels(log),
+        excited=find_excited_inputs(log),
         delays=_delay_profiles(log, arm),
     )
 
@@ -386,6 +388,6 @@ def exchanged_tests(evidence: Evidence) -> tuple[list[str], list[str]]:
 
     Their files can be exchanged.
     """
-    tests = [(record.experiment, bool(record.clocks.excited)) for record in evidence.records]
+    tests = [(record.experiment, bool(record.excited)) for record in evidence.records]
     silent = [e.name for e, has_signal in tests if e.prbs is not None and not has_signal]
     return silent, [e.name for e, has_signal in tests if is_slow(e) and has_signal]

@@ -11,7 +11,7 @@ import numpy as np
 from strainwave.domain import Clause, Correction, Place, Relation, Study, Suspicion, channel_parts
 from strainwave.domain.keys import JointNumber
 from strainwave.domain.results.consistency import exchange_corrections, steps_of
-from strainwave.input_check.evidence import BestFit, Evidence
+from strainwave.input_check.evidence import Evidence
 from strainwave.input_check.sensors import LINK_CHANNELS, estimate_rotation_factors
 from strainwave.input_check.torque_fit import Gain
 
@@ -82,7 +82,7 @@ class Hypothesis:
             return replace(evidence, records=tuple(kept), best_fit=None)
         after = evidence.corrected(self.corrections)
         if self.gain is not None:  # it competed with the best fit on held-out stretches
-            after = replace(after, best_fit=BestFit(np.inf, 0.0))
+            after = replace(after, best_fit=(np.inf, 0.0))
         if not self.moves_frames:
             return after
         links = [name for name in after.channels if channel_parts(name)[0] in LINK_CHANNELS]

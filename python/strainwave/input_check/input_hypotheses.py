@@ -380,7 +380,7 @@ def _record_clocks(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     """
     clocks = [o for o in case.contradictions if o.kind in ("prbs-clock", "servo-clock")]
     wrong = {o.place.experiments[0]: o for o in clocks}
-    clocked = [r for r in case.evidence.records if r.clocks.prbs or r.clocks.servo]
+    clocked = [r for r in case.evidence.records if r.prbs_clock or r.servo_clock]
     if not wrong:
         return
     names, ratio = tuple(wrong), float(np.median([o.measured for o in wrong.values()]))
@@ -430,9 +430,9 @@ def _voltage_scales(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
     """
     for name in case.by_channel("level"):
         levels = {
-            r.experiment.name: (r.clocks.level[name], r.experiment.prbs.amplitude)
+            r.experiment.name: (r.levels[name], r.experiment.prbs.amplitude)
             for r in case.evidence.records
-            if name in r.clocks.level and r.experiment.prbs is not None
+            if name in r.levels and r.experiment.prbs is not None
             if r.experiment.joint == channel_parts(name)[1]
         }
         ratios = {record: level / amplitude for record, (level, amplitude) in levels.items()}

@@ -156,17 +156,16 @@ def _observe_clocks(evidence: Evidence) -> Iterator[Relation]:
             ratio = count * per_turn / (2.0 * np.pi)
             yield observe("count", Place(channel=f"theta_m{joint}"), ratio, 1e-3 * ratio)
     for record in evidence.records:
-        experiment, clocks = record.experiment, record.clocks
-        place = Place.in_records(experiment.name)
-        if clocks.prbs is not None and experiment.prbs is not None:
-            ratio = clocks.prbs / experiment.prbs.clock
+        experiment, place = record.experiment, Place.in_records(record.experiment.name)
+        if record.prbs_clock is not None and experiment.prbs is not None:
+            ratio = record.prbs_clock / experiment.prbs.clock
             yield observe("prbs-clock", place, ratio, 2e-4 * ratio)
-        if clocks.servo is not None and servo is not None:
-            ratio = clocks.servo / servo.period
+        if record.servo_clock is not None and servo is not None:
+            ratio = record.servo_clock / servo.period
             yield observe("servo-clock", place, ratio, 2e-4 * ratio)
         name = f"u{experiment.joint}"
-        if name in clocks.level and experiment.prbs is not None:
-            ratio = clocks.level[name] / experiment.prbs.amplitude
+        if name in record.levels and experiment.prbs is not None:
+            ratio = record.levels[name] / experiment.prbs.amplitude
             yield observe("level", Place(channel=name), max(ratio, 1e-12), 1e-3 * ratio)
 
 
@@ -179,7 +178,7 @@ def _observe_test_signals(evidence: Evidence) -> Iterator[Relation]:
     for name in silent if signalling else ():
         yield observe("excited-joint", Place.in_records(name), -1.0)
     for record in evidence.records:
-        experiment, excited = record.experiment, record.clocks.excited
+        experiment, excited = record.experiment, record.excited
         joint = experiment.joint
         if joint is not None and excited and experiment.use in ("frequency", "sweep"):
             is_stated = bool({f"u{joint}", f"torque{joint}"} & excited)
@@ -221,8 +220,9 @@ def _observe_torque_fit(evidence: Evidence) -> Iterator[Relation]:
     fit, best = recall_quality(evidence), evidence.best_fit
     if fit is None or best is None:
         return
-    place, ratio = Place(part="arm"), max(float(np.exp(2.0 * (fit.cost - best.cost))), 1.0)
-    yield observe("torque-fit", place, ratio, 0.0, best.tolerance)
+    (cost, tolerance), place = best, Place(part="arm")
+    ratio = max(float(np.exp(2.0 * (fit.cost - cost))), 1.0)
+    yield observe("torque-fit", place, ratio, 0.0, tolerance)
     # sensors behind the gears measure no friction
     shares = friction_shares(evidence)
     joints = [i for i in shares if not evidence.arm.joints[i - 1].torque_at_link]
@@ -230,7 +230,7 @@ def _observe_torque_fit(evidence: Evidence) -> Iterator[Relation]:
     meanings = {evidence.channel(name).meaning for name in names}
     if names and meanings <= {"motor", "without-gravity"}:
         value, std = np.median([*shares.values()], axis=0).tolist()
-        yield observe("friction", Place(part="arm"), value, std)
+        yield observe("friction", place, value, std)
 
 
 def _observe_ratios(ratios: Iterable[PredictedSignal]) -> Iterator[Relation]:

@@ -15,13 +15,13 @@ the servo.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import ComplexArray, Delay, FloatArray, Log, Prbs, channel_parts
-from strainwave.domain.keys import JointIndex
+from strainwave.domain import ComplexArray, Control, Delay, FloatArray, Log, Prbs, channel_parts
+from strainwave.domain.keys import JointIndex, JointNumber
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import band_passes
 from strainwave.numerics.linalg import singular_values
@@ -47,31 +47,29 @@ _MIN_CLOCK_SAMPLES = 1.5
 _MIN_PERIOD_CORRELATION = 0.8
 
 
-@dataclass(frozen=True, slots=True)
-class Clocks:
-    """Clock periods and levels of the commands in one log."""
-
-    prbs: float | None = None  # [s] clock of the PRBS
-    servo: float | None = None  # [s] update period of the servo output
-    level: Mapping[str, float] = field(default_factory=dict)  # half the range of open-loop inputs
-    excited: frozenset[str] = frozenset()  # commands that contain a test signal
+def input_levels(log: Log) -> dict[str, float]:
+    """Half the range of each open-loop command of a record with a PRBS."""
+    if log.experiment.prbs is None:
+        return {}
+    commands = _commands(log)
+    return {n: 0.5 * float(np.ptp(x)) for _, n, x, control in commands if control == "open"}
 
 
-def estimate_clocks(log: Log, arm: Arm) -> Clocks:
-    """Estimate the PRBS and servo clocks of a log from its commands."""
-    experiment = log.experiment
-    level: dict[str, float] = {}
-    prbs = servo = None
-    for i, control in enumerate(experiment.control, start=1):
+def _commands(log: Log) -> Iterator[tuple[JointNumber, str, FloatArray, Control]]:
+    """Yield the joint, the channel and the values of each command, and its control."""
+    for i, control in enumerate(log.experiment.control, start=1):
         name = f"u{i}" if f"u{i}" in log.channels else f"torque{i}"
-        if name not in log.channels:
-            continue
-        values = log.channels[name]
+        if name in log.channels:
+            yield i, name, log.channels[name], control
+
+
+def estimate_clocks(log: Log, arm: Arm) -> tuple[float | None, float | None]:
+    """Clock [s] of the PRBS of a log, and update period [s] of its servo, from the commands."""
+    experiment, prbs, servo = log.experiment, None, None
+    for i, _, values, control in _commands(log):
         if control == "open" and experiment.prbs is not None:
-            level[name] = 0.5 * float(np.ptp(values))
-            is_near_middle = (
-                np.abs(values - 0.5 * (values.max() + values.min())) < 0.4 * level[name]
-            )
+            middle = 0.5 * (values.max() + values.min())
+            is_near_middle = np.abs(values - middle) < 0.2 * float(np.ptp(values))
             if np.mean(is_near_middle) < 1.0 - _MIN_AGREEING_SHARE:  # two levels
                 prbs = prbs or _estimate_clock(_jumps(values), log)
                 prbs = prbs or _estimate_clock_from_period(values, log, experiment.prbs)
@@ -82,7 +80,7 @@ def estimate_clocks(log: Log, arm: Arm) -> Clocks:
                 servo = servo or _estimate_clock(changes.astype(np.float64), log)
             if experiment.prbs is not None and experiment.joint == i:
                 prbs = prbs or _estimate_clock(_jumps(values), log)
-    return Clocks(prbs, servo, level, find_excited_inputs(log))
+    return prbs, servo
 
 
 def find_excited_inputs(log: Log) -> frozenset[str]:
@@ -187,7 +185,6 @@ _PHASE_FLOOR = 0.03
 class DelayProfile:
     """Unexplained share of the command of one record as a function of its delay."""
 
-    record: str
     unexplained: FloatArray  # (n_delays,) over `_DELAYS`
     lines: int  # spectral lines in the band
     band_hz: float  # upper band limit
@@ -258,7 +255,7 @@ def _band_profile(
     shifted = lines[:, :1] * np.exp(2j * np.pi * np.outer(frequency[inside], _DELAYS))
     explained = np.sum((basis.T @ _stack_real_imaginary(shifted)) ** 2, axis=0) / total
     unexplained = np.maximum(1.0 - explained, 1e-9)
-    return DelayProfile(log.name, unexplained, int(inside.sum()), band[1], T)
+    return DelayProfile(unexplained, int(inside.sum()), band[1], T)
 
 
 def _stack_real_imaginary(lines: ComplexArray) -> FloatArray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 from xml.dom import minidom
 from xml.etree import ElementTree
 
@@ -66,13 +66,6 @@ def read_urdf(path: Path, held: Collection[str] = ()) -> tuple[UrdfJoint, ...]:
     has no joint of a name in `held`.
     """
     return _LinkWalk(path, _root(path), held).chain()
-
-
-class Chains(NamedTuple):
-    """Names of the moving joints of a robot, which may be a tree."""
-
-    to_ends: tuple[tuple[str, ...], ...]  # from the base to each end, without mimic joints
-    mimics: tuple[str, ...]
 
 
 def patch_urdf(
@@ -143,8 +136,12 @@ def _text(*values: float) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def read_chains(path: Path) -> Chains:
-    """Names of the joints of a URDF file. Raises InvalidInput if it is not a URDF."""
+def read_chains(path: Path) -> tuple[list[tuple[str, ...]], list[str]]:
+    """Names of the moving joints of a robot, which may be a tree, and of its mimic joints.
+
+    The chains go from the base to each end, without mimic joints. Raises InvalidInput if the file
+    is not a URDF.
+    """
     return _LinkWalk(path, _root(path), ()).chains()
 
 
@@ -231,7 +228,7 @@ class _LinkWalk:
         inertials = [self._inertial(link, frame) for link, frame in frames.items()]
         return np.asarray(np.sum([np.zeros(10), *map(np.array, inertials)], axis=0))
 
-    def chains(self) -> Chains:
+    def chains(self) -> tuple[list[tuple[str, ...]], list[str]]:
         mimics = self.mimics()
         links, chains = [(self._base(), tuple[str, ...]())], list[tuple[str, ...]]()
         while links:
@@ -241,7 +238,7 @@ class _LinkWalk:
             links += [(joint.child, (*chain, joint.name)) for joint in moving]
             if not moving:
                 chains.append(chain)
-        return Chains(tuple(chains), tuple(mimics))
+        return chains, mimics
 
     def _element(self, xml: ElementTree.Element) -> _Element:
         name, kind = xml.get("name", ""), xml.get("type", "")

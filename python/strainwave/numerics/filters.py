@@ -7,7 +7,6 @@ zero-phase filter also keeps the time axis. All functions act along the first ax
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
@@ -331,13 +330,12 @@ def band_passes(
 
     Returns (n_samples, n_requests). The first and last 1.5 / low_hz seconds contain transients.
     """
-    padded = _padded_spectrum(signals, sample_time, 3.0 / low_hz)
-    f = padded.frequency
+    f, spectrum, inverse = _padded_spectrum(signals, sample_time, 3.0 / low_hz)
     gain = 1.0 / ((1.0 + _eighth_power(low_hz / f)) * (1.0 + _eighth_power(f / high_hz)))
     filtered = np.empty((len(signals), len(requests)))
     for column, (k, integrals) in enumerate(requests):
         response = gain if integrals == 0 else gain * (2j * np.pi * f) ** -integrals
-        filtered[:, column] = padded.inverse(response * padded.spectrum[:, k])
+        filtered[:, column] = inverse(response * spectrum[:, k])
     return filtered
 
 
@@ -362,36 +360,28 @@ def by_spectrum(
 
     Returns (n_samples, ...).
     """
-    padded = _padded_spectrum(signal, sample_time, reach)
-    gain = response(padded.frequency)
+    f, spectrum, inverse = _padded_spectrum(signal, sample_time, reach)
+    gain = response(f)
     if gain.ndim == 3:
-        return padded.inverse(np.einsum("foi,fi->fo", gain, padded.spectrum))
-    return padded.inverse(padded.spectrum * _along_rows(gain, signal))
+        return inverse(np.einsum("foi,fi->fo", gain, spectrum))
+    return inverse(spectrum * _along_rows(gain, signal))
 
 
-@dataclass(frozen=True, slots=True)
-class _PaddedSpectrum:
-    """Spectrum of an extended signal without its mean."""
+def _padded_spectrum(
+    signal: FloatArray, sample_time: float, reach: float
+) -> tuple[FloatArray, ComplexArray, Callable[[ComplexArray], FloatArray]]:
+    """Positive frequencies [Hz] and spectrum of an extended signal without its mean.
 
-    frequency: FloatArray  # (n_frequencies,) [Hz]
-    spectrum: ComplexArray  # (n_frequencies, ...)
-    n: int  # samples of the signal
-    pad: int  # samples of the extension before it
-    size: int  # samples of the transform
-
-    def inverse(self, spectrum: ComplexArray) -> FloatArray:
-        """Signal of n samples from a spectrum of the same extended signal."""
-        full_spectrum = np.concatenate([np.zeros_like(spectrum[:1]), spectrum])
-        inside = slice(self.pad, self.pad + self.n)
-        passed: FloatArray = np.fft.irfft(full_spectrum, self.size, axis=0)[inside]
-        return passed
-
-
-def _padded_spectrum(signal: FloatArray, sample_time: float, reach: float) -> _PaddedSpectrum:
+    Also a function from such a spectrum to the samples of the signal.
+    """
     n = len(signal)
     pad = min(n - 1, int(reach / sample_time))
     extended = _point_reflected(signal, pad)
     size = fast_length(len(extended) + pad)
-    f: FloatArray = np.asarray(np.fft.rfftfreq(size, sample_time)[1:], dtype=np.float64)
-    spectrum = np.asarray(np.fft.rfft(extended, size, axis=0)[1:])
-    return _PaddedSpectrum(f, spectrum, n, pad, size)
+
+    def inverse(spectrum: ComplexArray) -> FloatArray:
+        full_spectrum = np.concatenate([np.zeros_like(spectrum[:1]), spectrum])
+        return np.asarray(np.fft.irfft(full_spectrum, size, axis=0)[pad : pad + n])
+
+    f = np.asarray(np.fft.rfftfreq(size, sample_time)[1:], dtype=np.float64)
+    return f, np.asarray(np.fft.rfft(extended, size, axis=0)[1:]), inverse

@@ -269,64 +269,58 @@ def jackknife(equations: Equations, factor: Factor) -> tuple[FloatArray, FloatAr
     """
     basis = factor.directions[factor.is_resolved].T / factor.scale[:, None]
     to_parameters = basis / factor.singular[factor.is_resolved]
-    normal = _NormalEquations.of(equations, factor.root, to_parameters)
-    reference = np.linalg.solve(normal.gram[:, :-1], normal.gram[:, -1])
-    shifts = [normal.without(label) - reference for label in normal.block_grams]
+    gram, block_grams, priors = _normal_equations(equations, factor.root, to_parameters)
+    reference = np.linalg.solve(gram[:, :-1], gram[:, -1])
+    shifts = []
+    for block_gram in block_grams:
+        rest = gram - block_gram
+        # a small ridge keeps a direction that only this block determines at a finite value
+        rest[np.diag_indices(len(rest))] += 1e-9
+        shifts.append(np.linalg.solve(rest[:, :-1], rest[:, -1]) - reference)
     m = len(shifts)
-    inverse = np.linalg.inv(normal.gram[:, :-1])
-    of_priors = inverse @ normal.priors @ inverse
+    inverse = np.linalg.inv(gram[:, :-1])
+    of_priors = inverse @ priors @ inverse
     inner_covariance = (m - 1) / m * np.array(shifts).T @ np.array(shifts) + of_priors
     k = to_parameters.shape[1]
     covariance: FloatArray = to_parameters @ inner_covariance[:k, :k] @ to_parameters.T
     return covariance, np.asarray(np.diag(inner_covariance)[k:] * equations.common_deviation**2)
 
 
-@dataclass(frozen=True, slots=True)
-class _NormalEquations:
-    """Normal equations of w and the common nuisance parameters, without the local parameters."""
+def _normal_equations(
+    equations: Equations, root: FloatArray, back: FloatArray
+) -> tuple[FloatArray, list[FloatArray], FloatArray]:
+    """Normal equations of w and the common nuisance parameters, without the local parameters.
 
-    gram: FloatArray  # (k, k + 1), the last column is the right-hand side
-    block_grams: dict[int, FloatArray]  # contribution of each block to the gram matrix
-    priors: FloatArray  # (k, k) contribution of the errors of the priors, of unit variance
-
-    @staticmethod
-    def of(equations: Equations, root: FloatArray, back: FloatArray) -> _NormalEquations:
-        """Normal equations for the parameters x = `back @ w`."""
-        common = equations.common * equations.common_deviation
-        columns = [equations.shared @ back, common, equations.target]
-        rows = np.column_stack(columns) * root[:, None]
-        n = rows.shape[1]
-        gram, priors = np.zeros((n, n)), np.zeros((n, n))
-        has_no_local = equations.group != PRIOR_GROUP
-        block_grams: dict[int, FloatArray] = {}
-        for part, Z in _weighted_parts(equations, root):
-            if not Z.entries.size:
-                continue
-            coefficients, _, _ = _eliminate(Z, rows[part.rows], leverage=False)
-            part_gram, without = _without_blocks(Z, rows[part.rows], equations.block[part.rows])
-            gram += part_gram
-            priors += coefficients.T @ coefficients
-            for label, remaining in without.items():
-                block_grams[label] = block_grams.get(label, 0.0) + part_gram - remaining
-            has_no_local[part.rows] = False
-        for label in np.unique(equations.block[has_no_local]).tolist():
-            block_rows = rows[has_no_local & (equations.block == label)]
-            block_grams[label] = block_grams.get(label, 0.0) + block_rows.T @ block_rows
-            gram += block_rows.T @ block_rows
-        n_own = n - 1 - common.shape[1]
-        prior_rows = np.vstack([rows[equations.group == PRIOR_GROUP], np.eye(n)[n_own:-1]])
-        gram += prior_rows.T @ prior_rows
-        priors += prior_rows.T @ prior_rows
-        return _NormalEquations(gram[:-1], block_grams, priors[:-1, :-1])
-
-    def without(self, label: int) -> FloatArray:
-        """Estimate of w and the common nuisance parameters without the rows of one block.
-
-        A small ridge keeps a direction that only these rows determine at a finite value.
-        """
-        gram = self.gram - self.block_grams[label][:-1]
-        gram[np.diag_indices(len(gram))] += 1e-9
-        return np.asarray(np.linalg.solve(gram[:, :-1], gram[:, -1]))
+    The parameters are x = `back @ w`. Returns the matrix (k, k + 1), whose last column is the
+    right-hand side, the contribution of each block to it, and that of the errors of the priors, of
+    unit variance, (k, k).
+    """
+    common = equations.common * equations.common_deviation
+    columns = [equations.shared @ back, common, equations.target]
+    rows = np.column_stack(columns) * root[:, None]
+    n = rows.shape[1]
+    gram, priors = np.zeros((n, n)), np.zeros((n, n))
+    has_no_local = equations.group != PRIOR_GROUP
+    block_grams: dict[int, FloatArray] = {}
+    for part, Z in _weighted_parts(equations, root):
+        if not Z.entries.size:
+            continue
+        coefficients, _, _ = _eliminate(Z, rows[part.rows], leverage=False)
+        part_gram, without = _without_blocks(Z, rows[part.rows], equations.block[part.rows])
+        gram += part_gram
+        priors += coefficients.T @ coefficients
+        for label, remaining in without.items():
+            block_grams[label] = block_grams.get(label, 0.0) + part_gram - remaining
+        has_no_local[part.rows] = False
+    for label in np.unique(equations.block[has_no_local]).tolist():
+        block_rows = rows[has_no_local & (equations.block == label)]
+        block_grams[label] = block_grams.get(label, 0.0) + block_rows.T @ block_rows
+        gram += block_rows.T @ block_rows
+    n_own = n - 1 - common.shape[1]
+    prior_rows = np.vstack([rows[equations.group == PRIOR_GROUP], np.eye(n)[n_own:-1]])
+    gram += prior_rows.T @ prior_rows
+    priors += prior_rows.T @ prior_rows
+    return gram[:-1], [each[:-1] for each in block_grams.values()], priors[:-1, :-1]
 
 
 def _without_blocks(

@@ -6,7 +6,6 @@ Matrices with few, contiguous entries per row.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -45,26 +44,18 @@ def triangular_factor(table: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.qr(table, mode="r"))
 
 
-class SingularValues(NamedTuple):
-    """Reduced singular value decomposition: left diag(values) right."""
-
-    left: FloatArray  # (n_rows, rank)
-    values: FloatArray  # (rank,) descending
-    right: FloatArray  # (rank, n_columns)
-
-
-def singular_values(matrix: FloatArray) -> SingularValues:
-    """Singular value decomposition of a finite matrix (n_rows, n_columns).
+def singular_values(matrix: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """U (n_rows, rank), s (rank,) descending and V' (rank, n_columns) of a finite matrix U s V'.
 
     LAPACK's divide and conquer fails on some matrices of which many singular values are rounding
     errors; the transpose has the same decomposition and another path through the algorithm. Raises
     LinAlgError if both fail.
     """
     try:
-        return SingularValues(*np.linalg.svd(matrix, full_matrices=False))
+        left, values, right = np.linalg.svd(matrix, full_matrices=False)
     except np.linalg.LinAlgError:
-        left, values, right = np.linalg.svd(matrix.T, full_matrices=False)
-        return SingularValues(right.T, values, left.T)
+        right, values, left = (x.T for x in np.linalg.svd(matrix.T, full_matrices=False))
+    return left, values, right
 
 
 @dataclass(frozen=True, slots=True)

@@ -58,7 +58,6 @@ class Space(Protocol):
         """Step (n,) limited to the bounds and to a share of the range in which it is linear."""
 
 
-@dataclass(frozen=True, slots=True)
 class Flat:
     """Domain without bounds or step limits."""
 

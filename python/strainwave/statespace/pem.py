@@ -256,8 +256,8 @@ def _starts(
     if start is None:
         horizon, factors = choose_horizon(data, order or MAX_ORDER), Factors(data)
         realisations = [
-            realise(factors, order, "predictor", horizon, feedthrough).matrices,
-            realise(factors, order, "moesp", horizon, feedthrough).matrices,
+            realise(factors, order, "predictor", horizon, feedthrough)[0],
+            realise(factors, order, "moesp", horizon, feedthrough)[0],
         ]
     else:
         realisations = [_from_model(start, data)]

@@ -14,7 +14,7 @@ predictor re-estimates B, D and the initial states.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from typing import Literal, NamedTuple
 
@@ -53,15 +53,6 @@ MIN_PIVOT_RATIO = 1e-6
 
 # Rows of each block of the QR decomposition; the full Hankel matrix is never stored.
 ROWS_PER_BLOCK = 2048
-
-
-@dataclass(frozen=True, slots=True)
-class Realisation:
-    """Model of scaled channels, with the singular values and the horizon of the method."""
-
-    matrices: ModelMatrices
-    singular_values: FloatArray
-    horizon: int
 
 
 def subspace(
@@ -122,9 +113,9 @@ def _estimate(
 ) -> StateSpace:
     data = factors.data
     through = check_feedthrough(feedthrough, data)
-    realisation = realise(factors, order, method, horizon, through)
-    evaluator = Evaluator(data, realisation.matrices.order)
-    matrices, warnings = realisation.matrices, list[Diagnostic]()
+    length = horizon or choose_horizon(data, order or MAX_ORDER)
+    matrices, singular_values = realise(factors, order, method, length, through)
+    evaluator, warnings = Evaluator(data, matrices.order), list[Diagnostic]()
     if focus == "stability" and not is_stable(matrices.A):
         modulus = float(np.abs(np.linalg.eigvals(matrices.A)).max())
         warnings.append(Diagnostic("stability-enforced", STATE_SPACE_MODEL, modulus=modulus))
@@ -136,7 +127,7 @@ def _estimate(
     if not is_finite:
         warnings.append(Diagnostic("subspace-not-determined", STATE_SPACE_MODEL))
     model = assemble(data, matrices, "subspace", status, through, tuple(warnings))
-    return replace(model, singular_values=realisation.singular_values, horizon=realisation.horizon)
+    return replace(model, singular_values=singular_values, horizon=length)
 
 
 class Factors:
@@ -155,22 +146,21 @@ def realise(
     factors: Factors,
     order: int | None,
     method: Method,
-    horizon: int | None,
+    horizon: int,
     feedthrough: tuple[bool, ...],
-) -> Realisation:
-    """Realisation with the smaller cost, in balanced coordinates."""
+) -> tuple[ModelMatrices, FloatArray]:
+    """Model of scaled channels with the smaller cost, balanced, and the singular values."""
     data = factors.data
     methods = ("moesp", "predictor") if method == "auto" else (method,)
-    length = horizon or choose_horizon(data, order or MAX_ORDER)
-    _check_length(data, order or 1, length)
+    _check_length(data, order or 1, horizon)
     realisations = [
-        _realise(factors, _METHODS[way](factors, order, length), length, feedthrough)
+        _realise(factors, _METHODS[way](factors, order, horizon), horizon, feedthrough)
         for way in methods
     ]
 
-    def cost(realisation: Realisation) -> float:
-        evaluator = Evaluator(data, realisation.matrices.order)
-        return evaluator.cost(evaluator.linear(realisation.matrices, feedthrough, gain=True).pack())
+    def cost(realisation: tuple[ModelMatrices, FloatArray]) -> float:
+        evaluator = Evaluator(data, realisation[0].order)
+        return evaluator.cost(evaluator.linear(realisation[0], feedthrough, gain=True).pack())
 
     return realisations[0] if len(realisations) == 1 else min(realisations, key=cost)
 
@@ -297,7 +287,7 @@ _METHODS = {"moesp": _moesp_states, "n4sid": _n4sid_states, "predictor": _predic
 
 def _realise(
     factors: Factors, states: _States, past: int, feedthrough: tuple[bool, ...]
-) -> Realisation:
+) -> tuple[ModelMatrices, FloatArray]:
     """Regress outputs and next states on states and inputs; K follows from the residuals.
 
     The factor R of [u[k], z[k-1], ..., z[k-past], y[k]] represents the data. It has one sample more
@@ -328,7 +318,7 @@ def _realise(
     K, innovation = innovations_gain(A, C, noise[:n, :n], noise[:n, n:], noise[n:, n:])
     K = stabilising_gain(A, C, K, innovation)
     matrices = ModelMatrices(A, B, C, D, K, initial_states=np.zeros((len(data.lengths), n)))
-    return Realisation(balance(matrices), states.singular_values, past)
+    return balance(matrices), states.singular_values
 
 
 def _regression(regressors: FloatArray, targets: FloatArray) -> FloatArray:

@@ -177,13 +177,6 @@ class Urdf:
 
 
 @dataclass(frozen=True, slots=True)
-class Transmission:
-    """Coupling between motors and joints: `[transmission]`."""
-
-    coupling: Matrix  # C, (n_joints, n_joints): link angles = C (gear_ratio * motor angles)
-
-
-@dataclass(frozen=True, slots=True)
 class ArmDescription:
     """A serial chain on a fixed base, with its servo.
 
@@ -194,7 +187,7 @@ class ArmDescription:
     kind: str  # of `domain.kinds`; selects the compiled program and names of combinations
     joints: tuple[Joint, ...]  # in order from the base
     gravity: Vector | None = None  # [m/s^2] in the frame of the base; None: without gravity
-    coupling: Matrix | None = None  # C, (n_joints, n_joints); None: identity
+    coupling: Matrix | None = None  # C, (n_joints, n_joints): `[transmission]`; None: identity
     servo: Servo | None = None
     urdf: Urdf | None = None
 

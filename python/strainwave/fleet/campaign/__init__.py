@@ -29,7 +29,7 @@ from strainwave.fleet.campaign.runner import CampaignPlan
 from strainwave.fleet.campaign.store import MERGE_AFTER, Store
 from strainwave.fleet.campaign.study_files import CaseSelection, find
 from strainwave.io import atomic_files
-from strainwave.io.study.reader import Flag, parse_flag
+from strainwave.io.study.reader import Reader, parse_flag
 
 __all__ = ["RunLimits", "Settings", "Summary", "run"]
 
@@ -207,7 +207,7 @@ def _plan(selection: CaseSelection, settings: Settings) -> CampaignPlan:
     tables = {"options": selection.options}
     tables |= {f"--set {text}": parse_flag(text) for text in settings.options}
     for place, table in tables.items():  # faults of all studies
-        Flag(Path("campaign"), place).options(table, Options())
+        Reader(Path("campaign"), "", flag=place).options(table, Options())
     options = merged([*tables.values()])
     name = f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{secrets.token_hex(3)}"
     where = settings.store

@@ -26,7 +26,6 @@ from strainwave.io.logs.text_layout import (
     cell_kind,
     check_number,
     find_layout,
-    read_header,
     split_line,
     text_lines,
 )
@@ -43,23 +42,22 @@ def open_text(data: bytes, path: Path) -> LogTable:
     if not data or data.isspace():
         raise InvalidInput("is empty", where=str(path), remedy="record the experiment again")
     layout = find_layout(data, path)
-    header = read_header(layout, path)
     footer, end = _find_footer(data, layout)
-    body = _TextRows(data[:end], path, layout, header.names)
+    body = _TextRows(data[:end], path, layout)
     names: dict[str, int] = {}
     clocks: dict[str, Clock] = {}
     omitted: dict[str, str] = {}
-    for index, (name, kind) in enumerate(zip(header.names, layout.kinds, strict=True)):
+    for index, (name, kind) in enumerate(zip(layout.names, layout.kinds, strict=True)):
         if kind in ("number", "datetime", "date", "time"):
             names[name] = index
             if kind != "number":
                 clocks[name] = kind
         elif name:
             omitted[name] = _OMITTED[kind]
-    notes = [*assumptions, *header.notes]
+    notes = [*assumptions, *layout.notes]
     if footer:
         notes.append(f"the last {footer} line(s) contain no numbers and are not read")
-    units = {name: header.units[k] for name, k in names.items() if header.units.get(k)}
+    units = {name: layout.units[k] for name, k in names.items() if layout.units.get(k)}
     return LogTable(path, list(names), body.read, body.row_name, units, clocks, omitted, notes)
 
 
@@ -86,14 +84,13 @@ class _TextRows:
     data: bytes  # without a note at the end
     path: Path
     layout: Layout
-    names: Sequence[str]
 
     def read(self, column_names: Sequence[str]) -> dict[str, FloatArray]:
         """Read columns by name; missing values are NaN."""
         import pyarrow as pa
         import pyarrow.csv
 
-        indices = [self.names.index(name) for name in column_names]
+        indices = [self.layout.names.index(name) for name in column_names]
         is_number = {k: self.layout.kinds[k] == "number" for k in indices}
         types = {str(k): pa.float64() if is_number[k] else pa.string() for k in indices}
         rows: Any = memoryview(self.data)[self.layout.start :]
@@ -104,7 +101,7 @@ class _TextRows:
             table = pa.csv.read_csv(
                 arrow_reader(rows),
                 read_options=pa.csv.ReadOptions(
-                    column_names=[str(k) for k in range(len(self.names))], use_threads=True
+                    column_names=[str(k) for k in range(len(self.layout.names))], use_threads=True
                 ),
                 parse_options=pa.csv.ParseOptions(delimiter=self.layout.delimiter),
                 convert_options=pa.csv.ConvertOptions(
@@ -139,7 +136,7 @@ class _TextRows:
     def _read_lines(self, indices: Sequence[int]) -> dict[int, Any]:
         """Read line by line, and raise InvalidInput at the first invalid line."""
         cells: dict[int, list[Any]] = {index: [] for index in indices}
-        n_columns, lines = len(self.names), self._lines()
+        n_columns, lines = len(self.layout.names), self._lines()
         for number, line in lines:
             where = f"{self.path}, line {number}"
             fields = split_line(line, self.layout.delimiter)
@@ -155,13 +152,13 @@ class _TextRows:
             for index in indices:
                 cell: Any = fields[index]
                 if self.layout.kinds[index] == "number":
-                    place = f"{where}, column {self.names[index]!r}"
+                    place = f"{where}, column {self.layout.names[index]!r}"
                     cell = check_number(cell, self.layout.decimal, place)
                 cells[index].append(cell)
         return cells
 
     def _place(self, index: int, row: int) -> str:
-        return f"{self.path}, {self.row_name(row)}, column {self.names[index]!r}"
+        return f"{self.path}, {self.row_name(row)}, column {self.layout.names[index]!r}"
 
     def row_name(self, row: int) -> str:
         lines = self._lines()

@@ -6,9 +6,9 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.clock_text import clock_of
@@ -55,6 +55,9 @@ class Layout:
     delimiter: str
     decimal: str
     kinds: Sequence[CellKind]  # of each column
+    names: Sequence[str] = ()  # of each column; empty for a column without name and values
+    units: Mapping[int, str] = field(default_factory=dict)  # of columns
+    notes: Sequence[str] = ()  # on the head
 
     @property
     def width(self) -> int:
@@ -73,7 +76,7 @@ class Layout:
 
 
 def find_layout(data: bytes, path: Path) -> Layout:
-    """Find the columns and the first row; a long preamble needs more of the text."""
+    """Find the columns, their names and the first row; a long preamble needs more of the text."""
     size = PROBE_BYTES
     while True:
         probe = data[:size].splitlines(keepends=True)
@@ -83,7 +86,7 @@ def find_layout(data: bytes, path: Path) -> Layout:
             end = data[-PROBE_BYTES // 4 :].splitlines()[1:]
         layout = _layout_of(probe, text_lines(end[-_SAMPLE_LINES // 2 :]))
         if layout is not None:
-            return layout
+            return _with_names(layout, path)
         if size >= len(data):
             break
         size *= 8
@@ -195,21 +198,7 @@ def split_line(line: str, delimiter: str) -> list[str]:
 # --- Header ---------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Header:
-    """Names and units of the columns."""
-
-    names: Sequence[str]  # of each column; empty for a column without name and values
-    units: Mapping[int, str]  # of columns
-    notes: Sequence[str]
-
-
-class _TextLine(NamedTuple):
-    number: int
-    cells: list[str]  # one for each column
-
-
-def read_header(layout: Layout, path: Path) -> Header:
+def _with_names(layout: Layout, path: Path) -> Layout:
     """Find the names and units of the columns in the lines above the first row."""
     units, notes, names = dict[int, str](), list[str](), list[str]()
     for line in layout.head:
@@ -228,44 +217,45 @@ def read_header(layout: Layout, path: Path) -> Header:
         name or ("" if kind == "empty" else f"data[{k}]")
         for k, (name, kind) in enumerate(zip(names, layout.kinds, strict=True))
     ]
-    return Header(names, units, notes)
+    return replace(layout, names=names, units=units, notes=notes)
 
 
 def _names_of(layout: Layout, path: Path, notes: list[str]) -> tuple[list[str], dict[int, str]]:
     """Return the names of the columns, empty if they have none, and the units of a row of units."""
     rows, units = _header_rows(layout, path), dict[int, str]()
-    if len(rows) > 1 and _is_unit_row(rows[0], layout) and _is_name_row(rows[1], layout):
-        for k, cell in enumerate(rows[0].cells):
+    if len(rows) > 1 and _is_unit_row(rows[0][1], layout) and _is_name_row(rows[1][1], layout):
+        for k, cell in enumerate(rows[0][1]):
             if unit := _BRACKETED.sub(r"\1", cell).strip():
                 units[k] = unit
-        notes.append(f"line {rows[0].number} is read as the units")
+        notes.append(f"line {rows[0][0]} is read as the units")
         rows = rows[1:]
     if not rows:
         notes.append("there is no header; the columns are data[0], data[1], ...")
         return [""] * len(layout.kinds), units
-    names = list(rows[0].cells)
+    number, names = rows[0][0], list(rows[0][1])
     counts = Counter(names)
     if len(rows) > 1 and any(counts[name] > 1 for name in names if name):
         group = ""
-        for index, upper in enumerate(rows[1].cells):
+        for index, upper in enumerate(rows[1][1]):
             group = upper or group  # a merged cell
             if counts[names[index]] > 1 and names[index]:
                 names[index] = f"{group} {names[index]}".strip()
-    check_unique(list(filter(None, names)), f"{path}, line {rows[0].number}")
+    check_unique(list(filter(None, names)), f"{path}, line {number}")
     return names, units
 
 
-def _header_rows(layout: Layout, path: Path) -> list[_TextLine]:
+def _header_rows(layout: Layout, path: Path) -> list[tuple[int, list[str]]]:
     """Return the lines above the first row that have its columns, from below; none without header.
 
-    Raises InvalidInput if the lowest is a row with a fault, or has another number of columns.
+    Each has its number in the file and one cell for each column. Raises InvalidInput if the lowest
+    is a row with a fault, or has another number of columns.
     """
-    rows: list[_TextLine] = []
+    rows: list[tuple[int, list[str]]] = []
     for number in range(len(layout.head), 0, -1):
         line = layout.head[number - 1]
         cells = _fit(line, layout, shorter=bool(rows))
         if cells is not None:
-            rows.append(_TextLine(number, cells))
+            rows.append((number, cells))
         elif line.strip() and not _COMMENT.match(line):
             names = _trimmed(split_line(line, layout.delimiter))
             is_header = number == len(layout.head) and all(
@@ -278,8 +268,8 @@ def _header_rows(layout: Layout, path: Path) -> list[_TextLine]:
                     remedy="correct this line: one name for each column",
                 )
             break
-    while rows and not _is_name_row(rows[0], layout):
-        if len(rows) > 1 and _is_unit_row(rows[0], layout):
+    while rows and not _is_name_row(rows[0][1], layout):
+        if len(rows) > 1 and _is_unit_row(rows[0][1], layout):
             break
         number, cells = rows.pop(0)
         if _is_numbering(cells) or number < len(layout.head):
@@ -319,18 +309,18 @@ def _trimmed(cells: list[str]) -> list[str]:
     return cells
 
 
-def _used(row: _TextLine, layout: Layout) -> list[str]:
+def _used(row: Sequence[str], layout: Layout) -> list[str]:
     """Return the cells above columns of values."""
-    return [cell for cell, kind in zip(row.cells, layout.kinds, strict=True) if kind != "empty"]
+    return [cell for cell, kind in zip(row, layout.kinds, strict=True) if kind != "empty"]
 
 
-def _is_name_row(row: _TextLine, layout: Layout) -> bool:
+def _is_name_row(row: Sequence[str], layout: Layout) -> bool:
     cells = _used(row, layout)
     texts = [cell for cell in cells if cell_kind(cell) not in ("number", "empty")]
     return 2 * len(texts) >= len(cells) and not any(cell_kind(cell) == "number" for cell in cells)
 
 
-def _is_unit_row(row: _TextLine, layout: Layout) -> bool:
+def _is_unit_row(row: Sequence[str], layout: Layout) -> bool:
     cells = [cell for cell in _used(row, layout) if cell]
     units = [c for c in cells if re.fullmatch(_UNIT, c) or _BRACKETED.match(c)]
     return bool(cells) and 2 * len(units) >= len(cells) and max(map(len, cells)) <= _MAX_UNIT

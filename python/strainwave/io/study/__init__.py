@@ -25,7 +25,7 @@ from strainwave.io.study.checks import (
     check_sizes,
     without_gravity,
 )
-from strainwave.io.study.reader import PLACED_BY_URDF, Flag, Reader, parse_flag
+from strainwave.io.study.reader import PLACED_BY_URDF, Reader, parse_flag
 
 __all__ = ["check_study", "copy_to", "document_of", "read_study", "with_options", "write_study"]
 
@@ -70,7 +70,7 @@ def with_options(
     value.
     """
     if isinstance(options, Options):  # checked as those of a file are
-        reader = Flag(study.path, "options")
+        reader = Reader(study.path, "", flag="options")
         checked = reader.options(_table(options), Options())
         changed = dataclasses.replace(study, options=checked)
         check_options(changed, reader)
@@ -84,7 +84,7 @@ def with_options(
     else:
         given = {f"--set {text}": parse_flag(text) for text in texts if text != AS_PUBLISHED}
     for place, table in given.items():
-        reader = Flag(study.path, place)
+        reader = Reader(study.path, "", flag=place)
         study = dataclasses.replace(study, options=reader.options(table, study.options))
         check_options(study, reader)
     return study
@@ -92,7 +92,7 @@ def with_options(
 
 def _as_published(study: Study) -> Study:
     """The study with the options of the source, one stiffness per gear and no selected effects."""
-    reader = Flag(study.path, f"--{AS_PUBLISHED}")
+    reader = Reader(study.path, "", flag=f"--{AS_PUBLISHED}")
     if not study.arm.has_planar_program:
         raise InvalidInput(
             f"the published method is for two-link arms and single joints, and the kind is "

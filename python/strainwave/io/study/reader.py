@@ -10,8 +10,7 @@ from __future__ import annotations
 import dataclasses
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_args, get_type_hints
@@ -26,7 +25,6 @@ from strainwave.domain import (
     Servo,
     Study,
     TopicChannel,
-    Transmission,
     Urdf,
 )
 from strainwave.domain.arm import effects, gear_laws
@@ -43,15 +41,7 @@ _PLACED_BY_KIND: Mapping[str, Any] = {"origin": Origin(), "axis": (0.0, 0.0, 1.0
 PLACED_BY_URDF = ("origin", "axis", "name", "limits")
 """Keys of a joint that a URDF determines."""
 
-_TABLES = {
-    "arm": Kind,
-    "joint": Joint,
-    "transmission": Transmission,
-    "servo": Servo,
-    "channels": Channel,
-    "experiment": Experiment,
-    "options": Options,
-}
+_TABLES = ("arm", "joint", "transmission", "servo", "channels", "experiment", "options")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,6 +51,7 @@ class Reader:
     path: Path
     text: str
     is_result: bool = False  # tables of result.json, with keys that identification adds
+    flag: str = ""  # place of a table that is not in a file: "--set links.order=1"
 
     def study(
         self, document: Mapping[str, Any], sha256: str, *, experiments_exist: bool = True
@@ -255,7 +246,11 @@ class Reader:
                 where=self.place("transmission"),
                 remedy='remove [transmission], or describe the arm with kind = "serial"',
             )
-        return self.record(Transmission, table, "transmission").coupling
+        self._check_keys(table, ("coupling",), "transmission")
+        if "coupling" not in table:
+            raise self._missing("coupling", "transmission")
+        coupling: Matrix = self._value(table["coupling"], Matrix, "transmission", None, "coupling")
+        return coupling
 
     def _urdf(self, file: str, held: Sequence[str], count: int) -> tuple[UrdfJoint, ...]:
         """The joints of the URDF file, which must be as many as there are `[[joint]]` tables."""
@@ -379,7 +374,7 @@ class Reader:
     def _check_keys(
         self,
         table: Mapping[str, Any],
-        known: Mapping[str, Any],
+        known: Collection[str],
         name: str,
         index: int | None = None,
     ) -> None:
@@ -394,7 +389,9 @@ class Reader:
                 )
 
     def place(self, name: str = "", index: int | None = None, key: str | None = None) -> str:
-        """File, line and table of a key, as text."""
+        """File, line and table of a key, as text; or the flag."""
+        if self.flag:
+            return self.flag
         line = self._line(name, index, key)
         line_text = f", line {line}" if line else ""
         table = f", [[{name}]] {index + 1}" if index is not None else f", [{name}]" if name else ""
@@ -443,15 +440,6 @@ def _abbreviated(value: Any) -> str:
 
 _FLAG = re.compile(r"\s*(\w+)\.(\w+)\s*=\s*(.*\S)\s*", re.DOTALL)
 _WORD = re.compile(r"[A-Za-z][\w-]*")
-
-
-@dataclass(frozen=True)
-class Flag(Reader):
-    """Reader of a table that is not in a file. Every place is the flag itself."""
-
-    def place(self, name: str = "", index: int | None = None, key: str | None = None) -> str:
-        """The flag."""
-        return self.text
 
 
 def parse_flag(text: str) -> dict[str, Any]:
