@@ -12,9 +12,8 @@ from pathlib import Path
 from textwrap import fill
 
 from strainwave.commands import command_texts
-from strainwave.domain.messages.catalogue import catalogue
-from strainwave.domain.study.options import option_texts
-from strainwave.domain.study.study import study_keys
+from strainwave.domain.messages import catalogue
+from strainwave.domain.study import option_texts, study_keys
 
 HERE = Path(__file__).parent
 _WIDTH = 120  # columns

@@ -18,7 +18,7 @@ from reproduction.joint_estimates import (
 from reproduction.records import Comparison, Criterion, Evidence
 from reproduction.rig import CLASSICAL_METHOD, Rig
 from strainwave.domain import Control
-from strainwave.domain.study.options import Channels, EstimationMethod
+from strainwave.domain.study import Channels, EstimationMethod
 from strainwave.report.figures.curves import Curve, bode
 
 _OUTPUTS: tuple[tuple[str, Channels], ...] = (("one output", "motor"), ("two outputs", "both"))

@@ -32,7 +32,7 @@ from strainwave.domain import (
 from strainwave.domain.arm.gear_laws import gear_law
 from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.keys import Values
-from strainwave.domain.study.options import PUBLISHED_OPTIONS, Channels, EstimationMethod
+from strainwave.domain.study import PUBLISHED_OPTIONS, Channels, EstimationMethod
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory, measure, simulate

@@ -24,7 +24,7 @@ import pytest
 
 import strainwave as sw
 from strainwave.domain import Identification
-from strainwave.domain.study.options import Progress, ProgressEvent
+from strainwave.domain.study import Progress, ProgressEvent
 from strainwave.dynamics.arm import Arm
 from strainwave.export import arm_of
 from strainwave.export.state_space import joint_model, joint_model_covariance

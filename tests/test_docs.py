@@ -19,7 +19,7 @@ import pytest
 from command_line import run_here
 from strainwave import cli
 from strainwave.domain.arm.effects import possible_causes
-from strainwave.domain.messages.catalogue import catalogue
+from strainwave.domain.messages import catalogue
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
 from strainwave.virtual import experiments as virtual

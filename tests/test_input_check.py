@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 import strainwave as sw
 from strainwave.cli import app
 from strainwave.domain import Channel, Clause, Consistency, InputCheck, Place, Suspicion
-from strainwave.domain.messages.catalogue import templates
+from strainwave.domain.messages import templates
 from strainwave.input_check.observations import EXPECTED
 from strainwave.io.results import check_document
 from strainwave.io.study import read_study, write_study

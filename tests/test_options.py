@@ -30,7 +30,7 @@ from strainwave.domain import (
     WholeArmOptions,
 )
 from strainwave.domain.arm.kinds import single_joint
-from strainwave.domain.study.options import PUBLISHED_OPTIONS
+from strainwave.domain.study import PUBLISHED_OPTIONS
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification import frequency, rigid, whole_arm

@@ -24,7 +24,7 @@ from strainwave.domain import (
     Study,
 )
 from strainwave.domain.keys import Values
-from strainwave.domain.study.options import ProgressEvent
+from strainwave.domain.study import ProgressEvent
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NumericalFailure
 from strainwave.io.logs import read_logs

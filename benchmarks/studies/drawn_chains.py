@@ -42,7 +42,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.arm.description import Imu, Origin, Vector, unit_in
 from strainwave.domain.keys import Key, Values, label_of
-from strainwave.domain.study.study import Channel
+from strainwave.domain.study import Channel
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise, simulate
 from strainwave.io.study import read_study

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from strainwave.domain import Stage as Stage
     from strainwave.domain import Study as Study
     from strainwave.domain import WholeArmOptions as WholeArmOptions
-    from strainwave.domain.study.options import ProgressEvent as ProgressEvent
+    from strainwave.domain.study import ProgressEvent as ProgressEvent
     from strainwave.dynamics.arm import Arm as Arm
     from strainwave.errors import Cancelled as Cancelled
     from strainwave.errors import InvalidInput as InvalidInput
@@ -76,7 +76,7 @@ _NAMES_OF_MODULE = {
         "Options Parameter Payload PhysicalOptions Prbs RigidOptions Servo Stage Study "
         "WholeArmOptions"
     ),
-    "strainwave.domain.study.options": "ProgressEvent",
+    "strainwave.domain.study": "ProgressEvent",
     "strainwave.dynamics.arm": "Arm",
     "strainwave.errors": "Cancelled InvalidInput NotIdentifiable StrainwaveError",
     "strainwave.identification.amplitude_sweep": "compare_amplitudes",

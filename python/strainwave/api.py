@@ -33,9 +33,9 @@ from strainwave.domain import (
     Verdict,
 )
 from strainwave.domain.keys import label_of
-from strainwave.domain.messages.formatting import percent, plus_minus
+from strainwave.domain.messages import percent, plus_minus
 from strainwave.domain.results.distributions import CI95_STDS
-from strainwave.domain.study.options import Progress, ProgressEvent, ignore_progress
+from strainwave.domain.study import Progress, ProgressEvent, ignore_progress
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import inverse_dynamics
 from strainwave.errors import Cancelled, InvalidInput, import_optional, suggest_name

@@ -34,7 +34,7 @@ from strainwave.domain import (
     is_physical,
 )
 from strainwave.domain.arm.description import unit_of
-from strainwave.domain.messages.catalogue import Clause
+from strainwave.domain.messages import Clause
 from strainwave.domain.results.identification import merge_by_cause, model_defects
 from strainwave.virtual import scara
 from virtual_arms import rigid_drive, rigid_two_link

@@ -12,7 +12,7 @@ import pytest
 from elastic_runs import log_of, prbs_run, rig, rig_values, true_model
 from strainwave.domain import Decoupled, Joint, LinkSignals, Study
 from strainwave.domain.arm.kinds import single_joint
-from strainwave.domain.study.study import Use
+from strainwave.domain.study import Use
 from strainwave.dynamics import interaction_torque as interaction
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Trajectory

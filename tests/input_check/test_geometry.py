@@ -24,7 +24,7 @@ from strainwave.domain.arm.consistent_links import standard_parameters
 from strainwave.domain.arm.description import Imu, Origin, Urdf
 from strainwave.domain.arm.kinds import single_joint
 from strainwave.domain.results.consistency import apply_corrections
-from strainwave.domain.study.study import Payload
+from strainwave.domain.study import Payload
 from strainwave.dynamics.arm import Arm
 from strainwave.input_check import check_consistency
 from strainwave.input_check.evidence import collect_evidence

@@ -11,7 +11,7 @@ import pytest
 
 from consistency_inputs import Input
 from strainwave.domain import Correction, Lag, Log
-from strainwave.domain.messages.catalogue import text_of
+from strainwave.domain.messages import text_of
 from strainwave.domain.results.consistency import apply_corrections, steps_of
 from strainwave.input_check import check_consistency
 from strainwave.io.logs import read_logs

@@ -19,7 +19,7 @@ from strainwave.domain import (
     WholeArmOptions,
 )
 from strainwave.domain.arm.parameters import whole_arm_parameter_names
-from strainwave.domain.study.options import PUBLISHED_OPTIONS, changed_options
+from strainwave.domain.study import PUBLISHED_OPTIONS, changed_options
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.io.study import AS_PUBLISHED, read_study, with_options, write_study

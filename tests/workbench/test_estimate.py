@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from strainwave.domain.study.options import Options, option_texts
+from strainwave.domain.study import Options, option_texts
 from strainwave.errors import InvalidInput
 from strainwave.io.study import read_study
 

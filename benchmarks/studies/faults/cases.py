@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.studies.faults.inputs import EFFORTS, Case, Columns, Input
 from benchmarks.studies.faults.torques import desired, loaded, locked, stating, without
 from strainwave.domain import Correction
-from strainwave.domain.study.study import Meaning
+from strainwave.domain.study import Meaning
 
 _DEGREES = 180.0 / np.pi
 _ANGLES = ("theta_m", "theta_l", "deflection", "omega_m", "ref", "gyro", "gx", "gy", "gz")

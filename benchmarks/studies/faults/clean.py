@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.studies.faults.inputs import Case, Columns, Input
 from strainwave.domain import Correction
-from strainwave.domain.study.study import Experiment
+from strainwave.domain.study import Experiment
 
 _REST = 5e-3  # largest range [rad] of the link angle of a joint that its servo holds
 

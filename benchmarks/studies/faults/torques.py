@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from benchmarks.studies.faults.inputs import EFFORTS, Columns, Input
 from strainwave.domain import FloatArray, channel_parts
-from strainwave.domain.study.study import Channel, Control, Meaning, Payload
+from strainwave.domain.study import Channel, Control, Meaning, Payload
 from strainwave.dynamics.arm import Arm
 from strainwave.input_check.evidence import collect_evidence
 from strainwave.input_check.torque_fit import fit_torques, torque_system

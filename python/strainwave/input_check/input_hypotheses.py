@@ -15,8 +15,8 @@ import numpy as np
 
 from strainwave.domain import Clause, Correction, Place, channel_parts
 from strainwave.domain.arm.kinds import arm_keys
-from strainwave.domain.messages.catalogue import Value
-from strainwave.domain.study.study import accepted_range
+from strainwave.domain.messages import Value
+from strainwave.domain.study import accepted_range
 from strainwave.input_check.evidence import Evidence, exchanged_tests
 from strainwave.input_check.hypothesis import (
     STEPS,

@@ -28,7 +28,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.results.stage_results import StageResults
-from strainwave.domain.study.options import Progress, ProgressEvent, ignore_progress
+from strainwave.domain.study import Progress, ProgressEvent, ignore_progress
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.identification import amplitude_sweep as sweep

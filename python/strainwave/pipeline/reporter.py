@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from strainwave.domain import Clause, Stage
-from strainwave.domain.study.options import Progress, ProgressEvent
+from strainwave.domain.study import Progress, ProgressEvent
 from strainwave.errors import NumericalFailure
 
 T = TypeVar("T")

@@ -21,7 +21,7 @@ from strainwave.domain import (
     Suspicion,
 )
 from strainwave.domain.keys import Key
-from strainwave.domain.messages.formatting import percent, plus_minus
+from strainwave.domain.messages import percent, plus_minus
 from strainwave.report.document.blocks import Cell, Row, RowGroup, Table, number, prose, table
 from strainwave.report.document.elastic import mode_cells, trend_title
 from strainwave.report.document.parameters import SUMMARY_HEADS, summary_row

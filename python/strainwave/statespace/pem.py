@@ -22,7 +22,7 @@ from strainwave.domain import (
     SearchEnd,
     StateSpace,
 )
-from strainwave.domain.study.options import Focus
+from strainwave.domain.study import Focus
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.numerics.parallel import raise_if_stopped
 from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble, restrict_steps

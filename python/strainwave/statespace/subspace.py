@@ -22,7 +22,7 @@ import numpy as np
 
 from strainwave import _core
 from strainwave.domain import STATE_SPACE_MODEL, Diagnostic, FloatArray, StateSpace
-from strainwave.domain.study.options import Focus
+from strainwave.domain.study import Focus
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
 from strainwave.statespace._scaled import (

@@ -29,7 +29,7 @@ from strainwave.domain.arm.link_sensors.imu import ImuAccelerometers, ImuGyros, 
 from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.arm.parameters import with_known_constants
 from strainwave.domain.keys import Values
-from strainwave.domain.study.options import ProgressEvent
+from strainwave.domain.study import ProgressEvent
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import (

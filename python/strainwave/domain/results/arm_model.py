@@ -10,7 +10,7 @@ from typing import Literal
 from strainwave.display import Displayed
 from strainwave.domain.arm.description import EffectName
 from strainwave.domain.keys import ComplexArray, FloatArray, JointNumber, Key, Keyed
-from strainwave.domain.messages.catalogue import Clause
+from strainwave.domain.messages import Clause
 from strainwave.domain.results.distributions import chi_square_tail
 from strainwave.domain.results.estimates import Diagnostic, Parameter, Prediction, SearchEnd
 

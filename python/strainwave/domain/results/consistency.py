@@ -10,9 +10,9 @@ from strainwave.domain.arm.description import Matrix
 from strainwave.domain.arm.kinds import change_arm_keys
 from strainwave.domain.arm.link_sensors import link_channel_kinds
 from strainwave.domain.keys import JointNumber
-from strainwave.domain.messages.catalogue import Clause, Place, places_text, text_of
+from strainwave.domain.messages import Clause, Place, places_text, text_of
 from strainwave.domain.results.estimates import Diagnostic
-from strainwave.domain.study.study import Channel, Study, channel_parts
+from strainwave.domain.study import Channel, Study, channel_parts
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from strainwave.display import Displayed
 from strainwave.domain.keys import FloatArray, JointNumber, Key, Keyed
-from strainwave.domain.messages.catalogue import (
+from strainwave.domain.messages import (
     Clause,
     Place,
     Value,
@@ -17,8 +17,7 @@ from strainwave.domain.messages.catalogue import (
     text_of,
 )
 from strainwave.domain.results.distributions import CI95_STDS
-from strainwave.domain.study.options import Stage
-from strainwave.domain.study.study import channel_parts
+from strainwave.domain.study import Stage, channel_parts
 
 
 class SearchEnd(StrEnum):

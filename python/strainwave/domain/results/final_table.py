@@ -27,14 +27,14 @@ from strainwave.domain.arm.kinds import kind_of
 from strainwave.domain.arm.link_sensors import constant_of, key_texts, link_channel_kinds
 from strainwave.domain.arm.parameter_table import VISCOUS, base_name, family_of, parameter_table
 from strainwave.domain.keys import Key, Row
-from strainwave.domain.messages.catalogue import Clause
+from strainwave.domain.messages import Clause
 from strainwave.domain.results.arm_model import ArmModel
 from strainwave.domain.results.consistency import Suspicion
 from strainwave.domain.results.estimates import Parameter
 from strainwave.domain.results.ranges import is_physical, physical_range
 from strainwave.domain.results.signals import Activity
 from strainwave.domain.results.stage_results import JointModel, StageResults
-from strainwave.domain.study.study import Study, channel_parts
+from strainwave.domain.study import Study, channel_parts
 
 _RIGID, _DECOUPLED, _TUNED, _NONE = range(4)
 _STAGE_OF_USE = {"motion": _RIGID, "frequency": _DECOUPLED, "sweep": _DECOUPLED, "tuning": _TUNED}

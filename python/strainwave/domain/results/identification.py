@@ -17,14 +17,14 @@ from strainwave.domain.arm.combinations import is_uncoupled, viscous_friction
 from strainwave.domain.arm.effects import effect_named
 from strainwave.domain.arm.gear_laws import STIFFNESS
 from strainwave.domain.keys import Key, grouped_labels
-from strainwave.domain.messages.catalogue import Clause, Place, merge_clauses, text_of
+from strainwave.domain.messages import Clause, Place, merge_clauses, text_of
 from strainwave.domain.results.arm_model import ArmModel
 from strainwave.domain.results.consistency import Suspicion
 from strainwave.domain.results.estimates import Diagnostic, Parameter, Prediction
 from strainwave.domain.results.final_table import Decision, decide
 from strainwave.domain.results.ranges import size_warnings
 from strainwave.domain.results.stage_results import StageResults
-from strainwave.domain.study.options import Stage
+from strainwave.domain.study import Stage
 
 _MAX_LISTED_CAUSES = 3  # in a reason
 

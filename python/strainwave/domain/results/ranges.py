@@ -15,7 +15,7 @@ from pathlib import Path
 from strainwave.domain.arm.description import ArmDescription, Joint
 from strainwave.domain.arm.gear_laws import is_slope
 from strainwave.domain.arm.parameter_table import Range, base_name, parameter_table
-from strainwave.domain.messages.catalogue import Clause, Place
+from strainwave.domain.messages import Clause, Place
 from strainwave.domain.results.estimates import Diagnostic, Parameter
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from strainwave.display import Displayed
 from strainwave.domain.keys import BoolArray, FloatArray, JointNumber
 from strainwave.domain.results.estimates import Diagnostic
-from strainwave.domain.study.study import Experiment
+from strainwave.domain.study import Experiment
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import numpy as np
 from strainwave.display import Displayed
 from strainwave.domain.arm.description import ArmDescription
 from strainwave.domain.keys import BoolArray, FloatArray, JointNumber
-from strainwave.domain.messages.catalogue import Clause, Value, text_of
+from strainwave.domain.messages import Clause, Value, text_of
 from strainwave.domain.results.arm_model import ArmModel, MotorResponse
 from strainwave.domain.results.consistency import Suspicion
 from strainwave.domain.results.estimates import Diagnostic, Parameter, Prediction
@@ -23,8 +23,7 @@ from strainwave.domain.results.linear_models import (
     StateSpace,
 )
 from strainwave.domain.results.signals import Activity, Fusion, Lag, LinkSummary, Log
-from strainwave.domain.study.options import Stage
-from strainwave.domain.study.study import Experiment, Study
+from strainwave.domain.study import Experiment, Stage, Study
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from strainwave.domain import FloatArray, Parameter
-from strainwave.domain.messages.formatting import plus_minus
+from strainwave.domain.messages import plus_minus
 from strainwave.domain.results.distributions import CI95_STDS, chi_square_tail, f_tail, student_tail
 from strainwave.errors import InvalidInput, NotIdentifiable, import_optional
 from strainwave.fleet.monitoring.result_estimates import ResultEstimates, degrees_of_freedom

@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from strainwave.domain.messages.formatting import plus_minus
+from strainwave.domain.messages import plus_minus
 from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.fleet.monitoring import output
 from strainwave.fleet.monitoring.comparison import (

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from strainwave.domain.messages.formatting import plus_minus
+from strainwave.domain.messages import plus_minus
 from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.fleet.monitoring import output
 from strainwave.fleet.monitoring.output import format_p

@@ -15,7 +15,7 @@ from typing import Any
 
 from strainwave.domain import Options, Study
 from strainwave.domain.arm.kinds import kind_of
-from strainwave.domain.study.options import PUBLISHED_OPTIONS
+from strainwave.domain.study import PUBLISHED_OPTIONS
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, parse_toml, read_bytes, write_whole
 from strainwave.io.study.checks import (

@@ -27,7 +27,7 @@ from strainwave.domain.arm.effects import names as effect_names
 from strainwave.domain.arm.kinds import kind_of
 from strainwave.domain.arm.link_sensors import optional_constants, sensor_of
 from strainwave.domain.arm.parameters import whole_arm_parameter_names
-from strainwave.domain.study.study import study_keys
+from strainwave.domain.study import study_keys
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.study.reader import Reader
 

@@ -30,7 +30,7 @@ from strainwave.domain import (
 from strainwave.domain.arm import effects, gear_laws
 from strainwave.domain.arm.description import Matrix, Positive
 from strainwave.domain.arm.kinds import KINDS, Kind
-from strainwave.domain.messages.catalogue import fault_codes
+from strainwave.domain.messages import fault_codes
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.urdf import UrdfJoint, read_urdf
 

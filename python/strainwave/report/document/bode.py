@@ -19,7 +19,7 @@ from strainwave.domain import (
     Modes,
     StateSpace,
 )
-from strainwave.domain.messages.formatting import plus_minus
+from strainwave.domain.messages import plus_minus
 from strainwave.domain.results.distributions import chi_square_limit
 from strainwave.dynamics.two_inertia import coefficients, jacobian, joint_of
 from strainwave.identification.joint_model.agreement import (

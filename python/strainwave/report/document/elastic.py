@@ -20,7 +20,7 @@ from strainwave.domain import (
     RecordModel,
     Sweep,
 )
-from strainwave.domain.messages.formatting import percent, plus_minus
+from strainwave.domain.messages import percent, plus_minus
 from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.identification.amplitude_sweep import MIN_TREND_STD_ERRORS
 from strainwave.identification.joint_model.agreement import motor_response, vector_of

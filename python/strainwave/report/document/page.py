@@ -20,8 +20,8 @@ from strainwave.domain.arm.base_parameters import link_inertia
 from strainwave.domain.arm.combinations import value_of
 from strainwave.domain.arm.gear_laws import STIFFNESS
 from strainwave.domain.arm.kinds import kind_of
-from strainwave.domain.messages.formatting import percent
-from strainwave.domain.study.options import changed_options
+from strainwave.domain.messages import percent
+from strainwave.domain.study import changed_options
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.base_parameters import base_parameter_list
 from strainwave.report.document import bode, elastic, gears, motors

@@ -17,8 +17,7 @@ from strainwave.domain import (
 from strainwave.domain.arm.combinations import reported
 from strainwave.domain.arm.parameter_table import base_name
 from strainwave.domain.arm.parameters import parameter_descriptions
-from strainwave.domain.messages.catalogue import text_of
-from strainwave.domain.messages.formatting import plus_minus
+from strainwave.domain.messages import plus_minus, text_of
 from strainwave.io.base_parameters import BaseParameter
 from strainwave.report.document.blocks import (
     Cell,

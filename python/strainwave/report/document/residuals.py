@@ -18,7 +18,7 @@ from strainwave.domain import (
     ResidualTest,
 )
 from strainwave.domain.arm.effects import effect_named
-from strainwave.domain.messages.formatting import plus_minus
+from strainwave.domain.messages import plus_minus
 from strainwave.domain.results.distributions import CI99_STDS
 from strainwave.numerics.spectra import correlate_residuals, expected_autocorrelation
 from strainwave.report.document.blocks import (

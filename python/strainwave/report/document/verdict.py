@@ -15,7 +15,7 @@ import numpy as np
 from strainwave.domain import Decision, Diagnostic, Identification, Parameter, half_width
 from strainwave.domain.arm.effects import possible_causes
 from strainwave.domain.keys import Key
-from strainwave.domain.messages.catalogue import catalogue, short_place
+from strainwave.domain.messages import catalogue, short_place
 from strainwave.domain.results.identification import missing_validation
 from strainwave.report.document.blocks import (
     Block,

@@ -29,7 +29,7 @@ from strainwave.domain import (
     Sweep,
     channel_parts,
 )
-from strainwave.domain.messages.formatting import percent, plus_minus
+from strainwave.domain.messages import percent, plus_minus
 from strainwave.errors import InvalidInput
 from strainwave.report.document import bode, elastic, predictions
 from strainwave.report.document.blocks import Row, number, table

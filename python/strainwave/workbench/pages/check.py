@@ -18,7 +18,7 @@ from starlette.responses import Response
 
 from strainwave import pipeline
 from strainwave.domain import Clause
-from strainwave.domain.messages.catalogue import text_of as message_text
+from strainwave.domain.messages import text_of as message_text
 from strainwave.domain.results.consistency import Correction
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, write_whole

@@ -18,7 +18,7 @@ from starlette.responses import Response
 import strainwave as sw
 from strainwave.domain import ComplexArray, Parameter
 from strainwave.domain.keys import Key, label_of
-from strainwave.domain.messages.formatting import plus_minus
+from strainwave.domain.messages import plus_minus
 from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.errors import InvalidInput
 from strainwave.export import arm_of

@@ -13,7 +13,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from strainwave import pipeline
-from strainwave.domain.study.options import Options, option_texts
+from strainwave.domain.study import Options, option_texts
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.io.atomic_files import decode, write_whole
 from strainwave.io.study import with_options

@@ -19,7 +19,7 @@ from strainwave.domain import Use, channel_names
 from strainwave.domain.arm import gear_laws, kinds
 from strainwave.domain.arm.description import Motion
 from strainwave.domain.arm.link_sensors import key_texts
-from strainwave.domain.study.study import KeyKind, StudyKey, study_keys
+from strainwave.domain.study import KeyKind, StudyKey, study_keys
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
 from strainwave.io.logs.bags import Bag, is_bag

@@ -10,7 +10,7 @@ import numpy as np
 
 from strainwave.domain.arm.parameter_table import ParameterDescription, parameter_table
 from strainwave.domain.keys import FloatArray, JointNumber
-from strainwave.domain.messages.formatting import plus_minus
+from strainwave.domain.messages import plus_minus
 
 STIFFNESS = "gear_stiffness"
 """Equivalent linear stiffness [N m/rad] of an elastic gear in the joint models."""

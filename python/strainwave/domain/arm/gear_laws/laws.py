@@ -15,7 +15,7 @@ import numpy as np
 
 from strainwave.domain.arm.gear_laws.interface import STIFFNESS, GearLaw, GearParameter, Values
 from strainwave.domain.keys import FloatArray
-from strainwave.domain.messages.formatting import plus_minus
+from strainwave.domain.messages import plus_minus
 
 
 class Linear(GearLaw):

@@ -11,7 +11,7 @@ import numpy as np
 
 from strainwave.domain.arm.description import ArmDescription, Joint, Servo, Vector
 from strainwave.domain.keys import JointIndex, JointNumber, Key, Keyed, Row, Values
-from strainwave.domain.messages.catalogue import Clause
+from strainwave.domain.messages import Clause
 from strainwave.errors import NotIdentifiable
 
 LINK_PARAMETERS = (

@@ -34,7 +34,7 @@ from strainwave.domain.arm.kinds.base import (
     require_positive,
 )
 from strainwave.domain.keys import Key, Row, Values
-from strainwave.domain.messages.catalogue import Clause
+from strainwave.domain.messages import Clause
 from strainwave.errors import InvalidInput
 
 _ASSUMED_LENGTH = 1.0  # [m] of a link if the study gives none

@@ -23,7 +23,7 @@ from strainwave.domain.arm.parameter_table import (
     parameter_table,
 )
 from strainwave.domain.keys import Key, Keyed, Row, Values
-from strainwave.domain.study.options import PUBLISHED_RANGE
+from strainwave.domain.study import PUBLISHED_RANGE
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 

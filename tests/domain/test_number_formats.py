@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from strainwave.domain.messages.formatting import UNKNOWN, plus_minus
+from strainwave.domain.messages import UNKNOWN, plus_minus
 
 
 @pytest.mark.parametrize(

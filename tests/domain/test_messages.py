@@ -12,7 +12,7 @@ import pytest
 
 import strainwave
 from strainwave.domain import Clause, Diagnostic, Place, ValueRange
-from strainwave.domain.messages.catalogue import (
+from strainwave.domain.messages import (
     catalogue,
     place_text,
     places_text,
@@ -23,7 +23,7 @@ from strainwave.domain.messages.catalogue import (
 PACKAGE = Path(strainwave.__file__).parent
 MEASUREMENT = 1.5
 ALL = templates()
-FAULTS = tomllib.loads((PACKAGE / "domain/messages/faults.toml").read_text(encoding="utf-8"))
+FAULTS = tomllib.loads((PACKAGE / "domain/faults.toml").read_text(encoding="utf-8"))
 PARTS = FAULTS["parts"]
 GIVEN_LATER = {"record", "steps", "other", "gain"}
 """Values that a warning or a cause adds to its clause."""

@@ -1,1 +1,0 @@
-"""Texts of warnings and faults, and the numbers in them."""

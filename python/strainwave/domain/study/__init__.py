@@ -1,1 +1,0 @@
-"""The study: logs, channels and options."""
