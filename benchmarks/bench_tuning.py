@@ -34,7 +34,7 @@ from strainwave.domain import (
     Study,
     WholeArmOptions,
 )
-from strainwave.domain.arm.gear_laws.laws import KNEES, SLOPES
+from strainwave.domain.arm.gear_laws import KNEES, SLOPES
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise

@@ -45,7 +45,7 @@ from strainwave.io import results
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.joint_covariance import JointCovariance
 from strainwave.io.logs import read_log
-from strainwave.io.logs.arrow import Data
+from strainwave.io.logs.arrays import Data
 from strainwave.io.study import check_study
 from strainwave.io.study import read_study as _read_study
 from strainwave.numerics.parallel import Stopped, limited

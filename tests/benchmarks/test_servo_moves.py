@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from strainwave.domain.arm.control_law import LinearServo
+from strainwave.domain.arm.description import LinearServo
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.tune.closed_loop import Gains, low_pass

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import ArmDescription, ControlLaw, FloatArray, LinearServo
-from strainwave.domain.arm.control_law import MAX_LAW_STATES
+from strainwave.domain.arm.description import MAX_LAW_STATES
 from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm

@@ -28,7 +28,7 @@ from strainwave.init.signal_features import (
     wrap_modulus,
 )
 from strainwave.io.logs import read_log, read_logs, write_log
-from strainwave.io.logs.arrow import open_memory_table
+from strainwave.io.logs.arrays import open_memory_table
 from strainwave.io.study import read_study
 from strainwave.signals.drive_law import DriveLaw
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from strainwave.domain import Experiment, FloatArray, Joint, Log, Place, Study
 from strainwave.domain.arm.kinds import single_joint
 from strainwave.dynamics.arm import Arm
-from strainwave.input_check import stuck_sensors
+from strainwave.input_check import observations
 
 TIME = np.arange(8000) / 4000.0
 
@@ -22,7 +22,7 @@ def find_clipped_channels(
     step = Experiment("step", "step.csv", "tuning", ("servo",), joint=1)
     channels = {channel: values} | ({} if motor is None else {"theta_m1": motor})
     log = Log(step, TIME, TIME[1], channels)
-    clippings = stuck_sensors.measure_clipping([log], Arm.of(study.arm))
+    clippings = observations.measure_clipping([log], Arm.of(study.arm))
     return [suspicion.where for _, suspicion in clippings if suspicion is not None]
 
 
@@ -109,7 +109,7 @@ def standing(
         Log(Experiment(name, name, "motion", (control,)), TIME, TIME[1], table)  # type: ignore[arg-type]
         for name, table in tables.items()
     ]
-    found = stuck_sensors.measure_standing_encoders(logs, arm)
+    found = observations.measure_standing_encoders(logs, arm)
     places = [place for _, fault in found if fault is not None for place in fault.places]
     return [record for place in places for record in place.experiments]
 
@@ -146,7 +146,7 @@ def test_an_encoder_that_follows_no_motion_is_unknown_in_all_records() -> None:
         )
         for name, rate in (("moves", RATE), ("rests", REST))
     ]
-    ((relation, fault),) = stuck_sensors.measure_standing_encoders(logs, arm)
+    ((relation, fault),) = observations.measure_standing_encoders(logs, arm)
     assert not relation.is_consistent
     assert fault is not None
     assert fault.places == (Place(channel="theta_m1"),)

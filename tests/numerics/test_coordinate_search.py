@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import FloatArray
-from strainwave.numerics.coordinate_search import Choice, CoordinateSearch
+from strainwave.numerics.search import Choice, CoordinateSearch
 
 CANDIDATES = 56  # per joint: 14 anti-resonances and 4 shares of the motor
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from strainwave.numerics.held_out import jackknife_std
+from strainwave.numerics.statistics import jackknife_std
 
 
 def test_the_jackknife_of_a_mean_is_its_standard_deviation() -> None:

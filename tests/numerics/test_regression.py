@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from strainwave.numerics.regression import ROWS_PER_INDEPENDENT_ROW, Regression, regress
+from strainwave.numerics.statistics import ROWS_PER_INDEPENDENT_ROW, Regression, regress
 
 
 def fit_of(rng: np.random.Generator, second: float) -> Regression:

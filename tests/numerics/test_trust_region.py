@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import least_squares, lsq_linear
 
 from strainwave.domain import BoolArray, FloatArray, SearchEnd
-from strainwave.numerics.trust_region import Flat, Linearised, Minimum, minimise
+from strainwave.numerics.search import Flat, Linearised, Minimum, minimise
 
 Residual = Callable[[FloatArray], FloatArray]
 FAR = 1e6

@@ -11,7 +11,7 @@ import pytest
 
 from servo_arms import rig
 from strainwave.domain import ControlLaw, FloatArray
-from strainwave.domain.arm.control_law import LinearServo
+from strainwave.domain.arm.description import LinearServo
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.tune import damping as module

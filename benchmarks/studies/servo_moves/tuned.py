@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.studies.engine import in_mujoco, lab_arm
 from strainwave.domain import ControlLaw, FloatArray, Study
-from strainwave.domain.arm.control_law import LinearServo
+from strainwave.domain.arm.description import LinearServo
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from strainwave.domain.arm.base_parameters import BaseParameters as BaseParameters
 from strainwave.domain.arm.combinations import SharedViscousFriction as SharedViscousFriction
-from strainwave.domain.arm.control_law import ControlLaw as ControlLaw
-from strainwave.domain.arm.control_law import LinearServo as LinearServo
 from strainwave.domain.arm.description import ArmDescription as ArmDescription
+from strainwave.domain.arm.description import ControlLaw as ControlLaw
 from strainwave.domain.arm.description import EffectName as EffectName
 from strainwave.domain.arm.description import Imu as Imu
 from strainwave.domain.arm.description import Joint as Joint
 from strainwave.domain.arm.description import JointLimits as JointLimits
+from strainwave.domain.arm.description import LinearServo as LinearServo
 from strainwave.domain.arm.description import LinkPrior as LinkPrior
 from strainwave.domain.arm.description import Motion as Motion
 from strainwave.domain.arm.description import Origin as Origin
@@ -57,6 +57,8 @@ from strainwave.domain.results.estimates import Parameter as Parameter
 from strainwave.domain.results.estimates import Prediction as Prediction
 from strainwave.domain.results.estimates import PublishedWarning as PublishedWarning
 from strainwave.domain.results.estimates import SearchEnd as SearchEnd
+from strainwave.domain.results.estimates import is_physical as is_physical
+from strainwave.domain.results.estimates import physical_range as physical_range
 from strainwave.domain.results.final_table import Decision as Decision
 from strainwave.domain.results.final_table import half_width as half_width
 from strainwave.domain.results.identification import Identification as Identification
@@ -73,8 +75,6 @@ from strainwave.domain.results.linear_models import ModelCheck as ModelCheck
 from strainwave.domain.results.linear_models import Modes as Modes
 from strainwave.domain.results.linear_models import OrderSelection as OrderSelection
 from strainwave.domain.results.linear_models import StateSpace as StateSpace
-from strainwave.domain.results.ranges import is_physical as is_physical
-from strainwave.domain.results.ranges import physical_range as physical_range
 from strainwave.domain.results.signals import Activity as Activity
 from strainwave.domain.results.signals import Delay as Delay
 from strainwave.domain.results.signals import Fusion as Fusion

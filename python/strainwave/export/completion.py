@@ -33,7 +33,7 @@ from strainwave.domain.arm.kinds import arm_keys, kind_of
 from strainwave.domain.arm.kinds.base import Body
 from strainwave.domain.arm.parameter_table import family_of
 from strainwave.domain.keys import Key, Values, label_of
-from strainwave.domain.results.ranges import is_physical
+from strainwave.domain.results.estimates import is_physical
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import inverse_dynamics
 from strainwave.errors import InvalidInput

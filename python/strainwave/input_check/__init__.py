@@ -30,9 +30,10 @@ from strainwave.input_check.observations import (
     EXPECTED,
     compute_observations,
     is_of_link,
+    measure_clipping,
+    measure_standing_encoders,
     worst_relations,
 )
-from strainwave.input_check.stuck_sensors import measure_clipping, measure_standing_encoders
 from strainwave.input_check.torque_fit import compare_urdf_masses, report_impossible_links
 from strainwave.input_check.torque_rows import EFFORTS
 from strainwave.input_check.torque_search import search_explanations

@@ -19,7 +19,7 @@ from strainwave.domain.keys import JointIndex, JointNumber
 from strainwave.dynamics.arm import Arm
 from strainwave.input_check.evidence import Evidence, PredictedSignal, SlowRecord, is_slow
 from strainwave.numerics.filters import apply_lags, differentiate, low_pass
-from strainwave.numerics.regression import Regression, regress
+from strainwave.numerics.statistics import Regression, regress
 from strainwave.signals.channels import sensor_lags
 from strainwave.signals.link_readings import (
     JointMotion,

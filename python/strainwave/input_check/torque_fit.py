@@ -29,8 +29,7 @@ from strainwave.input_check.torque_rows import (
     inverse_root,
     torque_rows,
 )
-from strainwave.numerics.held_out import jackknife_std
-from strainwave.numerics.regression import ROWS_PER_INDEPENDENT_ROW, regress
+from strainwave.numerics.statistics import ROWS_PER_INDEPENDENT_ROW, jackknife_std, regress
 
 # Iterations of the weights, which are the residuals of the joints.
 _N_ITERATIONS = 3

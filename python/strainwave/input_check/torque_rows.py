@@ -20,7 +20,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.input_check.evidence import Evidence, PredictedSignal, SlowRecord, is_slow
 from strainwave.input_check.sensors import recall_motion
 from strainwave.numerics.filters import differentiate, low_pass
-from strainwave.numerics.regression import ROWS_PER_INDEPENDENT_ROW, long_run_std
+from strainwave.numerics.statistics import ROWS_PER_INDEPENDENT_ROW, long_run_std
 from strainwave.signals.drive_law import DriveLaw
 from strainwave.signals.link_readings import JointMotion
 

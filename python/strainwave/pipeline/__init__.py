@@ -34,7 +34,7 @@ from strainwave.errors import InvalidInput, suggest_name
 from strainwave.identification import amplitude_sweep as sweep
 from strainwave.identification import whole_arm
 from strainwave.io.atomic_files import write_whole
-from strainwave.io.logs.arrow import Data
+from strainwave.io.logs.arrays import Data
 from strainwave.io.study import read_study, with_options
 from strainwave.numerics.parallel import limited, one_blas_thread
 from strainwave.pipeline.elastic_arm import fit_elastic_arm

@@ -30,7 +30,7 @@ from strainwave.domain.results.identification import merge_by_cause
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.io import logs
-from strainwave.io.logs.arrow import Data
+from strainwave.io.logs.arrays import Data
 from strainwave.io.study import read_study, with_options
 from strainwave.numerics.parallel import one_blas_thread
 from strainwave.signals import hygiene

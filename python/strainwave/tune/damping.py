@@ -19,7 +19,7 @@ from itertools import product
 import numpy as np
 
 from strainwave.domain import ControlLaw, FloatArray, IntArray
-from strainwave.domain.arm.control_law import MAX_LAW_STATES
+from strainwave.domain.arm.description import MAX_LAW_STATES
 from strainwave.domain.keys import JointNumber
 from strainwave.tune.cascade_tuning import Loops
 from strainwave.tune.closed_loop import Gains, SampledPlants, are_stable, close

@@ -16,7 +16,7 @@ from typing import Self
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.domain.arm.control_law import ControlLaw, LinearServo
+from strainwave.domain.arm.description import ControlLaw, LinearServo
 from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.keys import JointIndex, JointNumber, Values
 from strainwave.dynamics.arm import Arm

@@ -7,7 +7,7 @@ from benchmarks.families.catalogue import drawn
 
 from strainwave.domain import ArmDescription, Joint, Parameter
 from strainwave.domain.arm.kinds import single_joint
-from strainwave.domain.results.ranges import is_physical, size_warnings
+from strainwave.domain.results.estimates import is_physical, size_warnings
 
 GEAR_CATALOGUE = {
     8: (440.0, 1200.0),

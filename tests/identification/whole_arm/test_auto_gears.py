@@ -18,8 +18,7 @@ from strainwave.domain import (
     Study,
     WholeArmOptions,
 )
-from strainwave.domain.arm.gear_laws import AUTO
-from strainwave.domain.arm.gear_laws.laws import CUBIC
+from strainwave.domain.arm.gear_laws import AUTO, CUBIC
 from strainwave.domain.keys import Key, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise

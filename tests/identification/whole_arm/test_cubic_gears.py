@@ -13,8 +13,7 @@ from elastic_results import elastic_identification
 from extensions import added
 from strainwave.domain import ArmModel, FloatArray, Log, Study
 from strainwave.domain.arm import gear_laws
-from strainwave.domain.arm.gear_laws import STIFFNESS, GearLaw, GearParameter
-from strainwave.domain.arm.gear_laws.laws import CUBIC
+from strainwave.domain.arm.gear_laws import CUBIC, STIFFNESS, GearLaw, GearParameter
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise

@@ -20,7 +20,7 @@ from strainwave.domain import (
     Servo,
     Study,
 )
-from strainwave.domain.arm.gear_laws.laws import KNEES, SLOPES
+from strainwave.domain.arm.gear_laws import KNEES, SLOPES
 from strainwave.domain.arm.kinds import single_joint
 from strainwave.domain.arm.parameter_table import SETTLING
 from strainwave.domain.keys import Values
@@ -30,8 +30,8 @@ from strainwave.identification import validation
 from strainwave.identification.whole_arm import WholeArmOptions, fit_whole_arm
 from strainwave.identification.whole_arm.problem import starting_values
 from strainwave.identification.whole_arm.search import solver
-from strainwave.numerics import trust_region
-from strainwave.numerics.trust_region import Minimum
+from strainwave.numerics import search
+from strainwave.numerics.search import Minimum
 from strainwave.virtual.experiments import derived
 from tuning_runs import (
     JOINT_NAMES,
@@ -430,7 +430,7 @@ def test_the_result_states_why_its_last_search_ended(
     monkeypatch: pytest.MonkeyPatch, end: SearchEnd, status: str, warned: set[str]
 ) -> None:
     def ended(*args: Any, **options: Any) -> Minimum | None:
-        minimum = trust_region.minimise(*args, **options)
+        minimum = search.minimise(*args, **options)
         return minimum and replace(minimum, end=end)
 
     monkeypatch.setattr(solver, "minimise", ended)

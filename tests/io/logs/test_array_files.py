@@ -22,7 +22,7 @@ import scipy.io
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.io.logs import tables as table_module
-from strainwave.io.logs.arrow import open_memory_table
+from strainwave.io.logs.arrays import open_memory_table
 from strainwave.io.logs.tables import LogTable, open_table
 
 N = 50

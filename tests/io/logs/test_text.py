@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
-from strainwave.io.logs import arrow
+from strainwave.io.logs import arrays
 from strainwave.io.logs.tables import LogTable, open_table
 
 TIME = 0.005 * np.arange(40)
@@ -337,5 +337,5 @@ def test_arrow_keeps_no_reference_to_python_objects() -> None:
     Its threads need the interpreter to release a Python object, possibly after its shutdown.
     """
     data = b"t,u1\n" * 1000
-    assert arrow.arrow_reader(data).read_buffer().address != pa.py_buffer(data).address
-    assert arrow.arrow_reader(data).read() == data
+    assert arrays.arrow_reader(data).read_buffer().address != pa.py_buffer(data).address
+    assert arrays.arrow_reader(data).read() == data

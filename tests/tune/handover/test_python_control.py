@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from servo_arms import correct, predict
-from strainwave.domain.arm.control_law import INPUTS
+from strainwave.domain.arm.description import INPUTS
 from strainwave.errors import InvalidInput
 from strainwave.tune.design import ServoDesign
 from strainwave.tune.handover import controllers, observers

@@ -1,4 +1,4 @@
-"""Description of an arm: a serial chain of joints with drives, gears and sensors.
+"""Description of an arm: a serial chain of joints with drives, gears, sensors and servos.
 
 `strainwave.io.study` checks the constraints of `annotated_types`. The kinds of
 `strainwave.domain.arm.kinds` construct descriptions from the `[arm]` tables of study files.
@@ -17,7 +17,8 @@ from annotated_types import Ge, Gt
 from strainwave.domain.arm.effects import all_effects
 from strainwave.domain.arm.gear_laws import AUTO, RIGID, GearLaw, determined_law, stated_law
 from strainwave.domain.arm.parameter_table import base_name, parameter_table
-from strainwave.domain.keys import JointNumber, Key
+from strainwave.domain.keys import BoolArray, ComplexArray, FloatArray, JointNumber, Key
+from strainwave.errors import InvalidInput
 
 Positive = Annotated[float, Gt(0.0)]
 NonNegative = Annotated[float, Ge(0.0)]
@@ -273,3 +274,77 @@ def unit_in(arm: ArmDescription, key: Key) -> str:
     """SI unit of a parameter of an arm, by name and joint."""
     name, joint = key
     return unit_of(name, None if joint is None else arm.joints[joint - 1])
+
+
+INPUTS = ("reference_angle", "reference_velocity", "motor_angle")
+"""Inputs of a law."""
+
+MAX_LAW_STATES = 16  # of the core
+_RANK_TOLERANCE = 1e-12  # of singular values; the slowest filter or observer is far above
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControlLaw:
+    """Law of one joint."""
+
+    A: FloatArray  # (n, n)
+    B: FloatArray  # (n, 3)
+    C: FloatArray  # (n,)
+    D: FloatArray  # (3,)
+    E: FloatArray  # (n,)
+    holds: BoolArray  # (n,) states that keep their value while the voltage is limited
+    names: tuple[str, ...] = ()
+
+    def feedback(self, z: ComplexArray) -> ComplexArray:
+        """Response from the motor angle to minus the voltage."""
+        closed = self.A + np.outer(self.E, self.C)
+        inputs = self.B[:, 2] + self.E * self.D[2]
+        states = np.linalg.solve(
+            z[:, None, None] * np.eye(len(closed)) - closed,
+            np.broadcast_to(inputs[:, None], (len(z), len(inputs), 1)),
+        )[..., 0]
+        return np.asarray(-(states @ self.C + self.D[2]))
+
+    def rest(self) -> FloatArray:
+        """States at rest per motor angle and per voltage, (n, 2): x = rest @ (angle, voltage).
+
+        The reference is the motor angle, and the states are constant:
+
+            (A - I) x = -(B (angle, 0, angle) + E voltage)
+
+        Where this leaves states undetermined, as that of an integrator, the output is the voltage:
+        C x + D (angle, 0, angle) = voltage. Both equations are solved by least squares with the
+        smallest x. A law without an integrator cannot hold a voltage; its states are at rest.
+        """
+        n = len(self.A)
+        steady = np.column_stack([self.B[:, 0] + self.B[:, 2], self.E])
+        left, sizes, right = np.linalg.svd(self.A - np.eye(n))
+        rank = int(np.sum(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)))
+        x = -right[:rank].T @ ((left.T @ steady)[:rank] / sizes[:rank, None])
+        free = right[rank:].T
+        by_free = self.C @ free
+        power = by_free @ by_free
+        if power > (_RANK_TOLERANCE**2) * (self.C @ self.C):
+            missing = np.array([-self.D[0] - self.D[2], 1.0]) - self.C @ x
+            x = x + np.outer(free @ by_free / power, missing)
+        return np.asarray(x)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearServo:
+    """Control laws of all joints.
+
+    Raises InvalidInput if a law has more than MAX_LAW_STATES states.
+    """
+
+    laws: tuple[ControlLaw, ...]  # one per joint
+    period: float  # [s]
+    limit: float  # [V]
+
+    def __post_init__(self) -> None:
+        sizes = [len(law.A) for law in self.laws]
+        if max(sizes, default=0) > MAX_LAW_STATES:
+            raise InvalidInput(
+                f"a control law has {max(sizes)} states, but at most {MAX_LAW_STATES} are possible",
+                remedy="reduce the number of filters",
+            )

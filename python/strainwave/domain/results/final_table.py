@@ -30,8 +30,7 @@ from strainwave.domain.keys import Key, Row
 from strainwave.domain.messages import Clause
 from strainwave.domain.results.arm_model import ArmModel
 from strainwave.domain.results.consistency import Suspicion
-from strainwave.domain.results.estimates import Parameter
-from strainwave.domain.results.ranges import is_physical, physical_range
+from strainwave.domain.results.estimates import Parameter, is_physical, physical_range
 from strainwave.domain.results.signals import Activity
 from strainwave.domain.results.stage_results import JointModel, StageResults
 from strainwave.domain.study import Study, channel_parts

@@ -20,9 +20,8 @@ from strainwave.domain.keys import Key, grouped_labels
 from strainwave.domain.messages import Clause, Place, merge_clauses, text_of
 from strainwave.domain.results.arm_model import ArmModel
 from strainwave.domain.results.consistency import Suspicion
-from strainwave.domain.results.estimates import Diagnostic, Parameter, Prediction
+from strainwave.domain.results.estimates import Diagnostic, Parameter, Prediction, size_warnings
 from strainwave.domain.results.final_table import Decision, decide
-from strainwave.domain.results.ranges import size_warnings
 from strainwave.domain.results.stage_results import StageResults
 from strainwave.domain.study import Stage
 

@@ -23,7 +23,7 @@ from strainwave.domain.keys import Key
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.fleet.campaign.places import file_system, is_url, resolved
 from strainwave.io.atomic_files import check_keys, decode, parse_toml, read_bytes
-from strainwave.io.logs.arrow import Data
+from strainwave.io.logs.arrays import Data
 
 _VERSIONS = (  # keys with which file systems report the version of a file
     *("ETag", "etag", "md5", "checksum"),

@@ -20,7 +20,7 @@ from strainwave.domain import Diagnostic, FloatArray, Place
 from strainwave.domain.arm.base_parameters import MOTOR_INERTIA
 from strainwave.domain.arm.parameter_table import family_of
 from strainwave.domain.results.distributions import CI95_STDS
-from strainwave.domain.results.ranges import physical_range
+from strainwave.domain.results.estimates import physical_range
 from strainwave.identification.rigid.bandwidth import excess_variance, neighbours
 from strainwave.identification.rigid.filtered_record import n_compliances
 from strainwave.identification.rigid.trial import MAX_ITERATIONS, RESONANCE_RATIO, Trial

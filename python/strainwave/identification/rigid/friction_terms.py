@@ -11,7 +11,7 @@ import numpy as np
 from strainwave.domain import Diagnostic, FloatArray, FrictionTerm, Parameter, Place
 from strainwave.domain.arm.description import unit_in
 from strainwave.domain.arm.effects import effect_named
-from strainwave.domain.results.ranges import physical_range
+from strainwave.domain.results.estimates import physical_range
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import CORRECTIONS, DELAY, ZERO, correct
 from strainwave.identification.rigid.bandwidth import (

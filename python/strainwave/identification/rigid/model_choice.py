@@ -15,7 +15,7 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray
 from strainwave.domain.arm.effects import OF_RIGID_JOINTS, effect_named
-from strainwave.domain.results.ranges import physical_range
+from strainwave.domain.results.estimates import physical_range
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import DELAY, TORSION, ZERO
 from strainwave.identification.rigid.conclusion import MAX_NEGLIGIBLE_SHARE, has_zero_bound
@@ -24,7 +24,7 @@ from strainwave.identification.rigid.filtered_record import FilteredRecord, n_co
 from strainwave.identification.rigid.submodels import Submodels
 from strainwave.identification.rigid.trial import Trial
 from strainwave.numerics import least_squares as ls
-from strainwave.numerics.held_out import MIN_WEIGHT, model_weights
+from strainwave.numerics.statistics import MIN_WEIGHT, model_weights
 
 STRIBECK, POWER = "stribeck", "power-friction"
 

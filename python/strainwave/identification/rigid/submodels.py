@@ -16,9 +16,9 @@ from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.identification.rigid.equations import blocks_of
 from strainwave.identification.rigid.trial import Trial
 from strainwave.numerics import least_squares as ls
-from strainwave.numerics.held_out import MIN_CORRELATION_TIMES, log_density
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.spectra import estimate_rows_per_error
+from strainwave.numerics.statistics import MIN_CORRELATION_TIMES, log_density
 
 # weight of a prior that keeps directions finite which only the left out block determines, relative
 # to the information of all blocks

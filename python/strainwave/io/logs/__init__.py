@@ -27,7 +27,7 @@ from strainwave.domain.arm.description import UNKNOWN
 from strainwave.domain.arm.kinds import kind_of
 from strainwave.domain.arm.link_sensors import link_channel_kinds
 from strainwave.errors import InvalidInput, suggest_name
-from strainwave.io.logs.arrow import Data, open_memory_table
+from strainwave.io.logs.arrays import Data, open_memory_table
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clock_text import time_of
 from strainwave.io.logs.clocks import Track, resample_tracks

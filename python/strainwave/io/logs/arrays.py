@@ -1,6 +1,7 @@
-"""Columns of named arrays, also within structs and records.
+"""Columns of named arrays, also within structs and records: in memory, Parquet and Arrow files.
 
-The columns of a matrix are found whichever way it is stored.
+The columns of a matrix are found whichever way it is stored. Arrow columns are numbers, stamps,
+lists and structs; tables in memory are of pandas, polars or Arrow, or dictionaries of arrays.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,7 +19,7 @@ import numpy as np
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.clock_text import clock_of, stamp_seconds
-from strainwave.io.logs.tables import Clock, LogTable, check_unpacked_size
+from strainwave.io.logs.tables import Clock, LogTable, check_unique, check_unpacked_size, damaged
 
 _MAX_LIST_COLUMNS = 256  # of a list or matrix; images and point clouds have more
 _MAX_STEP_CHANGE = 0.5  # of a clock, relative to its median step
@@ -187,3 +189,199 @@ def _has_time(source: Source, length: int) -> bool:
     median = np.median(steps, axis=0)
     is_even = np.abs(steps - median) <= _MAX_STEP_CHANGE * median
     return bool(((steps > 0.0).all(axis=0) & (is_even.mean(axis=0) >= _MIN_EVEN_SHARE)).any())
+
+
+_TICKS_PER_SECOND = {"s": 1e0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+
+
+def arrow_reader(data: bytes | memoryview) -> Any:
+    """Copy bytes into memory of Arrow and return a reader of them.
+
+    Arrow's threads can release their input after the result is available. Releasing a Python object
+    requires the interpreter; if it has shut down by then, the process crashes.
+    """
+    import pyarrow as pa
+
+    sink = pa.BufferOutputStream()
+    sink.write(data)
+    return pa.BufferReader(sink.getvalue())
+
+
+def open_parquet(data: bytes, path: Path) -> LogTable:
+    """Open a Parquet file."""
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    def read(name: str) -> Any:
+        try:
+            return file.read(columns=[name])
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise damaged("a Parquet file", error, path) from error
+
+    try:
+        file = pa.parquet.ParquetFile(arrow_reader(data))
+        batches = [batch for batch, _ in zip(file.iter_batches(1), range(1), strict=False)]
+        first = pa.Table.from_batches(batches, file.schema_arrow)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise damaged("a Parquet file", error, path) from error
+    return _arrow_table(first, file.metadata.num_rows, read, path)
+
+
+def open_ipc(data: bytes, path: Path) -> LogTable:
+    """Open an Arrow IPC file or stream, or a Feather file of version 2."""
+    import pyarrow as pa
+    import pyarrow.ipc
+
+    reader = arrow_reader(data)
+    try:
+        opener = pa.ipc.open_file if data[:6] == b"ARROW1" else pa.ipc.open_stream
+        content = _flat(opener(reader).read_all())
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+        raise damaged("an Arrow or Feather file", error, path) from error
+    return _arrow_table(content, len(content), lambda name: content.select([name]), path)
+
+
+def _arrow_table(first: Any, n_rows: int, read: Callable[[str], Any], path: Path) -> LogTable:
+    """Make a table of the columns of an Arrow table, and of the members of its structs.
+
+    `first` holds at least the first row, whose texts and lists decide; `read` returns an Arrow
+    table of one column.
+    """
+    arrays = Arrays()
+    first = _flat(first)
+    names = first.column_names
+    check_unique(names, str(path))
+
+    def load(name: str) -> FloatArray:
+        return _values(_flat(read(name))[name], f"{path}, column {name!r}")
+
+    for name in names:
+        kind, head = first[name].type, first[name][:1].drop_null().to_pylist()
+        shape: tuple[int, ...] = (n_rows,)
+        if _is(kind, "boolean"):
+            arrays.omitted[name] = "flags"
+        elif _is(kind, *_LISTS) and _is(kind.value_type, *_NUMBERS):
+            shape = (n_rows, len(head[0]) if head else 0)
+        elif _is(kind, *_TEXTS):
+            if clock := clock_of(head[0].strip()) if head else None:
+                arrays.clocks[name] = clock
+            else:
+                arrays.omitted[name] = "text"
+        elif clocks := [clock for each, clock in _CLOCKS.items() if _is(kind, each)]:
+            arrays.clocks[name] = clocks[0]
+        elif not _is(kind, *_NUMBERS):
+            arrays.omitted[name] = f"{str(kind).partition('<')[0]} values"
+        if name not in arrays.omitted:
+            arrays.sources[name] = Source(shape, np.dtype(float), partial(load, name))
+    return array_table(path, arrays, n_rows, "row")
+
+
+_LISTS = ("list", "large_list", "fixed_size_list")  # Arrow's names of types
+_TEXTS = ("string", "large_string")
+_CLOCKS: dict[str, Clock] = {"timestamp": "datetime", "date": "date", "time": "time"}
+_NUMBERS = ("integer", "floating", "decimal", "duration")
+
+
+def _is(kind: Any, *names: str) -> bool:
+    import pyarrow as pa
+
+    if pa.types.is_dictionary(kind):
+        kind = kind.value_type
+    return any(getattr(pa.types, f"is_{name}")(kind) for name in names)
+
+
+def _flat(content: Any) -> Any:
+    """Replace structs by their members."""
+    while any(_is(kind, "struct") for kind in content.schema.types):
+        content = content.flatten()
+    return content
+
+
+def _values(column: Any, where: str) -> FloatArray:
+    """Read a column (n_samples,) or lists (n_samples, n)."""
+    if _is(column.type, *_TEXTS):
+        return stamp_seconds(
+            [(text or "").strip() for text in column.to_pylist()],
+            lambda row: f"{where}, row {row + 1}",
+        )
+    if not _is(column.type, *_LISTS):
+        return column_values(column)
+    import pyarrow.compute as pc
+
+    lengths = column_values(pc.list_value_length(column))
+    is_valid = ~np.isnan(lengths)
+    n = int(lengths[is_valid][0]) if is_valid.any() else 0
+    differing = np.flatnonzero(is_valid & (lengths != n))
+    if differing.size:
+        row = int(differing[0])
+        raise InvalidInput(
+            f"the lists differ in length: {int(lengths[row])} values after {n}",
+            where=f"{where}, row {row + 1}",
+            remedy="store lists of one length",
+        )
+    values = np.full((len(lengths), n), np.nan)
+    values[is_valid] = column_values(pc.list_flatten(column)).reshape(-1, n)
+    return values
+
+
+def column_values(column: Any) -> FloatArray:
+    """Return the numbers of a chunked Arrow column; stamps in seconds, nulls as NaN.
+
+    Arrow's `to_numpy` would import pandas (0.3 s).
+    """
+    import pyarrow as pa
+
+    kind = column.type
+    per_second = 1.0
+    if pa.types.is_temporal(kind):
+        unit = getattr(kind, "unit", "ms")  # date64 counts milliseconds
+        per_second = 1.0 / 86400.0 if pa.types.is_date32(kind) else _TICKS_PER_SECOND[unit]
+        column = column.cast(pa.int32() if kind.bit_width == 32 else pa.int64())
+    elif pa.types.is_decimal(kind) or pa.types.is_float16(kind):
+        column = column.cast(pa.float64())
+    nulls = column.is_null() if column.null_count else None
+    if nulls is not None:
+        column = column.fill_null(0)
+    values = np.concatenate([np.zeros(0), *(np.from_dlpack(chunk) for chunk in column.chunks)])
+    if nulls is not None:
+        values[column_values(nulls.cast(pa.uint8())) == 1.0] = np.nan
+    return values if per_second == 1.0 else values / per_second
+
+
+Data = Mapping[str, Any]
+"""Name of an experiment -> its log: a table in memory, or the path of a file."""
+
+
+def open_memory_table(data: Any, where: str) -> LogTable:
+    """Open a table in memory: pandas, polars, Arrow, or a mapping of str to arrays.
+
+    `where` is the name for messages. Float64 columns are not copied. Raises InvalidInput if `data`
+    is not a table or contains no numbers.
+    """
+    names = _names(data)
+    if names is None:
+        raise InvalidInput(
+            f"is not a table, but {type(data).__name__}",
+            where=where,
+            remedy="pass a pandas, polars or Arrow table, a dictionary of arrays, or a path",
+        )
+    for name in names:
+        if not isinstance(name, str):
+            raise InvalidInput(
+                f"the column name {name!r} is not a string", where=where, remedy="rename the column"
+            )
+    check_unique(names, where)
+    arrays = Arrays()
+    for name in names:
+        arrays.add(name, data[name])
+    return array_table(Path(where), arrays, row="row")
+
+
+def _names(data: Any) -> list[Any] | None:
+    if isinstance(data, Mapping):
+        return list(data)
+    for attribute in ("column_names", "columns"):  # Arrow's `columns` are the arrays themselves
+        names = getattr(data, attribute, None)
+        if names is not None and not callable(names):
+            return list(names)
+    return None

@@ -196,9 +196,9 @@ def release_reader_memory() -> None:
 
 _OPENERS = {  # suffix -> module and function, imported on use
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".log", ".lvm"), ("text", "open_text")),
-    ".parquet": ("arrow", "open_parquet"),
-    ".feather": ("arrow", "open_ipc"),
-    ".arrow": ("arrow", "open_ipc"),
+    ".parquet": ("arrays", "open_parquet"),
+    ".feather": ("arrays", "open_ipc"),
+    ".arrow": ("arrays", "open_ipc"),
     ".mat": ("array_files", "open_mat"),
     ".h5": ("array_files", "open_hdf5"),
     ".hdf5": ("array_files", "open_hdf5"),

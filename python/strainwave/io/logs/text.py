@@ -16,7 +16,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
-from strainwave.io.logs.arrow import arrow_reader, column_values
+from strainwave.io.logs.arrays import arrow_reader, column_values
 from strainwave.io.logs.clock_text import stamp_seconds
 from strainwave.io.logs.tables import Clock, LogTable
 from strainwave.io.logs.text_layout import (

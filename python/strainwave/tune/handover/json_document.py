@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import Joint
-from strainwave.domain.arm.control_law import INPUTS, ControlLaw
+from strainwave.domain.arm.description import INPUTS, ControlLaw
 from strainwave.tune.closed_loop import Gains, Steps
 from strainwave.tune.damping import Damping
 from strainwave.tune.design import JointServo, ServoDesign

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.domain.arm.control_law import INPUTS, ControlLaw
+from strainwave.domain.arm.description import INPUTS, ControlLaw
 from strainwave.errors import import_optional
 from strainwave.export.flat import HEADER_PREFIX
 from strainwave.export.omissions import sentence_of

@@ -16,8 +16,7 @@ from strainwave import _core
 from strainwave.domain import FloatArray, Joint, is_physical
 from strainwave.domain.arm import gear_laws
 from strainwave.domain.arm.description import unit_of
-from strainwave.domain.arm.gear_laws import STIFFNESS, GearLaw, gear_law
-from strainwave.domain.arm.gear_laws.laws import Linear
+from strainwave.domain.arm.gear_laws import STIFFNESS, GearLaw, Linear, gear_law
 from strainwave.domain.arm.kinds import single_joint
 from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.arm.parameters import parameter_descriptions, whole_arm_parameter_names

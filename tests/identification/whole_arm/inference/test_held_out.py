@@ -13,7 +13,7 @@ from strainwave.identification.whole_arm.inference.held_out import held_out_scor
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation, Rows
 from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.numerics.held_out import model_weights
+from strainwave.numerics.statistics import model_weights
 
 N_ROWS, N_FOLDS = 400, 10
 RNG = np.random.default_rng(3)

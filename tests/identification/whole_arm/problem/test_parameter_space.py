@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import FloatArray, Joint, JointModel, RigidModel, Study
-from strainwave.domain.arm.gear_laws.laws import KNEES, SLOPES
+from strainwave.domain.arm.gear_laws import KNEES, SLOPES
 from strainwave.domain.arm.kinds import change_arm_keys, single_joint
 from strainwave.domain.arm.parameter_table import COULOMB, SETTLING, VISCOUS
 from strainwave.domain.keys import Values

@@ -10,7 +10,7 @@ import numpy as np
 from strainwave.domain import FloatArray, SearchEnd, WholeArmOptions
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search
-from strainwave.numerics.trust_region import Flat, Linearised
+from strainwave.numerics.search import Flat, Linearised
 
 MINIMUM = 1.0
 NOISE_COST = 1000.0

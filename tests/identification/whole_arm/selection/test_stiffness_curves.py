@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from strainwave.domain.arm.gear_laws.laws import KNEES, SLOPES, ThreeSlope
+from strainwave.domain.arm.gear_laws import KNEES, SLOPES, ThreeSlope
 from strainwave.domain.keys import Values
 from strainwave.identification.whole_arm.selection.gear_laws import alternative_curves
 

@@ -13,10 +13,10 @@ from strainwave.domain.arm.description import ArmDescription
 from strainwave.domain.arm.kinds.base import Fault as Fault
 from strainwave.domain.arm.kinds.base import Kind as Kind
 from strainwave.domain.arm.kinds.base import RigidColumn as RigidColumn
+from strainwave.domain.arm.kinds.base import SerialChain
 from strainwave.domain.arm.kinds.planar import PlanarTwoLink, SingleJoint
 from strainwave.domain.arm.kinds.planar import planar_two_link as planar_two_link
 from strainwave.domain.arm.kinds.planar import single_joint as single_joint
-from strainwave.domain.arm.kinds.serial import SerialChain
 from strainwave.errors import entry_of
 
 KINDS: dict[str, Kind[Any]] = {

@@ -24,7 +24,7 @@ from strainwave.identification.joint_model.motor_side.arms import (
     posture_of,
 )
 from strainwave.identification.joint_model.motor_side.spectra import Piece
-from strainwave.numerics.coordinate_search import Choice, CoordinateSearch
+from strainwave.numerics.search import Choice, CoordinateSearch
 
 # number of anti-resonances per joint on the grid, within the band of the records
 _N_ANTI_RESONANCES = 14

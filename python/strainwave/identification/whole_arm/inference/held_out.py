@@ -1,4 +1,4 @@
-"""Held-out scores of whole-arm fits of the same records; see `numerics.held_out`."""
+"""Held-out scores of whole-arm fits of the same records; see `numerics.statistics`."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from strainwave.domain import FloatArray, IntArray
 from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.numerics.held_out import (
+from strainwave.numerics.linalg import triangular_factor
+from strainwave.numerics.spectra import estimate_rows_per_error
+from strainwave.numerics.statistics import (
     MIN_CORRELATION_TIMES,
     MIN_WEIGHT,
     log_density,
     weight_over,
 )
-from strainwave.numerics.linalg import triangular_factor
-from strainwave.numerics.spectra import estimate_rows_per_error
 
 _MIN_FOLDS = 2  # of a record; the other folds estimate the variance of a channel
 

@@ -24,8 +24,8 @@ from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.preparation import lengthen_steps
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import run_parallel
+from strainwave.numerics.search import Flat, Linearised, minimise
 from strainwave.numerics.spectra import estimate_rows_per_error
-from strainwave.numerics.trust_region import Flat, Linearised, minimise
 
 MIN_ERROR_SHARE = 1e-3
 """Minimum standard deviation of residuals, as a share of a channel's standard deviation.

@@ -14,8 +14,8 @@ import numpy as np
 from strainwave.domain import BoolArray, FloatArray
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.numerics.linalg import triangular_factor
+from strainwave.numerics.search import Linearised
 from strainwave.numerics.spectra import rows_per_error
-from strainwave.numerics.trust_region import Linearised
 
 # maximum updates of the robust weights in the solution for record parameters
 _MAX_WEIGHT_UPDATES = 6

@@ -8,7 +8,7 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, SearchEnd
 from strainwave.domain.keys import Values
-from strainwave.domain.results.ranges import physical_range
+from strainwave.domain.results.estimates import physical_range
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
 

@@ -16,7 +16,7 @@ from strainwave.domain.results.identification import MAX_RELATIVE_RESIDUAL
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.numerics.trust_region import Linearised, full_step, minimise
+from strainwave.numerics.search import Linearised, full_step, minimise
 
 # predicted cost reduction at which a coarse search ends, absolute and relative to the cost
 COARSE_TOLERANCE, COARSE_RELATIVE_TOLERANCE = 1.0, 2e-3

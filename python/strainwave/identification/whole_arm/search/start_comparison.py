@@ -20,7 +20,7 @@ from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import search_minimum
-from strainwave.numerics.coordinate_search import Choice, CoordinateSearch
+from strainwave.numerics.search import Choice, CoordinateSearch
 
 MAX_SEARCHED_SETS = 4
 EVALUATIONS_PER_ROUND = 3  # of the search from each set

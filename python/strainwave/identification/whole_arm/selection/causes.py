@@ -59,7 +59,7 @@ from strainwave.identification.whole_arm.selection.sensor_constants import (
     add_significant_sensor_constants,
     remove_insignificant_sensor_constants,
 )
-from strainwave.numerics.held_out import MIN_WEIGHT, model_weights, weight_over
+from strainwave.numerics.statistics import MIN_WEIGHT, model_weights, weight_over
 from strainwave.signals.motor import activity_of
 
 MAX_RIVAL_EFFECTS = 3  # fitted effects of largest predicted gain

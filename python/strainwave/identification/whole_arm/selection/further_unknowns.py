@@ -13,7 +13,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.domain.arm.parameter_table import SETTLING
-from strainwave.domain.results.ranges import physical_range
+from strainwave.domain.results.estimates import physical_range
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.problem.effect_unknowns import (

@@ -13,8 +13,7 @@ import numpy as np
 
 from strainwave.domain import Diagnostic, LawChoice, LawMargin, Place, SearchEnd
 from strainwave.domain.arm.effects import STIFFNESS_CURVE
-from strainwave.domain.arm.gear_laws import AUTO, STIFFNESS, GearLaw, curved_laws, stated_law
-from strainwave.domain.arm.gear_laws.laws import CUBIC
+from strainwave.domain.arm.gear_laws import AUTO, CUBIC, STIFFNESS, GearLaw, curved_laws, stated_law
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.dynamics.arm import Arm
@@ -37,7 +36,7 @@ from strainwave.identification.whole_arm.selection.candidate import (
     run_trial,
     select_better,
 )
-from strainwave.numerics.held_out import weight_over
+from strainwave.numerics.statistics import weight_over
 
 MAX_HIDDEN_CHANGE = 0.1
 """Relative change of the stiffness up to the largest torque, by its 95 % bound, from which one
