@@ -21,7 +21,7 @@ from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clock_text import time_of
 from strainwave.io.logs.clocks import MIN_SAMPLES, Track, resample_tracks
 from strainwave.io.logs.tables import MAX_MAGNITUDE, LogTable, find_invalid_value, open_table
-from strainwave.io.logs.updates import Roles, segment_table, segment_tracks
+from strainwave.io.logs.updates import segment_table, segment_tracks
 
 PLACEHOLDER_PERIOD = 1e-3
 """[s] Sampling period that is assumed for classification where the logs do not give it."""
@@ -202,7 +202,7 @@ def _read_table(path: Path) -> InspectedLog:
     clock = next((n for n, q in quantities.items() if q in ("angle", "velocity")), "")
     track = Track("", scale * time, columns, table.row_name, commands)
     whole_record = Experiment(path.name, path.name, "motion", ())
-    segments, warnings = segment_table(track, Roles(clock), whole_record, path)
+    segments, warnings = segment_table(track, clock, whole_record, path)
     longest, *others = max(segments, key=lambda tracks: len(tracks[0].time))
     if others:  # columns of several rates: all rows show their relations
         longest = track
@@ -256,7 +256,7 @@ def _read_bag(path: Path) -> InspectedLog:
         )
     whole_record = Experiment(path.name, path.name, "motion", ())
     clock = next(iter(usable[0].columns))
-    segments, split_warnings = segment_tracks(usable, Roles(clock), whole_record, path)
+    segments, split_warnings = segment_tracks(usable, clock, whole_record, path)
     longest = max(segments, key=lambda tracks: len(tracks[0].time))
     time, columns, clock_warnings = resample_tracks(longest, whole_record, path)
     notes += [warning.message for warning in (*split_warnings, *clock_warnings)]

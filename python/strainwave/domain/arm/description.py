@@ -285,7 +285,19 @@ _RANK_TOLERANCE = 1e-12  # of singular values; the slowest filter or observer is
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ControlLaw:
-    """Law of one joint."""
+    """Sampled control law of one joint: gains, filters and observer as one linear system.
+
+    From a reading of the motor angle y_k [rad] to the voltage u_k [V]:
+
+        v_k = C x_k + D (r_k, w_k, y_k),   u_k = v_k + feed-forward_k, limited
+        x_k+1 = A x_k + B (r_k, w_k, y_k) + E (u_k - feed-forward_k)
+
+    w_k [rad/s] is the velocity of the reference, r_k = y_0 + T (w_0 + ... + w_k-1) [rad] its angle,
+    and T the period. E multiplies the voltage that reaches the motor without the feed-forward,
+    which is v_k if the voltage is not limited: an observer with this input models the deviation
+    from the motion that the feed-forward drives. States that hold, such as integrators, keep their
+    value while the voltage is limited.
+    """
 
     A: FloatArray  # (n, n)
     B: FloatArray  # (n, 3)

@@ -1,8 +1,8 @@
 """Records that stages return: parameters, predictions, warnings, faults, ends of searches.
 
-And the physically possible values of parameters, with the usual sizes of robot joints:
-`is_physical` checks signs, for inertias are not negative. `size_warnings` checks sizes: gears and
-motors of robots cover a known range, and a value outside it indicates a wrong unit in the study.
+`is_physical` checks the signs of estimates: inertias are not negative. `size_warnings` checks their
+sizes: gears and motors of robots cover a known range, and a value outside it indicates a wrong unit
+in the study.
 """
 
 from __future__ import annotations

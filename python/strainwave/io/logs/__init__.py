@@ -33,7 +33,6 @@ from strainwave.io.logs.clock_text import time_of
 from strainwave.io.logs.clocks import Track, resample_tracks
 from strainwave.io.logs.tables import LogTable, open_table, release_reader_memory, write_table
 from strainwave.io.logs.updates import (
-    Roles,
     drop_missing,
     fill_missing,
     segment_table,
@@ -166,12 +165,11 @@ def _segments(
     columns_by_name = [(name, channel.column) for name, channel in sources.items()]
     columns_by_name += experiment.add.items()
     commands = {column for name, column in columns_by_name if name.startswith(_COMMAND_PREFIXES)}
-    roles = Roles(clock.column, torques, temperatures)
     if isinstance(table, Bag):
         tracks, warnings = table.tracks(required)
         tracks = [replace(track, commands=commands) for track in tracks]
         tracks, missing = drop_missing(tracks, table.path)
-        segments, split = segment_tracks(tracks, roles, experiment, table.path)
+        segments, split = segment_tracks(tracks, clock.column, experiment, table.path)
         return segments, [*warnings, *missing, *split]
     columns = table.read(required)
     if sample_rate is None:
@@ -186,8 +184,8 @@ def _segments(
         }
     else:
         time = np.arange(len(next(iter(columns.values())))) / sample_rate
-    track = Track("", time, columns, table.row_name, commands)
-    return segment_table(track, roles, experiment, table.path)
+    track = Track("", time, columns, table.row_name, commands, torques, temperatures)
+    return segment_table(track, clock.column, experiment, table.path)
 
 
 def _sources(study: Study, experiment: Experiment, table: LogTable | Bag) -> dict[str, Channel]:

@@ -46,6 +46,8 @@ class Track:
     columns: Mapping[str, FloatArray]  # name -> (n_samples,)
     row_name: Callable[[int], str]  # index of a sample, from 0 -> its location for messages
     commands: Collection[str] = ()  # columns that are constant between their ticks
+    torques: Collection[str] = ()  # columns that may be commands
+    covariates: Collection[str] = ()  # columns that are slow by nature
 
     @property
     def is_command(self) -> bool:

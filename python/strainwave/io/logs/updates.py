@@ -8,8 +8,8 @@ Segments of a record: stretches without pauses, restarts or long missing values.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -47,15 +47,6 @@ _MIN_VALUE_SHARE = 0.8
 _MAX_SERVO_PERIOD = 0.005
 
 
-@dataclass(frozen=True, slots=True)
-class Roles:
-    """Columns with a special role."""
-
-    clock: str  # the column whose samples set the clock: the first motor's angle
-    torques: Collection[str] = ()  # may be commands
-    covariates: Collection[str] = ()  # slow by nature
-
-
 class _UpdatedColumns(NamedTuple):
     """Columns with common updates."""
 
@@ -64,9 +55,7 @@ class _UpdatedColumns(NamedTuple):
     is_held: bool  # otherwise the cells between the updates are empty
 
 
-def separate_slow_columns(
-    track: Track, roles: Roles, file: str
-) -> tuple[list[Track], list[Diagnostic]]:
+def separate_slow_columns(track: Track, file: str) -> tuple[list[Track], list[Diagnostic]]:
     """Reduce a track to its updates; if only some columns are slow, move them to separate tracks.
 
     Commands are held by nature and excluded.
@@ -81,11 +70,11 @@ def separate_slow_columns(
         updates: BoolArray | None = None
         if not is_held and valid.mean() <= _MIN_VALUE_SHARE:
             updates = valid
-        elif is_held and name not in roles.covariates:
+        elif is_held and name not in track.covariates:
             updates = find_updates(values)
         if updates is not None:
             sources.append(_UpdatedColumns([name], updates, is_held))
-        elif name not in roles.covariates and np.ptp(values[valid]) > 0.0:
+        elif name not in track.covariates and np.ptp(values[valid]) > 0.0:
             fast.append(name)
     sources = _merge(sources)
     period = float(np.median(np.diff(track.time)))
@@ -94,7 +83,7 @@ def separate_slow_columns(
             each
             for each in sources
             if not each.is_held
-            or not set(each.names) <= set(roles.torques)
+            or not set(each.names) <= set(track.torques)
             or period * len(each.updates) > _MAX_SERVO_PERIOD * np.count_nonzero(each.updates)
         ]
     if not sources:
@@ -222,9 +211,9 @@ MIN_SEGMENT_SAMPLES = 50
 
 
 def segment_table(
-    track: Track, roles: Roles, experiment: Experiment, path: Path
+    track: Track, clock: str, experiment: Experiment, path: Path
 ) -> tuple[list[list[Track]], list[Diagnostic]]:
-    """Split a table into segments, each of one track per rate, the clock's first.
+    """Split a table into segments, each of one track per rate, the first with the column `clock`.
 
     Only the window of the experiment is used. Raises InvalidInput if a time stamp is no number, or
     if the stamps are too coarse.
@@ -237,20 +226,20 @@ def segment_table(
     if len(inside.time) < MIN_SAMPLES:
         return [[track]], warnings  # rejected with the window's message
     (track,), missing = drop_missing([inside], path)
-    tracks, slow = separate_slow_columns(track, roles, path.name)
-    segments, split = segment_tracks(tracks, roles, experiment, path, n_back)
+    tracks, slow = separate_slow_columns(track, path.name)
+    segments, split = segment_tracks(tracks, clock, experiment, path, n_back)
     return segments, [*warnings, *missing, *slow, *split]
 
 
 def segment_tracks(
-    tracks: Sequence[Track], roles: Roles, experiment: Experiment, path: Path, n_back: int = 0
+    tracks: Sequence[Track], clock: str, experiment: Experiment, path: Path, n_back: int = 0
 ) -> tuple[list[list[Track]], list[Diagnostic]]:
-    """Split tracks at the pauses of all that are measured; the clock's track is first.
+    """Split tracks at the pauses of all that are measured; that with the column `clock` is first.
 
     Segments with too few samples in the window of the experiment are left out, unless all have too
     few.
     """
-    tracks = sorted(tracks, key=lambda track: roles.clock not in track.columns)
+    tracks = sorted(tracks, key=lambda track: clock not in track.columns)
     spans = [(-np.inf, np.inf)]
     longest = 0.0
     for track in tracks:
