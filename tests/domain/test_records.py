@@ -16,7 +16,7 @@ from strainwave.domain.arm.kinds import single_joint
 def test_the_package_exports_every_record() -> None:
     groups = [import_module(f"strainwave.domain.{m.name}") for m in iter_modules(records.__path__)]
     # kinds, gear laws, effects and link sensors have lists of their own
-    modules = [
+    modules = groups + [
         import_module(f"{group.__name__}.{each.name}")
         for group in groups
         for each in iter_modules(getattr(group, "__path__", ()))
