@@ -112,7 +112,6 @@ from strainwave.domain.study import RigidOptions as RigidOptions
 from strainwave.domain.study import Stage as Stage
 from strainwave.domain.study import Study as Study
 from strainwave.domain.study import StudyKey as StudyKey
-from strainwave.domain.study import TopicChannel as TopicChannel
 from strainwave.domain.study import Use as Use
 from strainwave.domain.study import WholeArmOptions as WholeArmOptions
 from strainwave.domain.study import channel_kinds as channel_kinds

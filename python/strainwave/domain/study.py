@@ -220,13 +220,6 @@ def study_keys() -> dict[str, tuple[StudyKey, ...]]:
     return {name: tuple(StudyKey(**entry) for entry in table) for name, table in tables.items()}
 
 
-def accepted_range(name: str) -> tuple[float, float]:
-    """Smallest and largest value of a key of [arm] or [[joint]]."""
-    keys = (*study_keys()["joint"], *study_keys()["arm"])
-    low, high = next(key.range for key in keys if key.key == name and key.range)
-    return low, high
-
-
 Use = Literal["motion", "frequency", "sweep", "tuning", "check"]
 Control = Literal["open", "servo"]
 Meaning = Literal["motor", "sensor", "without-gravity", "without-friction", "desired"]
@@ -247,24 +240,6 @@ class Channel:
     def columns(self) -> tuple[str, ...]:
         """All columns of the channel."""
         return tuple(filter(None, (self.column, self.second_column)))
-
-
-@dataclass(frozen=True, slots=True)
-class TopicChannel:
-    """Source of a channel in a bag: one number of each message of a topic."""
-
-    topic: Annotated[str, MinLen(1)]
-    field: Annotated[str, MinLen(1)]  # path in the message: "position", "data[0]", "a.b.c"
-    name: str | None = None  # of the joint, if the field has one number per joint
-    scale: float = 1.0
-    offset: float = 0.0
-    meaning: Meaning = "motor"
-
-    @property
-    def channel(self) -> Channel:
-        """The channel with the column name that the bag's reader assigns."""
-        joint = "" if self.name is None else f"[{self.name}]"
-        return Channel(f"{self.topic}.{self.field}{joint}", self.scale, self.offset, self.meaning)
 
 
 @dataclass(frozen=True, slots=True)

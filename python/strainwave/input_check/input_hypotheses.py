@@ -16,7 +16,7 @@ import numpy as np
 from strainwave.domain import Clause, Correction, Place, channel_parts
 from strainwave.domain.arm.kinds import arm_keys
 from strainwave.domain.messages import Value
-from strainwave.domain.study import accepted_range
+from strainwave.domain.study import study_keys
 from strainwave.input_check.evidence import Evidence, exchanged_tests
 from strainwave.input_check.hypothesis import (
     STEPS,
@@ -467,7 +467,8 @@ def _gravity(case: UnexplainedEvidence) -> Iterator[Hypothesis]:
 
 def _is_accepted(key: str, value: float) -> bool:
     """Whether a study file accepts a value, in either direction."""
-    minimum, maximum = accepted_range(key)
+    keys = (*study_keys()["joint"], *study_keys()["arm"])
+    minimum, maximum = next(each.range for each in keys if each.key == key and each.range)
     return minimum <= abs(value) <= maximum
 
 

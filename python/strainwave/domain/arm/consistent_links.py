@@ -70,7 +70,8 @@ def _minimise(
 
     def cost(values: FloatArray) -> float:
         residual = rows @ values - target
-        return float(pull @ values - _log_det(values) + 0.5 * residual @ residual)
+        log_det = np.sum(np.linalg.slogdet(_pseudo_inertia(values.reshape(-1, 10)))[1])
+        return float(pull @ values - log_det + 0.5 * residual @ residual)
 
     for _ in range(_MAX_STEPS):
         roots, gradient = _barrier(values)
@@ -174,10 +175,6 @@ def _barrier(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     whitened = inverse @ _basis() @ inverse.mT  # (n_links, 10, 4, 4); products are the Hessian
     roots = np.linalg.qr(whitened.reshape(-1, 10, 16).mT, mode="r")
     return np.asarray(roots), -np.trace(whitened, axis1=2, axis2=3).ravel()
-
-
-def _log_det(values: FloatArray) -> float:
-    return float(np.sum(np.linalg.slogdet(_pseudo_inertia(values.reshape(-1, 10)))[1]))
 
 
 def _longest_step(values: FloatArray, step: FloatArray) -> float:

@@ -13,7 +13,9 @@ import tomllib
 from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar, cast, get_args, get_type_hints
+from typing import Annotated, Any, TypeVar, cast, get_args, get_type_hints
+
+from annotated_types import MinLen
 
 from strainwave.domain import (
     ArmDescription,
@@ -24,7 +26,6 @@ from strainwave.domain import (
     Origin,
     Servo,
     Study,
-    TopicChannel,
     Urdf,
 )
 from strainwave.domain.arm import effects, gear_laws
@@ -36,6 +37,8 @@ from strainwave.io.urdf import UrdfJoint, read_urdf
 
 T = TypeVar("T")
 
+_Text = Annotated[str, MinLen(1)]
+_OF_TOPIC: Mapping[str, Any] = {"topic": _Text, "field": _Text, "name": str | None}
 _PLACED_BY_KIND: Mapping[str, Any] = {"origin": Origin(), "axis": (0.0, 0.0, 1.0)}
 
 PLACED_BY_URDF = ("origin", "axis", "name", "limits")
@@ -340,9 +343,8 @@ class Reader:
                 as_table = as_table | {"column": columns[0]}
                 second = self._value(columns[1], str, "channels", None, name)
             if "topic" in as_table:
-                channel = self.record(TopicChannel, as_table, "channels").channel
-            else:
-                channel = self.record(Channel, as_table, "channels", second_column=second)
+                as_table = self._column_of_topic(as_table)
+            channel = self.record(Channel, as_table, "channels", second_column=second)
             is_sensor = channel.meaning == "sensor"
             if channel.meaning != "motor" and not name.startswith(("torque", "tau_l")):
                 raise InvalidInput(
@@ -352,6 +354,22 @@ class Reader:
                 )
             channels[name.replace("torque", "tau_l") if is_sensor else name] = channel
         return channels
+
+    def _column_of_topic(self, table: Mapping[str, Any]) -> dict[str, Any]:
+        """The table of a channel in a bag, with the column name that the bag's reader assigns.
+
+        `field` is the path of one number in each message of `topic`: "position", "data[0]",
+        "a.b.c". If it has one number per joint, `name` is that of the joint.
+        """
+        self._check_keys(table, (*_OF_TOPIC, "scale", "offset", "meaning"), "channels")
+        if "field" not in table:
+            raise self._missing("field", "channels")
+        topic, field, name = (
+            self._value(table.get(key), hint, "channels", None, key)
+            for key, hint in _OF_TOPIC.items()
+        )
+        column = f"{topic}.{field}" + ("" if name is None else f"[{name}]")
+        return {"column": column, **{k: v for k, v in table.items() if k not in _OF_TOPIC}}
 
     def _one(self, document: Mapping[str, Any], name: str) -> dict[str, Any] | None:
         table = document.get(name)
