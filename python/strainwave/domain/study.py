@@ -281,10 +281,6 @@ class Experiment:
     add: Mapping[str, str] = field(default_factory=dict)  # channel -> column added to it
     payload: Payload | None = None  # of serial arms
 
-    def segment(self, number: int) -> Experiment:
-        """One of several segments of the record, from 1."""
-        return replace(self, name=f"{self.name}/{number}")
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:

@@ -20,7 +20,7 @@ import numpy as np
 from strainwave.errors import InvalidInput
 from strainwave.init.channels import add_channels, map_channels
 from strainwave.init.experiment_type import ExperimentProposal, propose_uses
-from strainwave.init.inspection import InspectedLog, find_fullest_record, read_record
+from strainwave.init.inspection import InspectedLog, read_record
 from strainwave.init.joint_columns import Guess, Mapping
 from strainwave.init.joints import find_logged_joints
 from strainwave.init.robot import Robot
@@ -62,7 +62,8 @@ def start_study(logs: Sequence[Path], out: Path, urdf: Path | None = None) -> St
             remedy="choose another file with --out, or move the existing file",
         )
     records = [read_record(path) for path in logs]
-    fullest = find_fullest_record(records)
+    # the record with the most varying columns classifies the columns of all
+    fullest = max(records, key=lambda r: sum(np.ptp(v) > 0.0 for v in r.columns.values()))
     logged = partial(find_logged_joints, records, fullest)
     robot = None if urdf is None else Robot.read(urdf, logged)
     mapping = map_channels(fullest, fullest, robot, records)

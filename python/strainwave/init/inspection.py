@@ -5,7 +5,7 @@ Find the time stamps of a table of unknown layout, and their unit.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import chain, product
 from pathlib import Path
@@ -291,8 +291,3 @@ def _valid_columns(columns: Mapping[str, FloatArray]) -> tuple[dict[str, FloatAr
             " of them, and rejects infinite ones"
         )
     return valid_columns, messages
-
-
-def find_fullest_record(records: Sequence[InspectedLog]) -> InspectedLog:
-    """Return the record with the most varying columns, which is used to classify columns."""
-    return max(records, key=lambda record: sum(np.ptp(v) > 0.0 for v in record.columns.values()))

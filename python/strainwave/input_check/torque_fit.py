@@ -343,12 +343,6 @@ def with_friction_laws(evidence: Evidence, system: TorqueSystem, links: FloatArr
     return replace(system, columns=columns, grams=None, parameters=None)
 
 
-def unexplained_torques(evidence: Evidence, links: FloatArray) -> FloatArray:
-    """Torques that given links leave, in the rows of `torque_system`."""
-    rows = torque_rows(evidence, links)
-    return np.concatenate([each.remainder(each.torque - each.of_links[:, 0]) for each in rows])
-
-
 # Factor of a mass within which a guess is accepted, in either direction.
 _TOLERATED_FACTOR = 2.0
 # Minimum share of the torques that the scaled links must explain.

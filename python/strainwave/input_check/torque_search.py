@@ -25,7 +25,6 @@ from strainwave.input_check.torque_fit import (
     fit_torques,
     predict_stretches,
     torque_system,
-    unexplained_torques,
     with_friction_laws,
 )
 from strainwave.input_check.torque_hypotheses import (
@@ -36,6 +35,7 @@ from strainwave.input_check.torque_hypotheses import (
     propose_discrete,
     propose_families,
 )
+from strainwave.input_check.torque_rows import torque_rows
 from strainwave.numerics.parallel import run_parallel
 
 # Steps of the numerical derivatives, in prior standard deviations.
@@ -286,9 +286,9 @@ class _FaultSearch:
         """
 
         def leave(at: FloatArray) -> FloatArray:
-            return unexplained_torques(
-                self.evidence.corrected(family.change(at).corrections), fit.links
-            )
+            changed = self.evidence.corrected(family.change(at).corrections)
+            rows = torque_rows(changed, fit.links)
+            return np.concatenate([x.remainder(x.torque - x.of_links[:, 0]) for x in rows])
 
         here = fit.residual / fit.weight
         changes = [here - leave(x + _DERIVATIVE_STEP * unit) for unit in np.eye(len(x))]

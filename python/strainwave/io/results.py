@@ -410,7 +410,14 @@ def _stages(identification: Identification) -> StagesEntry:
     if "decoupled" in identification.stages:
         stages["decoupled"] = [
             *map(_record, identification.records),
-            *_motor_response_records(identification.joints),
+            *(  # joints that are modelled from motor signals alone, record by record
+                RecordEntry.of(
+                    joint, experiment=name, fit_percent=tuple(joint.fit_percent.values())
+                )
+                for joint in identification.joints
+                if joint.method == "motor-response"
+                for name in joint.experiments
+            ),
         ]
         for name in ("joints", "torsions", "sweeps", "links"):
             stages[name] = getattr(identification, name)
@@ -481,15 +488,6 @@ def _record(record: RecordModel) -> RecordEntry:
         warnings=record.warnings,
         **models,
     )
-
-
-def _motor_response_records(joints: Iterable[JointModel]) -> Iterator[RecordEntry]:
-    """One entry per record for joints that are modelled from motor signals alone."""
-    for joint in joints:
-        for name in joint.experiments if joint.method == "motor-response" else ():
-            yield RecordEntry.of(
-                joint, experiment=name, fit_percent=tuple(joint.fit_percent.values())
-            )
 
 
 def _responses(identification: Identification) -> Iterator[ResponseEntry]:

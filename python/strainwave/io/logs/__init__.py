@@ -137,7 +137,8 @@ def _read_segments(study: Study, experiment: Experiment, data: Any) -> tuple[Log
     if len(logs) == 1:
         return tuple(logs)
     return tuple(
-        replace(log, experiment=experiment.segment(k)) for k, log in enumerate(logs, start=1)
+        replace(log, experiment=replace(experiment, name=f"{experiment.name}/{k}"))
+        for k, log in enumerate(logs, start=1)
     )
 
 
