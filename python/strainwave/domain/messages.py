@@ -6,7 +6,7 @@ or `[parts]` that templates share. Conversions: `!p` per cent, `!m` thousandths,
 `!a` a list with commas and "and", `!o` with ", or ", `!e` with ", and ", and `!s` with semicolons.
 `|` ends the observation of a warning and is not part of the text.
 
-Number formats for text.
+`plus_minus` and `percent` are the number formats of texts.
 """
 
 from __future__ import annotations

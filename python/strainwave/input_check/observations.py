@@ -1,6 +1,6 @@
 """Observations of the input check: values that are 1 or 0 if the input is consistent.
 
-And sensors that do not follow the motion: saturated ones, and motor encoders that stand still.
+`measure_clipping` and `measure_standing_encoders` detect sensors that do not follow the motion.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Interface of an arm kind: a constructor of chains, with names and bodies for their parameters.
 
-And the general kind: a chain of 1 to 7 joints placed anywhere in space.
+`SerialChain` is the general kind: 1 to 7 joints placed anywhere in space.
 """
 
 from __future__ import annotations
