@@ -656,8 +656,8 @@ class Result:
         tune.html is written into the directory `out`, if there is one. Raises `NotIdentifiable` if
         a parameter is missing, and `InvalidInput` if no gains keep the margins.
         """
+        from strainwave.tune import tune_document
         from strainwave.tune.design import ServoOptions
-        from strainwave.tune.tune import tune_document
 
         folder = None if out is None else Path(out)
         options = options or ServoOptions()

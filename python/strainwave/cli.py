@@ -256,10 +256,10 @@ def tune(
     """Design the servos of an arm. Writes DIR/tune.html and servo.*, with input shapers."""
     from strainwave.export import arm_of
     from strainwave.io.results import read_document, result_path
+    from strainwave.tune import PAGE, read_payloads, read_postures, tune_document
     from strainwave.tune.design import ServoOptions
     from strainwave.tune.margins import Requirements
     from strainwave.tune.report.words import print_design
-    from strainwave.tune.tune import PAGE, read_payloads, read_postures, tune_document
 
     options = ServoOptions(
         postures=read_postures(posture or ()),
@@ -316,7 +316,7 @@ def excite(
             progress=report,
         )
     if not quiet:
-        from strainwave.excite.written import print_design
+        from strainwave.excite.files import print_design
 
         print_design(planned, out)
 

@@ -19,12 +19,12 @@ from servo_arms import rig
 from strainwave.domain import JointLimits
 from strainwave.export import arm_of
 from strainwave.io.study import read_study, write_study
+from strainwave.tune import PAGE, read_payloads, read_postures, tune_document
 from strainwave.tune.design import design_servo
 from strainwave.tune.handover import FILES
 from strainwave.tune.report import words
 from strainwave.tune.report.page import render
 from strainwave.tune.report.words import print_design
-from strainwave.tune.tune import PAGE, read_payloads, read_postures, tune_document
 
 POSTURES = ("0,0", "0.3,1.8")
 LOAD = "2,0.3,0,0"
