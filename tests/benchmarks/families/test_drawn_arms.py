@@ -24,7 +24,7 @@ def cases(folder: Path, text: str) -> list[Case]:
 
 
 def task_of(case: Case, store: Path) -> Task:
-    task = CampaignPlan(Store.at(store), "test", ("rigid",), {}).next(case)
+    task = CampaignPlan(Store(store), "test", ("rigid",), {}).next(case)
     assert isinstance(task, Task)
     return Task.from_json(task.to_json())
 

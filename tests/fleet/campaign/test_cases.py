@@ -57,7 +57,7 @@ class DrawnCase:
 
 
 def task_of(case: DrawnCase, store: Path, **options: Any) -> Task:
-    task = CampaignPlan(Store.at(store), "test", ("rigid",), options).next(case)
+    task = CampaignPlan(Store(store), "test", ("rigid",), options).next(case)
     assert isinstance(task, Task)
     return Task.from_json(task.to_json())
 
@@ -91,7 +91,7 @@ def test_options_of_a_case_override_and_are_hashed(tmp_path: Path) -> None:
 def test_a_study_file_has_no_true_values(tmp_path: Path) -> None:
     from strainwave.fleet.campaign.study_files import find
 
-    plan = CampaignPlan(Store.at(tmp_path / "store"), "test", ("rigid",), {})
+    plan = CampaignPlan(Store(tmp_path / "store"), "test", ("rigid",), {})
     task = plan.next(find([str(rig(tmp_path / "rig"))]).cases[0])
     assert isinstance(task, Task)
     worker.answer(task)

@@ -20,8 +20,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 from strainwave.domain import Study
 from strainwave.domain.keys import Key
-from strainwave.errors import InvalidInput, suggest_name
-from strainwave.fleet.campaign.places import file_system, is_url, resolved
+from strainwave.errors import InvalidInput, import_optional, suggest_name
 from strainwave.io.atomic_files import check_keys, decode, parse_toml, read_bytes
 from strainwave.io.logs.arrow import Data
 
@@ -29,6 +28,35 @@ _VERSIONS = (  # keys with which file systems report the version of a file
     *("ETag", "etag", "md5", "checksum"),
     *("LastModified", "last_modified", "mtime", "created"),
 )
+
+
+def is_url(text: str) -> bool:
+    """Whether the text is a URL instead of a path."""
+    return "://" in text
+
+
+def resolved(path: str, file: str) -> str:
+    """A path or URL that a file names, relative to the folder of the file."""
+    if is_url(path) or Path(path).is_absolute():
+        return path
+    return f"{file.rsplit('/', 1)[0]}/{path}" if is_url(file) else str(Path(file).parent / path)
+
+
+def file_system(url: str) -> tuple[Any, str]:
+    """The fsspec file system of a URL, and the path in it.
+
+    Raises `InvalidInput` if fsspec or its package for this kind of URL is not installed.
+    """
+    core = import_optional("fsspec.core", f"the URL {url}", '"strainwave[cluster]"')
+    try:
+        system, path = core.url_to_fs(url)
+    except (ImportError, ValueError) as error:
+        raise InvalidInput(
+            f"this kind of URL cannot be read ({error})",
+            where=url,
+            remedy="install the package that fsspec names for it, or check the URL",
+        ) from error
+    return system, str(path)
 
 
 class Hashes(NamedTuple):
