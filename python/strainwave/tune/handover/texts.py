@@ -176,7 +176,7 @@ def to_ros2_control(design: ServoDesign) -> str:
     for each, name, limit in zip(
         design.joints, arm.joint_names, design.limits.tolist(), strict=True
     ):
-        joint, gains = design.arm.joint(each.joint), each.tuned.gains
+        joint, gains = design.arm.joint(each.joint), each.gains
         ratio = 1.0 if arm.is_coupled else joint.gear_ratio
         units = Units.of(joint)
         effort = units.input if joint.known_torque_per_volt is None else units.torque
@@ -214,7 +214,7 @@ def _ros2_notes(design: ServoDesign) -> tuple[str, ...]:
         "velocity error while its input is limited",
         "omitted: input shapers: shape the trajectory before it is sent",
     ]
-    filtered = [str(each.joint) for each in design.joints if each.tuned.gains.filters]
+    filtered = [str(each.joint) for each in design.joints if each.gains.filters]
     if filtered:
         notes.append(
             f"omitted: filters of the input of joint {', '.join(filtered)}: without them the "
