@@ -19,7 +19,7 @@ from strainwave.fleet.campaign import worker
 from strainwave.fleet.campaign.records import Task
 from strainwave.fleet.campaign.runner import CampaignPlan
 from strainwave.fleet.campaign.store import Store
-from strainwave.fleet.campaign.study_files import Hashes, Opened
+from strainwave.fleet.campaign.study_files import Opened
 
 Truth = dict[tuple[str, int | None], float]
 
@@ -39,8 +39,8 @@ class DrawnCase:
     def options(self) -> Mapping[str, Mapping[str, Any]]:
         return {} if self.bandwidth_hz is None else {"rigid": {"bandwidth_hz": self.bandwidth_hz}}
 
-    def hashes(self) -> Hashes:
-        return Hashes(f"family, {self.number}", "")
+    def hashes(self) -> tuple[str, str]:
+        return f"family, {self.number}", ""
 
     @contextmanager
     def opened(self) -> Iterator[Opened]:

@@ -15,7 +15,6 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from datetime import datetime
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +51,7 @@ def perform(line: str, limits: dict[str, Any], since: str) -> str:
     died after its worker process had recorded it.
     """
     task = Task.from_json(line)
-    recorded = _store(task.store).recorded(task.run)
+    recorded = Store(task.store).recorded(task.run)
     if recorded and (
         recorded.status != FAILED_STATUS or recorded.started >= datetime.fromisoformat(since)
     ):
@@ -61,12 +60,6 @@ def perform(line: str, limits: dict[str, Any], since: str) -> str:
         _thread.limits, _thread.runner = limits, Runner(RunLimits(**limits))
     runner: Runner = _thread.runner
     return runner.run(task).to_json()
-
-
-@cache
-def _store(where: str) -> Store:
-    """One store for all tasks of a Dask worker, which caches merged files."""
-    return Store(where)
 
 
 @contextmanager

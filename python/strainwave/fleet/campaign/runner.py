@@ -254,11 +254,11 @@ class CampaignPlan:
 
     def next(self, case: Case) -> Task | Outcome:
         """The task of a case, or its outcome if that is recorded."""
-        hashes = case.hashes()
+        study_sha256, inputs_sha256 = case.hashes()
         task = Task(
             case=case,
-            study_sha256=hashes.study_sha256,
-            inputs_sha256=hashes.inputs_sha256,
+            study_sha256=study_sha256,
+            inputs_sha256=inputs_sha256,
             stages=self.stages,
             options=merged([self.options, case.options]),
             store=str(self.store.where),

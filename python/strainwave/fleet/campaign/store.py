@@ -20,7 +20,7 @@ import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 from pathlib import Path
 
 import pyarrow as pa
@@ -84,18 +84,14 @@ class Store:
 
     def recorded(self, run: str) -> Outcome | None:
         """The outcome of a recorded run; None if it is not recorded."""
-        try:
-            rows = self._rows("runs", [f"runs/{run}.parquet"], OUTCOME_COLUMNS)
-        except FileNotFoundError:
-            return self._of_parts.get(run)
-        return Outcome(**rows.to_pylist()[0])
-
-    @cached_property
-    def _of_parts(self) -> dict[str, Outcome]:
-        """Outcomes of the runs in the parts that exist when it is first needed."""
-        parts = [name for name in self._names("runs") if _is_part(name)]
-        rows = self._rows("runs", parts, OUTCOME_COLUMNS).sort_by("started")
-        return {row["run"]: Outcome(**row) for row in rows.to_pylist()}
+        for _ in range(_MAX_TRIES):
+            with suppress(FileNotFoundError):
+                rows = self._rows("runs", [f"runs/{run}.parquet"], OUTCOME_COLUMNS)
+                return Outcome(**rows.to_pylist()[0])
+            parts = tuple(filter(_is_part, self._names("runs")))
+            with suppress(FileNotFoundError):  # merged after the files were listed
+                return _outcomes_of(self, parts).get(run)
+        return None
 
     def table(self, kind: str, columns: Sequence[str] | None = None) -> pa.Table:
         """All rows of `runs` or `parameters`, each once: of a repeated run, the last.
@@ -236,6 +232,13 @@ def _open_existing(where: Path | str) -> Store:
             remedy="name the store that strainwave campaign wrote, its --out",
         )
     return store
+
+
+@lru_cache(maxsize=4)
+def _outcomes_of(store: Store, parts: tuple[str, ...]) -> dict[str, Outcome]:
+    """Outcomes of the runs in parts, which do not change, by run."""
+    rows = store._rows("runs", parts, OUTCOME_COLUMNS).sort_by("started")
+    return {row["run"]: Outcome(**row) for row in rows.to_pylist()}
 
 
 def _is_part(name: str) -> bool:

@@ -16,7 +16,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, Protocol
 
 from strainwave.domain import Study
 from strainwave.domain.keys import Key
@@ -59,13 +59,6 @@ def file_system(url: str) -> tuple[Any, str]:
     return system, str(path)
 
 
-class Hashes(NamedTuple):
-    """Hashes of the inputs of a case."""
-
-    study_sha256: str | None  # None: the study file cannot be read
-    inputs_sha256: str
-
-
 @dataclass(frozen=True)
 class Opened:
     """A case as `pipeline.identify` takes it."""
@@ -89,8 +82,11 @@ class Case(Protocol):
     def options(self) -> Mapping[str, Mapping[str, Any]]:
         """Options of this case, which override those of the campaign: stage -> key -> value."""
 
-    def hashes(self) -> Hashes:
-        """Hashes of the study and its inputs; `InvalidInput` if the place cannot be read at all."""
+    def hashes(self) -> tuple[str | None, str]:
+        """Hashes of the study, None if it cannot be read, and of its inputs.
+
+        Raises `InvalidInput` if the place cannot be read at all.
+        """
 
     def opened(self) -> AbstractContextManager[Opened]:
         """The study to identify; temporary copies are removed on exit.
@@ -107,7 +103,7 @@ class StudyFile:
     location: str  # absolute path, or URL
     options: ClassVar[Mapping[str, Any]] = MappingProxyType({})  # the study file contains them
 
-    def hashes(self) -> Hashes:
+    def hashes(self) -> tuple[str | None, str]:
         """SHA-256 of the study file and of the contents of its logs and its URDF.
 
         Files at a URL are hashed by size and version, as the file system reports them.
@@ -115,11 +111,11 @@ class StudyFile:
         try:
             text = _read(self.location)
         except OSError:
-            return Hashes(None, hashlib.sha256().hexdigest())
+            return None, hashlib.sha256().hexdigest()
         inputs = hashlib.sha256()
         for name in _list_inputs(text):
             inputs.update(f"{name}\0{_fingerprint(resolved(name, self.location))}\0".encode())
-        return Hashes(hashlib.sha256(text).hexdigest(), inputs.hexdigest())
+        return hashlib.sha256(text).hexdigest(), inputs.hexdigest()
 
     @contextmanager
     def opened(self) -> Iterator[Opened]:
