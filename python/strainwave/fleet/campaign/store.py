@@ -25,7 +25,6 @@ from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 from pyarrow import fs
 
@@ -161,6 +160,8 @@ class Store:
 
     def _rows(self, kind: str, names: Sequence[str], columns: Sequence[str]) -> pa.Table:
         """Rows of files in their order; columns that earlier versions lack are null."""
+        import pyarrow.dataset as ds  # imports pandas, if that is installed; a worker only writes
+
         system, root = self._folder
         paths = [f"{root}/{name}" for name in names]
         files = ds.dataset(paths, schema=_SCHEMAS[kind], format="parquet", filesystem=system)
