@@ -77,7 +77,7 @@ def time_campaign(studies: list[Path], folder: Path, workers: int) -> tuple[floa
     settings = Settings(store=str(store), stages=("rigid",), workers=workers)
     summary = run([str(path) for path in studies], settings)
     assert summary.tally.by_status.total() == len(studies)
-    table = Store.at(store).table("runs", ["started", "seconds"]).to_pylist()
+    table = Store(store).table("runs", ["started", "seconds"]).to_pylist()
     first = min(row["started"] for row in table)
     last = max(row["started"] + timedelta(seconds=row["seconds"]) for row in table)
     return (last - first).total_seconds(), statistics.fmean(row["seconds"] for row in table)
@@ -85,7 +85,7 @@ def time_campaign(studies: list[Path], folder: Path, workers: int) -> tuple[floa
 
 def store_times(folder: Path) -> list[Figure]:
     """Times to write a run, to list ten thousand, and to merge the last thousand."""
-    store = Store.at(folder / "rows")
+    store = Store(folder / "rows")
     day = datetime(2026, 1, 1)
 
     def record(number: int) -> RunRecord:
@@ -113,12 +113,12 @@ def store_times(folder: Path) -> list[Figure]:
     for number in range(ROWS - 1000, ROWS):
         store.write(record(number))
     write_time = (time.perf_counter() - begin) / 1000
-    list_time = _least_time(lambda: Store.at(folder / "rows").table("runs"))
-    query_time = _least_time(lambda: Store.at(folder / "rows").recorded(f"{17:032x}"))
+    list_time = _least_time(lambda: Store(folder / "rows").table("runs"))
+    query_time = _least_time(lambda: Store(folder / "rows").recorded(f"{17:032x}"))
     begin = time.perf_counter()
     store.merge()
     merge_time = time.perf_counter() - begin
-    merged_list_time = _least_time(lambda: Store.at(folder / "rows").table("runs"))
+    merged_list_time = _least_time(lambda: Store(folder / "rows").table("runs"))
     return [
         Figure("writing a run: row, 26 parameters, result.json of 200 kB", 1e3 * write_time, "ms"),
         Figure("listing 10,000 runs, the last 1,000 not merged yet", list_time, "s"),

@@ -46,7 +46,7 @@ def running(*arguments: str | Path) -> Iterator[subprocess.Popen[str]]:
 def wait_for(store: Path, count: int, driver: subprocess.Popen[str]) -> None:
     """Wait until a number of runs is recorded by a driver."""
     until = time.monotonic() + PATIENCE
-    while (recorded := Store.at(store).table("runs", ["run"]).num_rows) < count:
+    while (recorded := Store(store).table("runs", ["run"]).num_rows) < count:
         assert driver.poll() is None, driver.communicate()
         assert time.monotonic() < until, f"{recorded} of {count} runs"
         time.sleep(0.02)

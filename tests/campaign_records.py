@@ -22,7 +22,7 @@ def record(run: str, seconds: float = 0.0, status: str = "determined") -> RunRec
 
 def write_many(folder: str, first: int, count: int) -> None:
     """Write runs and merge them at times, as one of several processes."""
-    store = Store.at(folder)
+    store = Store(folder)
     for number in range(first, first + count):
         store.write(record(f"run-{number:05d}", number))
         if number % 10 == 0:

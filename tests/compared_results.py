@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.fleet.monitoring.result_estimates import ResultEstimates, estimates_of
+from strainwave.fleet.monitoring.comparison import ResultEstimates, estimates_of
 
 NAMES = ("beta", "gear_stiffness 1", "motor_inertia 1", "motor_viscous_friction 1", "sum 1")
 TRUE = np.array([0.64, 25000.0, 1.5e-4, 2e-4])

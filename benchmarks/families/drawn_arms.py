@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 from benchmarks.families import Family, draw, family_of, fields_of, record
-from strainwave.fleet.campaign.study_files import Hashes, Opened
+from strainwave.fleet.campaign.study_files import Opened
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,10 @@ class DrawnArm:
     number: int  # from 0
     options: ClassVar[Mapping[str, Any]] = MappingProxyType({})  # the campaign contains them
 
-    def hashes(self) -> Hashes:
+    def hashes(self) -> tuple[str, str]:
         """Hashes of the family without its number of arms, and of the number of this arm."""
         drawn_from = {key: value for key, value in self.family.items() if key != "arms"}
-        return Hashes(_sha256(drawn_from), _sha256([drawn_from, self.number]))
+        return _sha256(drawn_from), _sha256([drawn_from, self.number])
 
     @contextmanager
     def opened(self) -> Iterator[Opened]:

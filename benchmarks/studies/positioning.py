@@ -78,7 +78,7 @@ def design(draws: int) -> Positioning:
     loops = Loops.of(plants, clock)
     limits = np.array([_TORQUE])
     tuned, judged = tune_cascades(loops, Requirements(), resolutions=np.zeros(1), limits=limits)
-    gains = [each.gains for each in tuned]
+    gains = [each for each, _ in tuned]
     loop = close(sample(plants, clock), [each.law() for each in gains], 0)
     return Positioning(Steps.of(loop, _PERIOD), judged[0][0])
 

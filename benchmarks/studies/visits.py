@@ -24,8 +24,12 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.fleet.monitoring.comparison import DIFFERS, compare
-from strainwave.fleet.monitoring.result_estimates import ResultEstimates, estimates_of
+from strainwave.fleet.monitoring.comparison import (
+    DIFFERS,
+    ResultEstimates,
+    compare,
+    estimates_of,
+)
 from strainwave.io.results import to_document
 from strainwave.pipeline import identify
 from strainwave.virtual.experiments import record_experiment

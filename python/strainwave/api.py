@@ -39,7 +39,7 @@ from strainwave.domain.study import Progress, ProgressEvent, ignore_progress
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import inverse_dynamics
 from strainwave.errors import Cancelled, InvalidInput, import_optional, suggest_name
-from strainwave.fleet.monitoring import comparison, result_estimates
+from strainwave.fleet.monitoring import comparison
 from strainwave.identification.validation import predict_rigid
 from strainwave.io import results
 from strainwave.io.atomic_files import write_whole
@@ -194,7 +194,7 @@ def compare(
     two results and `NotIdentifiable` if they have no parameter in common.
     """
     loaded = [result if isinstance(result, Result) else read_result(result) for result in results]
-    estimates = [result_estimates.estimates_of(each.document, each.source) for each in loaded]
+    estimates = [comparison.estimates_of(each.document, each.source) for each in loaded]
     labels = [estimate.label for estimate in estimates]
     for k, label in enumerate(labels):
         if labels.count(label) > 1:
@@ -656,8 +656,8 @@ class Result:
         tune.html is written into the directory `out`, if there is one. Raises `NotIdentifiable` if
         a parameter is missing, and `InvalidInput` if no gains keep the margins.
         """
+        from strainwave.tune import tune_document
         from strainwave.tune.design import ServoOptions
-        from strainwave.tune.tune import tune_document
 
         folder = None if out is None else Path(out)
         options = options or ServoOptions()

@@ -256,10 +256,10 @@ def tune(
     """Design the servos of an arm. Writes DIR/tune.html and servo.*, with input shapers."""
     from strainwave.export import arm_of
     from strainwave.io.results import read_document, result_path
+    from strainwave.tune import PAGE, read_payloads, read_postures, tune_document
     from strainwave.tune.design import ServoOptions
     from strainwave.tune.margins import Requirements
     from strainwave.tune.report.words import print_design
-    from strainwave.tune.tune import PAGE, read_payloads, read_postures, tune_document
 
     options = ServoOptions(
         postures=read_postures(posture or ()),
@@ -316,7 +316,7 @@ def excite(
             progress=report,
         )
     if not quiet:
-        from strainwave.excite.written import print_design
+        from strainwave.excite.files import print_design
 
         print_design(planned, out)
 
@@ -331,16 +331,14 @@ def compare(
     quiet: Quiet = False,
 ) -> None:
     """Compare results of one arm. The exit code is 0 if they agree and 4 if they differ."""
-    from strainwave.fleet.monitoring import comparison_output
-    from strainwave.fleet.monitoring.comparison import compare as compare_results
-    from strainwave.fleet.monitoring.result_estimates import read_estimates
+    from strainwave.fleet.monitoring import comparison, comparison_output
 
-    comparison = compare_results(read_estimates(results), level)
+    result = comparison.compare(comparison.read_estimates(results), level)
     if out is not None:
-        comparison_output.write(comparison, out)
+        comparison_output.write(result, out)
     if not quiet:
-        comparison_output.print_comparison(comparison, out)
-    raise typer.Exit(CHANGED if comparison.differs else DONE)
+        comparison.print_comparison(result, out)
+    raise typer.Exit(CHANGED if result.differs else DONE)
 
 
 @app.command(epilog="Example: strainwave trend store --arm 'fleet/([^/]+)/' --out trend")
@@ -353,19 +351,18 @@ def trend(
     quiet: Quiet = False,
 ) -> None:
     """Detect changes of arms over their visits. The exit code is 4 if an arm changes, else 0."""
-    from strainwave.fleet.monitoring import trend_output
-    from strainwave.fleet.monitoring.trend import trend as trend_of
+    from strainwave.fleet.monitoring import trend as trends
     from strainwave.fleet.monitoring.visits import read_histories
 
     with _progress(quiet) as report:
         report("reading the store")
         histories = read_histories(store, arm=arm, covariates=covariates)
         report("testing for changes")
-        result = trend_of(histories, level)
+        result = trends.trend(histories, level)
         if out is not None:
-            trend_output.write(result, out)
+            trends.write(result, out)
     if not quiet:
-        trend_output.print_trend(result, out)
+        trends.print_trend(result, out)
     raise typer.Exit(CHANGED if result.concern else DONE)
 
 

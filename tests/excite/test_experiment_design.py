@@ -24,17 +24,16 @@ from strainwave.dynamics import excitation, simulation
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.excite import (
-    command_table,
     fit_duration,
     motions,
     rigid_motion,
     voltages,
 )
+from strainwave.excite.files import HEADER_FILE, print_design, table_name, write
 from strainwave.excite.guessed_arm import MIN_RESONANCE_LINES, GuessedArm, band_of
 from strainwave.excite.motions import step_records
 from strainwave.excite.plan import LimitBroken, Limits, Planned, limits_of
 from strainwave.excite.voltages import voltage_record
-from strainwave.excite.written import HEADER_FILE, print_design, write
 from strainwave.io import logs
 from strainwave.io.logs.tables import open_table
 from strainwave.io.study import read_study
@@ -583,7 +582,7 @@ def test_written_designs_read_back(designed: design.Design, tmp_path: Path) -> N
     assert again.arm.joints == STUDY.arm.joints
     header = (tmp_path / HEADER_FILE).read_text()
     for record in designed.records:
-        table = open_table(tmp_path / command_table.table_name(record.experiment))
+        table = open_table(tmp_path / table_name(record.experiment))
         columns = table.read(table.names)
         time = columns.pop("t [s]")
         np.testing.assert_allclose(

@@ -19,6 +19,7 @@ from strainwave.domain.results.stage_results import ASSUMED_TORQUE_ERROR
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.excite import rigid_motion
+from strainwave.excite.files import PRECISION_FILE, write
 from strainwave.excite.guessed_arm import (
     GuessedArm,
     run,
@@ -33,7 +34,6 @@ from strainwave.excite.rigid_motion import (
     full_regressor,
     standard_deviations,
 )
-from strainwave.excite.written import PRECISION_FILE, write
 from strainwave.io.study import read_study
 from strainwave.virtual.experiments import simulate_study
 

@@ -134,7 +134,7 @@ def test_gains_are_as_high_as_the_margins_allow() -> None:
     """A tenth more bandwidth violates a margin, without an encoder that limits the gain."""
     design = designed()
     for joint in design.joints:
-        assert joint.tuned.limit == "margins"
+        assert joint.limit == "margins"
         assert joint.results.margins.share(design.options.required).min() < 1.1
 
 
@@ -146,7 +146,7 @@ def test_gains_are_as_high_as_the_margins_allow() -> None:
 def test_a_higher_margin_never_gives_a_higher_bandwidth(required: Requirements) -> None:
     stricter = without_shapers(rig(), replace(OPTIONS, required=required))
     for strict, loose in zip(stricter.joints, designed().joints, strict=True):
-        assert strict.tuned.gains.kp < loose.tuned.gains.kp
+        assert strict.gains.kp < loose.gains.kp
         assert strict.results.margins.share(required).min() >= 1.0
 
 
@@ -154,8 +154,8 @@ def test_a_coarse_encoder_limits_the_gain() -> None:
     counts = 1000
     design = without_shapers(rig(counts), FEW)
     for joint in design.joints:
-        assert joint.tuned.limit == "encoder"
-        ripple = joint.tuned.gains.kp * 2.0 * np.pi / counts / design.clock.period
+        assert joint.limit == "encoder"
+        ripple = joint.gains.kp * 2.0 * np.pi / counts / design.clock.period
         assert 0.85 * MAX_RIPPLE_SHARE < ripple / design.limits[0] <= MAX_RIPPLE_SHARE
 
 

@@ -2,8 +2,7 @@
 
 `guessed_arm` simulates every record and gives the frequencies of a joint's resonances, whose
 excitation `voltages` plans. `rigid_motion` searches the motion that best separates the rigid
-parameters, and `motions` makes a record of it. `command_table` and `written` have the files and the
-terminal output.
+parameters, and `motions` makes a record of it. `files` has the files and the terminal output.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ from strainwave.domain.arm.parameters import complete_values, with_known_constan
 from strainwave.domain.keys import Values, label_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
+from strainwave.excite.files import write
 from strainwave.excite.guessed_arm import (
     ExcitationBand,
     GuessedArm,
@@ -44,7 +44,6 @@ from strainwave.excite.voltages import (
     sweep_records,
     voltage_record,
 )
-from strainwave.excite.written import write
 from strainwave.io.parameters import read_assumptions, read_parameters, read_torque_errors
 from strainwave.io.study import read_study
 

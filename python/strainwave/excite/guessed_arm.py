@@ -22,7 +22,14 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory, measure, simulate
 from strainwave.dynamics.two_inertia import TwoInertia, anti_resonance, resonance
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.excite.plan import HELD_CONTROL, Limits, Planned, PredictedMotion, clock_of
+from strainwave.excite.plan import (
+    HELD_CONTROL,
+    Limits,
+    Motion,
+    Planned,
+    PredictedMotion,
+    clock_of,
+)
 from strainwave.identification.whole_arm import predicted_parameters
 
 BAND_MARGIN = 5.0  # factor below the anti-resonance and above the resonance
@@ -39,9 +46,6 @@ _QUANTITIES: tuple[Quantity, ...] = (
     "accelerometer",
 )
 _MIN_SQUARED_LENGTH = 1e-12  # [m^2] of a segment; shorter ones are points
-
-Motion = tuple[FloatArray, FloatArray, FloatArray]
-"""(n_samples, n_joints) link angles, velocities, accelerations."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,13 +16,12 @@ from strainwave.errors import InvalidInput
 from strainwave.excite.guessed_arm import (
     ExcitationBand,
     GuessedArm,
-    Motion,
     followed_motion,
     predicted_motion,
     servo_drive,
     smallest_distance,
 )
-from strainwave.excite.plan import HELD_CONTROL, LimitBroken, Planned, Waypoints, clock_of
+from strainwave.excite.plan import HELD_CONTROL, LimitBroken, Motion, Planned, clock_of
 from strainwave.excite.rigid_motion import (
     N_HARMONICS,
     Fourier,
@@ -141,7 +140,7 @@ def _record(
     interval = series.period / (N_HARMONICS * _WAYPOINTS_PER_CYCLE)
     index = np.arange(0, len(links[0]), max(1, int(interval / tick)))
     ends = zip(links, (limits.centre, rest, rest), strict=True)
-    states = (np.vstack([x[index], last]) for x, last in ends)
+    angle, velocity, acceleration = (np.vstack([x[index], last]) for x, last in ends)
     return Planned(
         experiment=Experiment(name, f"{name}.csv", use, (HELD_CONTROL,) * arm.n_joints),
         drive=drive,
@@ -156,7 +155,7 @@ def _record(
         ),
         condition_number=condition,
         precision=tuple(predicted_rigid_parameters(arm, search.values, std)),
-        waypoints=Waypoints(tick * np.append(index, len(links[0])), *states),
+        waypoints=(tick * np.append(index, len(links[0])), (angle, velocity, acceleration)),
     )
 
 

@@ -20,6 +20,9 @@ from strainwave.domain import (
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
 
+Motion = tuple[FloatArray, FloatArray, FloatArray]
+"""(n_samples, n_joints) link angles, velocities, accelerations."""
+
 FREE_CONTROL: Control = "open"
 HELD_CONTROL: Control = "servo"
 ADD_SERVO = (
@@ -101,16 +104,6 @@ class LimitBroken(InvalidInput):
 
 
 @dataclass(frozen=True, slots=True)
-class Waypoints:
-    """Points of a motion of the links: arrays (n_points, n_joints) of rad or m."""
-
-    time: FloatArray  # (n_points,) [s]
-    angle: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
 class Planned:
     """One record to be recorded."""
 
@@ -122,7 +115,7 @@ class Planned:
     reasons: tuple[str, ...]  # of excitation and duration, one clause each
     condition_number: float | None = None  # of the rigid regressor, columns scaled
     precision: tuple[Parameter, ...] = ()  # predicted for the rigid step with this record alone
-    waypoints: Waypoints | None = None  # of a smooth motion
+    waypoints: tuple[FloatArray, Motion] | None = None  # of a smooth motion: times [s], links
 
     @property
     def duration(self) -> float:

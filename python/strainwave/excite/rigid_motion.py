@@ -19,8 +19,8 @@ from strainwave.domain.arm.combinations import value_of
 from strainwave.domain.arm.parameters import complete_values
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
-from strainwave.excite.guessed_arm import GuessedArm, Motion, smallest_distance
-from strainwave.excite.plan import Limits, clock_of
+from strainwave.excite.guessed_arm import GuessedArm, smallest_distance
+from strainwave.excite.plan import Limits, Motion, clock_of
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 
 LOW_PASS_RATIO = 5.0

@@ -63,14 +63,6 @@ FilterMaker = Callable[[float], tuple[Biquad, ...]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TunedJoint:
-    """Gains of one joint."""
-
-    gains: Gains
-    limit: str  # what prevents higher gains: "margins" or "encoder"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Loops:
     """Sampled plants and the frequencies at which their loops are judged.
 
@@ -129,8 +121,10 @@ def tune_cascades(
     *,
     resolutions: FloatArray,
     limits: FloatArray,
-) -> tuple[list[TunedJoint], list[tuple[Margins, LoopBand]]]:
-    """Gains of all joints, and what `Loops.judge` says of them.
+) -> tuple[list[tuple[Gains, str]], list[tuple[Margins, LoopBand]]]:
+    """Gains of all joints with what prevents higher gains, and what `Loops.judge` says of them.
+
+    Higher gains are prevented by "margins" or the "encoder".
 
     `resolutions` (n_joints,) are counts of the motor encoders [rad], `limits` (n_joints,) are the
     largest inputs. Raises InvalidInput if no gains of a joint keep the margins.
@@ -155,8 +149,7 @@ def tune_cascades(
         judged = loops.judge(loops.controllers(gains))
         failed = [i for i, (each, _) in enumerate(judged) if each.share(required).min() < 1.0]
         if not failed:
-            pairs = zip(gains, tuners, strict=True)
-            return [TunedJoint(each, tuner.limit) for each, tuner in pairs], judged
+            return [(gains[i], tuner.limit) for i, tuner in enumerate(tuners)], judged
         worst = [int(np.argmin(judged[i][0].share(required))) for i in failed]
         search = np.union1d(search, worst)
         for i in failed:

@@ -39,17 +39,7 @@ _N_MARGINS = 3  # plants of smallest margins of each joint in the search
 _MAX_ROUNDS = 3  # of searches; the worst of all plants joins the next
 
 
-@dataclass(frozen=True, slots=True)
-class DampingRatios:
-    """Damping ratio of the least damped mode of the links, over all plants."""
-
-    least: float
-    median: float
-
-    @classmethod
-    def of(cls, ratios: FloatArray) -> DampingRatios:
-        """The summary of ratios (n_plants,)."""
-        return cls(float(ratios.min()), float(np.median(ratios)))
+Pair = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,10 +47,11 @@ class Damping:
     """Feedback of the torsion of one joint, and the damping of the links with that of all."""
 
     joint: JointNumber
-    gains: tuple[float, float]  # of torsion [1/s] and its rate [1], at the motor; zero: not used
+    gains: Pair  # of torsion [1/s] and its rate [1], at the motor; zero: not used
     reason: str  # why it is not used; empty otherwise
-    without: DampingRatios
-    with_feedback: DampingRatios
+    # least and median over all plants of the damping ratio of the least damped mode of the links
+    without: Pair
+    with_feedback: Pair
     margins: Margins | None  # of the loop with the feedback; None if it is not used
     law: ControlLaw  # of the servo, with the feedback if it is used
 
@@ -86,7 +77,7 @@ def design_damping(
     highest = _LINK_BAND * max(float(omega.max()) for omega, _ in modes)
     search = _GainSearch(loops, sampled, laws, tuple(observers), required, highest)
     plain = search.dampings(np.arange(len(sampled.A)), laws)
-    without = DampingRatios.of(plain)
+    without = _least_and_median(plain)
     if max(sizes) > MAX_LAW_STATES:
         reason = "servo, filters and observer have too many states for one control law"
         return search.unused(reason, without)
@@ -95,7 +86,7 @@ def design_damping(
     return search.best(without, np.unique(np.concatenate(order)))
 
 
-def damped_law(plain: ControlLaw, observer: Observer, gains: tuple[float, float]) -> ControlLaw:
+def damped_law(plain: ControlLaw, observer: Observer, gains: Pair) -> ControlLaw:
     """Law of a servo whose velocity reference yields to the observed torsion and its rate.
 
     The observer follows the deviation from a planned motion: it reads the motor angle less that of
@@ -124,10 +115,6 @@ def damped_law(plain: ControlLaw, observer: Observer, gains: tuple[float, float]
     )
 
 
-Pair = tuple[float, float]
-"""Gains of torsion and rate of one joint, without scale."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _GainSearch:
     """Search of the gains of all joints."""
@@ -139,21 +126,21 @@ class _GainSearch:
     required: Requirements
     highest: float  # [rad/s] of the poles that count as modes of the links
 
-    def unused(self, reason: str, without: DampingRatios) -> tuple[Damping, ...]:
+    def unused(self, reason: str, without: Pair) -> tuple[Damping, ...]:
         same = (0.0, 0.0), reason, without, without, None
         return tuple(Damping(one.joint, *same, self.plain[one.joint - 1]) for one in self.observers)
 
-    def best(self, without: DampingRatios, chosen: IntArray) -> tuple[Damping, ...]:
+    def best(self, without: Pair, chosen: IntArray) -> tuple[Damping, ...]:
         """The results with the best gains; `chosen` are the first plants of the search."""
         every, reason = np.arange(len(self.sampled.A)), ""
         for _ in range(_MAX_ROUNDS):
             pairs = self._climb(chosen)
             laws = self.laws(pairs)
-            reached = DampingRatios.of(ratios := self.dampings(every, laws))
-            if reached.least < MIN_RATIO * without.least:
+            reached = _least_and_median(ratios := self.dampings(every, laws))
+            if reached[0] < MIN_RATIO * without[0]:
                 reason = (
-                    f"it changes the least damping ratio of all plants from {without.least:.3g} to "
-                    f"{reached.least:.3g} only"
+                    f"it changes the least damping ratio of all plants from {without[0]:.3g} to "
+                    f"{reached[0]:.3g} only"
                 )
                 chosen = np.union1d(chosen, np.argsort(ratios)[:_N_LEAST])
                 continue
@@ -221,7 +208,11 @@ class _GainSearch:
         return [margins for margins, _ in self.loops.judge(closed, chosen)]
 
 
+def _least_and_median(ratios: FloatArray) -> Pair:
+    return float(ratios.min()), float(np.median(ratios))
+
+
 def _scaled(observer: Observer, pair: Pair) -> Pair:
-    """Gains of torsion [1/s] and rate at the motor."""
+    """Gains of torsion [1/s] and rate at the motor from a pair without scale."""
     scale = 1.0 / observer.gear_ratio
     return pair[0] * observer.mode * scale, pair[1] * scale

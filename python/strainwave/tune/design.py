@@ -17,7 +17,7 @@ from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise, JointCovariance
 from strainwave.numerics.parallel import one_blas_thread
-from strainwave.tune.cascade_tuning import Loops, TunedJoint, tune_cascades
+from strainwave.tune.cascade_tuning import Loops, tune_cascades
 from strainwave.tune.closed_loop import (
     Clock,
     Gains,
@@ -77,7 +77,8 @@ class JointServo:
     """Servo of one joint: the designed one, and the current one for comparison."""
 
     joint: JointNumber
-    tuned: TunedJoint
+    gains: Gains
+    limit: str  # what prevents higher gains: "margins" or "encoder"
     results: LoopResults
     current: Gains | None
     current_results: LoopResults | None  # None if a plant is unstable under the current servo
@@ -115,7 +116,7 @@ class ServoDesign:
     @property
     def gains(self) -> list[Gains]:
         """Gains of all joints."""
-        return [joint.tuned.gains for joint in self.joints]
+        return [joint.gains for joint in self.joints]
 
 
 @one_blas_thread()  # thousands of small matrices
@@ -150,13 +151,13 @@ def design_servo(
     tuned, judged = tune_cascades(loops, options.required, resolutions=resolutions, limits=limits)
     progress("simulating steps")
     sampled = sample(plants, clock)
-    gains, servo, current = [each.gains for each in tuned], arm.study.arm.servo, None
+    gains, servo, current = [each for each, _ in tuned], arm.study.arm.servo, None
     if servo is not None:
         of_joints = servo.kp, servo.ki, servo.position_gain or (0.0,) * len(servo.kp)
         current = [Gains(*each, clock.period) for each in zip(*of_joints, strict=True)]
     results = _results(judged, sampled, gains)
     if options.bandwidth_hz is not None:
-        _check_bandwidth(tuned, results, options.bandwidth_hz, clock)
+        _check_bandwidth([limit for _, limit in tuned], results, options.bandwidth_hz, clock)
     if unstable := _count_unstable(sampled, gains):
         raise InvalidInput(
             f"the loops together leave {unstable} of {len(plants)} plants unstable",
@@ -204,7 +205,7 @@ def design_servo(
         condition=plants.condition,
         n_unstable=n_unstable,
         joints=tuple(
-            JointServo(i + 1, each, results[i], current[i] if current else None, of_current[i])
+            JointServo(i + 1, *each, results[i], current[i] if current else None, of_current[i])
             for i, each in enumerate(tuned)
         ),
         first_share=next(
@@ -357,14 +358,14 @@ def _conditions(arm: IdentifiedArm, options: ServoOptions) -> tuple[Condition, .
 
 
 def _check_bandwidth(
-    tuned: Sequence[TunedJoint], results: Sequence[LoopResults], required_hz: float, clock: Clock
+    limits: Sequence[str], results: Sequence[LoopResults], required_hz: float, clock: Clock
 ) -> None:
-    for number, (joint, result) in enumerate(zip(tuned, results, strict=True), start=1):
+    for number, (limit, result) in enumerate(zip(limits, results, strict=True), start=1):
         reached = float(result.margins.bandwidth_hz.min())
         if reached < required_hz:
             cause = (
                 "the resolution of its encoder"
-                if joint.limit == "encoder"
+                if limit == "encoder"
                 else f"the margins with the period of {clock.period:g} s, the delay of "
                 f"{clock.delay:g} s and the resonances"
             )

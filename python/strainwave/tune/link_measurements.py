@@ -62,21 +62,15 @@ class Measurement:
         return self.name.replace(" ", "_").replace("'", "")
 
 
-@dataclass(frozen=True, slots=True)
-class _SensedQuantity:
-    """Direction and quantity that a sensor gives an observer."""
-
-    weights: FloatArray  # of its axes
-    quantity: Quantity
-    factor: float = 1.0
-
+_Source = tuple[FloatArray, Quantity, float]
+"""Weights of a sensor's axes; the quantity that they give an observer, and its factor."""
 
 _ONE = np.ones(1)
-_SIMPLE: dict[type[LinkSensor], _SensedQuantity] = {
-    LinkEncoder: _SensedQuantity(_ONE, "link_angle"),
-    TorsionSensor: _SensedQuantity(_ONE, "torsion", -1.0),
-    Gyro: _SensedQuantity(_ONE, "link_velocity"),
-    TorqueSensor: _SensedQuantity(_ONE, "gear_torque"),
+_SIMPLE: dict[type[LinkSensor], _Source] = {
+    LinkEncoder: (_ONE, "link_angle", 1.0),
+    TorsionSensor: (_ONE, "torsion", -1.0),
+    Gyro: (_ONE, "link_velocity", 1.0),
+    TorqueSensor: (_ONE, "gear_torque", 1.0),
 }
 
 
@@ -146,44 +140,45 @@ def _measurement(
     source = _source(sensor, joint)
     if isinstance(source, str):
         return source
+    of_axes, quantity, factor = source
     if sensor.hz is not None and sensor.hz < _MIN_BANDWIDTH_RATIO * mode_hz:
         return (
             f"its bandwidth of {sensor.hz:g} Hz is less than {_MIN_BANDWIDTH_RATIO:g} times "
             f"the mode of the link at {mode_hz:.3g} Hz"
         )
-    axes = [axis for axis in axes if source.weights[axis.number]]
-    if {axis.number for axis in axes} != set(np.flatnonzero(source.weights).tolist()):
+    axes = [axis for axis in axes if of_axes[axis.number]]
+    if {axis.number for axis in axes} != set(np.flatnonzero(of_axes).tolist()):
         return "not all of the axes that its direction needs have channels"
     noises = [_noise(axis, joint, period, samples) for axis in axes]
     if not all(std for std, _ in noises):
         return "its noise is not known"
-    weights = tuple(float(source.weights[axis.number]) for axis in axes)
+    weights = tuple(float(of_axes[axis.number]) for axis in axes)
     stds = [weight * std for weight, (std, _) in zip(weights, noises, strict=True)]
     is_prismatic = joint.motion == "prismatic"
     return Measurement(
         name=sensor.noun,
         channels=tuple(axis.channel for axis in axes),
         weights=weights,
-        quantity=source.quantity,
+        quantity=quantity,
         unit=(is_prismatic and sensor.prismatic_unit) or sensor.unit,
         std=float(np.linalg.norm(stds)),
         source=noises[0][1],
-        factor=source.factor,
+        factor=factor,
         has_bias=sensor.has_bias,
         resolution=sensor.resolution,
         axes=tuple(axes),
     )
 
 
-def _source(sensor: LinkSensor, joint: Joint) -> _SensedQuantity | str:
+def _source(sensor: LinkSensor, joint: Joint) -> _Source | str:
     """What a sensor measures for an observer, or the reason why it is not used."""
     is_prismatic = joint.motion == "prismatic"
     match sensor:
         case Gyro() | ImuGyros() | ImuAccelerometers() if is_prismatic:
-            source: _SensedQuantity | str = "it is not used on a prismatic joint"
+            source: _Source | str = "it is not used on a prismatic joint"
         case Accelerometer(is_at_known_place=True):
             lever = 1.0 if is_prismatic else float(joint.accelerometer_distance or 0.0)
-            source = _SensedQuantity(_ONE, "link_acceleration", lever)
+            source = (_ONE, "link_acceleration", lever)
         case Accelerometer():
             source = "its distance from the axis is not known"
         case ImuAccelerometers(xyz=(_, _, _) as xyz, rpy=(_, _, _) as rpy):
@@ -191,12 +186,11 @@ def _source(sensor: LinkSensor, joint: Joint) -> _SensedQuantity | str:
             lever = float(np.linalg.norm(tangent))
             if lever < _MIN_LEVER:
                 return "it is on the axis of the joint"
-            weights = _along(rpy, tangent / lever)
-            source = _SensedQuantity(weights, "link_acceleration", lever)
+            source = (_along(rpy, tangent / lever), "link_acceleration", lever)
         case ImuAccelerometers():
             source = "its position and attitude are not in the study"
         case ImuGyros(case=Imu(rpy=(_, _, _) as rpy)):
-            source = _SensedQuantity(_along(rpy, axes_about(joint.axis)[2]), "link_velocity")
+            source = (_along(rpy, axes_about(joint.axis)[2]), "link_velocity", 1.0)
         case ImuGyros():
             source = "its attitude is not in the study"
         case _:

@@ -18,7 +18,7 @@ is at the design frequency, and three times for the two-hump EI shaper.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache, reduce
@@ -282,27 +282,18 @@ class RankedShaper:
         return list(self.impulses.amplitudes[self.samples].tolist())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Interval:
-    """Frequencies that a mode may have, and damping ratios at them."""
+_Interval = tuple[FloatArray, FloatArray]
+"""Frequencies that a mode may have, ascending, and damping ratios at them."""
 
-    omega: FloatArray  # ascending
-    damping: FloatArray
 
-    @staticmethod
-    def of(omega: FloatArray, damping: FloatArray) -> _Interval:
-        """The central `COVERAGE` of drawn modes, and frequencies between the draws."""
-        tail = 0.5 * (1.0 - COVERAGE)
-        low, high = np.quantile(omega, [tail, 1.0 - tail])
-        order = np.argsort(omega)
-        inside = omega[(omega >= low) & (omega <= high)]
-        grid = np.unique(np.concatenate([inside, np.linspace(low, high, _N_FREQUENCIES)]))
-        return _Interval(grid, np.interp(grid, omega[order], damping[order]))
-
-    @property
-    def middle_damping(self) -> float:
-        """Damping ratio for which shapers are designed."""
-        return 0.5 * float(self.damping.min() + self.damping.max())
+def _interval_of(omega: FloatArray, damping: FloatArray) -> _Interval:
+    """The central `COVERAGE` of drawn modes, and frequencies between the draws."""
+    tail = 0.5 * (1.0 - COVERAGE)
+    low, high = np.quantile(omega, [tail, 1.0 - tail])
+    order = np.argsort(omega)
+    inside = omega[(omega >= low) & (omega <= high)]
+    grid = np.unique(np.concatenate([inside, np.linspace(low, high, _N_FREQUENCIES)]))
+    return grid, np.interp(grid, omega[order], damping[order])
 
 
 def rank_shapers(
@@ -321,16 +312,17 @@ def rank_shapers(
     """
     omega, damping = np.atleast_2d(omega), np.atleast_2d(damping)
     _check_modes(omega, damping)
-    intervals = [_Interval.of(*mode) for mode in zip(omega, damping, strict=True)]
-    for mode in intervals:
-        fastest = float(np.max(mode.omega * np.sqrt(1.0 - mode.damping**2)))
+    intervals = [_interval_of(*mode) for mode in zip(omega, damping, strict=True)]
+    for frequencies, ratios in intervals:
+        fastest = float(np.max(frequencies * np.sqrt(1.0 - ratios**2)))
         if fastest * period >= np.pi:
             raise InvalidInput(
                 f"a mode vibrates at {fastest / (2.0 * np.pi):.4g} Hz, but half of the sampling "
                 f"rate is {0.5 / period:.4g} Hz",
                 remedy="leave that mode out, or shape the reference at a higher rate",
             )
-    choices = [_choices(one, intervals, period) for one in intervals]
+    all_modes = [np.concatenate(parts) for parts in zip(*intervals, strict=True)]
+    choices = [list(_choices(one, all_modes, period)) for one in intervals]
     combinations = islice(product(*choices), 1, None)  # the first has no shaper
     return nsmallest(
         _N_RANKED,
@@ -359,43 +351,45 @@ _Choice = tuple[Shaper | None, FloatArray, FloatArray]
 """A shaper for one mode or none, its impulses, and its vibration of all modes."""
 
 
-def _choices(mode: _Interval, modes: list[_Interval], period: float) -> list[_Choice]:
-    omega = np.concatenate([one.omega for one in modes])
-    damping = np.concatenate([one.damping for one in modes])
-    choices: list[_Choice] = [(None, np.ones(1), np.ones(len(omega)))]
+def _choices(mode: _Interval, modes: Sequence[FloatArray], period: float) -> Iterator[_Choice]:
+    """No shaper, and the best of each kind; `modes` are frequencies and damping of all modes."""
+    yield None, np.ones(1), np.ones(len(modes[0]))
     for kind in ShaperKind:
-        if has_design(kind, mode.middle_damping, MIN_TOLERANCE):
+        if has_design(kind, _middle(mode[1]), MIN_TOLERANCE):
             shaper = _least_vibration(kind, mode, period)
             sampled = shaper.sample(period)
-            vibration = sampled.residual_vibration(omega, damping)
-            choices.append((shaper, sampled.amplitudes, vibration))
-    return choices
+            yield shaper, sampled.amplitudes, sampled.residual_vibration(*modes)
+
+
+def _middle(damping: FloatArray) -> float:
+    """Damping ratio for which shapers of an interval are designed."""
+    return 0.5 * float(damping.min() + damping.max())
 
 
 def _least_vibration(kind: ShaperKind, mode: _Interval, period: float) -> Shaper:
     """Shaper whose frequency, and tolerance if it has one, give the least vibration at worst."""
     # evenly spread over the draws
-    chosen = np.unique(np.linspace(0, len(mode.omega) - 1, _N_SEARCHED).round().astype(int))
-    mode = _Interval(mode.omega[chosen], mode.damping[chosen])
-    low, high = float(mode.omega[0]), float(mode.omega[-1])
+    chosen = np.unique(np.linspace(0, len(mode[0]) - 1, _N_SEARCHED).round().astype(int))
+    frequencies, ratios = mode[0][chosen], mode[1][chosen]
+    low, high, middle = float(frequencies[0]), float(frequencies[-1]), _middle(ratios)
 
     def worst(omega: float, tolerance: float) -> float:
-        sampled = design_shaper(kind, omega, mode.middle_damping, tolerance).sample(period)
-        return float(sampled.residual_vibration(mode.omega, mode.damping).max())
+        sampled = design_shaper(kind, omega, middle, tolerance).sample(period)
+        return float(sampled.residual_vibration(frequencies, ratios).max())
 
     def best(tolerance: float) -> tuple[float, float]:
         return _minimum(lambda omega: worst(omega, tolerance), low, high)
 
     def worst_of_best(log_ratio: float) -> float:
         tolerance = MIN_TOLERANCE * float(np.exp(log_ratio))
-        exists = has_design(kind, mode.middle_damping, tolerance)
+        exists = has_design(kind, middle, tolerance)
         return best(tolerance)[1] if exists else 1.0
 
     tolerance = MIN_TOLERANCE
     if kind in _N_ZEROS:  # which depend on the tolerated vibration
         widest = float(np.log(_MAX_TOLERANCE / MIN_TOLERANCE))
         tolerance *= float(np.exp(_minimum(worst_of_best, 0.0, widest)[0]))
-    return design_shaper(kind, best(tolerance)[0], mode.middle_damping, tolerance)
+    return design_shaper(kind, best(tolerance)[0], middle, tolerance)
 
 
 def _minimum(cost: Callable[[float], float], low: float, high: float) -> tuple[float, float]:

@@ -41,7 +41,7 @@ from strainwave.dynamics.simulation import (
     simulate,
 )
 from strainwave.errors import InvalidInput
-from strainwave.excite.command_table import read_applied
+from strainwave.excite.files import read_applied
 from strainwave.io import logs
 from strainwave.io import study as studies
 from strainwave.io.parameters import read_parameters

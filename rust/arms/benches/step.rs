@@ -12,7 +12,8 @@ use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Source, Task
 use strainwave_core::joint::effects::EffectKinds;
 use strainwave_core::joint::gear::{CORNER, GearLaw, ThreeSlope};
 use strainwave_core::plant::config::{Config, JointConfig};
-use strainwave_core::program::{Request, Width};
+use strainwave_core::program::Width;
+use strainwave_core::sensitivity::Request;
 use strainwave_core::sensors::decimation::Decimation;
 
 /// Half a second of motion: short, so that some of many runs are undisturbed.

@@ -11,7 +11,8 @@ use crate::arm::{Arm, Kinematics, Name};
 use crate::experiment::{Clock, Diverged, Initial, Member, Quantity, Record, Source, Task};
 use crate::plant::config::{Config, InvalidParameter};
 use crate::plant::rigid;
-use crate::program::{Programs, Request, Width};
+use crate::program::{Programs, Width};
+use crate::sensitivity::Request;
 use crate::sensors::decimation::Decimation;
 
 /// One experiment on an arm.

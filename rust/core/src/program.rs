@@ -10,16 +10,15 @@ use std::marker::PhantomData;
 
 use crate::arm::Arm;
 use crate::experiment::simulate::Simulate;
-use crate::experiment::{Diverged, Member, Record, Source, Task, values};
+use crate::experiment::{Diverged, Member, Record, Task, values};
 use crate::joint::gear::{AllLaws, Gears, Slopes};
 #[cfg(target_arch = "x86_64")]
 use crate::scalar::lanes::{F64x4, F64x8, Fused};
 use crate::scalar::{Lanes, Real};
-use crate::sensitivity::Sensitivities;
 use crate::sensitivity::dual_simulation::differentiate_over_dual_numbers;
 use crate::sensitivity::effect::without_plant_effects;
 use crate::sensitivity::forward::ForwardSensitivity;
-use crate::sensors::decimation::Decimation;
+use crate::sensitivity::{Request, Sensitivities};
 
 #[cfg(target_arch = "x86_64")]
 mod scalars {
@@ -76,34 +75,6 @@ impl Width {
             self <= Self::detect(),
             "this processor does not support {self:?}"
         );
-    }
-}
-
-/// A request for the derivatives of an experiment.
-#[derive(Clone, Copy)]
-pub struct Request<'a, A, const N: usize> {
-    /// The experiment.
-    pub task: &'a Task<A, N>,
-    /// Parameters of the arm, and initial state.
-    pub member: &'a Member<'a, N>,
-    /// The parameters and initial states to differentiate with respect to.
-    pub directions: &'a [Source],
-    /// Low-pass and decimation of the samples; `None`: all samples.
-    pub decimation: Option<&'a Decimation>,
-}
-
-impl<'a, A, const N: usize> Request<'a, A, N> {
-    /// The same request with another representation of the arm.
-    pub fn with_task<'b, B>(&self, task: &'b Task<B, N>) -> Request<'b, B, N>
-    where
-        'a: 'b,
-    {
-        Request {
-            task,
-            member: self.member,
-            directions: self.directions,
-            decimation: self.decimation,
-        }
     }
 }
 

@@ -19,7 +19,7 @@ from strainwave.fleet.campaign import worker
 from strainwave.fleet.campaign.records import Task
 from strainwave.fleet.campaign.runner import CampaignPlan
 from strainwave.fleet.campaign.store import Store
-from strainwave.fleet.campaign.study_files import Hashes, Opened
+from strainwave.fleet.campaign.study_files import Opened
 
 Truth = dict[tuple[str, int | None], float]
 
@@ -39,8 +39,8 @@ class DrawnCase:
     def options(self) -> Mapping[str, Mapping[str, Any]]:
         return {} if self.bandwidth_hz is None else {"rigid": {"bandwidth_hz": self.bandwidth_hz}}
 
-    def hashes(self) -> Hashes:
-        return Hashes(f"family, {self.number}", "")
+    def hashes(self) -> tuple[str, str]:
+        return f"family, {self.number}", ""
 
     @contextmanager
     def opened(self) -> Iterator[Opened]:
@@ -57,7 +57,7 @@ class DrawnCase:
 
 
 def task_of(case: DrawnCase, store: Path, **options: Any) -> Task:
-    task = CampaignPlan(Store.at(store), "test", ("rigid",), options).next(case)
+    task = CampaignPlan(Store(store), "test", ("rigid",), options).next(case)
     assert isinstance(task, Task)
     return Task.from_json(task.to_json())
 
@@ -91,7 +91,7 @@ def test_options_of_a_case_override_and_are_hashed(tmp_path: Path) -> None:
 def test_a_study_file_has_no_true_values(tmp_path: Path) -> None:
     from strainwave.fleet.campaign.study_files import find
 
-    plan = CampaignPlan(Store.at(tmp_path / "store"), "test", ("rigid",), {})
+    plan = CampaignPlan(Store(tmp_path / "store"), "test", ("rigid",), {})
     task = plan.next(find([str(rig(tmp_path / "rig"))]).cases[0])
     assert isinstance(task, Task)
     worker.answer(task)

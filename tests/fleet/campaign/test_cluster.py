@@ -20,7 +20,7 @@ import strainwave as sw
 from campaign_commands import COUNT, PATIENCE, campaign, records_by_study, running, wait_for
 from campaign_rigs import rig, rigs
 from strainwave.fleet.campaign import cluster
-from strainwave.fleet.campaign.records import RunLimits, Task
+from strainwave.fleet.campaign.records import RunLimits
 from strainwave.fleet.campaign.runner import CampaignPlan
 from strainwave.fleet.campaign.store import Store
 from strainwave.fleet.campaign.study_files import find
@@ -153,7 +153,7 @@ class Future:
 
 
 def planned(folder: Path) -> tuple[Any, CampaignPlan]:
-    plan = CampaignPlan(Store.at(folder / "store"), "test", ("rigid",), {})
+    plan = CampaignPlan(Store(folder / "store"), "test", ("rigid",), {})
     found = cluster._plan(plan, find([str(rig(folder / "rig"))]).cases[0])
     return found, plan
 
@@ -170,12 +170,11 @@ def test_a_study_whose_workers_die_repeatedly_has_failed(tmp_path: Path) -> None
 
 
 def test_a_run_recorded_by_a_dying_worker_is_not_repeated(tmp_path: Path) -> None:
-    found, plan = planned(tmp_path)
-    task: Task = found.task
+    (task, since), plan = planned(tmp_path)
     limits = {"time_s": 60.0, "memory_mib": None, "tasks": 100}
-    first = cluster.perform(task.to_json(), limits, found.since.isoformat())
+    first = cluster.perform(task.to_json(), limits, since.isoformat())
     started = sw.read_runs(tmp_path / "store")["started"].to_pylist()
-    again = cluster.perform(task.to_json(), limits, found.since.isoformat())
+    again = cluster.perform(task.to_json(), limits, since.isoformat())
     cluster._thread.runner.close()
     assert json.loads(again)["status"] == json.loads(first)["status"] == "determined"
     assert sw.read_runs(tmp_path / "store")["started"].to_pylist() == started

@@ -120,31 +120,20 @@ def test_options_of_the_command_apply_to_every_study(tmp_path: Path) -> None:
     assert bandwidths == {None, 9.0}
 
 
-def test_small_files_are_merged_during_the_campaign(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    merged: list[int] = []
-    merge = Store.merge
-    monkeypatch.setattr("strainwave.fleet.campaign.MERGE_AFTER", 4)
-    monkeypatch.setattr(Store, "merge", lambda self: merged.append(merge(self)))
+def test_small_files_are_merged_at_the_end(tmp_path: Path) -> None:
     rigs(tmp_path / "rigs", 10)
     settings = Settings(store=str(tmp_path / "store"), stages=("rigid",), workers=1)
     summary = run_campaign([str(tmp_path / "rigs")], settings)
-    assert summary.exit_code == 0
-    assert summary.unmerged == ""
-    assert 2 <= len(merged) <= 3
-    files = [each.name for each in (tmp_path / "store" / "runs").glob("*.parquet")]
-    small = [name for name in files if not name.startswith("part-")]
-    assert len(files) == 1 + len(small)
-    assert len(small) <= 1  # a file written after the last listing is not merged
-    assert sum(merged) == 10 - len(small)
+    assert (summary.exit_code, summary.unmerged) == (0, "")
+    (file,) = (tmp_path / "store" / "runs").glob("*.parquet")
+    assert file.name.startswith("part-")
     assert sw.read_runs(tmp_path / "store").num_rows == 10
 
 
 def test_a_failed_merge_is_reported_and_loses_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(_: Store) -> int:
+    def full(_: Store) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Store, "merge", full)
@@ -192,7 +181,7 @@ def test_many_undetermined_runs_are_summarised(tmp_path: Path) -> None:
     tally = Tally(50)
     for number in range(50):
         tally.add(outcome("failed", f"/rigs/{number}/motion.csv: has {number} rows. Remedy: more"))
-    lines = list(_undetermined(tally, Store.at(tmp_path)))
+    lines = list(_undetermined(tally, Store(tmp_path)))
     assert lines[0] == "  50 failed: ... has # rows."
     assert len(lines) == 1 + MAX_LISTED_RUNS + 1
     assert lines[1].startswith("  s: failed (exit code 3): /rigs/0/motion.csv: has 0 rows. [")

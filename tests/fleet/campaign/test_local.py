@@ -33,7 +33,7 @@ POISONED = partial(Runner, entry=("-m", "campaign_workers"))
 
 def plan(store: Path, **changes: Any) -> CampaignPlan:
     settings: dict[str, Any] = {"campaign": "test", "stages": ("rigid",), "options": {}}
-    return CampaignPlan(Store.at(store), **(settings | changes))
+    return CampaignPlan(Store(store), **(settings | changes))
 
 
 def run(studies: Path, store: Path, workers: int = 2, **changes: Any) -> dict[str, Outcome]:
@@ -122,7 +122,7 @@ def test_failed_runs_are_repeated_on_request(tmp_path: Path) -> None:
     rig(tmp_path / "rigs" / "whole")
     run(tmp_path / "rigs", tmp_path / "store", start=POISONED)
     first = rows(tmp_path / "store")
-    Store.at(tmp_path / "store").merge()
+    Store(tmp_path / "store").merge()
     again = run(tmp_path / "rigs", tmp_path / "store", start=InProcess)
     assert all(outcome.skipped for outcome in again.values())
     assert again["crashes"].status == "failed"
@@ -131,7 +131,7 @@ def test_failed_runs_are_repeated_on_request(tmp_path: Path) -> None:
     second = rows(tmp_path / "store")
     assert second["crashes"]["status"] == "determined"
     assert second["crashes"]["run"] == first["crashes"]["run"]
-    Store.at(tmp_path / "store").merge(at_least=1)
+    Store(tmp_path / "store").merge()
     assert rows(tmp_path / "store") == second
 
 

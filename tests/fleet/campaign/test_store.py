@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -25,7 +22,6 @@ from hypothesis import strategies as st
 
 import strainwave as sw
 from campaign_records import DAY, record, write_many
-from strainwave.fleet.campaign.places import Folder
 from strainwave.fleet.campaign.records import PARAMETERS_SCHEMA, RUNS_SCHEMA, RunRecord
 from strainwave.fleet.campaign.store import Store
 
@@ -45,7 +41,7 @@ def test_many_writers_mergers_and_readers_at_once(tmp_path: Path) -> None:
     with ProcessPoolExecutor(4, mp_context=get_context("spawn")) as pool:
         work = [pool.submit(write_many, str(tmp_path), first, 40) for first in (0, 0, 40, 40)]
         while not all(each.done() for each in work):
-            table = Store.at(tmp_path).table("runs", ["run"])["run"].to_pylist()
+            table = Store(tmp_path).table("runs", ["run"])["run"].to_pylist()
             assert len(table) == len(set(table))
             assert len(table) >= seen
             seen = len(table)
@@ -54,7 +50,7 @@ def test_many_writers_mergers_and_readers_at_once(tmp_path: Path) -> None:
     expected = [f"run-{number:05d}" for number in range(80)]
     assert runs(tmp_path) == expected
     assert sw.read_parameters(tmp_path).num_rows == 3 * 80
-    Store.at(tmp_path).merge(at_least=1)
+    Store(tmp_path).merge()
     assert runs(tmp_path) == expected
     assert queried(f"select count(*) from '{tmp_path}/runs/*.parquet'") == [(80,)]
 
@@ -73,10 +69,10 @@ def test_a_repeated_run_has_its_last_row(
     steps: list[tuple[str, int, bool]], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     folder = tmp_path_factory.mktemp("store")
-    store, expected = Store.at(folder), dict[str, str]()
+    store, expected = Store(folder), dict[str, str]()
     for number, (what, run, good) in enumerate(steps):
         if what == "merge":
-            store.merge(at_least=1)
+            store.merge()
         else:
             status = "determined" if good else "failed"
             store.write(record(f"run-{run}", number, status))
@@ -86,7 +82,7 @@ def test_a_repeated_run_has_its_last_row(
         assert len(known) == len(expected)
         assert store.table("parameters").num_rows == 3 * len(expected)
         for run_name, status in expected.items():
-            found = Store.at(folder).recorded(run_name)
+            found = Store(folder).recorded(run_name)
             assert found is not None
             assert found.status == status
         assert store.recorded("another") is None
@@ -95,11 +91,11 @@ def test_a_repeated_run_has_its_last_row(
 def test_duplicates_of_an_interrupted_merge_are_read_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    store = Store.at(tmp_path)
+    store = Store(tmp_path)
     for number in range(4):
         store.write(record(f"run-{number}", number))
     with monkeypatch.context() as cut:
-        cut.setattr("strainwave.fleet.campaign.places.Folder.delete", lambda *_: None)
+        cut.setattr("strainwave.fleet.campaign.store.Store._delete", lambda *_: None)
         store.merge()
     assert len(list((tmp_path / "runs").glob("*.parquet"))) == 5
     assert runs(tmp_path) == [f"run-{number}" for number in range(4)]
@@ -114,24 +110,23 @@ def test_parameters_without_a_row_are_not_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The disk is full when the row is written, or the process is killed before."""
-    store = Store.at(tmp_path)
+    store = Store(tmp_path)
     store.write(record("whole"))
-    from strainwave.fleet.campaign.places import Folder
 
-    put = Folder.put
+    put = Store._put
 
-    def full(self: Folder, name: str, data: bytes) -> None:
+    def full(self: Store, name: str, data: bytes) -> None:
         if name.startswith("runs/"):
             raise OSError(28, "No space left on device")
         put(self, name, data)
 
     with monkeypatch.context() as disk:
-        disk.setattr(Folder, "put", full)
+        disk.setattr(Store, "_put", full)
         with pytest.raises(OSError, match="No space"):
             store.write(record("half"))
         assert not [path for path in tmp_path.rglob("*half*") if path.is_file()]
         assert not list(tmp_path.glob("results/half/*"))
-        disk.setattr(Folder, "delete", lambda *_: None)
+        disk.setattr(Store, "_delete", lambda *_: None)
         with pytest.raises(OSError, match="No space"):
             store.write(record("killed"))
     assert list(tmp_path.glob("parameters/killed*"))
@@ -140,23 +135,19 @@ def test_parameters_without_a_row_are_not_read(
 
 
 def test_temporary_files_are_not_read(tmp_path: Path) -> None:
-    Store.at(tmp_path).write(record("whole"))
+    Store(tmp_path).write(record("whole"))
     aside = tmp_path / "runs" / ".half.parquet.abc.aside"
     aside.write_bytes(b"PAR1")
     assert runs(tmp_path) == ["whole"]
     assert queried(f"select run from '{tmp_path}/runs/*.parquet'") == [("whole",)]
     assert len(pl.read_parquet(tmp_path / "runs" / "*.parquet")) == 1
-    Store.at(tmp_path).write(record("other"))
-    Store.at(tmp_path).merge()
-    assert aside.exists()  # its writer may still be at it
-    os.utime(aside, (0.0, 0.0))
-    Store.at(tmp_path).write(record("third"))
-    Store.at(tmp_path).merge(at_least=1)
-    assert not aside.exists()
+    Store(tmp_path).write(record("other"))
+    Store(tmp_path).merge()
+    assert runs(tmp_path) == ["other", "whole"]
 
 
 def test_a_foreign_file_is_named(tmp_path: Path) -> None:
-    Store.at(tmp_path).write(record("whole"))
+    Store(tmp_path).write(record("whole"))
     (tmp_path / "runs" / "foreign.parquet").write_bytes(b"nothing")
     with pytest.raises(sw.InvalidInput, match=r"foreign\.parquet: is not a Parquet file"):
         sw.read_runs(tmp_path)
@@ -166,7 +157,7 @@ def test_a_foreign_file_is_named(tmp_path: Path) -> None:
 
 def test_duckdb_pandas_and_polars_read_the_same_rows(tmp_path: Path) -> None:
     """Also if a column of one file has only nulls."""
-    store = Store.at(tmp_path)
+    store = Store(tmp_path)
     store.write(record("a", 1.0))
     store.write(RunRecord({"run": "b", "started": DAY, "status": "failed"}))
     store.write(record("c", 2.0))
@@ -187,11 +178,11 @@ def test_duckdb_pandas_and_polars_read_the_same_rows(tmp_path: Path) -> None:
 
 
 def test_columns_that_an_earlier_version_lacks_are_null(tmp_path: Path) -> None:
-    Store.at(tmp_path).write(record("new"))
+    Store(tmp_path).write(record("new"))
     old = pa.table({"run": ["old"], "started": pa.array([DAY], pa.timestamp("us"))})
     pq.write_table(old, tmp_path / "runs" / "old.parquet")
     assert runs(tmp_path) == ["new", "old"]
-    Store.at(tmp_path).merge()
+    Store(tmp_path).merge()
     assert runs(tmp_path) == ["new", "old"]
     assert sw.read_runs(tmp_path).schema.equals(RUNS_SCHEMA)
 
@@ -203,7 +194,7 @@ def test_ten_thousand_runs_are_listed_in_a_second(tmp_path: Path) -> None:
     pq.write_table(
         pa.Table.from_pylist(rows, schema=RUNS_SCHEMA), tmp_path / "runs" / "part-0.parquet"
     )
-    store = Store.at(tmp_path)
+    store = Store(tmp_path)
     for number in range(9000, 9990):
         row = pa.Table.from_pylist([record(f"run-{number:05d}").row], schema=RUNS_SCHEMA)
         pq.write_table(row, tmp_path / "runs" / f"run-{number:05d}.parquet")
@@ -220,12 +211,12 @@ def test_ten_thousand_runs_are_listed_in_a_second(tmp_path: Path) -> None:
 @pytest.mark.parametrize("scheme", ["memory", "file"])
 def test_a_store_at_a_url(scheme: str, tmp_path: Path) -> None:
     url = f"{scheme}://{tmp_path}/store"
-    store = Store.at(url)
+    store = Store(url)
     assert store.recorded("a") is None
     store.write(record("a"))
     store.write(record("b", status="failed"))
     store.write(record("b", 1.0))
-    assert store.merge(at_least=1) == 0  # it is left as it is
+    store.merge()  # it is left as it is
     assert runs(url) == ["a", "b"]
     assert sw.read_parameters(url).num_rows == 6
     found = store.recorded("b")
@@ -236,7 +227,7 @@ def test_a_store_at_a_url(scheme: str, tmp_path: Path) -> None:
 
 
 def test_a_merge_does_not_wait_for_the_lock(tmp_path: Path) -> None:
-    store = Store.at(tmp_path)
+    store = Store(tmp_path)
     store.write(record("a"))
     store.write(record("b"))
     hold = "import fcntl, sys; f = open(sys.argv[1], 'ab'); fcntl.flock(f, 2); print(); input()"
@@ -247,30 +238,12 @@ def test_a_merge_does_not_wait_for_the_lock(tmp_path: Path) -> None:
     ) as other:
         assert other.stdout is not None
         other.stdout.readline()
-        assert store.merge() == 0
+        store.merge()
+        assert len(list((tmp_path / "runs").glob("*.parquet"))) == 2
         other.communicate(b"\n")
-    assert store.merge() == 2
-    assert runs(tmp_path) == ["a", "b"]
-
-
-def test_a_run_recorded_when_a_merge_starts_is_counted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    store = Store.at(tmp_path)
-    store.write(record("a"))
-    store.write(record("b"))
-    lock = Folder.lock
-
-    @contextmanager
-    def late(folder: Folder) -> Iterator[bool]:
-        with lock(folder) as held:
-            store.write(record("c"))
-            yield held
-
-    monkeypatch.setattr(Folder, "lock", late)
-    assert store.merge() == 3
+    store.merge()
     assert len(list((tmp_path / "runs").glob("*.parquet"))) == 1
-    assert runs(tmp_path) == ["a", "b", "c"]
+    assert runs(tmp_path) == ["a", "b"]
 
 
 def test_a_full_disk(tmp_path: Path) -> None:
@@ -282,7 +255,7 @@ def test_a_full_disk(tmp_path: Path) -> None:
         [
             sys.executable,
             "-c",
-            f"{limit}\n{work}\nStore.at(sys.argv[1]).write({row})",
+            f"{limit}\n{work}\nStore(sys.argv[1]).write({row})",
             str(tmp_path),
         ],
         capture_output=True,

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from compared_results import covariance, drawn, estimates
-from strainwave.fleet.monitoring.comparison import common_factor, compare, is_torque_like
+from strainwave.fleet.monitoring.comparison import compare
+from strainwave.fleet.monitoring.significance import common_factor, is_torque_like
 
 NAMES = ("beta", "gear_stiffness 1", "motor_inertia 1", "motor_viscous_friction 1")
 

@@ -16,9 +16,12 @@ import strainwave as sw
 from compared_results import NAMES, covariance, drawn, estimates, write
 from strainwave.domain import Parameter
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.fleet.monitoring.comparison import AGREES, DIFFERS, ResultComparison, compare
-from strainwave.fleet.monitoring.result_estimates import (
+from strainwave.fleet.monitoring.comparison import (
+    AGREES,
+    DIFFERS,
+    ResultComparison,
     ResultEstimates,
+    compare,
     degrees_of_freedom,
     estimates_of,
     read_estimates,

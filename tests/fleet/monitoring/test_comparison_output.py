@@ -12,7 +12,12 @@ from rich.console import Console
 
 from compared_results import NAMES, covariance, drawn, estimates
 from strainwave.fleet.monitoring import comparison_output as output
-from strainwave.fleet.monitoring.comparison import DIFFERS, ResultComparison, compare
+from strainwave.fleet.monitoring.comparison import (
+    DIFFERS,
+    ResultComparison,
+    compare,
+    print_comparison,
+)
 from strainwave.report.figures import Markers
 
 
@@ -27,7 +32,7 @@ def made(factor: float, others: int = 1) -> ResultComparison:
 
 def printed(found: ResultComparison, folder: Path | None = None) -> str:
     text = io.StringIO()
-    output.print_comparison(found, folder, console=Console(file=text, width=100, highlight=False))
+    print_comparison(found, folder, console=Console(file=text, width=100, highlight=False))
     return text.getvalue()
 
 

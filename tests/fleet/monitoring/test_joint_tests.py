@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from strainwave.fleet.monitoring.comparison import adjust_p_values, joint_test, welch_test
+from strainwave.fleet.monitoring.significance import adjust_p_values, joint_test, welch_test
 
 KNOWN = float("inf")
 

@@ -8,6 +8,7 @@ import pytest
 from rich.console import Console
 
 from strainwave.fleet.monitoring import output
+from strainwave.fleet.monitoring.significance import format_p
 from strainwave.report.document.blocks import table
 
 
@@ -15,7 +16,7 @@ from strainwave.report.document.blocks import table
     ("p", "text"), [(1.0, "1"), (0.0312, "0.031"), (2.2e-6, "2e-06"), (0.0, "<1e-16")]
 )
 def test_p_values_as_text(p: float, text: str) -> None:
-    assert output.format_p(p) == text
+    assert format_p(p) == text
 
 
 @pytest.mark.parametrize("width", [20, 60])

@@ -16,7 +16,6 @@ from strainwave.fleet.monitoring.shapes import (
     MIN_VISITS,
     DetectedChange,
     ParameterSeries,
-    Shape,
     cap_union_probability,
     estimate_visit_variance,
     fit_change,
@@ -94,7 +93,7 @@ def test_a_step_is_located() -> None:
     value = 100.0 + 0.3 * rng.normal(size=24)
     value[15:] -= 2.0
     change = found(series(value, 0.2))
-    assert change.shape == Shape("step", 15)
+    assert (change.kind, change.first) == ("step", 15)
     assert change.size == pytest.approx(-2.0, abs=4.0 * change.size_std)
     assert change.level == pytest.approx(100.0, abs=0.4)
     assert change.p < 1e-5
@@ -105,8 +104,8 @@ def test_the_beginning_of_a_drift_is_located() -> None:
     value = 10.0 + 0.01 * np.random.default_rng(1).normal(size=24)
     value[12:] += 0.1 * np.arange(1, 13)
     change = found(series(value, 0.005))
-    assert change.shape.kind == "drift since"
-    assert abs(change.shape.first - 11) <= 1
+    assert change.kind == "drift since"
+    assert abs(change.first - 11) <= 1
     assert change.size == pytest.approx(1.2, rel=0.05)
     line = list(fitted_line(change, series(value)))
     assert line[0][1] == line[1][1] == change.level

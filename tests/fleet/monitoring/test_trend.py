@@ -16,7 +16,7 @@ from scipy import stats
 
 import visited_arms
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.fleet.monitoring import trend_output as output
+from strainwave.fleet.monitoring import trend as output
 from strainwave.fleet.monitoring.trend import Trend, trend
 from strainwave.fleet.monitoring.visits import Histories, read_histories
 

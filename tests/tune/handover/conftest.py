@@ -24,5 +24,5 @@ def filtered(design: ServoDesign) -> ServoDesign:
     first, second = design.joints
     period = design.clock.period
     filters = (notch(40.0, 0.5, 0.1, period), low_pass(100.0, period))
-    gains = replace(first.tuned.gains, filters=filters)
-    return replace(design, joints=(replace(first, tuned=replace(first.tuned, gains=gains)), second))
+    gains = replace(first.gains, filters=filters)
+    return replace(design, joints=(replace(first, gains=gains), second))

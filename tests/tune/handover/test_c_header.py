@@ -62,11 +62,9 @@ class Observing(Gains):
 def observing(filtered: ServoDesign) -> ServoDesign:
     """The second joint has a law that depends on the limited voltage."""
     first, second = filtered.joints
-    g = second.tuned.gains
+    g = second.gains
     gains = Observing(g.kp, g.ki, g.position_gain, g.period)
-    return replace(
-        filtered, joints=(first, replace(second, tuned=replace(second.tuned, gains=gains)))
-    )
+    return replace(filtered, joints=(first, replace(second, gains=gains)))
 
 
 def signals(period: float) -> FloatArray:

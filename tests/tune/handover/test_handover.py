@@ -83,7 +83,7 @@ def test_script_and_text_print_the_equations(filtered: ServoDesign) -> None:
     script, text = to_script(filtered), to_markdown(filtered)
     for each in filtered.joints:
         units = Units.of(filtered.arm.joint(each.joint))
-        for equation, remark in difference_equations(each.tuned.gains, filtered.limits[0], units):
+        for equation, remark in difference_equations(each.gains, filtered.limits[0], units):
             assert f"%   {equation}  % {remark}\n" in script
             assert f"    {equation}  # {remark}\n" in text
 
@@ -94,5 +94,5 @@ def test_the_text_has_margins_and_what_limits_them(design: ServoDesign) -> None:
         margins = each.results.margins
         assert f"| phase [deg] | 30 | {margins.phase_deg.min():.3g} |" in text
         reason = {"encoder": "The resolution of the motor encoder", "margins": "The margins with"}
-        assert reason[each.tuned.limit] in text
+        assert reason[each.limit] in text
     assert "| 1 | 0.3, -0.4 | none |" in text

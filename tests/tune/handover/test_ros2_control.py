@@ -11,7 +11,7 @@ import pytest
 
 from strainwave.tune.closed_loop import Clock, low_pass, notch
 from strainwave.tune.design import ServoDesign
-from strainwave.tune.handover.ros2_control import low_pass_hz, to_ros2_control
+from strainwave.tune.handover.texts import low_pass_hz, to_ros2_control
 
 
 def parsed(text: str) -> dict[str, Any]:

@@ -12,7 +12,6 @@ import secrets
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -23,11 +22,10 @@ from strainwave import pipeline
 from strainwave.domain import Options
 from strainwave.errors import InvalidInput
 from strainwave.fleet.campaign import cluster, runner
-from strainwave.fleet.campaign.places import Folder, is_url
 from strainwave.fleet.campaign.records import FAILED_STATUS, Outcome, RunLimits, merged
 from strainwave.fleet.campaign.runner import CampaignPlan
-from strainwave.fleet.campaign.store import MERGE_AFTER, Store
-from strainwave.fleet.campaign.study_files import CaseSelection, find
+from strainwave.fleet.campaign.store import Store
+from strainwave.fleet.campaign.study_files import CaseSelection, find, is_url
 from strainwave.io import atomic_files
 from strainwave.io.study.reader import Reader, parse_flag
 
@@ -199,7 +197,7 @@ def run(studies: Sequence[str] | CaseSelection, settings: Settings) -> Summary:
     ):
         early = _follow(outcomes, plan.store, tally)
     lines = tuple(_undetermined(tally, plan.store))
-    return Summary(tally, lines, early, "" if early else _merged(plan.store))
+    return Summary(tally, lines, early, "" if early else _merge(plan.store))
 
 
 def _plan(selection: CaseSelection, settings: Settings) -> CampaignPlan:
@@ -211,17 +209,17 @@ def _plan(selection: CaseSelection, settings: Settings) -> CampaignPlan:
     options = merged([*tables.values()])
     name = f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{secrets.token_hex(3)}"
     where = settings.store
-    store = Store.at(where if is_url(where) else Path(where).absolute())
-    if isinstance(store.place, Folder):
+    if not is_url(where):
+        where = str(Path(where).absolute())
         try:
-            (store.place.path / "runs").mkdir(parents=True, exist_ok=True)
+            Path(where, "runs").mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InvalidInput(
                 f"cannot write there ({error.strerror or error})",
-                where=str(store.place),
+                where=where,
                 remedy="choose another --out or change its permissions",
             ) from error
-    return CampaignPlan(store, name, stages, options, settings.retry_failed)
+    return CampaignPlan(Store(where), name, stages, options, settings.retry_failed)
 
 
 @contextmanager
@@ -244,8 +242,6 @@ def _outcomes(
 
 def _follow(outcomes: Iterator[Outcome], store: Store, tally: Tally) -> str:
     """Count outcomes; the reason if they end early, or ""."""
-    merging: Future[str] | None = None
-    pool = ThreadPoolExecutor(1)  # merges the store while studies run
     try:
         for outcome in outcomes:
             if outcome.unrecorded:
@@ -256,16 +252,9 @@ def _follow(outcomes: Iterator[Outcome], store: Store, tally: Tally) -> str:
                 )
             tally.add(outcome)
             if not outcome.skipped:
-                atomic_files.written.append(Path(str(store.place)) / "runs" / outcome.run)
-                is_merging = merging is not None and not merging.done()
-                if tally.done % MERGE_AFTER == 0 and not is_merging:
-                    merging = pool.submit(_merged, store)
+                atomic_files.written.append(Path(store.where) / "runs" / outcome.run)
     except cluster.ClusterLost as error:
         return f"{error}; the same command continues from the recorded runs"
-    finally:
-        pool.shutdown(wait=False)
-    if merging is not None:
-        merging.result()
     return ""
 
 
@@ -276,16 +265,16 @@ def _undetermined(tally: Tally, store: Store) -> Iterator[str]:
         yield from tally.causes()
     for outcome in listed_runs:
         result = f"results/{outcome.run}/result.json"
-        name = result if store.place.exists(result) else f"runs, run {outcome.run[:8]}"
+        name = result if store.exists(result) else f"runs, run {outcome.run[:8]}"
         yield (
             f"  {outcome.study}: {outcome.status} (exit code {outcome.exit_code}): "
-            f"{reason(outcome.message)} [{store.place}/{name}]"
+            f"{reason(outcome.message)} [{store.where}/{name}]"
         )
     if tally.n_undetermined > len(listed_runs):
         yield f"  ... and {tally.n_undetermined - len(listed_runs)} more: see sw.read_runs"
 
 
-def _merged(store: Store) -> str:
+def _merge(store: Store) -> str:
     """Merge small files; the reason if that fails, which leaves them unchanged."""
     try:
         store.merge()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib
 import logging
-import queue
 import threading
 import time
 from collections.abc import Generator, Iterable, Iterator
@@ -16,10 +15,8 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from datetime import datetime
-from functools import cache
-from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from strainwave.errors import InvalidInput, StrainwaveError, import_optional
 from strainwave.fleet.campaign.records import FAILED_STATUS, Outcome, RunLimits, Task, now
@@ -28,13 +25,13 @@ from strainwave.fleet.campaign.store import Store
 from strainwave.fleet.campaign.study_files import Case
 from strainwave.io.atomic_files import check_keys, decode, parse_toml, read_bytes
 
-_CONNECT_TIMEOUT_S = 10.0  # of the scheduler
-_POLL_S = 0.5  # between two checks of the scheduler
-_MAX_ABSENCE_S = 10.0  # of the scheduler before the campaign ends
-_QUEUED_PER_THREAD = 2  # tasks that wait at the scheduler, so that no thread idles
-_MIN_QUEUED = 16  # for clusters that still start
+_CONNECT_TIMEOUT_S = 10.0  # of the scheduler, at the start and after a lost connection
+_POLL_S = 0.05  # between two checks for ended tasks
 _N_PLANNERS = 4  # threads that check which runs are recorded
 _KEYS = ("class", "arguments", "workers")
+
+_Planned = tuple[Task, datetime]
+"""A task, and the time since when it may have been recorded."""
 
 _thread = threading.local()
 
@@ -54,7 +51,7 @@ def perform(line: str, limits: dict[str, Any], since: str) -> str:
     died after its worker process had recorded it.
     """
     task = Task.from_json(line)
-    recorded = _store(task.store).recorded(task.run)
+    recorded = Store(task.store).recorded(task.run)
     if recorded and (
         recorded.status != FAILED_STATUS or recorded.started >= datetime.fromisoformat(since)
     ):
@@ -63,12 +60,6 @@ def perform(line: str, limits: dict[str, Any], since: str) -> str:
         _thread.limits, _thread.runner = limits, Runner(RunLimits(**limits))
     runner: Runner = _thread.runner
     return runner.run(task).to_json()
-
-
-@cache
-def _store(where: str) -> Store:
-    """One store for all tasks of a Dask worker, which caches merged files."""
-    return Store.at(where)
 
 
 @contextmanager
@@ -104,13 +95,6 @@ def connected(scheduler: str | None, description: Path | None) -> Iterator[Any]:
                 cluster.close()
 
 
-class _PlannedTask(NamedTuple):
-    """A task and the time since when it may have been recorded."""
-
-    task: Task
-    since: datetime
-
-
 def run(
     cases: Iterable[Case],
     plan: CampaignPlan,
@@ -123,53 +107,49 @@ def run(
     `workers` limits the number of submitted tasks. Raises `ClusterLost` if the scheduler is lost,
     and `InvalidInput` if the workers cannot run strainwave or a case cannot be read at all.
     """
-    waiting = iter(cases)
-    events: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    submitted: dict[str, tuple[_PlannedTask, Any]] = {}
-    planning = 0
-    capacity = _Capacity(client, workers)
+    from distributed import as_completed
+
+    submitted: dict[str, _Planned] = {}
+    ended = as_completed(loop=client.loop)
     pool = ThreadPoolExecutor(_N_PLANNERS)
     try:
-        while True:
-            free = max(0, capacity.tasks() - planning - len(submitted))
-            for case in islice(waiting, free):
-                planning += 1
-                pool.submit(_plan, plan, case).add_done_callback(events.put)
-            if not planning and not submitted:
-                return
-            try:
-                event = events.get(timeout=_POLL_S)
-            except queue.Empty:
-                capacity.check()
+        for task, since in pool.map(lambda case: _plan(plan, case), cases):
+            if isinstance(task, Outcome):
+                yield task
                 continue
-            if getattr(event, "key", None) is None:  # a case was planned
-                planning -= 1
-                planned = event.result()
-                if isinstance(planned, Outcome):
-                    yield planned
-                else:
-                    future = _submit(client, planned, limits)
-                    submitted[future.key] = planned, future
-                    future.add_done_callback(events.put)
-            else:
-                planned, future = submitted.pop(event.key)
-                yield _outcome(planned, future, plan)
+            future = _submit(client, (task, since), limits)
+            submitted[future.key] = task, since
+            ended.add(future)
+            is_full = workers is not None and len(submitted) >= workers
+            for each in _next_batch(ended, client, wait=is_full):
+                yield _outcome(submitted.pop(each.key), each, plan)
+        while submitted:
+            for each in _next_batch(ended, client, wait=True):
+                yield _outcome(submitted.pop(each.key), each, plan)
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _plan(plan: CampaignPlan, case: Case) -> _PlannedTask | Outcome:
+def _plan(plan: CampaignPlan, case: Case) -> tuple[Task | Outcome, datetime]:
     since = now()
-    task = plan.next(case)
-    return task if isinstance(task, Outcome) else _PlannedTask(task, since)
+    return plan.next(case), since
 
 
-def _submit(client: Any, planned: _PlannedTask, limits: RunLimits) -> Any:
+def _submit(client: Any, planned: _Planned, limits: RunLimits) -> Any:
     task, since = planned
     key = f"strainwave-{task.run}-{since.timestamp():f}"
     work = perform, task.to_json(), asdict(limits), since.isoformat()
     with _connected_call(client):
         return client.submit(*work, pure=False, key=key)
+
+
+def _next_batch(ended: Any, client: Any, *, wait: bool) -> list[Any]:
+    """Futures that have ended, at least one with `wait`."""
+    while wait and not ended.has_ready():
+        if client.status == "closed":  # after it has tried to reconnect
+            raise ClusterLost
+        time.sleep(_POLL_S)
+    return list(ended.next_batch(block=False))
 
 
 @contextmanager
@@ -183,7 +163,7 @@ def _connected_call(client: Any) -> Iterator[None]:
         raise
 
 
-def _outcome(planned: _PlannedTask, future: Any, plan: CampaignPlan) -> Outcome:
+def _outcome(planned: _Planned, future: Any, plan: CampaignPlan) -> Outcome:
     """Outcome of a Dask task; a task whose workers died repeatedly is a failed run."""
     from distributed import KilledWorker
 
@@ -195,44 +175,14 @@ def _outcome(planned: _PlannedTask, future: Any, plan: CampaignPlan) -> Outcome:
     error = future.exception()
     if isinstance(error, KilledWorker):
         message = f"the Dask workers that ran it died, {error.allowed_failures + 1} in a row"
-        return failed(planned.task, message, exit_code=1, started=planned.since, store=plan.store)
+        task, since = planned
+        return failed(task, message, exit_code=1, started=since, store=plan.store)
     if isinstance(error, InvalidInput):
         raise error
     raise InvalidInput(
         f"the Dask workers cannot run strainwave ({type(error).__name__}: {error})",
         remedy="install the same version of strainwave where the workers run",
     )
-
-
-class _Capacity:
-    """Number of tasks to submit, and check of the scheduler."""
-
-    def __init__(self, client: Any, workers: int | None) -> None:
-        self._client = client
-        self._workers = workers
-        self._n_tasks, self._checked = _MIN_QUEUED, -_POLL_S
-        self._last_contact = time.monotonic()
-
-    def tasks(self) -> int:
-        """The number of workers, or enough tasks for all threads of the cluster."""
-        if self._workers is not None:
-            return self._workers
-        if time.monotonic() - self._checked > _POLL_S:
-            with suppress(OSError, TimeoutError):
-                threads = sum(self._client.nthreads().values())
-                self._n_tasks = max(_MIN_QUEUED, (1 + _QUEUED_PER_THREAD) * threads)
-            self._checked = time.monotonic()
-        return self._n_tasks
-
-    def check(self) -> None:
-        """Raise `ClusterLost` if the scheduler does not answer for too long."""
-        if self._client.status == "running":
-            self._last_contact = time.monotonic()
-        elif (
-            self._client.status == "closed"
-            or time.monotonic() - self._last_contact > _MAX_ABSENCE_S
-        ):
-            raise ClusterLost
 
 
 def _started(path: Path) -> Any:

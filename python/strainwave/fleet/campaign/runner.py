@@ -228,7 +228,7 @@ def failed(
 
     `message` is one sentence, `started` in UTC; `store` is that of the task, if already open.
     """
-    store = store or Store.at(task.store)
+    store = store or Store(task.store)
     recorded = store.recorded(task.run)
     if recorded is not None and recorded.started >= started:
         return recorded
@@ -254,14 +254,14 @@ class CampaignPlan:
 
     def next(self, case: Case) -> Task | Outcome:
         """The task of a case, or its outcome if that is recorded."""
-        hashes = case.hashes()
+        study_sha256, inputs_sha256 = case.hashes()
         task = Task(
             case=case,
-            study_sha256=hashes.study_sha256,
-            inputs_sha256=hashes.inputs_sha256,
+            study_sha256=study_sha256,
+            inputs_sha256=inputs_sha256,
             stages=self.stages,
             options=merged([self.options, case.options]),
-            store=str(self.store.place),
+            store=str(self.store.where),
             campaign=self.campaign,
         )
         recorded = self.store.recorded(task.run)

@@ -1,4 +1,4 @@
-"""The store of a campaign: one Parquet file per run, merged into larger files.
+"""The store of a campaign: Parquet files, which Arrow reads as one table.
 
     runs/<run>.parquet               one row: the record of the run, written last
     parameters/<run>.parquet         one row per parameter
@@ -6,27 +6,29 @@
     runs/part-<hash>.parquet         many runs merged, `parameters/part-...` likewise
 
 `run` is a hash of the task, so repeating it, by two campaigns or after a crash, gives one name and
-one row. A merge writes the part before it deletes the small files; rows that are in both are read
-once.
+one row. A merge writes the part before it deletes other files; rows that are in both are read once.
+A file appears completely or not at all: local files are written to a temporary file,
+flushed to the disk and renamed; an object store writes whole objects.
 """
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
-import io
-import threading
+import os
+import tempfile
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
+from pyarrow import fs
 
 from strainwave.errors import InvalidInput
-from strainwave.fleet.campaign.places import Folder, Place, place_of
 from strainwave.fleet.campaign.records import (
     OUTCOME_COLUMNS,
     PARAMETERS_SCHEMA,
@@ -35,29 +37,19 @@ from strainwave.fleet.campaign.records import (
     Row,
     RunRecord,
 )
+from strainwave.fleet.campaign.study_files import file_system, is_url
 
-MERGE_AFTER = 1000
-"""Number of runs after which a campaign merges small files."""
-
-_MAX_MERGED_ROWS = {"runs": 20_000, "parameters": 500_000}  # larger parts are not rewritten
-_MAX_TRIES = 50  # to read a store that other processes merge
-_N_READERS = 8  # threads that read small files; more do not speed up a local disk
 _SCHEMAS = {"runs": RUNS_SCHEMA, "parameters": PARAMETERS_SCHEMA}
+_MAX_TRIES = 50  # to read a store that other processes merge
+_MIN_COMPRESSED_ROWS = 1000  # fewer take longer to compress than to write
 _ORDER = {"runs": ["run", "started"], "parameters": ["run", "name", "joint"]}
 
 
 @dataclass(frozen=True)
 class Store:
-    """A store at a path or a URL."""
+    """A store at a path or a URL, which need not exist."""
 
-    place: Place
-    _parts: dict[str, dict[str, Outcome]] = field(default_factory=dict, repr=False)
-    _mutex: Any = field(default_factory=threading.Lock, repr=False)
-
-    @classmethod
-    def at(cls, where: Path | str) -> Store:
-        """The store at a path or URL, which need not exist."""
-        return cls(place_of(where))
+    where: Path | str
 
     def write(self, record: RunRecord) -> None:
         """Write result, parameters, and last the row that makes the run count.
@@ -67,19 +59,18 @@ class Store:
         run = record.row["run"]
         files = {f"runs/{run}.parquet": _table_bytes([record.row], RUNS_SCHEMA)}
         if record.result is not None:
-            parameters = _table_bytes(record.parameters, PARAMETERS_SCHEMA)
             files = {
                 f"results/{run}/result.json": record.result,
-                f"parameters/{run}.parquet": parameters,
+                f"parameters/{run}.parquet": _table_bytes(record.parameters, PARAMETERS_SCHEMA),
             } | files
         written_files: list[str] = []
         try:
             for name, data in files.items():
-                self.place.put(name, data)
+                self._put(name, data)
                 written_files.append(name)
         except OSError:
             if self.recorded(run) is None:
-                self.place.delete(written_files)
+                self._delete(written_files)
             raise
 
     def try_write(self, record: RunRecord) -> str:
@@ -92,116 +83,126 @@ class Store:
 
     def recorded(self, run: str) -> Outcome | None:
         """The outcome of a recorded run; None if it is not recorded."""
-        unmerged = self._of_file(f"runs/{run}.parquet").get(run)
-        with self._mutex:
-            rows = self._in_parts(run)
-            if unmerged is None and not rows:
-                names = {*filter(_is_part, self.place.names("runs", ".parquet"))}
-                new = names - self._parts.keys()
-                self._parts.update({name: self._of_file(name) for name in new})
-                for name in self._parts.keys() - names:
-                    del self._parts[name]
-                rows = self._in_parts(run)
-        rows += [unmerged] if unmerged else []
-        return max(rows, key=lambda row: row.started, default=None)
-
-    def _in_parts(self, run: str) -> list[Outcome]:
-        return [part[run] for part in self._parts.values() if run in part]
-
-    def _of_file(self, name: str) -> dict[str, Outcome]:
-        try:
-            rows = self._table(name, OUTCOME_COLUMNS).to_pylist()
-        except FileNotFoundError:
-            return {}
-        return {row["run"]: Outcome(**row) for row in rows}
+        for _ in range(_MAX_TRIES):
+            with suppress(FileNotFoundError):
+                rows = self._rows("runs", [f"runs/{run}.parquet"], OUTCOME_COLUMNS)
+                return Outcome(**rows.to_pylist()[0])
+            parts = tuple(filter(_is_part, self._names("runs")))
+            with suppress(FileNotFoundError):  # merged after the files were listed
+                return _outcomes_of(self, parts).get(run)
+        return None
 
     def table(self, kind: str, columns: Sequence[str] | None = None) -> pa.Table:
         """All rows of `runs` or `parameters`, each once: of a repeated run, the last.
 
         `columns` selects columns. Raises `InvalidInput` if a file is not a table of a store.
         """
-        read_columns = None if columns is None else list(dict.fromkeys([*columns, *_ORDER[kind]]))
+        selected = list(_SCHEMAS[kind].names if columns is None else columns)
+        needed = list(dict.fromkeys([*selected, *_ORDER[kind]]))
         for _ in range(_MAX_TRIES):
-            names, again = (self.place.names(kind, ".parquet") for _ in range(2))
+            names, again = self._names(kind), self._names(kind)
             if {*filter(_is_part, names)} != {*filter(_is_part, again)}:
                 continue  # merged while the files were listed
-            try:
-                # small files, which are newer, come first
-                with ThreadPoolExecutor(_N_READERS) as pool:
-                    ordered = sorted(names, key=_is_part)
-                    tables = list(pool.map(lambda name: self._table(name, read_columns), ordered))
+            try:  # files of one run, which are newer, come first
+                table = self._rows(kind, sorted(names, key=_is_part), needed)
             except FileNotFoundError:  # merged after the files were listed
                 continue
-            schema = _SCHEMAS[kind]
-            if read_columns is not None:
-                schema = pa.schema([schema.field(name) for name in read_columns])
-            table = _drop_duplicates(_concatenated(tables, schema), kind)
-            return table if columns is None else table.select(list(columns))
+            return _drop_duplicates(table, kind).select(selected)
         raise InvalidInput(
             f"the {kind} change while they are read",
-            where=str(self.place),
+            where=str(self.where),
             remedy="read them again",
         )
 
-    def _table(self, name: str, columns: Sequence[str] | None = None) -> pa.Table:
+    def merge(self) -> None:
+        """Merge all files into one part, if the store is local and no other process does so.
+
+        OSError if a part cannot be written; the rows remain where they were.
+        """
+        if is_url(str(self.where)) or len(self._names("runs")) < 2:
+            return
+        with Path(self.where, ".lock").open("ab") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:  # held, or a file system without locks
+                return
+            for kind in ("parameters", "runs"):  # so that every row has its parameters
+                names = self._names(kind)
+                if len(names) < 2:
+                    continue
+                data = _to_parquet(self.table(kind))
+                part = f"{kind}/part-{hashlib.sha256(data).hexdigest()[:32]}.parquet"
+                self._put(part, data)
+                self._delete([name for name in names if name != part])
+
+    def exists(self, name: str) -> bool:
+        """Whether the store has a file."""
+        system, root = self._folder
+        return bool(system.get_file_info(f"{root}/{name}").is_file)
+
+    @property
+    def _folder(self) -> tuple[fs.FileSystem, str]:
+        """Arrow's file system of the store, and the path of the store in it."""
+        if not is_url(where := str(self.where)):
+            return fs.LocalFileSystem(), where
+        system, path = file_system(where)
+        if "file" in system.protocol:
+            return fs.LocalFileSystem(), path
+        system.invalidate_cache()  # other processes write
+        return fs.PyFileSystem(fs.FSSpecHandler(system)), path.rstrip("/")
+
+    def _names(self, kind: str) -> list[str]:
+        """Files of `runs` or `parameters`, sorted; temporary files begin with a dot."""
+        system, root = self._folder
+        entries = system.get_file_info(fs.FileSelector(f"{root}/{kind}", allow_not_found=True))
+        names = sorted(entry.base_name for entry in entries if entry.extension == "parquet")
+        return [f"{kind}/{name}" for name in names if not name.startswith(".")]
+
+    def _rows(self, kind: str, names: Sequence[str], columns: Sequence[str]) -> pa.Table:
+        """Rows of files in their order; columns that earlier versions lack are null."""
+        import pyarrow.dataset as ds  # imports pandas, if that is installed; a worker only writes
+
+        system, root = self._folder
+        paths = [f"{root}/{name}" for name in names]
+        files = ds.dataset(paths, schema=_SCHEMAS[kind], format="parquet", filesystem=system)
         try:
-            file = pq.ParquetFile(pa.BufferReader(self.place.get(name)))
-            existing = None
-            if columns is not None:
-                existing = [column for column in columns if column in file.schema_arrow.names]
-            return file.read(columns=existing, use_threads=False)
+            return files.to_table(columns=list(columns), use_threads=len(names) > 1)
         except pa.ArrowInvalid as error:
+            name = next((name for name in names if name in str(error)), kind)
             raise InvalidInput(
                 f"is not a Parquet file ({error})",
-                where=f"{self.place}/{name}",
+                where=f"{self.where}/{name}",
                 remedy="move it out of the store; its run is then repeated",
             ) from error
 
-    def merge(self, *, at_least: int = 2) -> int:
-        """Merge small files into parts, if the store is local and no other process does so.
-
-        Nothing happens below `at_least` small files of runs. Returns the number of runs that were
-        in small files. OSError if a part cannot be written; the rows remain where they were.
-        """
-        if not isinstance(self.place, Folder) or not self.place.path.is_dir():
-            return 0
-        small = [n for n in self.place.names("runs", ".parquet") if not _is_part(n)]
-        if len(small) < at_least:
-            return 0
-        with self.place.lock() as held:
-            if not held:
-                return 0
-            n_merged = 0
-            for kind in ("parameters", "runs"):  # so that every row has its parameters
-                n_merged = self._merge(kind)
-                self.place.sweep(kind)
-        return n_merged
-
-    def _merge(self, kind: str) -> int:
-        """Merge the files of a kind; returns the number of small files in the new part."""
-        names = self.place.names(kind, ".parquet")
-        merged_names = [
-            n for n in names if not _is_part(n) or self._rows(n) < _MAX_MERGED_ROWS[kind]
-        ]
-        tables = {name: self._table(name) for name in merged_names}
-        merged_runs = pa.chunked_array(
-            [t["run"].combine_chunks() for t in tables.values()], pa.string()
+    def _put(self, name: str, data: bytes) -> None:
+        system, root = self._folder
+        if not isinstance(system, fs.LocalFileSystem):
+            with system.open_output_stream(f"{root}/{name}") as stream:
+                stream.write(data)
+            return
+        final = Path(root, name)
+        final.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(
+            prefix=f".{final.name}.", suffix=".aside", dir=final.parent
         )
-        for name in set(names) - set(merged_names):  # a repeated run is also in a large part
-            runs = self._table(name, ["run"])["run"]
-            if pc.any(pc.is_in(runs, value_set=merged_runs)).as_py():
-                tables[name] = self._table(name)
-        if len(tables) < 2:
-            return 0
-        ordered = [tables[name] for name in sorted(tables, key=_is_part)]
-        data = _to_parquet(_drop_duplicates(_concatenated(ordered, _SCHEMAS[kind]), kind))
-        part = f"{kind}/part-{hashlib.sha256(data).hexdigest()[:32]}.parquet"
-        self.place.put(part, data)
-        self.place.delete(name for name in tables if name != part)
-        return sum(not _is_part(name) for name in tables)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            Path(temporary).chmod(0o644)
+            Path(temporary).replace(final)
+        except OSError:
+            with suppress(OSError):
+                Path(temporary).unlink()
+            raise
 
-    def _rows(self, name: str) -> int:
-        return int(pq.read_metadata(pa.BufferReader(self.place.get(name))).num_rows)
+    def _delete(self, names: Sequence[str]) -> None:
+        system, root = self._folder
+        for name in names:
+            with suppress(FileNotFoundError):
+                system.delete_file(f"{root}/{name}")
 
 
 def read_runs(store: Path | str) -> pa.Table:
@@ -224,14 +225,21 @@ def read_parameters(store: Path | str) -> pa.Table:
 
 
 def _open_existing(where: Path | str) -> Store:
-    store = Store.at(where)
-    if not store.place.names("runs", ".parquet"):
+    store = Store(where)
+    if not store._names("runs"):
         raise InvalidInput(
             "contains no runs",
             where=str(where),
             remedy="name the store that strainwave campaign wrote, its --out",
         )
     return store
+
+
+@lru_cache(maxsize=4)
+def _outcomes_of(store: Store, parts: tuple[str, ...]) -> dict[str, Outcome]:
+    """Outcomes of the runs in parts, which do not change, by run."""
+    rows = store._rows("runs", parts, OUTCOME_COLUMNS).sort_by("started")
+    return {row["run"]: Outcome(**row) for row in rows.to_pylist()}
 
 
 def _is_part(name: str) -> bool:
@@ -243,22 +251,15 @@ def _table_bytes(rows: Sequence[Row], schema: pa.Schema) -> bytes:
 
 
 def _to_parquet(table: pa.Table) -> bytes:
-    out = io.BytesIO()
-    large = table.num_rows > MERGE_AFTER
+    stream, is_large = pa.BufferOutputStream(), table.num_rows > _MIN_COMPRESSED_ROWS
     pq.write_table(
         table,
-        out,
-        compression="zstd" if large else "none",
-        use_dictionary=large,
-        write_statistics=large,
+        stream,
+        compression="zstd" if is_large else "none",
+        use_dictionary=is_large,
+        write_statistics=is_large,
     )
-    return out.getvalue()
-
-
-def _concatenated(tables: Sequence[pa.Table], schema: pa.Schema) -> pa.Table:
-    """The rows with the columns of a schema; columns that earlier versions lack are null."""
-    joined = pa.concat_tables([schema.empty_table(), *tables], promote_options="permissive")
-    return joined.select(schema.names).cast(schema)
+    return bytes(stream.getvalue())
 
 
 def _drop_duplicates(table: pa.Table, kind: str) -> pa.Table:

@@ -16,12 +16,11 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, Protocol
 
 from strainwave.domain import Study
 from strainwave.domain.keys import Key
-from strainwave.errors import InvalidInput, suggest_name
-from strainwave.fleet.campaign.places import file_system, is_url, resolved
+from strainwave.errors import InvalidInput, import_optional, suggest_name
 from strainwave.io.atomic_files import check_keys, decode, parse_toml, read_bytes
 from strainwave.io.logs.arrays import Data
 
@@ -31,11 +30,33 @@ _VERSIONS = (  # keys with which file systems report the version of a file
 )
 
 
-class Hashes(NamedTuple):
-    """Hashes of the inputs of a case."""
+def is_url(text: str) -> bool:
+    """Whether the text is a URL instead of a path."""
+    return "://" in text
 
-    study_sha256: str | None  # None: the study file cannot be read
-    inputs_sha256: str
+
+def resolved(path: str, file: str) -> str:
+    """A path or URL that a file names, relative to the folder of the file."""
+    if is_url(path) or Path(path).is_absolute():
+        return path
+    return f"{file.rsplit('/', 1)[0]}/{path}" if is_url(file) else str(Path(file).parent / path)
+
+
+def file_system(url: str) -> tuple[Any, str]:
+    """The fsspec file system of a URL, and the path in it.
+
+    Raises `InvalidInput` if fsspec or its package for this kind of URL is not installed.
+    """
+    core = import_optional("fsspec.core", f"the URL {url}", '"strainwave[cluster]"')
+    try:
+        system, path = core.url_to_fs(url)
+    except (ImportError, ValueError) as error:
+        raise InvalidInput(
+            f"this kind of URL cannot be read ({error})",
+            where=url,
+            remedy="install the package that fsspec names for it, or check the URL",
+        ) from error
+    return system, str(path)
 
 
 @dataclass(frozen=True)
@@ -61,8 +82,11 @@ class Case(Protocol):
     def options(self) -> Mapping[str, Mapping[str, Any]]:
         """Options of this case, which override those of the campaign: stage -> key -> value."""
 
-    def hashes(self) -> Hashes:
-        """Hashes of the study and its inputs; `InvalidInput` if the place cannot be read at all."""
+    def hashes(self) -> tuple[str | None, str]:
+        """Hashes of the study, None if it cannot be read, and of its inputs.
+
+        Raises `InvalidInput` if the place cannot be read at all.
+        """
 
     def opened(self) -> AbstractContextManager[Opened]:
         """The study to identify; temporary copies are removed on exit.
@@ -79,7 +103,7 @@ class StudyFile:
     location: str  # absolute path, or URL
     options: ClassVar[Mapping[str, Any]] = MappingProxyType({})  # the study file contains them
 
-    def hashes(self) -> Hashes:
+    def hashes(self) -> tuple[str | None, str]:
         """SHA-256 of the study file and of the contents of its logs and its URDF.
 
         Files at a URL are hashed by size and version, as the file system reports them.
@@ -87,11 +111,11 @@ class StudyFile:
         try:
             text = _read(self.location)
         except OSError:
-            return Hashes(None, hashlib.sha256().hexdigest())
+            return None, hashlib.sha256().hexdigest()
         inputs = hashlib.sha256()
         for name in _list_inputs(text):
             inputs.update(f"{name}\0{_fingerprint(resolved(name, self.location))}\0".encode())
-        return Hashes(hashlib.sha256(text).hexdigest(), inputs.hexdigest())
+        return hashlib.sha256(text).hexdigest(), inputs.hexdigest()
 
     @contextmanager
     def opened(self) -> Iterator[Opened]:

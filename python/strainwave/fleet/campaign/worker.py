@@ -87,7 +87,7 @@ def _sentence(error: Exception) -> str:
 def answer(task: Task, do: Perform = perform) -> Outcome:
     """Perform a task by `do` and write its record to the store."""
     record = do(task)
-    return Outcome.of(record.row, unrecorded=Store.at(task.store).try_write(record))
+    return Outcome.of(record.row, unrecorded=Store(task.store).try_write(record))
 
 
 def serve(tasks: TextIO, answers: TextIO, time_limit: float, do: Perform) -> None:

@@ -1,160 +1,123 @@
-"""Two or more results of one arm: which parameters differ significantly.
-
-A factor that all parameters with a force in their unit share.
-
-The scale of the torques is not in the data: inertias, friction, gravity and stiffness that change
-by one factor point to `torque_per_volt`, or to the scale of the torque channels.
-
-Tests of several differences at once, and adjusted p-values.
-"""
+"""Two or more results of one arm: which parameters differ significantly."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeVar
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Parameter
+from strainwave.domain import Parameter
+from strainwave.domain.arm.link_sensors import ConstantKind, is_kind
+from strainwave.domain.arm.parameter_table import record_of
 from strainwave.domain.messages import plus_minus
-from strainwave.domain.results.distributions import CI95_STDS, chi_square_tail, f_tail, student_tail
+from strainwave.domain.results.distributions import (
+    CI95_STDS,
+    student_degrees,
+)
 from strainwave.errors import InvalidInput, NotIdentifiable, import_optional
-from strainwave.fleet.monitoring.result_estimates import ResultEstimates, degrees_of_freedom
+from strainwave.fleet.monitoring.significance import (
+    CommonFactor,
+    JointTest,
+    adjust_p_values,
+    common_factor,
+    format_p,
+    is_torque_like,
+    joint_test,
+    welch_test,
+)
+from strainwave.io.joint_covariance import JointCovariance
+from strainwave.io.results import covariance_of, parameters_of, read_document, result_path
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+    from rich.console import Console
+
+_USUAL_NAMES = ("result.json", "study.toml")  # files whose folder is a better label
+_QUANTILE_TOLERANCE = 1e-3  # beyond it an interval is Student's; nu is then below about 2,400
 
 
-_RANK_TOLERANCE = 1e-8  # of the largest eigenvalue of the correlation matrix; below: dependent
+@dataclass(frozen=True, slots=True, eq=False)
+class ResultEstimates:
+    """Parameters and joint covariance of one result."""
+
+    label: str
+    path: str
+    created: str
+    status: str
+    study: tuple[str, str]  # path and SHA-256
+    parameters: tuple[Parameter, ...]
+    covariance: JointCovariance | None
+
+    def of(self, label: str) -> Parameter:
+        """A parameter by name and joint, as in the verdict."""
+        return next(p for p in self.parameters if p.label == label)
 
 
-@dataclass(frozen=True, slots=True)
-class JointTest:
-    """Test statistic d' S^+ d of differences d with covariance S."""
+def read_estimates(paths: Sequence[Path]) -> tuple[ResultEstimates, ...]:
+    """Read results from result.json files or directories that contain one.
 
-    statistic: float
-    rank: int  # of S: number of independent differences
-    n_values: int
-    degrees: float  # degrees of freedom of S; infinite: the statistic is chi-square distributed
-    p: float
-    adjusted_p: float = 1.0  # by Holm, over all tests of the comparison
-
-
-def joint_test(
-    difference: FloatArray, parts: Sequence[FloatArray], degrees: Sequence[float]
-) -> JointTest | None:
-    """Test that all differences, (n,), are zero.
-
-    T = d' S^+ d with S the sum of the parts, (n, n) covariances of independent errors; the rank r
-    of S is that of its correlation matrix. If all parts are known exactly, T is a chi-square of r
-    degrees. If part i is known with nu_i degrees of freedom, T (nu - r + 1)/(nu r) is an F of r and
-    nu - r + 1 degrees with nu = (r + r^2) / sum_i (tr G_i^2 + (tr G_i)^2)/nu_i, G_i the part in
-    coordinates where S is the identity (Krishnamoorthy and Yu, 2004). None if nu <= r.
+    Labels are unique. Raises `InvalidInput` for fewer than two paths, or a file that is missing or
+    is not a result.
     """
-    S = np.sum(parts, axis=0)
-    scale = np.sqrt(np.diag(S))
-    if not len(difference) or not (scale > 0.0).all():
-        return None
-    values, vectors = np.linalg.eigh(S / np.outer(scale, scale))
-    independent = values > _RANK_TOLERANCE * values[-1]
-    whiten = vectors[:, independent] / np.sqrt(values[independent]) / scale[:, None]
-    r = int(independent.sum())
-    statistic = float(np.sum((whiten.T @ difference) ** 2))
-    spread = 0.0
-    for part, nu_i in zip(parts, degrees, strict=True):
-        G = whiten.T @ part @ whiten
-        spread += float(np.sum(G * G) + np.trace(G) ** 2) / nu_i
-    nu = (r + r * r) / spread if spread > 0.0 else float("inf")
-    if not np.isfinite(nu):
-        return JointTest(statistic, r, len(difference), nu, chi_square_tail(statistic, r))
-    if nu <= r:
-        return None
-    p = f_tail(statistic * (nu - r + 1.0) / (nu * r), r, nu - r + 1.0)
-    return JointTest(statistic, r, len(difference), nu, p)
-
-
-def welch_test(
-    difference: float, stds: Sequence[float], degrees: Sequence[float]
-) -> tuple[float, float]:
-    """z, the difference over its standard deviation, and the two-sided p-value of no difference.
-
-    `stds` are those of its independent errors. Student's t with the degrees of freedom of Welch and
-    Satterthwaite; a normal distribution if all degrees are infinite.
-    """
-    variances = [s * s for s in stds]
-    total = sum(variances)
-    z = float(difference / np.sqrt(total))
-    spread = sum(v * v / nu for v, nu in zip(variances, degrees, strict=True))
-    return z, student_tail(z, total * total / spread if spread > 0.0 else math.inf)
-
-
-def adjust_p_values(p: Sequence[float]) -> list[float]:
-    """p-values adjusted for their number, valid under any dependence (Holm, 1979).
-
-    The smallest of m is multiplied by m, the next by m - 1, and so on; the result does not decrease
-    in the order of p.
-    """
-    order = np.argsort(p, kind="stable")
-    factors = np.arange(len(p), 0, -1)
-    scaled = np.minimum(1.0, np.maximum.accumulate(factors * np.asarray(p, dtype=float)[order]))
-    adjusted = np.empty(len(p))
-    adjusted[order] = scaled
-    return [float(value) for value in adjusted]
-
-
-_MIN_PARAMETERS = 3  # that share a factor; two may do so by chance
-_MAX_RELATIVE_STD = 0.3  # of a value whose logarithm has nearly Gaussian errors
-_MIN_MISFIT_P = 0.01  # of a common factor, by a chi-square test
-
-
-@dataclass(frozen=True, slots=True)
-class CommonFactor:
-    """Factor of all torque-like parameters, and its standard deviation."""
-
-    value: float
-    std: float
-
-    @property
-    def sentence(self) -> str:
-        """What it means, as a clause."""
-        factor = " +- ".join(plus_minus(self.value, self.std))
-        return (
-            f"all torque-like parameters differ by one factor, {factor}: compare torque_per_volt or"
-            " the scales of the torque channels, with which inertias, friction and stiffness scale"
+    if len(paths) < 2:
+        raise InvalidInput(
+            "a comparison needs two results", remedy="give at least two result.json files"
         )
+    files = map(result_path, paths)
+    estimates = [estimates_of(read_document(path), path) for path in files]
+    labels = [one.label for one in estimates]
+    return tuple(
+        one if labels.count(one.label) == 1 else replace(one, label=one.path) for one in estimates
+    )
 
 
-def is_torque_like(unit: str) -> bool:
-    """Whether a parameter scales with the torques: its unit contains N or kg."""
-    return not {"N", "kg"}.isdisjoint(unit.replace("/", " ").split())
+def estimates_of(document: Mapping[str, Any], path: Path) -> ResultEstimates:
+    """Estimates of a result document that was read from `path`.
 
-
-def common_factor(
-    pairs: Iterable[tuple[float, float, float, float]], level: float
-) -> CommonFactor | None:
-    """The common factor of torque-like values (first, its std, second, its std); None without one.
-
-    A factor other than one must be significant at the level, and explain all changes.
+    Parameters of one record, such as the drift of a sensor bias, are omitted.
     """
-    first, first_std, second, second_std = np.array(list(pairs)).reshape(-1, 4).T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = second / first
-        spread = np.hypot(first_std / first, second_std / second)
-    usable = (ratio > 0.0) & (spread > 0.0) & (spread < _MAX_RELATIVE_STD)
-    if usable.sum() < _MIN_PARAMETERS:
-        return None
-    change, weight = np.log(ratio[usable]), spread[usable] ** -2.0
-    mean, std = float(weight @ change / weight.sum()), float(weight.sum() ** -0.5)
-    misfit = float(weight @ (change - mean) ** 2)
-    is_common = chi_square_tail(misfit, len(change) - 1) > _MIN_MISFIT_P
-    if not is_common or student_tail(mean / std, np.inf) >= level:
-        return None
-    return CommonFactor(float(np.exp(mean)), float(np.exp(mean)) * std)
+    study = document.get("study") or {}
+    return ResultEstimates(
+        label=path.parent.name if path.name in _USUAL_NAMES and path.parent.name else path.name,
+        path=str(path),
+        created=str(document.get("created", "")),
+        status=str(document.get("status", "")),
+        study=(str(study.get("path", "")), str(study.get("sha256", ""))),
+        parameters=tuple(
+            p for p in parameters_of(document, str(path)) if not is_record_parameter(p.name)
+        ),
+        covariance=covariance_of(document, str(path)),
+    )
+
+
+def is_record_parameter(name: str) -> bool:
+    """Whether a parameter describes one record instead of the arm."""
+    return bool(record_of(name)) or is_kind((name, None), ConstantKind.DRIFT)
+
+
+def degrees_of_freedom(parameter: Parameter) -> float:
+    """Degrees of freedom of a standard deviation, from the width of its 95 % interval.
+
+    The rigid stage estimates variances from few segments of motion and gives Student's intervals.
+    Infinite if the interval is that of a normal distribution, or missing.
+    """
+    if parameter.ci95 is None or not parameter.std:
+        return float("inf")
+    quantile = 0.5 * (parameter.ci95[1] - parameter.ci95[0]) / parameter.std
+    if quantile <= CI95_STDS + _QUANTILE_TOLERANCE:
+        return float("inf")
+    return max(1.0, student_degrees(quantile))
 
 
 AGREES, DIFFERS = "agrees", "differs"
+ALL_PARAMETERS = "all parameters together"
+
+_MAX_HEADER = 14  # characters of a label in the terminal, as wide as the values below it
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +150,14 @@ class ParameterDifference:
         value, std = _estimate(self.first)
         return 100.0 * size / abs(value) if abs(value) > CI95_STDS * std else None
 
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """Change [%], z and adjusted p-value as text."""
+        percent = self.percent
+        digits = 3 if percent is not None and abs(percent) < 1.0 else 2
+        change = "" if percent is None else f"{percent:+.{digits}f}"
+        return change, f"{self.z:+.1f}", format_p(self.adjusted_p)
+
 
 _Test = TypeVar("_Test", ParameterDifference, JointTest)
 
@@ -216,6 +187,16 @@ class ResultComparison:
     def verdict(self, test: ParameterDifference | JointTest) -> str:
         """`DIFFERS` or `AGREES` for one test."""
         return DIFFERS if test.adjusted_p < self.level else AGREES
+
+    def describe(self, test: JointTest) -> str:
+        """Statistic, its distribution, and verdict of a test of several parameters."""
+        law = f"chi-square with {test.rank} degrees of freedom"
+        if math.isfinite(test.degrees):
+            law = f"rank {test.rank}, covariance with {test.degrees:.3g} degrees of freedom"
+        return (
+            f"{test.statistic:.1f} ({law}; {test.n_values} values), "
+            f"adjusted p {format_p(test.adjusted_p)}: {self.verdict(test)}"
+        )
 
     @property
     def tests(self) -> tuple[ParameterDifference | JointTest, ...]:
@@ -271,11 +252,7 @@ class ResultComparison:
 
     def __str__(self) -> str:
         """As `strainwave compare` prints it."""
-        from io import StringIO
-
         from rich.console import Console
-
-        from strainwave.fleet.monitoring.comparison_output import print_comparison
 
         text = StringIO()
         print_comparison(self, console=Console(file=text, width=120, highlight=False))
@@ -427,3 +404,41 @@ def _estimate(p: Parameter) -> tuple[float, float]:
     if p.value is None or p.std is None:
         raise ValueError(p.label)
     return p.value, p.std
+
+
+def print_comparison(
+    comparison: ResultComparison, folder: Path | None = None, *, console: Console | None = None
+) -> None:
+    """Print a table per pair, the joint tests, the verdict, and the files in `folder` if any."""
+    from rich.console import Console
+    from rich.text import Text
+
+    from strainwave.fleet.monitoring import output
+    from strainwave.report.document.blocks import Cell, Row, number, table
+
+    console = console or Console(highlight=False)
+    for pair in comparison.pairs:
+        console.print(Text(f"{pair.second} against {pair.first}", style="bold"))
+        labels = (pair.first, pair.second)
+        is_short = all(len(label) <= _MAX_HEADER for label in labels)
+        heads = (*(labels if is_short else ("first", "second")), "change %", "z", "adj. p")
+        rows: list[Row] = []
+        for difference in pair.parameters:
+            verdict = comparison.verdict(difference)
+            values = (plus_minus(p.value, p.std)[0] for p in (difference.first, difference.second))
+            mark = Cell(verdict, mark="bad" if verdict == DIFFERS else "")
+            rows.append((difference.first.label, *values, *difference.cells, mark))
+        output.print_tables(
+            console, table("Parameters", ("parameter", *map(number, heads), "verdict"), rows)
+        )
+        if pair.joint is not None:
+            console.print(Text(f"{ALL_PARAMETERS}: {comparison.describe(pair.joint)}"))
+        if pair.left_out:
+            listed = "; ".join(f"{name} {reason}" for name, reason in pair.left_out)
+            console.print(Text(f"not compared: {listed}"))
+    if comparison.homogeneity is not None:
+        sentence = comparison.describe(comparison.homogeneity)
+        console.print(Text(f"all {len(comparison.results)} results, {ALL_PARAMETERS}: {sentence}"))
+    output.print_end(
+        console, "comparison", comparison.headline, comparison.notes, folder, bad=comparison.differs
+    )

@@ -1,4 +1,4 @@
-"""Output of a comparison: comparison.json, comparison.html, the terminal."""
+"""Files of a comparison: comparison.json and comparison.html."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.text import Text
 
 from strainwave.domain.messages import plus_minus
 from strainwave.domain.results.distributions import CI95_STDS
@@ -18,12 +16,11 @@ from strainwave.fleet.monitoring import output
 from strainwave.fleet.monitoring.comparison import (
     AGREES,
     DIFFERS,
-    JointTest,
     Pair,
     ParameterDifference,
     ResultComparison,
 )
-from strainwave.fleet.monitoring.output import format_p
+from strainwave.fleet.monitoring.significance import JointTest
 from strainwave.report.document.blocks import (
     Block,
     Cell,
@@ -42,8 +39,6 @@ from strainwave.report.figures import Axis, Colour, Figure, Markers, Panel
 SCHEMA = "strainwave/comparison/1"
 
 _MAX_INTERVAL_RATIO = 4.0  # to the median; wider intervals do not set the scale of the figure
-_MAX_HEADER = 14  # characters of a label in the terminal, as wide as the values below it
-_ALL_PARAMETERS = "all parameters together"
 
 
 def write(comparison: ResultComparison, folder: Path) -> None:
@@ -110,60 +105,10 @@ def _test_entry(comparison: ResultComparison, test: JointTest) -> dict[str, Any]
     return entry | {"verdict": comparison.verdict(test)}
 
 
-def print_comparison(
-    comparison: ResultComparison, folder: Path | None = None, *, console: Console | None = None
-) -> None:
-    """Print a table per pair, the joint tests, the verdict, and the files in `folder` if any."""
-    console = console or Console(highlight=False)
-    for pair in comparison.pairs:
-        console.print(Text(f"{pair.second} against {pair.first}", style="bold"))
-        labels = (pair.first, pair.second)
-        is_short = all(len(label) <= _MAX_HEADER for label in labels)
-        heads = (*(labels if is_short else ("first", "second")), "change %", "z", "adj. p")
-        rows: list[Row] = []
-        for difference in pair.parameters:
-            verdict = comparison.verdict(difference)
-            values = (plus_minus(p.value, p.std)[0] for p in (difference.first, difference.second))
-            mark = Cell(verdict, mark="bad" if verdict == DIFFERS else "")
-            rows.append((difference.first.label, *values, *_test_cells(difference), mark))
-        output.print_tables(
-            console, table("Parameters", ("parameter", *map(number, heads), "verdict"), rows)
-        )
-        if pair.joint is not None:
-            console.print(Text(f"{_ALL_PARAMETERS}: {_describe_test(comparison, pair.joint)}"))
-        if pair.left_out:
-            listed = "; ".join(f"{name} {reason}" for name, reason in pair.left_out)
-            console.print(Text(f"not compared: {listed}"))
-    if comparison.homogeneity is not None:
-        sentence = _describe_test(comparison, comparison.homogeneity)
-        console.print(Text(f"all {len(comparison.results)} results, {_ALL_PARAMETERS}: {sentence}"))
-    output.print_end(
-        console, "comparison", comparison.headline, comparison.notes, folder, bad=comparison.differs
-    )
-
-
-def _test_cells(difference: ParameterDifference) -> tuple[str, ...]:
-    """Change [%], z and adjusted p-value as text."""
-    percent = "" if difference.percent is None else f"{difference.percent:+.2f}"
-    if difference.percent is not None and abs(difference.percent) < 1.0:
-        percent = f"{difference.percent:+.3f}"
-    return percent, f"{difference.z:+.1f}", format_p(difference.adjusted_p)
-
-
-def _describe_test(comparison: ResultComparison, test: JointTest) -> str:
-    law = f"chi-square with {test.rank} degrees of freedom"
-    if math.isfinite(test.degrees):
-        law = f"rank {test.rank}, covariance with {test.degrees:.3g} degrees of freedom"
-    return (
-        f"{test.statistic:.1f} ({law}; {test.n_values} values), "
-        f"adjusted p {format_p(test.adjusted_p)}: {comparison.verdict(test)}"
-    )
-
-
 def render(comparison: ResultComparison) -> str:
     """The comparison as one self-contained HTML page."""
     test = comparison.homogeneity
-    facts = [f"All results together: {_describe_test(comparison, test)}"] if test else []
+    facts = [f"All results together: {comparison.describe(test)}"] if test else []
     before = output.page_summary(
         comparison.headline, facts, comparison.notes, bad=comparison.differs
     )
@@ -195,11 +140,11 @@ def _pair_blocks(comparison: ResultComparison, pair: Pair) -> Iterator[Block]:
         values = (" ± ".join(plus_minus(p.value, p.std)) for p in estimates)
         name = Cell(difference.first.label, "name")
         mark = Cell(verdict, mark="bad" if verdict == DIFFERS else "")
-        numbers = (*_test_cells(difference), *values)
+        numbers = (*difference.cells, *values)
         rows.append((name, mark, *map(number, numbers), difference.first.unit))
     yield from table("Parameters", heads, rows, heading=False)
     if pair.joint is not None:
-        yield paragraph(f"All parameters together: {_describe_test(comparison, pair.joint)}.")
+        yield paragraph(f"All parameters together: {comparison.describe(pair.joint)}.")
     figure = change_figure(comparison, pair)
     if figure is not None:
         caption = (

@@ -14,8 +14,6 @@ from strainwave.io.atomic_files import write_whole
 from strainwave.report.document.blocks import Callout, Mark, Span, Table, paragraph
 from strainwave.report.terminal import printed_table
 
-_MIN_PRINTED_P = 1e-16  # rounding of the test statistics limits smaller values
-
 
 def write(name: str, document: dict[str, Any], page: str, folder: Path) -> None:
     """Write name.json and name.html into a folder."""
@@ -56,10 +54,3 @@ def page_summary(verdict: str, facts: Sequence[str], notes: Sequence[str], *, ba
     lead += [paragraph(f"{fact}.") for fact in facts]
     lead += [paragraph(f"Note: {note}.") for note in notes]
     return Callout(mark, tuple(lead))
-
-
-def format_p(p: float) -> str:
-    """A p-value with two significant digits, one below 1e-4."""
-    if p < _MIN_PRINTED_P:
-        return f"<{_MIN_PRINTED_P:.0e}"
-    return f"{p:.2g}" if p >= 1e-4 else f"{p:.0e}"

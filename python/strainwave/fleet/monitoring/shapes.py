@@ -41,19 +41,12 @@ class ParameterSeries:
     covariates: FloatArray  # (n_visits, n_covariates)
 
 
-@dataclass(frozen=True, slots=True)
-class Shape:
-    """One kind of change."""
-
-    kind: Kind
-    first: int  # visit from 0: the first after a step, or the last before a drift
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectedChange:
     """The shape that explains a series best, and its significance."""
 
-    shape: Shape
+    kind: Kind
+    first: int  # visit from 0: the first after a step, or the last before a drift
     size: float  # over the whole history
     size_std: float
     p: float  # probability that any shape is as significant if nothing changed
@@ -93,13 +86,15 @@ def fit_change(series: ParameterSeries, rng: np.random.Generator) -> DetectedCha
     variance = np.maximum(residual, space.min_variance)
     t2 = along**2 / variance
     best = int(np.argmax(t2))
+    kind, first = shapes[best]
     p = cap_union_probability(t2[best] / (t2[best] + degrees), directions, space.free, rng)
     size, size_std = along / scale, np.sqrt(variance) / scale
     column = columns[:, best]
     tau2 = estimate_visit_variance(series.value, series.std, np.column_stack([X, column]))
     fitted = series.value - space.residual_of(series.value - size[best] * column)
     return DetectedChange(
-        shape=shapes[best],
+        kind=kind,
+        first=first,
         size=float(size[best]),
         size_std=float(size_std[best]),
         p=p,
@@ -231,19 +226,22 @@ class _Whitened:
         return float(np.linalg.lstsq(self.X * self.root[:, None], value * self.root)[0][0])
 
 
-def _shapes(time: FloatArray) -> tuple[list[Shape], FloatArray]:
-    """All shapes, first the drift over all visits, and their columns, which end at one."""
+def _shapes(time: FloatArray) -> tuple[list[tuple[Kind, int]], FloatArray]:
+    """All shapes, first the drift over all visits, and their columns, which end at one.
+
+    A shape is its kind and `DetectedChange.first`.
+    """
     n = len(time)
     span = max(float(np.ptp(time)), np.finfo(float).tiny)
-    shapes = [Shape("drift", 0)]
+    shapes: list[tuple[Kind, int]] = [("drift", 0)]
     columns = [(time - time[0]) / span]
     for k in _change_visits(time):
-        shapes.append(Shape("step", int(k)))
+        shapes.append(("step", int(k)))
         columns.append((np.arange(n) >= k).astype(np.float64))
     for k in _change_visits(time):
         start = time[k - 1]
         if start > time[0] and time[-1] > time[k]:
-            shapes.append(Shape("drift since", int(k) - 1))
+            shapes.append(("drift since", int(k) - 1))
             columns.append(np.maximum(time - start, 0.0) / (time[-1] - start))
     return shapes, np.column_stack(columns)
 
@@ -256,13 +254,13 @@ def _change_visits(time: FloatArray) -> IntArray:
 
 def fitted_line(change: DetectedChange, series: ParameterSeries) -> Iterator[tuple[float, float]]:
     """Points (time, value) of the fitted shape at mean covariates, for a plot."""
-    t, k = series.time, change.shape.first
+    t, k = series.time, change.first
     after = change.level + change.size
     yield float(t[0]), change.level
-    if change.shape.kind == "step":
+    if change.kind == "step":
         middle = 0.5 * float(t[k - 1] + t[k])
         yield middle, change.level
         yield middle, after
-    elif change.shape.kind == "drift since":
+    elif change.kind == "drift since":
         yield float(t[k]), change.level
     yield float(t[-1]), after

@@ -16,7 +16,7 @@ import numpy as np
 from strainwave.domain.keys import Key, Keyed
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.fleet.campaign.store import read_parameters, read_runs
-from strainwave.fleet.monitoring.result_estimates import is_record_parameter
+from strainwave.fleet.monitoring.comparison import is_record_parameter
 from strainwave.fleet.monitoring.shapes import ParameterSeries
 from strainwave.io.atomic_files import decode, read_bytes
 

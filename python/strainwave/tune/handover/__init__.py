@@ -1,12 +1,12 @@
 """Hand-over of a servo design: JSON, C, MATLAB, text, ros2_control, python-control."""
 
 from strainwave.tune.handover.json_document import to_json
-from strainwave.tune.handover.ros2_control import to_ros2_control
 from strainwave.tune.handover.texts import (
     controllers,
     observers,
     to_c_header,
     to_markdown,
+    to_ros2_control,
     to_script,
 )
 

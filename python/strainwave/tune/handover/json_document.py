@@ -113,13 +113,13 @@ def _joint(design: ServoDesign, servo: JointServo) -> dict[str, Any]:
         "name": design.arm.study.arm.joint_names[number - 1],
         "units": {"motor_angle": units.angle, "limit": units.input, "kp": units.kp, "ki": units.ki},
         "limit": float(design.limits[number - 1]),
-        **_gains(servo.tuned.gains),
+        **_gains(servo.gains),
         "filters": [
             {"hz" if key == "frequency_hz" else key: value for key, value in asdict(one).items()}
-            for one in servo.tuned.gains.filters
+            for one in servo.gains.filters
         ],
-        "law": _law(servo.tuned.gains.law()),
-        "bandwidth_is_limited_by": servo.tuned.limit,
+        "law": _law(servo.gains.law()),
+        "bandwidth_is_limited_by": servo.limit,
         "margins": _margins(design, servo.results.margins),
         "step": _step(servo.results.steps),
         "current": current,
@@ -202,8 +202,8 @@ def _damping(design: ServoDesign, damping: Damping) -> dict[str, Any]:
         "torsion_rate_gain": damping.gains[1],
         "is_used": not damping.reason,
         "reason": damping.reason,
-        "ratio_without": asdict(damping.without),
-        "ratio_with": asdict(damping.with_feedback),
+        "ratio_without": dict(zip(("least", "median"), damping.without, strict=True)),
+        "ratio_with": dict(zip(("least", "median"), damping.with_feedback, strict=True)),
         "margins": damping.margins and _margins(design, damping.margins),
         "law": None if damping.reason else _law(damping.law),
     }

@@ -57,7 +57,7 @@ def _at(margin: MarginSummary) -> str:
 
 def limit_sentence(design: ServoDesign, joint: JointServo) -> str:
     """What prevents a higher bandwidth of a joint."""
-    if joint.tuned.limit == "encoder":
+    if joint.limit == "encoder":
         counts = design.arm.study.arm.joints[joint.joint - 1].encoder_counts
         return (
             f"joint {joint.joint} is limited by its encoder of {counts:g} counts per turn: with a "
@@ -136,7 +136,7 @@ def behaviour(design: ServoDesign) -> Iterator[Table]:
 
 def _servos(design: ServoDesign) -> Iterator[tuple[str, str, Gains, LoopResults]]:
     for joint in design.joints:
-        yield str(joint.joint), "designed", joint.tuned.gains, joint.results
+        yield str(joint.joint), "designed", joint.gains, joint.results
         if joint.current is not None and joint.current_results is not None:
             yield str(joint.joint), "current", joint.current, joint.current_results
 
@@ -270,7 +270,7 @@ def dampings(design: ServoDesign) -> Iterator[Table]:
             servos.append(("torsion feedback", one.with_feedback, one.margins))
         for name, ratios, margins in servos:
             least = (f"{margin.least:.3g}" for margin in worst_margins(design, margins))
-            sizes = (f"{ratios.least:.2g}", f"{ratios.median:.2g}", *least)
+            sizes = (*(f"{ratio:.2g}" for ratio in ratios), *least)
             rows.append((str(one.joint), name, *map(number, sizes)))
     numbers = map(number, ("least", "median", "gain [dB]", "phase [deg]", "modulus"))
     title = "Least damping of the links over all plants"

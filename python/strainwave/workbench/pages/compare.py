@@ -25,7 +25,6 @@ from strainwave.export import arm_of
 from strainwave.export.state_space import Matrices, joint_model, state_space
 from strainwave.fleet.monitoring import comparison as monitoring
 from strainwave.fleet.monitoring.comparison_output import to_document
-from strainwave.fleet.monitoring.result_estimates import read_estimates
 from strainwave.report.document.blocks import read_figures
 from strainwave.report.figures import DASHES, PALETTE, Axis, Figure, Line, Markers, Panel
 from strainwave.report.figures.curves import Curve, bode
@@ -240,7 +239,7 @@ def compare(request: Request, body: Body) -> object:
     document: dict[str, Any] | None = None
     note = ""
     try:
-        estimates = read_estimates([one.path for one in results])
+        estimates = monitoring.read_estimates([one.path for one in results])
         document = to_document(monitoring.compare(estimates))
     except InvalidInput as error:
         note = message_of(request, error)

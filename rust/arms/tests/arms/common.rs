@@ -13,8 +13,8 @@ use strainwave_core::experiment::{
 use strainwave_core::joint::effects::{self, EffectDeclaration, EffectKinds};
 use strainwave_core::joint::gear::{self, CORNER, GearLaw, Law, Linear, ThreeSlope};
 use strainwave_core::plant::config::{Config, JointConfig};
-use strainwave_core::program::{Request, Width};
-use strainwave_core::sensitivity::Sensitivities;
+use strainwave_core::program::Width;
+use strainwave_core::sensitivity::{Request, Sensitivities};
 
 pub const LINEAR: Law = Linear::LAW;
 pub const THREE_SLOPE: Law = ThreeSlope::LAW;

@@ -9,8 +9,9 @@ use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Source, Task
 use strainwave_core::joint::gear::{GearLaw, Law, MAX_LAW_PARAMETERS, SingleLaw, Spring};
 use strainwave_core::parameter::{Parameter, STIFFNESS};
 use strainwave_core::plant::config::Config;
-use strainwave_core::program::{Request, dual_numbers, forward, simulate};
+use strainwave_core::program::{dual_numbers, forward, simulate};
 use strainwave_core::scalar::Real;
+use strainwave_core::sensitivity::Request;
 
 /// T = k delta (1 + c |delta|).
 #[derive(Clone, Copy)]

@@ -4,9 +4,8 @@ use crate::arm::Arm;
 use crate::experiment::simulate::Simulate;
 use crate::experiment::{Diverged, Record, Source};
 use crate::joint::gear::Gears;
-use crate::program::Request;
 use crate::scalar::{Dual, Real};
-use crate::sensitivity::Sensitivities;
+use crate::sensitivity::{Request, Sensitivities};
 
 /// Simulates over dual numbers: `V::LANES` directions at a time, with one simulation each.
 ///

@@ -21,9 +21,37 @@ mod tangent_block;
 mod trace;
 mod variational;
 
-use crate::experiment::{Record, RecordOf, values};
+use crate::experiment::{Member, Record, RecordOf, Source, Task, values};
 use crate::scalar::{Dual, Real};
 use crate::sensors::decimation::Decimation;
+
+/// A request for the derivatives of an experiment.
+#[derive(Clone, Copy)]
+pub struct Request<'a, A, const N: usize> {
+    /// The experiment.
+    pub task: &'a Task<A, N>,
+    /// Parameters of the arm, and initial state.
+    pub member: &'a Member<'a, N>,
+    /// The parameters and initial states to differentiate with respect to.
+    pub directions: &'a [Source],
+    /// Low-pass and decimation of the samples; `None`: all samples.
+    pub decimation: Option<&'a Decimation>,
+}
+
+impl<'a, A, const N: usize> Request<'a, A, N> {
+    /// The same request with another representation of the arm.
+    pub fn with_task<'b, B>(&self, task: &'b Task<B, N>) -> Request<'b, B, N>
+    where
+        'a: 'b,
+    {
+        Request {
+            task,
+            member: self.member,
+            directions: self.directions,
+            decimation: self.decimation,
+        }
+    }
+}
 
 /// Recorded quantities and their derivatives.
 #[derive(Clone, Debug, PartialEq)]

@@ -5,9 +5,9 @@ use strainwave_core::experiment::known_length::{padded, with_known_length};
 use strainwave_core::experiment::{Diverged, Member, Record, Task};
 use strainwave_core::joint::gear::Slopes;
 use strainwave_core::program::{
-    Differentiation, FastPrograms, GeneralPrograms, Request, forward, forward_avx512, simulate,
+    Differentiation, FastPrograms, GeneralPrograms, forward, forward_avx512, simulate,
 };
-use strainwave_core::sensitivity::Sensitivities;
+use strainwave_core::sensitivity::{Request, Sensitivities};
 
 type Arm = SerialChain<MAX_CHAIN_JOINTS>;
 /// A chain whose length the compiler knows.

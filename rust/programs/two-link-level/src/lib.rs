@@ -3,8 +3,8 @@
 use strainwave_core::arm::TwoLink;
 use strainwave_core::experiment::{Diverged, Member, Record, Task};
 use strainwave_core::joint::gear::Slopes;
-use strainwave_core::program::{FastPrograms, Request, forward, forward_avx512, simulate};
-use strainwave_core::sensitivity::Sensitivities;
+use strainwave_core::program::{FastPrograms, forward, forward_avx512, simulate};
+use strainwave_core::sensitivity::{Request, Sensitivities};
 
 type Arm = TwoLink<true>;
 type LevelArm = TwoLink<false>;
