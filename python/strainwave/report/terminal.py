@@ -22,7 +22,8 @@ from strainwave.domain import (
 )
 from strainwave.domain.keys import Key
 from strainwave.domain.messages.formatting import percent, plus_minus
-from strainwave.report.document.blocks import Cell, Row, RowGroup, Table, number, prose, table
+from strainwave.report.document import blocks
+from strainwave.report.document.blocks import Cell, Row, RowGroup, Table
 from strainwave.report.document.elastic import mode_cells, trend_title
 from strainwave.report.document.parameters import SUMMARY_HEADS, summary_row
 from strainwave.report.document.rig import gain_sentences
@@ -95,8 +96,8 @@ _BOUNDS = {"equal": "", "least": "> ", "most": "< "}
 def print_check(check: InputCheck, *, console: Console | None = None) -> None:
     """Print the relations of an input check as a table, warnings, and the suspected faults."""
     console = console or Console(highlight=False)
-    numbers = map(number, ("measured", "expected", "accuracy"))
-    heads: Row = (prose("relation"), "place", *numbers, "verdict")
+    numbers = map(blocks.number, ("measured", "expected", "accuracy"))
+    heads: Row = (blocks.prose("relation"), "place", *numbers, "verdict")
     places: dict[tuple[str, ...], list[str]] = {}
     for relation in sorted(check.relations, key=lambda each: each.is_consistent):
         verdict = "consistent" if relation.is_consistent else "contradiction"
@@ -110,7 +111,7 @@ def print_check(check: InputCheck, *, console: Console | None = None) -> None:
     for (text, *values, verdict), names in places.items():
         mark = Cell(verdict, mark="" if verdict == "consistent" else "bad")
         rows.append((text, ", ".join(names), *values, mark))
-    for relations in table("Relations", heads, rows):
+    for relations in blocks.table("Relations", heads, rows):
         console.print(printed_table(relations))
     if check.unchecked:
         console.print(Text(f"in no relation, not checked: {', '.join(check.unchecked)}"))
@@ -163,8 +164,8 @@ def _fit_table(identification: Identification) -> Iterator[Table]:
         cells = dict.fromkeys(channels, "")
         cells |= {name: percent(x) if math.isfinite(x) else "-" for name, x in of_record.items()}
         rows.append((*key, *cells.values()))
-    heads: Row = ("fit of record", "use", *map(number, channels))
-    return table("Fits of the records", heads, rows, heading=False)
+    heads: Row = ("fit of record", "use", *map(blocks.number, channels))
+    return blocks.table("Fits of the records", heads, rows, heading=False)
 
 
 def _resonance_table(identification: Identification) -> Iterator[Table]:
@@ -183,8 +184,13 @@ def _resonance_table(identification: Identification) -> Iterator[Table]:
             cells = (", ".join(f"{value:.4g}" for value in values) for values in kinds)
             where = f"{response.experiment}, {CONDITION_TEXTS[response.condition]}"
             rows.append((f"motor {response.joint}", where, *cells))
-    heads: Row = ("resonances [Hz]", "of", number("anti-resonance"), number("resonance"))
-    return table("Resonances", heads, rows, heading=False)
+    heads: Row = (
+        "resonances [Hz]",
+        "of",
+        blocks.number("anti-resonance"),
+        blocks.number("resonance"),
+    )
+    return blocks.table("Resonances", heads, rows, heading=False)
 
 
 def _parameter_table(decisions: Sequence[Decision], truth: Truth | None) -> Iterator[Table]:
@@ -201,8 +207,8 @@ def _parameter_table(decisions: Sequence[Decision], truth: Truth | None) -> Iter
         rows.append(row)
     heads = SUMMARY_HEADS
     if truth is not None:
-        heads = (*heads, *map(number, ("true", "error %")))
-    return table("Parameters", heads, rows, heading=False)
+        heads = (*heads, *map(blocks.number, ("true", "error %")))
+    return blocks.table("Parameters", heads, rows, heading=False)
 
 
 def printed_table(cells: Table) -> rich_table.Table:

@@ -29,30 +29,15 @@ from strainwave.identification.joint_model.agreement import (
     response_jacobian,
     vector_of,
 )
-from strainwave.report.figures import (
-    DASHES,
-    FREQUENCY_AXIS,
-    SOLID,
-    Area,
-    Axis,
-    Colour,
-    Dash,
-    Figure,
-    Line,
-    Mark,
-    Markers,
-    Panel,
-    Symbol,
-    Upright,
-    spread_evenly,
-)
+from strainwave.report import figures
+from strainwave.report.figures import Area, Axis, Colour, Dash, Figure, Line, Mark, Markers, Panel
 from strainwave.report.figures.curves import ResponseMarks
 from strainwave.statespace import frequency_response, nearest
 
 _MAX_NYQUIST_SHARE = 0.98  # highest frequency of a sampled model's curve over the Nyquist frequency
 _CURVE_POINTS = 300
 _MAX_MEASURED_POINTS = 500
-_STATE_SPACE_DASHES = DASHES[1:4]
+_STATE_SPACE_DASHES = figures.DASHES[1:4]
 _TUNED_DASH: Dash = (8.0, 4.0)
 _PANEL_HEIGHTS, _COHERENCE_HEIGHT = (1.4, 1.0), 0.6  # magnitude and phase; coherence
 _POINT_SIZE, _POINT_OPACITY = 5, 0.4  # pale and large, so that lines on top stay visible
@@ -94,7 +79,9 @@ def bode(
         marks.add_line(response.frequencies_hz, G, label, Colour.LINEAR, dash)
     f: FloatArray = np.geomspace(low, high, _CURVE_POINTS)
     own = FittedJoint(vector_of(joint), joint.covariance[:6, :6])
-    fits: list[tuple[FittedJoint, str, Colour, Dash]] = [(own, "joint model", Colour.MODEL, SOLID)]
+    fits: list[tuple[FittedJoint, str, Colour, Dash]] = [
+        (own, "joint model", Colour.MODEL, figures.SOLID)
+    ]
     if whole_arm is not None:
         fits.append((whole_arm, "whole-arm fit", Colour.TUNED, _TUNED_DASH))
     for fit, name, colour, dash in fits:
@@ -108,7 +95,7 @@ def bode(
             modulus, phase = np.split(np.sqrt(np.clip(variance, 0.0, None)), 2)
             marks.add_band(f, G, (modulus, phase), name, colour)
     panels = (*marks.panels(response_title(is_prismatic=is_prismatic), _PANEL_HEIGHTS), *below)
-    return Figure(FREQUENCY_AXIS, panels, tuple(_uprights(joint)))
+    return Figure(figures.FREQUENCY_AXIS, panels, tuple(_uprights(joint)))
 
 
 def response_title(*, is_prismatic: bool) -> str:
@@ -137,7 +124,7 @@ def _add_measured(
     marks: ResponseMarks, measured: FrequencyResponse, low: float, high: float
 ) -> tuple[Panel, ...]:
     """Add points with their 95 % band; the panel of the coherence is returned if it is known."""
-    rows = spread_evenly(measured.frequencies_hz, low, high, _MAX_MEASURED_POINTS)
+    rows = figures.spread_evenly(measured.frequencies_hz, low, high, _MAX_MEASURED_POINTS)
     f, G = measured.frequencies_hz[rows], measured.response[rows, 0, 0]
     reliable = is_reliable(measured)[rows]
     relative = relative_std(measured)
@@ -175,13 +162,13 @@ def modes_of(joint: JointModel) -> list[tuple[str, Mode]]:
     return [(name, mode) for name, mode in modes if mode is not None]
 
 
-def _uprights(joint: JointModel) -> Iterator[Upright]:
+def _uprights(joint: JointModel) -> Iterator[figures.Upright]:
     """Lines at both modes and at the edges of the fit band; labels are in the phase panel."""
     for name, mode in modes_of(joint):
         text, is_left = f"{name} {mode.frequency_hz:.4g} Hz", name == "anti-resonance"
-        yield Upright(mode.frequency_hz, text, panel=1, before=is_left, dash=SOLID)
+        yield figures.Upright(mode.frequency_hz, text, panel=1, before=is_left, dash=figures.SOLID)
     for edge in joint.band_hz:
-        yield Upright(edge)
+        yield figures.Upright(edge)
 
 
 _ELLIPSE_POINTS = 40
@@ -285,7 +272,7 @@ def _marks(
     k: int = 0,
 ) -> list[Mark]:
     roots = np.concatenate([poles, zeros])
-    kinds: tuple[tuple[Symbol, ComplexArray, str], ...] = (
+    kinds: tuple[tuple[figures.Symbol, ComplexArray, str], ...] = (
         ("x", poles, "poles"),
         ("circle-open", zeros, "zeros"),
     )
@@ -307,5 +294,5 @@ def _marks(
             x, y = vectors @ (radii[:, None] * np.stack([np.cos(angle), np.sin(angle)]))
             label = f"{'poles' if i < len(poles) else 'zeros'}, {name}"
             ellipse = root.real + x, root.imag + y
-            marks.append(Line(*ellipse, label, colour, DASHES[k % 3], 1.0, legend=False))
+            marks.append(Line(*ellipse, label, colour, figures.DASHES[k % 3], 1.0, legend=False))
     return marks

@@ -25,20 +25,9 @@ from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.identification.amplitude_sweep import MIN_TREND_STD_ERRORS
 from strainwave.identification.joint_model.agreement import motor_response, vector_of
 from strainwave.numerics.spectra import cross_spectral_densities
+from strainwave.report import figures
 from strainwave.report.document.bode import response_title
-from strainwave.report.figures import (
-    DASHES,
-    FREQUENCY_AXIS,
-    SHORT_DASH,
-    SOLID,
-    Axis,
-    Colour,
-    Figure,
-    Line,
-    Markers,
-    Panel,
-    decimate,
-)
+from strainwave.report.figures import Axis, Colour, Figure, Line, Markers, Panel
 from strainwave.report.figures.curves import ResponseMarks
 
 
@@ -124,7 +113,7 @@ def mode_cells(mode: Mode | None) -> tuple[str, str]:
 
 _CURVE_POINTS = 200
 _SWEEP_COLOURS = (Colour.MEASURED, Colour.LINEAR, Colour.MODEL, Colour.RESIDUAL)
-_SWEEP_DASHES = DASHES[:3]  # one for each turn of the colours
+_SWEEP_DASHES = figures.DASHES[:3]  # one for each turn of the colours
 _TRENDS = {"hardening": "hardening", "softening": "softening", "no-trend": "no significant trend"}
 
 
@@ -158,7 +147,7 @@ def response_figure(records: Sequence[RecordModel]) -> Figure:
         marks.add_line(
             f, G, name, _SWEEP_COLOURS[position], _SWEEP_DASHES[turn % len(_SWEEP_DASHES)]
         )
-    return Figure(FREQUENCY_AXIS, marks.panels(response_title(is_prismatic=False)))
+    return Figure(figures.FREQUENCY_AXIS, marks.panels(response_title(is_prismatic=False)))
 
 
 def stiffness_figure(sweep: Sweep) -> Figure:
@@ -174,7 +163,7 @@ def stiffness_figure(sweep: Sweep) -> Figure:
     ratio = float(np.mean(y / squared))
     ends = np.array([x.min(), x.max()])
     line = ratio * (level + sweep.slope * (ends - centre))
-    trend = Line(ends, line, "weighted line", Colour.RESIDUAL, SHORT_DASH)
+    trend = Line(ends, line, "weighted line", Colour.RESIDUAL, figures.SHORT_DASH)
     panel = Panel(Axis("equivalent stiffness [N m/rad]"), (trend, marks))
     return Figure(Axis("amplitude of the excitation [V]"), (panel,))
 
@@ -196,7 +185,7 @@ def describe_trend(sweep: Sweep) -> str:
 
 _NAMES = ("motor torque", "interaction torque at the motor")
 _COLOURS = (Colour.MEASURED, Colour.MODEL)
-_DASHES = (SOLID, SHORT_DASH)
+_DASHES = (figures.SOLID, figures.SHORT_DASH)
 _WELCH_SEGMENTS = 8  # of a record
 _SHOWN_DURATION = 0.5  # [s] single oscillations stay visible
 _BAND_MARGIN = 5.0  # highest frequency drawn over the band in which the motor moves
@@ -225,7 +214,7 @@ def torque_figure(record: Decoupled) -> Figure:
     """The beginning of both torques."""
     is_shown = record.time <= record.time[0] + _SHOWN_DURATION
     torques = _at_motor(record)[is_shown]
-    rows = decimate(torques)
+    rows = figures.decimate(torques)
     panel = Panel(Axis("torque [N m]"), _lines(record.time[is_shown][rows], torques[rows]))
     return Figure(Axis("time [s]"), (panel,))
 
@@ -240,7 +229,7 @@ def torque_spectrum(record: Decoupled) -> Figure:
     is_shown = (frequency > 0.0) & (frequency <= end)
     lines = _lines(frequency[is_shown], np.sqrt(power[is_shown]))
     panel = Panel(Axis("torque [N m/sqrt(Hz)]", log=True), lines)
-    return Figure(FREQUENCY_AXIS, (panel,))
+    return Figure(figures.FREQUENCY_AXIS, (panel,))
 
 
 def describe_interaction(record: Decoupled) -> str:

@@ -19,18 +19,8 @@ from strainwave.domain import (
 from strainwave.domain.arm.gear_laws import GearLaw, gear_law
 from strainwave.domain.keys import JointNumber
 from strainwave.domain.results.distributions import CI95_STDS
-from strainwave.report.figures import (
-    SHORT_DASH,
-    Area,
-    Axis,
-    Bars,
-    Colour,
-    Figure,
-    Line,
-    Markers,
-    Panel,
-    Upright,
-)
+from strainwave.report import figures
+from strainwave.report.figures import Area, Axis, Colour, Figure, Line, Markers, Panel, Upright
 
 _POINTS_PER_SEGMENT = 200  # of a curve between two knees
 _RANGE_BEYOND_LAST_KNEE = 1.5  # largest torque drawn over the last knee if the loads are unknown
@@ -115,7 +105,7 @@ def stiffness_figure(curve: StiffnessCurve) -> Figure:
         # logarithmic: the few samples at large torques determine the last stiffness
         axis = Axis("samples [%]", log=True)
         edges = curve.loads.edges
-        bars = Bars(
+        bars = figures.Bars(
             0.5 * (edges[1:] + edges[:-1]),
             100.0 * curve.loads.share,
             float(np.diff(edges)[0]),
@@ -138,7 +128,7 @@ def torsion_figure(curve: StiffnessCurve) -> Figure:
     knees = scale * law.torsion(values, curve.knees)
     marks = (
         Area(x, torque - half, torque + half, Colour.MODEL, "identified curve"),
-        Line(x, initial, "initial stiffness", Colour.RESIDUAL, SHORT_DASH, width=1.0),
+        Line(x, initial, "initial stiffness", Colour.RESIDUAL, figures.SHORT_DASH, width=1.0),
         Line(x, torque, "identified curve", Colour.MODEL, width=2.0),
         *([Markers(knees, curve.knees, "knees", Colour.MODEL, _KNEE_SIZE)] if len(knees) else ()),
     )

@@ -7,16 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from strainwave.domain import FloatArray, MotorResponse
+from strainwave.report import figures
 from strainwave.report.document.bode import response_title
-from strainwave.report.figures import (
-    DOTTED,
-    FREQUENCY_AXIS,
-    SOLID,
-    Colour,
-    Figure,
-    Upright,
-    spread_evenly,
-)
+from strainwave.report.figures import Colour, Figure, Upright
 from strainwave.report.figures.curves import ResponseMarks
 
 _MIN_COHERENCE = 0.8  # of a reliable line
@@ -26,13 +19,13 @@ _LABEL_STEP = 0.16  # height between the labels of neighbours, as a share of the
 
 def motor_figure(response: MotorResponse, *, is_prismatic: bool = False) -> Figure:
     """Magnitude and phase; vertical lines show the modes of the fitted arm."""
-    rows = spread_evenly(response.frequencies_hz, 0.0, np.inf, _MAX_POINTS)
+    rows = figures.spread_evenly(response.frequencies_hz, 0.0, np.inf, _MAX_POINTS)
     f, reliable = response.frequencies_hz[rows], response.coherence[rows] >= _MIN_COHERENCE
     marks = ResponseMarks()
     marks.add_measured(f, response.measured[rows], reliable)
     marks.add_line(f, response.fitted[rows], "fitted arm, simulated", Colour.TUNED)
     panels = marks.panels(response_title(is_prismatic=is_prismatic), (1.2, 0.8))
-    return Figure(FREQUENCY_AXIS, panels, tuple(_uprights(response)))
+    return Figure(figures.FREQUENCY_AXIS, panels, tuple(_uprights(response)))
 
 
 def _uprights(response: MotorResponse) -> Iterator[Upright]:
@@ -50,7 +43,7 @@ def _uprights(response: MotorResponse) -> Iterator[Upright]:
             panel=1,
             height=1.0 - _LABEL_STEP * (k % 2),
             before=is_left,
-            dash=SOLID if is_left else DOTTED,
+            dash=figures.SOLID if is_left else figures.DOTTED,
         )
 
 

@@ -24,22 +24,8 @@ from strainwave.domain.messages.formatting import percent
 from strainwave.domain.study.options import changed_options
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.base_parameters import base_parameter_list
-from strainwave.report.document import bode, elastic, gears, motors
-from strainwave.report.document.blocks import (
-    Block,
-    Facts,
-    FigureKind,
-    FigureName,
-    Fold,
-    Plot,
-    Row,
-    Section,
-    document,
-    keyed,
-    number,
-    paragraph,
-    table,
-)
+from strainwave.report.document import blocks, bode, elastic, gears, motors
+from strainwave.report.document.blocks import Block, Facts, FigureKind, FigureName, Fold, Plot, Row
 from strainwave.report.document.bode import pole_zero_map
 from strainwave.report.document.parameters import (
     base_parameter_table,
@@ -74,17 +60,17 @@ def render(identification: Identification) -> str:
     springs = ", ".join(dict.fromkeys(joint.spring for joint in study.arm.joints))
     subtitle = f"{study.arm.kind.replace('-', ' ')}, gear springs: {springs}; "
     subtitle += f"stages: {', '.join(identification.stages)}"
-    return document(rig, subtitle, _sections(identification))
+    return blocks.document(rig, subtitle, _sections(identification))
 
 
 def figures_of(identification: Identification) -> dict[str, Figure]:
     """Every figure of the report, by a name that is valid as a file name."""
-    return {key: plot.figure for key, plot in keyed(_sections(identification)).items()}
+    return {key: plot.figure for key, plot in blocks.keyed(_sections(identification)).items()}
 
 
 def find_figure(identification: Identification, name: FigureName) -> Figure:
     """The first figure of the report that has a name; `InvalidInput` lists the others."""
-    plots = keyed(_sections(identification)).values()
+    plots = blocks.keyed(_sections(identification)).values()
     for plot in plots:
         if isinstance(plot.name, FigureName) and name.includes(plot.name):
             return plot.figure
@@ -95,7 +81,7 @@ def find_figure(identification: Identification, name: FigureName) -> Figure:
     )
 
 
-def _sections(result: Identification) -> list[Section]:
+def _sections(result: Identification) -> list[blocks.Section]:
     n_recorded = sum(len(log.channels) for log in result.logs)
     recording_points = _line_points(_MAX_RECORDING_POINTS, n_recorded)
     parts = (
@@ -114,7 +100,7 @@ def _sections(result: Identification) -> list[Section]:
         ("warnings", "Warnings", warnings_table(result.warnings)),
         ("making", "Provenance", _provenance_blocks(result)),
     )
-    return [Section(key, title, tuple(blocks)) for key, title, blocks in parts]
+    return [blocks.Section(key, title, tuple(content)) for key, title, content in parts]
 
 
 def _rig_blocks(arm: ArmDescription) -> Iterator[Block]:
@@ -126,7 +112,7 @@ def _rig_blocks(arm: ArmDescription) -> Iterator[Block]:
 def _base_parameter_blocks(result: Identification) -> Iterator[Block]:
     parameters = base_parameter_list(result.study.arm, result.parameters)
     if parameters:
-        yield paragraph(
+        yield blocks.paragraph(
             "Motion determines these combinations of masses m, first moments mx, my, mz, inertias "
             "Ixx to Izz about the origin of the joint's frame, and motor inertias; the number of a "
             "parameter is that of its joint."
@@ -137,7 +123,7 @@ def _base_parameter_blocks(result: Identification) -> Iterator[Block]:
 def _parameter_blocks(result: Identification) -> Iterator[Block]:
     yield from parameter_table(result.decisions)
     for clause in gain_sentences(result):
-        yield paragraph(f"{clause[0].upper()}{clause[1:]}.")
+        yield blocks.paragraph(f"{clause[0].upper()}{clause[1:]}.")
     descriptions = tuple(descriptions_table(result.decisions))
     if descriptions:
         yield Fold("Descriptions of the parameters", descriptions)
@@ -148,7 +134,7 @@ def _response_blocks(result: Identification) -> Iterator[Block]:
         yield _bode_plot(result, joint)
     heads = ("joint", "records", "anti-resonance [Hz]", "damping", "resonance [Hz]", "damping")
     rows = elastic.resonance_rows(result)
-    yield from table("Resonances and anti-resonances", (*heads, "stiffness [N m/rad]"), rows)
+    yield from blocks.table("Resonances and anti-resonances", (*heads, "stiffness [N m/rad]"), rows)
     for sweep in result.sweeps:
         label = f"Joint {sweep.joint}, stiffness over amplitude: {elastic.trend_title(sweep)}"
         figure, caption = elastic.stiffness_figure(sweep), elastic.describe_trend(sweep)
@@ -257,16 +243,16 @@ def _prediction_blocks(result: Identification) -> Iterator[Block]:
     names = list(dict.fromkeys(name for fits in whole_arm.fit_percent.values() for name in fits))
     rows: list[Row] = []
     for experiment, fits in whole_arm.fit_percent.items():
-        cells = [number("")] * len(names)
+        cells = [blocks.number("")] * len(names)
         for name, after in fits.items():
             before = whole_arm.initial_fit_percent.get(experiment, {}).get(name, math.nan)
             change = f"{percent(before)} → {percent(after)}"
             text = change if math.isfinite(before + after) else _format_fit(after)
-            cells[names.index(name)] = number(text)
+            cells[names.index(name)] = blocks.number(text)
         rows.append((experiment, *cells))
     outcome = f"{whole_arm.end}, {whole_arm.iterations} evaluations"
     title = f"Fits before → after the whole-arm fit ({outcome})"
-    yield from table(title, ("record", *map(number, names)), rows)
+    yield from blocks.table(title, ("record", *map(blocks.number, names)), rows)
 
 
 def _line_points(total: int, lines: int) -> int:
@@ -307,7 +293,7 @@ def _interaction_blocks(result: Identification) -> Iterator[Block]:
     delays = ("link sensor delay [ms]", "motor response delay [ms]")
     rows = elastic.link_rows(result)
     label = "Link motion of each record"
-    links = tuple(table(label, (*heads, *delays), rows, heading=False))
+    links = tuple(blocks.table(label, (*heads, *delays), rows, heading=False))
     if links:
         yield Fold(f"{label} ({len(rows)} rows)", links)
 
@@ -337,7 +323,7 @@ def _residual_blocks(result: Identification) -> Iterator[Block]:
     title = "State-space models on the last quarter of their record, fitted to the rest"
     tests = ("whiteness p", "independence of past inputs p", "no feedback p")
     heads = ("joint", "record", "one-step fits", *tests)
-    yield from table(title, heads, elastic.validation_rows(result))
+    yield from blocks.table(title, heads, elastic.validation_rows(result))
 
 
 def _correlation_blocks(result: Identification) -> Iterator[Block]:

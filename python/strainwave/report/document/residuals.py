@@ -21,34 +21,11 @@ from strainwave.domain.arm.effects import effect_named
 from strainwave.domain.messages.formatting import plus_minus
 from strainwave.domain.results.distributions import CI99_STDS
 from strainwave.numerics.spectra import correlate_residuals, expected_autocorrelation
-from strainwave.report.document.blocks import (
-    Block,
-    FigureName,
-    Fold,
-    Plot,
-    Row,
-    Span,
-    Table,
-    number,
-    paragraph,
-    prose,
-    table,
-    two_digits,
-)
+from strainwave.report import figures
+from strainwave.report.document import blocks
+from strainwave.report.document.blocks import Block, FigureName, Fold, Plot, Row, Span, Table
 from strainwave.report.document.predictions import unit_of
-from strainwave.report.figures import (
-    DASHES,
-    FREQUENCY_AXIS,
-    PALETTE,
-    SHORT_DASH,
-    Area,
-    Axis,
-    Colour,
-    Figure,
-    Line,
-    Mark,
-    Panel,
-)
+from strainwave.report.figures import Area, Axis, Colour, Figure, Line, Mark, Panel
 
 MIN_PROBABILITY = 1e-3  # smaller probabilities are shown as "< 0.001"
 _LISTED_SIZES = 3  # sizes of one effect in a cell
@@ -69,13 +46,13 @@ def residual_tests(criticism: Criticism) -> Iterator[Block]:
     if len(tests) > len(worst):
         label = f"All {len(tests)} residual tests"
         yield Fold(label, tuple(_residual_table(label, tests, heading=False)))
-    share = number("share of the cost")
+    share = blocks.number("share of the cost")
     heads: Row = ("effect", "joint", "its parameters", share, "changes by it", "model")
     title = "Effects that the model includes, and plausible ones that the intervals contain"
-    yield from table(title, heads, map(_cause_row, criticism.causes))
+    yield from blocks.table(title, heads, map(_cause_row, criticism.causes))
     for name in dict.fromkeys(cause.effect for cause in criticism.causes):
         effect = effect_named(name)
-        yield paragraph(
+        yield blocks.paragraph(
             Span(effect.name, kind="code"),
             f" is {effect.description}. Without it in the model, {effect.consequence}."
             f" To confirm it, {effect.experiment}.",
@@ -119,17 +96,17 @@ def spectrum(test: ResidualTest) -> Figure:
     axis = Axis(f"{test.channel} [{unit_of(test.channel)}/sqrt(Hz)]", log=True)
     lines = (
         Line(f, residuals, "residuals", Colour.MEASURED),
-        Line(f, noise, "sensor noise", Colour.RESIDUAL, SHORT_DASH),
+        Line(f, noise, "sensor noise", Colour.RESIDUAL, figures.SHORT_DASH),
     )
-    return Figure(FREQUENCY_AXIS, (Panel(axis, lines),))
+    return Figure(figures.FREQUENCY_AXIS, (Panel(axis, lines),))
 
 
 def _residual_table(
     title: str, tests: Sequence[ResidualTest], *, heading: bool = True
 ) -> Iterator[Table]:
-    numbers = map(number, ("residual / noise", "largest excess at", "like sensor noise"))
+    numbers = map(blocks.number, ("residual / noise", "largest excess at", "like sensor noise"))
     heads: Row = ("record", "channel", *numbers, "correlated with an input")
-    return table(title, heads, map(_residual_row, tests), heading=heading)
+    return blocks.table(title, heads, map(_residual_row, tests), heading=heading)
 
 
 def _residual_row(test: ResidualTest) -> Row:
@@ -140,8 +117,8 @@ def _residual_row(test: ResidualTest) -> Row:
     p = f"p < {MIN_PROBABILITY:g}"
     if test.whiteness >= MIN_PROBABILITY:
         p = f"p = {test.whiteness:.2g}"
-    numbers = two_digits(_noise_ratio(test)), f"{test.worst_hz:.3g} Hz", p
-    return (test.experiment, test.channel, *map(number, numbers), input_text)
+    numbers = blocks.two_digits(_noise_ratio(test)), f"{test.worst_hz:.3g} Hz", p
+    return (test.experiment, test.channel, *map(blocks.number, numbers), input_text)
 
 
 def _noise_ratio(test: ResidualTest) -> float:
@@ -163,14 +140,14 @@ def _cause_row(cause: Cause) -> Row:
         if shift.without:
             change = f"{100.0 * shift.shift / shift.without:+.2g} %"
         shifts.append(f"{shift.label} {change}")
-    share = number(f"{two_digits(100.0 * cause.share)} %")
+    share = blocks.number(f"{blocks.two_digits(100.0 * cause.share)} %")
     return (
         cause.effect,
         str(cause.joint),
         listed or "not identified",
         share,
-        prose(", ".join(shifts)),
-        "included" if cause.is_included else f"weight {two_digits(cause.weight)}",
+        blocks.prose(", ".join(shifts)),
+        "included" if cause.is_included else f"weight {blocks.two_digits(cause.weight)}",
     )
 
 
@@ -275,11 +252,21 @@ def _correlation_panels(
         above.insert(0, Area(lag, both(limits[0]), both(limits[1]), Colour.RESIDUAL, name))
     below: list[Mark] = []
     for k, (label, (values, limit)) in enumerate(cross.items()):
-        colour = PALETTE[(0, 2, 3, 4, 5)[k % 5]]
+        colour = figures.PALETTE[(0, 2, 3, 4, 5)[k % 5]]
         below.append(
             Area(lag, np.full(len(lag), -limit), np.full(len(lag), limit), Colour.RESIDUAL, label)
         )
-        below.append(Line(lag, values, label, colour, DASHES[k % len(DASHES)], size=3.0, width=1.0))
+        below.append(
+            Line(
+                lag,
+                values,
+                label,
+                colour,
+                figures.DASHES[k % len(figures.DASHES)],
+                size=3.0,
+                width=1.0,
+            )
+        )
     range_ = (-1.05, 1.05)
     panels = [Panel(Axis(f"{channel} [auto]", range=range_), tuple(above), _CORRELATION_HEIGHT)]
     if below:

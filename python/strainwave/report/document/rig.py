@@ -12,19 +12,10 @@ from strainwave.domain import ArmDescription, FloatArray, Identification, Joint,
 from strainwave.domain.arm.kinds import kind_of
 from strainwave.domain.arm.link_sensors import all_types, key_texts
 from strainwave.domain.arm.link_sensors.link_space import attitude
-from strainwave.report.document.blocks import Block, Cell, Facts, Row, number, table
-from strainwave.report.figures import (
-    SHORT_DASH,
-    SOLID,
-    Axis,
-    Colour,
-    Dash,
-    Figure,
-    Line,
-    Mark,
-    Markers,
-    Panel,
-)
+from strainwave.report import figures
+from strainwave.report.document import blocks
+from strainwave.report.document.blocks import Block, Cell, Facts, Row
+from strainwave.report.figures import Axis, Colour, Dash, Figure, Line, Mark, Markers, Panel
 
 _NOT_GIVEN = "not given"
 _MAX_ROUNDING = 1e-12  # of a coordinate or an angle that frames of fixed joints were merged into
@@ -33,8 +24,8 @@ _MAX_ROUNDING = 1e-12  # of a coordinate or an angle that frames of fixed joints
 def rig_constants(arm: ArmDescription) -> Iterator[Block]:
     """A table of the constants of each joint and its servo, then the constants of the arm."""
     joints = [f"joint {number}" for number in range(1, arm.n_joints + 1)]
-    heads: Row = ("constant", *map(number, joints), "unit", "key in study.toml")
-    yield from table("Rig constants", heads, _constant_rows(arm), heading=False)
+    heads: Row = ("constant", *map(blocks.number, joints), "unit", "key in study.toml")
+    yield from blocks.table("Rig constants", heads, _constant_rows(arm), heading=False)
     if facts := tuple(_arm_facts(arm)):
         yield Facts(facts)
 
@@ -108,7 +99,7 @@ def _vector(values: Sequence[float]) -> str:
 
 
 def _constant_row(title: str, key: str, unit: str, values: Sequence[str]) -> Row:
-    cells = (number(value or _NOT_GIVEN) for value in values)
+    cells = (blocks.number(value or _NOT_GIVEN) for value in values)
     return (title, *cells, unit, Cell(key, "code"))
 
 
@@ -189,9 +180,9 @@ def arm_picture(arm: ArmDescription) -> Figure:
     base = np.zeros(3)
     marks: list[Mark] = [_line([base, *origins], "links", Colour.RESIDUAL, width=5.0)]
     for joint, origin, axis in zip(arm.joints, origins, axes, strict=True):
-        name, colour, dash = "axes of revolute joints", Colour.MEASURED, SOLID
+        name, colour, dash = "axes of revolute joints", Colour.MEASURED, figures.SOLID
         if joint.motion == "prismatic":
-            name, colour, dash = "direction of prismatic joints", Colour.TUNED, SHORT_DASH
+            name, colour, dash = "direction of prismatic joints", Colour.TUNED, figures.SHORT_DASH
         half = size * _AXIS_SHARE * axis
         marks.append(_line([origin - half, origin + half], name, colour, dash))
     arrows = {("frame of the base", Colour.LINEAR): dict(zip("xyz", np.eye(3), strict=True))}
@@ -224,7 +215,11 @@ def describe_arm(arm: ArmDescription) -> str:
 
 
 def _line(
-    points: Sequence[FloatArray], name: str, colour: str, dash: Dash = SOLID, width: float = 3.0
+    points: Sequence[FloatArray],
+    name: str,
+    colour: str,
+    dash: Dash = figures.SOLID,
+    width: float = 3.0,
 ) -> Line:
     return Line(*_projected(points), name, colour, dash, width)
 

@@ -31,21 +31,11 @@ from strainwave.domain import (
 )
 from strainwave.domain.messages.formatting import percent, plus_minus
 from strainwave.errors import InvalidInput
+from strainwave.report import figures
 from strainwave.report.document import bode, elastic, predictions
 from strainwave.report.document.blocks import Row, number, table
 from strainwave.report.document.parameters import SUMMARY_HEADS, summary_row
-from strainwave.report.figures import (
-    DASHES,
-    PALETTE,
-    Axis,
-    Colour,
-    Figure,
-    Line,
-    Markers,
-    Panel,
-    curves,
-    decimate,
-)
+from strainwave.report.figures import Axis, Colour, Figure, Line, Markers, Panel, curves
 from strainwave.report.html import fill_template
 from strainwave.report.matplotlib_backend import draw
 
@@ -316,12 +306,12 @@ def _stacked(
     titles: tuple[str, str],
     caption: str,
 ) -> Figure:
-    styles = iter(zip(PALETTE * 2, DASHES * 2, strict=True))
+    styles = iter(zip(figures.PALETTE * 2, figures.DASHES * 2, strict=True))
     panels = []
     for title, group in zip(titles, (above, below), strict=True):
         marks = []
         for (name, values), (colour, dash) in zip(group.items(), styles, strict=False):
-            rows = decimate(values)
+            rows = figures.decimate(values)
             marks.append(Line(time[rows], values[rows], name, colour, dash))
         panels.append(Panel(Axis(title), tuple(marks)))
     return Figure(Axis("time [s]"), tuple(panels), caption=caption)
