@@ -485,8 +485,7 @@ class Result:
         one. Raises `InvalidInput` if python-control is missing, the gear of the joint is rigid, or
         a parameter is not identified.
         """
-        from strainwave.export.linear_arm import linear_arm
-        from strainwave.export.state_space import INPUTS, OUTPUTS, STATES, state_space
+        from strainwave.export.linear_models import INPUTS, OUTPUTS, STATES, linear_arm, state_space
 
         control = import_optional("control", "a state-space object", "control")
         system: StateSpace
@@ -513,7 +512,7 @@ class Result:
         resonance. Errors as for `state_space`, except that python-control is not needed.
         """
         from strainwave.dynamics.two_inertia import anti_resonance, resonance
-        from strainwave.export.state_space import joint_model, joint_model_covariance
+        from strainwave.export.linear_models import joint_model, joint_model_covariance
         from strainwave.identification.joint_model.agreement import (
             motor_response,
             response_jacobian,

@@ -16,9 +16,8 @@ from scipy.io import loadmat
 
 import exports
 from strainwave.export import IdentifiedArm, state_space
-from strainwave.export.linear_arm import linear_arm
-from strainwave.export.matlab import to_mat, to_script
-from strainwave.export.state_space import INPUTS, OUTPUTS, STATES
+from strainwave.export.flat import to_mat, to_script
+from strainwave.export.linear_models import INPUTS, OUTPUTS, STATES, linear_arm
 
 
 @pytest.fixture

@@ -12,19 +12,8 @@ from strainwave.domain import Joint, JointLimits, LinkPrior
 from strainwave.domain.arm.kinds.base import Body
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NumericalFailure
-from strainwave.export.completion import (
-    body_torques,
-    chain_of,
-    gravity_warnings,
-    loss_note,
-    motion_of,
-    motor_friction,
-    nonnegative_fit,
-    rotor_inertias,
-    standard_links,
-)
-from strainwave.export.omissions import comment_text, numbers, omission_note, sentence_of
-from strainwave.export.source import Export, IdentifiedArm
+from strainwave.export import completion, source
+from strainwave.export.source import Export, IdentifiedArm, numbers
 from strainwave.io.base_parameters import links_of_torques, motor_regressor, torque_errors
 from strainwave.io.templates import fill_text
 from strainwave.io.urdf import patch_urdf
@@ -67,11 +56,11 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
     friction. The links include the rotors, unless the file `has_rotors`.
     """
     model = _projected(arm, has_rotors)
-    notes = (*arm.assumptions, *model.notes, *omission_note(arm, _HELD))
+    notes = (*arm.assumptions, *model.notes, *source.omission_note(arm, _HELD))
     urdf, names = arm.study.arm.urdf, arm.study.arm.joint_names
     if urdf is not None:
         comments = ["Inertial values and friction identified by strainwave."]
-        comments += map(sentence_of, notes)
+        comments += map(source.sentence_of, notes)
         path = arm.study.path.parent / urdf.file
         data = patch_urdf(path, urdf.held, model.links, model.friction, comments)
     else:
@@ -83,10 +72,10 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
             friction=model.friction,
             kind_of=_kind,
             limits_of=_limits,
-            comment_text=comment_text,
+            comment_text=source.comment_text,
             numbers=numbers,
             quoted=quoteattr,
-            sentence_of=sentence_of,
+            sentence_of=source.sentence_of,
         ).encode()
     if has_rotors:
         joints = "".join(
@@ -96,7 +85,7 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
         start, end, rest = data.rpartition(b"</robot>")
         element = f"  <rotor_params>\n{joints}  </rotor_params>\n".encode()
         data = start + element + end + rest
-    return Export(data, arm.assumed() + gravity_warnings(arm), notes)
+    return Export(data, arm.assumed() + completion.gravity_warnings(arm), notes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,15 +104,17 @@ def _projected(arm: IdentifiedArm, has_rotors: bool) -> _Model:
     URDF has friction of single joints, and no place for rotors. What of them it does not hold is
     in the links: the nearest consistent bodies.
     """
-    gravity, motion = arm.study.arm.gravity_size, motion_of(arm)
-    description, chain = Arm.of(arm.study.arm), chain_of(arm, gravity)
+    gravity, motion = arm.study.arm.gravity_size, completion.motion_of(arm)
+    description, chain = Arm.of(arm.study.arm), completion.chain_of(arm, gravity)
     n, speeds = description.n_joints, description.links_of(motion[1])
     target, notes = arm.torques, list[str]()
     if target is None:
-        target = body_torques(arm, motion, gravity) + motor_friction(arm, motion)
+        target = completion.body_torques(arm, motion, gravity)
+        target = target + completion.motor_friction(arm, motion)
         arm = replace(arm, torques=target)
     regressor = motor_regressor(chain, motion)
-    links, inertias = np.concatenate(standard_links(arm, gravity)), rotor_inertias(arm)
+    links = np.concatenate(completion.standard_links(arm, gravity))
+    inertias = completion.rotor_inertias(arm)
     rotors = np.diag(description.joints_of(description.joints_of(np.diag(inertias)).T))
     held = rotors * has_rotors
     of_rotors = description.motors_of(held * description.links_of(motion[2]))
@@ -141,10 +132,10 @@ def _projected(arm: IdentifiedArm, has_rotors: bool) -> _Model:
             notes.append(f"the links include the rotors ({listed}); SRDF and MJCF hold them apart")
     rest = target - regressor[:, :, : 10 * n] @ links - of_rotors
     weights = (motion[1] != 0.0) / (np.std(target, axis=0) + np.finfo(float).tiny)
-    friction = nonnegative_fit(
+    friction = completion.nonnegative_fit(
         (laws * weights[:, :, None]).reshape(rest.size, -1), (rest * weights).ravel()
     )
-    notes.append(loss_note(arm, target - rest + laws @ friction))
+    notes.append(completion.loss_note(arm, target - rest + laws @ friction))
     bodies = [tuple(link) for link in links.reshape(-1, 10).tolist()]
     pairs = list(zip(*friction.reshape(2, n).tolist(), strict=True))
     return _Model(bodies, held.tolist(), pairs, tuple(notes))

@@ -1,11 +1,12 @@
 """Bode plots of one joint: measured response and models, each with its 95 % band.
 
-Pole-zero map of one joint, motor torque to motor velocity, with 95 % confidence ellipses.
+Pole-zero map of one joint, motor torque to motor velocity, with 95 % confidence ellipses. Response
+of each driven motor in the complete arm: measured, and simulated by the fitted arm.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,18 +18,13 @@ from strainwave.domain import (
     JointModel,
     Mode,
     Modes,
+    MotorResponse,
     StateSpace,
 )
 from strainwave.domain.messages.formatting import plus_minus
 from strainwave.domain.results.distributions import chi_square_limit
 from strainwave.dynamics.two_inertia import coefficients, jacobian, joint_of
-from strainwave.identification.joint_model.agreement import (
-    BAND_EXTENSION_FACTOR,
-    is_reliable,
-    motor_response,
-    response_jacobian,
-    vector_of,
-)
+from strainwave.identification.joint_model import agreement
 from strainwave.report import figures
 from strainwave.report.figures import Area, Axis, Colour, Dash, Figure, Line, Mark, Markers, Panel
 from strainwave.report.figures.curves import ResponseMarks
@@ -64,7 +60,8 @@ def bode(
 
     State-space models, by the names of their records, are drawn within the band of the fit only.
     """
-    low, high = joint.band_hz[0] / BAND_EXTENSION_FACTOR, joint.band_hz[1] * BAND_EXTENSION_FACTOR
+    beyond = agreement.BAND_EXTENSION_FACTOR
+    low, high = joint.band_hz[0] / beyond, joint.band_hz[1] * beyond
     marks = ResponseMarks()
     below = () if measured is None else _add_measured(marks, measured, low, high)
     for k, (name, model) in enumerate((state_space or {}).items()):
@@ -78,18 +75,18 @@ def bode(
         dash = _STATE_SPACE_DASHES[k % len(_STATE_SPACE_DASHES)]
         marks.add_line(response.frequencies_hz, G, label, Colour.LINEAR, dash)
     f: FloatArray = np.geomspace(low, high, _CURVE_POINTS)
-    own = FittedJoint(vector_of(joint), joint.covariance[:6, :6])
+    own = FittedJoint(agreement.vector_of(joint), joint.covariance[:6, :6])
     fits: list[tuple[FittedJoint, str, Colour, Dash]] = [
         (own, "joint model", Colour.MODEL, figures.SOLID)
     ]
     if whole_arm is not None:
         fits.append((whole_arm, "whole-arm fit", Colour.TUNED, _TUNED_DASH))
     for fit, name, colour, dash in fits:
-        G = motor_response(fit.vector, gear_ratio, f)
+        G = agreement.motor_response(fit.vector, gear_ratio, f)
         marks.add_line(f, G, name, colour, dash)
         if fit.covariance is not None and np.isfinite(fit.covariance).all():
             # dG/G: relative change of the modulus + j change of the phase
-            relative = response_jacobian(fit.vector, gear_ratio, f) / G[:, None]
+            relative = agreement.response_jacobian(fit.vector, gear_ratio, f) / G[:, None]
             J = np.concatenate([relative.real, relative.imag])
             variance = np.einsum("fi,ij,fj->f", J, fit.covariance, J)
             modulus, phase = np.split(np.sqrt(np.clip(variance, 0.0, None)), 2)
@@ -112,7 +109,7 @@ def describe(joint: JointModel, measured: FrequencyResponse | None) -> str:
     if measured is not None:
         f = measured.frequencies_hz
         inside = (f >= joint.band_hz[0]) & (f <= joint.band_hz[1])
-        share = float(np.mean(is_reliable(measured)[inside])) if inside.any() else 0.0
+        share = float(np.mean(agreement.is_reliable(measured)[inside])) if inside.any() else 0.0
         parts.append(f"{100.0 * share:.0f} % of the measured lines in the fit band are reliable")
     text = "; ".join(parts)
     text = f"{text[:1].upper()}{text[1:]}. Shaded: 95 % bands." if text else ""
@@ -126,7 +123,7 @@ def _add_measured(
     """Add points with their 95 % band; the panel of the coherence is returned if it is known."""
     rows = figures.spread_evenly(measured.frequencies_hz, low, high, _MAX_MEASURED_POINTS)
     f, G = measured.frequencies_hz[rows], measured.response[rows, 0, 0]
-    reliable = is_reliable(measured)[rows]
+    reliable = agreement.is_reliable(measured)[rows]
     relative = relative_std(measured)
     if relative is not None and reliable.any():
         std = relative[rows][reliable]
@@ -194,10 +191,8 @@ def pole_zero_map(
     for k, (name, modes) in enumerate((state_space or {}).items()):
         roots = _state_space_roots(modes, joint.band_hz)
         marks += _marks(*roots, f"state space, {name}", Colour.LINEAR, k)
-    covariance = joint.covariance[:6, :6]
-    marks += _marks(
-        *_joint_roots(vector_of(joint), covariance, gear_ratio), "joint model", Colour.MODEL
-    )
+    roots = _joint_roots(agreement.vector_of(joint), joint.covariance[:6, :6], gear_ratio)
+    marks += _marks(*roots, "joint model", Colour.MODEL)
     if whole_arm is not None:
         roots = _joint_roots(whole_arm.vector, whole_arm.covariance, gear_ratio)
         marks += _marks(*roots, "whole-arm fit", Colour.TUNED)
@@ -296,3 +291,64 @@ def _marks(
             ellipse = root.real + x, root.imag + y
             marks.append(Line(*ellipse, label, colour, figures.DASHES[k % 3], 1.0, legend=False))
     return marks
+
+
+_MIN_COHERENCE = 0.8  # of a reliable line
+_MAX_MOTOR_POINTS = 400
+_LABEL_STEP = 0.16  # height between the labels of neighbours, as a share of the panel
+
+
+def motor_figure(response: MotorResponse, *, is_prismatic: bool = False) -> Figure:
+    """Magnitude and phase; vertical lines show the modes of the fitted arm."""
+    rows = figures.spread_evenly(response.frequencies_hz, 0.0, np.inf, _MAX_MOTOR_POINTS)
+    f, reliable = response.frequencies_hz[rows], response.coherence[rows] >= _MIN_COHERENCE
+    marks = ResponseMarks()
+    marks.add_measured(f, response.measured[rows], reliable)
+    marks.add_line(f, response.fitted[rows], "fitted arm, simulated", Colour.TUNED)
+    panels = marks.panels(response_title(is_prismatic=is_prismatic), (1.2, 0.8))
+    return Figure(figures.FREQUENCY_AXIS, panels, tuple(_motor_uprights(response)))
+
+
+def _motor_uprights(response: MotorResponse) -> Iterator[figures.Upright]:
+    """A line for each mode. The first of a kind is named; neighbours have staggered labels."""
+    f = response.frequencies_hz
+    modes = [
+        *((value, "anti-resonance", True) for value in _inside(response.anti_resonances_hz, f)),
+        *((value, "resonance", False) for value in _inside(response.resonances_hz, f)),
+    ]
+    for k, (value, name, is_left) in enumerate(modes):
+        is_repeated = k > 0 and name == modes[k - 1][1]
+        yield figures.Upright(
+            value,
+            f"{value:.3g} Hz" if is_repeated else f"{name} {value:.3g} Hz",
+            panel=1,
+            height=1.0 - _LABEL_STEP * (k % 2),
+            before=is_left,
+            dash=figures.SOLID if is_left else figures.DOTTED,
+        )
+
+
+def describe_motor(response: MotorResponse) -> str:
+    """Caption of the figure."""
+    parts = []
+    kinds = (
+        ("anti-resonances", response.anti_resonances_hz),
+        ("resonances", response.resonances_hz),
+    )
+    for name, values in kinds:
+        inside = [f"{value:.4g}" for value in _inside(values, response.frequencies_hz)]
+        if inside:
+            parts.append(f"{name} of the fitted arm: {', '.join(inside)} Hz")
+    reliable = response.coherence >= _MIN_COHERENCE
+    if reliable.any():
+        measured, fitted = response.measured[reliable], response.fitted[reliable]
+        error = 100.0 * float(np.median(np.abs(measured - fitted) / np.abs(measured)))
+        parts.append(
+            f"median difference where the coherence is at least {_MIN_COHERENCE:g}: {error:.2g} %"
+        )
+    text = "; ".join(parts)
+    return f"{text[:1].upper()}{text[1:]}." if text else ""
+
+
+def _inside(values: Sequence[float], f: FloatArray) -> list[float]:
+    return [value for value in values if len(f) and f[0] <= value <= f[-1]]

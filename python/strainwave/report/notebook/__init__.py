@@ -33,10 +33,9 @@ from strainwave.domain.messages.formatting import percent, plus_minus
 from strainwave.errors import InvalidInput
 from strainwave.report import figures
 from strainwave.report.document import bode, elastic, predictions
-from strainwave.report.document.blocks import Row, number, table
+from strainwave.report.document.blocks import Row, fill_template, number, table
 from strainwave.report.document.parameters import SUMMARY_HEADS, summary_row
 from strainwave.report.figures import Axis, Colour, Figure, Line, Markers, Panel, curves
-from strainwave.report.html import fill_template
 from strainwave.report.matplotlib_backend import draw
 
 if TYPE_CHECKING:

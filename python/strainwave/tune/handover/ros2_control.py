@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from strainwave.export.omissions import sentence_of
+from strainwave.export.source import sentence_of
 from strainwave.io.templates import fill_text
 from strainwave.tune.closed_loop import Biquad
 from strainwave.tune.design import ServoDesign

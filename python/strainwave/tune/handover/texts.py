@@ -11,7 +11,7 @@ from strainwave.domain import FloatArray
 from strainwave.domain.arm.control_law import INPUTS, ControlLaw
 from strainwave.errors import import_optional
 from strainwave.export.flat import HEADER_PREFIX
-from strainwave.export.omissions import sentence_of
+from strainwave.export.source import sentence_of
 from strainwave.io.templates import fill_text
 from strainwave.tune.closed_loop import Gains
 from strainwave.tune.design import ServoDesign
