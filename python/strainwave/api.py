@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -194,7 +195,7 @@ def compare(
     two results and `NotIdentifiable` if they have no parameter in common.
     """
     loaded = [result if isinstance(result, Result) else read_result(result) for result in results]
-    estimates = [result_estimates.estimates_of(each.document, each.source) for each in loaded]
+    estimates = [result_estimates.estimates_of(each._document, each.source) for each in loaded]
     labels = [estimate.label for estimate in estimates]
     for k, label in enumerate(labels):
         if labels.count(label) > 1:
@@ -390,20 +391,19 @@ class Result:
     @property
     def status(self) -> str:
         """One of "determined", "partly-determined", "not-determined", "inconsistent-input"."""
-        return str(self._document["status"])
+        return self.verdict.status
 
     @property
     def reason(self) -> str | None:
         """Why the status is not "determined"."""
-        reason: str | None = self._document["reason"]
-        return reason
+        return "; ".join(self.verdict.reasons) or None
 
-    @property
+    @cached_property
     def verdict(self) -> Verdict:
         """Identified, unidentified and rejected parameters, and suspected faults of the input."""
         return results.verdict_of(self._document)
 
-    @property
+    @cached_property
     def covariance(self) -> JointCovariance | None:
         """Covariance of the estimates with the names of rows and columns; `.to_frame()`."""
         return results.covariance_of(self._document)
@@ -411,12 +411,9 @@ class Result:
     @property
     def checks(self) -> dict[str, dict[str, float | None]]:
         """Fit [%] of each channel of each validation record; None: the channel does not vary."""
-        return {
-            check["experiment"]: dict(check["fit_percent"])
-            for check in copy.deepcopy(self._document.get("checks", []))
-        }
+        return results.checks_of(self._document)
 
-    @property
+    @cached_property
     def warnings(self) -> tuple[PublishedWarning, ...]:
         """Warnings on the data and the estimates."""
         return results.warnings_of(self._document)
