@@ -12,14 +12,7 @@ from rich import table as rich_table
 from rich.console import Console
 from rich.text import Text
 
-from strainwave.domain import (
-    CONDITION_TEXTS,
-    Decision,
-    Diagnostic,
-    Identification,
-    InputCheck,
-    Suspicion,
-)
+from strainwave import domain
 from strainwave.domain.keys import Key
 from strainwave.domain.messages.formatting import percent, plus_minus
 from strainwave.report.document import blocks
@@ -44,7 +37,7 @@ _FAULT_STYLE = "bold red"
 
 
 def print_summary(
-    identification: Identification,
+    identification: domain.Identification,
     folder: Path,
     *,
     truth: Truth | None = None,
@@ -93,7 +86,7 @@ def print_summary(
 _BOUNDS = {"equal": "", "least": "> ", "most": "< "}
 
 
-def print_check(check: InputCheck, *, console: Console | None = None) -> None:
+def print_check(check: domain.InputCheck, *, console: Console | None = None) -> None:
     """Print the relations of an input check as a table, warnings, and the suspected faults."""
     console = console or Console(highlight=False)
     numbers = map(blocks.number, ("measured", "expected", "accuracy"))
@@ -124,8 +117,8 @@ def print_check(check: InputCheck, *, console: Console | None = None) -> None:
     console.print(f"{check.seconds:.1f} s")
 
 
-def _print_warnings(warnings: Sequence[Diagnostic], console: Console) -> None:
-    groups: dict[str, list[Diagnostic]] = {}
+def _print_warnings(warnings: Sequence[domain.Diagnostic], console: Console) -> None:
+    groups: dict[str, list[domain.Diagnostic]] = {}
     for warning in by_severity(warnings):
         groups.setdefault(warning.code, []).append(warning)
     for code, same in groups.items():
@@ -143,14 +136,14 @@ def _print_warnings(warnings: Sequence[Diagnostic], console: Console) -> None:
         console.print(grid)
 
 
-def _suspicion_lines(suspicions: Sequence[Suspicion]) -> Iterator[str]:
+def _suspicion_lines(suspicions: Sequence[domain.Suspicion]) -> Iterator[str]:
     for suspicion in suspicions:
         accepted = "accepted: " if suspicion.accepted else ""
         yield f"  {accepted}{suspicion.where}: {suspicion.message}"
         yield f"    correction: {suspicion.remedy}"
 
 
-def _fit_table(identification: Identification) -> Iterator[Table]:
+def _fit_table(identification: domain.Identification) -> Iterator[Table]:
     fits: dict[tuple[str, str], dict[str, float]] = {}
     for use, predictions in (("fitted", identification.fitted), ("check", identification.checks)):
         for prediction in predictions:
@@ -168,7 +161,7 @@ def _fit_table(identification: Identification) -> Iterator[Table]:
     return blocks.table("Fits of the records", heads, rows, heading=False)
 
 
-def _resonance_table(identification: Identification) -> Iterator[Table]:
+def _resonance_table(identification: domain.Identification) -> Iterator[Table]:
     """Resonances of the joints; if only motors were measured, those of the fitted arm."""
     rows: list[Row] = []
     responses = identification.motor_responses
@@ -182,7 +175,7 @@ def _resonance_table(identification: Identification) -> Iterator[Table]:
         if response.joint in by_motor:
             kinds = (response.anti_resonances_hz, response.resonances_hz)
             cells = (", ".join(f"{value:.4g}" for value in values) for values in kinds)
-            where = f"{response.experiment}, {CONDITION_TEXTS[response.condition]}"
+            where = f"{response.experiment}, {domain.CONDITION_TEXTS[response.condition]}"
             rows.append((f"motor {response.joint}", where, *cells))
     heads: Row = (
         "resonances [Hz]",
@@ -193,7 +186,7 @@ def _resonance_table(identification: Identification) -> Iterator[Table]:
     return blocks.table("Resonances", heads, rows, heading=False)
 
 
-def _parameter_table(decisions: Sequence[Decision], truth: Truth | None) -> Iterator[Table]:
+def _parameter_table(decisions: Sequence[domain.Decision], truth: Truth | None) -> Iterator[Table]:
     rows: list[Row] = []
     for decision in decisions:
         p = decision.parameter

@@ -333,10 +333,8 @@ def _residual_blocks(result: Identification) -> Iterator[Block]:
 def _correlation_blocks(result: Identification) -> Iterator[Block]:
     errors = parameters.correlations(result)
     if errors is not None:
-        label, caption = (
-            "Correlations of the parameter errors",
-            parameters.describe_correlations(errors),
-        )
+        label = "Correlations of the parameter errors"
+        caption = parameters.describe_correlations(errors)
         figure = Figure(Axis(""), (Panel(Axis(""), (errors,)),))
         yield Plot(FigureName("correlations"), label, figure, caption)
 

@@ -11,16 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import (
-    ComplexArray,
-    FloatArray,
-    FrequencyResponse,
-    JointModel,
-    Mode,
-    Modes,
-    MotorResponse,
-    StateSpace,
-)
+from strainwave import domain
+from strainwave.domain import ComplexArray, FloatArray
 from strainwave.domain.messages.formatting import plus_minus
 from strainwave.domain.results.distributions import chi_square_limit
 from strainwave.dynamics.two_inertia import coefficients, jacobian, joint_of
@@ -48,10 +40,10 @@ class FittedJoint:
 
 
 def bode(
-    joint: JointModel,
+    joint: domain.JointModel,
     gear_ratio: float,
-    measured: FrequencyResponse | None,
-    state_space: Mapping[str, StateSpace] | None = None,
+    measured: domain.FrequencyResponse | None,
+    state_space: Mapping[str, domain.StateSpace] | None = None,
     *,
     whole_arm: FittedJoint | None = None,
     is_prismatic: bool = False,
@@ -100,7 +92,7 @@ def response_title(*, is_prismatic: bool) -> str:
     return f"dB re {'m/s/N' if is_prismatic else 'rad/s/(N m)'}"
 
 
-def describe(joint: JointModel, measured: FrequencyResponse | None) -> str:
+def describe(joint: domain.JointModel, measured: domain.FrequencyResponse | None) -> str:
     """Caption of the Bode plot."""
     parts = []
     for name, mode in modes_of(joint):
@@ -118,7 +110,7 @@ def describe(joint: JointModel, measured: FrequencyResponse | None) -> str:
 
 
 def _add_measured(
-    marks: ResponseMarks, measured: FrequencyResponse, low: float, high: float
+    marks: ResponseMarks, measured: domain.FrequencyResponse, low: float, high: float
 ) -> tuple[Panel, ...]:
     """Add points with their 95 % band; the panel of the coherence is returned if it is known."""
     rows = figures.spread_evenly(measured.frequencies_hz, low, high, _MAX_MEASURED_POINTS)
@@ -137,7 +129,7 @@ def _add_measured(
     return (Panel(Axis(name, range=(0.0, 1.05)), (area, line), _COHERENCE_HEIGHT),)
 
 
-def relative_std(measured: FrequencyResponse) -> FloatArray | None:
+def relative_std(measured: domain.FrequencyResponse) -> FloatArray | None:
     """Standard deviation of the modulus over the modulus, and of the phase [rad]: (n,).
 
     From the scatter between periods, else from the coherence c of n averages:
@@ -153,13 +145,13 @@ def relative_std(measured: FrequencyResponse) -> FloatArray | None:
     return np.asarray(np.sqrt((1.0 - c) / (2.0 * measured.n_averages * c)))
 
 
-def modes_of(joint: JointModel) -> list[tuple[str, Mode]]:
+def modes_of(joint: domain.JointModel) -> list[tuple[str, domain.Mode]]:
     """Anti-resonance and resonance of a joint model, by name, if it has them."""
     modes = (("anti-resonance", joint.anti_resonance), ("resonance", joint.resonance))
     return [(name, mode) for name, mode in modes if mode is not None]
 
 
-def _uprights(joint: JointModel) -> Iterator[figures.Upright]:
+def _uprights(joint: domain.JointModel) -> Iterator[figures.Upright]:
     """Lines at both modes and at the edges of the fit band; labels are in the phase panel."""
     for name, mode in modes_of(joint):
         text, is_left = f"{name} {mode.frequency_hz:.4g} Hz", name == "anti-resonance"
@@ -176,9 +168,9 @@ _WIDEST_ELLIPSE = 1.0  # standard deviation over the modulus; wider ones are not
 
 
 def pole_zero_map(
-    joint: JointModel,
+    joint: domain.JointModel,
     gear_ratio: float,
-    state_space: Mapping[str, Modes] | None = None,
+    state_space: Mapping[str, domain.Modes] | None = None,
     *,
     whole_arm: FittedJoint | None = None,
 ) -> Figure:
@@ -225,7 +217,7 @@ def _joint_roots(vector: FloatArray, covariance: FloatArray | None, gear_ratio: 
     return poles, zeros, J @ covariance @ J.T
 
 
-def _state_space_roots(modes: Modes, band_hz: tuple[float, float]) -> Roots:
+def _state_space_roots(modes: domain.Modes, band_hz: tuple[float, float]) -> Roots:
     """The roots that are shown, with both conjugates.
 
     Frequency and damping are taken as uncorrelated: s = w (-d + i sqrt(1 - d^2)).
@@ -248,11 +240,11 @@ def _state_space_roots(modes: Modes, band_hz: tuple[float, float]) -> Roots:
     return roots[0], roots[1], covariance
 
 
-def _root(mode: Mode, side: float) -> complex:
+def _root(mode: domain.Mode, side: float) -> complex:
     return complex(mode.value.real, side * mode.value.imag)
 
 
-def _is_shown(mode: Mode, band_hz: tuple[float, float]) -> bool:
+def _is_shown(mode: domain.Mode, band_hz: tuple[float, float]) -> bool:
     if mode.oscillates:
         return mode.frequency_hz < band_hz[1] and abs(mode.damping) < _MAX_DAMPING
     return mode.frequency_hz < band_hz[0]
@@ -298,7 +290,7 @@ _MAX_MOTOR_POINTS = 400
 _LABEL_STEP = 0.16  # height between the labels of neighbours, as a share of the panel
 
 
-def motor_figure(response: MotorResponse, *, is_prismatic: bool = False) -> Figure:
+def motor_figure(response: domain.MotorResponse, *, is_prismatic: bool = False) -> Figure:
     """Magnitude and phase; vertical lines show the modes of the fitted arm."""
     rows = figures.spread_evenly(response.frequencies_hz, 0.0, np.inf, _MAX_MOTOR_POINTS)
     f, reliable = response.frequencies_hz[rows], response.coherence[rows] >= _MIN_COHERENCE
@@ -309,7 +301,7 @@ def motor_figure(response: MotorResponse, *, is_prismatic: bool = False) -> Figu
     return Figure(figures.FREQUENCY_AXIS, panels, tuple(_motor_uprights(response)))
 
 
-def _motor_uprights(response: MotorResponse) -> Iterator[figures.Upright]:
+def _motor_uprights(response: domain.MotorResponse) -> Iterator[figures.Upright]:
     """A line for each mode. The first of a kind is named; neighbours have staggered labels."""
     f = response.frequencies_hz
     modes = [
@@ -328,7 +320,7 @@ def _motor_uprights(response: MotorResponse) -> Iterator[figures.Upright]:
         )
 
 
-def describe_motor(response: MotorResponse) -> str:
+def describe_motor(response: domain.MotorResponse) -> str:
     """Caption of the figure."""
     parts = []
     kinds = (

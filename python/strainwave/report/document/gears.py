@@ -8,14 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from strainwave.domain import (
-    FloatArray,
-    Identification,
-    LawChoice,
-    Parameter,
-    TorqueHistogram,
-    TorsionFit,
-)
+from strainwave import domain
+from strainwave.domain import FloatArray
 from strainwave.domain.arm.gear_laws import GearLaw, gear_law
 from strainwave.domain.keys import JointNumber
 from strainwave.domain.results.distributions import CI95_STDS
@@ -38,10 +32,10 @@ class StiffnessCurve:
     values: Mapping[str, float]  # identified parameters of the law, in its order
     covariance: FloatArray  # of `values`
     largest_torque: float  # [N m] end of the drawn range
-    loads: TorqueHistogram | None  # None if unknown
+    loads: domain.TorqueHistogram | None  # None if unknown
     is_equivalent: bool = False  # one stiffness approximates a curve
     is_prismatic: bool = False  # N and m instead of N m and rad
-    choice: LawChoice | None = None  # None if the study states the law
+    choice: domain.LawChoice | None = None  # None if the study states the law
 
     @property
     def torque_unit(self) -> str:
@@ -59,7 +53,7 @@ class StiffnessCurve:
         return len(self.values) > 1
 
 
-def stiffness_curves(identification: Identification) -> list[StiffnessCurve]:
+def stiffness_curves(identification: domain.Identification) -> list[StiffnessCurve]:
     """The curve of every elastic gear: of the whole-arm fit, else of the joint model."""
     whole_arm = identification.whole_arm
     loads = {h.joint: h for h in whole_arm.gear_loads} if whole_arm else {}
@@ -136,7 +130,7 @@ def torsion_figure(curve: StiffnessCurve) -> Figure:
     return Figure(axis, (Panel(Axis(f"gear torque [{curve.torque_unit}]"), marks),))
 
 
-def measured_torsion_figure(fit: TorsionFit, *, is_prismatic: bool = False) -> Figure:
+def measured_torsion_figure(fit: domain.TorsionFit, *, is_prismatic: bool = False) -> Figure:
     """Torque of the rigid model over the measured torsion, and the line of the stiffness."""
     step = -(-len(fit.torque) // _MAX_TORSION_POINTS)
     torque, torsion = fit.torque[::step], 1e3 * fit.torsion[::step]
@@ -150,7 +144,7 @@ def measured_torsion_figure(fit: TorsionFit, *, is_prismatic: bool = False) -> F
     return Figure(axis, (Panel(Axis(f"link torque [{'N' if is_prismatic else 'N m'}]"), marks),))
 
 
-def describe_measured(fit: TorsionFit) -> str:
+def describe_measured(fit: domain.TorsionFit) -> str:
     """Caption of the figure of the measured torsion."""
     p = fit.stiffness
     return (
@@ -185,9 +179,9 @@ def describe(curve: StiffnessCurve) -> str:
 def _stiffness_curve(
     number: int,
     law: GearLaw,
-    parameters: Sequence[Parameter],
+    parameters: Sequence[domain.Parameter],
     covariance: FloatArray,
-    loads: TorqueHistogram | None,
+    loads: domain.TorqueHistogram | None,
 ) -> StiffnessCurve | None:
     """The curve from the identified parameters of a joint; None if no stiffness is identified."""
     index = {

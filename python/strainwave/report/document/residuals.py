@@ -6,17 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from strainwave.domain import (
-    Cause,
-    Criticism,
-    FloatArray,
-    Identification,
-    Log,
-    Prediction,
-    RecordModel,
-    ResidualCorrelation,
-    ResidualTest,
-)
+from strainwave import domain
+from strainwave.domain import FloatArray
 from strainwave.domain.arm.effects import effect_named
 from strainwave.domain.messages.formatting import plus_minus
 from strainwave.domain.results.distributions import CI99_STDS
@@ -37,7 +28,7 @@ _LIMITS = (
 )
 
 
-def residual_tests(criticism: Criticism) -> Iterator[Block]:
+def residual_tests(criticism: domain.Criticism) -> Iterator[Block]:
     """Tables of the residual tests and the effects, and a spectrum for each channel."""
     tests = criticism.residuals
     channels = list(dict.fromkeys(test.channel for test in tests))
@@ -66,10 +57,10 @@ def residual_tests(criticism: Criticism) -> Iterator[Block]:
         yield Plot(FigureName("residuals", part=test.channel), label, spectrum(test), caption)
 
 
-def residual_correlations(identification: Identification) -> Iterator[Block]:
+def residual_correlations(identification: domain.Identification) -> Iterator[Block]:
     """Auto- and cross-correlations: check records open, fitted records and state space folded."""
     tests = identification.whole_arm.criticism if identification.whole_arm else None
-    by_record: dict[str, list[ResidualTest]] = {}
+    by_record: dict[str, list[domain.ResidualTest]] = {}
     for test in tests.residuals if tests else ():
         by_record.setdefault(test.experiment, []).append(test)
     yield from _check_correlations(identification, by_record)
@@ -88,7 +79,7 @@ def residual_correlations(identification: Identification) -> Iterator[Block]:
         yield Fold(f"Residual correlations of state-space models ({len(models)})", models)
 
 
-def spectrum(test: ResidualTest) -> Figure:
+def spectrum(test: domain.ResidualTest) -> Figure:
     """Amplitude spectral density of the residuals and of the sensor noise."""
     positive = test.frequency_hz > 0.0
     f = test.frequency_hz[positive]
@@ -102,14 +93,14 @@ def spectrum(test: ResidualTest) -> Figure:
 
 
 def _residual_table(
-    title: str, tests: Sequence[ResidualTest], *, heading: bool = True
+    title: str, tests: Sequence[domain.ResidualTest], *, heading: bool = True
 ) -> Iterator[Table]:
     numbers = map(blocks.number, ("residual / noise", "largest excess at", "like sensor noise"))
     heads: Row = ("record", "channel", *numbers, "correlated with an input")
     return blocks.table(title, heads, map(_residual_row, tests), heading=heading)
 
 
-def _residual_row(test: ResidualTest) -> Row:
+def _residual_row(test: domain.ResidualTest) -> Row:
     input_text = "no"
     if test.input_probability < MIN_PROBABILITY:
         input_text = f"joint {test.input_joint}, r = {test.input_correlation:.2f},"
@@ -121,11 +112,11 @@ def _residual_row(test: ResidualTest) -> Row:
     return (test.experiment, test.channel, *map(blocks.number, numbers), input_text)
 
 
-def _noise_ratio(test: ResidualTest) -> float:
+def _noise_ratio(test: domain.ResidualTest) -> float:
     return test.deviation / test.noise if test.noise > 0.0 else 0.0
 
 
-def _cause_row(cause: Cause) -> Row:
+def _cause_row(cause: domain.Cause) -> Row:
     prefix = cause.effect.replace("-", "_") + "_"
     sizes = [
         f"{p.name.removeprefix(prefix)} {' ± '.join(plus_minus(p.value, p.std))} {p.unit}".rstrip()
@@ -152,7 +143,7 @@ def _cause_row(cause: Cause) -> Row:
 
 
 def _check_correlations(
-    identification: Identification, by_record: Mapping[str, Sequence[ResidualTest]]
+    identification: domain.Identification, by_record: Mapping[str, Sequence[domain.ResidualTest]]
 ) -> Iterator[Plot]:
     """Of check records that the whole-arm fit predicts, at the lags of the fitted records."""
     logs = {log.name: log for log in identification.logs}
@@ -194,8 +185,8 @@ def _correlation_plot(experiment: str, use: str, panels: Sequence[Panel]) -> Plo
 
 
 def _prediction_correlation(
-    prediction: Prediction, column: int, log: Log, lag_time: float
-) -> ResidualCorrelation:
+    prediction: domain.Prediction, column: int, log: domain.Log, lag_time: float
+) -> domain.ResidualCorrelation:
     """Residuals and drives of a check record, averaged over the lag time of the fitted records."""
     sample_time = float(prediction.time[1] - prediction.time[0])
     step = max(1, round(lag_time / sample_time))
@@ -211,7 +202,7 @@ def _prediction_correlation(
 
 
 def _residual_panels(
-    channel: str, correlation: ResidualCorrelation, test: ResidualTest | None
+    channel: str, correlation: domain.ResidualCorrelation, test: domain.ResidualTest | None
 ) -> list[Panel]:
     auto, limits = correlation.autocorrelation, None
     if test is not None and test.noise > 0.0:
@@ -274,7 +265,7 @@ def _correlation_panels(
     return panels
 
 
-def _state_space_plots(records: Sequence[RecordModel]) -> Iterator[Plot]:
+def _state_space_plots(records: Sequence[domain.RecordModel]) -> Iterator[Plot]:
     outputs, inputs = ("motor velocity", "link velocity"), ("motor torque", "interaction torque")
     for record in records:
         if record.check is None or record.state_space is None:
