@@ -134,7 +134,7 @@ def identify(
         return pipeline.identify(
             checked,
             data=data,
-            stages=pipeline.check_stages(stages),
+            stages=stages,
             options=options,
             start=Path(start) if isinstance(start, str) else start,
             progress=events.put,
@@ -510,10 +510,8 @@ class Result:
         """
         from strainwave.dynamics.two_inertia import anti_resonance, resonance
         from strainwave.export.linear_models import joint_model, joint_model_covariance
-        from strainwave.identification.joint_model.agreement import (
-            motor_response,
-            response_jacobian,
-        )
+        from strainwave.identification.joint_model.agreement import motor_response
+        from strainwave.report.document.bode import response_stds
 
         arm = self._arm()
         model = joint_model(arm, joint)
@@ -525,13 +523,9 @@ class Result:
         G = motor_response(model.vector, model.gear_ratio, f)
         covariance = joint_model_covariance(arm, joint, self.covariance)
         magnitude_std, phase_std = None, None
-        if covariance is not None:  # delta method
-            relative = response_jacobian(model.vector, model.gear_ratio, f) / G[:, None]
-            size, phase_std = (
-                np.sqrt(np.clip(np.einsum("fi,ij,fj->f", part, covariance, part), 0.0, None))
-                for part in (relative.real, relative.imag)
-            )
-            magnitude_std = np.abs(G) * size
+        if covariance is not None:
+            relative, phase_std = response_stds(model.vector, covariance, model.gear_ratio, f, G)
+            magnitude_std = np.abs(G) * relative
         measured = results.response_of(self._document, joint)
         return JointResponse(joint, f, G, magnitude_std, phase_std, measured)
 

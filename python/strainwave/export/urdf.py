@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -55,21 +55,21 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
     If a URDF places the joints of the study, it is that file with other inertial values and
     friction. The links include the rotors, unless the file `has_rotors`.
     """
-    model = _projected(arm, has_rotors)
-    notes = (*arm.assumptions, *model.notes, *source.omission_note(arm, _HELD))
+    links, rotors, friction, notes_of_links = _projected(arm, has_rotors)
+    notes = (*arm.assumptions, *notes_of_links, *source.omission_note(arm, _HELD))
     urdf, names = arm.study.arm.urdf, arm.study.arm.joint_names
     if urdf is not None:
         comments = ["Inertial values and friction identified by strainwave."]
         comments += map(source.sentence_of, notes)
         path = arm.study.path.parent / urdf.file
-        data = patch_urdf(path, urdf.held, model.links, model.friction, comments)
+        data = patch_urdf(path, urdf.held, links, friction, comments)
     else:
-        links = map(Body.of_standard, model.links)
+        bodies = map(Body.of_standard, links)
         data = fill_text(
             Path(__file__).with_name("arm.urdf.j2"),
             notes=notes,
-            links=list(zip(links, arm.study.arm.joints, names, strict=True)),
-            friction=model.friction,
+            links=list(zip(bodies, arm.study.arm.joints, names, strict=True)),
+            friction=friction,
             kind_of=_kind,
             limits_of=_limits,
             comment_text=source.comment_text,
@@ -80,7 +80,7 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
     if has_rotors:
         joints = "".join(
             f'    <joint name={quoteattr(name)} mass="{numbers(rotor)}" gear_ratio="1.0" />\n'
-            for name, rotor in zip(names, model.rotors, strict=True)
+            for name, rotor in zip(names, rotors, strict=True)
         )
         start, end, rest = data.rpartition(b"</robot>")
         element = f"  <rotor_params>\n{joints}  </rotor_params>\n".encode()
@@ -88,19 +88,13 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
     return Export(data, arm.assumed() + completion.gravity_warnings(arm), notes)
 
 
-@dataclass(frozen=True, slots=True)
-class _Model:
-    """What a URDF has of an arm."""
-
-    links: list[LinkPrior]
-    rotors: list[float]  # inertias at the joints that the links do not include
-    friction: list[tuple[float, float]]  # damping and friction of the joints
-    notes: tuple[str, ...]
-
-
-def _projected(arm: IdentifiedArm, has_rotors: bool) -> _Model:
+def _projected(
+    arm: IdentifiedArm, has_rotors: bool
+) -> tuple[list[LinkPrior], list[float], list[tuple[float, float]], list[str]]:
     """The model whose torques at the motors over the recorded motion are nearest to the arm's.
 
+    Links, inertias of rotors at the joints that the links do not include, damping and dry friction
+    of the joints, and notes.
     URDF has friction of single joints, and no place for rotors. What of them it does not hold is
     in the links: the nearest consistent bodies.
     """
@@ -138,4 +132,4 @@ def _projected(arm: IdentifiedArm, has_rotors: bool) -> _Model:
     notes.append(completion.loss_note(arm, target - rest + laws @ friction))
     bodies = [tuple(link) for link in links.reshape(-1, 10).tolist()]
     pairs = list(zip(*friction.reshape(2, n).tolist(), strict=True))
-    return _Model(bodies, held.tolist(), pairs, tuple(notes))
+    return bodies, held.tolist(), pairs, notes

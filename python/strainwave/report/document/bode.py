@@ -77,14 +77,25 @@ def bode(
         G = agreement.motor_response(fit.vector, gear_ratio, f)
         marks.add_line(f, G, name, colour, dash)
         if fit.covariance is not None and np.isfinite(fit.covariance).all():
-            # dG/G: relative change of the modulus + j change of the phase
-            relative = agreement.response_jacobian(fit.vector, gear_ratio, f) / G[:, None]
-            J = np.concatenate([relative.real, relative.imag])
-            variance = np.einsum("fi,ij,fj->f", J, fit.covariance, J)
-            modulus, phase = np.split(np.sqrt(np.clip(variance, 0.0, None)), 2)
-            marks.add_band(f, G, (modulus, phase), name, colour)
+            stds = response_stds(fit.vector, fit.covariance, gear_ratio, f, G)
+            marks.add_band(f, G, stds, name, colour)
     panels = (*marks.panels(response_title(is_prismatic=is_prismatic), _PANEL_HEIGHTS), *below)
     return Figure(figures.FREQUENCY_AXIS, panels, tuple(_uprights(joint)))
+
+
+def response_stds(
+    vector: FloatArray, covariance: FloatArray, gear_ratio: float, f: FloatArray, G: ComplexArray
+) -> tuple[FloatArray, FloatArray]:
+    """Standard deviations of the modulus over the modulus, and of the phase [rad]: (n,) both.
+
+    By the delta method, from the parameters of a joint and their covariance: the real part of dG/G
+    is the relative change of the modulus, the imaginary part the change of the phase.
+    """
+    relative = agreement.response_jacobian(vector, gear_ratio, f) / G[:, None]
+    J = np.concatenate([relative.real, relative.imag])
+    variance = np.einsum("fi,ij,fj->f", J, covariance, J)
+    modulus, phase = np.split(np.sqrt(np.clip(variance, 0.0, None)), 2)
+    return modulus, phase
 
 
 def response_title(*, is_prismatic: bool) -> str:
@@ -113,17 +124,16 @@ def _add_measured(
     marks: ResponseMarks, measured: domain.FrequencyResponse, low: float, high: float
 ) -> tuple[Panel, ...]:
     """Add points with their 95 % band; the panel of the coherence is returned if it is known."""
-    rows = figures.spread_evenly(measured.frequencies_hz, low, high, _MAX_MEASURED_POINTS)
-    f, G = measured.frequencies_hz[rows], measured.response[rows, 0, 0]
-    reliable = agreement.is_reliable(measured)[rows]
-    relative = relative_std(measured)
+    shown = measured.between(low, high, _MAX_MEASURED_POINTS)
+    f, G = shown.frequencies_hz, shown.response[:, 0, 0]
+    reliable, relative = agreement.is_reliable(shown), relative_std(shown)
     if relative is not None and reliable.any():
-        std = relative[rows][reliable]
+        std = relative[reliable]
         marks.add_band(f[reliable], G[reliable], (std, std), "measured", Colour.MEASURED)
     marks.add_measured(f, G, reliable, _POINT_SIZE, _POINT_OPACITY)
-    if measured.coherence is None:
+    if shown.coherence is None:
         return ()
-    coherence, name = measured.coherence[rows, 0], "coherence"
+    coherence, name = shown.coherence[:, 0], "coherence"
     area = Area(f, np.zeros(len(f)), coherence, Colour.MEASURED, name)
     line = Line(f, coherence, name, Colour.MEASURED, width=1.0, legend=False)
     return (Panel(Axis(name, range=(0.0, 1.05)), (area, line), _COHERENCE_HEIGHT),)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from itertools import cycle, repeat
 
 import numpy as np
 
@@ -17,8 +17,7 @@ from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.report import figures
 from strainwave.report.figures import Area, Axis, Colour, Dash, Figure, Line, Mark, Markers, Panel
 
-_TRUE_COLOUR = Colour.RESIDUAL
-_TRUE_WIDTH = 4.0  # [px]
+_TRUE_STYLE = (Colour.RESIDUAL, figures.SOLID, 4.0)  # colour, dash, width [px]
 _POINT_SIZE = 6.0  # [px] of a point with an error bar
 _RESIDUAL_HEIGHT = 0.4  # of the residual panel relative to the panel above
 
@@ -127,12 +126,13 @@ class ResponseMarks:
 def bode(curves: Sequence[Curve], caption: str) -> Figure:
     """Magnitude [dB] and phase [degree] of frequency responses, with their 95 % bands."""
     marks = ResponseMarks(is_continuous=True)
-    for curve, style in zip(curves, _styles([c.true for c in curves]), strict=True):
+    styles = _styles([curve.true for curve in curves])
+    for curve, (colour, dash, width) in zip(curves, styles, strict=True):
         f, G, name = curve.frequencies_hz, curve.response, curve.name
         if curve.magnitude_std is not None and curve.phase_std is not None:
             stds = curve.magnitude_std / np.abs(G), curve.phase_std
-            marks.add_band(f, G, stds, name, style.colour)
-        marks.add_line(f, G, name, *style)
+            marks.add_band(f, G, stds, name, colour)
+        marks.add_line(f, G, name, colour, dash, width)
     return Figure(figures.FREQUENCY_AXIS, marks.panels("magnitude [dB]"), caption=caption)
 
 
@@ -185,25 +185,7 @@ def _lines(series: Sequence[Series]) -> tuple[Line, ...]:
     return tuple(marks)
 
 
-class _Style(NamedTuple):
-    colour: str
-    dash: Dash
-    width: float
-
-
-def _styles(true: Sequence[bool]) -> list[_Style]:
-    """Style of each line; no two are alike, even without colour."""
-    styles, k = [], 0
-    for is_true in true:
-        if is_true:
-            styles.append(_Style(_TRUE_COLOUR, figures.SOLID, _TRUE_WIDTH))
-        else:
-            styles.append(
-                _Style(
-                    figures.PALETTE[k % len(figures.PALETTE)],
-                    figures.DASHES[k % len(figures.DASHES)],
-                    1.5,
-                )
-            )
-            k += 1
-    return styles
+def _styles(true: Sequence[bool]) -> list[tuple[str, Dash, float]]:
+    """Colour, dash and width [px] of each line; no two are alike, even without colour."""
+    coloured = zip(cycle(figures.PALETTE), cycle(figures.DASHES), repeat(1.5), strict=False)
+    return [_TRUE_STYLE if is_true else next(coloured) for is_true in true]
