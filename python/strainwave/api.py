@@ -6,9 +6,9 @@ import contextvars
 import copy
 import queue
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
+    from strainwave.export import IdentifiedArm
     from strainwave.report.document import FigureKind
     from strainwave.tune.design import ServoDesign, ServoOptions
 
@@ -197,10 +198,11 @@ def compare(
     loaded = [result if isinstance(result, Result) else read_result(result) for result in results]
     estimates = [result_estimates.estimates_of(each._document, each.source) for each in loaded]
     labels = [estimate.label for estimate in estimates]
-    for k, label in enumerate(labels):
-        if labels.count(label) > 1:
-            estimates[k] = replace(estimates[k], label=f"{label} ({k + 1})")
-    return comparison.compare(estimates, level)
+    unique = [
+        one if labels.count(one.label) == 1 else replace(one, label=f"{one.label} ({number})")
+        for number, one in enumerate(estimates, start=1)
+    ]
+    return comparison.compare(unique, level)
 
 
 class Parameters(Sequence[Parameter]):
@@ -267,10 +269,8 @@ class Parameters(Sequence[Parameter]):
         pandas = import_optional("pandas", "a data frame", "pandas")
         rows = []
         for p in self._parameters:
-            low, high = p.ci95 or (None, None)
-            row = asdict(p)
-            del row["ci95"]
-            rows.append(row | {"ci95_low": low, "ci95_high": high})
+            interval = p.ci95 or (None, None)
+            rows.append((p.name, p.joint, p.value, p.std, *interval, p.unit, p.stage, p.model_std))
         columns = ["name", "joint", "value", "std", "ci95_low", "ci95_high", "unit", "stage"]
         columns.append("model_std")
         types = dict.fromkeys([*columns[2:6], "model_std"], "float64") | {"joint": "Int64"}
@@ -482,22 +482,18 @@ class Result:
         one. Raises `InvalidInput` if python-control is missing, the gear of the joint is rigid, or
         a parameter is not identified.
         """
-        from strainwave.export.linear_models import INPUTS, OUTPUTS, STATES, linear_arm, state_space
+        from strainwave.export.linear_models import SIGNALS, linear_arm, state_space
 
         control = import_optional("control", "a state-space object", "control")
-        system: StateSpace
+        matrices: Iterable[FloatArray]
         if joint is None:
             arm = linear_arm(self._arm())
-            names = {key: list(getattr(arm, key)) for key in ("states", "inputs", "outputs")}
-            system = control.ss(*arm.matrices.values(), name="arm", **names)
-            return system
-        system = control.ss(
-            *state_space(self._arm(), joint),
-            name=f"joint_{joint}",
-            states=list(STATES),
-            inputs=list(INPUTS),
-            outputs=list(OUTPUTS),
-        )
+            name, matrices = "arm", arm.matrices.values()
+            signals = {key: list(getattr(arm, key)) for key in SIGNALS}
+        else:
+            name, matrices = f"joint_{joint}", state_space(self._arm(), joint)
+            signals = {key: list(names) for key, names in SIGNALS.items()}
+        system: StateSpace = control.ss(*matrices, name=name, **signals)
         return system
 
     def frequency_response(
@@ -698,22 +694,21 @@ class Result:
         write_whole(path.parent, {path.name: results.to_json(self._document)})
         return path
 
-    def _arm(self) -> Any:
+    def _arm(self) -> IdentifiedArm:
         from strainwave.export import arm_of
 
         study = None if self.run is None else self.run.study
         return arm_of(self._document, self.source, identified=study)
 
     def _rigid_model(self) -> tuple[Arm, RigidModel]:
-        arm = Arm.of(self._arm().with_identified_drives().study.arm)
-        model = results.rigid_model_of(self._document, len(arm.rigid_columns))
-        if model is None:
+        arm = self._arm().with_identified_drives()
+        if arm.rigid is None:
             raise InvalidInput(
                 "has no rigid model, which predicts torques",
                 where=f"{self.source}: stages.rigid.prediction",
                 remedy='identify again, with records of use = "motion"',
             )
-        return arm, model
+        return Arm.of(arm.study.arm), arm.rigid
 
     def _needs_run(self, subject: str) -> Identification:
         if self.run is None:

@@ -160,14 +160,11 @@ def to_mat(arm: IdentifiedArm) -> Export:
         },
         "units": {e.name: e.unit for e in all_entries},
         "joints": _joints(arm.study.arm.n_joints, joints),
-        "states": np.array(linear_models.STATES, dtype=object),
-        "inputs": np.array(linear_models.INPUTS, dtype=object),
-        "outputs": np.array(linear_models.OUTPUTS, dtype=object),
+        **{key: np.array(names, dtype=object) for key, names in linear_models.SIGNALS.items()},
         "notes": np.array(_notes_of_models(arm), dtype=object),
+        "whole_arm": whole_arm.matrices
+        | {key: np.array(getattr(whole_arm, key), dtype=object) for key in linear_models.SIGNALS},
     }
-    names = ("states", "inputs", "outputs")
-    arrays = {key: np.array(getattr(whole_arm, key), dtype=object) for key in names}
-    content["whole_arm"] = whole_arm.matrices | arrays
     file = io.BytesIO()
     savemat(file, content, long_field_names=True, oned_as="column")
     return Export(file.getvalue(), linear_models.linearised(arm), _notes_of_models(arm))
@@ -204,9 +201,7 @@ def to_script(arm: IdentifiedArm) -> Export:
         entries=entries(arm),
         joints=joints,
         whole_arm=whole_arm,
-        states=linear_models.STATES,
-        inputs=linear_models.INPUTS,
-        outputs=linear_models.OUTPUTS,
+        **linear_models.SIGNALS,
         notes=_notes_of_models(arm),
         matrix=_matrix,
         names=lambda names: "{" + ", ".join(f"'{name}'" for name in names) + "}",

@@ -27,9 +27,12 @@ from strainwave.errors import InvalidInput
 from strainwave.export.source import LINEAR, Export, IdentifiedArm, omission_note
 from strainwave.io.joint_covariance import JointCovariance
 
-STATES = ("torsion", "motor_velocity", "link_velocity")
-INPUTS = ("motor_torque", "interaction_torque")
-OUTPUTS = ("motor_velocity", "link_acceleration")
+SIGNALS = {
+    "states": ("torsion", "motor_velocity", "link_velocity"),
+    "inputs": ("motor_torque", "interaction_torque"),
+    "outputs": ("motor_velocity", "link_acceleration"),
+}
+"""Names of the signals of a joint's model."""
 _SCHEMA = "strainwave/state-space/1"
 
 
@@ -143,7 +146,7 @@ def _links_at_rest(arm: IdentifiedArm) -> tuple[FloatArray, FloatArray]:
 
 
 class Matrices(NamedTuple):
-    """dx/dt = A x + B u, y = C x + D u with `STATES`, `INPUTS` and `OUTPUTS`."""
+    """dx/dt = A x + B u, y = C x + D u of one joint, whose signals are `SIGNALS`."""
 
     A: FloatArray  # (3, 3)
     B: FloatArray  # (3, 2)
@@ -256,14 +259,9 @@ def to_state_space(arm: IdentifiedArm) -> Export:
     notes = (*arm.assumptions, *omission_note(arm, LINEAR))
     document = {
         "schema": _SCHEMA,
-        "states": STATES,
-        "inputs": INPUTS,
-        "outputs": OUTPUTS,
+        **SIGNALS,
         "joints": [{"joint": n, **model._asdict()} for n, model in joints.items()],
-        "whole_arm": {
-            **{name: getattr(whole_arm, name) for name in ("states", "inputs", "outputs")},
-            **whole_arm.matrices,
-        },
+        "whole_arm": {name: getattr(whole_arm, name) for name in SIGNALS} | whole_arm.matrices,
         "notes": notes,
     }
     text = json.dumps(document, indent=2, default=np.ndarray.tolist)
