@@ -27,7 +27,7 @@ from strainwave.domain import Identification
 from strainwave.domain.study import Progress, ProgressEvent
 from strainwave.dynamics.arm import Arm
 from strainwave.export import arm_of
-from strainwave.export.state_space import joint_model, joint_model_covariance
+from strainwave.export.linear_models import joint_model, joint_model_covariance
 from strainwave.identification.joint_model.agreement import motor_response
 from strainwave.io import results
 

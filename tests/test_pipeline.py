@@ -31,10 +31,13 @@ from strainwave.io.logs import read_logs
 from strainwave.io.parameters import read_parameters
 from strainwave.io.results import to_document
 from strainwave.pipeline import elastic_arm
-from strainwave.pipeline.elastic_arm import predict_checks
-from strainwave.pipeline.elastic_joints import JointStage, fit_elastic_joints, typical_joints
-from strainwave.pipeline.inputs import Inputs
-from strainwave.pipeline.reporter import Reporter
+from strainwave.pipeline.elastic_arm import (
+    JointStage,
+    fit_elastic_joints,
+    predict_checks,
+    typical_joints,
+)
+from strainwave.pipeline.inputs import Inputs, Reporter
 from strainwave.virtual import experiments as virtual
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import derived

@@ -6,9 +6,10 @@ import contextvars
 import copy
 import queue
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
+    from strainwave.export import IdentifiedArm
     from strainwave.report.document import FigureKind
     from strainwave.tune.design import ServoDesign, ServoOptions
 
@@ -133,7 +135,7 @@ def identify(
         return pipeline.identify(
             checked,
             data=data,
-            stages=pipeline.check_stages(stages),
+            stages=stages,
             options=options,
             start=Path(start) if isinstance(start, str) else start,
             progress=events.put,
@@ -194,12 +196,13 @@ def compare(
     two results and `NotIdentifiable` if they have no parameter in common.
     """
     loaded = [result if isinstance(result, Result) else read_result(result) for result in results]
-    estimates = [comparison.estimates_of(each.document, each.source) for each in loaded]
+    estimates = [comparison.estimates_of(each._document, each.source) for each in loaded]
     labels = [estimate.label for estimate in estimates]
-    for k, label in enumerate(labels):
-        if labels.count(label) > 1:
-            estimates[k] = replace(estimates[k], label=f"{label} ({k + 1})")
-    return comparison.compare(estimates, level)
+    unique = [
+        one if labels.count(one.label) == 1 else replace(one, label=f"{one.label} ({number})")
+        for number, one in enumerate(estimates, start=1)
+    ]
+    return comparison.compare(unique, level)
 
 
 class Parameters(Sequence[Parameter]):
@@ -266,10 +269,8 @@ class Parameters(Sequence[Parameter]):
         pandas = import_optional("pandas", "a data frame", "pandas")
         rows = []
         for p in self._parameters:
-            low, high = p.ci95 or (None, None)
-            row = asdict(p)
-            del row["ci95"]
-            rows.append(row | {"ci95_low": low, "ci95_high": high})
+            interval = p.ci95 or (None, None)
+            rows.append((p.name, p.joint, p.value, p.std, *interval, p.unit, p.stage, p.model_std))
         columns = ["name", "joint", "value", "std", "ci95_low", "ci95_high", "unit", "stage"]
         columns.append("model_std")
         types = dict.fromkeys([*columns[2:6], "model_std"], "float64") | {"joint": "Int64"}
@@ -390,20 +391,19 @@ class Result:
     @property
     def status(self) -> str:
         """One of "determined", "partly-determined", "not-determined", "inconsistent-input"."""
-        return str(self._document["status"])
+        return self.verdict.status
 
     @property
     def reason(self) -> str | None:
         """Why the status is not "determined"."""
-        reason: str | None = self._document["reason"]
-        return reason
+        return "; ".join(self.verdict.reasons) or None
 
-    @property
+    @cached_property
     def verdict(self) -> Verdict:
         """Identified, unidentified and rejected parameters, and suspected faults of the input."""
         return results.verdict_of(self._document)
 
-    @property
+    @cached_property
     def covariance(self) -> JointCovariance | None:
         """Covariance of the estimates with the names of rows and columns; `.to_frame()`."""
         return results.covariance_of(self._document)
@@ -411,12 +411,9 @@ class Result:
     @property
     def checks(self) -> dict[str, dict[str, float | None]]:
         """Fit [%] of each channel of each validation record; None: the channel does not vary."""
-        return {
-            check["experiment"]: dict(check["fit_percent"])
-            for check in copy.deepcopy(self._document.get("checks", []))
-        }
+        return results.checks_of(self._document)
 
-    @property
+    @cached_property
     def warnings(self) -> tuple[PublishedWarning, ...]:
         """Warnings on the data and the estimates."""
         return results.warnings_of(self._document)
@@ -485,23 +482,18 @@ class Result:
         one. Raises `InvalidInput` if python-control is missing, the gear of the joint is rigid, or
         a parameter is not identified.
         """
-        from strainwave.export.linear_arm import linear_arm
-        from strainwave.export.state_space import INPUTS, OUTPUTS, STATES, state_space
+        from strainwave.export.linear_models import SIGNALS, linear_arm, state_space
 
         control = import_optional("control", "a state-space object", "control")
-        system: StateSpace
+        matrices: Iterable[FloatArray]
         if joint is None:
             arm = linear_arm(self._arm())
-            names = {key: list(getattr(arm, key)) for key in ("states", "inputs", "outputs")}
-            system = control.ss(*arm.matrices.values(), name="arm", **names)
-            return system
-        system = control.ss(
-            *state_space(self._arm(), joint),
-            name=f"joint_{joint}",
-            states=list(STATES),
-            inputs=list(INPUTS),
-            outputs=list(OUTPUTS),
-        )
+            name, matrices = "arm", arm.matrices.values()
+            signals = {key: list(getattr(arm, key)) for key in SIGNALS}
+        else:
+            name, matrices = f"joint_{joint}", state_space(self._arm(), joint)
+            signals = {key: list(names) for key, names in SIGNALS.items()}
+        system: StateSpace = control.ss(*matrices, name=name, **signals)
         return system
 
     def frequency_response(
@@ -513,11 +505,9 @@ class Result:
         resonance. Errors as for `state_space`, except that python-control is not needed.
         """
         from strainwave.dynamics.two_inertia import anti_resonance, resonance
-        from strainwave.export.state_space import joint_model, joint_model_covariance
-        from strainwave.identification.joint_model.agreement import (
-            motor_response,
-            response_jacobian,
-        )
+        from strainwave.export.linear_models import joint_model, joint_model_covariance
+        from strainwave.identification.joint_model.agreement import motor_response
+        from strainwave.report.document.bode import response_stds
 
         arm = self._arm()
         model = joint_model(arm, joint)
@@ -529,13 +519,9 @@ class Result:
         G = motor_response(model.vector, model.gear_ratio, f)
         covariance = joint_model_covariance(arm, joint, self.covariance)
         magnitude_std, phase_std = None, None
-        if covariance is not None:  # delta method
-            relative = response_jacobian(model.vector, model.gear_ratio, f) / G[:, None]
-            size, phase_std = (
-                np.sqrt(np.clip(np.einsum("fi,ij,fj->f", part, covariance, part), 0.0, None))
-                for part in (relative.real, relative.imag)
-            )
-            magnitude_std = np.abs(G) * size
+        if covariance is not None:
+            relative, phase_std = response_stds(model.vector, covariance, model.gear_ratio, f, G)
+            magnitude_std = np.abs(G) * relative
         measured = results.response_of(self._document, joint)
         return JointResponse(joint, f, G, magnitude_std, phase_std, measured)
 
@@ -708,22 +694,21 @@ class Result:
         write_whole(path.parent, {path.name: results.to_json(self._document)})
         return path
 
-    def _arm(self) -> Any:
+    def _arm(self) -> IdentifiedArm:
         from strainwave.export import arm_of
 
         study = None if self.run is None else self.run.study
         return arm_of(self._document, self.source, identified=study)
 
     def _rigid_model(self) -> tuple[Arm, RigidModel]:
-        arm = Arm.of(self._arm().with_identified_drives().study.arm)
-        model = results.rigid_model_of(self._document, len(arm.rigid_columns))
-        if model is None:
+        arm = self._arm().with_identified_drives()
+        if arm.rigid is None:
             raise InvalidInput(
                 "has no rigid model, which predicts torques",
                 where=f"{self.source}: stages.rigid.prediction",
                 remedy='identify again, with records of use = "motion"',
             )
-        return arm, model
+        return Arm.of(arm.study.arm), arm.rigid
 
     def _needs_run(self, subject: str) -> Identification:
         if self.run is None:

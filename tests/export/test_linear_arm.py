@@ -14,10 +14,9 @@ from strainwave.domain import FloatArray
 from strainwave.domain.arm.description import Matrix
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
-from strainwave.export.linear_arm import coordinates_of, linear_arm
+from strainwave.export.linear_models import coordinates_of, linear_arm, state_space
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import IdentifiedArm
-from strainwave.export.state_space import state_space
 
 STEP = 1e-5  # of the differences; their error is of the order of its square
 

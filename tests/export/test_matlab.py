@@ -16,9 +16,8 @@ from scipy.io import loadmat
 
 import exports
 from strainwave.export import IdentifiedArm, state_space
-from strainwave.export.linear_arm import linear_arm
-from strainwave.export.matlab import to_mat, to_script
-from strainwave.export.state_space import INPUTS, OUTPUTS, STATES
+from strainwave.export.flat import to_mat, to_script
+from strainwave.export.linear_models import SIGNALS, linear_arm
 
 
 @pytest.fixture
@@ -43,7 +42,7 @@ def test_the_mat_file_contains_all_numbers(arm: IdentifiedArm) -> None:
     for joint in (1, 2):
         for name, matrix in zip("ABCD", state_space(arm, joint), strict=True):
             np.testing.assert_array_equal(content["joints"][joint - 1][name], matrix)
-    for key, names in (("states", STATES), ("inputs", INPUTS), ("outputs", OUTPUTS)):
+    for key, names in SIGNALS.items():
         assert content[key].tolist() == list(names)
 
 
@@ -145,7 +144,7 @@ def test_octave_runs_the_script(octave: str, arm: IdentifiedArm, tmp_path: Path)
         A, B, C, D = state_space(arm, joint)
         for name, matrix in zip("ABCD", (A, B, C, D), strict=True):
             np.testing.assert_array_equal(said[name], matrix)
-        assert said["inputs"].tolist() == list(INPUTS)
+        assert said["inputs"].tolist() == list(SIGNALS["inputs"])
         # sums and quotients in another order
         assert said["off"] <= 1e-12 * np.linalg.norm(A)
         for k, omega in enumerate((1.0, 50.0, 300.0)):

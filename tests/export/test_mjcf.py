@@ -21,7 +21,7 @@ from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.errors import InvalidInput
-from strainwave.export.linear_arm import coordinates_of
+from strainwave.export.linear_models import coordinates_of
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import IdentifiedArm
 from strainwave.signals.link_readings import JointMotion

@@ -20,10 +20,9 @@ from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, coefficients, joint_of
 from strainwave.errors import InvalidInput
 from strainwave.export import state_space
-from strainwave.export.linear_arm import linear_arm
+from strainwave.export.linear_models import linear_arm, to_state_space
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import Export, IdentifiedArm
-from strainwave.export.state_space import to_state_space
 
 OMEGA: FloatArray = np.geomspace(1.0, 1e3, 40)
 

@@ -16,7 +16,7 @@ from strainwave.domain.arm.kinds import single_joint
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.motor_responses import modes_of_motor, motor_response
-from strainwave.report.document import motors
+from strainwave.report.document import bode
 from strainwave.report.figures import Line, Markers
 
 
@@ -141,9 +141,9 @@ def test_the_true_arm_answers_as_its_record_and_another_does_not(
 def test_the_figure_shows_both_and_marks_the_modes(recorded: tuple[Study, Values, Log]) -> None:
     study, values, log = recorded
     response = motor_response(log, _arm_model(values), (), Arm.of(study.arm))
-    figure = motors.motor_figure(response)
+    figure = bode.motor_figure(response)
     names = {mark.name for mark in figure.marks if isinstance(mark, Line | Markers)}
     assert {"measured", "fitted arm, simulated"} <= names
     positions = [line.x for line in figure.uprights]
     assert set(positions) == {*response.anti_resonances_hz, *response.resonances_hz}
-    assert f"{response.anti_resonances_hz[0]:.4g}" in motors.describe(response)
+    assert f"{response.anti_resonances_hz[0]:.4g}" in bode.describe_motor(response)

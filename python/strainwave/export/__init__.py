@@ -7,12 +7,10 @@ from pathlib import Path
 
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.export.completion import completed
-from strainwave.export.flat import to_c_header, to_json
-from strainwave.export.linear_arm import LinearArm, linear_arm
-from strainwave.export.matlab import to_mat, to_script
+from strainwave.export.flat import to_c_header, to_json, to_mat, to_script
+from strainwave.export.linear_models import LinearArm, linear_arm, state_space, to_state_space
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import Export, IdentifiedArm, arm_of, read_arm
-from strainwave.export.state_space import state_space, to_state_space
 from strainwave.export.urdf import to_srdf, to_urdf
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.results import result_path

@@ -1,18 +1,28 @@
-"""Parameters and configuration as flat lists of names: JSON, and a C header."""
+"""Parameters and configuration as flat lists of names: JSON, a C header, and MATLAB.
+
+MATLAB gets the linear models as well: a .mat file of numbers, or a script that makes `ss` and
+`idgrey` models.
+"""
 
 from __future__ import annotations
 
+import io
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
-from strainwave.domain import ArmDescription
+import numpy as np
+
+from strainwave.domain import ArmDescription, FloatArray
 from strainwave.domain.arm.description import unit_in
 from strainwave.domain.arm.kinds import kind_of
 from strainwave.domain.arm.link_sensors import key_texts
-from strainwave.export.omissions import CORRELATIONS, sentence_of
+from strainwave.dynamics.two_inertia import NAMES
+from strainwave.export import linear_models, source
+from strainwave.export.linear_models import Matrices
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.io.templates import fill_text
 
@@ -97,14 +107,14 @@ def _components(names: Sequence[str], values: Sequence[float], unit: str) -> Ite
         yield FlatNumber(name, value, None, unit, known=True)
 
 
-def _notes(arm: IdentifiedArm) -> tuple[str, ...]:
-    return (*arm.assumptions, CORRELATIONS, *([_BODIES] if arm.standard else []))
+def _notes_of_values(arm: IdentifiedArm) -> tuple[str, ...]:
+    return (*arm.assumptions, source.CORRELATIONS, *([_BODIES] if arm.standard else []))
 
 
 def to_json(arm: IdentifiedArm) -> Export:
     """JSON tables `values`, `stds` and `units` by name; a parameter without value is null."""
     all_entries = entries(arm)
-    notes = _notes(arm)
+    notes = _notes_of_values(arm)
     document = {
         "schema": "strainwave/parameters/1",
         "values": {entry.name: entry.value for entry in all_entries},
@@ -118,13 +128,89 @@ def to_json(arm: IdentifiedArm) -> Export:
 
 def to_c_header(arm: IdentifiedArm) -> Export:
     """C header of `static const double`; a comment replaces a parameter without value."""
-    notes = _notes(arm)
+    notes = _notes_of_values(arm)
     text = fill_text(
         Path(__file__).with_name("arm.h.j2"),
         entries=entries(arm),
         notes=notes,
         prefix=HEADER_PREFIX,
         comment=lambda text: text.replace("*/", "* /"),  # which would end it
-        sentence_of=sentence_of,
+        sentence_of=source.sentence_of,
     )
     return Export(text.encode(), arm.warnings, notes)
+
+
+_UNKNOWN = float("nan")
+
+
+def to_mat(arm: IdentifiedArm) -> Export:
+    """MAT-file with structs `parameters`, `parameters_std`, `units`, and the models.
+
+    `joints` has A, B, C, D of each joint, empty for a joint without model, `whole_arm` those of the
+    arm. Errors as for `models_of`.
+    """
+    from scipy.io import savemat
+
+    joints, whole_arm = linear_models.models_of(arm)
+    all_entries = entries(arm)
+    content: dict[str, Any] = {
+        "parameters": {e.name: _UNKNOWN if e.value is None else e.value for e in all_entries},
+        "parameters_std": {
+            e.name: _UNKNOWN if e.std is None else e.std for e in all_entries if not e.known
+        },
+        "units": {e.name: e.unit for e in all_entries},
+        "joints": _joints(arm.study.arm.n_joints, joints),
+        **{key: np.array(names, dtype=object) for key, names in linear_models.SIGNALS.items()},
+        "notes": np.array(_notes_of_models(arm), dtype=object),
+        "whole_arm": whole_arm.matrices
+        | {key: np.array(getattr(whole_arm, key), dtype=object) for key in linear_models.SIGNALS},
+    }
+    file = io.BytesIO()
+    savemat(file, content, long_field_names=True, oned_as="column")
+    return Export(file.getvalue(), linear_models.linearised(arm), _notes_of_models(arm))
+
+
+def _joints(count: int, models: Mapping[int, Matrices]) -> FloatArray:
+    array = np.zeros(count, dtype=[(name, object) for name in "ABCD"])
+    for i in range(count):
+        for name in "ABCD":
+            array[name][i] = getattr(models.get(i + 1), name, np.zeros((0, 0)))
+    return array
+
+
+def _notes_of_models(arm: IdentifiedArm) -> tuple[str, ...]:
+    omitted = source.omission_note(arm, (*source.LINEAR, "servo", source.ERRORS))
+    matrices = (f"{note}: not in the matrices, but in the struct parameters" for note in omitted)
+    return (*arm.assumptions, *matrices, source.CORRELATIONS)
+
+
+def to_script(arm: IdentifiedArm) -> Export:
+    """Script with structs `parameters`, `parameters_std`, and models.
+
+    They are `sys{i}` and `grey(i)` of each joint with a model of its own, and `sys_arm` of the
+    whole arm. Errors as for `models_of`.
+    """
+    models, whole_arm = linear_models.models_of(arm)
+    joints = []
+    for number, matrices in models.items():
+        model = linear_models.joint_model(arm, number)
+        values = {name: getattr(model, name) for name in NAMES}
+        joints.append((number, values, model.gear_ratio, matrices._asdict()))
+    text = fill_text(
+        Path(__file__).with_name("arm.m.j2"),
+        entries=entries(arm),
+        joints=joints,
+        whole_arm=whole_arm,
+        **linear_models.SIGNALS,
+        notes=_notes_of_models(arm),
+        matrix=_matrix,
+        names=lambda names: "{" + ", ".join(f"'{name}'" for name in names) + "}",
+        number=lambda value: "NaN" if value is None else repr(value),
+        sentence_of=source.sentence_of,
+    )
+    return Export(text.encode(), linear_models.linearised(arm), _notes_of_models(arm))
+
+
+def _matrix(matrix: FloatArray) -> str:
+    rows = (", ".join(repr(float(x)) for x in row) for row in matrix)
+    return f"[{'; '.join(rows)}]"

@@ -24,30 +24,16 @@ from strainwave.domain.arm.link_sensors import SensorAxis, installed_axes
 from strainwave.domain.arm.link_sensors.imu import IMU_ATTITUDE, IMU_POSITION
 from strainwave.domain.arm.link_sensors.link_space import axes_about, link_space
 from strainwave.domain.arm.link_sensors.single_axis import Accelerometer, Gyro
-from strainwave.export.completion import (
-    DAMPING,
-    chain_of,
-    effective_gravity,
-    gravity_warnings,
-    link_bodies,
-)
-from strainwave.export.linear_arm import Coordinates, coordinates_of
-from strainwave.export.omissions import (
-    LINEAR,
-    SENSORS,
-    comment_text,
-    numbers,
-    omission_note,
-    sentence_of,
-)
-from strainwave.export.source import Export, IdentifiedArm
+from strainwave.export import completion, source
+from strainwave.export.linear_models import Coordinates, coordinates_of
+from strainwave.export.source import Export, IdentifiedArm, numbers
 
 _STEP_S = 1e-4  # [s] time step; Coulomb friction, a constraint, takes two steps to stop a motor
 _FAR = 1e9  # [rad or m] of a spring: its force is constant to 1e-9 per radian
 _LINK_RADIUS = 0.02  # [m] of the drawn links
 _HELD = (
-    *(*LINEAR, "motor_coulomb_friction", "friction_offset", "friction_settling_time"),
-    *("torque_per_volt", "current_loop_hz", SENSORS),
+    *(*source.LINEAR, "motor_coulomb_friction", "friction_offset", "friction_settling_time"),
+    *("torque_per_volt", "current_loop_hz", source.SENSORS),
 )
 
 
@@ -57,24 +43,24 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     Controls are voltages, or motor torques if the study has no `torque_per_volt`. Raises
     `InvalidInput` if a parameter that the model needs is missing or not physical.
     """
-    notes = (*arm.assumptions, *omission_note(arm, _HELD))
+    notes = (*arm.assumptions, *source.omission_note(arm, _HELD))
     joints = enumerate(arm.study.arm.joints, start=1)
     lost = [str(i) for i, joint in joints if joint.imu and _mounting(arm, i) is None]
     if lost:
         notes += (f"omitted: the IMU of joint {', '.join(lost)}: its place is unknown",)
-    gravity = effective_gravity(arm)
-    bodies = link_bodies(arm, gravity)
+    gravity = completion.effective_gravity(arm)
+    bodies = completion.link_bodies(arm, gravity)
     coordinates = coordinates_of(arm.study.arm)
     mujoco = ET.Element("mujoco", model="arm")
     origin = "Identified by strainwave. SI units, angles in rad."
-    for text in (origin, *map(sentence_of, notes)):
+    for text in (origin, *map(source.sentence_of, notes)):
         _comment(mujoco, text)
     ET.SubElement(mujoco, "compiler", angle="radian", eulerseq="XYZ")  # as rpy in URDF
     note = kind_of(arm.study.arm).gravity_note
     if gravity and note:
         _comment(mujoco, f"Gravity is {note}, which gives the measured gravity torques.")
     option = ET.SubElement(mujoco, "option", timestep=numbers(_STEP_S), integrator="RK4")
-    option.set("gravity", numbers(*(chain_of(arm, gravity).gravity or (0.0, 0.0, 0.0))))
+    option.set("gravity", numbers(*(completion.chain_of(arm, gravity).gravity or (0.0, 0.0, 0.0))))
     world = ET.SubElement(mujoco, "worldbody")
     _comment(world, "One of many sets of masses with the same motion; see docs/export.md.")
     parent = world
@@ -104,11 +90,11 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     warnings = arm.assumed() + _approximations(arm)
     ET.indent(mujoco)
     data: bytes = ET.tostring(mujoco, encoding="utf-8", xml_declaration=True)
-    return Export(data + b"\n", warnings + gravity_warnings(arm), notes)
+    return Export(data + b"\n", warnings + completion.gravity_warnings(arm), notes)
 
 
 def _comment(parent: ET.Element, text: str) -> None:
-    parent.append(ET.Comment(f" {comment_text(text)} "))
+    parent.append(ET.Comment(f" {source.comment_text(text)} "))
 
 
 def _terms(
@@ -154,7 +140,13 @@ def _link(
     mounting = _mounting(arm, number)
     if mounting is not None:
         xyz, rpy = mounting
-        ET.SubElement(element, "site", name=f"imu{number}", pos=numbers(*xyz), euler=numbers(*rpy))
+        ET.SubElement(
+            element,
+            "site",
+            name=f"imu{number}",
+            pos=numbers(*xyz),
+            euler=numbers(*rpy),
+        )
     following = arm.study.arm.joints[number:]
     end = following[0].origin.xyz if following else tuple(2.0 * part for part in body.centre)
     fromto = numbers(0, 0, 0, *(end if any(end) else (10.0 * _LINK_RADIUS, 0, 0)))
@@ -190,7 +182,7 @@ def _motor_friction(
     rest, the attribute `rest`: -stiffness (q - rest). It is a passive force, so that inverse
     dynamics contain it.
     """
-    higher = [arm.values.get((name, number), 0.0) for name in DAMPING]
+    higher = [arm.values.get((name, number), 0.0) for name in completion.DAMPING]
     powers = [arm.need("motor_viscous_friction", number), *(higher if any(higher) else ())]
     turns = 1.0 / abs(ratio)
     damping = [coefficient * turns ** (k + 2) for k, coefficient in enumerate(powers)]

@@ -1,10 +1,10 @@
-"""A result and its study as the arm to export."""
+"""A result and its study as the arm to export; notes on what a format cannot hold."""
 
 from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,20 +24,13 @@ from strainwave.domain.arm.base_parameters import MOTOR_INERTIA, base_parameters
 from strainwave.domain.arm.combinations import is_rigid_drive, lumped_inertias, rigid_columns
 from strainwave.domain.arm.description import Urdf
 from strainwave.domain.arm.kinds import kind_of
+from strainwave.domain.arm.link_sensors import key_texts, sensor_constants
+from strainwave.domain.arm.parameter_table import base_name, family_of
 from strainwave.domain.arm.parameters import complete_values
 from strainwave.domain.keys import JointNumber, Values
 from strainwave.errors import InvalidInput
+from strainwave.io import results
 from strainwave.io.atomic_files import read_bytes
-from strainwave.io.results import (
-    NOT_A_RESULT,
-    parameters_of,
-    read_document,
-    result_path,
-    rigid_model_of,
-    stage_estimates_of,
-    standard_parameters_of,
-    study_of,
-)
 from strainwave.io.study import read_study
 from strainwave.io.urdf import read_urdf
 
@@ -179,8 +172,8 @@ def read_arm(path: Path | str, study_path: Path | str | None = None) -> Identifi
     study file is searched for in the folder of the result, at the path in the result, relative to
     the folder of the result or one above, and where it was identified. Logs need not exist.
     """
-    path = result_path(Path(path))
-    return arm_of(read_document(path), path, study_path)
+    path = results.result_path(Path(path))
+    return arm_of(results.read_document(path), path, study_path)
 
 
 def arm_of(
@@ -199,8 +192,8 @@ def arm_of(
             where=f"{path}: parameters",
             remedy="identify again; the reason in the result states the cause",
         )
-    parameters = parameters_of(document, str(path))
-    study = None if study_path else identified or study_of(document, path)
+    parameters = results.parameters_of(document, str(path))
+    study = None if study_path else identified or results.study_of(document, path)
     warnings: tuple[Diagnostic, ...] = ()
     if study is None:
         study, warnings = study_file_of(document, path, study_path)
@@ -209,9 +202,9 @@ def arm_of(
     _check_parameters(parameters, study, path)
     study = replace(study, arm=study.arm.with_selected_laws([p.key for p in parameters]))
     accepted, rejected = _drop_rejected(parameters, document, path)
-    standard = standard_parameters_of(document, study.arm, str(path))
-    rigid = rigid_model_of(document, len(rigid_columns(study.arm)))
-    estimates = stage_estimates_of(document)
+    standard = results.standard_parameters_of(document, study.arm, str(path))
+    rigid = results.rigid_model_of(document, len(rigid_columns(study.arm)))
+    estimates = results.stage_estimates_of(document)
     return IdentifiedArm(study, accepted, str(path), warnings, rejected, standard, rigid, estimates)
 
 
@@ -223,7 +216,7 @@ def study_file_of(
     texts = [entry.get(key) for key in ("path", "sha256")] if isinstance(entry, dict) else []
     if not texts or not all(isinstance(text, str) for text in texts):
         raise InvalidInput(
-            "does not name its study file", where=f"{path}: study", remedy=NOT_A_RESULT
+            "does not name its study file", where=f"{path}: study", remedy=results.NOT_A_RESULT
         )
     named, sha256 = map(str, texts)
     if study_path is None:
@@ -266,7 +259,7 @@ def _drop_rejected(
     labels = verdict.get("rejected", []) if isinstance(verdict, dict) else None
     if not isinstance(labels, list) or not all(isinstance(label, str) for label in labels):
         raise InvalidInput(
-            "is not a list of names", where=f"{path}: verdict.rejected", remedy=NOT_A_RESULT
+            "is not a list of names", where=f"{path}: verdict.rejected", remedy=results.NOT_A_RESULT
         )
     impossible = [p.label for p in parameters if p.value and not is_physical(p.name, p.value)]
     rejected = tuple(dict.fromkeys([*labels, *impossible]))
@@ -284,7 +277,7 @@ def _check_parameters(parameters: Sequence[Parameter], study: Study, path: Path)
     """
     labels = [parameter.label for parameter in parameters]
     for k, parameter in enumerate(parameters):
-        problem, remedy, joint = "", NOT_A_RESULT, parameter.joint
+        problem, remedy, joint = "", results.NOT_A_RESULT, parameter.joint
         if not re.fullmatch(r"[a-z][a-z0-9_]*(\[.*\])?", parameter.name):
             problem = f"{parameter.name!r} is not a parameter name"
         elif parameter.label in labels[:k]:
@@ -320,3 +313,65 @@ def _is_file(path: Path) -> bool:
         return path.is_file()
     except (OSError, ValueError):  # not a valid file name
         return False
+
+
+GEAR, SENSORS, ERRORS = "gear", "sensors", "standard deviations and correlations"
+LINEAR = (
+    *("motor_inertia", "motor_viscous_friction", "link_viscous_friction"),
+    *(GEAR, "gravity", "transmission"),
+)
+"""Parts of a linear model of the whole arm."""
+
+CORRELATIONS = "omitted: correlations between parameters: see covariance in result.json"
+"""Note of formats that contain standard deviations."""
+
+
+def omission_note(arm: IdentifiedArm, held: Collection[str]) -> tuple[str, ...]:
+    """A note on the parts of an arm that are not `held`, with their joints.
+
+    Parts are parameters, effects and keys of the study by name, and all of `GEAR`, `SENSORS`. Every
+    format has the links, and sums of parameters.
+    """
+    parts: dict[str, set[int]] = {}
+    for p in arm.parameters:
+        name = base_name(p.name)
+        is_sum = name == "total_viscous_friction" or family_of(name) in ("inertia", "gravity")
+        if p.value is not None and (not is_sum or name == "motor_inertia"):
+            is_gear = name == "gear_damping" or family_of(name) == "stiffness"
+            is_gear |= p.joint is not None and name in arm.joint(p.joint).law.names
+            part = GEAR if is_gear else SENSORS if name in sensor_constants() else name
+            parts.setdefault(part, set()).update(() if p.joint is None else (p.joint,))
+    for number, joint in enumerate(arm.study.arm.joints, start=1):
+        drive = [key for key in ("torque_per_volt", "current_loop_hz") if getattr(joint, key)]
+        has_sensor = any(getattr(joint, key) for key in ("encoder_counts", *key_texts()))
+        for part in (*joint.named_effects, *drive, *[SENSORS] * has_sensor):
+            parts.setdefault(part, set()).add(number)
+    description = arm.study.arm
+    present = {
+        "gravity": description.gravity,
+        "transmission": description.is_coupled,
+        "servo": description.servo,
+        ERRORS: True,
+    }
+    parts |= {part: set() for part, value in present.items() if value}
+    listed = [
+        part + (f" (joint {', '.join(map(str, sorted(joints)))})" if joints else "")
+        for part, joints in parts.items()
+        if part not in held
+    ]
+    return (f"omitted: {', '.join(listed)}",) if listed else ()
+
+
+def sentence_of(note: str) -> str:
+    """Note as a sentence."""
+    return f"{note[:1].upper()}{note[1:]}."
+
+
+def numbers(*values: float) -> str:
+    """Numbers separated by blanks, with all digits."""
+    return " ".join(repr(float(value) + 0.0) for value in values)  # no -0.0
+
+
+def comment_text(text: str) -> str:
+    """Text of a comment; two hyphens in a row, which XML forbids, become one."""
+    return text.replace("--", "-")

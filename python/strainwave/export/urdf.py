@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -12,19 +12,8 @@ from strainwave.domain import Joint, JointLimits, LinkPrior
 from strainwave.domain.arm.kinds.base import Body
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NumericalFailure
-from strainwave.export.completion import (
-    body_torques,
-    chain_of,
-    gravity_warnings,
-    loss_note,
-    motion_of,
-    motor_friction,
-    nonnegative_fit,
-    rotor_inertias,
-    standard_links,
-)
-from strainwave.export.omissions import comment_text, numbers, omission_note, sentence_of
-from strainwave.export.source import Export, IdentifiedArm
+from strainwave.export import completion, source
+from strainwave.export.source import Export, IdentifiedArm, numbers
 from strainwave.io.base_parameters import links_of_torques, motor_regressor, torque_errors
 from strainwave.io.templates import fill_text
 from strainwave.io.urdf import patch_urdf
@@ -66,64 +55,60 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
     If a URDF places the joints of the study, it is that file with other inertial values and
     friction. The links include the rotors, unless the file `has_rotors`.
     """
-    model = _projected(arm, has_rotors)
-    notes = (*arm.assumptions, *model.notes, *omission_note(arm, _HELD))
+    links, rotors, friction, notes_of_links = _projected(arm, has_rotors)
+    notes = (*arm.assumptions, *notes_of_links, *source.omission_note(arm, _HELD))
     urdf, names = arm.study.arm.urdf, arm.study.arm.joint_names
     if urdf is not None:
         comments = ["Inertial values and friction identified by strainwave."]
-        comments += map(sentence_of, notes)
+        comments += map(source.sentence_of, notes)
         path = arm.study.path.parent / urdf.file
-        data = patch_urdf(path, urdf.held, model.links, model.friction, comments)
+        data = patch_urdf(path, urdf.held, links, friction, comments)
     else:
-        links = map(Body.of_standard, model.links)
+        bodies = map(Body.of_standard, links)
         data = fill_text(
             Path(__file__).with_name("arm.urdf.j2"),
             notes=notes,
-            links=list(zip(links, arm.study.arm.joints, names, strict=True)),
-            friction=model.friction,
+            links=list(zip(bodies, arm.study.arm.joints, names, strict=True)),
+            friction=friction,
             kind_of=_kind,
             limits_of=_limits,
-            comment_text=comment_text,
+            comment_text=source.comment_text,
             numbers=numbers,
             quoted=quoteattr,
-            sentence_of=sentence_of,
+            sentence_of=source.sentence_of,
         ).encode()
     if has_rotors:
         joints = "".join(
             f'    <joint name={quoteattr(name)} mass="{numbers(rotor)}" gear_ratio="1.0" />\n'
-            for name, rotor in zip(names, model.rotors, strict=True)
+            for name, rotor in zip(names, rotors, strict=True)
         )
         start, end, rest = data.rpartition(b"</robot>")
         element = f"  <rotor_params>\n{joints}  </rotor_params>\n".encode()
         data = start + element + end + rest
-    return Export(data, arm.assumed() + gravity_warnings(arm), notes)
+    return Export(data, arm.assumed() + completion.gravity_warnings(arm), notes)
 
 
-@dataclass(frozen=True, slots=True)
-class _Model:
-    """What a URDF has of an arm."""
-
-    links: list[LinkPrior]
-    rotors: list[float]  # inertias at the joints that the links do not include
-    friction: list[tuple[float, float]]  # damping and friction of the joints
-    notes: tuple[str, ...]
-
-
-def _projected(arm: IdentifiedArm, has_rotors: bool) -> _Model:
+def _projected(
+    arm: IdentifiedArm, has_rotors: bool
+) -> tuple[list[LinkPrior], list[float], list[tuple[float, float]], list[str]]:
     """The model whose torques at the motors over the recorded motion are nearest to the arm's.
 
+    Links, inertias of rotors at the joints that the links do not include, damping and dry friction
+    of the joints, and notes.
     URDF has friction of single joints, and no place for rotors. What of them it does not hold is
     in the links: the nearest consistent bodies.
     """
-    gravity, motion = arm.study.arm.gravity_size, motion_of(arm)
-    description, chain = Arm.of(arm.study.arm), chain_of(arm, gravity)
+    gravity, motion = arm.study.arm.gravity_size, completion.motion_of(arm)
+    description, chain = Arm.of(arm.study.arm), completion.chain_of(arm, gravity)
     n, speeds = description.n_joints, description.links_of(motion[1])
     target, notes = arm.torques, list[str]()
     if target is None:
-        target = body_torques(arm, motion, gravity) + motor_friction(arm, motion)
+        target = completion.body_torques(arm, motion, gravity)
+        target = target + completion.motor_friction(arm, motion)
         arm = replace(arm, torques=target)
     regressor = motor_regressor(chain, motion)
-    links, inertias = np.concatenate(standard_links(arm, gravity)), rotor_inertias(arm)
+    links = np.concatenate(completion.standard_links(arm, gravity))
+    inertias = completion.rotor_inertias(arm)
     rotors = np.diag(description.joints_of(description.joints_of(np.diag(inertias)).T))
     held = rotors * has_rotors
     of_rotors = description.motors_of(held * description.links_of(motion[2]))
@@ -141,10 +126,10 @@ def _projected(arm: IdentifiedArm, has_rotors: bool) -> _Model:
             notes.append(f"the links include the rotors ({listed}); SRDF and MJCF hold them apart")
     rest = target - regressor[:, :, : 10 * n] @ links - of_rotors
     weights = (motion[1] != 0.0) / (np.std(target, axis=0) + np.finfo(float).tiny)
-    friction = nonnegative_fit(
+    friction = completion.nonnegative_fit(
         (laws * weights[:, :, None]).reshape(rest.size, -1), (rest * weights).ravel()
     )
-    notes.append(loss_note(arm, target - rest + laws @ friction))
+    notes.append(completion.loss_note(arm, target - rest + laws @ friction))
     bodies = [tuple(link) for link in links.reshape(-1, 10).tolist()]
     pairs = list(zip(*friction.reshape(2, n).tolist(), strict=True))
-    return _Model(bodies, held.tolist(), pairs, tuple(notes))
+    return bodies, held.tolist(), pairs, notes

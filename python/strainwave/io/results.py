@@ -154,7 +154,7 @@ def read_document(path: Path) -> dict[str, Any]:
     for name in ("study", "stages", "verdict"):
         if not isinstance(document.get(name, {}), dict):
             raise InvalidInput(f"'{name}' is not a table", where=str(path), remedy=NOT_A_RESULT)
-    _read(tuple[CheckEntry, ...], document.get("checks", []), f"{path}: checks")
+    checks_of(document, str(path))
     return dict(document)
 
 
@@ -225,6 +225,14 @@ def warnings_of(document: Mapping[str, Any]) -> tuple[PublishedWarning, ...]:
     """The warnings of a result."""
     entries = document.get("warnings", [])
     return _read(tuple[PublishedWarning, ...], entries, "the result: warnings")
+
+
+def checks_of(
+    document: Mapping[str, Any], source: str = "the result"
+) -> dict[str, dict[str, float | None]]:
+    """Fit [%] of each channel of each validation record; None: the channel does not vary."""
+    entries = _read(tuple[CheckEntry, ...], document.get("checks", []), f"{source}: checks")
+    return {each.experiment: dict(each.fit_percent) for each in entries}
 
 
 def verdict_of(document: Mapping[str, Any]) -> Verdict:

@@ -39,16 +39,14 @@ from strainwave.io.study import read_study, with_options
 from strainwave.numerics.parallel import limited, one_blas_thread
 from strainwave.pipeline.elastic_arm import fit_elastic_arm
 from strainwave.pipeline.inputs import (
+    Reporter,
+    attempt,
     check_input,
     check_inputs,
     read_records,
     read_start,
 )
-from strainwave.pipeline.reporter import Reporter, attempt
-from strainwave.pipeline.rigid_joints import (
-    estimate_drives,
-    fit_rigid_joints,
-)
+from strainwave.pipeline.rigid_joints import estimate_drives, fit_rigid_joints
 from strainwave.report.matplotlib_backend import images
 from strainwave.signals.motor import activity_of
 from strainwave.signals.torque_constants import (
@@ -182,8 +180,7 @@ def with_report_loading(progress: Progress) -> Progress:
     threads: list[Thread] = []
 
     def load_report() -> None:
-        from strainwave.report import document  # noqa: F401
-        from strainwave.report.html import load_template
+        from strainwave.report.document.blocks import load_template  # loads the whole report
 
         load_template("document/page")
 

@@ -1,4 +1,4 @@
-"""What the stages of a run start from.
+"""What the stages of a run start from, and the reporter of their times and progress.
 
 The input check: defects of sensors and loggers, and the consistency of the channels.
 """
@@ -6,14 +6,17 @@ The input check: defects of sensors and loggers, and the consistency of the chan
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from strainwave import input_check
 from strainwave.domain import (
+    Clause,
     Consistency,
     Diagnostic,
     Experiment,
@@ -27,13 +30,16 @@ from strainwave.domain import (
 from strainwave.domain.arm.parameters import complete_values
 from strainwave.domain.keys import Key, Values, label_of
 from strainwave.domain.results.identification import merge_by_cause
+from strainwave.domain.study import Progress, ProgressEvent
 from strainwave.dynamics.arm import Arm
-from strainwave.errors import InvalidInput
+from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.io import logs
 from strainwave.io.logs.arrays import Data
 from strainwave.io.study import read_study, with_options
 from strainwave.numerics.parallel import one_blas_thread
 from strainwave.signals import hygiene
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,3 +196,53 @@ def check_input(
         unchecked=consistency.unchecked,
         seconds=time.perf_counter() - begin,
     )
+
+
+def attempt(stage: Callable[[], T], failed: Callable[[Clause], T]) -> T:
+    """The result of a stage, or of `failed` with the reason if its computation fails."""
+    try:
+        return stage()
+    except NumericalFailure as failure:
+        return failed(Clause("numerical-failure", reason=str(failure)))
+
+
+class Reporter:
+    """Measures the times of the parts of a run and reports its progress."""
+
+    def __init__(self, stages: Sequence[Stage], progress: Progress) -> None:
+        self.timing_s: dict[str, float] = {}
+        planned = ["read", "consistency", "rigid", "checks"]
+        if "decoupled" in stages:
+            planned.append("decoupled")
+        if "tuned" in stages:
+            planned += ["tuned", "checks"]
+        self._planned = [*planned, "report"]
+        self._progress = progress
+        self._n_started = 0  # parts started or skipped
+        self._fraction = 0.0  # completed part of the run, from 0 to 1
+
+    @contextmanager
+    def time_part(self, part: str, activity: str) -> Iterator[None]:
+        """Report the start of a part and measure its time."""
+        self.report(part, activity)
+        with self.measure_time(part):
+            yield
+
+    @contextmanager
+    def measure_time(self, part: str) -> Iterator[None]:
+        """Measure the time of a part that runs in parallel to another part."""
+        begin = time.perf_counter()
+        yield
+        self.timing_s[part] = self.timing_s.get(part, 0.0) + time.perf_counter() - begin
+
+    def report(self, part: str, activity: str, within: float = 0.0) -> None:
+        """Report progress; `within` is the completed part of this part, from 0 to 1.
+
+        Planned parts before this one that have not started count as skipped.
+        """
+        if part in self._planned[self._n_started :]:
+            self._n_started = self._planned.index(part, self._n_started) + 1
+        parts = len(self._planned)
+        fraction = (self._n_started - 1 + min(within, 1.0)) / parts
+        self._fraction = max(self._fraction, fraction)  # never decreases if a part takes longer
+        self._progress(ProgressEvent(part, self._fraction, activity, self._n_started, parts))

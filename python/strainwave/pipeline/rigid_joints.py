@@ -29,8 +29,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, RecordTooShort
 from strainwave.identification import rigid, validation
 from strainwave.numerics.parallel import run_parallel
-from strainwave.pipeline.inputs import Inputs
-from strainwave.pipeline.reporter import Reporter
+from strainwave.pipeline.inputs import Inputs, Reporter
 from strainwave.signals import hygiene
 from strainwave.signals.motor import SignalOptions, mark_standstill, prepare_motor_signals
 

@@ -6,22 +6,8 @@ from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 from strainwave.errors import import_optional
-from strainwave.report.figures import (
-    FREQUENCY_TICKS,
-    SOLID,
-    Area,
-    Axis,
-    Bars,
-    Colour,
-    Dash,
-    HeatMap,
-    Line,
-    Mark,
-    Markers,
-    Panel,
-    Upright,
-)
-from strainwave.report.figures import Figure as Record
+from strainwave.report import figures
+from strainwave.report.figures import Area, Axis, Colour, Dash, Line, Mark, Markers, Panel, Upright
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,14 +31,14 @@ def require_matplotlib() -> None:
     import_optional("matplotlib", "drawing figures", "'strainwave[plot]'")
 
 
-def draw(figure: Record) -> Figure:
+def draw(figure: figures.Figure) -> Figure:
     """A figure by Matplotlib; raises InvalidInput if Matplotlib is not installed."""
     require_matplotlib()
     from matplotlib.figure import Figure
 
     # category names instead of numbers on the horizontal axis, and names of rows need room
     categories = any(isinstance(m, Markers) and isinstance(m.x, tuple) for m in figure.marks)
-    rows = max((len(m.names) for m in figure.marks if isinstance(m, HeatMap)), default=0)
+    rows = max((len(m.names) for m in figure.marks if isinstance(m, figures.HeatMap)), default=0)
     height = _PANEL_HEIGHT * figure.height + _CATEGORY_LABEL_HEIGHT * categories
     if rows:
         height = _PANEL_HEIGHT + _HEAT_MAP_ROW_HEIGHT * rows
@@ -76,7 +62,7 @@ def draw(figure: Record) -> Figure:
     return canvas
 
 
-def images(figure: Record, *, resolution: int = _PNG_RESOLUTION) -> dict[str, bytes]:
+def images(figure: figures.Figure, *, resolution: int = _PNG_RESOLUTION) -> dict[str, bytes]:
     """The contents of a figure's files by ending, "svg" and "png"; `resolution` [1/in]."""
     canvas = draw(figure)
     import matplotlib as mpl
@@ -99,7 +85,7 @@ def _mark(canvas: Figure, axes: Axes, mark: Mark) -> None:
         axes.fill_between(
             mark.x, mark.low, mark.high, color=mark.colour, alpha=_BAND_OPACITY, linewidth=0.0
         )
-    elif isinstance(mark, Bars):
+    elif isinstance(mark, figures.Bars):
         axes.bar(mark.x, mark.y, width=mark.width, color=mark.colour, label=mark.name)
     else:
         from matplotlib.colors import LinearSegmentedColormap
@@ -161,7 +147,9 @@ def _horizontal(axes: list[Axes], axis: Axis, *, categories: bool) -> None:
     if axis.log:
         last.set_xscale("log")
         low, high = last.get_xlim()  # ticks outside would widen the range
-        ticks = {value: text for value, text in FREQUENCY_TICKS.items() if low <= value <= high}
+        ticks = {
+            value: text for value, text in figures.FREQUENCY_TICKS.items() if low <= value <= high
+        }
         last.set_xticks(list(ticks), list(ticks.values()))
         last.minorticks_off()
     if axis.range is not None:
@@ -214,4 +202,4 @@ def _legend(canvas: Figure, axes: list[Axes], names: list[str]) -> None:
 
 def _dashes(dash: Dash, width: float) -> Any:
     """Dash lengths in line widths, as Matplotlib expects."""
-    return "-" if dash == SOLID else (0, [length / max(width, 1.0) for length in dash])
+    return "-" if dash == figures.SOLID else (0, [length / max(width, 1.0) for length in dash])

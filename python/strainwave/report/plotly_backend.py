@@ -9,22 +9,8 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.report.figures import (
-    FREQUENCY_TICKS,
-    SOLID,
-    Area,
-    Axis,
-    Bars,
-    Colour,
-    Dash,
-    Figure,
-    HeatMap,
-    Line,
-    Mark,
-    Markers,
-    Panel,
-    Upright,
-)
+from strainwave.report import figures
+from strainwave.report.figures import Area, Axis, Colour, Dash, Figure, Line, Mark, Markers, Panel
 
 _Numbers = Callable[[FloatArray], "list[float | None]"]
 
@@ -90,7 +76,7 @@ def plotly(figure: Figure) -> dict[str, Any]:
             if line.text
         ]
     for mark in figure.marks:
-        if isinstance(mark, HeatMap):
+        if isinstance(mark, figures.HeatMap):
             # every row and column has its name, and the margin has room for the longest
             every = {"dtick": 1, "tickfont": {"size": _HEAT_MAP_FONT_SIZE}}
             layout["yaxis"] |= {"autorange": "reversed", **every}
@@ -118,7 +104,7 @@ def _trace(mark: Mark, numbers: _Numbers) -> dict[str, Any]:
         return _points(mark, numbers)
     if isinstance(mark, Area):
         return _band(mark, numbers)
-    if isinstance(mark, Bars):
+    if isinstance(mark, figures.Bars):
         return {
             "type": "bar",
             "name": mark.name,
@@ -197,7 +183,7 @@ def _axis(axis: Axis) -> dict[str, Any]:
 
 
 def _decades(panel: Panel) -> float:
-    lines = [mark.y for mark in panel.marks if not isinstance(mark, Area | HeatMap)]
+    lines = [mark.y for mark in panel.marks if not isinstance(mark, Area | figures.HeatMap)]
     y = np.concatenate(lines) if lines else np.zeros(0)
     y = y[np.isfinite(y) & (y > 0.0)]
     return float(np.ptp(np.log10(y))) if len(y) else 0.0
@@ -207,7 +193,10 @@ def _horizontal(axis: Axis) -> dict[str, Any]:
     """The shared axis; a logarithmic one has complete labels at 1, 2 and 5."""
     if not axis.log:
         return _axis(axis)
-    ticks = {"tickvals": list(FREQUENCY_TICKS), "ticktext": list(FREQUENCY_TICKS.values())}
+    ticks = {
+        "tickvals": list(figures.FREQUENCY_TICKS),
+        "ticktext": list(figures.FREQUENCY_TICKS.values()),
+    }
     return _axis(axis) | ticks
 
 
@@ -223,7 +212,7 @@ def _domains(heights: Sequence[float]) -> list[list[float]]:
     return domains
 
 
-def _label(line: Upright, domain: Sequence[float], *, log: bool) -> dict[str, Any]:
+def _label(line: figures.Upright, domain: Sequence[float], *, log: bool) -> dict[str, Any]:
     """The label of a vertical line; Plotly places it at the logarithm on a logarithmic axis."""
     low, high = domain
     return {
@@ -239,7 +228,7 @@ def _label(line: Upright, domain: Sequence[float], *, log: bool) -> dict[str, An
 
 
 def _dash(dash: Dash) -> str:
-    return "solid" if dash == SOLID else ",".join(f"{length:g}px" for length in dash)
+    return "solid" if dash == figures.SOLID else ",".join(f"{length:g}px" for length in dash)
 
 
 def _number(panel: int) -> str:

@@ -12,17 +12,11 @@ from rich import table as rich_table
 from rich.console import Console
 from rich.text import Text
 
-from strainwave.domain import (
-    CONDITION_TEXTS,
-    Decision,
-    Diagnostic,
-    Identification,
-    InputCheck,
-    Suspicion,
-)
+from strainwave import domain
 from strainwave.domain.keys import Key
 from strainwave.domain.messages import percent, plus_minus
-from strainwave.report.document.blocks import Cell, Row, RowGroup, Table, number, prose, table
+from strainwave.report.document import blocks
+from strainwave.report.document.blocks import Cell, Row, RowGroup, Table
 from strainwave.report.document.elastic import mode_cells, trend_title
 from strainwave.report.document.parameters import SUMMARY_HEADS, summary_row
 from strainwave.report.document.rig import gain_sentences
@@ -43,7 +37,7 @@ _FAULT_STYLE = "bold red"
 
 
 def print_summary(
-    identification: Identification,
+    identification: domain.Identification,
     folder: Path,
     *,
     truth: Truth | None = None,
@@ -92,11 +86,11 @@ def print_summary(
 _BOUNDS = {"equal": "", "least": "> ", "most": "< "}
 
 
-def print_check(check: InputCheck, *, console: Console | None = None) -> None:
+def print_check(check: domain.InputCheck, *, console: Console | None = None) -> None:
     """Print the relations of an input check as a table, warnings, and the suspected faults."""
     console = console or Console(highlight=False)
-    numbers = map(number, ("measured", "expected", "accuracy"))
-    heads: Row = (prose("relation"), "place", *numbers, "verdict")
+    numbers = map(blocks.number, ("measured", "expected", "accuracy"))
+    heads: Row = (blocks.prose("relation"), "place", *numbers, "verdict")
     places: dict[tuple[str, ...], list[str]] = {}
     for relation in sorted(check.relations, key=lambda each: each.is_consistent):
         verdict = "consistent" if relation.is_consistent else "contradiction"
@@ -110,7 +104,7 @@ def print_check(check: InputCheck, *, console: Console | None = None) -> None:
     for (text, *values, verdict), names in places.items():
         mark = Cell(verdict, mark="" if verdict == "consistent" else "bad")
         rows.append((text, ", ".join(names), *values, mark))
-    for relations in table("Relations", heads, rows):
+    for relations in blocks.table("Relations", heads, rows):
         console.print(printed_table(relations))
     if check.unchecked:
         console.print(Text(f"in no relation, not checked: {', '.join(check.unchecked)}"))
@@ -123,8 +117,8 @@ def print_check(check: InputCheck, *, console: Console | None = None) -> None:
     console.print(f"{check.seconds:.1f} s")
 
 
-def _print_warnings(warnings: Sequence[Diagnostic], console: Console) -> None:
-    groups: dict[str, list[Diagnostic]] = {}
+def _print_warnings(warnings: Sequence[domain.Diagnostic], console: Console) -> None:
+    groups: dict[str, list[domain.Diagnostic]] = {}
     for warning in by_severity(warnings):
         groups.setdefault(warning.code, []).append(warning)
     for code, same in groups.items():
@@ -142,14 +136,14 @@ def _print_warnings(warnings: Sequence[Diagnostic], console: Console) -> None:
         console.print(grid)
 
 
-def _suspicion_lines(suspicions: Sequence[Suspicion]) -> Iterator[str]:
+def _suspicion_lines(suspicions: Sequence[domain.Suspicion]) -> Iterator[str]:
     for suspicion in suspicions:
         accepted = "accepted: " if suspicion.accepted else ""
         yield f"  {accepted}{suspicion.where}: {suspicion.message}"
         yield f"    correction: {suspicion.remedy}"
 
 
-def _fit_table(identification: Identification) -> Iterator[Table]:
+def _fit_table(identification: domain.Identification) -> Iterator[Table]:
     fits: dict[tuple[str, str], dict[str, float]] = {}
     for use, predictions in (("fitted", identification.fitted), ("check", identification.checks)):
         for prediction in predictions:
@@ -163,11 +157,11 @@ def _fit_table(identification: Identification) -> Iterator[Table]:
         cells = dict.fromkeys(channels, "")
         cells |= {name: percent(x) if math.isfinite(x) else "-" for name, x in of_record.items()}
         rows.append((*key, *cells.values()))
-    heads: Row = ("fit of record", "use", *map(number, channels))
-    return table("Fits of the records", heads, rows, heading=False)
+    heads: Row = ("fit of record", "use", *map(blocks.number, channels))
+    return blocks.table("Fits of the records", heads, rows, heading=False)
 
 
-def _resonance_table(identification: Identification) -> Iterator[Table]:
+def _resonance_table(identification: domain.Identification) -> Iterator[Table]:
     """Resonances of the joints; if only motors were measured, those of the fitted arm."""
     rows: list[Row] = []
     responses = identification.motor_responses
@@ -181,13 +175,18 @@ def _resonance_table(identification: Identification) -> Iterator[Table]:
         if response.joint in by_motor:
             kinds = (response.anti_resonances_hz, response.resonances_hz)
             cells = (", ".join(f"{value:.4g}" for value in values) for values in kinds)
-            where = f"{response.experiment}, {CONDITION_TEXTS[response.condition]}"
+            where = f"{response.experiment}, {domain.CONDITION_TEXTS[response.condition]}"
             rows.append((f"motor {response.joint}", where, *cells))
-    heads: Row = ("resonances [Hz]", "of", number("anti-resonance"), number("resonance"))
-    return table("Resonances", heads, rows, heading=False)
+    heads: Row = (
+        "resonances [Hz]",
+        "of",
+        blocks.number("anti-resonance"),
+        blocks.number("resonance"),
+    )
+    return blocks.table("Resonances", heads, rows, heading=False)
 
 
-def _parameter_table(decisions: Sequence[Decision], truth: Truth | None) -> Iterator[Table]:
+def _parameter_table(decisions: Sequence[domain.Decision], truth: Truth | None) -> Iterator[Table]:
     rows: list[Row] = []
     for decision in decisions:
         p = decision.parameter
@@ -201,8 +200,8 @@ def _parameter_table(decisions: Sequence[Decision], truth: Truth | None) -> Iter
         rows.append(row)
     heads = SUMMARY_HEADS
     if truth is not None:
-        heads = (*heads, *map(number, ("true", "error %")))
-    return table("Parameters", heads, rows, heading=False)
+        heads = (*heads, *map(blocks.number, ("true", "error %")))
+    return blocks.table("Parameters", heads, rows, heading=False)
 
 
 def printed_table(cells: Table) -> rich_table.Table:

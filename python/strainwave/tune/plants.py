@@ -1,6 +1,6 @@
 """Linear arms behind their drives, for drawn parameters, postures, payloads and gear slopes.
 
-With the coordinates p of `strainwave.export.linear_arm`, a deviation from rest follows
+With the coordinates p of `strainwave.export.linear_models`, a deviation from rest follows
 
     M ddp + D dp + K p = P tau_M
 
@@ -21,7 +21,7 @@ from strainwave.domain import ComplexArray, FloatArray, IntArray, Payload
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
-from strainwave.export.linear_arm import coordinates_of
+from strainwave.export.linear_models import coordinates_of
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import JointCovariance
 

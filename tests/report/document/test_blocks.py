@@ -20,14 +20,15 @@ from strainwave.report.document.blocks import (
     Section,
     Span,
     document,
+    fill_template,
     keyed,
     number,
     paragraph,
     read_figures,
     table,
+    typeset,
 )
 from strainwave.report.figures import Axis, Figure, Panel
-from strainwave.report.html import fill_template, typeset
 from strainwave.report.plotly_backend import plotly
 
 FIGURES_START = '<script type="application/json" id="figures">'

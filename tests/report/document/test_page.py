@@ -18,8 +18,8 @@ from results import arm_model, identification, prediction
 from strainwave.domain import Diagnostic, Identification, Parameter, Place
 from strainwave.domain.arm.parameters import parameter_descriptions
 from strainwave.report.document import figures_of, render
+from strainwave.report.document.blocks import read_template
 from strainwave.report.document.verdict import TROUBLESHOOTING_PAGE, advice
-from strainwave.report.html import read_template
 from strainwave.report.terminal import print_summary
 
 MOST_BYTES = 8_000_000

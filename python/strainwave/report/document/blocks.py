@@ -1,7 +1,7 @@
 """The parts of a page as data: sections with tables, figures, paragraphs and facts, without HTML.
 
 The modules of the report make these records; the templates define how each looks. A document is one
-self-contained HTML file.
+self-contained HTML file, filled from the templates of this package.
 """
 
 from __future__ import annotations
@@ -10,14 +10,20 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.util import find_spec
 from itertools import chain, count
 from pathlib import Path
-from typing import Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
+from unicodedata import lookup
 
+from strainwave.io.templates import template_environment
 from strainwave.report.figures import Figure
-from strainwave.report.html import fill_template, read_template
 from strainwave.report.plotly_backend import plotly
+
+if TYPE_CHECKING:
+    from jinja2 import Environment, Template
+    from markupsafe import Markup
 
 Mark = Literal["", "good", "doubt", "bad"]
 Row = Sequence["str | Cell"]
@@ -318,3 +324,51 @@ def plotly_script() -> Path:
     if spec is None or spec.origin is None:
         raise ModuleNotFoundError("plotly")
     return Path(spec.origin).parent / "package_data" / "plotly.min.js"
+
+
+_REPORT = Path(__file__).parent.parent
+_GREEK = {
+    name: lookup(f"GREEK SMALL LETTER {name.upper()}")
+    for name in ("alpha", "beta", "gamma", "delta", "tau")
+}
+
+
+def fill_template(template: str, **values: Any) -> str:
+    """The HTML of a template; every text is escaped, and a missing value is an error."""
+    return load_template(template).render(**values)
+
+
+def load_template(template: str) -> Template:
+    """A compiled template of this package, named without its ending: "document/page"."""
+    return _environment().get_template(f"{template}.html.j2")
+
+
+def read_template(name: str) -> str:
+    """The text of a template file, named with its ending: "document/page.css"."""
+    folder, _, file = name.partition("/")
+    return (_REPORT / folder / "templates" / file).read_text(encoding="utf-8")
+
+
+@cache
+def _environment() -> Environment:
+    environment = template_environment(read_template, autoescape=True)
+    environment.filters |= {"typeset": typeset, "breakable": breakable}
+    return environment
+
+
+def breakable(name: str) -> Markup:
+    """A name that may break after each underscore."""
+    from markupsafe import Markup, escape
+
+    return escape(name).replace("_", Markup("_<wbr>"))
+
+
+def typeset(symbol: str) -> Markup:
+    """A symbol of docs/notation.md as mathematics: `m_M` with an index, `alpha` in Greek."""
+    from markupsafe import Markup
+
+    stem, _, index = symbol.partition("_")
+    if not index:
+        stem = symbol.rstrip("0123456789")
+        index = symbol.removeprefix(stem)
+    return Markup("{}<sub>{}</sub>" if index else "{}").format(_GREEK.get(stem, stem), index)

@@ -1,58 +1,34 @@
 """Bode plots of one joint: measured response and models, each with its 95 % band.
 
-Pole-zero map of one joint, motor torque to motor velocity, with 95 % confidence ellipses.
+Pole-zero map of one joint, motor torque to motor velocity, with 95 % confidence ellipses. Response
+of each driven motor in the complete arm: measured, and simulated by the fitted arm.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from strainwave import domain
 from strainwave.domain import (
     ComplexArray,
     FloatArray,
-    FrequencyResponse,
-    JointModel,
-    Mode,
-    Modes,
-    StateSpace,
 )
 from strainwave.domain.messages import plus_minus
 from strainwave.domain.results.distributions import chi_square_limit
 from strainwave.dynamics.two_inertia import coefficients, jacobian, joint_of
-from strainwave.identification.joint_model.agreement import (
-    BAND_EXTENSION_FACTOR,
-    is_reliable,
-    motor_response,
-    response_jacobian,
-    vector_of,
-)
-from strainwave.report.figures import (
-    DASHES,
-    FREQUENCY_AXIS,
-    SOLID,
-    Area,
-    Axis,
-    Colour,
-    Dash,
-    Figure,
-    Line,
-    Mark,
-    Markers,
-    Panel,
-    Symbol,
-    Upright,
-    spread_evenly,
-)
+from strainwave.identification.joint_model import agreement
+from strainwave.report import figures
+from strainwave.report.figures import Area, Axis, Colour, Dash, Figure, Line, Mark, Markers, Panel
 from strainwave.report.figures.curves import ResponseMarks
 from strainwave.statespace import frequency_response, nearest
 
 _MAX_NYQUIST_SHARE = 0.98  # highest frequency of a sampled model's curve over the Nyquist frequency
 _CURVE_POINTS = 300
 _MAX_MEASURED_POINTS = 500
-_STATE_SPACE_DASHES = DASHES[1:4]
+_STATE_SPACE_DASHES = figures.DASHES[1:4]
 _TUNED_DASH: Dash = (8.0, 4.0)
 _PANEL_HEIGHTS, _COHERENCE_HEIGHT = (1.4, 1.0), 0.6  # magnitude and phase; coherence
 _POINT_SIZE, _POINT_OPACITY = 5, 0.4  # pale and large, so that lines on top stay visible
@@ -67,10 +43,10 @@ class FittedJoint:
 
 
 def bode(
-    joint: JointModel,
+    joint: domain.JointModel,
     gear_ratio: float,
-    measured: FrequencyResponse | None,
-    state_space: Mapping[str, StateSpace] | None = None,
+    measured: domain.FrequencyResponse | None,
+    state_space: Mapping[str, domain.StateSpace] | None = None,
     *,
     whole_arm: FittedJoint | None = None,
     is_prismatic: bool = False,
@@ -79,7 +55,8 @@ def bode(
 
     State-space models, by the names of their records, are drawn within the band of the fit only.
     """
-    low, high = joint.band_hz[0] / BAND_EXTENSION_FACTOR, joint.band_hz[1] * BAND_EXTENSION_FACTOR
+    beyond = agreement.BAND_EXTENSION_FACTOR
+    low, high = joint.band_hz[0] / beyond, joint.band_hz[1] * beyond
     marks = ResponseMarks()
     below = () if measured is None else _add_measured(marks, measured, low, high)
     for k, (name, model) in enumerate((state_space or {}).items()):
@@ -93,22 +70,35 @@ def bode(
         dash = _STATE_SPACE_DASHES[k % len(_STATE_SPACE_DASHES)]
         marks.add_line(response.frequencies_hz, G, label, Colour.LINEAR, dash)
     f: FloatArray = np.geomspace(low, high, _CURVE_POINTS)
-    own = FittedJoint(vector_of(joint), joint.covariance[:6, :6])
-    fits: list[tuple[FittedJoint, str, Colour, Dash]] = [(own, "joint model", Colour.MODEL, SOLID)]
+    own = FittedJoint(agreement.vector_of(joint), joint.covariance[:6, :6])
+    fits: list[tuple[FittedJoint, str, Colour, Dash]] = [
+        (own, "joint model", Colour.MODEL, figures.SOLID)
+    ]
     if whole_arm is not None:
         fits.append((whole_arm, "whole-arm fit", Colour.TUNED, _TUNED_DASH))
     for fit, name, colour, dash in fits:
-        G = motor_response(fit.vector, gear_ratio, f)
+        G = agreement.motor_response(fit.vector, gear_ratio, f)
         marks.add_line(f, G, name, colour, dash)
         if fit.covariance is not None and np.isfinite(fit.covariance).all():
-            # dG/G: relative change of the modulus + j change of the phase
-            relative = response_jacobian(fit.vector, gear_ratio, f) / G[:, None]
-            J = np.concatenate([relative.real, relative.imag])
-            variance = np.einsum("fi,ij,fj->f", J, fit.covariance, J)
-            modulus, phase = np.split(np.sqrt(np.clip(variance, 0.0, None)), 2)
-            marks.add_band(f, G, (modulus, phase), name, colour)
+            stds = response_stds(fit.vector, fit.covariance, gear_ratio, f, G)
+            marks.add_band(f, G, stds, name, colour)
     panels = (*marks.panels(response_title(is_prismatic=is_prismatic), _PANEL_HEIGHTS), *below)
-    return Figure(FREQUENCY_AXIS, panels, tuple(_uprights(joint)))
+    return Figure(figures.FREQUENCY_AXIS, panels, tuple(_uprights(joint)))
+
+
+def response_stds(
+    vector: FloatArray, covariance: FloatArray, gear_ratio: float, f: FloatArray, G: ComplexArray
+) -> tuple[FloatArray, FloatArray]:
+    """Standard deviations of the modulus over the modulus, and of the phase [rad]: (n,) both.
+
+    By the delta method, from the parameters of a joint and their covariance: the real part of dG/G
+    is the relative change of the modulus, the imaginary part the change of the phase.
+    """
+    relative = agreement.response_jacobian(vector, gear_ratio, f) / G[:, None]
+    J = np.concatenate([relative.real, relative.imag])
+    variance = np.einsum("fi,ij,fj->f", J, covariance, J)
+    modulus, phase = np.split(np.sqrt(np.clip(variance, 0.0, None)), 2)
+    return modulus, phase
 
 
 def response_title(*, is_prismatic: bool) -> str:
@@ -116,7 +106,7 @@ def response_title(*, is_prismatic: bool) -> str:
     return f"dB re {'m/s/N' if is_prismatic else 'rad/s/(N m)'}"
 
 
-def describe(joint: JointModel, measured: FrequencyResponse | None) -> str:
+def describe(joint: domain.JointModel, measured: domain.FrequencyResponse | None) -> str:
     """Caption of the Bode plot."""
     parts = []
     for name, mode in modes_of(joint):
@@ -125,7 +115,7 @@ def describe(joint: JointModel, measured: FrequencyResponse | None) -> str:
     if measured is not None:
         f = measured.frequencies_hz
         inside = (f >= joint.band_hz[0]) & (f <= joint.band_hz[1])
-        share = float(np.mean(is_reliable(measured)[inside])) if inside.any() else 0.0
+        share = float(np.mean(agreement.is_reliable(measured)[inside])) if inside.any() else 0.0
         parts.append(f"{100.0 * share:.0f} % of the measured lines in the fit band are reliable")
     text = "; ".join(parts)
     text = f"{text[:1].upper()}{text[1:]}. Shaded: 95 % bands." if text else ""
@@ -134,26 +124,25 @@ def describe(joint: JointModel, measured: FrequencyResponse | None) -> str:
 
 
 def _add_measured(
-    marks: ResponseMarks, measured: FrequencyResponse, low: float, high: float
+    marks: ResponseMarks, measured: domain.FrequencyResponse, low: float, high: float
 ) -> tuple[Panel, ...]:
     """Add points with their 95 % band; the panel of the coherence is returned if it is known."""
-    rows = spread_evenly(measured.frequencies_hz, low, high, _MAX_MEASURED_POINTS)
-    f, G = measured.frequencies_hz[rows], measured.response[rows, 0, 0]
-    reliable = is_reliable(measured)[rows]
-    relative = relative_std(measured)
+    shown = measured.between(low, high, _MAX_MEASURED_POINTS)
+    f, G = shown.frequencies_hz, shown.response[:, 0, 0]
+    reliable, relative = agreement.is_reliable(shown), relative_std(shown)
     if relative is not None and reliable.any():
-        std = relative[rows][reliable]
+        std = relative[reliable]
         marks.add_band(f[reliable], G[reliable], (std, std), "measured", Colour.MEASURED)
     marks.add_measured(f, G, reliable, _POINT_SIZE, _POINT_OPACITY)
-    if measured.coherence is None:
+    if shown.coherence is None:
         return ()
-    coherence, name = measured.coherence[rows, 0], "coherence"
+    coherence, name = shown.coherence[:, 0], "coherence"
     area = Area(f, np.zeros(len(f)), coherence, Colour.MEASURED, name)
     line = Line(f, coherence, name, Colour.MEASURED, width=1.0, legend=False)
     return (Panel(Axis(name, range=(0.0, 1.05)), (area, line), _COHERENCE_HEIGHT),)
 
 
-def relative_std(measured: FrequencyResponse) -> FloatArray | None:
+def relative_std(measured: domain.FrequencyResponse) -> FloatArray | None:
     """Standard deviation of the modulus over the modulus, and of the phase [rad]: (n,).
 
     From the scatter between periods, else from the coherence c of n averages:
@@ -169,19 +158,19 @@ def relative_std(measured: FrequencyResponse) -> FloatArray | None:
     return np.asarray(np.sqrt((1.0 - c) / (2.0 * measured.n_averages * c)))
 
 
-def modes_of(joint: JointModel) -> list[tuple[str, Mode]]:
+def modes_of(joint: domain.JointModel) -> list[tuple[str, domain.Mode]]:
     """Anti-resonance and resonance of a joint model, by name, if it has them."""
     modes = (("anti-resonance", joint.anti_resonance), ("resonance", joint.resonance))
     return [(name, mode) for name, mode in modes if mode is not None]
 
 
-def _uprights(joint: JointModel) -> Iterator[Upright]:
+def _uprights(joint: domain.JointModel) -> Iterator[figures.Upright]:
     """Lines at both modes and at the edges of the fit band; labels are in the phase panel."""
     for name, mode in modes_of(joint):
         text, is_left = f"{name} {mode.frequency_hz:.4g} Hz", name == "anti-resonance"
-        yield Upright(mode.frequency_hz, text, panel=1, before=is_left, dash=SOLID)
+        yield figures.Upright(mode.frequency_hz, text, panel=1, before=is_left, dash=figures.SOLID)
     for edge in joint.band_hz:
-        yield Upright(edge)
+        yield figures.Upright(edge)
 
 
 _ELLIPSE_POINTS = 40
@@ -192,9 +181,9 @@ _WIDEST_ELLIPSE = 1.0  # standard deviation over the modulus; wider ones are not
 
 
 def pole_zero_map(
-    joint: JointModel,
+    joint: domain.JointModel,
     gear_ratio: float,
-    state_space: Mapping[str, Modes] | None = None,
+    state_space: Mapping[str, domain.Modes] | None = None,
     *,
     whole_arm: FittedJoint | None = None,
 ) -> Figure:
@@ -207,10 +196,8 @@ def pole_zero_map(
     for k, (name, modes) in enumerate((state_space or {}).items()):
         roots = _state_space_roots(modes, joint.band_hz)
         marks += _marks(*roots, f"state space, {name}", Colour.LINEAR, k)
-    covariance = joint.covariance[:6, :6]
-    marks += _marks(
-        *_joint_roots(vector_of(joint), covariance, gear_ratio), "joint model", Colour.MODEL
-    )
+    roots = _joint_roots(agreement.vector_of(joint), joint.covariance[:6, :6], gear_ratio)
+    marks += _marks(*roots, "joint model", Colour.MODEL)
     if whole_arm is not None:
         roots = _joint_roots(whole_arm.vector, whole_arm.covariance, gear_ratio)
         marks += _marks(*roots, "whole-arm fit", Colour.TUNED)
@@ -243,7 +230,7 @@ def _joint_roots(vector: FloatArray, covariance: FloatArray | None, gear_ratio: 
     return poles, zeros, J @ covariance @ J.T
 
 
-def _state_space_roots(modes: Modes, band_hz: tuple[float, float]) -> Roots:
+def _state_space_roots(modes: domain.Modes, band_hz: tuple[float, float]) -> Roots:
     """The roots that are shown, with both conjugates.
 
     Frequency and damping are taken as uncorrelated: s = w (-d + i sqrt(1 - d^2)).
@@ -266,11 +253,11 @@ def _state_space_roots(modes: Modes, band_hz: tuple[float, float]) -> Roots:
     return roots[0], roots[1], covariance
 
 
-def _root(mode: Mode, side: float) -> complex:
+def _root(mode: domain.Mode, side: float) -> complex:
     return complex(mode.value.real, side * mode.value.imag)
 
 
-def _is_shown(mode: Mode, band_hz: tuple[float, float]) -> bool:
+def _is_shown(mode: domain.Mode, band_hz: tuple[float, float]) -> bool:
     if mode.oscillates:
         return mode.frequency_hz < band_hz[1] and abs(mode.damping) < _MAX_DAMPING
     return mode.frequency_hz < band_hz[0]
@@ -285,7 +272,7 @@ def _marks(
     k: int = 0,
 ) -> list[Mark]:
     roots = np.concatenate([poles, zeros])
-    kinds: tuple[tuple[Symbol, ComplexArray, str], ...] = (
+    kinds: tuple[tuple[figures.Symbol, ComplexArray, str], ...] = (
         ("x", poles, "poles"),
         ("circle-open", zeros, "zeros"),
     )
@@ -307,5 +294,66 @@ def _marks(
             x, y = vectors @ (radii[:, None] * np.stack([np.cos(angle), np.sin(angle)]))
             label = f"{'poles' if i < len(poles) else 'zeros'}, {name}"
             ellipse = root.real + x, root.imag + y
-            marks.append(Line(*ellipse, label, colour, DASHES[k % 3], 1.0, legend=False))
+            marks.append(Line(*ellipse, label, colour, figures.DASHES[k % 3], 1.0, legend=False))
     return marks
+
+
+_MIN_COHERENCE = 0.8  # of a reliable line
+_MAX_MOTOR_POINTS = 400
+_LABEL_STEP = 0.16  # height between the labels of neighbours, as a share of the panel
+
+
+def motor_figure(response: domain.MotorResponse, *, is_prismatic: bool = False) -> Figure:
+    """Magnitude and phase; vertical lines show the modes of the fitted arm."""
+    rows = figures.spread_evenly(response.frequencies_hz, 0.0, np.inf, _MAX_MOTOR_POINTS)
+    f, reliable = response.frequencies_hz[rows], response.coherence[rows] >= _MIN_COHERENCE
+    marks = ResponseMarks()
+    marks.add_measured(f, response.measured[rows], reliable)
+    marks.add_line(f, response.fitted[rows], "fitted arm, simulated", Colour.TUNED)
+    panels = marks.panels(response_title(is_prismatic=is_prismatic), (1.2, 0.8))
+    return Figure(figures.FREQUENCY_AXIS, panels, tuple(_motor_uprights(response)))
+
+
+def _motor_uprights(response: domain.MotorResponse) -> Iterator[figures.Upright]:
+    """A line for each mode. The first of a kind is named; neighbours have staggered labels."""
+    f = response.frequencies_hz
+    modes = [
+        *((value, "anti-resonance", True) for value in _inside(response.anti_resonances_hz, f)),
+        *((value, "resonance", False) for value in _inside(response.resonances_hz, f)),
+    ]
+    for k, (value, name, is_left) in enumerate(modes):
+        is_repeated = k > 0 and name == modes[k - 1][1]
+        yield figures.Upright(
+            value,
+            f"{value:.3g} Hz" if is_repeated else f"{name} {value:.3g} Hz",
+            panel=1,
+            height=1.0 - _LABEL_STEP * (k % 2),
+            before=is_left,
+            dash=figures.SOLID if is_left else figures.DOTTED,
+        )
+
+
+def describe_motor(response: domain.MotorResponse) -> str:
+    """Caption of the figure."""
+    parts = []
+    kinds = (
+        ("anti-resonances", response.anti_resonances_hz),
+        ("resonances", response.resonances_hz),
+    )
+    for name, values in kinds:
+        inside = [f"{value:.4g}" for value in _inside(values, response.frequencies_hz)]
+        if inside:
+            parts.append(f"{name} of the fitted arm: {', '.join(inside)} Hz")
+    reliable = response.coherence >= _MIN_COHERENCE
+    if reliable.any():
+        measured, fitted = response.measured[reliable], response.fitted[reliable]
+        error = 100.0 * float(np.median(np.abs(measured - fitted) / np.abs(measured)))
+        parts.append(
+            f"median difference where the coherence is at least {_MIN_COHERENCE:g}: {error:.2g} %"
+        )
+    text = "; ".join(parts)
+    return f"{text[:1].upper()}{text[1:]}." if text else ""
+
+
+def _inside(values: Sequence[float], f: FloatArray) -> list[float]:
+    return [value for value in values if len(f) and f[0] <= value <= f[-1]]

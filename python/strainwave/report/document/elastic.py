@@ -10,39 +10,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from strainwave import domain
 from strainwave.domain import (
-    Decoupled,
-    Delay,
     FloatArray,
-    Identification,
-    JointModel,
-    Mode,
-    RecordModel,
-    Sweep,
 )
 from strainwave.domain.messages import percent, plus_minus
 from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.identification.amplitude_sweep import MIN_TREND_STD_ERRORS
 from strainwave.identification.joint_model.agreement import motor_response, vector_of
 from strainwave.numerics.spectra import cross_spectral_densities
+from strainwave.report import figures
 from strainwave.report.document.bode import response_title
-from strainwave.report.figures import (
-    DASHES,
-    FREQUENCY_AXIS,
-    SHORT_DASH,
-    SOLID,
-    Axis,
-    Colour,
-    Figure,
-    Line,
-    Markers,
-    Panel,
-    decimate,
-)
+from strainwave.report.figures import Axis, Colour, Figure, Line, Markers, Panel
 from strainwave.report.figures.curves import ResponseMarks
 
 
-def resonance_rows(identification: Identification) -> list[tuple[str, ...]]:
+def resonance_rows(identification: domain.Identification) -> list[tuple[str, ...]]:
     """Joint, records, anti-resonance and its damping, resonance and its damping, stiffness.
 
     The model of all records of a joint comes first, then one row for each record.
@@ -54,7 +37,7 @@ def resonance_rows(identification: Identification) -> list[tuple[str, ...]]:
     return sorted(rows, key=lambda row: row[0])
 
 
-def link_rows(identification: Identification) -> list[tuple[str, ...]]:
+def link_rows(identification: domain.Identification) -> list[tuple[str, ...]]:
     """Joint, record, source, bias, fusion error (10), delays of link sensor and of drive."""
     return [
         (
@@ -70,12 +53,12 @@ def link_rows(identification: Identification) -> list[tuple[str, ...]]:
     ]
 
 
-def _delay(delay: Delay | None) -> str:
+def _delay(delay: domain.Delay | None) -> str:
     """In milliseconds; empty if the record does not determine it."""
     return "" if delay is None else " ± ".join(plus_minus(1e3 * delay.value, 1e3 * delay.std))
 
 
-def validation_rows(identification: Identification) -> list[tuple[str, ...]]:
+def validation_rows(identification: domain.Identification) -> list[tuple[str, ...]]:
     """Joint, record, one-step fits of motor and link velocity, and the p-value of each test."""
     rows: list[tuple[str, ...]] = []
     for record in identification.records:
@@ -100,7 +83,7 @@ def validation_rows(identification: Identification) -> list[tuple[str, ...]]:
     return rows
 
 
-def _resonance_row(joint: JointModel, name: str) -> tuple[str, ...]:
+def _resonance_row(joint: domain.JointModel, name: str) -> tuple[str, ...]:
     k = list(joint.values).index("gear_stiffness")
     std = float(np.sqrt(joint.covariance[k, k]))
     return (
@@ -112,7 +95,7 @@ def _resonance_row(joint: JointModel, name: str) -> tuple[str, ...]:
     )
 
 
-def mode_cells(mode: Mode | None) -> tuple[str, str]:
+def mode_cells(mode: domain.Mode | None) -> tuple[str, str]:
     """Frequency [Hz] and damping of a mode; "none" if the joint has none."""
     if mode is None:
         return "none", ""
@@ -124,13 +107,13 @@ def mode_cells(mode: Mode | None) -> tuple[str, str]:
 
 _CURVE_POINTS = 200
 _SWEEP_COLOURS = (Colour.MEASURED, Colour.LINEAR, Colour.MODEL, Colour.RESIDUAL)
-_SWEEP_DASHES = DASHES[:3]  # one for each turn of the colours
+_SWEEP_DASHES = figures.DASHES[:3]  # one for each turn of the colours
 _TRENDS = {"hardening": "hardening", "softening": "softening", "no-trend": "no significant trend"}
 
 
-def swept_records(identification: Identification) -> dict[int, list[RecordModel]]:
+def swept_records(identification: domain.Identification) -> dict[int, list[domain.RecordModel]]:
     """PRBS records of each joint that has a sweep, in order of amplitude."""
-    records: dict[int, list[RecordModel]] = {}
+    records: dict[int, list[domain.RecordModel]] = {}
     amplitudes: dict[str, float] = {}
     for record in identification.records:
         experiment = record.signals.experiment
@@ -144,7 +127,7 @@ def swept_records(identification: Identification) -> dict[int, list[RecordModel]
     }
 
 
-def response_figure(records: Sequence[RecordModel]) -> Figure:
+def response_figure(records: Sequence[domain.RecordModel]) -> Figure:
     """Motor torque to motor velocity by the joint model of each record: magnitude and phase."""
     marks = ResponseMarks()
     for k, record in enumerate(records):
@@ -158,10 +141,10 @@ def response_figure(records: Sequence[RecordModel]) -> Figure:
         marks.add_line(
             f, G, name, _SWEEP_COLOURS[position], _SWEEP_DASHES[turn % len(_SWEEP_DASHES)]
         )
-    return Figure(FREQUENCY_AXIS, marks.panels(response_title(is_prismatic=False)))
+    return Figure(figures.FREQUENCY_AXIS, marks.panels(response_title(is_prismatic=False)))
 
 
-def stiffness_figure(sweep: Sweep) -> Figure:
+def stiffness_figure(sweep: domain.Sweep) -> Figure:
     """Equivalent stiffness over amplitude with 95 % bars, and the fitted line."""
     x = np.array([point.amplitude for point in sweep.points])
     y = np.array([point.gear_stiffness for point in sweep.points])
@@ -174,17 +157,17 @@ def stiffness_figure(sweep: Sweep) -> Figure:
     ratio = float(np.mean(y / squared))
     ends = np.array([x.min(), x.max()])
     line = ratio * (level + sweep.slope * (ends - centre))
-    trend = Line(ends, line, "weighted line", Colour.RESIDUAL, SHORT_DASH)
+    trend = Line(ends, line, "weighted line", Colour.RESIDUAL, figures.SHORT_DASH)
     panel = Panel(Axis("equivalent stiffness [N m/rad]"), (trend, marks))
     return Figure(Axis("amplitude of the excitation [V]"), (panel,))
 
 
-def trend_title(sweep: Sweep) -> str:
+def trend_title(sweep: domain.Sweep) -> str:
     """The trend in words, with the test statistic."""
     return f"{_TRENDS[sweep.verdict]} ({abs(sweep.slope) / sweep.slope_std:.1f} standard errors)"
 
 
-def describe_trend(sweep: Sweep) -> str:
+def describe_trend(sweep: domain.Sweep) -> str:
     """The test behind the trend: slope, standard error and limit."""
     value, std = plus_minus(sweep.slope, sweep.slope_std)
     return (
@@ -196,15 +179,15 @@ def describe_trend(sweep: Sweep) -> str:
 
 _NAMES = ("motor torque", "interaction torque at the motor")
 _COLOURS = (Colour.MEASURED, Colour.MODEL)
-_DASHES = (SOLID, SHORT_DASH)
+_DASHES = (figures.SOLID, figures.SHORT_DASH)
 _WELCH_SEGMENTS = 8  # of a record
 _SHOWN_DURATION = 0.5  # [s] single oscillations stay visible
 _BAND_MARGIN = 5.0  # highest frequency drawn over the band in which the motor moves
 
 
-def interaction_records(identification: Identification) -> list[Decoupled]:
+def interaction_records(identification: domain.Identification) -> list[domain.Decoupled]:
     """For each joint the full-amplitude record with the largest share of interaction torque."""
-    largest: dict[int, Decoupled] = {}
+    largest: dict[int, domain.Decoupled] = {}
     for record in identification.records:
         signals = record.signals
         if signals.inputs.shape[1] < 2 or signals.experiment.use != "frequency":
@@ -215,22 +198,22 @@ def interaction_records(identification: Identification) -> list[Decoupled]:
     return [largest[joint] for joint in sorted(largest)]
 
 
-def interaction_share(record: Decoupled) -> float:
+def interaction_share(record: domain.Decoupled) -> float:
     """Standard deviation of the interaction torque over that of the motor torque."""
     motor, interaction = np.std(_at_motor(record), axis=0)
     return float(interaction / motor) if motor > 0.0 else 0.0
 
 
-def torque_figure(record: Decoupled) -> Figure:
+def torque_figure(record: domain.Decoupled) -> Figure:
     """The beginning of both torques."""
     is_shown = record.time <= record.time[0] + _SHOWN_DURATION
     torques = _at_motor(record)[is_shown]
-    rows = decimate(torques)
+    rows = figures.decimate(torques)
     panel = Panel(Axis("torque [N m]"), _lines(record.time[is_shown][rows], torques[rows]))
     return Figure(Axis("time [s]"), (panel,))
 
 
-def torque_spectrum(record: Decoupled) -> Figure:
+def torque_spectrum(record: domain.Decoupled) -> Figure:
     """Amplitude spectral densities of both torques."""
     torques = _at_motor(record)
     segment = min(len(torques), max(16, 2 * len(torques) // (_WELCH_SEGMENTS + 1)))
@@ -240,10 +223,10 @@ def torque_spectrum(record: Decoupled) -> Figure:
     is_shown = (frequency > 0.0) & (frequency <= end)
     lines = _lines(frequency[is_shown], np.sqrt(power[is_shown]))
     panel = Panel(Axis("torque [N m/sqrt(Hz)]", log=True), lines)
-    return Figure(FREQUENCY_AXIS, (panel,))
+    return Figure(figures.FREQUENCY_AXIS, (panel,))
 
 
-def describe_interaction(record: Decoupled) -> str:
+def describe_interaction(record: domain.Decoupled) -> str:
     """Caption of the figures."""
     return (
         f"Interaction torque of the other links and gravity on joint {record.joint} in"
@@ -252,7 +235,7 @@ def describe_interaction(record: Decoupled) -> str:
     )
 
 
-def _at_motor(record: Decoupled) -> FloatArray:
+def _at_motor(record: domain.Decoupled) -> FloatArray:
     """Motor torque, and interaction torque through the gear: (n_samples, 2) [N m]."""
     return np.asarray(record.inputs * np.array([1.0, record.gear_ratio]))
 

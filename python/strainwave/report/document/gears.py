@@ -8,29 +8,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from strainwave.domain import (
-    FloatArray,
-    Identification,
-    LawChoice,
-    Parameter,
-    TorqueHistogram,
-    TorsionFit,
-)
+from strainwave import domain
+from strainwave.domain import FloatArray
 from strainwave.domain.arm.gear_laws import GearLaw, gear_law
 from strainwave.domain.keys import JointNumber
 from strainwave.domain.results.distributions import CI95_STDS
-from strainwave.report.figures import (
-    SHORT_DASH,
-    Area,
-    Axis,
-    Bars,
-    Colour,
-    Figure,
-    Line,
-    Markers,
-    Panel,
-    Upright,
-)
+from strainwave.report import figures
+from strainwave.report.figures import Area, Axis, Colour, Figure, Line, Markers, Panel, Upright
 
 _POINTS_PER_SEGMENT = 200  # of a curve between two knees
 _RANGE_BEYOND_LAST_KNEE = 1.5  # largest torque drawn over the last knee if the loads are unknown
@@ -48,10 +32,10 @@ class StiffnessCurve:
     values: Mapping[str, float]  # identified parameters of the law, in its order
     covariance: FloatArray  # of `values`
     largest_torque: float  # [N m] end of the drawn range
-    loads: TorqueHistogram | None  # None if unknown
+    loads: domain.TorqueHistogram | None  # None if unknown
     is_equivalent: bool = False  # one stiffness approximates a curve
     is_prismatic: bool = False  # N and m instead of N m and rad
-    choice: LawChoice | None = None  # None if the study states the law
+    choice: domain.LawChoice | None = None  # None if the study states the law
 
     @property
     def torque_unit(self) -> str:
@@ -69,7 +53,7 @@ class StiffnessCurve:
         return len(self.values) > 1
 
 
-def stiffness_curves(identification: Identification) -> list[StiffnessCurve]:
+def stiffness_curves(identification: domain.Identification) -> list[StiffnessCurve]:
     """The curve of every elastic gear: of the whole-arm fit, else of the joint model."""
     whole_arm = identification.whole_arm
     loads = {h.joint: h for h in whole_arm.gear_loads} if whole_arm else {}
@@ -115,7 +99,7 @@ def stiffness_figure(curve: StiffnessCurve) -> Figure:
         # logarithmic: the few samples at large torques determine the last stiffness
         axis = Axis("samples [%]", log=True)
         edges = curve.loads.edges
-        bars = Bars(
+        bars = figures.Bars(
             0.5 * (edges[1:] + edges[:-1]),
             100.0 * curve.loads.share,
             float(np.diff(edges)[0]),
@@ -138,7 +122,7 @@ def torsion_figure(curve: StiffnessCurve) -> Figure:
     knees = scale * law.torsion(values, curve.knees)
     marks = (
         Area(x, torque - half, torque + half, Colour.MODEL, "identified curve"),
-        Line(x, initial, "initial stiffness", Colour.RESIDUAL, SHORT_DASH, width=1.0),
+        Line(x, initial, "initial stiffness", Colour.RESIDUAL, figures.SHORT_DASH, width=1.0),
         Line(x, torque, "identified curve", Colour.MODEL, width=2.0),
         *([Markers(knees, curve.knees, "knees", Colour.MODEL, _KNEE_SIZE)] if len(knees) else ()),
     )
@@ -146,7 +130,7 @@ def torsion_figure(curve: StiffnessCurve) -> Figure:
     return Figure(axis, (Panel(Axis(f"gear torque [{curve.torque_unit}]"), marks),))
 
 
-def measured_torsion_figure(fit: TorsionFit, *, is_prismatic: bool = False) -> Figure:
+def measured_torsion_figure(fit: domain.TorsionFit, *, is_prismatic: bool = False) -> Figure:
     """Torque of the rigid model over the measured torsion, and the line of the stiffness."""
     step = -(-len(fit.torque) // _MAX_TORSION_POINTS)
     torque, torsion = fit.torque[::step], 1e3 * fit.torsion[::step]
@@ -160,7 +144,7 @@ def measured_torsion_figure(fit: TorsionFit, *, is_prismatic: bool = False) -> F
     return Figure(axis, (Panel(Axis(f"link torque [{'N' if is_prismatic else 'N m'}]"), marks),))
 
 
-def describe_measured(fit: TorsionFit) -> str:
+def describe_measured(fit: domain.TorsionFit) -> str:
     """Caption of the figure of the measured torsion."""
     p = fit.stiffness
     return (
@@ -195,9 +179,9 @@ def describe(curve: StiffnessCurve) -> str:
 def _stiffness_curve(
     number: int,
     law: GearLaw,
-    parameters: Sequence[Parameter],
+    parameters: Sequence[domain.Parameter],
     covariance: FloatArray,
-    loads: TorqueHistogram | None,
+    loads: domain.TorqueHistogram | None,
 ) -> StiffnessCurve | None:
     """The curve from the identified parameters of a joint; None if no stiffness is identified."""
     index = {

@@ -19,28 +19,20 @@ from strainwave.domain.arm.parameter_table import base_name
 from strainwave.domain.arm.parameters import parameter_descriptions
 from strainwave.domain.messages import plus_minus, text_of
 from strainwave.io.base_parameters import BaseParameter
-from strainwave.report.document.blocks import (
-    Cell,
-    Row,
-    RowGroup,
-    Table,
-    number,
-    prose,
-    table,
-    two_digits,
-)
+from strainwave.report.document import blocks
+from strainwave.report.document.blocks import Cell, Row, RowGroup, Table
 from strainwave.report.figures import Colour, HeatMap
 
 _HEADS: tuple[str | Cell, ...] = (
     "parameter",
     "symbol",
-    *map(number, ("value", "standard deviation")),
+    *map(blocks.number, ("value", "standard deviation")),
     "unit",
-    *map(number, ("95 % interval", "half-width [%]")),
+    *map(blocks.number, ("95 % interval", "half-width [%]")),
     "stage",
 )
 
-SUMMARY_HEADS: Row = ("parameter", "joint", number("value"), number("± std"), "unit")
+SUMMARY_HEADS: Row = ("parameter", "joint", blocks.number("value"), blocks.number("± std"), "unit")
 """Heads of the short table in terminal and notebook."""
 
 
@@ -49,7 +41,7 @@ def summary_row(p: Parameter, *, is_rejected: bool = False) -> Row:
     numbers = plus_minus(p.value, p.std)
     if p.value is None:
         numbers = "rejected" if is_rejected else "not identified", ""
-    return (p.name, str(p.joint or "arm"), *map(number, numbers), p.unit)
+    return (p.name, str(p.joint or "arm"), *map(blocks.number, numbers), p.unit)
 
 
 def descriptions_table(decisions: Sequence[Decision]) -> Iterator[Table]:
@@ -58,11 +50,15 @@ def descriptions_table(decisions: Sequence[Decision]) -> Iterator[Table]:
     words_of = parameter_descriptions()
     pairs = ((name, words_of[name]) for name in names if name in words_of)
     rows = [
-        (Cell(name, "name", key=_key(name)), Cell(words.symbol, "symbol"), prose(words.description))
+        (
+            Cell(name, "name", key=_key(name)),
+            Cell(words.symbol, "symbol"),
+            blocks.prose(words.description),
+        )
         for name, words in pairs
     ]
     heads = ("parameter", "symbol", "description")
-    return table("Descriptions of the parameters", heads, rows, heading=False)
+    return blocks.table("Descriptions of the parameters", heads, rows, heading=False)
 
 
 def parameter_table(decisions: Sequence[Decision]) -> Iterator[Table]:
@@ -75,7 +71,7 @@ def parameter_table(decisions: Sequence[Decision]) -> Iterator[Table]:
             rows.append(RowGroup(f"Joint {p.joint}" if p.joint else "Arm"))
             group = p.joint
         rows.append(_row(decision))
-    return table("Parameters", _HEADS, rows, heading=False)
+    return blocks.table("Parameters", _HEADS, rows, heading=False)
 
 
 def base_parameter_table(parameters: Sequence[BaseParameter]) -> Iterator[Table]:
@@ -83,7 +79,7 @@ def base_parameter_table(parameters: Sequence[BaseParameter]) -> Iterator[Table]
     rows: list[Row] = [
         (
             one.name,
-            prose(combination_text(one.combination)),
+            blocks.prose(combination_text(one.combination)),
             *_numbers(one.estimate)[:2],
             _unit(one.estimate),
             *_numbers(one.estimate)[2:],
@@ -92,7 +88,7 @@ def base_parameter_table(parameters: Sequence[BaseParameter]) -> Iterator[Table]
         for one in parameters
     ]
     heads = ("name", "combination", *_HEADS[2:])
-    return table("Base parameters", heads, rows, heading=False)
+    return blocks.table("Base parameters", heads, rows, heading=False)
 
 
 def combination_text(combination: Mapping[str, float]) -> str:
@@ -126,15 +122,15 @@ def _numbers(p: Parameter, rejected: Clause | None = None) -> list[Cell]:
     if p.value is None:
         value = "rejected" if rejected else "not identified"
         reason = text_of(rejected) if rejected else "not identifiable from these data"
-        return [number(value), number(""), prose(reason), number("")]
+        return [blocks.number(value), blocks.number(""), blocks.prose(reason), blocks.number("")]
     if p.ci95 is None:
         interval, half = "not known", ""
     else:
         low, high = p.ci95
         interval = f"{_like(value, low)} … {_like(value, high)}"
         share = 50.0 * (high - low) / abs(p.value) if p.value else np.inf
-        half = "over 100" if share >= 100.0 else two_digits(share)
-    return [number(text) for text in (value, std, interval, half)]
+        half = "over 100" if share >= 100.0 else blocks.two_digits(share)
+    return [blocks.number(text) for text in (value, std, interval, half)]
 
 
 def _unit(p: Parameter) -> str:

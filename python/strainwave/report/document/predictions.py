@@ -8,20 +8,9 @@ import numpy as np
 
 from strainwave.domain import Identification, Joint, Log, Prediction, channel_parts
 from strainwave.domain.arm.link_sensors import all_types
+from strainwave.report import figures
 from strainwave.report.document.blocks import Block, FigureName, Fold, Plot
-from strainwave.report.figures import (
-    DASHES,
-    MAX_POINTS,
-    PALETTE,
-    SOLID,
-    Axis,
-    Colour,
-    Dash,
-    Figure,
-    Line,
-    Panel,
-    decimate,
-)
+from strainwave.report.figures import Axis, Colour, Dash, Figure, Line, Panel
 from strainwave.report.figures.curves import Series
 
 _MODEL_DASH: Dash = (6.0, 4.0)  # the measured line shows through
@@ -39,7 +28,7 @@ _PRISMATIC_MOTOR_UNITS = _MOTOR_UNITS | {
 def prediction_figure(
     prediction: Prediction,
     joints: Sequence[Joint] = (),
-    limit: int = MAX_POINTS,
+    limit: int = figures.MAX_POINTS,
     channels: Sequence[str] = (),
     model: str = "model",
 ) -> Figure:
@@ -53,7 +42,7 @@ def prediction_figure(
         column = prediction.channels.index(channel)
         measured, predicted = prediction.measured[:, column], prediction.predicted[:, column]
         residuals = measured - predicted
-        rows = decimate(np.column_stack([measured, predicted, residuals]), limit)
+        rows = figures.decimate(np.column_stack([measured, predicted, residuals]), limit)
         time = prediction.time[rows]
         both = (
             Line(time, measured[rows], "measured", Colour.MEASURED, width=2.5),
@@ -135,7 +124,7 @@ def _channel_series(log: Log, limit: int) -> Iterator[Series]:
                 slope = np.diff(angle) / np.diff(t)
                 yield Series(f"omega_m{number}", 0.5 * (t[1:] + t[:-1]), slope)
         elif kind in _TITLES or kind == "ref":
-            rows = decimate(values, limit)
+            rows = figures.decimate(values, limit)
             yield Series(name, log.time[rows], values[rows])
 
 
@@ -145,10 +134,13 @@ def _panel_lines(panel: Sequence[Series]) -> Iterator[Line]:
         kind, number = channel_parts(series.name)
         time, values = series.x, series.y
         if kind == "ref":
-            dash = DASHES[1 + (number - 1) % 3]
+            dash = figures.DASHES[1 + (number - 1) % 3]
             yield Line(time, values, f"reference {number}", Colour.RESIDUAL, dash, width=1.0)
             continue
         axis = kind[1:] if kind in ("ax", "ay", "az", "gx", "gy", "gz") else ""
         label = f"joint {number}, {axis}" if axis else f"joint {number}"
-        dash, colour = DASHES["xyz".find(axis)] if axis else SOLID, PALETTE[(number - 1) % 6]
+        dash, colour = (
+            figures.DASHES["xyz".find(axis)] if axis else figures.SOLID,
+            figures.PALETTE[(number - 1) % 6],
+        )
         yield Line(time, values, label, colour, dash, width=1.2)

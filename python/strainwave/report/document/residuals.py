@@ -6,49 +6,17 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from strainwave.domain import (
-    Cause,
-    Criticism,
-    FloatArray,
-    Identification,
-    Log,
-    Prediction,
-    RecordModel,
-    ResidualCorrelation,
-    ResidualTest,
-)
+from strainwave import domain
+from strainwave.domain import FloatArray
 from strainwave.domain.arm.effects import effect_named
 from strainwave.domain.messages import plus_minus
 from strainwave.domain.results.distributions import CI99_STDS
 from strainwave.numerics.spectra import correlate_residuals, expected_autocorrelation
-from strainwave.report.document.blocks import (
-    Block,
-    FigureName,
-    Fold,
-    Plot,
-    Row,
-    Span,
-    Table,
-    number,
-    paragraph,
-    prose,
-    table,
-    two_digits,
-)
+from strainwave.report import figures
+from strainwave.report.document import blocks
+from strainwave.report.document.blocks import Block, FigureName, Fold, Plot, Row, Span, Table
 from strainwave.report.document.predictions import unit_of
-from strainwave.report.figures import (
-    DASHES,
-    FREQUENCY_AXIS,
-    PALETTE,
-    SHORT_DASH,
-    Area,
-    Axis,
-    Colour,
-    Figure,
-    Line,
-    Mark,
-    Panel,
-)
+from strainwave.report.figures import Area, Axis, Colour, Figure, Line, Mark, Panel
 
 MIN_PROBABILITY = 1e-3  # smaller probabilities are shown as "< 0.001"
 _LISTED_SIZES = 3  # sizes of one effect in a cell
@@ -60,7 +28,7 @@ _LIMITS = (
 )
 
 
-def residual_tests(criticism: Criticism) -> Iterator[Block]:
+def residual_tests(criticism: domain.Criticism) -> Iterator[Block]:
     """Tables of the residual tests and the effects, and a spectrum for each channel."""
     tests = criticism.residuals
     channels = list(dict.fromkeys(test.channel for test in tests))
@@ -69,13 +37,13 @@ def residual_tests(criticism: Criticism) -> Iterator[Block]:
     if len(tests) > len(worst):
         label = f"All {len(tests)} residual tests"
         yield Fold(label, tuple(_residual_table(label, tests, heading=False)))
-    share = number("share of the cost")
+    share = blocks.number("share of the cost")
     heads: Row = ("effect", "joint", "its parameters", share, "changes by it", "model")
     title = "Effects that the model includes, and plausible ones that the intervals contain"
-    yield from table(title, heads, map(_cause_row, criticism.causes))
+    yield from blocks.table(title, heads, map(_cause_row, criticism.causes))
     for name in dict.fromkeys(cause.effect for cause in criticism.causes):
         effect = effect_named(name)
-        yield paragraph(
+        yield blocks.paragraph(
             Span(effect.name, kind="code"),
             f" is {effect.description}. Without it in the model, {effect.consequence}."
             f" To confirm it, {effect.experiment}.",
@@ -89,10 +57,10 @@ def residual_tests(criticism: Criticism) -> Iterator[Block]:
         yield Plot(FigureName("residuals", part=test.channel), label, spectrum(test), caption)
 
 
-def residual_correlations(identification: Identification) -> Iterator[Block]:
+def residual_correlations(identification: domain.Identification) -> Iterator[Block]:
     """Auto- and cross-correlations: check records open, fitted records and state space folded."""
     tests = identification.whole_arm.criticism if identification.whole_arm else None
-    by_record: dict[str, list[ResidualTest]] = {}
+    by_record: dict[str, list[domain.ResidualTest]] = {}
     for test in tests.residuals if tests else ():
         by_record.setdefault(test.experiment, []).append(test)
     yield from _check_correlations(identification, by_record)
@@ -111,7 +79,7 @@ def residual_correlations(identification: Identification) -> Iterator[Block]:
         yield Fold(f"Residual correlations of state-space models ({len(models)})", models)
 
 
-def spectrum(test: ResidualTest) -> Figure:
+def spectrum(test: domain.ResidualTest) -> Figure:
     """Amplitude spectral density of the residuals and of the sensor noise."""
     positive = test.frequency_hz > 0.0
     f = test.frequency_hz[positive]
@@ -119,20 +87,20 @@ def spectrum(test: ResidualTest) -> Figure:
     axis = Axis(f"{test.channel} [{unit_of(test.channel)}/sqrt(Hz)]", log=True)
     lines = (
         Line(f, residuals, "residuals", Colour.MEASURED),
-        Line(f, noise, "sensor noise", Colour.RESIDUAL, SHORT_DASH),
+        Line(f, noise, "sensor noise", Colour.RESIDUAL, figures.SHORT_DASH),
     )
-    return Figure(FREQUENCY_AXIS, (Panel(axis, lines),))
+    return Figure(figures.FREQUENCY_AXIS, (Panel(axis, lines),))
 
 
 def _residual_table(
-    title: str, tests: Sequence[ResidualTest], *, heading: bool = True
+    title: str, tests: Sequence[domain.ResidualTest], *, heading: bool = True
 ) -> Iterator[Table]:
-    numbers = map(number, ("residual / noise", "largest excess at", "like sensor noise"))
+    numbers = map(blocks.number, ("residual / noise", "largest excess at", "like sensor noise"))
     heads: Row = ("record", "channel", *numbers, "correlated with an input")
-    return table(title, heads, map(_residual_row, tests), heading=heading)
+    return blocks.table(title, heads, map(_residual_row, tests), heading=heading)
 
 
-def _residual_row(test: ResidualTest) -> Row:
+def _residual_row(test: domain.ResidualTest) -> Row:
     input_text = "no"
     if test.input_probability < MIN_PROBABILITY:
         input_text = f"joint {test.input_joint}, r = {test.input_correlation:.2f},"
@@ -140,15 +108,15 @@ def _residual_row(test: ResidualTest) -> Row:
     p = f"p < {MIN_PROBABILITY:g}"
     if test.whiteness >= MIN_PROBABILITY:
         p = f"p = {test.whiteness:.2g}"
-    numbers = two_digits(_noise_ratio(test)), f"{test.worst_hz:.3g} Hz", p
-    return (test.experiment, test.channel, *map(number, numbers), input_text)
+    numbers = blocks.two_digits(_noise_ratio(test)), f"{test.worst_hz:.3g} Hz", p
+    return (test.experiment, test.channel, *map(blocks.number, numbers), input_text)
 
 
-def _noise_ratio(test: ResidualTest) -> float:
+def _noise_ratio(test: domain.ResidualTest) -> float:
     return test.deviation / test.noise if test.noise > 0.0 else 0.0
 
 
-def _cause_row(cause: Cause) -> Row:
+def _cause_row(cause: domain.Cause) -> Row:
     prefix = cause.effect.replace("-", "_") + "_"
     sizes = [
         f"{p.name.removeprefix(prefix)} {' ± '.join(plus_minus(p.value, p.std))} {p.unit}".rstrip()
@@ -163,19 +131,19 @@ def _cause_row(cause: Cause) -> Row:
         if shift.without:
             change = f"{100.0 * shift.shift / shift.without:+.2g} %"
         shifts.append(f"{shift.label} {change}")
-    share = number(f"{two_digits(100.0 * cause.share)} %")
+    share = blocks.number(f"{blocks.two_digits(100.0 * cause.share)} %")
     return (
         cause.effect,
         str(cause.joint),
         listed or "not identified",
         share,
-        prose(", ".join(shifts)),
-        "included" if cause.is_included else f"weight {two_digits(cause.weight)}",
+        blocks.prose(", ".join(shifts)),
+        "included" if cause.is_included else f"weight {blocks.two_digits(cause.weight)}",
     )
 
 
 def _check_correlations(
-    identification: Identification, by_record: Mapping[str, Sequence[ResidualTest]]
+    identification: domain.Identification, by_record: Mapping[str, Sequence[domain.ResidualTest]]
 ) -> Iterator[Plot]:
     """Of check records that the whole-arm fit predicts, at the lags of the fitted records."""
     logs = {log.name: log for log in identification.logs}
@@ -217,8 +185,8 @@ def _correlation_plot(experiment: str, use: str, panels: Sequence[Panel]) -> Plo
 
 
 def _prediction_correlation(
-    prediction: Prediction, column: int, log: Log, lag_time: float
-) -> ResidualCorrelation:
+    prediction: domain.Prediction, column: int, log: domain.Log, lag_time: float
+) -> domain.ResidualCorrelation:
     """Residuals and drives of a check record, averaged over the lag time of the fitted records."""
     sample_time = float(prediction.time[1] - prediction.time[0])
     step = max(1, round(lag_time / sample_time))
@@ -234,7 +202,7 @@ def _prediction_correlation(
 
 
 def _residual_panels(
-    channel: str, correlation: ResidualCorrelation, test: ResidualTest | None
+    channel: str, correlation: domain.ResidualCorrelation, test: domain.ResidualTest | None
 ) -> list[Panel]:
     auto, limits = correlation.autocorrelation, None
     if test is not None and test.noise > 0.0:
@@ -275,11 +243,21 @@ def _correlation_panels(
         above.insert(0, Area(lag, both(limits[0]), both(limits[1]), Colour.RESIDUAL, name))
     below: list[Mark] = []
     for k, (label, (values, limit)) in enumerate(cross.items()):
-        colour = PALETTE[(0, 2, 3, 4, 5)[k % 5]]
+        colour = figures.PALETTE[(0, 2, 3, 4, 5)[k % 5]]
         below.append(
             Area(lag, np.full(len(lag), -limit), np.full(len(lag), limit), Colour.RESIDUAL, label)
         )
-        below.append(Line(lag, values, label, colour, DASHES[k % len(DASHES)], size=3.0, width=1.0))
+        below.append(
+            Line(
+                lag,
+                values,
+                label,
+                colour,
+                figures.DASHES[k % len(figures.DASHES)],
+                size=3.0,
+                width=1.0,
+            )
+        )
     range_ = (-1.05, 1.05)
     panels = [Panel(Axis(f"{channel} [auto]", range=range_), tuple(above), _CORRELATION_HEIGHT)]
     if below:
@@ -287,7 +265,7 @@ def _correlation_panels(
     return panels
 
 
-def _state_space_plots(records: Sequence[RecordModel]) -> Iterator[Plot]:
+def _state_space_plots(records: Sequence[domain.RecordModel]) -> Iterator[Plot]:
     outputs, inputs = ("motor velocity", "link velocity"), ("motor torque", "interaction torque")
     for record in records:
         if record.check is None or record.state_space is None:

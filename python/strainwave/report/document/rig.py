@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from strainwave.domain import ArmDescription, FloatArray, Identification, Joint, SensorGain
+from strainwave.domain import ArmDescription, FloatArray, Identification, SensorGain
 from strainwave.domain.arm.kinds import kind_of
 from strainwave.domain.arm.link_sensors import all_types, key_texts
 from strainwave.domain.arm.link_sensors.link_space import attitude
-from strainwave.report.document.blocks import Block, Cell, Facts, Row, number, table
-from strainwave.report.figures import (
-    SHORT_DASH,
-    SOLID,
-    Axis,
-    Colour,
-    Dash,
-    Figure,
-    Line,
-    Mark,
-    Markers,
-    Panel,
-)
+from strainwave.report import figures
+from strainwave.report.document import blocks
+from strainwave.report.document.blocks import Block, Cell, Facts, Row
+from strainwave.report.figures import Axis, Colour, Dash, Figure, Line, Mark, Markers, Panel
 
 _NOT_GIVEN = "not given"
 _MAX_ROUNDING = 1e-12  # of a coordinate or an angle that frames of fixed joints were merged into
@@ -33,83 +23,64 @@ _MAX_ROUNDING = 1e-12  # of a coordinate or an angle that frames of fixed joints
 def rig_constants(arm: ArmDescription) -> Iterator[Block]:
     """A table of the constants of each joint and its servo, then the constants of the arm."""
     joints = [f"joint {number}" for number in range(1, arm.n_joints + 1)]
-    heads: Row = ("constant", *map(number, joints), "unit", "key in study.toml")
-    yield from table("Rig constants", heads, _constant_rows(arm), heading=False)
+    heads: Row = ("constant", *map(blocks.number, joints), "unit", "key in study.toml")
+    rows: list[Row] = [
+        (title, *(blocks.number(value or _NOT_GIVEN) for value in values), unit, Cell(key, "code"))
+        for title, key, unit, values in _constants(arm)
+        if any(values)
+    ]
+    yield from blocks.table("Rig constants", heads, rows, heading=False)
     if facts := tuple(_arm_facts(arm)):
         yield Facts(facts)
 
 
-def _constant_rows(arm: ArmDescription) -> Iterator[Row]:
-    for title, key, unit, text_of in _joint_constants(arm):
-        values = [text_of(joint) for joint in arm.joints]
-        if any(values):
-            yield _constant_row(title, key, unit, values)
-    servo = arm.servo
-    if servo is None:
-        return
-    gains = (
-        ("servo, proportional gain", "kp", "V s/rad", servo.kp),
-        ("servo, integral gain", "ki", "V/rad", servo.ki),
-        ("servo, position gain", "position_gain", "1/s", servo.position_gain),
-    )
-    for title, key, unit, gain in gains:
-        if gain is not None:
-            yield _constant_row(title, f"servo.{key}", unit, [f"{value:g}" for value in gain])
-
-
-_Constant = tuple[str, str, str, Callable[[Joint], str]]
-"""Title, key, unit, and the text of a joint's value, empty if not given."""
-
-
-def _joint_constants(arm: ArmDescription) -> Iterator[_Constant]:
+def _constants(arm: ArmDescription) -> Iterator[tuple[str, str, str, list[str]]]:
+    """Title, key, unit, and the text of the value of each joint, empty if not given."""
+    joints = arm.joints
     if not kind_of(arm).places_joints:
-        yield "name", "name", "", lambda joint: joint.name or ""
-        yield "position", "origin.xyz", "m", lambda joint: _vector(joint.origin.xyz)
-        yield "orientation", "origin.rpy", "rad", lambda joint: _vector(joint.origin.rpy)
-        yield "axis", "axis", "", lambda joint: _vector(joint.axis)
-    is_prismatic = any(joint.motion == "prismatic" for joint in arm.joints)
+        yield "name", "name", "", [joint.name or "" for joint in joints]
+        yield "position", "origin.xyz", "m", [_vector(joint.origin.xyz) for joint in joints]
+        yield "orientation", "origin.rpy", "rad", [_vector(joint.origin.rpy) for joint in joints]
+        yield "axis", "axis", "", [_vector(joint.axis) for joint in joints]
+    is_prismatic = any(joint.motion == "prismatic" for joint in joints)
     if is_prismatic:
-        yield "motion", "motion", "", lambda joint: joint.motion
-    yield "gear spring", "spring", "", lambda joint: joint.spring
+        yield "motion", "motion", "", [joint.motion for joint in joints]
+    yield "gear spring", "spring", "", [joint.spring for joint in joints]
     ratio = "link rad (or m) per motor rad" if is_prismatic else "link turns per motor turn"
-    yield "gear ratio n", "gear_ratio", ratio, _format_ratio
+    yield "gear ratio n", "gear_ratio", ratio, [_format_ratio(joint.gear_ratio) for joint in joints]
     for title, key, unit in (
         ("torque per volt e", "torque_per_volt", "N m/V"),
         ("current loop bandwidth", "current_loop_hz", "Hz"),
         ("motor encoder", "encoder_counts", "counts/turn"),
         *((title, key, unit) for key, (title, unit) in key_texts().items() if unit),
     ):
-        yield title, key, unit, partial(_format_constant, key)
+        numbers = [getattr(joint, key) for joint in joints]
+        yield title, key, unit, ["" if value is None else f"{value:.6g}" for value in numbers]
     for title, key, unit in (("IMU position", "xyz", "m"), ("IMU orientation", "rpy", "rad")):
-        yield title, f"imu.{key}", unit, partial(_format_imu, key)
+        vectors = [getattr(joint.imu, key, ()) for joint in joints]
+        texts = ["estimated" if vector is None else _vector(vector) for vector in vectors]
+        yield title, f"imu.{key}", unit, texts
+    if arm.servo is None:
+        return
+    for title, key, unit in (
+        ("servo, proportional gain", "kp", "V s/rad"),
+        ("servo, integral gain", "ki", "V/rad"),
+        ("servo, position gain", "position_gain", "1/s"),
+    ):
+        gains = getattr(arm.servo, key)
+        if gains is not None:
+            yield title, f"servo.{key}", unit, [f"{gain:g}" for gain in gains]
 
 
-def _format_ratio(joint: Joint) -> str:
+def _format_ratio(ratio: float) -> str:
     """The gear ratio, and its inverse if that is close to an integer."""
-    inverse = 1.0 / joint.gear_ratio
+    inverse = 1.0 / ratio
     is_round = abs(inverse - round(inverse)) < 1e-6 * abs(inverse) and abs(inverse) > 1.5
-    return f"{joint.gear_ratio:.6g}" + (f" (1:{round(inverse)})" if is_round else "")
-
-
-def _format_constant(key: str, joint: Joint) -> str:
-    value = getattr(joint, key)
-    return "" if value is None else f"{value:.6g}"
-
-
-def _format_imu(key: str, joint: Joint) -> str:
-    if joint.imu is None:
-        return ""
-    values = getattr(joint.imu, key)
-    return "estimated" if values is None else _vector(values)
+    return f"{ratio:.6g}" + (f" (1:{round(inverse)})" if is_round else "")
 
 
 def _vector(values: Sequence[float]) -> str:
     return ", ".join(f"{value if abs(value) > _MAX_ROUNDING else 0.0:g}" for value in values)
-
-
-def _constant_row(title: str, key: str, unit: str, values: Sequence[str]) -> Row:
-    cells = (number(value or _NOT_GIVEN) for value in values)
-    return (title, *cells, unit, Cell(key, "code"))
 
 
 def _arm_facts(arm: ArmDescription) -> Iterator[tuple[str, str]]:
@@ -189,9 +160,9 @@ def arm_picture(arm: ArmDescription) -> Figure:
     base = np.zeros(3)
     marks: list[Mark] = [_line([base, *origins], "links", Colour.RESIDUAL, width=5.0)]
     for joint, origin, axis in zip(arm.joints, origins, axes, strict=True):
-        name, colour, dash = "axes of revolute joints", Colour.MEASURED, SOLID
+        name, colour, dash = "axes of revolute joints", Colour.MEASURED, figures.SOLID
         if joint.motion == "prismatic":
-            name, colour, dash = "direction of prismatic joints", Colour.TUNED, SHORT_DASH
+            name, colour, dash = "direction of prismatic joints", Colour.TUNED, figures.SHORT_DASH
         half = size * _AXIS_SHARE * axis
         marks.append(_line([origin - half, origin + half], name, colour, dash))
     arrows = {("frame of the base", Colour.LINEAR): dict(zip("xyz", np.eye(3), strict=True))}
@@ -224,7 +195,11 @@ def describe_arm(arm: ArmDescription) -> str:
 
 
 def _line(
-    points: Sequence[FloatArray], name: str, colour: str, dash: Dash = SOLID, width: float = 3.0
+    points: Sequence[FloatArray],
+    name: str,
+    colour: str,
+    dash: Dash = figures.SOLID,
+    width: float = 3.0,
 ) -> Line:
     return Line(*_projected(points), name, colour, dash, width)
 

@@ -17,19 +17,8 @@ from strainwave.domain.arm.effects import possible_causes
 from strainwave.domain.keys import Key
 from strainwave.domain.messages import catalogue, short_place
 from strainwave.domain.results.identification import missing_validation
-from strainwave.report.document.blocks import (
-    Block,
-    Callout,
-    Cell,
-    Facts,
-    Mark,
-    Row,
-    Span,
-    number,
-    paragraph,
-    prose,
-    table,
-)
+from strainwave.report.document import blocks
+from strainwave.report.document.blocks import Block, Callout, Cell, Facts, Mark, Row, Span
 
 TROUBLESHOOTING_PAGE = "docs/troubleshooting.md"
 """The page with a section for each code."""
@@ -77,18 +66,20 @@ def warnings_table(warnings: Iterable[Diagnostic]) -> Iterator[Block]:
     codes = advice()
     rows = [
         (
-            prose(short_place(w.places)),
-            prose(sentence(w.message)),
-            prose(codes[w.code].meaning),
-            prose(codes[w.code].remedy),
+            blocks.prose(short_place(w.places)),
+            blocks.prose(sentence(w.message)),
+            blocks.prose(codes[w.code].meaning),
+            blocks.prose(codes[w.code].remedy),
             Cell(w.code, "code"),
         )
         for w in by_severity(warnings)
     ]
     heads = ("where", "observed", "meaning", "what to do", "code")
-    yield from table("Warnings", heads, rows, heading=False)
+    yield from blocks.table("Warnings", heads, rows, heading=False)
     if rows:
-        yield paragraph("Each code has a section in ", Span(TROUBLESHOOTING_PAGE, kind="code"), ".")
+        yield blocks.paragraph(
+            "Each code has a section in ", Span(TROUBLESHOOTING_PAGE, kind="code"), "."
+        )
 
 
 def sentence(text: str) -> str:
@@ -128,16 +119,16 @@ def verdict(identification: Identification) -> Callout:
     reasons = () if result.suspected else result.reasons
     heads = ("channel or key", "observed", "correction")
     faults: list[Row] = [
-        (suspicion.where, prose(sentence(suspicion.message)), prose(suspicion.remedy))
+        (suspicion.where, blocks.prose(sentence(suspicion.message)), blocks.prose(suspicion.remedy))
         for suspicion in result.suspected
     ]
-    blocks: list[Block] = [
-        paragraph(
+    content: list[Block] = [
+        blocks.paragraph(
             Span(title, kind="badge", mark=mark), f" {_count_identified(identification.decisions)}"
         ),
-        *(paragraph(sentence(reason)) for reason in reasons),
-        *([paragraph(note)] if (note := scale_note(identification)) else []),
-        *table("Faults of the input", heads, faults, heading=False),
+        *(blocks.paragraph(sentence(reason)) for reason in reasons),
+        *([blocks.paragraph(note)] if (note := scale_note(identification)) else []),
+        *blocks.table("Faults of the input", heads, faults, heading=False),
         *_validation_blocks(identification),
     ]
     warnings = by_severity(identification.warnings)
@@ -146,11 +137,11 @@ def verdict(identification: Identification) -> Callout:
         link = Span("1 warning" if count == 1 else f"{count} warnings", href="#warnings")
         lead = "; most serious: " if count > 1 else ": "
         place, text = short_place(worst.places), sentence(worst.message)
-        blocks.append(paragraph(link, f"{lead}{place}: {text}"))
+        content.append(blocks.paragraph(link, f"{lead}{place}: {text}"))
     groups = tuple(_certainty_groups(identification))
     if groups:
-        blocks.append(Facts(groups))
-    return Callout(mark, tuple(blocks))
+        content.append(Facts(groups))
+    return Callout(mark, tuple(content))
 
 
 def scale_note(identification: Identification) -> str:
@@ -237,24 +228,24 @@ def _validation_blocks(identification: Identification) -> Iterator[Block]:
         text = f"{len(names)} {noun} not predicted because {reason}: {', '.join(names)}."
         if not names:
             text = 'the study has no check record. Record one with use = "check".'
-        yield paragraph(Span("Not validated: ", strong=True), text)
+        yield blocks.paragraph(Span("Not validated: ", strong=True), text)
         return
     fits, validated = check_fits(identification), identification.verdict.validated.elastic
     rows = [_fit_row("rigid model, drive", fits["rigid"])] if fits["rigid"] else []
     is_missed = any(check.unexplained for check in identification.checks if not check.of_drive)
     if fits["elastic"] and (validated or is_missed):
         rows.append(_fit_row("elastic model, motion", fits["elastic"]))
-    numbers = map(number, ("channels", "median fit", "lowest fit"))
+    numbers = map(blocks.number, ("channels", "median fit", "lowest fit"))
     heads: Row = ("check records predicted by", *numbers, "lowest in")
-    yield from table("Fits of check records", heads, rows, heading=False)
+    yield from blocks.table("Fits of check records", heads, rows, heading=False)
     if note := drive_note(identification):
-        yield paragraph(note)
+        yield blocks.paragraph(note)
     if any(joint.elastic for joint in identification.study.arm.joints) and not validated:
         lead = Span("Elastic model not validated: ", strong=True)
-        yield paragraph(lead, f"{missing_validation(identification).message}.")
+        yield blocks.paragraph(lead, f"{missing_validation(identification).message}.")
     elif not rows:
         lead = Span("Not validated: ", strong=True)
-        yield paragraph(lead, "the motors almost do not move in the check records.")
+        yield blocks.paragraph(lead, "the motors almost do not move in the check records.")
 
 
 def drive_note(identification: Identification) -> str:
@@ -274,7 +265,7 @@ def _fit_row(model: str, fits: Sequence[Fit]) -> Row:
     lowest, channel, record = min(fits)
     median = np.median([fit for fit, _, _ in fits])
     numbers = (str(len(fits)), f"{median:.1f} %", f"{lowest:.1f} %")
-    return (model, *map(number, numbers), f"{channel} in {record}")
+    return (model, *map(blocks.number, numbers), f"{channel} in {record}")
 
 
 def check_fits(identification: Identification) -> dict[str, list[Fit]]:

@@ -8,34 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from itertools import cycle, repeat
 
 import numpy as np
 
 from strainwave.domain import BoolArray, ComplexArray, FloatArray
 from strainwave.domain.results.distributions import CI95_STDS
-from strainwave.report.figures import (
-    DASHES,
-    FREQUENCY_AXIS,
-    MIN_BAND_SHARE,
-    PALETTE,
-    SHORT_DASH,
-    SOLID,
-    Area,
-    Axis,
-    Colour,
-    Dash,
-    Figure,
-    Line,
-    Mark,
-    Markers,
-    Panel,
-    decibel,
-    decimate,
-)
+from strainwave.report import figures
+from strainwave.report.figures import Area, Axis, Colour, Dash, Figure, Line, Mark, Markers, Panel
 
-_TRUE_COLOUR = Colour.RESIDUAL
-_TRUE_WIDTH = 4.0  # [px]
+_TRUE_STYLE = (Colour.RESIDUAL, figures.SOLID, 4.0)  # colour, dash, width [px]
 _POINT_SIZE = 6.0  # [px] of a point with an error bar
 _RESIDUAL_HEIGHT = 0.4  # of the residual panel relative to the panel above
 
@@ -80,12 +62,12 @@ class ResponseMarks:
         G: ComplexArray,
         name: str,
         colour: str,
-        dash: Dash = SOLID,
+        dash: Dash = figures.SOLID,
         width: float = 1.5,
     ) -> None:
         """Add a line; `width` in px."""
         style = (name, colour, dash, width)
-        self._magnitude.append(Line(f, decibel(np.abs(G)), *style))
+        self._magnitude.append(Line(f, figures.decibel(np.abs(G)), *style))
         self._phase.append(Line(f, self._phase_of(G), *style))
 
     def add_measured(
@@ -103,7 +85,7 @@ class ResponseMarks:
         )
         for name, colour, rows in kinds:
             if rows.any():
-                magnitude, phase = decibel(np.abs(G[rows])), self._phase_of(G[rows])
+                magnitude, phase = figures.decibel(np.abs(G[rows])), self._phase_of(G[rows])
                 style = (name, colour, size, opacity)
                 self._magnitude.append(Markers(f[rows], magnitude, *style))
                 self._phase.append(Markers(f[rows], phase, *style))
@@ -119,9 +101,9 @@ class ResponseMarks:
         """Add 95 % bands; `stds` are those of modulus over modulus and of the phase [rad]."""
         half, turn = (CI95_STDS * std for std in stds)
         modulus, phase = np.abs(G), self._phase_of(G)
-        low, high = modulus * np.maximum(1.0 - half, MIN_BAND_SHARE), modulus * (1.0 + half)
+        low, high = modulus * np.maximum(1.0 - half, figures.MIN_BAND_SHARE), modulus * (1.0 + half)
         turn = np.minimum(np.rad2deg(turn), 180.0)
-        self._magnitude.append(Area(f, decibel(low), decibel(high), colour, name))
+        self._magnitude.append(Area(f, figures.decibel(low), figures.decibel(high), colour, name))
         self._phase.append(Area(f, phase - turn, phase + turn, colour, name))
 
     def panels(
@@ -144,23 +126,24 @@ class ResponseMarks:
 def bode(curves: Sequence[Curve], caption: str) -> Figure:
     """Magnitude [dB] and phase [degree] of frequency responses, with their 95 % bands."""
     marks = ResponseMarks(is_continuous=True)
-    for curve, style in zip(curves, _styles([c.true for c in curves]), strict=True):
+    styles = _styles([curve.true for curve in curves])
+    for curve, (colour, dash, width) in zip(curves, styles, strict=True):
         f, G, name = curve.frequencies_hz, curve.response, curve.name
         if curve.magnitude_std is not None and curve.phase_std is not None:
             stds = curve.magnitude_std / np.abs(G), curve.phase_std
-            marks.add_band(f, G, stds, name, style.colour)
-        marks.add_line(f, G, name, *style)
-    return Figure(FREQUENCY_AXIS, marks.panels("magnitude [dB]"), caption=caption)
+            marks.add_band(f, G, stds, name, colour)
+        marks.add_line(f, G, name, colour, dash, width)
+    return Figure(figures.FREQUENCY_AXIS, marks.panels("magnitude [dB]"), caption=caption)
 
 
 def pair(measured: Series, model: Series, quantity: str, caption: str) -> Figure:
     """Measured and predicted values of a quantity over time, and their difference below."""
     residual = measured.y - model.y
-    rows = decimate(np.column_stack([measured.y, model.y, residual]))
+    rows = figures.decimate(np.column_stack([measured.y, model.y, residual]))
     time = measured.x[rows]
     both = (
         Line(time, measured.y[rows], measured.name, Colour.MEASURED),
-        Line(time, model.y[rows], model.name, Colour.MODEL, SHORT_DASH),
+        Line(time, model.y[rows], model.name, Colour.MODEL, figures.SHORT_DASH),
     )
     difference = Line(time, residual[rows], "difference", Colour.RESIDUAL, width=1.0)
     panels = Panel(Axis(quantity), both), Panel(Axis(""), (difference,), _RESIDUAL_HEIGHT)
@@ -175,10 +158,11 @@ def lines(series: Sequence[Series], axis: str, quantity: str, caption: str) -> F
 def spectrum(series: Sequence[Series], quantity: str, caption: str) -> Figure:
     """Power spectral densities in dB over log frequency; `quantity` is the unit of the density."""
     positive = [
-        Series(s.name, s.x[s.x > 0.0], 0.5 * decibel(s.y[s.x > 0.0]), true=s.true) for s in series
+        Series(s.name, s.x[s.x > 0.0], 0.5 * figures.decibel(s.y[s.x > 0.0]), true=s.true)
+        for s in series
     ]
     panel = Panel(Axis(f"density [dB re {quantity}]"), _lines(positive))
-    return Figure(FREQUENCY_AXIS, (panel,), caption=caption)
+    return Figure(figures.FREQUENCY_AXIS, (panel,), caption=caption)
 
 
 def scatter(points: Sequence[Series], axis: str, quantity: str, caption: str) -> Figure:
@@ -196,24 +180,12 @@ def scatter(points: Sequence[Series], axis: str, quantity: str, caption: str) ->
 def _lines(series: Sequence[Series]) -> tuple[Line, ...]:
     marks = []
     for one, (colour, dash, width) in zip(series, _styles([s.true for s in series]), strict=True):
-        rows = decimate(one.y)
+        rows = figures.decimate(one.y)
         marks.append(Line(one.x[rows], one.y[rows], one.name, colour, dash, width))
     return tuple(marks)
 
 
-class _Style(NamedTuple):
-    colour: str
-    dash: Dash
-    width: float
-
-
-def _styles(true: Sequence[bool]) -> list[_Style]:
-    """Style of each line; no two are alike, even without colour."""
-    styles, k = [], 0
-    for is_true in true:
-        if is_true:
-            styles.append(_Style(_TRUE_COLOUR, SOLID, _TRUE_WIDTH))
-        else:
-            styles.append(_Style(PALETTE[k % len(PALETTE)], DASHES[k % len(DASHES)], 1.5))
-            k += 1
-    return styles
+def _styles(true: Sequence[bool]) -> list[tuple[str, Dash, float]]:
+    """Colour, dash and width [px] of each line; no two are alike, even without colour."""
+    coloured = zip(cycle(figures.PALETTE), cycle(figures.DASHES), repeat(1.5), strict=False)
+    return [_TRUE_STYLE if is_true else next(coloured) for is_true in true]

@@ -13,40 +13,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from strainwave.domain import (
-    ArmModel,
-    Decoupled,
-    Diagnostic,
-    FloatArray,
-    FrequencyResponse,
-    Identification,
-    JointModel,
-    Log,
-    Parameter,
-    Prediction,
-    RecordModel,
-    RigidModel,
-    Sweep,
-    channel_parts,
-)
+from strainwave import domain
+from strainwave.domain import FloatArray
 from strainwave.domain.messages import percent, plus_minus
 from strainwave.errors import InvalidInput
+from strainwave.report import figures
 from strainwave.report.document import bode, elastic, predictions
-from strainwave.report.document.blocks import Row, number, table
+from strainwave.report.document.blocks import Row, fill_template, number, table
 from strainwave.report.document.parameters import SUMMARY_HEADS, summary_row
-from strainwave.report.figures import (
-    DASHES,
-    PALETTE,
-    Axis,
-    Colour,
-    Figure,
-    Line,
-    Markers,
-    Panel,
-    curves,
-    decimate,
-)
-from strainwave.report.html import fill_template
+from strainwave.report.figures import Axis, Colour, Figure, Line, Markers, Panel, curves
 from strainwave.report.matplotlib_backend import draw
 
 if TYPE_CHECKING:
@@ -72,13 +47,13 @@ def table_of(record: object) -> str:
     raise TypeError(f"a {type(record).__name__} has no table")
 
 
-def table_of_parameters(parameters: Iterable[Parameter]) -> str:
+def table_of_parameters(parameters: Iterable[domain.Parameter]) -> str:
     """Parameters as a table."""
     return _html("", SUMMARY_HEADS, map(summary_row, parameters), ())
 
 
 @table_of.register
-def _(log: Log) -> str:
+def _(log: domain.Log) -> str:
     rows: list[Row] = [
         (name, *(number(f"{x:.4g}") for x in (values.min(), values.max(), values.std())))
         for name, values in log.channels.items()
@@ -89,14 +64,14 @@ def _(log: Log) -> str:
 
 
 @table_of.register
-def _(model: RigidModel) -> str:
+def _(model: domain.RigidModel) -> str:
     head = f"rigid model, {model.status}: {model.n_rows} equations, condition number "
     head += f"{model.condition_number:.3g}, band to {model.bandwidth_hz:.3g} Hz"
     return _html(head, SUMMARY_HEADS, map(summary_row, model.parameters), model.warnings)
 
 
 @table_of.register
-def _(joint: Decoupled) -> str:
+def _(joint: domain.Decoupled) -> str:
     rows = [("pass" if check.passed else "fail", check.message) for check in joint.checks]
     head = f"joint {joint.joint}, decoupled, record {joint.experiment.name}: "
     head += f"{len(joint.time)} samples, {joint.inputs.shape[1]} input(s)"
@@ -104,7 +79,7 @@ def _(joint: Decoupled) -> str:
 
 
 @table_of.register
-def _(joint: JointModel) -> str:
+def _(joint: domain.JointModel) -> str:
     head = f"joint {joint.joint}, {joint.status}, by {joint.method} from "
     head += ", ".join(joint.experiments)
     rows = list(map(summary_row, joint.parameters))
@@ -115,7 +90,7 @@ def _(joint: JointModel) -> str:
 
 
 @table_of.register
-def _(record: RecordModel) -> str:
+def _(record: domain.RecordModel) -> str:
     if record.joint_model is not None:
         return table_of(record.joint_model)
     head = f"joint {record.signals.joint}, record {record.signals.experiment.name}: no model"
@@ -123,7 +98,7 @@ def _(record: RecordModel) -> str:
 
 
 @table_of.register
-def _(response: FrequencyResponse) -> str:
+def _(response: domain.FrequencyResponse) -> str:
     f = response.frequencies_hz
     _, outputs, inputs = response.response.shape
     rows = [
@@ -136,7 +111,7 @@ def _(response: FrequencyResponse) -> str:
 
 
 @table_of.register
-def _(sweep: Sweep) -> str:
+def _(sweep: domain.Sweep) -> str:
     rows: list[Row] = []
     for point in sweep.points:
         stiffness = " ± ".join(plus_minus(point.gear_stiffness, point.gear_stiffness_std))
@@ -147,27 +122,27 @@ def _(sweep: Sweep) -> str:
 
 
 @table_of.register
-def _(arm: ArmModel) -> str:
+def _(arm: domain.ArmModel) -> str:
     head = f"whole-arm fit: {arm.end} after {arm.iterations} evaluations"
     return _html(head, SUMMARY_HEADS, map(summary_row, arm.parameters), arm.warnings)
 
 
 @table_of.register
-def _(prediction: Prediction) -> str:
+def _(prediction: domain.Prediction) -> str:
     rows = [(name, number(percent(fit))) for name, fit in prediction.fit_percent.items()]
     head = f"prediction of record {prediction.experiment}"
     return _html(head, ("channel", number("fit")), rows, ())
 
 
 @table_of.register
-def _(result: Identification) -> str:
+def _(result: domain.Identification) -> str:
     head = f"{result.study.path.name}: {result.verdict.status}"
     if result.reason is not None:
         head += f" ({result.reason})"
     return _html(head, SUMMARY_HEADS, map(summary_row, result.parameters), result.warnings)
 
 
-def _html(head: str, heads: Row, rows: Iterable[Row], warnings: Sequence[Diagnostic]) -> str:
+def _html(head: str, heads: Row, rows: Iterable[Row], warnings: Sequence[domain.Diagnostic]) -> str:
     tables = table(head, heads, rows, heading=False)
     return fill_template("notebook/table", head=head, tables=tables, warnings=warnings)
 
@@ -185,16 +160,16 @@ def figure_of(record: object) -> Figure:
 
 
 @figure_of.register
-def _(log: Log) -> Figure:
+def _(log: domain.Log) -> Figure:
     """Drive and motor angles."""
-    above = {n: v for n, v in log.channels.items() if channel_parts(n)[0] in ("u", "torque")}
-    below = {n: v for n, v in log.channels.items() if channel_parts(n)[0] == "theta_m"}
+    above = {n: v for n, v in log.channels.items() if domain.channel_parts(n)[0] in ("u", "torque")}
+    below = {n: v for n, v in log.channels.items() if domain.channel_parts(n)[0] == "theta_m"}
     titles = ("drive [V, N m]", "motor angle [rad]")
     return _stacked(log.time, above, below, titles, f"log {log.name}")
 
 
 @figure_of.register
-def _(joint: Decoupled) -> Figure:
+def _(joint: domain.Decoupled) -> Figure:
     """Inputs, and both velocities on the link side of the gear."""
     names = ("motor torque less Coulomb friction", "n times interaction torque")
     columns = zip(names, (1.0, joint.gear_ratio), joint.inputs.T, strict=False)
@@ -209,20 +184,22 @@ def _(joint: Decoupled) -> Figure:
     )
 
 
-@figure_of.register(RigidModel)
-@figure_of.register(ArmModel)
-@figure_of.register(Identification)
-def _(model: RigidModel | ArmModel | Identification) -> Figure:
+@figure_of.register(domain.RigidModel)
+@figure_of.register(domain.ArmModel)
+@figure_of.register(domain.Identification)
+def _(model: domain.RigidModel | domain.ArmModel | domain.Identification) -> Figure:
     return certainty(model.parameters)
 
 
 @figure_of.register
-def _(joint: JointModel, *, gear_ratio: float, measured: FrequencyResponse | None = None) -> Figure:
+def _(
+    joint: domain.JointModel, *, gear_ratio: float, measured: domain.FrequencyResponse | None = None
+) -> Figure:
     return bode.bode(joint, gear_ratio, measured)
 
 
 @figure_of.register
-def _(record: RecordModel) -> Figure:
+def _(record: domain.RecordModel) -> Figure:
     if record.joint_model is None:
         raise InvalidInput(
             "the record has no physical model to draw",
@@ -234,7 +211,7 @@ def _(record: RecordModel) -> Figure:
 
 @figure_of.register
 def _(
-    response: FrequencyResponse,
+    response: domain.FrequencyResponse,
     *,
     output: int = 0,
     input: int = 0,
@@ -263,7 +240,7 @@ def _(
 
 
 def _spread(
-    response: FrequencyResponse, output: int, input: int
+    response: domain.FrequencyResponse, output: int, input: int
 ) -> tuple[FloatArray | None, FloatArray | None]:
     """Standard deviations of modulus and phase, by the covariance of a model or measured noise.
 
@@ -279,12 +256,12 @@ def _spread(
 
 
 @figure_of.register
-def _(sweep: Sweep) -> Figure:
+def _(sweep: domain.Sweep) -> Figure:
     return elastic.stiffness_figure(sweep)
 
 
 @figure_of.register
-def _(prediction: Prediction, *, channel: str | None = None) -> Figure:
+def _(prediction: domain.Prediction, *, channel: str | None = None) -> Figure:
     fits = prediction.fit_percent
     channel = channel or min(prediction.channels, key=lambda name: fits.get(name, np.inf))
     if channel not in prediction.channels:
@@ -298,7 +275,7 @@ def _(prediction: Prediction, *, channel: str | None = None) -> Figure:
     return replace(figure, caption=f"{prediction.experiment}, {channel}: fit {fit}")
 
 
-def certainty(parameters: Iterable[Parameter]) -> Figure:
+def certainty(parameters: Iterable[domain.Parameter]) -> Figure:
     """Standard deviation of each parameter in percent of its value, where both are known."""
     certain = [(p, p.std / abs(p.value)) for p in parameters if p.std is not None and p.value]
     names = [p.name + (f" {p.joint}" if p.joint else "") for p, _ in certain]
@@ -316,12 +293,12 @@ def _stacked(
     titles: tuple[str, str],
     caption: str,
 ) -> Figure:
-    styles = iter(zip(PALETTE * 2, DASHES * 2, strict=True))
+    styles = iter(zip(figures.PALETTE * 2, figures.DASHES * 2, strict=True))
     panels = []
     for title, group in zip(titles, (above, below), strict=True):
         marks = []
         for (name, values), (colour, dash) in zip(group.items(), styles, strict=False):
-            rows = decimate(values)
+            rows = figures.decimate(values)
             marks.append(Line(time[rows], values[rows], name, colour, dash))
         panels.append(Panel(Axis(title), tuple(marks)))
     return Figure(Axis("time [s]"), tuple(panels), caption=caption)

@@ -12,7 +12,7 @@ from strainwave.domain import FloatArray
 from strainwave.domain.arm.description import INPUTS, ControlLaw
 from strainwave.errors import import_optional
 from strainwave.export.flat import HEADER_PREFIX
-from strainwave.export.omissions import sentence_of
+from strainwave.export.source import sentence_of
 from strainwave.io.templates import fill_text
 from strainwave.tune.closed_loop import Biquad, Gains
 from strainwave.tune.design import ServoDesign

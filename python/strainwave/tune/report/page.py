@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.export.omissions import sentence_of
+from strainwave.export.source import sentence_of
 from strainwave.report.document.blocks import (
     Block,
     Callout,

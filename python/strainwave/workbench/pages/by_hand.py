@@ -31,8 +31,8 @@ from strainwave.domain.keys import Values, label_of
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import resonance
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
+from strainwave.export.linear_models import joint_model
 from strainwave.export.source import IdentifiedArm
-from strainwave.export.state_space import joint_model
 from strainwave.identification.joint_model.agreement import motor_response
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.preparation import (

@@ -22,7 +22,7 @@ from strainwave.domain.messages import plus_minus
 from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.errors import InvalidInput
 from strainwave.export import arm_of
-from strainwave.export.state_space import Matrices, joint_model, state_space
+from strainwave.export.linear_models import Matrices, joint_model, state_space
 from strainwave.fleet.monitoring import comparison as monitoring
 from strainwave.fleet.monitoring.comparison_output import to_document
 from strainwave.report.document.blocks import read_figures
