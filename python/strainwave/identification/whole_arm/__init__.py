@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 
 from strainwave.domain import ArmModel, JointModel, Log, RigidModel, WholeArmOptions
 from strainwave.domain.keys import Key
@@ -61,8 +60,8 @@ _COARSE: tuple[Candidate, ...] = (
     mountings.improve_mountings,
     gear_laws.select_gear_laws,
     gear_laws.restart_coarse_fit,
-    partial(sensor_constants.add_significant_sensor_constants, coarse=True),
-    partial(sensor_constants.add_sensor_bandwidths, coarse=True),
+    sensor_constants.add_coarse_sensor_constants,
+    sensor_constants.add_coarse_bandwidths,
     further_unknowns.add_settling_times,
     further_unknowns.add_named_effects,
 )
@@ -73,8 +72,8 @@ _FINE: tuple[Candidate, ...] = (
     gear_laws.restart_fine_fit,
     gear_laws.remove_insignificant_stiffness_terms,
     further_unknowns.remove_insignificant_effects,
-    partial(sensor_constants.add_significant_sensor_constants, coarse=False),
-    partial(sensor_constants.add_sensor_bandwidths, coarse=False),
+    sensor_constants.add_fine_sensor_constants,
+    sensor_constants.add_fine_bandwidths,
     mountings.add_mount_resonances,
     mountings.add_significant_tilts,
     sensor_constants.remove_insignificant_sensor_constants,

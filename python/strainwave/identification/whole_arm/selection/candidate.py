@@ -1,24 +1,34 @@
 """Candidate models: test a further unknown, add it, fit, keep or drop it.
 
-`best_trial` fits, `select_better` keeps or drops, `revise` repeats both until nothing changes.
+Scores of held-out folds compare models of different numbers of unknowns; see `numerics.held_out`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
-from strainwave.domain import LawChoice, WholeArmOptions
-from strainwave.domain.keys import Key
+import numpy as np
+
+from strainwave.domain import FloatArray, IntArray, LawChoice, WholeArmOptions
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
+from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD
+from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import (
     COARSE_RELATIVE_TOLERANCE,
-    fine_search,
     search_minimum,
 )
+from strainwave.numerics.held_out import (
+    MIN_CORRELATION_TIMES,
+    MIN_WEIGHT,
+    log_density,
+    weight_over,
+)
+from strainwave.numerics.linalg import triangular_factor
+from strainwave.numerics.spectra import estimate_rows_per_error
 
 MIN_SIGNIFICANCE_STDS = 3.0
 """Standard deviations from which a settling time, an effect or another curve is significant.
@@ -27,6 +37,8 @@ The minimum cost reduction is its square.
 """
 MAX_CANDIDATE_EVALUATIONS = 10
 """Maximum evaluations of the trial fit of a candidate."""
+
+_MIN_FOLDS = 2  # of a record; the other folds estimate the variance of a channel
 
 
 @dataclass
@@ -56,11 +68,32 @@ class Selection:
         self.allow(fit.iterations + self.budget)
 
 
-Candidate = Callable[[Fit, Selection], Fit]
-"""A change of the model: added parameters, removed parameters or another starting value.
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A change of the model: further unknowns, fewer ones, or other starting values.
 
-It returns the fit of the changed model if the data support it, otherwise the fit itself.
-"""
+    The search continues from the first trial that the data support.
+    """
+
+    # starts, or short searches, of the changed model; none if tests of the fit find no change
+    trials: Callable[[Fit, Selection], Iterable[Fit]]
+    search: Callable[[Fit, WholeArmOptions], Fit]
+    # whether the data support a trial of a fit; by default, the tests that found it are enough
+    supports: Callable[[Fit, Fit], bool] = lambda _fit, _trial: True
+    is_addition: bool = True  # is tried only while evaluations are left
+    is_repeated: bool = False  # until the data support no trial
+
+    def __call__(self, fit: Fit, selection: Selection) -> Fit:
+        """The fit of the changed model if the data support it, otherwise the fit itself."""
+        while not (self.is_addition and selection.is_budget_exhausted(fit)):
+            trials = self.trials(fit, selection)
+            supported = next((trial for trial in trials if self.supports(fit, trial)), None)
+            if supported is None:
+                break
+            fit = self.search(supported, selection.options)
+            if not self.is_repeated:
+                break
+        return fit
 
 
 def run_trial(start: Fit, selection: Selection, max_evaluations: int | None) -> Fit:
@@ -77,39 +110,93 @@ def run_trial(start: Fit, selection: Selection, max_evaluations: int | None) -> 
     )
 
 
-def best_trial(starts: Iterable[Fit], search: Callable[[Fit], Fit]) -> Fit | None:
-    """The search of least cost from several starts; None if the arm can be simulated at none."""
+def best_trial(starts: Iterable[Fit], search: Callable[[Fit], Fit]) -> list[Fit]:
+    """The search of least cost from several starts; none if the arm can be simulated at none."""
     trials = []
     for start in starts:
         with suppress(NotIdentifiable):
             trials.append(search(start))
-    return min(trials, key=lambda trial: trial.cost, default=None)
-
-
-def revise(
-    fit: Fit,
-    change: Callable[[Fit], Fit | None],
-    search: Callable[[Fit, WholeArmOptions], Fit],
-    selection: Selection,
-) -> Fit:
-    """Search from each change of the model until `change` finds none.
-
-    `change` tests unknowns and returns the start with those that the data support, or without one
-    that they do not support.
-    """
-    while (start := change(fit)) is not None:
-        fit = search(start, selection.options)
-    return fit
-
-
-def refit_without(values: Mapping[Key, float], fit: Fit, selection: Selection) -> Fit:
-    """Repeat a fine fit with unknowns fixed at `values`; the fit itself if there are none."""
-    if not values:
-        return fit
-    return fine_search(fit.with_unknowns(fit.space.fix_values(values)), selection.options)
+    return sorted(trials, key=lambda trial: trial.cost)[:1]
 
 
 def select_better(fit: Fit, other: Fit) -> Fit:
     """Return `other` if it reduces the cost significantly, otherwise `fit` with its evaluations."""
     is_significant = fit.cost - other.cost > MIN_SIGNIFICANCE_STDS**2
     return other if is_significant else replace(fit, iterations=other.iterations)
+
+
+def held_out_scores(fits: Sequence[Fit]) -> FloatArray:
+    """Log predictive densities of fits of the same records, (n_fits, n_folds).
+
+    The density of `log_density` is summed over the channels of the fold; the number of independent
+    errors is that of the rows over kappa, the rows per independent residual, the largest of the
+    fits. The parameters without a fold are one Gauss-Newton step from the fit: the least squares
+    solution of the factors of the other folds, stacked. Unknowns at a bound stay there.
+    """
+    rows = [fit.objective.rows(fit.z) for fit in fits]
+    # long integrator steps may end a row earlier
+    n_rows = [min(len(one.residual) for one in of_record) for of_record in zip(*rows, strict=True)]
+    correlation = [
+        np.max([[estimate_rows_per_error(e) for e in one.errors.T] for one in of_record], axis=0)
+        for of_record in zip(*rows, strict=True)
+    ]
+    folds = [_folds(n, float(np.max(kappa))) for n, kappa in zip(n_rows, correlation, strict=True)]
+    return np.array(
+        [_scores(fit, own, folds, correlation) for fit, own in zip(fits, rows, strict=True)]
+    )
+
+
+def simplest_model(fits: Sequence[Fit]) -> int:
+    """Place of the fit with the fewest unknowns, unless one with more predicts better."""
+    scores = held_out_scores(fits)
+    chosen, *others = sorted(
+        range(len(fits)), key=lambda k: (len(fits[k].z), -float(np.sum(scores[k])))
+    )
+    for k in others:
+        if weight_over(scores[k], scores[chosen], np.random.default_rng(0)) > MIN_WEIGHT:
+            chosen = k
+    return chosen
+
+
+def _folds(n_rows: int, rows_per_error: float) -> IntArray:
+    """Number of the fold of each row of a record, (n_rows,)."""
+    n_folds = int(n_rows / (MIN_CORRELATION_TIMES * rows_per_error))
+    n_folds = min(max(n_folds, _MIN_FOLDS), BLOCKS_PER_RECORD)
+    return np.arange(n_rows) * n_folds // n_rows
+
+
+def _scores(
+    fit: Fit, rows: Sequence[Rows], folds: Sequence[IntArray], correlation: Sequence[FloatArray]
+) -> FloatArray:
+    """Log predictive densities of the folds of all records, (n_folds,)."""
+    # derivatives of the residuals in standard deviations
+    columns = [
+        (one.shared_columns / one.root[..., None])[: len(f)]
+        for one, f in zip(rows, folds, strict=True)
+    ]
+    residuals = [one.residual[: len(f)] for one, f in zip(rows, folds, strict=True)]
+    roots = [one.root[: len(f)] for one, f in zip(rows, folds, strict=True)]
+    parts = [
+        (k, fold == number) for k, fold in enumerate(folds) for number in range(int(fold[-1]) + 1)
+    ]
+    factors = []
+    for k, held in parts:
+        weighted = columns[k][held] * roots[k][held][..., None]
+        residual = (residuals[k] * roots[k])[held][..., None]
+        table = np.concatenate([weighted, residual], axis=2)
+        factors.append(triangular_factor(table.reshape(-1, table.shape[2])))
+    prior = np.column_stack(fit.space.linearise_prior(fit.z))
+    free = np.flatnonzero(~(fit.at_bounds | fit.at_zero))
+    predicted = [np.zeros_like(residual) for residual in residuals]
+    for number, (k, held) in enumerate(parts):
+        others = np.concatenate([prior, *factors[:number], *factors[number + 1 :]])
+        step = np.linalg.lstsq(others[:, free], -others[:, -1])[0]
+        change = columns[k][held][..., free] @ step
+        predicted[k][held] = (residuals[k][held] + change) * rows[k].stds
+    scores = []
+    for k, held in parts:
+        squares = predicted[k] ** 2
+        held_out, variance = np.mean(squares[held], axis=0), np.mean(squares[~held], axis=0)
+        count, others = np.sum(held) / correlation[k], np.sum(~held) / correlation[k]
+        scores.append(float(np.sum(log_density(held_out, variance, count, others))))
+    return np.array(scores)

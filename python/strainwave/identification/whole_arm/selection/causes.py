@@ -27,7 +27,6 @@ from strainwave.domain.results.final_table import is_identified
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
-from strainwave.identification.whole_arm.inference.held_out import held_out_scores, simplest_model
 from strainwave.identification.whole_arm.inference.parameter_estimates import (
     PlausibleModel,
     parameters_of,
@@ -53,10 +52,14 @@ from strainwave.identification.whole_arm.problem.starting_values import replace_
 from strainwave.identification.whole_arm.records.loads import Loads, gear_torques, loads_of
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search, polish, search_minimum
-from strainwave.identification.whole_arm.selection.candidate import Selection
+from strainwave.identification.whole_arm.selection.candidate import (
+    Selection,
+    held_out_scores,
+    simplest_model,
+)
 from strainwave.identification.whole_arm.selection.further_unknowns import extend_ranges
 from strainwave.identification.whole_arm.selection.sensor_constants import (
-    add_significant_sensor_constants,
+    add_fine_sensor_constants,
     remove_insignificant_sensor_constants,
 )
 from strainwave.numerics.held_out import MIN_WEIGHT, model_weights, weight_over
@@ -202,7 +205,7 @@ def _include(fit: Fit, rival: Rival, selection: Selection) -> Fit | None:
         extended = fine_search(fit.restart(objective, rival.fit.z), selection.options)
         # the effect may have hidden, or imitated, the constant of a sensor
         extended = extend_ranges(extended, selection)
-        extended = add_significant_sensor_constants(extended, selection, coarse=False)
+        extended = add_fine_sensor_constants(extended, selection)
         extended = remove_insignificant_sensor_constants(extended, selection)
         extended = polish(extended, selection.options)
     except NotIdentifiable:

@@ -6,6 +6,7 @@ motion, and wider ranges of friction and damping, whose starting values may be f
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
@@ -42,9 +43,8 @@ from strainwave.identification.whole_arm.search.solver import (
 from strainwave.identification.whole_arm.selection.candidate import (
     MAX_CANDIDATE_EVALUATIONS,
     MIN_SIGNIFICANCE_STDS,
+    Candidate,
     Selection,
-    refit_without,
-    revise,
     run_trial,
     select_better,
 )
@@ -89,19 +89,20 @@ def _prior_relief(fit: Fit, space: ParameterSpace) -> float:
     return cost(fit.space.prior) - cost(space.prior)
 
 
-def remove_insignificant_effects(fit: Fit, selection: Selection) -> Fit:
-    """Remove effects that are not significant and refit, until all are significant."""
+def _without_insignificant_effects(fit: Fit, selection: Selection) -> Iterator[Fit]:
     arm = selection.arm
     if not named_effects(arm):
-        return fit
-
-    def reduce(fit: Fit) -> Fit | None:
-        effects = set(insignificant_effects(fit.space, fit.z, confidence_of(fit).cautious))
+        return
+    effects = set(insignificant_effects(fit.space, fit.z, confidence_of(fit).cautious))
+    if effects:
         space = remove_effects(fit.space, effects, arm)
         objective = with_effects(fit.objective, space, arm)
-        return fit.restart(objective, space.coordinates(fit.values)) if effects else None
+        yield fit.restart(objective, space.coordinates(fit.values))
 
-    return revise(fit, reduce, fine_search, selection)
+
+remove_insignificant_effects = Candidate(
+    _without_insignificant_effects, fine_search, is_addition=False, is_repeated=True
+)
 
 
 def add_settling_times(fit: Fit, selection: Selection) -> Fit:
@@ -119,13 +120,10 @@ def add_settling_times(fit: Fit, selection: Selection) -> Fit:
     return select_better(fit, extended) if required is None else extended
 
 
-def remove_insignificant_settling_times(fit: Fit, selection: Selection) -> Fit:
-    """Repeat the fit without settling times that are not significant.
-
-    The friction of those joints acts instantly.
-    """
+def _without_insignificant_settling_times(fit: Fit, selection: Selection) -> Iterator[Fit]:
+    """The friction of joints with an insignificant settling time acts instantly."""
     if selection.options.settling or all(name != SETTLING for name, _ in fit.space.keys):
-        return fit
+        return
     values = fit.values
     stds = np.sqrt(np.diag(confidence_of(fit).cautious))
     at_lower_bound = fit.z < _ZERO_BOUND_SHARE * fit.space.lower
@@ -134,20 +132,22 @@ def remove_insignificant_settling_times(fit: Fit, selection: Selection) -> Fit:
         for key, std, is_at_bound in zip(fit.space.keys, stds, at_lower_bound, strict=True)
         if key[0] == SETTLING and (is_at_bound or values[key] < MIN_SIGNIFICANCE_STDS * std)
     }
-    return refit_without(insignificant, fit, selection)
+    if insignificant:
+        yield fit.with_unknowns(fit.space.fix_values(insignificant))
 
 
-def add_significant_initial_motion(fit: Fit, selection: Selection) -> Fit:
-    """Continue a coarse fit with initial states for the records that begin in motion.
+remove_insignificant_settling_times = Candidate(
+    _without_insignificant_settling_times, fine_search, is_addition=False
+)
 
-    Returns the fit itself if no such record exists or no evaluations are left.
-    """
-    if selection.is_budget_exhausted(fit):
-        return fit
+
+def _with_initial_motion(fit: Fit, _: Selection) -> Iterator[Fit]:
     objective = add_initial_states(fit.objective, fit.z)
-    if objective is fit.objective:
-        return fit
-    return resumed_coarse_search(replace(fit, objective=objective), selection.options)
+    if objective is not fit.objective:
+        yield replace(fit, objective=objective)
+
+
+add_significant_initial_motion = Candidate(_with_initial_motion, resumed_coarse_search)
 
 
 def add_initial_states(objective: Objective, z: FloatArray) -> Objective:
@@ -194,8 +194,8 @@ def _estimate_initial_motion(
     return rows.record_parameters if is_evident else None
 
 
-def extend_ranges(fit: Fit, selection: Selection) -> Fit:
-    """The fine fit with frictions and dampings at the end of their range centred in a new one."""
+def _with_extended_ranges(fit: Fit, selection: Selection) -> Iterator[Fit]:
+    """Frictions and dampings at the end of their range are centred in a new one."""
     bounded = [
         k
         for k, (unknown, at) in enumerate(zip(fit.space.unknowns, fit.at_bounds, strict=True))
@@ -204,7 +204,9 @@ def extend_ranges(fit: Fit, selection: Selection) -> Fit:
         and unknown.limits is None
         and physical_range(unknown.name) == "non-negative"
     ]
-    if not bounded or not fit.end.is_minimum:
-        return fit
-    selection.renew(fit)
-    return fine_search(fit.with_unknowns(fit.space.recentre(fit.z, bounded)), selection.options)
+    if bounded and fit.end.is_minimum:
+        selection.renew(fit)
+        yield fit.with_unknowns(fit.space.recentre(fit.z, bounded))
+
+
+extend_ranges = Candidate(_with_extended_ranges, fine_search, is_addition=False)

@@ -20,7 +20,6 @@ from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
-from strainwave.identification.whole_arm.inference.held_out import held_out_scores, simplest_model
 from strainwave.identification.whole_arm.inference.parameter_estimates import identified_curves
 from strainwave.identification.whole_arm.inference.score_tests import TestedEffect, curve_tests_of
 from strainwave.identification.whole_arm.problem.effect_unknowns import with_effects
@@ -33,9 +32,10 @@ from strainwave.identification.whole_arm.selection.candidate import (
     MAX_CANDIDATE_EVALUATIONS,
     MIN_SIGNIFICANCE_STDS,
     Selection,
-    refit_without,
+    held_out_scores,
     run_trial,
     select_better,
+    simplest_model,
 )
 from strainwave.numerics.held_out import weight_over
 
@@ -283,7 +283,9 @@ def remove_insignificant_stiffness_terms(fit: Fit, selection: Selection) -> Fit:
             covariance = confidence_of(fit).cautious[np.ix_(places, places)]
             if estimate @ np.linalg.solve(covariance, estimate) < MIN_SIGNIFICANCE_STDS**2:
                 insignificant |= {keys[k]: 0.0 for k in places}
-    fit = refit_without(insignificant, fit, selection)
+    if insignificant:
+        start = fit.with_unknowns(fit.space.fix_values(insignificant))
+        fit = fine_search(start, selection.options)
     straight = selection.law_choices.keys() & {number for _, number in insignificant}
     if not straight:
         return fit

@@ -10,7 +10,7 @@ reduces the residuals of its sensor strongly and increases those of other channe
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -40,7 +40,7 @@ from strainwave.identification.whole_arm.search.solver import (
     resumed_coarse_search,
     search_minimum,
 )
-from strainwave.identification.whole_arm.selection.candidate import Selection, best_trial, revise
+from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection, best_trial
 from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
 from strainwave.signals.imu_attitude import imu_candidates, mirror_mounting
 from strainwave.signals.mounting_start import distance_of
@@ -134,19 +134,22 @@ def improve_mountings(fit: Fit, selection: Selection) -> Fit:
 
     A mounting is kept as it is if no short search from another one ends at a lower cost.
     """
-    arm, options = selection.arm, selection.options
-    for joint in range(1, arm.n_joints + 1):
-        axes, rotation = _axes_on(fit, joint), (IMU_ROTATION[2], joint)
-        has_attitude = rotation in fit.space.keys and rotation in unknowns_of(axes)
-        if not has_attitude or selection.is_budget_exhausted(fit):
-            continue
+    for joint in range(1, selection.arm.n_joints + 1):
+        trials = partial(_other_mountings, joint=joint)
+        fit = Candidate(trials, resumed_coarse_search, _is_better_mounting)(fit, selection)
+    return fit
+
+
+def _other_mountings(fit: Fit, selection: Selection, joint: int) -> Iterator[Fit]:
+    axes, rotation = _axes_on(fit, joint), (IMU_ROTATION[2], joint)
+    if rotation in fit.space.keys and rotation in unknowns_of(axes):
         mountings = _simulated_attitudes(fit, axes, flat=_is_in_plane(fit, joint))
         for start in _rank(_with_mounting(fit, one) for one in mountings)[:_MAX_STARTS]:
-            trial = _search_briefly(start, options)
-            if trial.cost < (1.0 - _MIN_COST_REDUCTION) * fit.cost:
-                fit = resumed_coarse_search(trial, options)
-                break
-    return fit
+            yield _search_briefly(start, selection.options)
+
+
+def _is_better_mounting(fit: Fit, trial: Fit) -> bool:
+    return trial.cost < (1.0 - _MIN_COST_REDUCTION) * fit.cost
 
 
 def _axes_on(fit: Fit, joint: int) -> list[SensorAxis]:
@@ -156,26 +159,32 @@ def _axes_on(fit: Fit, joint: int) -> list[SensorAxis]:
 
 
 def add_significant_tilts(fit: Fit, selection: Selection) -> Fit:
-    """Add significant tilts of IMUs that were assumed to lie in the plane of motion.
+    """Add significant tilts of IMUs that were assumed to lie in the plane of motion."""
+    for joint in range(1, selection.arm.n_joints + 1):
+        trials = partial(_tilted, joint=joint)
+        tilts = Candidate(trials, refine, _is_significant_tilt, is_addition=False)
+        fit = tilts(fit, selection)
+    return fit
+
+
+def _tilted(fit: Fit, selection: Selection, joint: int) -> Iterator[Fit]:
+    """The better of two tilts.
 
     The derivative of the readings with respect to a tilt is zero at zero tilt, so the searches
     start from a small tilt of either sign.
     """
-    arm, options = selection.arm, selection.options
-    for joint in range(1, arm.n_joints + 1):
-        # about a fixed axis, tilt and distance are nearly collinear without gravity
-        axes = _axes_on(fit, joint)
-        if not _is_in_plane(fit, joint) or not axes[0].space.has_varying_force:
-            continue
-        tilts: list[Key] = [(name, joint) for name in IMU_ROTATION[:2]]
-        tilted = [{tilts[0]: _START_TILT, tilts[1]: side * _START_TILT} for side in (1.0, -1.0)]
-        starts = (
-            fit.with_unknowns(add_sensor_constants(fit.space, tilts, one), one) for one in tilted
-        )
-        best = best_trial(starts, partial(_search_briefly, options=options))
-        if best is not None and fit.cost - best.cost > _MIN_TILT_SIGNIFICANCE**2:
-            fit = refine(best, options)
-    return fit
+    # about a fixed axis, tilt and distance are nearly collinear without gravity
+    axes = _axes_on(fit, joint)
+    if not _is_in_plane(fit, joint) or not axes[0].space.has_varying_force:
+        return
+    tilts: list[Key] = [(name, joint) for name in IMU_ROTATION[:2]]
+    tilted = [{tilts[0]: _START_TILT, tilts[1]: side * _START_TILT} for side in (1.0, -1.0)]
+    starts = (fit.with_unknowns(add_sensor_constants(fit.space, tilts, one), one) for one in tilted)
+    yield from best_trial(starts, partial(_search_briefly, options=selection.options))
+
+
+def _is_significant_tilt(fit: Fit, trial: Fit) -> bool:
+    return fit.cost - trial.cost > _MIN_TILT_SIGNIFICANCE**2
 
 
 def _with_mounting(fit: Fit, mounting: Mounting) -> Fit:
@@ -223,25 +232,25 @@ Names = tuple[Key, Key]
 Mounts = dict[Names, list[MountResonance]]
 
 
-def add_mount_resonances(fit: Fit, selection: Selection) -> Fit:
-    """Add mount resonances one by one, the most significant first.
+def _with_mount(fit: Fit, selection: Selection) -> Iterator[Fit]:
+    """The best mount of each sensor with significant ones, the most significant first.
 
-    Returns the fit itself if no sensor has residuals above its noise.
+    The evaluations of the trials do not count for the budget.
     """
-    max_iterations = selection.options.max_iterations
-
-    def extend(fit: Fit) -> Fit | None:
-        """The fit with the most significant acceptable mount."""
-        if fit.iterations >= max_iterations:
-            return None
-        for names, mounts in _significant_mounts(fit, selection).items():
-            trial = _fit_mount(fit, names, mounts, selection.options)
-            if trial is not None and _is_acceptable(fit, trial, names):
+    for names, mounts in _significant_mounts(fit, selection).items():
+        starts = []
+        for mount in mounts:
+            values = dict(zip(names, (mount.frequency, mount.damping), strict=True))
+            space = add_sensor_constants(fit.space, list(values), values)
+            starts.append(replace(fit.with_unknowns(space, values), iterations=0))
+        search = partial(_search_briefly, options=selection.options, tolerance=_TRIAL_TOLERANCE)
+        for trial in best_trial(starts, search):
+            if _is_acceptable(fit, trial, names):
                 selection.allow(selection.options.max_iterations + trial.iterations)
-                return replace(trial, iterations=fit.iterations + trial.iterations)
-        return None
+                yield replace(trial, iterations=fit.iterations + trial.iterations)
 
-    return revise(fit, extend, fine_search, selection)
+
+add_mount_resonances = Candidate(_with_mount, fine_search, is_repeated=True)
 
 
 def _significant_mounts(fit: Fit, selection: Selection) -> Mounts:
@@ -291,21 +300,6 @@ def _mounts_to_test(fit: Fit, selection: Selection) -> Mounts:
             if not any(is_held(key, selection.options) for key in names):
                 mounts[names] = candidates
     return mounts
-
-
-def _fit_mount(
-    fit: Fit, names: Names, mounts: Sequence[MountResonance], options: WholeArmOptions
-) -> Fit | None:
-    """Best of short searches with a mount as additional unknowns, from several starts.
-
-    Their evaluations count from zero.
-    """
-    fits = []
-    for mount in mounts:
-        starts = dict(zip(names, (mount.frequency, mount.damping), strict=True))
-        space = add_sensor_constants(fit.space, list(starts), starts)
-        fits.append(replace(fit.with_unknowns(space, starts), iterations=0))
-    return best_trial(fits, partial(_search_briefly, options=options, tolerance=_TRIAL_TOLERANCE))
 
 
 def _is_acceptable(before: Fit, after: Fit, names: Names) -> bool:

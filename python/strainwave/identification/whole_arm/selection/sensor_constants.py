@@ -37,7 +37,7 @@ from strainwave.identification.whole_arm.problem.parameter_space import (
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import refine, resumed_coarse_search
-from strainwave.identification.whole_arm.selection.candidate import Selection, revise
+from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection
 from strainwave.numerics.spectra import estimate_rows_per_error
 
 # standard deviations from which a constant joins: no false alarm in 8 candidates
@@ -104,27 +104,25 @@ def _unknown_of(key: Key, starts: Values) -> Unknown:
     return Unknown(name, joint, constant.unit, start, start, False, _LOG_RANGE)
 
 
-def add_sensor_bandwidths(fit: Fit, selection: Selection, *, coarse: bool) -> Fit:
-    """Add the bandwidths of delayed sensors whose bandwidth the study does not give.
+def _with_bandwidths(fit: Fit, selection: Selection) -> Iterator[Fit]:
+    """Delayed sensors whose bandwidth the study does not give get one.
 
-    The starting values attribute half of each delay to the low-pass. `coarse` selects the search
-    that follows.
+    The starting values attribute half of each delay to the low-pass.
     """
-    options, values, starts = selection.options, fit.values, Values()
+    values, starts = fit.values, Values()
     for delay, bandwidth in _delayed_sensors(fit):
         lag = values[delay]
-        if (
-            lag > _MIN_LOW_PASS_DELAY
-            and bandwidth not in values
-            and not is_held(bandwidth, options)
-        ):
+        is_unknown = bandwidth not in values and not is_held(bandwidth, selection.options)
+        if lag > _MIN_LOW_PASS_DELAY and is_unknown:
             starts[bandwidth] = np.sqrt(2.0) / (2.0 * np.pi * _LOW_PASS_DELAY_SHARE * lag)
             values[delay] = (1.0 - _LOW_PASS_DELAY_SHARE) * lag
-    if not starts or selection.is_budget_exhausted(fit):
-        return fit
-    extended = add_sensor_constants(fit.space, list(starts), starts)
-    search = resumed_coarse_search if coarse else refine
-    return search(fit.with_unknowns(extended, values | starts), options)
+    if starts:
+        space = add_sensor_constants(fit.space, list(starts), starts)
+        yield fit.with_unknowns(space, values | starts)
+
+
+add_coarse_bandwidths = Candidate(_with_bandwidths, resumed_coarse_search)
+add_fine_bandwidths = Candidate(_with_bandwidths, refine)
 
 
 def _delayed_sensors(fit: Fit) -> Iterator[tuple[Key, Key]]:
@@ -138,34 +136,35 @@ def _delayed_sensors(fit: Fit) -> Iterator[tuple[Key, Key]]:
                 yield delay, bandwidth
 
 
-def add_significant_sensor_constants(fit: Fit, selection: Selection, *, coarse: bool) -> Fit:
-    """Add significant sensor constants until none is left.
-
-    `coarse` selects the search that follows and raises the required cost reduction.
-    """
-
-    def extend(fit: Fit) -> Fit | None:
-        if selection.is_budget_exhausted(fit):
-            return None
-        min_gain = _MIN_COARSE_COST_SHARE * fit.cost if coarse else 0.0
-        estimates = _significant_constants(fit, selection.options, min_gain)
-        estimates |= _significant_drifts(fit, selection.options)
+def _with_significant_constants(
+    fit: Fit, selection: Selection, min_cost_share: float = 0.0
+) -> Iterator[Fit]:
+    """Constants that reduce the cost significantly, and by a share of it, start where they do."""
+    estimates = _significant_constants(fit, selection.options, min_cost_share * fit.cost)
+    estimates |= _significant_drifts(fit, selection.options)
+    if estimates:
         space = add_sensor_constants(fit.space, list(estimates))
-        space = update_prior_trust(space, selection.arm)
-        return fit.with_unknowns(space, estimates) if estimates else None
-
-    return revise(fit, extend, resumed_coarse_search if coarse else refine, selection)
+        yield fit.with_unknowns(update_prior_trust(space, selection.arm), estimates)
 
 
-def remove_insignificant_sensor_constants(fit: Fit, selection: Selection) -> Fit:
-    """Remove sensor constants that are not significant, one by one."""
+add_coarse_sensor_constants = Candidate(
+    partial(_with_significant_constants, min_cost_share=_MIN_COARSE_COST_SHARE),
+    resumed_coarse_search,
+    is_repeated=True,
+)
+add_fine_sensor_constants = Candidate(_with_significant_constants, refine, is_repeated=True)
 
-    def reduce(fit: Fit) -> Fit | None:
-        insignificant = _least_significant(fit)
+
+def _without_least_significant(fit: Fit, selection: Selection) -> Iterator[Fit]:
+    insignificant = _least_significant(fit)
+    if insignificant:
         space = update_prior_trust(fit.space.fix_values(insignificant), selection.arm)
-        return fit.with_unknowns(space) if insignificant else None
+        yield fit.with_unknowns(space)
 
-    return revise(fit, reduce, refine, selection)
+
+remove_insignificant_sensor_constants = Candidate(
+    _without_least_significant, refine, is_addition=False, is_repeated=True
+)
 
 
 def _least_significant(fit: Fit) -> dict[Key, float]:
