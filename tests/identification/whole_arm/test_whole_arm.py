@@ -27,9 +27,8 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import validation
-from strainwave.identification.whole_arm import WholeArmOptions, fit_whole_arm
+from strainwave.identification.whole_arm import WholeArmOptions, fit_whole_arm, search
 from strainwave.identification.whole_arm.problem import starting_values
-from strainwave.identification.whole_arm.search import solver
 from strainwave.numerics import trust_region
 from strainwave.numerics.trust_region import Minimum
 from strainwave.virtual.experiments import derived
@@ -433,7 +432,7 @@ def test_the_result_states_why_its_last_search_ended(
         minimum = trust_region.minimise(*args, **options)
         return minimum and replace(minimum, end=end)
 
-    monkeypatch.setattr(solver, "minimise", ended)
+    monkeypatch.setattr(search, "minimise", ended)
     model = whole_arm()
     assert (model.end, model.status) == (end, status)
     codes = {warning.code for warning in model.warnings}

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from strainwave.domain import ArmModel, JointModel, Log, RigidModel, WholeArmOptions
+from strainwave.domain.arm.parameter_table import COULOMB, OFFSET
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
@@ -20,18 +21,15 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     set_record_effects,
     with_effects,
 )
-from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.published import (
-    expand_published_options,
-    published_search,
-)
-from strainwave.identification.whole_arm.search.solver import (
+from strainwave.identification.whole_arm.search import (
+    Fit,
     Progress,
     are_exceptions,
     coarse_search,
     find_undescribed,
     fine_search,
     polish,
+    published_search,
     refine,
     report_progress,
 )
@@ -115,7 +113,7 @@ def fit_whole_arm(
     "at-bounds". Raises `NotIdentifiable` without a usable record or start, and `InvalidInput` if a
     record lacks what its simulation needs.
     """
-    chosen = expand_published_options(options or WholeArmOptions())
+    chosen = _expand_published_options(options or WholeArmOptions())
     with one_blas_thread(), report_progress(progress):  # thousands of small factorisations
         prepared = prepare_start(logs, model, (joints, *others), arm, chosen, start)
         selection = Selection(arm, chosen)
@@ -137,10 +135,22 @@ def fit_records(
     start: Mapping[Key, float] | None = None,
 ) -> Fit:
     """Fit as `fit_whole_arm` does, and return the fit itself with its residuals."""
-    chosen = expand_published_options(options or WholeArmOptions())
+    chosen = _expand_published_options(options or WholeArmOptions())
     with one_blas_thread():
         prepared = prepare_start(logs, model, (joints,), arm, chosen, start)
         return _fit(prepared, Selection(arm, chosen))
+
+
+def _expand_published_options(options: WholeArmOptions) -> WholeArmOptions:
+    """Expand the option `as_published` into the options that it implies."""
+    if not options.as_published:
+        return options
+    return replace(
+        options,
+        closed_loop=True,
+        settling=bool(options.settling),
+        hold=tuple(dict.fromkeys((*options.hold, COULOMB, OFFSET))),
+    )
 
 
 def _fit(start: Start, selection: Selection) -> Fit:

@@ -15,11 +15,13 @@ from strainwave.domain import (
     Clause,
     Criticism,
     Diagnostic,
+    FloatArray,
     Parameter,
     ParameterShift,
     Place,
     Prediction,
     SearchEnd,
+    TorqueHistogram,
 )
 from strainwave.domain.arm.effects import effect_named
 from strainwave.domain.arm.gear_laws import gear_law
@@ -28,9 +30,11 @@ from strainwave.domain.arm.parameter_table import SETTLING, base_name
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import predict_closed_loop
-from strainwave.identification.whole_arm.inference.agreement import (
+from strainwave.identification.whole_arm.inference.fit_tests import (
     agreement_tests,
     disagreement,
+    residual_tests,
+    residual_warnings,
     stage_differences,
 )
 from strainwave.identification.whole_arm.inference.parameter_estimates import (
@@ -39,21 +43,16 @@ from strainwave.identification.whole_arm.inference.parameter_estimates import (
     warnings_of,
 )
 from strainwave.identification.whole_arm.inference.predicted_precision import sensor_gains
-from strainwave.identification.whole_arm.inference.residual_analysis import (
-    residual_tests,
-    residual_warnings,
-)
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     effects_among,
     warn_removed_effects,
 )
-from strainwave.identification.whole_arm.records.loads import (
+from strainwave.identification.whole_arm.problem.starting_values import (
     gear_torque_samples,
     gear_torques,
-    histograms_of,
     largest_of,
 )
-from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search import Fit
 from strainwave.identification.whole_arm.selection.candidate import Selection
 from strainwave.identification.whole_arm.selection.causes import ModelComparison, Rival
 from strainwave.identification.whole_arm.selection.gear_laws import equivalent_stiffnesses
@@ -62,6 +61,7 @@ from strainwave.identification.whole_arm.start import Start
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.recorded_input import missing_recorded_input
 
+HISTOGRAM_BINS = 60
 MIN_LISTED_WEIGHT = 0.05  # of a plausible effect
 MAX_NAMED_PARAMETERS = 3  # in a warning, of the effect and of the arm
 
@@ -117,6 +117,16 @@ def arm_model(
             for joint, choice in selection.law_choices.items()
         ),
     )
+
+
+def histograms_of(gear_loads: Sequence[FloatArray]) -> tuple[TorqueHistogram, ...]:
+    """Share of samples by torque of each gear, over all records."""
+    together = np.concatenate(gear_loads)
+    histograms = []
+    for joint, torque in enumerate(together.T, start=1):
+        count, edges = np.histogram(torque, bins=HISTOGRAM_BINS, range=(0.0, float(torque.max())))
+        histograms.append(TorqueHistogram(joint, edges, count / len(torque)))
+    return tuple(histograms)
 
 
 def has_likelier_effect(model: ArmModel, arm: Arm) -> bool:

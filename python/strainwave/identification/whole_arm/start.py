@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from strainwave.domain import Diagnostic, FloatArray, JointModel, Log, RigidModel, WholeArmOptions
 from strainwave.domain.arm.combinations import value_of
 from strainwave.domain.arm.effects import effect_named
-from strainwave.domain.arm.gear_laws import STIFFNESS, is_slope
+from strainwave.domain.arm.gear_laws import STIFFNESS, gear_parameters, is_slope
 from strainwave.domain.arm.link_sensors import constant_of
 from strainwave.domain.arm.link_sensors.imu import IMU_START_ATTITUDE
 from strainwave.domain.arm.link_sensors.single_axis import LinkEncoder
@@ -28,12 +28,12 @@ from strainwave.identification.whole_arm.problem.starting_values import (
     TYPICAL_ANTI_RESONANCE_HZ,
     StartingValues,
     add_stiffness_curves,
+    gear_torques,
     space_of,
     starting_values_of,
     warn_rejected_starts,
 )
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.identification.whole_arm.records.loads import gear_torques
 from strainwave.identification.whole_arm.records.preparation import (
     STEPS_PER_PERIOD,
     coarsen_steps,
@@ -41,15 +41,12 @@ from strainwave.identification.whole_arm.records.preparation import (
     dataset_of,
     select_usable_records,
 )
-from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.published import published_records
-from strainwave.identification.whole_arm.search.start_comparison import (
-    SelectedCandidate,
-    select_candidate,
-)
+from strainwave.identification.whole_arm.search import Fit, search_minimum
 from strainwave.identification.whole_arm.selection.mountings import select_mountings
 from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
+from strainwave.numerics.coordinate_search import Choice, CoordinateSearch
 from strainwave.signals.mounting_start import estimate_mounting_starts
+from strainwave.signals.recorded_input import missing_recorded_input
 
 # an unknown stiffness is searched in steps from a share of the joint stage's value, or of a typical
 # value if that is less
@@ -123,13 +120,34 @@ def prepare_start(
 def _select_logs(logs: Sequence[Log], arm: Arm, options: WholeArmOptions) -> list[Log]:
     used = select_usable_records(logs, arm)
     if options.as_published:
-        used = published_records(used, arm)
+        used = _published_records(used, arm)
     if not used:
         raise NotIdentifiable(
             'the whole-arm fit needs records with use = "frequency", "sweep" or "tuning", with the'
             " angle and the voltage of every motor"
         )
     return used
+
+
+def _published_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
+    """Select the records of the published tuning method: steps in closed loop.
+
+    `logs` have the motor signals that a simulation needs. Raises `NotIdentifiable` if none has
+    use = "tuning", or if one lacks data for a closed-loop simulation.
+    """
+    selected = [log for log in logs if log.experiment.use == "tuning" and not log.is_continuation]
+    if not selected:
+        raise NotIdentifiable(
+            'tuning as published needs records with use = "tuning": steps under servo'
+        )
+    for log in selected:
+        missing = missing_recorded_input(arm, log)
+        if missing is not None:
+            raise NotIdentifiable(
+                f"tuning as published simulates {log.name} in closed loop, but {missing}: add the "
+                "missing data, or set tuning.as_published = false"
+            )
+    return selected
 
 
 def _start_search(
@@ -282,3 +300,168 @@ def _space(
         except NumericalFailure as failure:
             raise NotIdentifiable(_INFEASIBLE_START) from failure
     return space
+
+
+MAX_SEARCHED_SETS = 4
+EVALUATIONS_PER_ROUND = 3  # of the search from each set
+MAX_ROUNDS = 11  # of these searches
+# to the least cost; a set of larger cost is dropped. Standing motors add their noise to all costs
+MAX_COST_RATIO = 1.5
+# to the least cost if it is that of the first set, the best by the motor responses: other sets of
+# larger cost are not searched
+MAX_INITIAL_COST_RATIO = 2.0
+LIMIT_SHARE = 1e-3  # of a range: distance within which a stiffness counts as at the limit
+_NO_START = "the arm cannot be simulated with any start values of the earlier stages"
+
+
+@dataclass(frozen=True, slots=True)
+class SelectedCandidate:
+    """A set of joints and the result of the search from it."""
+
+    joints: Sequence[JointModel]
+    end_values: Values | None  # (name, joint) -> value; None if there is only one set
+
+
+def select_candidate(
+    candidates: Sequence[Sequence[JointModel]],
+    objective_of: Callable[[Sequence[JointModel]], Objective],
+    options: WholeArmOptions,
+) -> SelectedCandidate:
+    """The set of joints from which a short search reaches the lowest cost.
+
+    If a search drives a stiffness to the limit of its range, the range is centred there.
+    `objective_of` returns the objective of a set of joints, whose start is at zero coordinates.
+    Raises `NotIdentifiable` if no arm near any set can be simulated.
+    """
+    if len(candidates) == 1:
+        return SelectedCandidate(candidates[0], None)
+    searches = _best_starts(candidates, objective_of)
+    for _ in range(MAX_ROUNDS):
+        continued = [_continue_search(search, objective_of, options) for search in searches]
+        searches = [search for search in continued if search is not None]
+        if not searches:
+            raise NotIdentifiable(
+                "the arm cannot be simulated near any start values of the earlier stages"
+            )
+        min_cost = min(search.fit.cost for search in searches)
+        searches = [s for s in searches if s.fit.cost <= MAX_COST_RATIO * min_cost]
+        if all(search.is_finished for search in searches):
+            break
+        if len(searches) == 1 and not searches[0].is_limited:
+            break
+    best = min(searches, key=lambda search: search.fit.cost)
+    return SelectedCandidate(best.joints, best.fit.values)
+
+
+@dataclass(frozen=True, slots=True)
+class _SearchState:
+    """A set of joints and the state of the search from it."""
+
+    joints: Sequence[JointModel]
+    fit: Fit
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether a stiffness is at the limit of its range; for a curve, all of its slopes."""
+        space, z = self.fit.space, self.fit.z
+        is_near = np.minimum(z - space.lower, space.upper - z) < LIMIT_SHARE * (
+            space.upper - space.lower
+        )
+        slopes_at_limit: dict[int | None, list[bool]] = {}
+        for (name, joint), is_at_limit in zip(space.keys, is_near, strict=True):
+            if is_slope(name):
+                slopes_at_limit.setdefault(joint, []).append(bool(is_at_limit))
+        return any(all(slopes) for slopes in slopes_at_limit.values())
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the search has converged inside its ranges."""
+        return self.fit.end.is_minimum and not self.is_limited
+
+
+def _best_starts(
+    candidates: Sequence[Sequence[JointModel]],
+    objective_of: Callable[[Sequence[JointModel]], Objective],
+) -> list[_SearchState]:
+    """The sets of lowest initial cost, the best first.
+
+    If the first set, the best by the motor responses, has the lowest cost by far, it is the only
+    one.
+    Typical gears, which no record supports, are also combined: one joint, then two neighbouring
+    joints get the gears of other sets while the other joints keep theirs.
+    """
+    models = [
+        list({id(joint): joint for joint in joints}.values())
+        for joints in zip(*candidates, strict=True)
+    ]
+    searches: dict[Choice, _SearchState] = {}
+    failures: list[NotIdentifiable] = []
+
+    def cost_of(choice: Choice) -> float:
+        joints = [each[k] for each, k in zip(models, choice, strict=True)]
+        try:
+            objective = objective_of(joints)
+        except NotIdentifiable as failure:
+            failures.append(failure)
+            return np.inf
+        space = objective.space
+        plain = objective.replace_unknowns(space.fix_values(space.start_values))
+        simulated = plain.linearise(np.zeros(0))
+        if simulated is None:
+            return np.inf
+        start = np.zeros(len(space.unknowns))
+        searches[choice] = _SearchState(joints, Fit(objective, start, simulated.cost, 0))
+        return simulated.cost
+
+    search = CoordinateSearch(lambda choices: map(cost_of, choices))
+    numbers = [{id(joint): k for k, joint in enumerate(each)} for each in models]
+    sets = [
+        tuple(number[id(joint)] for number, joint in zip(numbers, joints, strict=True))
+        for joints in candidates
+    ]
+    search.evaluate(sets)
+    if not any(joint.experiments for each in models for joint in each):
+        best = search.minimise(sets, [len(each) for each in models])
+        search.pairs(best, [range(len(each)) for each in models])
+    if not searches:
+        raise (failures or [NotIdentifiable(_NO_START)])[-1]
+    chosen = sorted(searches, key=search.costs.__getitem__)[:MAX_SEARCHED_SETS]
+    if chosen[0] == sets[0] and any(joint.experiments for joint in candidates[0]):
+        limit = MAX_INITIAL_COST_RATIO * search.costs[chosen[0]]
+        chosen = [choice for choice in chosen if search.costs[choice] <= limit]
+    return [searches[choice] for choice in chosen]
+
+
+def _continue_search(
+    search: _SearchState,
+    objective_of: Callable[[Sequence[JointModel]], Objective],
+    options: WholeArmOptions,
+) -> _SearchState | None:
+    """Continue a search for a few evaluations that do not count for the fit; None if it fails."""
+    if search.is_finished:
+        return search
+    try:
+        joints, fit = search.joints, search.fit
+        if search.is_limited:
+            joints = _recentre(search)
+            objective = objective_of(joints)
+            kept = {key: x for key, x in fit.values.items() if key[0] not in gear_parameters()}
+            values = objective.space.start_values | kept  # the springs are at their starts
+            fit = Fit.at(objective, objective.space.coordinates(values))
+        fit = search_minimum(
+            replace(fit, iterations=0), options, max_evaluations=EVALUATIONS_PER_ROUND
+        )
+    except NotIdentifiable:
+        return None
+    return _SearchState(joints, fit)
+
+
+def _recentre(search: _SearchState) -> list[JointModel]:
+    """The joints with the stiffnesses of the search, so that the ranges are centred there."""
+    estimates = search.fit.values
+    arm, recentred = search.fit.objective.records[0].arm, []
+    for joint in search.joints:
+        stiffness = arm.joints[joint.joint - 1].law.linearised_by
+        values = {**joint.values, STIFFNESS: estimates[stiffness, joint.joint]}
+        recentred.append(replace(joint, values=values))
+    return recentred

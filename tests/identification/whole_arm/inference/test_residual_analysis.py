@@ -10,7 +10,7 @@ from scipy import signal
 
 from effect_runs import ALL, SIZES, whole_arm
 from strainwave.domain import EffectName, FloatArray, ResidualTest
-from strainwave.identification.whole_arm.inference.residual_analysis import (
+from strainwave.identification.whole_arm.inference.fit_tests import (
     InputCorrelation,
     has_noise_spectrum,
     residual_warnings,

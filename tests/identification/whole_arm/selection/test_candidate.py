@@ -11,7 +11,7 @@ import pytest
 from strainwave.domain import FloatArray, IntArray
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation, Rows
-from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search import Fit
 from strainwave.identification.whole_arm.selection.candidate import held_out_scores
 from strainwave.numerics.held_out import model_weights
 

@@ -45,7 +45,7 @@ from strainwave.domain.results.distributions import CI95_STDS, student_quantile
 from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD, Objective
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows, noise_autocovariances
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search import Fit
 from strainwave.numerics.parallel import run_parallel
 from strainwave.numerics.spectra import spectrum_and_autocovariance
 

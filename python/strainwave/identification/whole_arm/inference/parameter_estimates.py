@@ -32,7 +32,7 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     whole_inertia_of,
 )
 from strainwave.identification.whole_arm.problem.parameter_space import combination
-from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search import Fit
 
 # maximum relative standard deviation of a published viscous friction, slope or knee
 _MAX_RELATIVE_STD = 0.3

@@ -50,7 +50,7 @@ from strainwave.identification.whole_arm.records.preparation import (
     dataset_of,
     select_usable_records,
 )
-from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search import Fit
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 

@@ -30,7 +30,7 @@ from strainwave.domain.results.distributions import chi_square_limit
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
-from strainwave.identification.whole_arm.inference.residual_analysis import (
+from strainwave.identification.whole_arm.inference.fit_tests import (
     MIN_WARNING_RATIO,
     has_excess_residuals,
 )
@@ -44,10 +44,10 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     sizes_of,
 )
 from strainwave.identification.whole_arm.problem.objective import Objective
+from strainwave.identification.whole_arm.problem.starting_values import loads_of
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.identification.whole_arm.records.loads import loads_of
-from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search import Fit
 
 FALSE_ALARMS = 1e-4
 """Probability that any effect is significant if the residuals are noise."""

@@ -18,8 +18,8 @@ from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import keep_known_effects
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
+from strainwave.identification.whole_arm.problem.starting_values import Loads
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.identification.whole_arm.records.loads import Loads
 
 NamedEffect = tuple[int, EffectName]
 """A joint, from 1, and an effect that it may have."""

@@ -1,6 +1,7 @@
 """Unknowns of the whole-arm fit and their starting values, from the preceding stages.
 
-A physically impossible estimate, such as negative gear damping, indicates an error in the data or
+Curves and effects start from the loads of the joints in the records: torques of the gears, by
+simulation, and voltages. A physically impossible estimate, such as negative gear damping, indicates an error in the data or
 the study. A typical value replaces it, with a warning, so that the fit can locate the error.
 """
 
@@ -8,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -34,6 +36,9 @@ from strainwave.identification.whole_arm.problem.parameter_space import (
     reference_sizes,
     rigid_prior,
 )
+from strainwave.identification.whole_arm.records.dataset import Dataset
+from strainwave.numerics.parallel import run_parallel
+from strainwave.signals.prepared_record import prepare_record
 
 TYPICAL_ANTI_RESONANCE_HZ = 15.0
 """Typical of strain-wave gears: 10 to 30 Hz, small arms up to 60 Hz."""
@@ -142,6 +147,39 @@ def _models_by_joint(joints: Sequence[JointModel], arm: Arm) -> dict[int, JointM
                 ' has none: record it with use = "frequency"'
             )
     return models
+
+
+def gear_torques(records: Sequence[Dataset], values: dict[Key, float]) -> FloatArray:
+    """Largest torque of each gear (n_joints,) [N m], at the 99.9 % quantile of a record."""
+    return largest_of(gear_torque_samples(records, values))
+
+
+def gear_torque_samples(records: Sequence[Dataset], values: dict[Key, float]) -> list[FloatArray]:
+    """Absolute torque of each gear in each record: arrays (n_samples, n_joints) [N m]."""
+
+    def of_record(record: Dataset) -> FloatArray:
+        return np.abs(record.run(values, record.start(), ["gear_torque"])["gear_torque"])
+
+    return run_parallel([partial(of_record, r) for r in records])
+
+
+@dataclass(frozen=True, slots=True)
+class Loads:
+    """Largest absolute values over all records, one entry per joint."""
+
+    torque: Sequence[float]  # [N m] of the gear, 99.9 % quantile
+    voltage: Sequence[float]  # [V] of the drive
+
+
+def loads_of(records: Sequence[Dataset], values: dict[Key, float]) -> Loads:
+    """Largest gear torque and voltage of each joint over all records."""
+    voltages = [np.abs(prepare_record(r.log, r.arm).voltage).max(axis=0) for r in records]
+    return Loads(gear_torques(records, values).tolist(), np.max(voltages, axis=0).tolist())
+
+
+def largest_of(gear_loads: Sequence[FloatArray]) -> FloatArray:
+    """The largest of each gear, but for one sample in a thousand of a record: (n_joints,) [N m]."""
+    return np.asarray(np.max([np.quantile(torque, 0.999, axis=0) for torque in gear_loads], axis=0))
 
 
 SETTLING_START = 1e-4

@@ -16,9 +16,9 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows
-from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.solver import (
+from strainwave.identification.whole_arm.search import (
     COARSE_RELATIVE_TOLERANCE,
+    Fit,
     search_minimum,
 )
 from strainwave.numerics.held_out import (

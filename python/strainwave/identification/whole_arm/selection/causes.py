@@ -27,11 +27,11 @@ from strainwave.domain.results.final_table import is_identified
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
+from strainwave.identification.whole_arm.inference.fit_tests import has_excess_residuals
 from strainwave.identification.whole_arm.inference.parameter_estimates import (
     PlausibleModel,
     parameters_of,
 )
-from strainwave.identification.whole_arm.inference.residual_analysis import has_excess_residuals
 from strainwave.identification.whole_arm.inference.score_tests import (
     TestedEffect,
     is_primary,
@@ -48,10 +48,13 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     whole_inertia_of,
     with_effects,
 )
-from strainwave.identification.whole_arm.problem.starting_values import replace_stiffness
-from strainwave.identification.whole_arm.records.loads import Loads, gear_torques, loads_of
-from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.solver import fine_search, polish, search_minimum
+from strainwave.identification.whole_arm.problem.starting_values import (
+    Loads,
+    gear_torques,
+    loads_of,
+    replace_stiffness,
+)
+from strainwave.identification.whole_arm.search import Fit, fine_search, polish, search_minimum
 from strainwave.identification.whole_arm.selection.candidate import (
     Selection,
     held_out_scores,

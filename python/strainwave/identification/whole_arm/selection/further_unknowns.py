@@ -32,10 +32,10 @@ from strainwave.identification.whole_arm.problem.parameter_space import Paramete
 from strainwave.identification.whole_arm.problem.starting_values import (
     SETTLING_START,
     add_settling_unknowns,
+    loads_of,
 )
-from strainwave.identification.whole_arm.records.loads import loads_of
-from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.solver import (
+from strainwave.identification.whole_arm.search import (
+    Fit,
     fine_search,
     resumed_coarse_search,
     search_minimum,

@@ -24,10 +24,11 @@ from strainwave.identification.whole_arm.inference.parameter_estimates import id
 from strainwave.identification.whole_arm.inference.score_tests import TestedEffect, curve_tests_of
 from strainwave.identification.whole_arm.problem.effect_unknowns import with_effects
 from strainwave.identification.whole_arm.problem.parameter_space import limit_unknown
-from strainwave.identification.whole_arm.problem.starting_values import replace_stiffness
-from strainwave.identification.whole_arm.records.loads import gear_torques
-from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.solver import fine_search, resumed_coarse_search
+from strainwave.identification.whole_arm.problem.starting_values import (
+    gear_torques,
+    replace_stiffness,
+)
+from strainwave.identification.whole_arm.search import Fit, fine_search, resumed_coarse_search
 from strainwave.identification.whole_arm.selection.candidate import (
     MAX_CANDIDATE_EVALUATIONS,
     MIN_SIGNIFICANCE_STDS,

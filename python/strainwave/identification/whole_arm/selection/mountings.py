@@ -29,12 +29,12 @@ from strainwave.domain.results.distributions import chi_square_limit
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import MountResonance
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.identification.whole_arm.inference.residual_analysis import channels_above_noise
+from strainwave.identification.whole_arm.inference.fit_tests import channels_above_noise
 from strainwave.identification.whole_arm.problem.parameter_space import is_held
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
-from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.solver import (
+from strainwave.identification.whole_arm.search import (
     COARSE_TOLERANCE,
+    Fit,
     fine_search,
     refine,
     resumed_coarse_search,

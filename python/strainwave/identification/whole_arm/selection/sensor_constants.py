@@ -35,8 +35,7 @@ from strainwave.identification.whole_arm.problem.parameter_space import (
     is_held,
 )
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
-from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.solver import refine, resumed_coarse_search
+from strainwave.identification.whole_arm.search import Fit, refine, resumed_coarse_search
 from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection
 from strainwave.numerics.spectra import estimate_rows_per_error
 
