@@ -54,7 +54,7 @@ from strainwave.identification.whole_arm.problem.starting_values import (
 )
 from strainwave.identification.whole_arm.search import Fit
 from strainwave.identification.whole_arm.selection.candidate import Selection
-from strainwave.identification.whole_arm.selection.causes import ModelComparison, Rival
+from strainwave.identification.whole_arm.selection.causes import ModelComparison
 from strainwave.identification.whole_arm.selection.gear_laws import equivalent_stiffnesses
 from strainwave.identification.whole_arm.selection.sensor_constants import sensor_warnings
 from strainwave.identification.whole_arm.start import Start
@@ -151,28 +151,19 @@ def _predict(values: Values, start: Start, arm: Arm) -> tuple[Prediction, ...]:
 def list_causes(comparison: ModelComparison, parameters: Sequence[Parameter]) -> Iterator[Cause]:
     """The included effects with their `parameters` of the result, then the plausible ones."""
     for rival in comparison.included:
-        yield _cause(rival, parameters, is_included=True)
+        yield replace(_with_parameters(rival.cause, parameters), is_included=True)
     for rival in comparison.rivals:
-        if rival.weight > MIN_LISTED_WEIGHT:
+        if rival.cause.weight > MIN_LISTED_WEIGHT:
             largest = gear_torques(rival.fit.objective.records, rival.fit.values).tolist()
-            yield _cause(rival, parameters_of(rival.fit, rival.arm, largest)[0], is_included=False)
+            estimates = parameters_of(rival.fit, rival.arm, largest)[0]
+            yield _with_parameters(rival.cause, estimates)
 
 
-def _cause(rival: Rival, parameters: Sequence[Parameter], *, is_included: bool) -> Cause:
-    joint, name = rival.named_effect
-    law = effect_named(name).fitted_law
-    names = gear_law(law).names if law else effect_named(name).names
-    return Cause(
-        joint,
-        name,
-        tuple(p for p in parameters if p.joint == joint and base_name(p.name) in names),
-        rival.gain,
-        rival.share,
-        rival.shifts,
-        rival.weight,
-        is_included,
-        rival.is_linearised,
-    )
+def _with_parameters(cause: Cause, parameters: Sequence[Parameter]) -> Cause:
+    effect = effect_named(cause.effect)
+    names = gear_law(effect.fitted_law).names if effect.fitted_law else effect.names
+    own = (p for p in parameters if p.joint == cause.joint and base_name(p.name) in names)
+    return replace(cause, parameters=tuple(own))
 
 
 def effect_warnings(causes: Sequence[Cause], comparison: ModelComparison) -> Iterator[Diagnostic]:
@@ -218,7 +209,6 @@ def warn_likely_cause(causes: Sequence[Cause]) -> Iterator[Diagnostic]:
 
 
 def _sizes(parameters: Sequence[Parameter]) -> Iterator[Clause]:
-    """The parameters of an effect."""
     estimates = [p for p in parameters if p.value is not None and p.std is not None]
     for p in estimates[:MAX_NAMED_PARAMETERS]:
         template = "effect-size" if p.unit else "effect-size/no-unit"

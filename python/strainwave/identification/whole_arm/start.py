@@ -88,33 +88,31 @@ def prepare_start(
     if a record lacks data for its simulation.
     """
     used = _select_logs(logs, arm, options)
-    records = _records(used, [joint for joints in candidates for joint in joints], arm, options)
+    short, long = _records(used, [one for joints in candidates for one in joints], arm, options)
     placed = estimate_mounting_starts(logs, arm, used)
     starts = {**placed, **(given or {})}
 
-    def space_at(records: _Records, joints: Sequence[JointModel]) -> ParameterSpace:
+    def space_at(joints: Sequence[JointModel]) -> ParameterSpace:
         keys = [key for key in placed if key[0] not in IMU_START_ATTITUDE]
-        space = _space(records.short_steps, model, joints, arm, options)
+        space = _space(short, model, joints, arm, options)
         return add_sensor_constants(space, keys, starts)
 
-    best = select_candidate(
-        candidates,
-        lambda joints: Objective.of(space_at(records, joints), records.long_steps),
-        options,
+    best, end_values = select_candidate(
+        candidates, lambda joints: Objective.of(space_at(joints), long), options
     )
     if len(candidates) > 1:  # the best candidate determines the band
-        records = _records(used, best.joints, arm, options)
-    space = space_at(records, best.joints)
-    coarse, initial = _start_search(space, records, best, starts, options)
+        short, long = _records(used, best, arm, options)
+    measured = {key for record in short for key in record.sensor_constants()}
+    space = add_sensor_constants(space_at(best), [key for key in starts if key in measured])
+    coarse, initial = _start_search(space, long, end_values, starts, options)
     if placed:
         coarse = select_mountings(coarse, arm, options)
-    stages = starting_values_of(model, best.joints, arm)
+    stages = starting_values_of(model, best, arm)
     given_joints = {joint for name, joint in starts if is_slope(name)}
-    coarse = _scan_uncertain(coarse, stages, best.joints, given_joints)
-    if best.end_values is None or placed:
+    coarse = _scan_uncertain(coarse, stages, best, given_joints)
+    if end_values is None or placed:
         initial = coarse.z
-    rejected = tuple(warn_rejected_starts(stages, arm))
-    return Start(used, records.short_steps, coarse, initial, rejected)
+    return Start(used, short, coarse, initial, tuple(warn_rejected_starts(stages, arm)))
 
 
 def _select_logs(logs: Sequence[Log], arm: Arm, options: WholeArmOptions) -> list[Log]:
@@ -152,43 +150,34 @@ def _published_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
 
 def _start_search(
     space: ParameterSpace,
-    records: _Records,
-    best: SelectedCandidate,
+    records: Sequence[Dataset],
+    end_values: Values | None,
     given: Values,
     options: WholeArmOptions,
 ) -> tuple[Fit, FloatArray]:
     """The start of the search, and the coordinates of the values of the earlier stages.
 
-    Raises `NotIdentifiable` if the arm cannot be simulated there.
+    `end_values` are those of the comparison of starts. Raises `NotIdentifiable` if the arm cannot
+    be simulated there.
     """
-    measured = {key for record in records.short_steps for key in record.sensor_constants()}
-    space = add_sensor_constants(space, [key for key in given if key in measured])
     optional = {k: c for k in space.keys if (c := constant_of(k)) and c.is_optional}
     nominal_values = {key: constant.kind.nominal for key, constant in optional.items()}
     initial = start = space.coordinates(space.start_values | nominal_values | given)
-    if best.end_values is not None:
-        start = space.coordinates(space.values(start) | best.end_values | given)
+    if end_values is not None:
+        start = space.coordinates(space.values(start) | end_values | given)
     restricted = restrict_space(space, options, start)
     keys = set(restricted.keys)
     kept = [key in keys for key in space.keys]
-    fit = Fit.at(Objective.of(restricted, records.long_steps), start[kept])
+    fit = Fit.at(Objective.of(restricted, records), start[kept])
     if fit.objective.linearise(fit.z) is None:
         raise NotIdentifiable(_INFEASIBLE_START)
     return fit, initial[kept]
 
 
-@dataclass(frozen=True, slots=True)
-class _Records:
-    """The same records in short and in long integrator steps."""
-
-    short_steps: tuple[Dataset, ...]
-    long_steps: list[Dataset]
-
-
 def _records(
     used: Sequence[Log], joints: Sequence[JointModel], arm: Arm, options: WholeArmOptions
-) -> _Records:
-    """Prepare the records in the band of the joints' resonances."""
+) -> tuple[tuple[Dataset, ...], list[Dataset]]:
+    """The records in the band of the joints' resonances, in short and in long integrator steps."""
     resonances = [joint.resonance.frequency_hz for joint in joints if joint.resonance]
     cutoff = options.cutoff_hz or cutoff_of(used, arm, max(resonances, default=None))
     plain = keep_known_effects(arm, ())
@@ -196,7 +185,7 @@ def _records(
     for record in records:
         _check_link_encoders(record, arm)
     step = 1.0 / (STEPS_PER_PERIOD * cutoff)
-    return _Records(records, [coarsen_steps(record, step) for record in records])
+    return records, [coarsen_steps(record, step) for record in records]
 
 
 def _scan_uncertain(
@@ -314,27 +303,21 @@ LIMIT_SHARE = 1e-3  # of a range: distance within which a stiffness counts as at
 _NO_START = "the arm cannot be simulated with any start values of the earlier stages"
 
 
-@dataclass(frozen=True, slots=True)
-class SelectedCandidate:
-    """A set of joints and the result of the search from it."""
-
-    joints: Sequence[JointModel]
-    end_values: Values | None  # (name, joint) -> value; None if there is only one set
-
-
 def select_candidate(
     candidates: Sequence[Sequence[JointModel]],
     objective_of: Callable[[Sequence[JointModel]], Objective],
     options: WholeArmOptions,
-) -> SelectedCandidate:
-    """The set of joints from which a short search reaches the lowest cost.
+) -> tuple[Sequence[JointModel], Values | None]:
+    """The set of joints from which a short search reaches the lowest cost, with its end values.
 
-    If a search drives a stiffness to the limit of its range, the range is centred there.
+    A single set is not searched and has none. If a search drives a stiffness to the limit of its
+    range, the range is centred there.
+
     `objective_of` returns the objective of a set of joints, whose start is at zero coordinates.
     Raises `NotIdentifiable` if no arm near any set can be simulated.
     """
     if len(candidates) == 1:
-        return SelectedCandidate(candidates[0], None)
+        return candidates[0], None
     searches = _best_starts(candidates, objective_of)
     for _ in range(MAX_ROUNDS):
         continued = [_continue_search(search, objective_of, options) for search in searches]
@@ -350,7 +333,7 @@ def select_candidate(
         if len(searches) == 1 and not searches[0].is_limited:
             break
     best = min(searches, key=lambda search: search.fit.cost)
-    return SelectedCandidate(best.joints, best.fit.values)
+    return best.joints, best.fit.values
 
 
 @dataclass(frozen=True, slots=True)
@@ -443,7 +426,11 @@ def _continue_search(
     try:
         joints, fit = search.joints, search.fit
         if search.is_limited:
-            joints = _recentre(search)
+            joints = []  # with the stiffnesses of the search, at which the ranges are centred
+            for joint in search.joints:
+                stiffness = fit.objective.records[0].arm.joints[joint.joint - 1].law.linearised_by
+                values = {**joint.values, STIFFNESS: fit.values[stiffness, joint.joint]}
+                joints.append(replace(joint, values=values))
             objective = objective_of(joints)
             kept = {key: x for key, x in fit.values.items() if key[0] not in gear_parameters()}
             values = objective.space.start_values | kept  # the springs are at their starts
@@ -454,14 +441,3 @@ def _continue_search(
     except NotIdentifiable:
         return None
     return _SearchState(joints, fit)
-
-
-def _recentre(search: _SearchState) -> list[JointModel]:
-    """The joints with the stiffnesses of the search, so that the ranges are centred there."""
-    estimates = search.fit.values
-    arm, recentred = search.fit.objective.records[0].arm, []
-    for joint in search.joints:
-        stiffness = arm.joints[joint.joint - 1].law.linearised_by
-        values = {**joint.values, STIFFNESS: estimates[stiffness, joint.joint]}
-        recentred.append(replace(joint, values=values))
-    return recentred

@@ -28,7 +28,7 @@ from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.inference.covariance import confidence_of, with_variances
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
-    effects_in,
+    effects_among,
     whole_inertia_of,
 )
 from strainwave.identification.whole_arm.problem.parameter_space import combination
@@ -143,7 +143,7 @@ def _combinations(fit: Fit, arm: Arm) -> Iterator[_Quantity]:
     keys, values = fit.space.keys, fit.values
     flexible: dict[Key, Key] = {
         whole: (effect_named(one[1]).sizes[0], one[0])
-        for one in effects_in(fit.space, arm)
+        for one in effects_among(fit.space.keys, arm.n_joints)
         if (whole := whole_inertia_of(one, arm))
     }
     for (name, number), own in arm.reported.items():

@@ -36,11 +36,6 @@ def named_effects(arm: Arm) -> list[NamedEffect]:
     return [(j, effect) for j, joint in enumerate(arm.joints, 1) for effect in joint.named_effects]
 
 
-def effects_in(space: ParameterSpace, arm: Arm) -> list[NamedEffect]:
-    """The effects among the unknowns."""
-    return effects_among(space.keys, arm.n_joints)
-
-
 def effects_among(keys: Iterable[Key], n_joints: int) -> list[NamedEffect]:
     """The effects that have parameters among the keys."""
     bases = {(base_name(name), joint) for name, joint in keys}
@@ -90,7 +85,7 @@ def update_prior_trust(space: ParameterSpace, arm: Arm) -> ParameterSpace:
     The rigid step does not know how logged torques continue between samples, and when they act.
     """
     biased = set[Key]()
-    for joint, effect in effects_in(space, arm):
+    for joint, effect in effects_among(space.keys, arm.n_joints):
         biased |= friction_parameters(arm, joint)
         biased |= body_parameters(arm) if effect_named(effect).misleads_inertias else set()
     for name, of_joint in space.keys:

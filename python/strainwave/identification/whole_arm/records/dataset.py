@@ -89,6 +89,11 @@ class Dataset:
         return tuple((name, i) for name in INITIAL_STATES for i in range(1, self.arm.n_joints + 1))
 
     @property
+    def biased(self) -> tuple[int, ...]:
+        """Channels whose sensor has a bias."""
+        return tuple(k for k, channel in enumerate(self.channels) if channel.sensor.has_bias)
+
+    @property
     def channel_names(self) -> tuple[str, ...]:
         """Names of the channels in results; angles are compared as velocities."""
         return tuple(channel.channel.replace("theta", "omega") for channel in self.channels)
@@ -260,17 +265,15 @@ class Dataset:
             tangent[:, k, at] = scales[k] * slope
         for at, key in enumerate(keys):
             if is_kind(key, ConstantKind.HOLD):
-                tangent[..., at] = scales * self._hold_slopes(values, initial, key)
+                held = {key: values.get(key, 0.0) + _HOLD_STEP}
+                tangent[..., at] = scales * (self._change(values, initial, held) / _HOLD_STEP)
         return tangent
 
-    def _hold_slopes(
-        self, values: Mapping[Key, float], initial: FloatArray, key: Key
-    ) -> FloatArray:
-        """Derivatives (n_rows, n_channels) by a torque hold, without scale factors."""
-        held = {**values, key: values.get(key, 0.0) + _HOLD_STEP}
-        runs = (self.run(at, initial, self.quantities()) for at in (held, values))
-        changed, nominal = (self.filtered_channels(run, values) for run in runs)
-        return np.asarray((changed - nominal) / _HOLD_STEP)
+    def _change(self, values: Values, initial: FloatArray, changed: Values) -> FloatArray:
+        """Change of the channels (n_rows, n_channels) by other values, without scale factors."""
+        runs = (self.run(at, initial, self.quantities()) for at in ({**values, **changed}, values))
+        after, before = (self.filtered_channels(run, values) for run in runs)
+        return after - before
 
     def _bandwidth_slopes(
         self, values: Mapping[Key, float], initial: FloatArray, keys: Sequence[Key]
@@ -288,9 +291,8 @@ class Dataset:
             return {}
         steps = {keys[at]: _RELATIVE_BANDWIDTH_STEP * values[keys[at]] for _, at in pairs}
         wider = {key: values[key] + step for key, step in steps.items()}
-        runs = (self.run(at, initial, self.quantities()) for at in ({**values, **wider}, values))
-        wider_rows, nominal = (self.filtered_channels(run, values) for run in runs)
-        return {(k, at): (wider_rows[:, k] - nominal[:, k]) / steps[keys[at]] for k, at in pairs}
+        change = self._change(values, initial, wider)
+        return {(k, at): change[:, k] / steps[keys[at]] for k, at in pairs}
 
     def _mount_slopes(
         self,
@@ -364,18 +366,14 @@ class Dataset:
         The step error changes little near these parameters, so a search can continue in long steps.
         The noise estimate excludes the simulated motion.
         """
-        exact, error = self._step_error(values, initial)
+        exact, error = self.step_errors(values, initial)
         noise = np.minimum(self.noise, self._residual_noise(exact, values))
         correction = error
         if self.step_error is not None:
             correction = self.step_error_correction + error - self.step_error
         return replace(self, step_error_correction=correction, noise=noise, step_error=error)
 
-    def store_step_error(self, values: Mapping[Key, float], initial: FloatArray) -> Dataset:
-        """Store the step error for a record whose correction already contains it."""
-        return replace(self, step_error=self._step_error(values, initial)[1])
-
-    def _step_error(
+    def step_errors(
         self, values: Mapping[Key, float], initial: FloatArray
     ) -> tuple[dict[Quantity, FloatArray], FloatArray]:
         """Simulation in shorter steps, and its channels minus those in the steps of the record."""

@@ -7,6 +7,7 @@ of stiffness curves. The held-out prediction decides between the laws.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -110,7 +111,6 @@ class _LawTrials:
         return replace(current, iterations=self.iterations)
 
     def _arm(self, joints: Sequence[int], law: str) -> Arm:
-        """The arm with another law of some joints."""
         arm = self.selection.arm
         for joint in joints:
             arm = arm.with_joint(joint, spring=law)
@@ -129,10 +129,8 @@ class _LawTrials:
         """
         fits = {}
         for law in laws:
-            try:
+            with suppress(InvalidInput, NotIdentifiable, NumericalFailure):
                 fits[law] = self._fit(start, joints, law, max_evaluations)
-            except (InvalidInput, NotIdentifiable, NumericalFailure):
-                continue
         return fits
 
     def _fit(self, start: Fit, joints: Sequence[int], law: str, max_evaluations: int | None) -> Fit:
@@ -144,20 +142,18 @@ class _LawTrials:
             unknown if unknown.key in known else limit_unknown(unknown, options, at)
             for unknown, at in zip(space.unknowns, z.tolist(), strict=True)
         )
-        space = replace(space, unknowns=unknowns)
-        own = Selection(
-            arm, replace(options, max_iterations=self.iterations + self.selection.budget)
-        )
-        restart = start.restart(with_effects(start.objective, space, arm), z)
-        restart = replace(restart, iterations=self.iterations)
+        objective = with_effects(start.objective, replace(space, unknowns=unknowns), arm)
+        restart = replace(start.restart(objective, z), iterations=self.iterations)
+        max_iterations = self.iterations + self.selection.budget
+        own = Selection(arm, replace(options, max_iterations=max_iterations))
         if max_evaluations is None:
-            found = resumed_coarse_search(restart, own.options)
+            fit = resumed_coarse_search(restart, own.options)
         else:
-            found = run_trial(restart, own, max_evaluations)
-        found = restart_coarse_fit(found, own)
-        self.iterations = found.iterations
+            fit = run_trial(restart, own, max_evaluations)
+        fit = restart_coarse_fit(fit, own)
+        self.iterations = fit.iterations
         self.selection.allow(self.iterations + self.selection.budget)
-        return found
+        return fit
 
     def _secants(self, fit: Fit, joints: Sequence[int]) -> Values:
         """Stiffness of the line through a torque of the curve of each joint."""
@@ -325,6 +321,5 @@ def straighten_curves(fit: Fit, selection: Selection) -> Fit:
 
 
 def _select_line(number: int, selection: Selection) -> None:
-    linear = stated_law(AUTO).name
-    selection.arm = selection.arm.with_joint(number, spring=linear)
-    selection.law_choices = selection.law_choices | {number: LawChoice(number, linear)}
+    selection.arm = selection.arm.with_joint(number, spring=LINEAR)
+    selection.law_choices = selection.law_choices | {number: LawChoice(number, LINEAR)}

@@ -75,7 +75,6 @@ def select_mountings(fit: Fit, arm: Arm, options: WholeArmOptions) -> Fit:
 
 
 def _choose_mounting(fit: Fit, axes: Sequence[SensorAxis], options: WholeArmOptions) -> Fit:
-    """Choose the starting mounting of the sensors of one link."""
     joint, values = axes[0].joint, fit.values
     keys = (*unknowns_of(axes), *((name, joint) for name in IMU_START_ATTITUDE))
     mountings: list[Mounting] = [{key: values[key] for key in keys if key in values}]
@@ -188,7 +187,6 @@ def _is_significant_tilt(fit: Fit, trial: Fit) -> bool:
 
 
 def _with_mounting(fit: Fit, mounting: Mounting) -> Fit:
-    """Start of a search with another mounting."""
     fixed = {key: value for key, value in mounting.items() if key[0] in IMU_START_ATTITUDE}
     space = replace(fit.space, fixed={**fit.space.fixed, **fixed})
     return fit.with_unknowns(space, dict(mounting))

@@ -155,19 +155,7 @@ add_fine_sensor_constants = Candidate(_with_significant_constants, refine, is_re
 
 
 def _without_least_significant(fit: Fit, selection: Selection) -> Iterator[Fit]:
-    insignificant = _least_significant(fit)
-    if insignificant:
-        space = update_prior_trust(fit.space.fix_values(insignificant), selection.arm)
-        yield fit.with_unknowns(space)
-
-
-remove_insignificant_sensor_constants = Candidate(
-    _without_least_significant, refine, is_addition=False, is_repeated=True
-)
-
-
-def _least_significant(fit: Fit) -> dict[Key, float]:
-    """Least significant sensor constant and its nominal value; empty if all are significant.
+    """The least significant sensor constant has its nominal value; none if all are significant.
 
     A constant at a bound of its range stays, because its standard deviation is invalid there. A
     bandwidth is tested in any case.
@@ -179,10 +167,10 @@ def _least_significant(fit: Fit) -> dict[Key, float]:
         if (constant := constant_of(key)) and constant.is_optional and not constant.is_of_mount
     }
     if not ideal:
-        return {}
+        return
     stds = np.sqrt(np.diag(confidence_of(fit).cautious))
-    within_range = (fit.z > _BOUND_SHARE * space.lower) & (fit.z < _BOUND_SHARE * space.upper)
-    rows = zip(space.keys, space.parameters(fit.z), stds, within_range, strict=True)
+    is_low, is_high = fit.z <= _BOUND_SHARE * space.lower, fit.z >= _BOUND_SHARE * space.upper
+    rows = zip(space.keys, space.parameters(fit.z), stds, ~(is_low | is_high), strict=True)
     distances = {
         key: (abs(value - ideal[key]) if np.isfinite(ideal[key]) else value) / std
         for key, value, std, within in rows
@@ -193,11 +181,20 @@ def _least_significant(fit: Fit) -> dict[Key, float]:
         for key, distance in distances.items()
         if distance < min(_MIN_KEPT_SIGNIFICANCE, _min_significance(key))
     }
-    # a delay and a low-pass that cannot be separated both stay; their intervals show it
+    # a delay and a low-pass that cannot be separated both stay, and their intervals show it;
+    # a sensor whose bandwidth is at the upper bound has no low-pass
     inseparable = {key for key in weak if _counterpart(key) in weak}
-    weak -= {key for key in inseparable if not _is_at_upper_bound(fit, key)}
-    weakest = min(weak, key=distances.__getitem__, default=None)
-    return {} if weakest is None else {weakest: ideal[weakest]}
+    unlimited = {key for key, high in zip(space.keys, is_high, strict=True) if high}
+    weak -= {k for k in inseparable if not (is_kind(k, ConstantKind.BANDWIDTH) and k in unlimited)}
+    if weak:
+        weakest = min(weak, key=distances.__getitem__)
+        reduced = space.fix_values({weakest: ideal[weakest]})
+        yield fit.with_unknowns(update_prior_trust(reduced, selection.arm))
+
+
+remove_insignificant_sensor_constants = Candidate(
+    _without_least_significant, refine, is_addition=False, is_repeated=True
+)
 
 
 _COUNTERPARTS = {
@@ -213,14 +210,6 @@ def _counterpart(key: Key) -> Key | None:
     if constant is None or other is None or key[1] is None:
         return None
     return replace(constant, kind=other).key(key[1])
-
-
-def _is_at_upper_bound(fit: Fit, key: Key) -> bool:
-    """Whether a bandwidth is at its upper bound, so that the sensor has no low-pass."""
-    k = fit.space.keys.index(key)
-    return is_kind(key, ConstantKind.BANDWIDTH) and bool(
-        fit.z[k] > _BOUND_SHARE * fit.space.upper[k]
-    )
 
 
 def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) -> dict[Key, float]:
@@ -239,7 +228,13 @@ def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) 
     ]
     if not candidates:
         return {}
-    columns, target = _score_columns(fit, candidates)
+    objective, values, simulated = fit.objective, fit.values, fit.objective.simulate(fit.z)
+
+    def tangent(k: int, _: Evaluation) -> FloatArray:
+        initial = objective.initial_states(k)
+        return objective.records[k].sensor_tangent(simulated[k], values, initial, candidates)
+
+    columns, target = objective.project_columns(fit.z, len(candidates), tangent)
     selected: list[int] = []
     cost = float(target @ target)
     while remaining := set(range(len(candidates))) - set(selected):
@@ -310,17 +305,6 @@ def _is_collinear_with_tilt(key: Key, fit: Fit) -> bool:
         and key in [axis.key(ConstantKind.SCALE) for axis in accelerometers]
         and (IMU_ROTATION[0], key[1]) in fit.space.keys
     )
-
-
-def _score_columns(fit: Fit, keys: Sequence[Key]) -> tuple[FloatArray, FloatArray]:
-    """Columns of sensor constants, and the residual, after elimination of the unknowns."""
-    objective, values, simulated = fit.objective, fit.values, fit.objective.simulate(fit.z)
-
-    def tangent(k: int, _: Evaluation) -> FloatArray:
-        initial = objective.initial_states(k)
-        return objective.records[k].sensor_tangent(simulated[k], values, initial, keys)
-
-    return objective.project_columns(fit.z, len(keys), tangent)
 
 
 def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
