@@ -6,7 +6,7 @@ results of the earlier stages.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from strainwave.domain import ArmModel, JointModel, Log, RigidModel, WholeArmOptions
@@ -39,7 +39,7 @@ from strainwave.identification.whole_arm.selection import (
     mountings,
     sensor_constants,
 )
-from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection
+from strainwave.identification.whole_arm.selection.candidate import Selection
 from strainwave.identification.whole_arm.selection.causes import ModelComparison, include_effects
 from strainwave.identification.whole_arm.start import Start, prepare_start
 from strainwave.numerics.parallel import one_blas_thread
@@ -53,7 +53,7 @@ __all__ = [
     "predicted_parameters",
 ]
 
-_COARSE: tuple[Candidate, ...] = (
+_COARSE: tuple[Callable[[Fit, Selection], Fit], ...] = (
     further_unknowns.add_significant_initial_motion,
     mountings.improve_mountings,
     gear_laws.select_gear_laws,
@@ -65,7 +65,7 @@ _COARSE: tuple[Candidate, ...] = (
 )
 """Candidates of a coarse fit, in the order of their trials. They only add parameters."""
 
-_FINE: tuple[Candidate, ...] = (
+_FINE: tuple[Callable[[Fit, Selection], Fit], ...] = (
     further_unknowns.extend_ranges,
     gear_laws.restart_fine_fit,
     gear_laws.remove_insignificant_stiffness_terms,

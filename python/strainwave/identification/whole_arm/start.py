@@ -429,8 +429,8 @@ def _continue_search(
             joints = []  # with the stiffnesses of the search, at which the ranges are centred
             for joint in search.joints:
                 stiffness = fit.objective.records[0].arm.joints[joint.joint - 1].law.linearised_by
-                values = {**joint.values, STIFFNESS: fit.values[stiffness, joint.joint]}
-                joints.append(replace(joint, values=values))
+                centred = {**joint.values, STIFFNESS: fit.values[stiffness, joint.joint]}
+                joints.append(replace(joint, values=centred))
             objective = objective_of(joints)
             kept = {key: x for key, x in fit.values.items() if key[0] not in gear_parameters()}
             values = objective.space.start_values | kept  # the springs are at their starts

@@ -386,7 +386,6 @@ class Objective:
         z: FloatArray,
         n_columns: int,
         columns_of: Callable[[int, Evaluation], FloatArray],
-        prior_rows: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """R of [additional columns, residual] after elimination of the unknowns.
 
@@ -394,7 +393,7 @@ class Objective:
         and the residual (n_rows,).
         """
         n = len(self.space.unknowns)
-        factor = self.factor_with_columns(z, n_columns, columns_of, prior_rows)[n:, n:]
+        factor = self.factor_with_columns(z, n_columns, columns_of)[n:, n:]
         return factor[:, :-1], factor[:, -1]
 
     def _map_records(self, work: Callable[[int, Dataset], T]) -> list[T]:

@@ -269,11 +269,13 @@ class Dataset:
                 tangent[..., at] = scales * (self._change(values, initial, held) / _HOLD_STEP)
         return tangent
 
-    def _change(self, values: Values, initial: FloatArray, changed: Values) -> FloatArray:
+    def _change(
+        self, values: Mapping[Key, float], initial: FloatArray, changed: Values
+    ) -> FloatArray:
         """Change of the channels (n_rows, n_channels) by other values, without scale factors."""
         runs = (self.run(at, initial, self.quantities()) for at in ({**values, **changed}, values))
         after, before = (self.filtered_channels(run, values) for run in runs)
-        return after - before
+        return np.asarray(after - before)
 
     def _bandwidth_slopes(
         self, values: Mapping[Key, float], initial: FloatArray, keys: Sequence[Key]

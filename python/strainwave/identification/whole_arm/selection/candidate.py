@@ -72,25 +72,22 @@ class Selection:
 class Candidate:
     """A change of the model: further unknowns, fewer ones, or other starting values.
 
-    The search continues from the first trial that the data support.
+    `change` tests a fit, by statistics or by short searches. It returns the start of a search with
+    the changed model, or None if the data do not support a change.
     """
 
-    # starts, or short searches, of the changed model; none if tests of the fit find no change
-    trials: Callable[[Fit, Selection], Iterable[Fit]]
+    change: Callable[[Fit, Selection], Fit | None]
     search: Callable[[Fit, WholeArmOptions], Fit]
-    # whether the data support a trial of a fit; by default, the tests that found it are enough
-    supports: Callable[[Fit, Fit], bool] = lambda _fit, _trial: True
     is_addition: bool = True  # is tried only while evaluations are left
-    is_repeated: bool = False  # until the data support no trial
+    is_repeated: bool = False  # until the data support no further change
 
     def __call__(self, fit: Fit, selection: Selection) -> Fit:
         """The fit of the changed model if the data support it, otherwise the fit itself."""
         while not (self.is_addition and selection.is_budget_exhausted(fit)):
-            trials = self.trials(fit, selection)
-            supported = next((trial for trial in trials if self.supports(fit, trial)), None)
-            if supported is None:
+            start = self.change(fit, selection)
+            if start is None:
                 break
-            fit = self.search(supported, selection.options)
+            fit = self.search(start, selection.options)
             if not self.is_repeated:
                 break
         return fit
@@ -110,13 +107,13 @@ def run_trial(start: Fit, selection: Selection, max_evaluations: int | None) -> 
     )
 
 
-def best_trial(starts: Iterable[Fit], search: Callable[[Fit], Fit]) -> list[Fit]:
-    """The search of least cost from several starts; none if the arm can be simulated at none."""
+def best_trial(starts: Iterable[Fit], search: Callable[[Fit], Fit]) -> Fit | None:
+    """The search of least cost from several starts; None if the arm can be simulated at none."""
     trials = []
     for start in starts:
         with suppress(NotIdentifiable):
             trials.append(search(start))
-    return sorted(trials, key=lambda trial: trial.cost)[:1]
+    return min(trials, key=lambda trial: trial.cost, default=None)
 
 
 def select_better(fit: Fit, other: Fit) -> Fit:

@@ -6,7 +6,6 @@ motion, and wider ranges of friction and damping, whose starting values may be f
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
@@ -89,15 +88,14 @@ def _prior_relief(fit: Fit, space: ParameterSpace) -> float:
     return cost(fit.space.prior) - cost(space.prior)
 
 
-def _without_insignificant_effects(fit: Fit, selection: Selection) -> Iterator[Fit]:
+def _without_insignificant_effects(fit: Fit, selection: Selection) -> Fit | None:
     arm = selection.arm
     if not named_effects(arm):
-        return
+        return None
     effects = set(insignificant_effects(fit.space, fit.z, confidence_of(fit).cautious))
-    if effects:
-        space = remove_effects(fit.space, effects, arm)
-        objective = with_effects(fit.objective, space, arm)
-        yield fit.restart(objective, space.coordinates(fit.values))
+    space = remove_effects(fit.space, effects, arm)
+    objective = with_effects(fit.objective, space, arm)
+    return fit.restart(objective, space.coordinates(fit.values)) if effects else None
 
 
 remove_insignificant_effects = Candidate(
@@ -120,10 +118,10 @@ def add_settling_times(fit: Fit, selection: Selection) -> Fit:
     return select_better(fit, extended) if required is None else extended
 
 
-def _without_insignificant_settling_times(fit: Fit, selection: Selection) -> Iterator[Fit]:
+def _without_insignificant_settling_times(fit: Fit, selection: Selection) -> Fit | None:
     """The friction of joints with an insignificant settling time acts instantly."""
     if selection.options.settling or all(name != SETTLING for name, _ in fit.space.keys):
-        return
+        return None
     values = fit.values
     stds = np.sqrt(np.diag(confidence_of(fit).cautious))
     at_lower_bound = fit.z < _ZERO_BOUND_SHARE * fit.space.lower
@@ -132,8 +130,7 @@ def _without_insignificant_settling_times(fit: Fit, selection: Selection) -> Ite
         for key, std, is_at_bound in zip(fit.space.keys, stds, at_lower_bound, strict=True)
         if key[0] == SETTLING and (is_at_bound or values[key] < MIN_SIGNIFICANCE_STDS * std)
     }
-    if insignificant:
-        yield fit.with_unknowns(fit.space.fix_values(insignificant))
+    return fit.with_unknowns(fit.space.fix_values(insignificant)) if insignificant else None
 
 
 remove_insignificant_settling_times = Candidate(
@@ -141,10 +138,9 @@ remove_insignificant_settling_times = Candidate(
 )
 
 
-def _with_initial_motion(fit: Fit, _: Selection) -> Iterator[Fit]:
+def _with_initial_motion(fit: Fit, _: Selection) -> Fit | None:
     objective = add_initial_states(fit.objective, fit.z)
-    if objective is not fit.objective:
-        yield replace(fit, objective=objective)
+    return None if objective is fit.objective else replace(fit, objective=objective)
 
 
 add_significant_initial_motion = Candidate(_with_initial_motion, resumed_coarse_search)
@@ -194,7 +190,7 @@ def _estimate_initial_motion(
     return rows.record_parameters if is_evident else None
 
 
-def _with_extended_ranges(fit: Fit, selection: Selection) -> Iterator[Fit]:
+def _with_extended_ranges(fit: Fit, selection: Selection) -> Fit | None:
     """Frictions and dampings at the end of their range are centred in a new one."""
     bounded = [
         k
@@ -204,9 +200,10 @@ def _with_extended_ranges(fit: Fit, selection: Selection) -> Iterator[Fit]:
         and unknown.limits is None
         and physical_range(unknown.name) == "non-negative"
     ]
-    if bounded and fit.end.is_minimum:
-        selection.renew(fit)
-        yield fit.with_unknowns(fit.space.recentre(fit.z, bounded))
+    if not bounded or not fit.end.is_minimum:
+        return None
+    selection.renew(fit)
+    return fit.with_unknowns(fit.space.recentre(fit.z, bounded))
 
 
 extend_ranges = Candidate(_with_extended_ranges, fine_search, is_addition=False)

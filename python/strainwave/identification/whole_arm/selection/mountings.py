@@ -10,7 +10,7 @@ reduces the residuals of its sensor strongly and increases those of other channe
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -134,21 +134,20 @@ def improve_mountings(fit: Fit, selection: Selection) -> Fit:
     A mounting is kept as it is if no short search from another one ends at a lower cost.
     """
     for joint in range(1, selection.arm.n_joints + 1):
-        trials = partial(_other_mountings, joint=joint)
-        fit = Candidate(trials, resumed_coarse_search, _is_better_mounting)(fit, selection)
+        change = partial(_better_mounting, joint=joint)
+        fit = Candidate(change, resumed_coarse_search)(fit, selection)
     return fit
 
 
-def _other_mountings(fit: Fit, selection: Selection, joint: int) -> Iterator[Fit]:
+def _better_mounting(fit: Fit, selection: Selection, joint: int) -> Fit | None:
     axes, rotation = _axes_on(fit, joint), (IMU_ROTATION[2], joint)
-    if rotation in fit.space.keys and rotation in unknowns_of(axes):
-        mountings = _simulated_attitudes(fit, axes, flat=_is_in_plane(fit, joint))
-        for start in _rank(_with_mounting(fit, one) for one in mountings)[:_MAX_STARTS]:
-            yield _search_briefly(start, selection.options)
-
-
-def _is_better_mounting(fit: Fit, trial: Fit) -> bool:
-    return trial.cost < (1.0 - _MIN_COST_REDUCTION) * fit.cost
+    if rotation not in fit.space.keys or rotation not in unknowns_of(axes):
+        return None
+    mountings = _simulated_attitudes(fit, axes, flat=_is_in_plane(fit, joint))
+    starts = _rank(_with_mounting(fit, one) for one in mountings)[:_MAX_STARTS]
+    trials = (_search_briefly(start, selection.options) for start in starts)
+    max_cost = (1.0 - _MIN_COST_REDUCTION) * fit.cost
+    return next((trial for trial in trials if trial.cost < max_cost), None)
 
 
 def _axes_on(fit: Fit, joint: int) -> list[SensorAxis]:
@@ -160,13 +159,12 @@ def _axes_on(fit: Fit, joint: int) -> list[SensorAxis]:
 def add_significant_tilts(fit: Fit, selection: Selection) -> Fit:
     """Add significant tilts of IMUs that were assumed to lie in the plane of motion."""
     for joint in range(1, selection.arm.n_joints + 1):
-        trials = partial(_tilted, joint=joint)
-        tilts = Candidate(trials, refine, _is_significant_tilt, is_addition=False)
-        fit = tilts(fit, selection)
+        change = partial(_significant_tilt, joint=joint)
+        fit = Candidate(change, refine, is_addition=False)(fit, selection)
     return fit
 
 
-def _tilted(fit: Fit, selection: Selection, joint: int) -> Iterator[Fit]:
+def _significant_tilt(fit: Fit, selection: Selection, joint: int) -> Fit | None:
     """The better of two tilts.
 
     The derivative of the readings with respect to a tilt is zero at zero tilt, so the searches
@@ -175,15 +173,12 @@ def _tilted(fit: Fit, selection: Selection, joint: int) -> Iterator[Fit]:
     # about a fixed axis, tilt and distance are nearly collinear without gravity
     axes = _axes_on(fit, joint)
     if not _is_in_plane(fit, joint) or not axes[0].space.has_varying_force:
-        return
+        return None
     tilts: list[Key] = [(name, joint) for name in IMU_ROTATION[:2]]
     tilted = [{tilts[0]: _START_TILT, tilts[1]: side * _START_TILT} for side in (1.0, -1.0)]
     starts = (fit.with_unknowns(add_sensor_constants(fit.space, tilts, one), one) for one in tilted)
-    yield from best_trial(starts, partial(_search_briefly, options=selection.options))
-
-
-def _is_significant_tilt(fit: Fit, trial: Fit) -> bool:
-    return fit.cost - trial.cost > _MIN_TILT_SIGNIFICANCE**2
+    best = best_trial(starts, partial(_search_briefly, options=selection.options))
+    return best if best and fit.cost - best.cost > _MIN_TILT_SIGNIFICANCE**2 else None
 
 
 def _with_mounting(fit: Fit, mounting: Mounting) -> Fit:
@@ -230,8 +225,8 @@ Names = tuple[Key, Key]
 Mounts = dict[Names, list[MountResonance]]
 
 
-def _with_mount(fit: Fit, selection: Selection) -> Iterator[Fit]:
-    """The best mount of each sensor with significant ones, the most significant first.
+def _with_mount(fit: Fit, selection: Selection) -> Fit | None:
+    """The first acceptable one of the best mounts of sensors, the most significant sensor first.
 
     The evaluations of the trials do not count for the budget.
     """
@@ -242,10 +237,11 @@ def _with_mount(fit: Fit, selection: Selection) -> Iterator[Fit]:
             space = add_sensor_constants(fit.space, list(values), values)
             starts.append(replace(fit.with_unknowns(space, values), iterations=0))
         search = partial(_search_briefly, options=selection.options, tolerance=_TRIAL_TOLERANCE)
-        for trial in best_trial(starts, search):
-            if _is_acceptable(fit, trial, names):
-                selection.allow(selection.options.max_iterations + trial.iterations)
-                yield replace(trial, iterations=fit.iterations + trial.iterations)
+        trial = best_trial(starts, search)
+        if trial is not None and _is_acceptable(fit, trial, names):
+            selection.allow(selection.options.max_iterations + trial.iterations)
+            return replace(trial, iterations=fit.iterations + trial.iterations)
+    return None
 
 
 add_mount_resonances = Candidate(_with_mount, fine_search, is_repeated=True)

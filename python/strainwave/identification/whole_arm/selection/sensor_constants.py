@@ -103,7 +103,7 @@ def _unknown_of(key: Key, starts: Values) -> Unknown:
     return Unknown(name, joint, constant.unit, start, start, False, _LOG_RANGE)
 
 
-def _with_bandwidths(fit: Fit, selection: Selection) -> Iterator[Fit]:
+def _with_bandwidths(fit: Fit, selection: Selection) -> Fit | None:
     """Delayed sensors whose bandwidth the study does not give get one.
 
     The starting values attribute half of each delay to the low-pass.
@@ -115,9 +115,8 @@ def _with_bandwidths(fit: Fit, selection: Selection) -> Iterator[Fit]:
         if lag > _MIN_LOW_PASS_DELAY and is_unknown:
             starts[bandwidth] = np.sqrt(2.0) / (2.0 * np.pi * _LOW_PASS_DELAY_SHARE * lag)
             values[delay] = (1.0 - _LOW_PASS_DELAY_SHARE) * lag
-    if starts:
-        space = add_sensor_constants(fit.space, list(starts), starts)
-        yield fit.with_unknowns(space, values | starts)
+    space = add_sensor_constants(fit.space, list(starts), starts)
+    return fit.with_unknowns(space, values | starts) if starts else None
 
 
 add_coarse_bandwidths = Candidate(_with_bandwidths, resumed_coarse_search)
@@ -137,13 +136,12 @@ def _delayed_sensors(fit: Fit) -> Iterator[tuple[Key, Key]]:
 
 def _with_significant_constants(
     fit: Fit, selection: Selection, min_cost_share: float = 0.0
-) -> Iterator[Fit]:
+) -> Fit | None:
     """Constants that reduce the cost significantly, and by a share of it, start where they do."""
     estimates = _significant_constants(fit, selection.options, min_cost_share * fit.cost)
     estimates |= _significant_drifts(fit, selection.options)
-    if estimates:
-        space = add_sensor_constants(fit.space, list(estimates))
-        yield fit.with_unknowns(update_prior_trust(space, selection.arm), estimates)
+    space = update_prior_trust(add_sensor_constants(fit.space, list(estimates)), selection.arm)
+    return fit.with_unknowns(space, estimates) if estimates else None
 
 
 add_coarse_sensor_constants = Candidate(
@@ -154,7 +152,7 @@ add_coarse_sensor_constants = Candidate(
 add_fine_sensor_constants = Candidate(_with_significant_constants, refine, is_repeated=True)
 
 
-def _without_least_significant(fit: Fit, selection: Selection) -> Iterator[Fit]:
+def _without_least_significant(fit: Fit, selection: Selection) -> Fit | None:
     """The least significant sensor constant has its nominal value; none if all are significant.
 
     A constant at a bound of its range stays, because its standard deviation is invalid there. A
@@ -167,7 +165,7 @@ def _without_least_significant(fit: Fit, selection: Selection) -> Iterator[Fit]:
         if (constant := constant_of(key)) and constant.is_optional and not constant.is_of_mount
     }
     if not ideal:
-        return
+        return None
     stds = np.sqrt(np.diag(confidence_of(fit).cautious))
     is_low, is_high = fit.z <= _BOUND_SHARE * space.lower, fit.z >= _BOUND_SHARE * space.upper
     rows = zip(space.keys, space.parameters(fit.z), stds, ~(is_low | is_high), strict=True)
@@ -186,10 +184,11 @@ def _without_least_significant(fit: Fit, selection: Selection) -> Iterator[Fit]:
     inseparable = {key for key in weak if _counterpart(key) in weak}
     unlimited = {key for key, high in zip(space.keys, is_high, strict=True) if high}
     weak -= {k for k in inseparable if not (is_kind(k, ConstantKind.BANDWIDTH) and k in unlimited)}
-    if weak:
-        weakest = min(weak, key=distances.__getitem__)
-        reduced = space.fix_values({weakest: ideal[weakest]})
-        yield fit.with_unknowns(update_prior_trust(reduced, selection.arm))
+    if not weak:
+        return None
+    weakest = min(weak, key=distances.__getitem__)
+    reduced = space.fix_values({weakest: ideal[weakest]})
+    return fit.with_unknowns(update_prior_trust(reduced, selection.arm))
 
 
 remove_insignificant_sensor_constants = Candidate(
