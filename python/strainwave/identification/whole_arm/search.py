@@ -121,10 +121,7 @@ class Fit:
 @contextmanager
 def report_progress(progress: Progress | None) -> Iterator[None]:
     """Report the progress of all searches in this context to `progress`."""
-    if progress is None:
-        yield
-        return
-    token = _progress.set(progress)
+    token = _progress.set(progress or _progress.get())
     try:
         yield
     finally:

@@ -369,9 +369,8 @@ def _best_starts(
     """The sets of lowest initial cost, the best first.
 
     If the first set, the best by the motor responses, has the lowest cost by far, it is the only
-    one.
-    Typical gears, which no record supports, are also combined: one joint, then two neighbouring
-    joints get the gears of other sets while the other joints keep theirs.
+    one. Typical gears, which no record supports, are also combined: one joint, then two
+    neighbouring joints get the gears of other sets while the other joints keep theirs.
     """
     models = [
         list({id(joint): joint for joint in joints}.values())
@@ -387,14 +386,12 @@ def _best_starts(
         except NotIdentifiable as failure:
             failures.append(failure)
             return np.inf
-        space = objective.space
-        plain = objective.replace_unknowns(space.fix_values(space.start_values))
-        simulated = plain.linearise(np.zeros(0))
-        if simulated is None:
+        start = np.zeros(len(objective.space.unknowns))
+        cost = objective.cost(start)
+        if cost is None:
             return np.inf
-        start = np.zeros(len(space.unknowns))
-        searches[choice] = _SearchState(joints, Fit(objective, start, simulated.cost, 0))
-        return simulated.cost
+        searches[choice] = _SearchState(joints, Fit(objective, start, cost, 0))
+        return cost
 
     search = CoordinateSearch(lambda choices: map(cost_of, choices))
     numbers = [{id(joint): k for k, joint in enumerate(each)} for each in models]

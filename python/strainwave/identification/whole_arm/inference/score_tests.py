@@ -7,7 +7,7 @@ with the effect needs to be fitted.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -187,10 +187,10 @@ def min_relevant_share(objective: Objective, z: FloatArray) -> float:
     return MIN_COST_SHARE if is_above_noise else RELEVANT_COST_SHARE
 
 
-def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
+def shifts(fit: Fit, values: Values) -> list[ParameterShift]:
     """Shifts of the arm parameters due to an additional effect, the most significant first.
 
-    `values` maps (name, joint) to the values of the model with the effect. Yields shifts of
+    `values` maps (name, joint) to the values of the model with the effect. The shifts are those of
     inertias, gravity, gears and Coulomb friction. Sensor constants are not parameters of the arm,
     and only sums of viscous frictions are identifiable.
     """
@@ -203,7 +203,7 @@ def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
             parameter_shifts.append(
                 ParameterShift(name, joint, estimates[name, joint], shift, shift / std)
             )
-    yield from sorted(parameter_shifts, key=lambda move: -abs(move.deviations))
+    return sorted(parameter_shifts, key=lambda move: -abs(move.deviations))
 
 
 def is_primary(key: Key) -> bool:
