@@ -226,7 +226,7 @@ def simulated(
     record: Dataset, values: Mapping[tuple[str, int | None], float], local: FloatArray
 ) -> FloatArray:
     """Channels of a record simulated without derivatives: (n_rows, n_channels)."""
-    return record.filtered_channels(record.run(values, local, record.quantities()))
+    return record.filtered_channels(record.run(values, local, record.quantities()), values)
 
 
 @dataclass(frozen=True, slots=True)

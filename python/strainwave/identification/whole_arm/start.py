@@ -116,36 +116,29 @@ def prepare_start(
 
 
 def _select_logs(logs: Sequence[Log], arm: Arm, options: WholeArmOptions) -> list[Log]:
-    used = select_usable_records(logs, arm)
-    if options.as_published:
-        used = _published_records(used, arm)
-    if not used:
-        raise NotIdentifiable(
-            'the whole-arm fit needs records with use = "frequency", "sweep" or "tuning", with the'
-            " angle and the voltage of every motor"
-        )
-    return used
+    """The records of the fit; those of tuning as published are steps in closed loop.
 
-
-def _published_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
-    """Select the records of the published tuning method: steps in closed loop.
-
-    `logs` have the motor signals that a simulation needs. Raises `NotIdentifiable` if none has
-    use = "tuning", or if one lacks data for a closed-loop simulation.
+    Raises `NotIdentifiable` if there is none, or if a record of tuning as published lacks data for
+    a closed-loop simulation.
     """
-    selected = [log for log in logs if log.experiment.use == "tuning" and not log.is_continuation]
-    if not selected:
-        raise NotIdentifiable(
-            'tuning as published needs records with use = "tuning": steps under servo'
-        )
-    for log in selected:
+    used = select_usable_records(logs, arm)
+    needed = (
+        'the whole-arm fit needs records with use = "frequency", "sweep" or "tuning", with the'
+        " angle and the voltage of every motor"
+    )
+    if options.as_published:
+        used = [log for log in used if log.experiment.use == "tuning" and not log.is_continuation]
+        needed = 'tuning as published needs records with use = "tuning": steps under servo'
+    if not used:
+        raise NotIdentifiable(needed)
+    for log in used if options.as_published else ():
         missing = missing_recorded_input(arm, log)
         if missing is not None:
             raise NotIdentifiable(
                 f"tuning as published simulates {log.name} in closed loop, but {missing}: add the "
                 "missing data, or set tuning.as_published = false"
             )
-    return selected
+    return used
 
 
 def _start_search(

@@ -217,15 +217,15 @@ def set_record_effects(
     Only effects with parameters among `keys` are set.
     """
     known = keep_known_effects(arm, keys).joints
-
-    def with_effects(record: Dataset) -> Dataset:
-        joints = (
+    joints = (
+        [
             replace(joint, spring=each.spring, effects=each.named_effects)
             for joint, each in zip(record.arm.joints, known, strict=True)
-        )
-        return replace(record, arm=record.arm.with_joints(joints))
-
-    return tuple(with_effects(record) for record in records)
+        ]
+        for record in records
+    )
+    pairs = zip(records, joints, strict=True)
+    return tuple(replace(record, arm=record.arm.with_joints(own)) for record, own in pairs)
 
 
 def with_effects(objective: Objective, space: ParameterSpace, arm: Arm) -> Objective:

@@ -140,6 +140,7 @@ class Dataset:
             channels = (channels + self.step_error_correction) * self.sensor_scales(values)
             return channels + self.drifts(values), np.zeros((*channels.shape, 0))
         resonates = self._has_resonant_mount(values)
+        taps = {c.summed_quantity: self.kernels.taps(slope=c.reads_angle) for c in self.channels}
         runs = sensitivities(
             self._arm_at(values),
             inputs.values,
@@ -147,9 +148,9 @@ class Dataset:
             [*core_directions, *self.initial_states],
             sample_time=self.log.sample_time,
             samples=len(self.log),
-            record=list(dict.fromkeys(c.summed_quantity for c in self.channels)),
+            record=list(taps),
             max_time_step=self._time_step(inputs.values),
-            low_pass=None if resonates else self.low_pass(),
+            low_pass=None if resonates else LowPass(taps, self.kernels.step),
             sums=self._sums(values),
         )
         motion, slopes = ({name: run[k] for name, run in runs.items()} for k in (0, 1))
@@ -426,24 +427,17 @@ class Dataset:
                 weights[channel.joint - 1] = channel.signal_weights(values)
         return sums
 
-    def low_pass(self) -> LowPass:
-        """Low-pass taps of each quantity that the core records with derivatives."""
-        taps = {c.summed_quantity: self.kernels.taps(slope=c.reads_angle) for c in self.channels}
-        return LowPass(taps, self.kernels.step)
-
     def filtered_channels(
-        self, runs: Mapping[Quantity, FloatArray], values: Mapping[Key, float] | None = None
+        self, runs: Mapping[Quantity, FloatArray], values: Mapping[Key, float]
     ) -> FloatArray:
         """Rows (n_rows, n_channels, ...) from samples (n_samples, n_joints, ...) of each quantity.
 
         `values` must contain the mountings of sensors of unknown mounting.
         """
-        known_values = values or {}
-        if not self._has_resonant_mount(known_values):
-            return self._stack_channels(self._rows(runs), known_values)
+        if not self._has_resonant_mount(values):
+            return self._stack_channels(self._rows(runs), values)
         readings = [
-            self._filter_by_mount(c, c.reading(runs, known_values), known_values)
-            for c in self.channels
+            self._filter_by_mount(c, c.reading(runs, values), values) for c in self.channels
         ]
         pairs = zip(readings, self.channels, strict=True)
         return np.stack([self.kernels.rows(x, slope=c.reads_angle) for x, c in pairs], axis=1)

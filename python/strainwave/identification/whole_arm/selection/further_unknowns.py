@@ -27,7 +27,7 @@ from strainwave.identification.whole_arm.problem.objective import (
     ROUGH_INITIAL_STATE_TOLERANCE,
     Objective,
 )
-from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Prior
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
 from strainwave.identification.whole_arm.problem.starting_values import (
     SETTLING_START,
     add_settling_unknowns,
@@ -81,11 +81,11 @@ def _prior_relief(fit: Fit, space: ParameterSpace) -> float:
     """Cost reduction due to the lower trust in the rigid step that the effects require."""
     parameters = fit.space.parameters(fit.z)
 
-    def cost(prior: Prior) -> float:
-        residual = prior.rows[:, : len(parameters)] @ parameters - prior.target
-        return float(np.sum(residual**2))
-
-    return cost(fit.space.prior) - cost(space.prior)
+    before, after = (
+        float(np.sum((prior.rows[:, : len(parameters)] @ parameters - prior.target) ** 2))
+        for prior in (fit.space.prior, space.prior)
+    )
+    return before - after
 
 
 def _without_insignificant_effects(fit: Fit, selection: Selection) -> Fit | None:

@@ -172,13 +172,16 @@ def _select(joint: int, rivals: Mapping[str, Fit]) -> LawChoice:
     chosen = simplest_model([rivals[name] for name in names])
     scores = held_out_scores([rivals[name] for name in names])
 
-    def margin(k: int, other: int) -> LawMargin:
-        difference = float(np.sum(scores[k] - scores[other]))
-        weight = weight_over(scores[k], scores[other], np.random.default_rng(0))
-        return LawMargin(names[other], difference, weight)
-
-    others = (k for k in range(len(names)) if k != chosen)
-    return LawChoice(joint, names[chosen], tuple(margin(chosen, k) for k in others))
+    margins = [
+        LawMargin(
+            names[k],
+            float(np.sum(scores[chosen] - scores[k])),
+            weight_over(scores[chosen], scores[k], np.random.default_rng(0)),
+        )
+        for k in range(len(names))
+        if k != chosen
+    ]
+    return LawChoice(joint, names[chosen], tuple(margins))
 
 
 def equivalent_stiffnesses(
