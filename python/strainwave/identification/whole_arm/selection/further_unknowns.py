@@ -119,7 +119,7 @@ def add_settling_times(fit: Fit, selection: Selection) -> Fit:
 
 
 def _without_insignificant_settling_times(fit: Fit, selection: Selection) -> Fit | None:
-    """The friction of joints with an insignificant settling time acts instantly."""
+    """The fit without settling times that are not significant: friction acts instantly."""
     if selection.options.settling or all(name != SETTLING for name, _ in fit.space.keys):
         return None
     values = fit.values
@@ -191,7 +191,7 @@ def _estimate_initial_motion(
 
 
 def _with_extended_ranges(fit: Fit, selection: Selection) -> Fit | None:
-    """Frictions and dampings at the end of their range are centred in a new one."""
+    """The fit with frictions and dampings at the end of their range centred in a new one."""
     bounded = [
         k
         for k, (unknown, at) in enumerate(zip(fit.space.unknowns, fit.at_bounds, strict=True))

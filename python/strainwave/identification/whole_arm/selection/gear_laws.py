@@ -135,7 +135,12 @@ class _LawTrials:
 
     def _fit(self, start: Fit, joints: Sequence[int], law: str, max_evaluations: int | None) -> Fit:
         arm, options = self._arm(joints, law), self.selection.options
-        values = self.linear.values | start.values | self._secants(start, joints)
+        values = self.linear.values | start.values
+        for joint in joints:  # the stiffness of the line through a torque of the curve
+            current = self.selection.arm.joints[joint - 1].law
+            torque = _REFERENCE_LOAD * self.largest_torque[[joint - 1]]
+            torsion = current.torsion(current.of_joint(values, joint), torque)
+            values[STIFFNESS, joint] = float((torque / torsion)[0])
         space, z = replace_stiffness(self.linear.space, arm, values, self.largest_torque.tolist())
         known = set(self.linear.space.keys)
         unknowns = tuple(
@@ -154,16 +159,6 @@ class _LawTrials:
         self.iterations = fit.iterations
         self.selection.allow(self.iterations + self.selection.budget)
         return fit
-
-    def _secants(self, fit: Fit, joints: Sequence[int]) -> Values:
-        """Stiffness of the line through a torque of the curve of each joint."""
-        values, secants = fit.values, Values()
-        for joint in joints:
-            law = self.selection.arm.joints[joint - 1].law
-            torque = _REFERENCE_LOAD * self.largest_torque[[joint - 1]]
-            torsion = law.torsion(law.of_joint(values, joint), torque)
-            secants[STIFFNESS, joint] = float((torque / torsion)[0])
-        return secants
 
 
 def _select(joint: int, rivals: Mapping[str, Fit]) -> LawChoice:

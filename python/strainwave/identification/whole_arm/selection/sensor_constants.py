@@ -104,7 +104,7 @@ def _unknown_of(key: Key, starts: Values) -> Unknown:
 
 
 def _with_bandwidths(fit: Fit, selection: Selection) -> Fit | None:
-    """Delayed sensors whose bandwidth the study does not give get one.
+    """The fit with bandwidths of delayed sensors for which the study gives none.
 
     The starting values attribute half of each delay to the low-pass.
     """
@@ -137,7 +137,7 @@ def _delayed_sensors(fit: Fit) -> Iterator[tuple[Key, Key]]:
 def _with_significant_constants(
     fit: Fit, selection: Selection, min_cost_share: float = 0.0
 ) -> Fit | None:
-    """Constants that reduce the cost significantly, and by a share of it, start where they do."""
+    """The fit with the constants that reduce the cost significantly, and by a share of it."""
     estimates = _significant_constants(fit, selection.options, min_cost_share * fit.cost)
     estimates |= _significant_drifts(fit, selection.options)
     space = update_prior_trust(add_sensor_constants(fit.space, list(estimates)), selection.arm)
@@ -153,7 +153,7 @@ add_fine_sensor_constants = Candidate(_with_significant_constants, refine, is_re
 
 
 def _without_least_significant(fit: Fit, selection: Selection) -> Fit | None:
-    """The least significant sensor constant has its nominal value; none if all are significant.
+    """The fit without its least significant sensor constant; None if all are significant.
 
     A constant at a bound of its range stays, because its standard deviation is invalid there. A
     bandwidth is tested in any case.
