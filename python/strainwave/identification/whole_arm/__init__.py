@@ -34,7 +34,8 @@ from strainwave.identification.whole_arm.search import (
     report_progress,
 )
 from strainwave.identification.whole_arm.selection import (
-    further_unknowns,
+    candidate,
+    causes,
     gear_laws,
     mountings,
     sensor_constants,
@@ -54,28 +55,28 @@ __all__ = [
 ]
 
 _COARSE: tuple[Callable[[Fit, Selection], Fit], ...] = (
-    further_unknowns.add_significant_initial_motion,
+    candidate.add_significant_initial_motion,
     mountings.improve_mountings,
     gear_laws.select_gear_laws,
     gear_laws.restart_coarse_fit,
     sensor_constants.add_coarse_sensor_constants,
     sensor_constants.add_coarse_bandwidths,
-    further_unknowns.add_settling_times,
-    further_unknowns.add_named_effects,
+    candidate.add_settling_times,
+    causes.add_named_effects,
 )
 """Candidates of a coarse fit, in the order of their trials. They only add parameters."""
 
 _FINE: tuple[Callable[[Fit, Selection], Fit], ...] = (
-    further_unknowns.extend_ranges,
+    candidate.extend_ranges,
     gear_laws.restart_fine_fit,
     gear_laws.remove_insignificant_stiffness_terms,
-    further_unknowns.remove_insignificant_effects,
+    causes.remove_insignificant_effects,
     sensor_constants.add_fine_sensor_constants,
     sensor_constants.add_fine_bandwidths,
     mountings.add_mount_resonances,
     mountings.add_significant_tilts,
     sensor_constants.remove_insignificant_sensor_constants,
-    further_unknowns.remove_insignificant_settling_times,
+    candidate.remove_insignificant_settling_times,
     gear_laws.straighten_curves,
 )
 """Candidates of the fine fit, which also remove parameters that are not significant."""
@@ -188,8 +189,8 @@ def _fit(start: Start, selection: Selection) -> Fit:
 def _search(start: Start, selection: Selection) -> Fit:
     """Fit in long steps to near the minimum, then in short steps, with the selected model."""
     coarse = coarse_search(start.coarse, selection.options)
-    for candidate in _COARSE:
-        coarse = candidate(coarse, selection)
+    for add in _COARSE:
+        coarse = add(coarse, selection)
     records = [
         replace(record, begins_in_motion=long_steps.begins_in_motion)
         for record, long_steps in zip(start.records, coarse.objective.records, strict=True)
@@ -200,6 +201,6 @@ def _search(start: Start, selection: Selection) -> Fit:
     fine = fine_search(replace(coarse, objective=objective), selection.options)
     if fine.end.is_minimum:  # the model selection has its own budget of evaluations
         selection.renew(fine)
-    for candidate in _FINE:
-        fine = candidate(fine, selection)
+    for revise in _FINE:
+        fine = revise(fine, selection)
     return polish(fine, selection.options)

@@ -1,4 +1,6 @@
-"""Effects that the model lacks: included if they predict held-out stretches better.
+"""Effects: those that the study names, and those that predict held-out stretches better.
+
+A coarse fit near its minimum gets the named effects, and the fine fit drops insignificant ones.
 
 A score test is one linear step. Effects with similar score tests are told apart by fits, which use
 the shapes and limits of their laws, and by the held-out scores of these fits. The models that
@@ -42,9 +44,11 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     add_effects,
     insignificant_effects,
     named_effects,
+    remove_effects,
     whole_inertia_of,
     with_effects,
 )
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
 from strainwave.identification.whole_arm.problem.starting_values import (
     Loads,
     gear_torques,
@@ -53,11 +57,13 @@ from strainwave.identification.whole_arm.problem.starting_values import (
 )
 from strainwave.identification.whole_arm.search import Fit, fine_search, polish, search_minimum
 from strainwave.identification.whole_arm.selection.candidate import (
+    Candidate,
     Selection,
+    extend_ranges,
     held_out_scores,
+    select_better,
     simplest_model,
 )
-from strainwave.identification.whole_arm.selection.further_unknowns import extend_ranges
 from strainwave.identification.whole_arm.selection.sensor_constants import (
     add_fine_sensor_constants,
     remove_insignificant_sensor_constants,
@@ -65,6 +71,7 @@ from strainwave.identification.whole_arm.selection.sensor_constants import (
 from strainwave.numerics.held_out import MIN_WEIGHT, model_weights, weight_over
 from strainwave.signals.motor import activity_of
 
+MAX_NAMED_EVALUATIONS = 30  # of the trial with named effects, which have several parameters each
 MAX_RIVAL_EFFECTS = 3  # fitted effects of largest predicted gain
 MAX_OTHER_EFFECTS = 4  # fitted effects of the same joint if the rivals explain too little
 MAX_LINEARISED_EFFECTS = 6  # further effects, one step from the fit
@@ -79,6 +86,50 @@ MIN_ACHIEVED_GAIN_SHARE = 0.5  # share of the linear gain below which a second s
 LARGE_PART = 1.0 / 3.0  # of a link's inertia, of a vibrating part of it
 MIN_REMAINING_COMPLIANCE = 0.3  # share of the gear; a slower part moves with its own spring only
 MAX_INCLUDED_EFFECTS = 4  # that the data select
+
+
+def add_named_effects(fit: Fit, selection: Selection) -> Fit:
+    """The coarse fit with the effects that the study names, unless they gain too little."""
+    arm = selection.arm
+    if not named_effects(arm):
+        return fit
+    # as many as the fit without them
+    selection.allow(selection.options.max_iterations + selection.budget)
+    values = fit.values
+    loads = loads_of(fit.objective.records, values)
+    space, start = add_effects(fit.space, named_effects(arm), arm, values, loads, fit.records)
+    extended = search_minimum(
+        fit.restart(with_effects(fit.objective, space, arm), start),
+        selection.options,
+        max_evaluations=MAX_NAMED_EVALUATIONS,
+    )
+    return select_better(replace(fit, cost=fit.cost - _prior_relief(fit, space)), extended)
+
+
+def _prior_relief(fit: Fit, space: ParameterSpace) -> float:
+    """Cost reduction due to the lower trust in the rigid step that the effects require."""
+    parameters = fit.space.parameters(fit.z)
+
+    before, after = (
+        float(np.sum((prior.rows[:, : len(parameters)] @ parameters - prior.target) ** 2))
+        for prior in (fit.space.prior, space.prior)
+    )
+    return before - after
+
+
+def _without_insignificant_effects(fit: Fit, selection: Selection) -> Fit | None:
+    arm = selection.arm
+    if not named_effects(arm):
+        return None
+    effects = set(insignificant_effects(fit.space, fit.z, confidence_of(fit).cautious))
+    space = remove_effects(fit.space, effects, arm)
+    objective = with_effects(fit.objective, space, arm)
+    return fit.restart(objective, space.coordinates(fit.values)) if effects else None
+
+
+remove_insignificant_effects = Candidate(
+    _without_insignificant_effects, fine_search, is_addition=False, is_repeated=True
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,13 +333,12 @@ def _rivals_of(
         rivals += [rival for rival in attempts if rival is not None][:1]
     if not rivals:
         return []
-    scores = held_out_scores([fit, *(rival.fit for rival in rivals)])
-    weights = [
-        weight_over(scores[k], scores[0], np.random.default_rng(0)) for k in range(1, len(scores))
-    ]
-    totals = scores.sum(axis=1)[1:].tolist()
-    order = sorted(range(len(rivals)), key=lambda k: -totals[k])
-    return [replace(rivals[k], cause=replace(rivals[k].cause, weight=weights[k])) for k in order]
+    without, *scores = held_out_scores([fit, *(rival.fit for rival in rivals)])
+    weighted = []
+    for own, rival in sorted(zip(scores, rivals, strict=True), key=lambda pair: -np.sum(pair[0])):
+        weight = weight_over(own, without, np.random.default_rng(0))
+        weighted.append(replace(rival, cause=replace(rival.cause, weight=weight)))
+    return weighted
 
 
 def _fit_rivals(
