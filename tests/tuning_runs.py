@@ -32,8 +32,7 @@ from strainwave.identification.whole_arm.problem.parameter_space import (
     Prior,
     Unknown,
 )
-from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.identification.whole_arm.records.low_pass import Kernels
+from strainwave.identification.whole_arm.records.dataset import Dataset, Kernels
 from strainwave.io.logs import read_log
 from strainwave.io.study import read_study
 from strainwave.signals.recorded_input import recorded_drive

@@ -43,7 +43,10 @@ from strainwave.identification.whole_arm.records.preparation import (
 )
 from strainwave.identification.whole_arm.search import Fit, search_minimum
 from strainwave.identification.whole_arm.selection.mountings import select_mountings
-from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
+from strainwave.identification.whole_arm.selection.sensor_constants import (
+    add_sensor_constants,
+    constants_of,
+)
 from strainwave.numerics.coordinate_search import Choice, CoordinateSearch
 from strainwave.signals.mounting_start import estimate_mounting_starts
 from strainwave.signals.recorded_input import missing_recorded_input
@@ -102,7 +105,7 @@ def prepare_start(
     )
     if len(candidates) > 1:  # the best candidate determines the band
         short, long = _records(used, best, arm, options)
-    measured = {key for record in short for key in record.sensor_constants()}
+    measured = {key for record in short for key in constants_of(record)}
     space = add_sensor_constants(space_at(best), [key for key in starts if key in measured])
     coarse, initial = _start_search(space, long, end_values, starts, options)
     if placed:

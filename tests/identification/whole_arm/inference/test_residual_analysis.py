@@ -19,7 +19,7 @@ from strainwave.identification.whole_arm.inference.fit_tests import (
 )
 from strainwave.identification.whole_arm.inference.score_tests import least_squares
 from strainwave.identification.whole_arm.problem.effect_unknowns import sizes_of
-from strainwave.identification.whole_arm.records.low_pass import low_pass_kernels
+from strainwave.identification.whole_arm.records.dataset import low_pass_kernels
 from strainwave.numerics.spectra import correlate_residuals
 
 T = 1e-3

@@ -24,7 +24,7 @@ from strainwave.domain.arm.link_sensors.imu import (
     ImuAccelerometers,
 )
 from strainwave.domain.arm.link_sensors.single_axis import ACCELEROMETER_DISTANCE, Accelerometer
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import Key, Values
 from strainwave.domain.results.distributions import chi_square_limit
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import MountResonance
@@ -32,6 +32,7 @@ from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.inference.fit_tests import channels_above_noise
 from strainwave.identification.whole_arm.problem.parameter_space import is_held
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
+from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.search import (
     COARSE_TOLERANCE,
     Fit,
@@ -191,11 +192,30 @@ def _simulated_mountings(
     fit: Fit, axes: Sequence[SensorAxis], *, flat: bool = False
 ) -> list[dict[Key, float]]:
     """Mountings by least squares on the simulated link motion of all records."""
-    per_record = [record.tables(fit.values, axes) for record in fit.objective.records]
+    per_record = [_tables(record, fit.values, axes) for record in fit.objective.records]
     tables = [np.concatenate(parts) for parts in zip(*per_record, strict=True)]
     if isinstance(axes[0].sensor, Accelerometer):
         return [{(ACCELEROMETER_DISTANCE, axes[0].joint): distance_of(axes[0], tables[0])}]
     return imu_candidates(axes, tables, flat=flat)[:_MAX_STARTS]
+
+
+def _tables(record: Dataset, values: Values, axes: Sequence[SensorAxis]) -> list[FloatArray]:
+    """For each axis, the simulated quantities that it combines and, last, its reading.
+
+    Each table (n_rows, n_quantities + 1) has zero column means. The simulation starts from the
+    initial states of `start`. The table of an axis that the record lacks has no rows.
+    """
+    rows = record._rows(record.run(values, record.start(), record.quantities()))
+    at = {channel: k for k, channel in enumerate(record.channels)}
+    tables = []
+    for axis in axes:
+        parts = [rows[name][:, axis.joint - 1] for name in axis.quantities if name in rows]
+        table = np.zeros((0, len(axis.quantities) + 1))
+        if axis in at:
+            table = np.column_stack([*parts, record.measured[:, at[axis]]])
+            table = table - table.mean(axis=0)
+        tables.append(table)
+    return tables
 
 
 def _simulated_attitudes(
@@ -256,7 +276,7 @@ def _significant_mounts(fit: Fit, selection: Selection) -> Mounts:
     objective, values = fit.objective.lengthen_steps(fit.z), fit.values
 
     def columns(k: int, _: Evaluation) -> FloatArray:
-        return objective.records[k].mount_tangent(values, objective.initial_states(k), tested)
+        return mount_changes(objective.records[k], values, objective.initial_states(k), tested)
 
     projected, target = objective.project_columns(fit.z, n, columns)
     square = np.sum(projected**2, axis=0)
@@ -271,6 +291,32 @@ def _significant_mounts(fit: Fit, selection: Selection) -> Mounts:
             significant.append((ranked[0][0], names, [mount for _, mount in ranked[:_MAX_STARTS]]))
     significant.sort(key=lambda one: -one[0])
     return {names: mounts for _, names, mounts in significant}
+
+
+def mount_changes(
+    record: Dataset,
+    values: Mapping[Key, float],
+    initial: FloatArray,
+    mounts: Mapping[Names, Sequence[MountResonance]],
+) -> FloatArray:
+    """Change of the channels by candidate mount resonances, one at a time.
+
+    `initial` (n_initial,) are the initial states. `mounts` maps the frequency and damping keys
+    of a sensor's mount to candidates. Returns (n_rows, n_channels, n_mounts) in the order of
+    the mapping.
+    """
+    runs, scales = record.run(values, initial, record.quantities()), record.sensor_scales(values)
+    tested = [(names, mount) for names, candidates in mounts.items() for mount in candidates]
+    changes = np.zeros((len(record.time), len(record.channels), len(tested)))
+    for k, channel in enumerate(record.channels):
+        reading = channel.reading(runs, values)
+        for at, (names, mount) in enumerate(tested):
+            if names == channel.mount:
+                change = mount.read(reading, record.log.sample_time) - reading
+                changes[:, k, at] = scales[k] * record.kernels.rows(
+                    change, slope=channel.reads_angle
+                )
+    return changes
 
 
 def _mounts_to_test(fit: Fit, selection: Selection) -> Mounts:

@@ -15,7 +15,13 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Parameter, Place, WholeArmOptions
-from strainwave.domain.arm.link_sensors import ConstantKind, constant_of, is_kind, nominal
+from strainwave.domain.arm.link_sensors import (
+    ConstantKind,
+    SensorGroup,
+    constant_of,
+    is_kind,
+    nominal,
+)
 from strainwave.domain.arm.link_sensors.imu import (
     IMU_DISTANCE,
     IMU_ROTATION,
@@ -35,9 +41,11 @@ from strainwave.identification.whole_arm.problem.parameter_space import (
     is_held,
 )
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
+from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.search import Fit, refine, resumed_coarse_search
 from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection
 from strainwave.numerics.spectra import estimate_rows_per_error
+from strainwave.signals.prepared_record import prepare_record
 
 # standard deviations from which a constant joins: no false alarm in 8 candidates
 _MIN_SIGNIFICANCE = 4.0
@@ -72,6 +80,25 @@ _MIN_REPORTED_DELAY = 1e-4  # [s] minimum delay of a warning: half a sample of a
 _MIN_REPORTED_HOLD = 0.5  # of a warning: nearer to a command than to a smooth torque
 # minimum scale error of a warning: typical tolerance of a data sheet
 _MIN_REPORTED_SCALE_ERROR = 0.01
+
+
+def constants_of(record: Dataset) -> list[Key]:
+    """Constants of the sensors of a record: delays, scale factors, tilts and drifts."""
+    kinds = (ConstantKind.DELAY, ConstantKind.SCALE)
+    inputs = prepare_record(record.log, record.arm).driving_inputs
+    constants: dict[Key | None, None] = {}
+    for axis in record.channels:
+        if axis.sensor.group is SensorGroup.MOTOR and inputs[axis.joint - 1].is_voltage:
+            continue
+        axes = [one for one in record.channels if one.joint == axis.joint]
+        is_separate = axis.sensor.is_scale_identifiable(axis, axes)
+        constants |= dict.fromkeys(axis.key(kind) for kind in kinds[: 1 + is_separate])
+        if axis.sensor.group is SensorGroup.MOTOR and record.hold_change[:, axis.joint - 1].any():
+            constants[axis.key(ConstantKind.HOLD)] = None
+        if axis.is_mounted:
+            constants[axis.key(ConstantKind.TILT)] = None
+    drifts = (axis.key(ConstantKind.DRIFT, record.log.name) for axis in record.channels)
+    return [key for key in (*constants, *drifts) if key is not None]
 
 
 def add_sensor_constants(
@@ -220,7 +247,7 @@ def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) 
     included = set(fit.space.keys)
     candidates = [
         key
-        for key in dict.fromkeys(k for r in fit.objective.records for k in r.sensor_constants())
+        for key in dict.fromkeys(k for r in fit.objective.records for k in constants_of(r))
         if key not in included and not is_held(key, options)
         if not is_kind(key, ConstantKind.DRIFT)
         if not _is_collinear_with_tilt(key, fit)
