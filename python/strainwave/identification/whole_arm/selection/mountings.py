@@ -205,7 +205,7 @@ def _tables(record: Dataset, values: Values, axes: Sequence[SensorAxis]) -> list
     Each table (n_rows, n_quantities + 1) has zero column means. The simulation starts from the
     initial states of `start`. The table of an axis that the record lacks has no rows.
     """
-    rows = record._rows(record.run(values, record.start(), record.quantities()))
+    rows = record.rows(record.run(values, record.start(), record.quantities()))
     at = {channel: k for k, channel in enumerate(record.channels)}
     tables = []
     for axis in axes:
