@@ -1,7 +1,6 @@
 """Effects: those that the study names, and those that predict held-out stretches better.
 
 A coarse fit near its minimum gets the named effects, and the fine fit drops insignificant ones.
-
 A score test is one linear step. Effects with similar score tests are told apart by fits, which use
 the shapes and limits of their laws, and by the held-out scores of these fits. The models that
 predict about as well as the one that is handed over remain plausible, and enter its intervals.
