@@ -32,8 +32,7 @@ from strainwave.identification.whole_arm.problem.parameter_space import (
     Prior,
     Unknown,
 )
-from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.identification.whole_arm.records.low_pass import Kernels
+from strainwave.identification.whole_arm.records.dataset import Dataset, Kernels
 from strainwave.io.logs import read_log
 from strainwave.io.study import read_study
 from strainwave.signals.recorded_input import recorded_drive
@@ -226,7 +225,7 @@ def simulated(
     record: Dataset, values: Mapping[tuple[str, int | None], float], local: FloatArray
 ) -> FloatArray:
     """Channels of a record simulated without derivatives: (n_rows, n_channels)."""
-    return record.filtered_channels(record.run(values, local, record.quantities()))
+    return record.filtered_channels(record.run(values, local, record.quantities()), values)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from strainwave.domain.arm.link_sensors.link_space import (
 )
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm.records.low_pass import low_pass_kernels
+from strainwave.identification.whole_arm.records.dataset import low_pass_kernels
 from strainwave.virtual import scara
 
 RIG = Arm.of(scara.STIFF.study(Path()).arm)

@@ -24,7 +24,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.identification.whole_arm.inference import score_tests
-from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search import Fit
 from strainwave.identification.whole_arm.selection.candidate import Selection
 from strainwave.identification.whole_arm.selection.gear_laws import equivalent_stiffnesses
 from strainwave.virtual import scara

@@ -26,8 +26,8 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     sizes_of,
 )
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Prior
+from strainwave.identification.whole_arm.problem.starting_values import Loads
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.identification.whole_arm.records.loads import Loads
 from strainwave.identification.whole_arm.records.preparation import dataset_of
 from strainwave.virtual.experiments import Simulator
 from tuning_runs import shaken_study, simulated_logs, truth

@@ -27,10 +27,9 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import validation
-from strainwave.identification.whole_arm import WholeArmOptions, fit_whole_arm
+from strainwave.identification.whole_arm import WholeArmOptions, fit_whole_arm, search
 from strainwave.identification.whole_arm.problem import starting_values
-from strainwave.identification.whole_arm.search import solver
-from strainwave.numerics import search
+from strainwave.numerics import search as numerical_search
 from strainwave.numerics.search import Minimum
 from strainwave.virtual.experiments import derived
 from tuning_runs import (
@@ -430,10 +429,10 @@ def test_the_result_states_why_its_last_search_ended(
     monkeypatch: pytest.MonkeyPatch, end: SearchEnd, status: str, warned: set[str]
 ) -> None:
     def ended(*args: Any, **options: Any) -> Minimum | None:
-        minimum = search.minimise(*args, **options)
+        minimum = numerical_search.minimise(*args, **options)
         return minimum and replace(minimum, end=end)
 
-    monkeypatch.setattr(solver, "minimise", ended)
+    monkeypatch.setattr(search, "minimise", ended)
     model = whole_arm()
     assert (model.end, model.status) == (end, status)
     codes = {warning.code for warning in model.warnings}

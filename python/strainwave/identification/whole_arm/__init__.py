@@ -6,11 +6,11 @@ results of the earlier stages.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 
 from strainwave.domain import ArmModel, JointModel, Log, RigidModel, WholeArmOptions
+from strainwave.domain.arm.parameter_table import COULOMB, OFFSET
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
@@ -21,28 +21,26 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     set_record_effects,
     with_effects,
 )
-from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.published import (
-    expand_published_options,
-    published_search,
-)
-from strainwave.identification.whole_arm.search.solver import (
+from strainwave.identification.whole_arm.search import (
+    Fit,
     Progress,
     are_exceptions,
     coarse_search,
     find_undescribed,
     fine_search,
     polish,
+    published_search,
     refine,
     report_progress,
 )
 from strainwave.identification.whole_arm.selection import (
-    further_unknowns,
+    candidate,
+    causes,
     gear_laws,
     mountings,
     sensor_constants,
 )
-from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection
+from strainwave.identification.whole_arm.selection.candidate import Selection
 from strainwave.identification.whole_arm.selection.causes import ModelComparison, include_effects
 from strainwave.identification.whole_arm.start import Start, prepare_start
 from strainwave.numerics.parallel import one_blas_thread
@@ -56,29 +54,29 @@ __all__ = [
     "predicted_parameters",
 ]
 
-_COARSE: tuple[Candidate, ...] = (
-    further_unknowns.add_significant_initial_motion,
+_COARSE: tuple[Callable[[Fit, Selection], Fit], ...] = (
+    candidate.add_significant_initial_motion,
     mountings.improve_mountings,
     gear_laws.select_gear_laws,
     gear_laws.restart_coarse_fit,
-    partial(sensor_constants.add_significant_sensor_constants, coarse=True),
-    partial(sensor_constants.add_sensor_bandwidths, coarse=True),
-    further_unknowns.add_settling_times,
-    further_unknowns.add_named_effects,
+    sensor_constants.add_coarse_sensor_constants,
+    sensor_constants.add_coarse_bandwidths,
+    candidate.add_settling_times,
+    causes.add_named_effects,
 )
 """Candidates of a coarse fit, in the order of their trials. They only add parameters."""
 
-_FINE: tuple[Candidate, ...] = (
-    further_unknowns.extend_ranges,
+_FINE: tuple[Callable[[Fit, Selection], Fit], ...] = (
+    candidate.extend_ranges,
     gear_laws.restart_fine_fit,
     gear_laws.remove_insignificant_stiffness_terms,
-    further_unknowns.remove_insignificant_effects,
-    partial(sensor_constants.add_significant_sensor_constants, coarse=False),
-    partial(sensor_constants.add_sensor_bandwidths, coarse=False),
+    causes.remove_insignificant_effects,
+    sensor_constants.add_fine_sensor_constants,
+    sensor_constants.add_fine_bandwidths,
     mountings.add_mount_resonances,
     mountings.add_significant_tilts,
     sensor_constants.remove_insignificant_sensor_constants,
-    further_unknowns.remove_insignificant_settling_times,
+    candidate.remove_insignificant_settling_times,
     gear_laws.straighten_curves,
 )
 """Candidates of the fine fit, which also remove parameters that are not significant."""
@@ -116,7 +114,7 @@ def fit_whole_arm(
     "at-bounds". Raises `NotIdentifiable` without a usable record or start, and `InvalidInput` if a
     record lacks what its simulation needs.
     """
-    chosen = expand_published_options(options or WholeArmOptions())
+    chosen = _expand_published_options(options or WholeArmOptions())
     with one_blas_thread(), report_progress(progress):  # thousands of small factorisations
         prepared = prepare_start(logs, model, (joints, *others), arm, chosen, start)
         selection = Selection(arm, chosen)
@@ -138,10 +136,22 @@ def fit_records(
     start: Mapping[Key, float] | None = None,
 ) -> Fit:
     """Fit as `fit_whole_arm` does, and return the fit itself with its residuals."""
-    chosen = expand_published_options(options or WholeArmOptions())
+    chosen = _expand_published_options(options or WholeArmOptions())
     with one_blas_thread():
         prepared = prepare_start(logs, model, (joints,), arm, chosen, start)
         return _fit(prepared, Selection(arm, chosen))
+
+
+def _expand_published_options(options: WholeArmOptions) -> WholeArmOptions:
+    """Expand the option `as_published` into the options that it implies."""
+    if not options.as_published:
+        return options
+    return replace(
+        options,
+        closed_loop=True,
+        settling=bool(options.settling),
+        hold=tuple(dict.fromkeys((*options.hold, COULOMB, OFFSET))),
+    )
 
 
 def _fit(start: Start, selection: Selection) -> Fit:
@@ -179,8 +189,8 @@ def _fit(start: Start, selection: Selection) -> Fit:
 def _search(start: Start, selection: Selection) -> Fit:
     """Fit in long steps to near the minimum, then in short steps, with the selected model."""
     coarse = coarse_search(start.coarse, selection.options)
-    for candidate in _COARSE:
-        coarse = candidate(coarse, selection)
+    for add in _COARSE:
+        coarse = add(coarse, selection)
     records = [
         replace(record, begins_in_motion=long_steps.begins_in_motion)
         for record, long_steps in zip(start.records, coarse.objective.records, strict=True)
@@ -191,6 +201,6 @@ def _search(start: Start, selection: Selection) -> Fit:
     fine = fine_search(replace(coarse, objective=objective), selection.options)
     if fine.end.is_minimum:  # the model selection has its own budget of evaluations
         selection.renew(fine)
-    for candidate in _FINE:
-        fine = candidate(fine, selection)
+    for revise in _FINE:
+        fine = revise(fine, selection)
     return polish(fine, selection.options)

@@ -15,11 +15,13 @@ from strainwave.domain import (
     Clause,
     Criticism,
     Diagnostic,
+    FloatArray,
     Parameter,
     ParameterShift,
     Place,
     Prediction,
     SearchEnd,
+    TorqueHistogram,
 )
 from strainwave.domain.arm.effects import effect_named
 from strainwave.domain.arm.gear_laws import gear_law
@@ -28,9 +30,11 @@ from strainwave.domain.arm.parameter_table import SETTLING, base_name
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import predict_closed_loop
-from strainwave.identification.whole_arm.inference.agreement import (
+from strainwave.identification.whole_arm.inference.fit_tests import (
     agreement_tests,
     disagreement,
+    residual_tests,
+    residual_warnings,
     stage_differences,
 )
 from strainwave.identification.whole_arm.inference.parameter_estimates import (
@@ -39,29 +43,25 @@ from strainwave.identification.whole_arm.inference.parameter_estimates import (
     warnings_of,
 )
 from strainwave.identification.whole_arm.inference.predicted_precision import sensor_gains
-from strainwave.identification.whole_arm.inference.residual_analysis import (
-    residual_tests,
-    residual_warnings,
-)
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     effects_among,
     warn_removed_effects,
 )
-from strainwave.identification.whole_arm.records.loads import (
+from strainwave.identification.whole_arm.problem.starting_values import (
     gear_torque_samples,
     gear_torques,
-    histograms_of,
     largest_of,
 )
-from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search import Fit
 from strainwave.identification.whole_arm.selection.candidate import Selection
-from strainwave.identification.whole_arm.selection.causes import ModelComparison, Rival
+from strainwave.identification.whole_arm.selection.causes import ModelComparison
 from strainwave.identification.whole_arm.selection.gear_laws import equivalent_stiffnesses
 from strainwave.identification.whole_arm.selection.sensor_constants import sensor_warnings
 from strainwave.identification.whole_arm.start import Start
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.recorded_input import missing_recorded_input
 
+HISTOGRAM_BINS = 60
 MIN_LISTED_WEIGHT = 0.05  # of a plausible effect
 MAX_NAMED_PARAMETERS = 3  # in a warning, of the effect and of the arm
 
@@ -119,6 +119,16 @@ def arm_model(
     )
 
 
+def histograms_of(gear_loads: Sequence[FloatArray]) -> tuple[TorqueHistogram, ...]:
+    """Share of samples by torque of each gear, over all records."""
+    together = np.concatenate(gear_loads)
+    histograms = []
+    for joint, torque in enumerate(together.T, start=1):
+        count, edges = np.histogram(torque, bins=HISTOGRAM_BINS, range=(0.0, float(torque.max())))
+        histograms.append(TorqueHistogram(joint, edges, count / len(torque)))
+    return tuple(histograms)
+
+
 def has_likelier_effect(model: ArmModel, arm: Arm) -> bool:
     """Whether the fit includes an effect that is not a wrong torque constant.
 
@@ -141,28 +151,19 @@ def _predict(values: Values, start: Start, arm: Arm) -> tuple[Prediction, ...]:
 def list_causes(comparison: ModelComparison, parameters: Sequence[Parameter]) -> Iterator[Cause]:
     """The included effects with their `parameters` of the result, then the plausible ones."""
     for rival in comparison.included:
-        yield _cause(rival, parameters, is_included=True)
+        yield replace(_with_parameters(rival.cause, parameters), is_included=True)
     for rival in comparison.rivals:
-        if rival.weight > MIN_LISTED_WEIGHT:
+        if rival.cause.weight > MIN_LISTED_WEIGHT:
             largest = gear_torques(rival.fit.objective.records, rival.fit.values).tolist()
-            yield _cause(rival, parameters_of(rival.fit, rival.arm, largest)[0], is_included=False)
+            estimates = parameters_of(rival.fit, rival.arm, largest)[0]
+            yield _with_parameters(rival.cause, estimates)
 
 
-def _cause(rival: Rival, parameters: Sequence[Parameter], *, is_included: bool) -> Cause:
-    joint, name = rival.named_effect
-    law = effect_named(name).fitted_law
-    names = gear_law(law).names if law else effect_named(name).names
-    return Cause(
-        joint,
-        name,
-        tuple(p for p in parameters if p.joint == joint and base_name(p.name) in names),
-        rival.gain,
-        rival.share,
-        rival.shifts,
-        rival.weight,
-        is_included,
-        rival.is_linearised,
-    )
+def _with_parameters(cause: Cause, parameters: Sequence[Parameter]) -> Cause:
+    effect = effect_named(cause.effect)
+    names = gear_law(effect.fitted_law).names if effect.fitted_law else effect.names
+    own = (p for p in parameters if p.joint == cause.joint and base_name(p.name) in names)
+    return replace(cause, parameters=tuple(own))
 
 
 def effect_warnings(causes: Sequence[Cause], comparison: ModelComparison) -> Iterator[Diagnostic]:
@@ -208,7 +209,6 @@ def warn_likely_cause(causes: Sequence[Cause]) -> Iterator[Diagnostic]:
 
 
 def _sizes(parameters: Sequence[Parameter]) -> Iterator[Clause]:
-    """The parameters of an effect."""
     estimates = [p for p in parameters if p.value is not None and p.std is not None]
     for p in estimates[:MAX_NAMED_PARAMETERS]:
         template = "effect-size" if p.unit else "effect-size/no-unit"

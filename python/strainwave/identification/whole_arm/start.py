@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from strainwave.domain import Diagnostic, FloatArray, JointModel, Log, RigidModel, WholeArmOptions
 from strainwave.domain.arm.combinations import value_of
 from strainwave.domain.arm.effects import effect_named
-from strainwave.domain.arm.gear_laws import STIFFNESS, is_slope
+from strainwave.domain.arm.gear_laws import STIFFNESS, gear_parameters, is_slope
 from strainwave.domain.arm.link_sensors import constant_of
 from strainwave.domain.arm.link_sensors.imu import IMU_START_ATTITUDE
 from strainwave.domain.arm.link_sensors.single_axis import LinkEncoder
@@ -28,12 +28,12 @@ from strainwave.identification.whole_arm.problem.starting_values import (
     TYPICAL_ANTI_RESONANCE_HZ,
     StartingValues,
     add_stiffness_curves,
+    gear_torques,
     space_of,
     starting_values_of,
     warn_rejected_starts,
 )
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.identification.whole_arm.records.loads import gear_torques
 from strainwave.identification.whole_arm.records.preparation import (
     STEPS_PER_PERIOD,
     coarsen_steps,
@@ -41,15 +41,15 @@ from strainwave.identification.whole_arm.records.preparation import (
     dataset_of,
     select_usable_records,
 )
-from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.published import published_records
-from strainwave.identification.whole_arm.search.start_comparison import (
-    SelectedCandidate,
-    select_candidate,
-)
+from strainwave.identification.whole_arm.search import Fit, search_minimum
 from strainwave.identification.whole_arm.selection.mountings import select_mountings
-from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
+from strainwave.identification.whole_arm.selection.sensor_constants import (
+    add_sensor_constants,
+    constants_of,
+)
+from strainwave.numerics.search import Choice, CoordinateSearch
 from strainwave.signals.mounting_start import estimate_mounting_starts
+from strainwave.signals.recorded_input import missing_recorded_input
 
 # an unknown stiffness is searched in steps from a share of the joint stage's value, or of a typical
 # value if that is less
@@ -91,86 +91,89 @@ def prepare_start(
     if a record lacks data for its simulation.
     """
     used = _select_logs(logs, arm, options)
-    records = _records(used, [joint for joints in candidates for joint in joints], arm, options)
+    short, long = _records(used, [one for joints in candidates for one in joints], arm, options)
     placed = estimate_mounting_starts(logs, arm, used)
     starts = {**placed, **(given or {})}
 
-    def space_at(records: _Records, joints: Sequence[JointModel]) -> ParameterSpace:
+    def space_at(joints: Sequence[JointModel]) -> ParameterSpace:
         keys = [key for key in placed if key[0] not in IMU_START_ATTITUDE]
-        space = _space(records.short_steps, model, joints, arm, options)
+        space = _space(short, model, joints, arm, options)
         return add_sensor_constants(space, keys, starts)
 
-    best = select_candidate(
-        candidates,
-        lambda joints: Objective.of(space_at(records, joints), records.long_steps),
-        options,
+    best, end_values = select_candidate(
+        candidates, lambda joints: Objective.of(space_at(joints), long), options
     )
     if len(candidates) > 1:  # the best candidate determines the band
-        records = _records(used, best.joints, arm, options)
-    space = space_at(records, best.joints)
-    coarse, initial = _start_search(space, records, best, starts, options)
+        short, long = _records(used, best, arm, options)
+    measured = {key for record in short for key in constants_of(record)}
+    space = add_sensor_constants(space_at(best), [key for key in starts if key in measured])
+    coarse, initial = _start_search(space, long, end_values, starts, options)
     if placed:
         coarse = select_mountings(coarse, arm, options)
-    stages = starting_values_of(model, best.joints, arm)
+    stages = starting_values_of(model, best, arm)
     given_joints = {joint for name, joint in starts if is_slope(name)}
-    coarse = _scan_uncertain(coarse, stages, best.joints, given_joints)
-    if best.end_values is None or placed:
+    coarse = _scan_uncertain(coarse, stages, best, given_joints)
+    if end_values is None or placed:
         initial = coarse.z
-    rejected = tuple(warn_rejected_starts(stages, arm))
-    return Start(used, records.short_steps, coarse, initial, rejected)
+    return Start(used, short, coarse, initial, tuple(warn_rejected_starts(stages, arm)))
 
 
 def _select_logs(logs: Sequence[Log], arm: Arm, options: WholeArmOptions) -> list[Log]:
+    """The records of the fit; those of tuning as published are steps in closed loop.
+
+    Raises `NotIdentifiable` if there is none, or if a record of tuning as published lacks data for
+    a closed-loop simulation.
+    """
     used = select_usable_records(logs, arm)
+    needed = (
+        'the whole-arm fit needs records with use = "frequency", "sweep" or "tuning", with the'
+        " angle and the voltage of every motor"
+    )
     if options.as_published:
-        used = published_records(used, arm)
+        used = [log for log in used if log.experiment.use == "tuning" and not log.is_continuation]
+        needed = 'tuning as published needs records with use = "tuning": steps under servo'
     if not used:
-        raise NotIdentifiable(
-            'the whole-arm fit needs records with use = "frequency", "sweep" or "tuning", with the'
-            " angle and the voltage of every motor"
-        )
+        raise NotIdentifiable(needed)
+    for log in used if options.as_published else ():
+        missing = missing_recorded_input(arm, log)
+        if missing is not None:
+            raise NotIdentifiable(
+                f"tuning as published simulates {log.name} in closed loop, but {missing}: add the "
+                "missing data, or set tuning.as_published = false"
+            )
     return used
 
 
 def _start_search(
     space: ParameterSpace,
-    records: _Records,
-    best: SelectedCandidate,
+    records: Sequence[Dataset],
+    end_values: Values | None,
     given: Values,
     options: WholeArmOptions,
 ) -> tuple[Fit, FloatArray]:
     """The start of the search, and the coordinates of the values of the earlier stages.
 
-    Raises `NotIdentifiable` if the arm cannot be simulated there.
+    `end_values` are those of the comparison of starts. Raises `NotIdentifiable` if the arm cannot
+    be simulated there.
     """
-    measured = {key for record in records.short_steps for key in record.sensor_constants()}
-    space = add_sensor_constants(space, [key for key in given if key in measured])
     optional = {k: c for k in space.keys if (c := constant_of(k)) and c.is_optional}
     nominal_values = {key: constant.kind.nominal for key, constant in optional.items()}
     initial = start = space.coordinates(space.start_values | nominal_values | given)
-    if best.end_values is not None:
-        start = space.coordinates(space.values(start) | best.end_values | given)
+    if end_values is not None:
+        start = space.coordinates(space.values(start) | end_values | given)
     restricted = restrict_space(space, options, start)
     keys = set(restricted.keys)
     kept = [key in keys for key in space.keys]
-    fit = Fit.at(Objective.of(restricted, records.long_steps), start[kept])
+    fit = Fit.at(Objective.of(restricted, records), start[kept])
     if fit.objective.linearise(fit.z) is None:
         raise NotIdentifiable(_INFEASIBLE_START)
     return fit, initial[kept]
 
 
-@dataclass(frozen=True, slots=True)
-class _Records:
-    """The same records in short and in long integrator steps."""
-
-    short_steps: tuple[Dataset, ...]
-    long_steps: list[Dataset]
-
-
 def _records(
     used: Sequence[Log], joints: Sequence[JointModel], arm: Arm, options: WholeArmOptions
-) -> _Records:
-    """Prepare the records in the band of the joints' resonances."""
+) -> tuple[tuple[Dataset, ...], list[Dataset]]:
+    """The records in the band of the joints' resonances, in short and in long integrator steps."""
     resonances = [joint.resonance.frequency_hz for joint in joints if joint.resonance]
     cutoff = options.cutoff_hz or cutoff_of(used, arm, max(resonances, default=None))
     plain = keep_known_effects(arm, ())
@@ -178,7 +181,7 @@ def _records(
     for record in records:
         _check_link_encoders(record, arm)
     step = 1.0 / (STEPS_PER_PERIOD * cutoff)
-    return _Records(records, [coarsen_steps(record, step) for record in records])
+    return records, [coarsen_steps(record, step) for record in records]
 
 
 def _scan_uncertain(
@@ -282,3 +285,152 @@ def _space(
         except NumericalFailure as failure:
             raise NotIdentifiable(_INFEASIBLE_START) from failure
     return space
+
+
+MAX_SEARCHED_SETS = 4
+EVALUATIONS_PER_ROUND = 3  # of the search from each set
+MAX_ROUNDS = 11  # of these searches
+# to the least cost; a set of larger cost is dropped. Standing motors add their noise to all costs
+MAX_COST_RATIO = 1.5
+# to the least cost if it is that of the first set, the best by the motor responses: other sets of
+# larger cost are not searched
+MAX_INITIAL_COST_RATIO = 2.0
+LIMIT_SHARE = 1e-3  # of a range: distance within which a stiffness counts as at the limit
+_NO_START = "the arm cannot be simulated with any start values of the earlier stages"
+
+
+def select_candidate(
+    candidates: Sequence[Sequence[JointModel]],
+    objective_of: Callable[[Sequence[JointModel]], Objective],
+    options: WholeArmOptions,
+) -> tuple[Sequence[JointModel], Values | None]:
+    """The set of joints from which a short search reaches the lowest cost, with its end values.
+
+    A single set is not searched and has none. If a search drives a stiffness to the limit of its
+    range, the range is centred there.
+
+    `objective_of` returns the objective of a set of joints, whose start is at zero coordinates.
+    Raises `NotIdentifiable` if no arm near any set can be simulated.
+    """
+    if len(candidates) == 1:
+        return candidates[0], None
+    searches = _best_starts(candidates, objective_of)
+    for _ in range(MAX_ROUNDS):
+        continued = [_continue_search(search, objective_of, options) for search in searches]
+        searches = [search for search in continued if search is not None]
+        if not searches:
+            raise NotIdentifiable(
+                "the arm cannot be simulated near any start values of the earlier stages"
+            )
+        min_cost = min(search.fit.cost for search in searches)
+        searches = [s for s in searches if s.fit.cost <= MAX_COST_RATIO * min_cost]
+        if all(search.is_finished for search in searches):
+            break
+        if len(searches) == 1 and not searches[0].is_limited:
+            break
+    best = min(searches, key=lambda search: search.fit.cost)
+    return best.joints, best.fit.values
+
+
+@dataclass(frozen=True, slots=True)
+class _SearchState:
+    """A set of joints and the state of the search from it."""
+
+    joints: Sequence[JointModel]
+    fit: Fit
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether a stiffness is at the limit of its range; for a curve, all of its slopes."""
+        space, z = self.fit.space, self.fit.z
+        is_near = np.minimum(z - space.lower, space.upper - z) < LIMIT_SHARE * (
+            space.upper - space.lower
+        )
+        slopes_at_limit: dict[int | None, list[bool]] = {}
+        for (name, joint), is_at_limit in zip(space.keys, is_near, strict=True):
+            if is_slope(name):
+                slopes_at_limit.setdefault(joint, []).append(bool(is_at_limit))
+        return any(all(slopes) for slopes in slopes_at_limit.values())
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the search has converged inside its ranges."""
+        return self.fit.end.is_minimum and not self.is_limited
+
+
+def _best_starts(
+    candidates: Sequence[Sequence[JointModel]],
+    objective_of: Callable[[Sequence[JointModel]], Objective],
+) -> list[_SearchState]:
+    """The sets of lowest initial cost, the best first.
+
+    If the first set, the best by the motor responses, has the lowest cost by far, it is the only
+    one. Typical gears, which no record supports, are also combined: one joint, then two
+    neighbouring joints get the gears of other sets while the other joints keep theirs.
+    """
+    models = [
+        list({id(joint): joint for joint in joints}.values())
+        for joints in zip(*candidates, strict=True)
+    ]
+    searches: dict[Choice, _SearchState] = {}
+    failures: list[NotIdentifiable] = []
+
+    def cost_of(choice: Choice) -> float:
+        joints = [each[k] for each, k in zip(models, choice, strict=True)]
+        try:
+            objective = objective_of(joints)
+        except NotIdentifiable as failure:
+            failures.append(failure)
+            return np.inf
+        start = np.zeros(len(objective.space.unknowns))
+        cost = objective.cost(start)
+        if cost is None:
+            return np.inf
+        searches[choice] = _SearchState(joints, Fit(objective, start, cost, 0))
+        return cost
+
+    search = CoordinateSearch(lambda choices: map(cost_of, choices))
+    numbers = [{id(joint): k for k, joint in enumerate(each)} for each in models]
+    sets = [
+        tuple(number[id(joint)] for number, joint in zip(numbers, joints, strict=True))
+        for joints in candidates
+    ]
+    search.evaluate(sets)
+    if not any(joint.experiments for each in models for joint in each):
+        best = search.minimise(sets, [len(each) for each in models])
+        search.pairs(best, [range(len(each)) for each in models])
+    if not searches:
+        raise (failures or [NotIdentifiable(_NO_START)])[-1]
+    chosen = sorted(searches, key=search.costs.__getitem__)[:MAX_SEARCHED_SETS]
+    if chosen[0] == sets[0] and any(joint.experiments for joint in candidates[0]):
+        limit = MAX_INITIAL_COST_RATIO * search.costs[chosen[0]]
+        chosen = [choice for choice in chosen if search.costs[choice] <= limit]
+    return [searches[choice] for choice in chosen]
+
+
+def _continue_search(
+    search: _SearchState,
+    objective_of: Callable[[Sequence[JointModel]], Objective],
+    options: WholeArmOptions,
+) -> _SearchState | None:
+    """Continue a search for a few evaluations that do not count for the fit; None if it fails."""
+    if search.is_finished:
+        return search
+    try:
+        joints, fit = search.joints, search.fit
+        if search.is_limited:
+            joints = []  # with the stiffnesses of the search, at which the ranges are centred
+            for joint in search.joints:
+                stiffness = fit.objective.records[0].arm.joints[joint.joint - 1].law.linearised_by
+                centred = {**joint.values, STIFFNESS: fit.values[stiffness, joint.joint]}
+                joints.append(replace(joint, values=centred))
+            objective = objective_of(joints)
+            kept = {key: x for key, x in fit.values.items() if key[0] not in gear_parameters()}
+            values = objective.space.start_values | kept  # the springs are at their starts
+            fit = Fit.at(objective, objective.space.coordinates(values))
+        fit = search_minimum(
+            replace(fit, iterations=0), options, max_evaluations=EVALUATIONS_PER_ROUND
+        )
+    except NotIdentifiable:
+        return None
+    return _SearchState(joints, fit)

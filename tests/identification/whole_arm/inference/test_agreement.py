@@ -21,13 +21,13 @@ from strainwave.domain import (
 )
 from strainwave.domain.arm.kinds import change_arm_keys
 from strainwave.dynamics.simulation import SensorNoise
-from strainwave.identification.whole_arm.inference.agreement import (
+from strainwave.identification.whole_arm.inference.covariance import residual_covariance
+from strainwave.identification.whole_arm.inference.fit_tests import (
     _as_normal,
     _chi_square,
     disagreement,
     expected_model_error,
 )
-from strainwave.identification.whole_arm.inference.covariance import residual_covariance
 from strainwave.io.logs import write_log
 from strainwave.io.study import write_study
 from strainwave.pipeline import identify

@@ -19,7 +19,7 @@ from strainwave.identification.whole_arm.problem.parameter_space import (
     Unknown,
 )
 from strainwave.identification.whole_arm.problem.weighted_rows import Weights
-from strainwave.identification.whole_arm.records.low_pass import Kernels
+from strainwave.identification.whole_arm.records.dataset import Kernels
 from tuning_runs import linear_record, linear_search
 
 N = 600

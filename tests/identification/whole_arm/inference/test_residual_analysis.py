@@ -10,7 +10,7 @@ from scipy import signal
 
 from effect_runs import ALL, SIZES, whole_arm
 from strainwave.domain import EffectName, FloatArray, ResidualTest
-from strainwave.identification.whole_arm.inference.residual_analysis import (
+from strainwave.identification.whole_arm.inference.fit_tests import (
     InputCorrelation,
     has_noise_spectrum,
     residual_warnings,
@@ -19,7 +19,7 @@ from strainwave.identification.whole_arm.inference.residual_analysis import (
 )
 from strainwave.identification.whole_arm.inference.score_tests import least_squares
 from strainwave.identification.whole_arm.problem.effect_unknowns import sizes_of
-from strainwave.identification.whole_arm.records.low_pass import low_pass_kernels
+from strainwave.identification.whole_arm.records.dataset import low_pass_kernels
 from strainwave.numerics.spectra import correlate_residuals
 
 T = 1e-3

@@ -27,7 +27,7 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     set_record_effects,
 )
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Prior
-from strainwave.identification.whole_arm.records.loads import Loads
+from strainwave.identification.whole_arm.problem.starting_values import Loads
 from strainwave.identification.whole_arm.records.preparation import dataset_of
 from tuning_runs import linear_search, truth
 

@@ -8,14 +8,15 @@ from importlib import import_module
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from strainwave.domain import FloatArray, Log, Study
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import MAX_TIME_STEP, Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.errors import InvalidInput
-from strainwave.identification.whole_arm.records.dataset import INITIAL_STATES
-from strainwave.identification.whole_arm.records.low_pass import low_pass_kernels
+from strainwave.identification.whole_arm.records.dataset import INITIAL_STATES, low_pass_kernels
 from strainwave.identification.whole_arm.records.preparation import (
     dataset_of,
     select_usable_records,
@@ -25,6 +26,21 @@ from tuning_runs import beginning, later, rig_logs, shaken, simulated, truth
 T = 2.5e-4
 CUTOFF = 80.0
 KERNELS = [(80.0, 2.5e-4), (37.0, 2.5e-4), (200.0, 1e-3), (11.0, 1e-3), (240.0, 1e-3)]
+
+
+@given(
+    cutoff=st.floats(20.0, 150.0),
+    sample_time=st.sampled_from([2.5e-4, 5e-4, 1e-3]),
+    ahead=st.floats(-0.5, 0.5),
+)
+def test_velocities_of_advanced_rows(cutoff: float, sample_time: float, ahead: float) -> None:
+    """Whatever the advance, a motor at rest far from zero has no velocity and a ramp its own."""
+    kernels = low_pass_kernels(cutoff, sample_time, ahead)
+    t = sample_time * np.arange(float(len(kernels.slope) + 8 * kernels.step))
+    assert kernels.rows(np.full(len(t), 300.0), slope=True) == pytest.approx(0.0, abs=1e-9)
+    ramp = np.asarray(300.0 + 7.0 * t)
+    assert kernels.rows(ramp, slope=True) == pytest.approx(7.0, rel=1e-9)
+    assert kernels.rows(np.full(len(t), 300.0), slope=False) == pytest.approx(300.0)
 
 
 @pytest.mark.parametrize(("cutoff", "sample_time"), KERNELS)

@@ -20,7 +20,7 @@ from strainwave.identification.whole_arm.inference.score_tests import (
 )
 from strainwave.identification.whole_arm.problem.effect_unknowns import NamedEffect
 from strainwave.identification.whole_arm.problem.objective import Objective
-from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search import Fit
 from strainwave.identification.whole_arm.selection import causes
 from strainwave.identification.whole_arm.selection.causes import with_large_part
 from tuning_runs import linear_search, truth

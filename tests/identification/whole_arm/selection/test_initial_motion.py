@@ -13,7 +13,7 @@ from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.starting_values import space_of
 from strainwave.identification.whole_arm.records.preparation import dataset_of
-from strainwave.identification.whole_arm.selection.further_unknowns import add_initial_states
+from strainwave.identification.whole_arm.selection.candidate import add_initial_states
 from tuning_runs import beginning, joint_models, later, rig_logs, rigid_model, shaken
 
 CUTOFF = 80.0

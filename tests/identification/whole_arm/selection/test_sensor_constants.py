@@ -18,6 +18,7 @@ from strainwave.dynamics.link_sensors import shift_samples
 from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.identification.whole_arm.problem.parameter_space import is_held
 from strainwave.identification.whole_arm.records.preparation import dataset_of
+from strainwave.identification.whole_arm.selection.sensor_constants import constants_of
 from tuning_runs import joint_models, rigid_model, shaken
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
@@ -241,8 +242,8 @@ def test_derivatives_by_drifts_are_those_of_the_record_alone() -> None:
     record = dataset_of(logs[0], Arm.of(study.arm), CUTOFF)
     keys: list[Key] = [(of_record("accelerometer_drift", name), 1) for name in RATES]
     keys.append(("accelerometer_scale", 1))
-    assert keys[0] in record.sensor_constants()
-    assert keys[1] not in record.sensor_constants()
+    assert keys[0] in constants_of(record)
+    assert keys[1] not in constants_of(record)
     values = {**true_values, keys[0]: 0.7, keys[1]: 9.0, keys[2]: 1.02}
     rows, tangent = record.linearise(values, np.zeros(0), keys)
     assert not tangent[..., 1].any()

@@ -16,8 +16,9 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import MountResonance
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import fit_whole_arm
-from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.preparation import dataset_of
+from strainwave.identification.whole_arm.selection import mountings
+from strainwave.identification.whole_arm.selection.mountings import mount_changes
 from tuning_runs import joint_models, rigid_model, shaken, shaken_study, simulated_logs, truth
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
@@ -107,7 +108,7 @@ def test_no_mount_is_tested_if_residuals_are_noise(monkeypatch: pytest.MonkeyPat
     def refused(*_: object) -> None:
         raise AssertionError("a mount was tested")
 
-    monkeypatch.setattr(Dataset, "mount_tangent", refused)
+    monkeypatch.setattr(mountings, "mount_changes", refused)
     study, true_values, logs = shaken()
     joints = joint_models(study, true_values, 0.05, FACTORS)
     model = fit_whole_arm(
@@ -170,7 +171,7 @@ def test_the_tested_column_is_the_contribution_of_a_mount() -> None:
     study, true_values, logs = shaken(noisy=False, counts=False)
     record = dataset_of(logs[0], Arm.of(study.arm), CUTOFF)
     mounts = {names(2): [MountResonance(50.0, 0.05), MountResonance(90.0, 0.02)]}
-    added = record.mount_tangent(true_values, np.zeros(0), mounts)
+    added = mount_changes(record, true_values, np.zeros(0), mounts)
     without_mount = record.linearise(true_values, np.zeros(0), [])[0]
     for k, mount in enumerate(mounts[names(2)]):
         values = true_values | dict(zip(names(2), (mount.frequency, mount.damping), strict=True))

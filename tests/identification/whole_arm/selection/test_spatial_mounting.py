@@ -31,7 +31,7 @@ from strainwave.identification.whole_arm.problem.parameter_space import (
     Unknown,
 )
 from strainwave.identification.whole_arm.records.preparation import dataset_of
-from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search import Fit
 from strainwave.identification.whole_arm.selection.mountings import select_mountings
 from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
 from strainwave.numerics.filters import low_pass

@@ -45,7 +45,7 @@ from strainwave.domain.results.distributions import CI95_STDS, student_quantile
 from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD, Objective
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows, noise_autocovariances
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search import Fit
 from strainwave.numerics.parallel import run_parallel
 from strainwave.numerics.spectra import spectrum_and_autocovariance
 
@@ -142,7 +142,12 @@ def confidence_at(objective: Objective, z: FloatArray) -> Confidence:
     raised = variance + unexplained * np.maximum(np.diag(local) - variance, 0.0)
     model_error = raised - variance + n_records * unexplained * raised
     if n_records >= _MIN_RECORDS:
-        model_error = model_error + _scatter_excess(raised, np.diag(scatter), pooled, n_records)
+        # the scatter of one parameter has few degrees of freedom, so the excess of a variance is
+        # scaled by the squared ratio of the quantiles of Student's t and the normal distribution;
+        # if the pooled scatter agrees with the noise, the excess is chance
+        quantile_ratio = (student_quantile(0.975, n_records - 1) / CI95_STDS) ** 2
+        excess = np.maximum(np.diag(scatter) - raised, 0.0) * quantile_ratio
+        model_error = model_error + excess * (1.0 - 1.0 / pooled)
     by_segments, by_steady_errors = (
         residual_covariance(prior.errors, rows @ answer, rows, meat)
         for meat in (segment_meat, steady_meat)
@@ -156,20 +161,6 @@ def confidence_at(objective: Objective, z: FloatArray) -> Confidence:
         residual,
         (by_segments, by_steady_errors),
     )
-
-
-def _scatter_excess(
-    variance: FloatArray, scattered: FloatArray, pooled: float, n_records: int
-) -> FloatArray:
-    """Excess of the scatter of few records over the variance within records.
-
-    The scatter of one parameter follows a chi-square distribution with few degrees of freedom, so
-    the excess is scaled by the squared ratio of the quantiles of Student's t and the normal
-    distribution. If the pooled scatter agrees with the noise, the excess is chance.
-    """
-    quantile_ratio = (student_quantile(0.975, n_records - 1) / CI95_STDS) ** 2
-    excess = np.maximum(scattered - variance, 0.0)
-    return np.asarray(excess * quantile_ratio * (1.0 - 1.0 / pooled))
 
 
 def _prior_scale(
@@ -229,7 +220,10 @@ def _scatter(
     """
     if len(records) < _MIN_RECORDS:
         return np.full_like(whole, np.nan), 1.0
-    unscale = _root_of(inverse_information(whole))  # L^-T, whose square is the inverse
+    inverse = inverse_information(whole)
+    scale = np.sqrt(np.diag(inverse))
+    values, vectors = np.linalg.eigh(inverse / np.outer(scale, scale))
+    unscale = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))  # L^-T
     meat = unscale.T @ known @ unscale
     squares = expected = 0.0
     for record in records:
@@ -241,13 +235,6 @@ def _scatter(
         squares += float(corrected @ corrected)
         expected += float(np.sum(leverage))
     return np.asarray(unscale @ meat @ unscale.T), max(1.0, squares / max(expected, 1e-300))
-
-
-def _root_of(covariance: FloatArray) -> FloatArray:
-    """Matrix L with L L' = covariance."""
-    scale = np.sqrt(np.diag(covariance))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def inverse_information(information: FloatArray) -> FloatArray:

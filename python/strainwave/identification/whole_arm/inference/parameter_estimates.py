@@ -28,11 +28,11 @@ from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.inference.covariance import confidence_of, with_variances
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
-    effects_in,
+    effects_among,
     whole_inertia_of,
 )
 from strainwave.identification.whole_arm.problem.parameter_space import combination
-from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search import Fit
 
 # maximum relative standard deviation of a published viscous friction, slope or knee
 _MAX_RELATIVE_STD = 0.3
@@ -70,19 +70,15 @@ def parameters_of(
     shifts = np.diag([(excess or {}).get(quantity.key, 0.0) for quantity in quantities])
     for model in plausible:
         others = _quantities(model.fit, model.arm, largest_torque)
-        theirs = _covariance(others, confidence_of(model.fit).combined)
-        pairs = zip(others, np.diag(theirs).tolist(), strict=True)
-        by_key = {other.key: (other.value, square) for other, square in pairs}
-        at_own = [(q.value, square) for q, square in zip(quantities, own.tolist(), strict=True)]
-        estimates = [by_key.get(q.key, one) for q, one in zip(quantities, at_own, strict=True)]
-        shift = np.array(
-            [
-                0.0 if other is None or value is None else other - value
-                for (other, _), (value, _) in zip(estimates, at_own, strict=True)
-            ]
-        )
-        is_determined = [q.key in model.determined for q in quantities]
-        of_model = np.where(is_determined, [square for _, square in estimates], own)
+        squares = np.diag(_covariance(others, confidence_of(model.fit).combined)).tolist()
+        estimates = {q.key: (q.value, square) for q, square in zip(others, squares, strict=True)}
+        shift, of_model = np.zeros(len(quantities)), own.copy()
+        for k, q in enumerate(quantities):
+            value, square = estimates.get(q.key, (None, own[k]))
+            if value is not None and q.value is not None:
+                shift[k] = value - q.value
+            if q.key in model.determined:
+                of_model[k] = square
         variance = variance + model.weight * of_model
         shifts = shifts + model.weight * np.outer(shift, shift)
     covariance = with_variances(covariance, variance) + shifts
@@ -143,7 +139,7 @@ def _combinations(fit: Fit, arm: Arm) -> Iterator[_Quantity]:
     keys, values = fit.space.keys, fit.values
     flexible: dict[Key, Key] = {
         whole: (effect_named(one[1]).sizes[0], one[0])
-        for one in effects_in(fit.space, arm)
+        for one in effects_among(fit.space.keys, arm.n_joints)
         if (whole := whole_inertia_of(one, arm))
     }
     for (name, number), own in arm.reported.items():

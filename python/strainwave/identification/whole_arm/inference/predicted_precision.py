@@ -40,7 +40,9 @@ from strainwave.identification.whole_arm.inference.covariance import (
 from strainwave.identification.whole_arm.problem.objective import MIN_ERROR_SHARE
 from strainwave.identification.whole_arm.problem.parameter_space import combination, reference_sizes
 from strainwave.identification.whole_arm.problem.weighted_rows import (
+    Evaluation,
     Rows,
+    Weights,
     filtered_rows_per_error,
     noise_autocovariances,
 )
@@ -50,7 +52,7 @@ from strainwave.identification.whole_arm.records.preparation import (
     dataset_of,
     select_usable_records,
 )
-from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search import Fit
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 
@@ -73,11 +75,7 @@ def predicted_parameters(logs: Sequence[Log], arm: Arm, values: Values) -> tuple
     used = select_usable_records(logs, arm)
     if not used:
         return ()
-    with one_blas_thread():
-        return _predicted(used, arm, complete_values(values, arm))
-
-
-def _predicted(used: Sequence[Log], arm: Arm, known: Values) -> tuple[Parameter, ...]:
+    known = complete_values(values, arm)
     cutoff = cutoff_of(used, arm, arm.fastest_resonance(known))
     keys: list[Key] = [  # all but settling times, as in a fit
         key
@@ -87,16 +85,17 @@ def _predicted(used: Sequence[Log], arm: Arm, known: Values) -> tuple[Parameter,
     values = dict.fromkeys(keys, 0.0) | known
     sizes = reference_sizes(values)
     scale = np.array([sizes[key] or 1.0 for key in keys])
-    records = [dataset_of(log, arm, cutoff) for log in used]
-    evidence = run_parallel(
-        [partial(_information_of, record, values, keys, scale) for record in records]
-    )
-    prior = np.array(list(_rigid_rows(arm, keys, values))) * scale
-    from_prior = prior.T @ prior
-    information = sum((own for own, _ in evidence), from_prior)
-    inverse = inverse_information(information)
-    gradient_covariance = sum((own for _, own in evidence), from_prior)
-    covariance = inverse @ gradient_covariance @ inverse + MIN_VARIANCE_SHARE * inverse
+    with one_blas_thread():
+        records = [dataset_of(log, arm, cutoff) for log in used]
+        evidence = run_parallel(
+            [partial(_information_of, record, values, keys, scale) for record in records]
+        )
+        prior = np.array(list(_rigid_rows(arm, keys, values))) * scale
+        from_prior = prior.T @ prior
+        information = sum((own for own, _ in evidence), from_prior)
+        inverse = inverse_information(information)
+        gradient_covariance = sum((own for _, own in evidence), from_prior)
+        covariance = inverse @ gradient_covariance @ inverse + MIN_VARIANCE_SHARE * inverse
     return tuple(_parameters(arm, keys, values, covariance * np.outer(scale, scale)))
 
 
@@ -105,27 +104,16 @@ def _information_of(
 ) -> tuple[FloatArray, FloatArray]:
     """Fisher information of one record, and covariance of its gradient due to sensor noise."""
     channels, tangent = record.linearise(values, record.start(), keys)
-    n_rows, n_channels = channels.shape
-    n_initial, n = len(record.initial_states), len(keys)
-    biased = [k for k, channel in enumerate(record.channels) if channel.sensor.has_bias]
-    n_own = n_initial + len(biased)
-    columns = np.zeros((n_rows, n_channels, n_own + n))
-    columns[..., :n_initial] = tangent[..., n:]
-    columns[:, biased, range(n_initial, n_own)] = 1.0
-    columns[..., n_own:] = tangent[..., :n] * scale
+    n, n_own = len(keys), len(record.initial_states) + len(record.biased)
+    columns = np.concatenate([tangent[..., n:], tangent[..., :n] * scale], axis=2)
+    exact = Evaluation(np.zeros_like(channels), columns, np.zeros(n_own), record.biased)
     error = np.maximum(record.noise, MIN_ERROR_SHARE * np.std(channels, axis=0))
     repeats = filtered_rows_per_error(record)
-    columns /= (error * np.sqrt(repeats))[:, None]
-    flat = columns.reshape(-1, n_own + n)
-    if n_own:  # project out the unknowns of the record
-        coefficients = np.linalg.lstsq(flat[:, :n_own], flat[:, n_own:])[0]
-        shared = columns[..., n_own:] - columns[..., :n_own] @ coefficients
-    else:
-        shared = columns
+    shared = exact.weigh(Weights(error, repeats)).shared_columns
     R = triangular_factor(np.ascontiguousarray(shared).reshape(-1, n))
     covariance = np.zeros((n, n))
     for k, filtered in enumerate(noise_autocovariances(record)):
-        lags, noise_lags = np.zeros(n_rows), filtered[:n_rows]
+        lags, noise_lags = np.zeros(len(shared)), filtered[: len(shared)]
         # the gradient is a product of rows and errors, both divided by sqrt(repetitions)
         lags[: len(noise_lags)] = noise_lags / noise_lags[0] * _MEAN_SQUARE_SLOPE / repeats[k]
         covariance += gradient_covariances(shared[:, k], (lags,))[0]

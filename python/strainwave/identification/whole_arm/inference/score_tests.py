@@ -7,7 +7,7 @@ with the effect needs to be fitted.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,6 @@ import numpy as np
 from strainwave.domain import BoolArray, EffectName, FloatArray, ParameterShift
 from strainwave.domain.arm.effects import (
     STIFFNESS_CURVE,
-    Effect,
     all_effects,
     effect_named,
     names,
@@ -30,24 +29,24 @@ from strainwave.domain.results.distributions import chi_square_limit
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
-from strainwave.identification.whole_arm.inference.residual_analysis import (
+from strainwave.identification.whole_arm.inference.fit_tests import (
     MIN_WARNING_RATIO,
     has_excess_residuals,
 )
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     NamedEffect,
     body_parameters,
-    effects_in,
+    effects_among,
     friction_parameters,
     known_joint,
     set_record_effects,
     sizes_of,
 )
 from strainwave.identification.whole_arm.problem.objective import Objective
+from strainwave.identification.whole_arm.problem.starting_values import loads_of
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.identification.whole_arm.records.loads import loads_of
-from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search import Fit
 
 FALSE_ALARMS = 1e-4
 """Probability that any effect is significant if the residuals are noise."""
@@ -132,7 +131,7 @@ def lengthen_steps(fit: Fit) -> Fit:
 
 def _missing_effects(fit: Fit, arm: Arm) -> list[NamedEffect]:
     """Effects that the model lacks and that the channels of the records permit."""
-    present = effects_in(fit.space, arm)
+    present = effects_among(fit.space.keys, arm.n_joints)
     channels = [channel for record in fit.objective.records for channel in record.channels]
     encoders = {c.joint for c in channels if isinstance(c.sensor, LinkEncoder)}
     curved = {number for number, joint in enumerate(arm.joints, start=1) if joint.law.is_curved}
@@ -161,21 +160,22 @@ def _hypotheses(
     records, values = fit.objective.records, fit.values
     band_hz = max(record.cutoff_hz for record in records)
     loads = loads_of(records, values)
-    single_set = bool(effects_in(fit.space, arm)) or not has_excess_residuals(fit.objective, fit.z)
+    single_set = bool(effects_among(fit.space.keys, arm.n_joints)) or not has_excess_residuals(
+        fit.objective, fit.z
+    )
     hypotheses: dict[EffectHypothesis, Shapes] = {}
     for joint, name in candidates:
         effect = effect_named(name)
         first, *further = effect.tested_shapes(known_joint(arm, joint, values, loads))
-        in_band = [one for one in further if not single_set and _highest(effect, one) < band_hz]
+        frequencies = [name for name in first if effect.described(name).units[0] == "Hz"]
+        in_band = [
+            one
+            for one in further
+            if not single_set and all(one[name] < band_hz for name in frequencies)
+        ]
         for number, shapes in enumerate((first, *in_band)):
             hypotheses[EffectHypothesis(joint, name, number)] = shapes
     return hypotheses
-
-
-def _highest(effect: Effect, shapes: Shapes) -> float:
-    """The highest frequency among shapes [Hz]."""
-    names = (name for name in shapes if effect.described(name).units[0] == "Hz")
-    return max((shapes[name] for name in names), default=0.0)
 
 
 def min_relevant_share(objective: Objective, z: FloatArray) -> float:
@@ -187,10 +187,10 @@ def min_relevant_share(objective: Objective, z: FloatArray) -> float:
     return MIN_COST_SHARE if is_above_noise else RELEVANT_COST_SHARE
 
 
-def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
+def shifts(fit: Fit, values: Values) -> list[ParameterShift]:
     """Shifts of the arm parameters due to an additional effect, the most significant first.
 
-    `values` maps (name, joint) to the values of the model with the effect. Yields shifts of
+    `values` maps (name, joint) to the values of the model with the effect. The shifts are those of
     inertias, gravity, gears and Coulomb friction. Sensor constants are not parameters of the arm,
     and only sums of viscous frictions are identifiable.
     """
@@ -203,7 +203,7 @@ def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
             parameter_shifts.append(
                 ParameterShift(name, joint, estimates[name, joint], shift, shift / std)
             )
-    yield from sorted(parameter_shifts, key=lambda move: -abs(move.deviations))
+    return sorted(parameter_shifts, key=lambda move: -abs(move.deviations))
 
 
 def is_primary(key: Key) -> bool:
@@ -222,18 +222,19 @@ def _test(columns: EffectColumns, one: EffectHypothesis, fit: Fit) -> TestedEffe
     """
     joint, effect = one.joint, effect_named(one.effect)
     names = [name for name, _ in columns.sizes[one]]
-    shifts, columns_of_effect, target = (
-        columns.shifts(one),
-        columns.effect_columns(one),
-        columns.target,
-    )
+    n, (place, shift_places) = columns.n_unknowns, columns.places(one)
+    above, below = columns.factor[:n], columns.factor[n:]  # below, unknowns explain nothing more
+    target, shifts, columns_of_effect = below[:, -1], below[:, shift_places], below[:, place].copy()
+    rounding = COLUMN_ROUNDING * np.linalg.norm(columns.factor[:, place], axis=0)
+    columns_of_effect[:, np.linalg.norm(columns_of_effect, axis=0) <= rounding] = 0.0
     basis = np.linalg.qr(shifts)[0]
     projected, remaining = (part - basis @ (basis.T @ part) for part in (columns_of_effect, target))
     size = least_squares(projected, remaining, np.array([effect.is_signed(n) for n in names]))
     std = np.sqrt(np.diag(np.linalg.pinv(projected.T @ projected)))
     shift = np.asarray(np.linalg.lstsq(shifts, -(target + columns_of_effect @ size))[0])
     gain = float(np.sum(remaining**2) - np.sum((remaining + projected @ size) ** 2))
-    change = columns.change_of_unknowns(one, size, shift)
+    by_effect = above[:, place] @ size + above[:, shift_places] @ shift
+    change = np.asarray(-np.linalg.lstsq(above[:, :n], by_effect)[0])
     space = fit.space
     values = space.values(space.move(fit.z, space.limit_step(fit.z, change, 1.0)))
     usual = columns.shapes[replace(one, number=0)]
@@ -292,40 +293,6 @@ class EffectHypothesis:
 
 
 @dataclass(frozen=True, slots=True)
-class _Pass:
-    """A simulation of the records with effects of size zero, one set of shapes each."""
-
-    records: Sequence[Dataset]
-    values: Values
-    sizes: Mapping[EffectHypothesis, Sequence[Key]]
-
-    @classmethod
-    def of(cls, fit: Fit, arm: Arm, tested: Mapping[EffectHypothesis, Shapes]) -> _Pass:
-        """A pass over effects of which no two are the same effect of one joint."""
-        values = fit.values
-        absent = {
-            (name, one.joint): value
-            for one, shapes in tested.items()
-            for name, value in {**effect_named(one.effect).absent, **shapes}.items()
-        }
-        values = absent | values
-        laws = {one.joint: effect_named(one.effect).tested_law for one in tested}
-        joints = tuple(
-            replace(joint, spring=laws.get(number) or joint.spring, effects=names())
-            for number, joint in enumerate(arm.joints, start=1)
-        )
-        records = set_record_effects(fit.objective.records, arm.with_joints(joints), values)
-        return cls(
-            records, values, {one: sizes_of(one.named_effect, fit.records) for one in tested}
-        )
-
-    def columns(self, k: int, initial: FloatArray) -> FloatArray:
-        """Derivatives by sizes in a record: (n_rows, n_channels, n_sizes)."""
-        keys = [key for sizes in self.sizes.values() for key in sizes]
-        return self.records[k].linearise(self.values, initial, keys)[1][..., : len(keys)]
-
-
-@dataclass(frozen=True, slots=True)
 class EffectColumns:
     """R of [unknowns sizes shifts residual], then the priors of sizes and shifts.
 
@@ -355,8 +322,15 @@ class EffectColumns:
             moves_joints = one.joint in arm.coupled_joints and effect.moves_output
             key = one.number, moves_joints, effect.tested_law is not None
             passes.setdefault(key, {})[one] = shapes
-        each = [_Pass.of(fit, arm, passes[key]) for key in sorted(passes)]
-        sizes = {one: keys for run in each for one, keys in run.sizes.items()}
+        sizes = {
+            one: sizes_of(one.named_effect, fit.records)
+            for key in sorted(passes)
+            for one in passes[key]
+        }
+        runs = [
+            (*_with_absent(fit, arm, run), [key for one in run for key in sizes[one]])
+            for run in (passes[key] for key in sorted(passes))
+        ]
         n_sizes = sum(map(len, sizes.values()))
         frictions = (friction_parameters(arm, joint) for joint in range(1, arm.n_joints + 1))
         shifts = [
@@ -367,7 +341,11 @@ class EffectColumns:
 
         def tangent(k: int, _: Evaluation) -> FloatArray:
             initial = objective.initial_states(k)
-            return np.concatenate([run.columns(k, initial) for run in each], axis=2)
+            columns = [
+                records[k].linearise(values, initial, keys)[1][..., : len(keys)]
+                for records, values, keys in runs
+            ]
+            return np.concatenate(columns, axis=2)
 
         whole = objective.factor_with_columns(fit.z, width, tangent, prior_rows)
         if not np.isfinite(whole).all():
@@ -380,39 +358,30 @@ class EffectColumns:
         factor = np.concatenate([whole, prior])
         return cls(factor, n, sizes, tested, [one.shape[1] for one in shifts])
 
-    @property
-    def target(self) -> FloatArray:
-        """The residual that the unknowns do not explain."""
-        return self.factor[self.n_unknowns :, -1]
-
-    def effect_columns(self, one: EffectHypothesis) -> FloatArray:
-        """An effect's columns after projection, zero where only rounding remains."""
-        place = self._place(one)
-        projection = self.factor[self.n_unknowns :, place].copy()
-        size = np.linalg.norm(self.factor[:, place], axis=0)
-        projection[:, np.linalg.norm(projection, axis=0) <= COLUMN_ROUNDING * size] = 0.0
-        return projection
-
-    def shifts(self, one: EffectHypothesis) -> FloatArray:
-        """Residual effect of errors in the rigid-step estimates due to the missing effect."""
-        return self.factor[self.n_unknowns :, self._shifts(one)]
-
-    def change_of_unknowns(
-        self, one: EffectHypothesis, size: FloatArray, shift: FloatArray
-    ) -> FloatArray:
-        """Change of the unknowns (n_unknowns,) for sizes of an effect and rigid-step shifts."""
-        n = self.n_unknowns
-        by_effect = self.factor[:n, self._place(one)] @ size
-        by_effect = by_effect + self.factor[:n, self._shifts(one)] @ shift
-        return np.asarray(-np.linalg.lstsq(self.factor[:n, :n], by_effect)[0])
-
-    def _place(self, one: EffectHypothesis) -> slice:
+    def places(self, one: EffectHypothesis) -> tuple[slice, list[int]]:
+        """Columns of the sizes of an effect, and of the shifts that its absence causes."""
         before = list(self.sizes)[: list(self.sizes).index(one)]
         start = self.n_unknowns + sum(len(self.sizes[key]) for key in before)
-        return slice(start, start + len(self.sizes[one]))
-
-    def _shifts(self, one: EffectHypothesis) -> list[int]:
         first = self.n_unknowns + sum(map(len, self.sizes.values()))
         ends = first + np.cumsum([0, *self.n_shifts])
         groups = [0, one.joint] if effect_named(one.effect).misleads_inertias else [one.joint]
-        return [k for group in groups for k in range(ends[group], ends[group + 1])]
+        shifts = [k for group in groups for k in range(ends[group], ends[group + 1])]
+        return slice(start, start + len(self.sizes[one])), shifts
+
+
+def _with_absent(
+    fit: Fit, arm: Arm, tested: Mapping[EffectHypothesis, Shapes]
+) -> tuple[Sequence[Dataset], Values]:
+    """The records with effects of size zero, and their values; each effect of a joint only once."""
+    absent = {
+        (name, one.joint): value
+        for one, shapes in tested.items()
+        for name, value in {**effect_named(one.effect).absent, **shapes}.items()
+    }
+    values = absent | fit.values
+    laws = {one.joint: effect_named(one.effect).tested_law for one in tested}
+    joints = tuple(
+        replace(joint, spring=laws.get(number) or joint.spring, effects=names())
+        for number, joint in enumerate(arm.joints, start=1)
+    )
+    return set_record_effects(fit.objective.records, arm.with_joints(joints), values), values

@@ -18,8 +18,8 @@ from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import keep_known_effects
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
+from strainwave.identification.whole_arm.problem.starting_values import Loads
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.identification.whole_arm.records.loads import Loads
 
 NamedEffect = tuple[int, EffectName]
 """A joint, from 1, and an effect that it may have."""
@@ -34,11 +34,6 @@ MAX_LOG_CHANGE = float(np.log(30.0))  # of a parameter from its start
 def named_effects(arm: Arm) -> list[NamedEffect]:
     """The (joint, effect) pairs that a study names."""
     return [(j, effect) for j, joint in enumerate(arm.joints, 1) for effect in joint.named_effects]
-
-
-def effects_in(space: ParameterSpace, arm: Arm) -> list[NamedEffect]:
-    """The effects among the unknowns."""
-    return effects_among(space.keys, arm.n_joints)
 
 
 def effects_among(keys: Iterable[Key], n_joints: int) -> list[NamedEffect]:
@@ -90,7 +85,7 @@ def update_prior_trust(space: ParameterSpace, arm: Arm) -> ParameterSpace:
     The rigid step does not know how logged torques continue between samples, and when they act.
     """
     biased = set[Key]()
-    for joint, effect in effects_in(space, arm):
+    for joint, effect in effects_among(space.keys, arm.n_joints):
         biased |= friction_parameters(arm, joint)
         biased |= body_parameters(arm) if effect_named(effect).misleads_inertias else set()
     for name, of_joint in space.keys:
@@ -222,15 +217,15 @@ def set_record_effects(
     Only effects with parameters among `keys` are set.
     """
     known = keep_known_effects(arm, keys).joints
-
-    def with_effects(record: Dataset) -> Dataset:
-        joints = (
+    joints = (
+        [
             replace(joint, spring=each.spring, effects=each.named_effects)
             for joint, each in zip(record.arm.joints, known, strict=True)
-        )
-        return replace(record, arm=record.arm.with_joints(joints))
-
-    return tuple(with_effects(record) for record in records)
+        ]
+        for record in records
+    )
+    pairs = zip(records, joints, strict=True)
+    return tuple(replace(record, arm=record.arm.with_joints(own)) for record, own in pairs)
 
 
 def with_effects(objective: Objective, space: ParameterSpace, arm: Arm) -> Objective:

@@ -80,9 +80,7 @@ class Objective:
             spread = _INITIAL_ERROR_SHARE * np.std(record.measured, axis=0)
             size = np.maximum(spread, record.noise)
             weights.append(Weights(size, np.ones(len(size))))
-        record_parameters = [
-            np.concatenate([r.start(), np.zeros(len(_biased(r)))]) for r in records
-        ]
+        record_parameters = [np.concatenate([r.start(), np.zeros(len(r.biased))]) for r in records]
         return cls(
             space,
             tuple(records),
@@ -237,8 +235,11 @@ class Objective:
     def store_step_errors(self, z: FloatArray) -> Objective:
         """Store the step errors at z, where the residuals are exact, for a later `corrected`."""
         values = self.space.values(z)
-        records = self._map_records(lambda k, r: r.store_step_error(values, self.initial_states(k)))
-        return replace(self, records=tuple(records))
+
+        def stored(k: int, record: Dataset) -> Dataset:
+            return replace(record, step_error=record.step_errors(values, self.initial_states(k))[1])
+
+        return replace(self, records=tuple(self._map_records(stored)))
 
     def replace_records(self, records: Sequence[Dataset]) -> Objective:
         """Replace the rows of the records; weights and record parameters stay."""
@@ -327,7 +328,7 @@ class Objective:
             difference = difference * record.is_counted
             columns *= record.is_counted[..., None]
         return Evaluation(
-            difference, columns, record_parameters.copy(), _biased(record), record.is_counted
+            difference, columns, record_parameters.copy(), record.biased, record.is_counted
         )
 
     def simulate(self, z: FloatArray) -> list[FloatArray]:
@@ -385,7 +386,6 @@ class Objective:
         z: FloatArray,
         n_columns: int,
         columns_of: Callable[[int, Evaluation], FloatArray],
-        prior_rows: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """R of [additional columns, residual] after elimination of the unknowns.
 
@@ -393,7 +393,7 @@ class Objective:
         and the residual (n_rows,).
         """
         n = len(self.space.unknowns)
-        factor = self.factor_with_columns(z, n_columns, columns_of, prior_rows)[n:, n:]
+        factor = self.factor_with_columns(z, n_columns, columns_of)[n:, n:]
         return factor[:, :-1], factor[:, -1]
 
     def _map_records(self, work: Callable[[int, Dataset], T]) -> list[T]:
@@ -401,13 +401,8 @@ class Objective:
         return run_parallel([partial(work, k, record) for k, record in enumerate(self.records)])
 
 
-def _biased(record: Dataset) -> tuple[int, ...]:
-    """Channels whose sensor has a bias."""
-    return tuple(k for k, channel in enumerate(record.channels) if channel.sensor.has_bias)
-
-
 def _spread(biases: FloatArray, record: Dataset) -> FloatArray:
     """Biases (n_channels,), zero where a sensor has none."""
     spread = np.zeros(len(record.channels))
-    spread[list(_biased(record))] = biases
+    spread[list(record.biased)] = biases
     return spread

@@ -1,13 +1,16 @@
 """Unknowns of the whole-arm fit and their starting values, from the preceding stages.
 
-A physically impossible estimate, such as negative gear damping, indicates an error in the data or
-the study. A typical value replaces it, with a warning, so that the fit can locate the error.
+Curves and effects start from the loads of the joints in the records: torques of the gears, by
+simulation, and voltages. A physically impossible estimate, such as negative gear damping, indicates
+an error in the data or the study. A typical value replaces it, with a warning, so that the fit can
+locate the error.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -34,6 +37,9 @@ from strainwave.identification.whole_arm.problem.parameter_space import (
     reference_sizes,
     rigid_prior,
 )
+from strainwave.identification.whole_arm.records.dataset import Dataset
+from strainwave.numerics.parallel import run_parallel
+from strainwave.signals.prepared_record import prepare_record
 
 TYPICAL_ANTI_RESONANCE_HZ = 15.0
 """Typical of strain-wave gears: 10 to 30 Hz, small arms up to 60 Hz."""
@@ -61,7 +67,13 @@ def starting_values_of(
     `NotIdentifiable` if a joint has no model, or if the rigid model lacks an estimate for which no
     typical value exists.
     """
-    models = _models_by_joint(joints, arm)
+    models = {joint.joint: joint for joint in joints}
+    for number, joint in enumerate(arm.joints, start=1):
+        if not joint.elastic or number not in models:
+            raise NotIdentifiable(
+                f"the whole-arm fit starts from a model of each elastic joint, and joint {number}"
+                ' has none: record it with use = "frequency"'
+            )
     rigid = {p.key: p.value for p in model.parameters} if model else {}
     estimates = StageInertias(
         motor={number: joint.values["motor_inertia"] for number, joint in models.items()},
@@ -108,40 +120,58 @@ def _link_inertia(joint: JointModel, rigid: Mapping[Key, float | None], arm: Arm
 
 
 def _friction(
-    rigid: Mapping[Key, float | None], joint: JointModel, gear_ratio: float
+    rigid: Mapping[Key, float | None], model: JointModel, gear_ratio: float
 ) -> dict[str, float]:
-    """Viscous friction of the joint model; Coulomb friction and offset of the rigid model."""
-    values = _split_friction(joint.values, gear_ratio)
-    friction = {name: values[name] for name in VISCOUS}
-    friction[OFFSET] = rigid.get((OFFSET, joint.joint)) or 0.0
-    coulomb = rigid.get((COULOMB, joint.joint))  # some joint models have no Coulomb friction
-    return friction | {COULOMB: values.get(COULOMB, 0.0) if coulomb is None else coulomb}
+    """Viscous friction of the joint model; Coulomb friction and offset of the rigid model.
 
-
-def _split_friction(values: Mapping[str, float], ratio: float) -> dict[str, float]:
-    """Split the total viscous friction so that neither motor nor link has a negative share."""
-    repaired = dict(values)
-    motor, link = (values[name] for name in VISCOUS)
-    minimum = _MIN_FRICTION_SHARE * abs(motor + ratio**2 * link)
+    The total viscous friction is split so that neither motor nor link has a negative share.
+    """
+    motor, link = (model.values[name] for name in VISCOUS)
+    square = gear_ratio**2
+    minimum = _MIN_FRICTION_SHARE * abs(motor + square * link)
     if motor < minimum:
-        repaired[VISCOUS[0]] = minimum
-        repaired[VISCOUS[1]] = max(link + (motor - minimum) / ratio**2, minimum / ratio**2)
-    elif ratio**2 * link < minimum:
-        repaired[VISCOUS[1]] = minimum / ratio**2
-        repaired[VISCOUS[0]] = max(motor + ratio**2 * link - minimum, minimum)
-    return repaired
+        motor, link = minimum, max(link + (motor - minimum) / square, minimum / square)
+    elif square * link < minimum:
+        motor, link = max(motor + square * link - minimum, minimum), minimum / square
+    coulomb = rigid.get((COULOMB, model.joint))  # some joint models have no Coulomb friction
+    return {
+        **dict(zip(VISCOUS, (motor, link), strict=True)),
+        OFFSET: rigid.get((OFFSET, model.joint)) or 0.0,
+        COULOMB: model.values.get(COULOMB, 0.0) if coulomb is None else coulomb,
+    }
 
 
-def _models_by_joint(joints: Sequence[JointModel], arm: Arm) -> dict[int, JointModel]:
-    """Models by joint number; raises `NotIdentifiable` if a joint has none."""
-    models = {joint.joint: joint for joint in joints}
-    for number, joint in enumerate(arm.joints, start=1):
-        if not joint.elastic or number not in models:
-            raise NotIdentifiable(
-                f"the whole-arm fit starts from a model of each elastic joint, and joint {number}"
-                ' has none: record it with use = "frequency"'
-            )
-    return models
+def gear_torques(records: Sequence[Dataset], values: dict[Key, float]) -> FloatArray:
+    """Largest torque of each gear (n_joints,) [N m], at the 99.9 % quantile of a record."""
+    return largest_of(gear_torque_samples(records, values))
+
+
+def gear_torque_samples(records: Sequence[Dataset], values: dict[Key, float]) -> list[FloatArray]:
+    """Absolute torque of each gear in each record: arrays (n_samples, n_joints) [N m]."""
+
+    def of_record(record: Dataset) -> FloatArray:
+        return np.abs(record.run(values, record.start(), ["gear_torque"])["gear_torque"])
+
+    return run_parallel([partial(of_record, r) for r in records])
+
+
+@dataclass(frozen=True, slots=True)
+class Loads:
+    """Largest absolute values over all records, one entry per joint."""
+
+    torque: Sequence[float]  # [N m] of the gear, 99.9 % quantile
+    voltage: Sequence[float]  # [V] of the drive
+
+
+def loads_of(records: Sequence[Dataset], values: dict[Key, float]) -> Loads:
+    """Largest gear torque and voltage of each joint over all records."""
+    voltages = [np.abs(prepare_record(r.log, r.arm).voltage).max(axis=0) for r in records]
+    return Loads(gear_torques(records, values).tolist(), np.max(voltages, axis=0).tolist())
+
+
+def largest_of(gear_loads: Sequence[FloatArray]) -> FloatArray:
+    """The largest of each gear, but for one sample in a thousand of a record: (n_joints,) [N m]."""
+    return np.asarray(np.max([np.quantile(torque, 0.999, axis=0) for torque in gear_loads], axis=0))
 
 
 SETTLING_START = 1e-4

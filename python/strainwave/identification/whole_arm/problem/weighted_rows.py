@@ -68,7 +68,7 @@ class Evaluation:
         )
         table = table * root[..., None]
         factor = triangular_factor(table.reshape(-1, table.shape[2]))
-        return Linearised(_loss(residual, weights), factor)
+        return Linearised(float(np.sum(_losses(residual, weights))), factor)
 
     def weigh(self, weights: Weights) -> Rows:
         """Weighted rows, with optimal record parameters."""
@@ -188,20 +188,15 @@ class Rows:
 
     def cost(self, weights: Weights) -> float:
         """Soft L1 loss of the record."""
-        return _loss(self.residual, weights)
+        return float(np.sum(self.costs(weights)))
 
     def costs(self, weights: Weights) -> FloatArray:
         """Soft L1 loss of each channel, (n_channels,)."""
         return _losses(self.residual, weights)
 
 
-def _loss(residual: FloatArray, weights: Weights) -> float:
-    """Soft L1 loss: sum of 2 (sqrt(1 + r^2) - 1) / rows per independent error."""
-    return float(np.sum(_losses(residual, weights)))
-
-
 def _losses(residual: FloatArray, weights: Weights) -> FloatArray:
-    """Soft L1 loss of each channel, (n_channels,)."""
+    """Sums of 2 (sqrt(1 + r^2) - 1) / rows per independent error by channel: (n_channels,)."""
     loss = np.sum(2.0 * (np.sqrt(1.0 + residual**2) - 1.0), axis=0)
     return np.asarray(loss / weights.rows_per_error)
 

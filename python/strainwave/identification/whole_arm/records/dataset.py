@@ -16,7 +16,6 @@ from strainwave.domain import BoolArray, FloatArray, Log
 from strainwave.domain.arm.link_sensors import (
     ConstantKind,
     SensorAxis,
-    SensorGroup,
     constant_of,
     is_kind,
     with_bandwidths,
@@ -24,7 +23,7 @@ from strainwave.domain.arm.link_sensors import (
 from strainwave.domain.arm.link_sensors.link_space import LINK_SIGNALS, Quantity
 from strainwave.domain.keys import Key, Values
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.link_sensors import MountResonance, differentiate_rows, mount_resonance
+from strainwave.dynamics.link_sensors import differentiate_rows, mount_resonance
 from strainwave.dynamics.simulation import (
     Drive,
     LowPass,
@@ -33,7 +32,6 @@ from strainwave.dynamics.simulation import (
     sensitivities,
     simulate_arms,
 )
-from strainwave.identification.whole_arm.records.low_pass import Kernels, low_pass_kernels
 from strainwave.numerics.filters import noise_std
 from strainwave.signals.prepared_record import prepare_record
 from strainwave.signals.recorded_input import hold_torques
@@ -53,7 +51,72 @@ _HOLD_STEP = 0.01
 _POSTURES = 4  # of a record, for which the stable time step is computed
 _MAX_SHORTENING = 10.0  # of the time step; values with even faster modes cannot be simulated
 
+_ROWS_PER_PERIOD = 4.0  # rows per period of the cut-off; further rows would be redundant
+_HALF_LENGTH_PERIODS = 1.5  # half-length of the filter, in periods of the cut-off
+_ROWS_PER_PRODUCT = 8  # output rows per matrix product
+_KAISER_BETA = 5.0  # beta of the Kaiser window: 50 dB stop-band attenuation
+
 _MIN_NOISE = 1e-12  # [SI] of an ideal sensor, far below the resolution of any real one
+
+
+@dataclass(frozen=True, slots=True)
+class Kernels:
+    """Taps of a low-pass and of its derivative, with decimation."""
+
+    smooth: FloatArray  # (n_taps,)
+    slope: FloatArray  # (n_taps,) [1/s]
+    step: int  # samples per row
+
+    def taps(self, *, slope: bool) -> FloatArray:
+        """Taps (n_taps,) of the derivative if `slope` is true, otherwise of the low-pass."""
+        return self.slope if slope else self.smooth
+
+    def rows(self, samples: FloatArray, *, slope: bool) -> FloatArray:
+        """Filter and decimate samples (n_samples, ...) to rows (n_rows, ...), without the edges.
+
+        One product of a banded matrix with overlapping blocks of samples computes several rows.
+        """
+        taps, step = self.taps(slope=slope), self.step
+        n_rows = (len(samples) - len(taps)) // step + 1
+        band = np.zeros((_ROWS_PER_PRODUCT, (_ROWS_PER_PRODUCT - 1) * step + len(taps)))
+        for k in range(_ROWS_PER_PRODUCT):
+            band[k, k * step : k * step + len(taps)] = taps
+        flat = np.ascontiguousarray(samples).reshape(len(samples), -1)
+        rows = np.empty((n_rows, flat.shape[1]))
+        n_blocked = n_rows // _ROWS_PER_PRODUCT * _ROWS_PER_PRODUCT
+        if n_blocked:
+            n_reached, (sample_stride, column_stride) = band.shape[1], flat.strides
+            blocks: FloatArray = np.ndarray(  # overlapping views of the samples
+                (n_blocked // _ROWS_PER_PRODUCT, n_reached, flat.shape[1]),
+                buffer=flat,
+                strides=(_ROWS_PER_PRODUCT * step * sample_stride, sample_stride, column_stride),
+            )
+            rows[:n_blocked] = np.matmul(band, blocks).reshape(n_blocked, -1)
+        remaining = flat[n_blocked * step : (n_rows - 1) * step + len(taps)]
+        rows[n_blocked:] = band[: n_rows - n_blocked, : len(remaining)] @ remaining
+        return rows.reshape(n_rows, *samples.shape[1:])
+
+
+def low_pass_kernels(cutoff_hz: float, sample_time: float, ahead: float = 0.0) -> Kernels:
+    """Design a windowed-sinc low-pass and its derivative with a Kaiser window.
+
+    `sample_time` is in s; `ahead` is a fractional advance of the rows in samples. The cut-off sets
+    the decimation `step`, and the number of taps is a multiple of it.
+    """
+    step = max(1, int(1.0 / (_ROWS_PER_PERIOD * cutoff_hz * sample_time)))
+    n_steps = 2 * int(np.ceil(_HALF_LENGTH_PERIODS / (cutoff_hz * sample_time * step)))
+    n_taps = n_steps * step
+    half = 0.5 * (n_taps - 1)
+    offset = np.arange(n_taps) - half - ahead
+    window = np.i0(_KAISER_BETA * np.sqrt(np.clip(1.0 - (offset / half) ** 2, 0.0, None)))
+    # a tap that the advance moves beyond the window keeps its weight, so that rows are continuous
+    smooth = np.sinc(2.0 * cutoff_hz * sample_time * offset) * window
+    smooth /= smooth.sum()
+    # derivative by convolution with -d(taps)/dt; a constant gives exactly zero, a unit ramp one
+    slope = -np.gradient(smooth)
+    slope -= np.sum(slope) * smooth
+    slope /= np.sum(slope * offset) * sample_time
+    return Kernels(smooth, slope, step)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +150,11 @@ class Dataset:
         if not self.begins_in_motion:
             return ()
         return tuple((name, i) for name in INITIAL_STATES for i in range(1, self.arm.n_joints + 1))
+
+    @property
+    def biased(self) -> tuple[int, ...]:
+        """Channels whose sensor has a bias."""
+        return tuple(k for k, channel in enumerate(self.channels) if channel.sensor.has_bias)
 
     @property
     def channel_names(self) -> tuple[str, ...]:
@@ -135,6 +203,7 @@ class Dataset:
             channels = (channels + self.step_error_correction) * self.sensor_scales(values)
             return channels + self.drifts(values), np.zeros((*channels.shape, 0))
         resonates = self._has_resonant_mount(values)
+        taps = {c.summed_quantity: self.kernels.taps(slope=c.reads_angle) for c in self.channels}
         runs = sensitivities(
             self._arm_at(values),
             inputs.values,
@@ -142,9 +211,9 @@ class Dataset:
             [*core_directions, *self.initial_states],
             sample_time=self.log.sample_time,
             samples=len(self.log),
-            record=list(dict.fromkeys(c.summed_quantity for c in self.channels)),
+            record=list(taps),
             max_time_step=self._time_step(inputs.values),
-            low_pass=None if resonates else self.low_pass(),
+            low_pass=None if resonates else LowPass(taps, self.kernels.step),
             sums=self._sums(values),
         )
         motion, slopes = ({name: run[k] for name, run in runs.items()} for k in (0, 1))
@@ -230,7 +299,7 @@ class Dataset:
         constants = [constant_of(key) for key in keys]
         if any(one and (one.is_mounting or one.is_of_mount) for one in constants):
             motion = self.run(values, initial, self.quantities())
-            motion = motion if self._has_resonant_mount(values) else self._rows(motion)
+            motion = motion if self._has_resonant_mount(values) else self.rows(motion)
         tangent, scales = np.zeros((*simulated.shape, len(keys))), self.sensor_scales(values)
         row_time = self.kernels.step * self.log.sample_time
         mounting = [k for k, one in enumerate(constants) if one and one.is_mounting]
@@ -260,17 +329,17 @@ class Dataset:
             tangent[:, k, at] = scales[k] * slope
         for at, key in enumerate(keys):
             if is_kind(key, ConstantKind.HOLD):
-                tangent[..., at] = scales * self._hold_slopes(values, initial, key)
+                held = {key: values.get(key, 0.0) + _HOLD_STEP}
+                tangent[..., at] = scales * (self._change(values, initial, held) / _HOLD_STEP)
         return tangent
 
-    def _hold_slopes(
-        self, values: Mapping[Key, float], initial: FloatArray, key: Key
+    def _change(
+        self, values: Mapping[Key, float], initial: FloatArray, changed: Values
     ) -> FloatArray:
-        """Derivatives (n_rows, n_channels) by a torque hold, without scale factors."""
-        held = {**values, key: values.get(key, 0.0) + _HOLD_STEP}
-        runs = (self.run(at, initial, self.quantities()) for at in (held, values))
-        changed, nominal = (self.filtered_channels(run, values) for run in runs)
-        return np.asarray((changed - nominal) / _HOLD_STEP)
+        """Change of the channels (n_rows, n_channels) by other values, without scale factors."""
+        runs = (self.run(at, initial, self.quantities()) for at in ({**values, **changed}, values))
+        after, before = (self.filtered_channels(run, values) for run in runs)
+        return np.asarray(after - before)
 
     def _bandwidth_slopes(
         self, values: Mapping[Key, float], initial: FloatArray, keys: Sequence[Key]
@@ -288,9 +357,8 @@ class Dataset:
             return {}
         steps = {keys[at]: _RELATIVE_BANDWIDTH_STEP * values[keys[at]] for _, at in pairs}
         wider = {key: values[key] + step for key, step in steps.items()}
-        runs = (self.run(at, initial, self.quantities()) for at in ({**values, **wider}, values))
-        wider_rows, nominal = (self.filtered_channels(run, values) for run in runs)
-        return {(k, at): (wider_rows[:, k] - nominal[:, k]) / steps[keys[at]] for k, at in pairs}
+        change = self._change(values, initial, wider)
+        return {(k, at): change[:, k] / steps[keys[at]] for k, at in pairs}
 
     def _mount_slopes(
         self,
@@ -306,42 +374,6 @@ class Dataset:
         slopes = mount.slopes(channel.reading(motion, values), self.log.sample_time)
         pairs = zip(names, slopes, strict=True)
         return {n: self.kernels.rows(x, slope=channel.reads_angle) for n, x in pairs if n in keys}
-
-    def sensor_constants(self) -> list[Key]:
-        """Constants of the sensors: delays, scale factors, tilts and drifts."""
-        kinds = (ConstantKind.DELAY, ConstantKind.SCALE)
-        inputs = prepare_record(self.log, self.arm).driving_inputs
-        constants: dict[Key | None, None] = {}
-        for axis in self.channels:
-            if axis.sensor.group is SensorGroup.MOTOR and inputs[axis.joint - 1].is_voltage:
-                continue
-            axes = [one for one in self.channels if one.joint == axis.joint]
-            is_separate = axis.sensor.is_scale_identifiable(axis, axes)
-            constants |= dict.fromkeys(axis.key(kind) for kind in kinds[: 1 + is_separate])
-            if axis.sensor.group is SensorGroup.MOTOR and self.hold_change[:, axis.joint - 1].any():
-                constants[axis.key(ConstantKind.HOLD)] = None
-            if axis.is_mounted:
-                constants[axis.key(ConstantKind.TILT)] = None
-        drifts = (axis.key(ConstantKind.DRIFT, self.log.name) for axis in self.channels)
-        return [key for key in (*constants, *drifts) if key is not None]
-
-    def tables(self, values: Mapping[Key, float], axes: Sequence[SensorAxis]) -> list[FloatArray]:
-        """For each axis, the simulated quantities that it combines and, last, its reading.
-
-        Each table (n_rows, n_quantities + 1) has zero column means. The simulation starts from the
-        initial states of `start`. The table of an axis that the record lacks has no rows.
-        """
-        rows = self._rows(self.run(values, self.start(), self.quantities()))
-        at = {channel: k for k, channel in enumerate(self.channels)}
-        tables = []
-        for axis in axes:
-            parts = [rows[name][:, axis.joint - 1] for name in axis.quantities if name in rows]
-            table = np.zeros((0, len(axis.quantities) + 1))
-            if axis in at:
-                table = np.column_stack([*parts, self.measured[:, at[axis]]])
-                table = table - table.mean(axis=0)
-            tables.append(table)
-        return tables
 
     def sensor_scales(self, values: Mapping[Key, float]) -> FloatArray:
         """Scale factors (n_channels,), one where a sensor has none."""
@@ -364,18 +396,14 @@ class Dataset:
         The step error changes little near these parameters, so a search can continue in long steps.
         The noise estimate excludes the simulated motion.
         """
-        exact, error = self._step_error(values, initial)
+        exact, error = self.step_errors(values, initial)
         noise = np.minimum(self.noise, self._residual_noise(exact, values))
         correction = error
         if self.step_error is not None:
             correction = self.step_error_correction + error - self.step_error
         return replace(self, step_error_correction=correction, noise=noise, step_error=error)
 
-    def store_step_error(self, values: Mapping[Key, float], initial: FloatArray) -> Dataset:
-        """Store the step error for a record whose correction already contains it."""
-        return replace(self, step_error=self._step_error(values, initial)[1])
-
-    def _step_error(
+    def step_errors(
         self, values: Mapping[Key, float], initial: FloatArray
     ) -> tuple[dict[Quantity, FloatArray], FloatArray]:
         """Simulation in shorter steps, and its channels minus those in the steps of the record."""
@@ -426,52 +454,20 @@ class Dataset:
                 weights[channel.joint - 1] = channel.signal_weights(values)
         return sums
 
-    def low_pass(self) -> LowPass:
-        """Low-pass taps of each quantity that the core records with derivatives."""
-        taps = {c.summed_quantity: self.kernels.taps(slope=c.reads_angle) for c in self.channels}
-        return LowPass(taps, self.kernels.step)
-
     def filtered_channels(
-        self, runs: Mapping[Quantity, FloatArray], values: Mapping[Key, float] | None = None
+        self, runs: Mapping[Quantity, FloatArray], values: Mapping[Key, float]
     ) -> FloatArray:
         """Rows (n_rows, n_channels, ...) from samples (n_samples, n_joints, ...) of each quantity.
 
         `values` must contain the mountings of sensors of unknown mounting.
         """
-        known_values = values or {}
-        if not self._has_resonant_mount(known_values):
-            return self._stack_channels(self._rows(runs), known_values)
+        if not self._has_resonant_mount(values):
+            return self._stack_channels(self.rows(runs), values)
         readings = [
-            self._filter_by_mount(c, c.reading(runs, known_values), known_values)
-            for c in self.channels
+            self._filter_by_mount(c, c.reading(runs, values), values) for c in self.channels
         ]
         pairs = zip(readings, self.channels, strict=True)
         return np.stack([self.kernels.rows(x, slope=c.reads_angle) for x, c in pairs], axis=1)
-
-    def mount_tangent(
-        self,
-        values: Mapping[Key, float],
-        initial: FloatArray,
-        mounts: Mapping[tuple[Key, Key], Sequence[MountResonance]],
-    ) -> FloatArray:
-        """Change of the channels by candidate mount resonances, one at a time.
-
-        `initial` (n_initial,) are the initial states. `mounts` maps the frequency and damping keys
-        of a sensor's mount to candidates. Returns (n_rows, n_channels, n_mounts) in the order of
-        the mapping.
-        """
-        runs, scales = self.run(values, initial, self.quantities()), self.sensor_scales(values)
-        tested = [(names, mount) for names, candidates in mounts.items() for mount in candidates]
-        changes = np.zeros((len(self.time), len(self.channels), len(tested)))
-        for k, channel in enumerate(self.channels):
-            reading = channel.reading(runs, values)
-            for at, (names, mount) in enumerate(tested):
-                if names == channel.mount:
-                    change = mount.read(reading, self.log.sample_time) - reading
-                    changes[:, k, at] = scales[k] * self.kernels.rows(
-                        change, slope=channel.reads_angle
-                    )
-        return changes
 
     def _has_resonant_mount(self, values: Mapping[Key, float]) -> bool:
         """Whether any sensor mount resonates, which requires samples instead of rows."""
@@ -484,7 +480,7 @@ class Dataset:
         mount = mount_resonance(channel, values)
         return samples if mount is None else mount.read(samples, self.log.sample_time)
 
-    def _rows(self, runs: Mapping[Quantity, FloatArray]) -> dict[Quantity, FloatArray]:
+    def rows(self, runs: Mapping[Quantity, FloatArray]) -> dict[Quantity, FloatArray]:
         """Rows (n_rows, n_joints, ...) of each quantity from its samples."""
         kinds = dict.fromkeys((name, c.reads_angle) for c in self.channels for name in c.quantities)
         return {name: self.kernels.rows(runs[name], slope=rate) for name, rate in kinds}

@@ -18,9 +18,10 @@ from strainwave.identification.closed_loop import velocity_band
 from strainwave.identification.whole_arm.records.dataset import (
     INITIAL_INTERVAL,
     Dataset,
+    Kernels,
+    low_pass_kernels,
     noise_behind,
 )
-from strainwave.identification.whole_arm.records.low_pass import Kernels, low_pass_kernels
 from strainwave.signals.channels import unmeasured
 from strainwave.signals.prepared_record import add_link_angles, prepare_record
 from strainwave.signals.recorded_input import (

@@ -1,23 +1,50 @@
 """Candidate models: test a further unknown, add it, fit, keep or drop it.
 
-`best_trial` fits, `select_better` keeps or drops, `revise` repeats both until nothing changes.
+Scores of held-out folds compare models of different numbers of unknowns; see `numerics.statistics`.
+The simplest candidates are here: settling times of friction, initial states of records that begin
+in motion, and wider ranges of friction and damping, whose starting values may be far off.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 
-from strainwave.domain import LawChoice, WholeArmOptions
-from strainwave.domain.keys import Key
+import numpy as np
+
+from strainwave.domain import FloatArray, IntArray, LawChoice, WholeArmOptions
+from strainwave.domain.arm.parameter_table import SETTLING
+from strainwave.domain.results.estimates import physical_range
 from strainwave.dynamics.arm import Arm
-from strainwave.errors import NotIdentifiable
-from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.solver import (
+from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
+from strainwave.identification.whole_arm.inference.covariance import confidence_of
+from strainwave.identification.whole_arm.problem.objective import (
+    BLOCKS_PER_RECORD,
+    ROUGH_INITIAL_STATE_TOLERANCE,
+    Objective,
+)
+from strainwave.identification.whole_arm.problem.starting_values import (
+    SETTLING_START,
+    add_settling_unknowns,
+)
+from strainwave.identification.whole_arm.problem.weighted_rows import Rows
+from strainwave.identification.whole_arm.search import (
     COARSE_RELATIVE_TOLERANCE,
+    Fit,
     fine_search,
+    resumed_coarse_search,
     search_minimum,
+)
+from strainwave.numerics.linalg import triangular_factor
+from strainwave.numerics.parallel import run_parallel
+from strainwave.numerics.spectra import estimate_rows_per_error
+from strainwave.numerics.statistics import (
+    MIN_CORRELATION_TIMES,
+    MIN_WEIGHT,
+    log_density,
+    weight_over,
 )
 
 MIN_SIGNIFICANCE_STDS = 3.0
@@ -27,6 +54,14 @@ The minimum cost reduction is its square.
 """
 MAX_CANDIDATE_EVALUATIONS = 10
 """Maximum evaluations of the trial fit of a candidate."""
+
+# share of the lower bound of its logarithm from which a settling time is zero
+_ZERO_BOUND_SHARE = 0.99
+# minimum cost reduction: chi-square of 6 initial states, probability 1e-4
+_MIN_COST_REDUCTION = 28.0
+# minimum share of the record's cost that initial states explain; model errors persist
+_MIN_EXPLAINED_SHARE = 0.5
+_MIN_FOLDS = 2  # of a record; the other folds estimate the variance of a channel
 
 
 @dataclass
@@ -56,11 +91,29 @@ class Selection:
         self.allow(fit.iterations + self.budget)
 
 
-Candidate = Callable[[Fit, Selection], Fit]
-"""A change of the model: added parameters, removed parameters or another starting value.
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A change of the model: further unknowns, fewer ones, or other starting values.
 
-It returns the fit of the changed model if the data support it, otherwise the fit itself.
-"""
+    `change` tests a fit, by statistics or by short searches. It returns the start of a search with
+    the changed model, or None if the data do not support a change.
+    """
+
+    change: Callable[[Fit, Selection], Fit | None]
+    search: Callable[[Fit, WholeArmOptions], Fit]
+    is_addition: bool = True  # is tried only while evaluations are left
+    is_repeated: bool = False  # until the data support no further change
+
+    def __call__(self, fit: Fit, selection: Selection) -> Fit:
+        """The fit of the changed model if the data support it, otherwise the fit itself."""
+        while not (self.is_addition and selection.is_budget_exhausted(fit)):
+            start = self.change(fit, selection)
+            if start is None:
+                break
+            fit = self.search(start, selection.options)
+            if not self.is_repeated:
+                break
+        return fit
 
 
 def run_trial(start: Fit, selection: Selection, max_evaluations: int | None) -> Fit:
@@ -86,30 +139,190 @@ def best_trial(starts: Iterable[Fit], search: Callable[[Fit], Fit]) -> Fit | Non
     return min(trials, key=lambda trial: trial.cost, default=None)
 
 
-def revise(
-    fit: Fit,
-    change: Callable[[Fit], Fit | None],
-    search: Callable[[Fit, WholeArmOptions], Fit],
-    selection: Selection,
-) -> Fit:
-    """Search from each change of the model until `change` finds none.
-
-    `change` tests unknowns and returns the start with those that the data support, or without one
-    that they do not support.
-    """
-    while (start := change(fit)) is not None:
-        fit = search(start, selection.options)
-    return fit
-
-
-def refit_without(values: Mapping[Key, float], fit: Fit, selection: Selection) -> Fit:
-    """Repeat a fine fit with unknowns fixed at `values`; the fit itself if there are none."""
-    if not values:
-        return fit
-    return fine_search(fit.with_unknowns(fit.space.fix_values(values)), selection.options)
-
-
 def select_better(fit: Fit, other: Fit) -> Fit:
     """Return `other` if it reduces the cost significantly, otherwise `fit` with its evaluations."""
     is_significant = fit.cost - other.cost > MIN_SIGNIFICANCE_STDS**2
     return other if is_significant else replace(fit, iterations=other.iterations)
+
+
+def held_out_scores(fits: Sequence[Fit]) -> FloatArray:
+    """Log predictive densities of fits of the same records, (n_fits, n_folds).
+
+    The density of `log_density` is summed over the channels of the fold; the number of independent
+    errors is that of the rows over kappa, the rows per independent residual, the largest of the
+    fits. The parameters without a fold are one Gauss-Newton step from the fit: the least squares
+    solution of the factors of the other folds, stacked. Unknowns at a bound stay there.
+    """
+    rows = [fit.objective.rows(fit.z) for fit in fits]
+    # long integrator steps may end a row earlier
+    n_rows = [min(len(one.residual) for one in of_record) for of_record in zip(*rows, strict=True)]
+    correlation = [
+        np.max([[estimate_rows_per_error(e) for e in one.errors.T] for one in of_record], axis=0)
+        for of_record in zip(*rows, strict=True)
+    ]
+    folds = [_folds(n, float(np.max(kappa))) for n, kappa in zip(n_rows, correlation, strict=True)]
+    return np.array(
+        [_scores(fit, own, folds, correlation) for fit, own in zip(fits, rows, strict=True)]
+    )
+
+
+def simplest_model(fits: Sequence[Fit]) -> int:
+    """Place of the fit with the fewest unknowns, unless one with more predicts better."""
+    scores = held_out_scores(fits)
+    chosen, *others = sorted(
+        range(len(fits)), key=lambda k: (len(fits[k].z), -float(np.sum(scores[k])))
+    )
+    for k in others:
+        if weight_over(scores[k], scores[chosen], np.random.default_rng(0)) > MIN_WEIGHT:
+            chosen = k
+    return chosen
+
+
+def _folds(n_rows: int, rows_per_error: float) -> IntArray:
+    """Number of the fold of each row of a record, (n_rows,)."""
+    n_folds = int(n_rows / (MIN_CORRELATION_TIMES * rows_per_error))
+    n_folds = min(max(n_folds, _MIN_FOLDS), BLOCKS_PER_RECORD)
+    return np.arange(n_rows) * n_folds // n_rows
+
+
+def _scores(
+    fit: Fit, rows: Sequence[Rows], folds: Sequence[IntArray], correlation: Sequence[FloatArray]
+) -> FloatArray:
+    """Log predictive densities of the folds of all records, (n_folds,)."""
+    # derivatives of the residuals in standard deviations
+    columns = [
+        (one.shared_columns / one.root[..., None])[: len(f)]
+        for one, f in zip(rows, folds, strict=True)
+    ]
+    residuals = [one.residual[: len(f)] for one, f in zip(rows, folds, strict=True)]
+    roots = [one.root[: len(f)] for one, f in zip(rows, folds, strict=True)]
+    parts = [
+        (k, fold == number) for k, fold in enumerate(folds) for number in range(int(fold[-1]) + 1)
+    ]
+    factors = []
+    for k, held in parts:
+        weighted = columns[k][held] * roots[k][held][..., None]
+        residual = (residuals[k] * roots[k])[held][..., None]
+        table = np.concatenate([weighted, residual], axis=2)
+        factors.append(triangular_factor(table.reshape(-1, table.shape[2])))
+    prior = np.column_stack(fit.space.linearise_prior(fit.z))
+    free = np.flatnonzero(~(fit.at_bounds | fit.at_zero))
+    predicted = [np.zeros_like(residual) for residual in residuals]
+    for number, (k, held) in enumerate(parts):
+        others = np.concatenate([prior, *factors[:number], *factors[number + 1 :]])
+        step = np.linalg.lstsq(others[:, free], -others[:, -1])[0]
+        change = columns[k][held][..., free] @ step
+        predicted[k][held] = (residuals[k][held] + change) * rows[k].stds
+    scores = []
+    for k, held in parts:
+        squares = predicted[k] ** 2
+        held_out, variance = np.mean(squares[held], axis=0), np.mean(squares[~held], axis=0)
+        count, others = np.sum(held) / correlation[k], np.sum(~held) / correlation[k]
+        scores.append(float(np.sum(log_density(held_out, variance, count, others))))
+    return np.array(scores)
+
+
+def add_settling_times(fit: Fit, selection: Selection) -> Fit:
+    """Add a friction settling time to each joint of a coarse fit.
+
+    Keeps them if the options require them or the cost decreases significantly.
+    """
+    required = selection.options.settling
+    if required is False or selection.is_budget_exhausted(fit):
+        return fit
+    space = add_settling_unknowns(fit.space)
+    starts = {key: SETTLING_START for key in space.keys if key[0] == SETTLING}
+    max_evaluations = None if required else MAX_CANDIDATE_EVALUATIONS
+    extended = run_trial(fit.with_unknowns(space, starts), selection, max_evaluations)
+    return select_better(fit, extended) if required is None else extended
+
+
+def _without_insignificant_settling_times(fit: Fit, selection: Selection) -> Fit | None:
+    """The fit without settling times that are not significant: friction acts instantly."""
+    if selection.options.settling or all(name != SETTLING for name, _ in fit.space.keys):
+        return None
+    values = fit.values
+    stds = np.sqrt(np.diag(confidence_of(fit).cautious))
+    at_lower_bound = fit.z < _ZERO_BOUND_SHARE * fit.space.lower
+    insignificant = {
+        key: 0.0
+        for key, std, is_at_bound in zip(fit.space.keys, stds, at_lower_bound, strict=True)
+        if key[0] == SETTLING and (is_at_bound or values[key] < MIN_SIGNIFICANCE_STDS * std)
+    }
+    return fit.with_unknowns(fit.space.fix_values(insignificant)) if insignificant else None
+
+
+remove_insignificant_settling_times = Candidate(
+    _without_insignificant_settling_times, fine_search, is_addition=False
+)
+
+
+def _with_initial_motion(fit: Fit, _: Selection) -> Fit | None:
+    objective = add_initial_states(fit.objective, fit.z)
+    return None if objective is fit.objective else replace(fit, objective=objective)
+
+
+add_significant_initial_motion = Candidate(_with_initial_motion, resumed_coarse_search)
+
+
+def add_initial_states(objective: Objective, z: FloatArray) -> Objective:
+    """Add initial states to the records that a simulation from standstill fits much worse.
+
+    `z` (n_unknowns,) is near the minimum. Returns the same object if no such record exists.
+    """
+    at_standstill = [k for k, record in enumerate(objective.records) if not record.begins_in_motion]
+    rows = objective.rows(z)
+    costs = [rows[k].cost(objective.weights[k]) for k in at_standstill]
+    estimates = run_parallel(
+        [
+            partial(_estimate_initial_motion, objective, z, *each)
+            for each in zip(at_standstill, costs, strict=True)
+        ]
+    )
+    for k, estimate in zip(at_standstill, estimates, strict=True):
+        objective = objective if estimate is None else objective.add_initial_states(k, estimate)
+    return objective
+
+
+def _estimate_initial_motion(
+    objective: Objective, z: FloatArray, k: int, rest: float
+) -> FloatArray | None:
+    """Initial states and sensor biases (n_own,) of a record that begins in motion.
+
+    `rest` is the cost of the record from standstill. Returns None if initial states do not explain
+    enough of it.
+    """
+    fixed_space = objective.space.fix_values(objective.space.values(z))
+    free_start = objective.add_initial_states(k).select_records(k).replace_unknowns(fixed_space)
+    rough_start = replace(free_start, initial_state_tolerance=ROUGH_INITIAL_STATE_TOLERANCE)
+    weights = objective.weights[k]
+    try:
+        (rows,) = rough_start.rows(z[:0])
+        min_cost = (1.0 - ROUGH_INITIAL_STATE_TOLERANCE) * rows.cost(weights)
+        if min_cost > _MIN_EXPLAINED_SHARE * rest:
+            return None  # a more precise search cannot reach the required share
+        (rows,) = free_start.rows(z[:0])
+    except (InvalidInput, NumericalFailure):
+        return None  # the arm cannot be simulated from such initial states
+    cost = rows.cost(weights)
+    is_evident = rest - cost > _MIN_COST_REDUCTION and cost < _MIN_EXPLAINED_SHARE * rest
+    return rows.record_parameters if is_evident else None
+
+
+def _with_extended_ranges(fit: Fit, selection: Selection) -> Fit | None:
+    """The fit with frictions and dampings at the end of their range centred in a new one."""
+    bounded = [
+        k
+        for k, (unknown, at) in enumerate(zip(fit.space.unknowns, fit.at_bounds, strict=True))
+        if at
+        and not unknown.signed
+        and unknown.limits is None
+        and physical_range(unknown.name) == "non-negative"
+    ]
+    if not bounded or not fit.end.is_minimum:
+        return None
+    selection.renew(fit)
+    return fit.with_unknowns(fit.space.recentre(fit.z, bounded))
+
+
+extend_ranges = Candidate(_with_extended_ranges, fine_search, is_addition=False)

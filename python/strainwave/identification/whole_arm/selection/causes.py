@@ -1,5 +1,6 @@
-"""Effects that the model lacks: included if they predict held-out stretches better.
+"""Effects: those that the study names, and those that predict held-out stretches better.
 
+A coarse fit near its minimum gets the named effects, and the fine fit drops insignificant ones.
 A score test is one linear step. Effects with similar score tests are told apart by fits, which use
 the shapes and limits of their laws, and by the held-out scores of these fits. The models that
 predict about as well as the one that is handed over remain plausible, and enter its intervals.
@@ -14,10 +15,7 @@ from functools import partial
 
 import numpy as np
 
-from strainwave.domain import (
-    ParameterShift,
-    WholeArmOptions,
-)
+from strainwave.domain import Cause, WholeArmOptions
 from strainwave.domain.arm.effects import STIFFNESS_CURVE, effect_named
 from strainwave.domain.arm.gear_laws import STIFFNESS, gear_law
 from strainwave.domain.arm.parameter_table import base_name
@@ -27,12 +25,11 @@ from strainwave.domain.results.final_table import is_identified
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
-from strainwave.identification.whole_arm.inference.held_out import held_out_scores, simplest_model
+from strainwave.identification.whole_arm.inference.fit_tests import has_excess_residuals
 from strainwave.identification.whole_arm.inference.parameter_estimates import (
     PlausibleModel,
     parameters_of,
 )
-from strainwave.identification.whole_arm.inference.residual_analysis import has_excess_residuals
 from strainwave.identification.whole_arm.inference.score_tests import (
     TestedEffect,
     is_primary,
@@ -46,22 +43,34 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     add_effects,
     insignificant_effects,
     named_effects,
+    remove_effects,
     whole_inertia_of,
     with_effects,
 )
-from strainwave.identification.whole_arm.problem.starting_values import replace_stiffness
-from strainwave.identification.whole_arm.records.loads import Loads, gear_torques, loads_of
-from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.solver import fine_search, polish, search_minimum
-from strainwave.identification.whole_arm.selection.candidate import Selection
-from strainwave.identification.whole_arm.selection.further_unknowns import extend_ranges
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
+from strainwave.identification.whole_arm.problem.starting_values import (
+    Loads,
+    gear_torques,
+    loads_of,
+    replace_stiffness,
+)
+from strainwave.identification.whole_arm.search import Fit, fine_search, polish, search_minimum
+from strainwave.identification.whole_arm.selection.candidate import (
+    Candidate,
+    Selection,
+    extend_ranges,
+    held_out_scores,
+    select_better,
+    simplest_model,
+)
 from strainwave.identification.whole_arm.selection.sensor_constants import (
-    add_significant_sensor_constants,
+    add_fine_sensor_constants,
     remove_insignificant_sensor_constants,
 )
 from strainwave.numerics.statistics import MIN_WEIGHT, model_weights, weight_over
 from strainwave.signals.motor import activity_of
 
+MAX_NAMED_EVALUATIONS = 30  # of the trial with named effects, which have several parameters each
 MAX_RIVAL_EFFECTS = 3  # fitted effects of largest predicted gain
 MAX_OTHER_EFFECTS = 4  # fitted effects of the same joint if the rivals explain too little
 MAX_LINEARISED_EFFECTS = 6  # further effects, one step from the fit
@@ -78,18 +87,62 @@ MIN_REMAINING_COMPLIANCE = 0.3  # share of the gear; a slower part moves with it
 MAX_INCLUDED_EFFECTS = 4  # that the data select
 
 
+def add_named_effects(fit: Fit, selection: Selection) -> Fit:
+    """The coarse fit with the effects that the study names, unless they gain too little."""
+    arm = selection.arm
+    if not named_effects(arm):
+        return fit
+    # as many as the fit without them
+    selection.allow(selection.options.max_iterations + selection.budget)
+    values = fit.values
+    loads = loads_of(fit.objective.records, values)
+    space, start = add_effects(fit.space, named_effects(arm), arm, values, loads, fit.records)
+    extended = search_minimum(
+        fit.restart(with_effects(fit.objective, space, arm), start),
+        selection.options,
+        max_evaluations=MAX_NAMED_EVALUATIONS,
+    )
+    return select_better(replace(fit, cost=fit.cost - _prior_relief(fit, space)), extended)
+
+
+def _prior_relief(fit: Fit, space: ParameterSpace) -> float:
+    """Cost reduction due to the lower trust in the rigid step that the effects require."""
+    parameters = fit.space.parameters(fit.z)
+
+    before, after = (
+        float(np.sum((prior.rows[:, : len(parameters)] @ parameters - prior.target) ** 2))
+        for prior in (fit.space.prior, space.prior)
+    )
+    return before - after
+
+
+def _without_insignificant_effects(fit: Fit, selection: Selection) -> Fit | None:
+    arm = selection.arm
+    if not named_effects(arm):
+        return None
+    effects = set(insignificant_effects(fit.space, fit.z, confidence_of(fit).cautious))
+    space = remove_effects(fit.space, effects, arm)
+    objective = with_effects(fit.objective, space, arm)
+    return fit.restart(objective, space.coordinates(fit.values)) if effects else None
+
+
+remove_insignificant_effects = Candidate(
+    _without_insignificant_effects, fine_search, is_addition=False, is_repeated=True
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Rival:
     """A model with one further effect."""
 
-    named_effect: NamedEffect
-    arm: Arm
+    cause: Cause  # the effect, without its parameters
     fit: Fit
-    gain: float  # cost reduction
-    share: float  # of the cost that the effect explains
-    shifts: tuple[ParameterShift, ...]
-    is_linearised: bool  # one step from the fit without the effect
-    weight: float = 0.0  # by held-out scores, against the model without the effect
+    arm: Arm
+
+    @property
+    def named_effect(self) -> NamedEffect:
+        """The joint and the effect."""
+        return self.cause.joint, self.cause.effect
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +192,9 @@ def include_effects(fit: Fit, selection: Selection) -> tuple[Fit, ModelCompariso
         supported = [
             rival
             for rival in rivals
-            if rival.weight > MIN_WEIGHT and rival.share > min_share and not rival.is_linearised
+            if rival.cause.weight > MIN_WEIGHT
+            and rival.cause.share > min_share
+            and not rival.cause.is_linearised
         ]
         best = extended = None
         while supported and extended is None and len(included) < MAX_INCLUDED_EFFECTS:
@@ -202,7 +257,7 @@ def _include(fit: Fit, rival: Rival, selection: Selection) -> Fit | None:
         extended = fine_search(fit.restart(objective, rival.fit.z), selection.options)
         # the effect may have hidden, or imitated, the constant of a sensor
         extended = extend_ranges(extended, selection)
-        extended = add_significant_sensor_constants(extended, selection, coarse=False)
+        extended = add_fine_sensor_constants(extended, selection)
         extended = remove_insignificant_sensor_constants(extended, selection)
         extended = polish(extended, selection.options)
     except NotIdentifiable:
@@ -256,15 +311,14 @@ def _rivals_of(
     if long is not fit:
         long = replace(long, objective=long.objective.store_step_errors(fit.z))
         starts = [long, fit]  # some effects are too stiff for long steps
-    arm = selection.arm
     candidates = candidates[:MAX_RIVAL_EFFECTS]
     rivals = _fit_rivals(starts, candidates, selection, budget)
     if not promising:
-        rivals = [rival for rival in rivals if rival.share > min_share]
-    best = max(rivals, key=lambda one: one.gain, default=None)
+        rivals = [rival for rival in rivals if rival.cause.share > min_share]
+    best = max(rivals, key=lambda one: one.cause.gain, default=None)
     if promising and (
         best is None
-        or best.share < MIN_EXPLAINED_SHARE
+        or best.cause.share < MIN_EXPLAINED_SHARE
         or effect_named(best.named_effect[1]).by_record
     ):
         # a linear step underrates some effects; an effect by record can replace many others
@@ -274,17 +328,16 @@ def _rivals_of(
     known = {rival.named_effect for rival in rivals}
     others = [one for one in promising if one.named_effect not in known]
     for one in others[:MAX_LINEARISED_EFFECTS]:
-        attempts = (_linearise(start, one, arm, selection.options) for start in starts)
+        attempts = (_linearise(start, one, selection) for start in starts)
         rivals += [rival for rival in attempts if rival is not None][:1]
     if not rivals:
         return []
-    scores = held_out_scores([fit, *(rival.fit for rival in rivals)])
-    weights = [
-        weight_over(scores[k], scores[0], np.random.default_rng(0)) for k in range(1, len(scores))
-    ]
-    totals = scores.sum(axis=1)[1:].tolist()
-    order = sorted(range(len(rivals)), key=lambda k: -totals[k])
-    return [replace(rivals[k], weight=weights[k]) for k in order]
+    without, *scores = held_out_scores([fit, *(rival.fit for rival in rivals)])
+    weighted = []
+    for own, rival in sorted(zip(scores, rivals, strict=True), key=lambda pair: -np.sum(pair[0])):
+        weight = weight_over(own, without, np.random.default_rng(0))
+        weighted.append(replace(rival, cause=replace(rival.cause, weight=weight)))
+    return weighted
 
 
 def _fit_rivals(
@@ -304,7 +357,7 @@ def _fit_rivals(
             continue
         attempts = (_refit(start, one, selection, budget) for start in starts)
         rival = next((rival for rival in attempts if rival is not None), None)
-        if rival is not None and rival.gain > 0.0:
+        if rival is not None and rival.cause.gain > 0.0:
             rivals.append(rival)
     return rivals
 
@@ -322,18 +375,16 @@ def _refit(fit: Fit, tested: TestedEffect, selection: Selection, budget: _Budget
         shapes = (tested.shapes, *tested.other_shapes)
         starts += [with_large_part(estimates | each, one, selection.arm) for each in shapes]
     loads = loads_of(fit.objective.records, estimates)
-    best: Fit | None = None
-    gain = -math.inf
+    best: Rival | None = None
     for start in starts:
         limit = budget.next_limit
-        if not limit or gain > MIN_ACHIEVED_GAIN_SHARE * tested.gain:
+        if not limit or (best and best.cause.gain > MIN_ACHIEVED_GAIN_SHARE * tested.gain):
             break
-        limited = replace(selection.options, max_iterations=limit)
-        other = _search_with_effect(fit, tested.named_effect, start, loads, selection.arm, limited)
-        budget.remaining -= limit if other is None else min(other.iterations, budget.remaining)
-        if other is not None and (best is None or other.cost < best.cost):
-            best, gain = other, fit.cost - tested.rigid - other.cost
-    return None if best is None else _rival(fit, tested, best, selection.arm)
+        rival = _search_with_effect(fit, tested, start, loads, selection, limit)
+        budget.remaining -= min(rival.fit.iterations, budget.remaining) if rival else limit
+        if rival is not None and (best is None or rival.fit.cost < best.fit.cost):
+            best = rival
+    return best
 
 
 def with_large_part(values: Values, one: NamedEffect, arm: Arm) -> Values:
@@ -354,56 +405,46 @@ def with_large_part(values: Values, one: NamedEffect, arm: Arm) -> Values:
     return values | changed
 
 
-def _linearise(fit: Fit, tested: TestedEffect, arm: Arm, options: WholeArmOptions) -> Rival | None:
+def _linearise(fit: Fit, tested: TestedEffect, selection: Selection) -> Rival | None:
     """The model one linear step from the fit; None if the step does not reduce the cost."""
     loads = loads_of(fit.objective.records, fit.values)
-    once = replace(options, max_iterations=1)
-    other = _search_with_effect(fit, tested.named_effect, tested.values, loads, arm, once)
-    rival = None if other is None else _rival(fit, tested, other, arm)
-    if rival is None or not rival.gain > 0.0:
+    rival = _search_with_effect(fit, tested, tested.values, loads, selection, max_evaluations=1)
+    if rival is None or not rival.cause.gain > 0.0:
         return None
-    return replace(rival, is_linearised=True)
-
-
-def _rival(fit: Fit, tested: TestedEffect, other: Fit, arm: Arm) -> Rival:
-    gain = fit.cost - tested.rigid - other.cost
-    moved = tuple(shifts(fit, _comparable_values(other, tested.named_effect)))
-    share = gain / max(fit.cost, 1e-300)
-    extended = _with_possible_effect(arm, tested.named_effect)
-    return Rival(tested.named_effect, extended, other, gain, share, moved, is_linearised=False)
-
-
-def _comparable_values(fit: Fit, one: NamedEffect) -> Values:
-    """Values of a fit; the stiffness of a curve at zero torsion replaces the linear one."""
-    values, (joint, law) = fit.values, (one[0], effect_named(one[1]).fitted_law)
-    if law:
-        curve = gear_law(law).of_joint(values, joint)
-        values[STIFFNESS, joint] = float(gear_law(law).stiffness(curve, np.zeros(1))[0])
-    return values
+    return replace(rival, cause=replace(rival.cause, is_linearised=True))
 
 
 def _search_with_effect(
-    fit: Fit, one: NamedEffect, start: Values, loads: Loads, arm: Arm, options: WholeArmOptions
-) -> Fit | None:
-    """Search briefly with one additional effect, correct the step error, and search again."""
-    extended = _with_possible_effect(arm, one)
-    if effect_named(one[1]).fitted_law:
+    fit: Fit,
+    tested: TestedEffect,
+    start: Values,
+    loads: Loads,
+    selection: Selection,
+    max_evaluations: int,
+) -> Rival | None:
+    """Search briefly with one additional effect, correct the step error, and search again.
+
+    Returns None if no such arm can be simulated.
+    """
+    joint, name = tested.named_effect
+    arm, law = selection.arm, effect_named(name).fitted_law
+    if law:
+        extended = arm.with_joint(joint, spring=law)
         space, z = replace_stiffness(fit.space, extended, fit.values | start, loads.torque)
     else:
-        space, z = add_effects(fit.space, [one], arm, start, loads, fit.records)
+        possible = (*arm.joints[joint - 1].possible_effects, name)
+        extended = arm.with_joint(joint, effects=tuple(dict.fromkeys(possible)))
+        space, z = add_effects(fit.space, [(joint, name)], arm, start, loads, fit.records)
+    options = replace(selection.options, max_iterations=max_evaluations)
     search = partial(search_minimum, options=options, tolerance=REFIT_GAIN_TOLERANCE)
     try:
         first = search(Fit.at(with_effects(fit.objective, space, extended), z))
-        return search(replace(first, objective=first.objective.correct_step_error(first.z)))
+        end = search(replace(first, objective=first.objective.correct_step_error(first.z)))
     except (InvalidInput, NotIdentifiable, NumericalFailure):
         return None
-
-
-def _with_possible_effect(arm: Arm, one: NamedEffect) -> Arm:
-    """The arm with one additional possible effect, or with the gear law that it is."""
-    number, effect = one
-    law = effect_named(effect).fitted_law
-    if law:
-        return arm.with_joint(number, spring=law)
-    possible = arm.joints[number - 1].possible_effects
-    return arm.with_joint(number, effects=tuple(dict.fromkeys((*possible, effect))))
+    gain, values = fit.cost - tested.rigid - end.cost, end.values
+    if law:  # the stiffness of a curve at zero torsion is comparable with the linear one
+        curve = gear_law(law).of_joint(values, joint)
+        values[STIFFNESS, joint] = float(gear_law(law).stiffness(curve, np.zeros(1))[0])
+    share = gain / max(fit.cost, 1e-300)
+    return Rival(Cause(joint, name, (), gain, share, tuple(shifts(fit, values))), end, extended)

@@ -7,6 +7,7 @@ of stiffness curves. The held-out prediction decides between the laws.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -19,22 +20,23 @@ from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
-from strainwave.identification.whole_arm.inference.held_out import held_out_scores, simplest_model
 from strainwave.identification.whole_arm.inference.parameter_estimates import identified_curves
 from strainwave.identification.whole_arm.inference.score_tests import TestedEffect, curve_tests_of
 from strainwave.identification.whole_arm.problem.effect_unknowns import with_effects
 from strainwave.identification.whole_arm.problem.parameter_space import limit_unknown
-from strainwave.identification.whole_arm.problem.starting_values import replace_stiffness
-from strainwave.identification.whole_arm.records.loads import gear_torques
-from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.solver import fine_search, resumed_coarse_search
+from strainwave.identification.whole_arm.problem.starting_values import (
+    gear_torques,
+    replace_stiffness,
+)
+from strainwave.identification.whole_arm.search import Fit, fine_search, resumed_coarse_search
 from strainwave.identification.whole_arm.selection.candidate import (
     MAX_CANDIDATE_EVALUATIONS,
     MIN_SIGNIFICANCE_STDS,
     Selection,
-    refit_without,
+    held_out_scores,
     run_trial,
     select_better,
+    simplest_model,
 )
 from strainwave.numerics.statistics import weight_over
 
@@ -108,7 +110,6 @@ class _LawTrials:
         return replace(current, iterations=self.iterations)
 
     def _arm(self, joints: Sequence[int], law: str) -> Arm:
-        """The arm with another law of some joints."""
         arm = self.selection.arm
         for joint in joints:
             arm = arm.with_joint(joint, spring=law)
@@ -127,45 +128,36 @@ class _LawTrials:
         """
         fits = {}
         for law in laws:
-            try:
+            with suppress(InvalidInput, NotIdentifiable, NumericalFailure):
                 fits[law] = self._fit(start, joints, law, max_evaluations)
-            except (InvalidInput, NotIdentifiable, NumericalFailure):
-                continue
         return fits
 
     def _fit(self, start: Fit, joints: Sequence[int], law: str, max_evaluations: int | None) -> Fit:
         arm, options = self._arm(joints, law), self.selection.options
-        values = self.linear.values | start.values | self._secants(start, joints)
+        values = self.linear.values | start.values
+        for joint in joints:  # the stiffness of the line through a torque of the curve
+            current = self.selection.arm.joints[joint - 1].law
+            torque = _REFERENCE_LOAD * self.largest_torque[[joint - 1]]
+            torsion = current.torsion(current.of_joint(values, joint), torque)
+            values[STIFFNESS, joint] = float((torque / torsion)[0])
         space, z = replace_stiffness(self.linear.space, arm, values, self.largest_torque.tolist())
         known = set(self.linear.space.keys)
         unknowns = tuple(
             unknown if unknown.key in known else limit_unknown(unknown, options, at)
             for unknown, at in zip(space.unknowns, z.tolist(), strict=True)
         )
-        space = replace(space, unknowns=unknowns)
-        own = Selection(
-            arm, replace(options, max_iterations=self.iterations + self.selection.budget)
-        )
-        restart = start.restart(with_effects(start.objective, space, arm), z)
-        restart = replace(restart, iterations=self.iterations)
+        objective = with_effects(start.objective, replace(space, unknowns=unknowns), arm)
+        restart = replace(start.restart(objective, z), iterations=self.iterations)
+        max_iterations = self.iterations + self.selection.budget
+        own = Selection(arm, replace(options, max_iterations=max_iterations))
         if max_evaluations is None:
-            found = resumed_coarse_search(restart, own.options)
+            fit = resumed_coarse_search(restart, own.options)
         else:
-            found = run_trial(restart, own, max_evaluations)
-        found = restart_coarse_fit(found, own)
-        self.iterations = found.iterations
+            fit = run_trial(restart, own, max_evaluations)
+        fit = restart_coarse_fit(fit, own)
+        self.iterations = fit.iterations
         self.selection.allow(self.iterations + self.selection.budget)
-        return found
-
-    def _secants(self, fit: Fit, joints: Sequence[int]) -> Values:
-        """Stiffness of the line through a torque of the curve of each joint."""
-        values, secants = fit.values, Values()
-        for joint in joints:
-            law = self.selection.arm.joints[joint - 1].law
-            torque = _REFERENCE_LOAD * self.largest_torque[[joint - 1]]
-            torsion = law.torsion(law.of_joint(values, joint), torque)
-            secants[STIFFNESS, joint] = float((torque / torsion)[0])
-        return secants
+        return fit
 
 
 def _select(joint: int, rivals: Mapping[str, Fit]) -> LawChoice:
@@ -174,13 +166,16 @@ def _select(joint: int, rivals: Mapping[str, Fit]) -> LawChoice:
     chosen = simplest_model([rivals[name] for name in names])
     scores = held_out_scores([rivals[name] for name in names])
 
-    def margin(k: int, other: int) -> LawMargin:
-        difference = float(np.sum(scores[k] - scores[other]))
-        weight = weight_over(scores[k], scores[other], np.random.default_rng(0))
-        return LawMargin(names[other], difference, weight)
-
-    others = (k for k in range(len(names)) if k != chosen)
-    return LawChoice(joint, names[chosen], tuple(margin(chosen, k) for k in others))
+    margins = [
+        LawMargin(
+            names[k],
+            float(np.sum(scores[chosen] - scores[k])),
+            weight_over(scores[chosen], scores[k], np.random.default_rng(0)),
+        )
+        for k in range(len(names))
+        if k != chosen
+    ]
+    return LawChoice(joint, names[chosen], tuple(margins))
 
 
 def equivalent_stiffnesses(
@@ -282,7 +277,9 @@ def remove_insignificant_stiffness_terms(fit: Fit, selection: Selection) -> Fit:
             covariance = confidence_of(fit).cautious[np.ix_(places, places)]
             if estimate @ np.linalg.solve(covariance, estimate) < MIN_SIGNIFICANCE_STDS**2:
                 insignificant |= {keys[k]: 0.0 for k in places}
-    fit = refit_without(insignificant, fit, selection)
+    if insignificant:
+        start = fit.with_unknowns(fit.space.fix_values(insignificant))
+        fit = fine_search(start, selection.options)
     straight = selection.law_choices.keys() & {number for _, number in insignificant}
     if not straight:
         return fit
@@ -321,6 +318,5 @@ def straighten_curves(fit: Fit, selection: Selection) -> Fit:
 
 
 def _select_line(number: int, selection: Selection) -> None:
-    linear = stated_law(AUTO).name
-    selection.arm = selection.arm.with_joint(number, spring=linear)
-    selection.law_choices = selection.law_choices | {number: LawChoice(number, linear)}
+    selection.arm = selection.arm.with_joint(number, spring=LINEAR)
+    selection.law_choices = selection.law_choices | {number: LawChoice(number, LINEAR)}

@@ -24,23 +24,24 @@ from strainwave.domain.arm.link_sensors.imu import (
     ImuAccelerometers,
 )
 from strainwave.domain.arm.link_sensors.single_axis import ACCELEROMETER_DISTANCE, Accelerometer
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import Key, Values
 from strainwave.domain.results.distributions import chi_square_limit
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import MountResonance
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.identification.whole_arm.inference.residual_analysis import channels_above_noise
+from strainwave.identification.whole_arm.inference.fit_tests import channels_above_noise
 from strainwave.identification.whole_arm.problem.parameter_space import is_held
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
-from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.solver import (
+from strainwave.identification.whole_arm.records.dataset import Dataset
+from strainwave.identification.whole_arm.search import (
     COARSE_TOLERANCE,
+    Fit,
     fine_search,
     refine,
     resumed_coarse_search,
     search_minimum,
 )
-from strainwave.identification.whole_arm.selection.candidate import Selection, best_trial, revise
+from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection, best_trial
 from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
 from strainwave.signals.imu_attitude import imu_candidates, mirror_mounting
 from strainwave.signals.mounting_start import distance_of
@@ -75,7 +76,6 @@ def select_mountings(fit: Fit, arm: Arm, options: WholeArmOptions) -> Fit:
 
 
 def _choose_mounting(fit: Fit, axes: Sequence[SensorAxis], options: WholeArmOptions) -> Fit:
-    """Choose the starting mounting of the sensors of one link."""
     joint, values = axes[0].joint, fit.values
     keys = (*unknowns_of(axes), *((name, joint) for name in IMU_START_ATTITUDE))
     mountings: list[Mounting] = [{key: values[key] for key in keys if key in values}]
@@ -134,19 +134,21 @@ def improve_mountings(fit: Fit, selection: Selection) -> Fit:
 
     A mounting is kept as it is if no short search from another one ends at a lower cost.
     """
-    arm, options = selection.arm, selection.options
-    for joint in range(1, arm.n_joints + 1):
-        axes, rotation = _axes_on(fit, joint), (IMU_ROTATION[2], joint)
-        has_attitude = rotation in fit.space.keys and rotation in unknowns_of(axes)
-        if not has_attitude or selection.is_budget_exhausted(fit):
-            continue
-        mountings = _simulated_attitudes(fit, axes, flat=_is_in_plane(fit, joint))
-        for start in _rank(_with_mounting(fit, one) for one in mountings)[:_MAX_STARTS]:
-            trial = _search_briefly(start, options)
-            if trial.cost < (1.0 - _MIN_COST_REDUCTION) * fit.cost:
-                fit = resumed_coarse_search(trial, options)
-                break
+    for joint in range(1, selection.arm.n_joints + 1):
+        change = partial(_better_mounting, joint=joint)
+        fit = Candidate(change, resumed_coarse_search)(fit, selection)
     return fit
+
+
+def _better_mounting(fit: Fit, selection: Selection, joint: int) -> Fit | None:
+    axes, rotation = _axes_on(fit, joint), (IMU_ROTATION[2], joint)
+    if rotation not in fit.space.keys or rotation not in unknowns_of(axes):
+        return None
+    mountings = _simulated_attitudes(fit, axes, flat=_is_in_plane(fit, joint))
+    starts = _rank(_with_mounting(fit, one) for one in mountings)[:_MAX_STARTS]
+    trials = (_search_briefly(start, selection.options) for start in starts)
+    max_cost = (1.0 - _MIN_COST_REDUCTION) * fit.cost
+    return next((trial for trial in trials if trial.cost < max_cost), None)
 
 
 def _axes_on(fit: Fit, joint: int) -> list[SensorAxis]:
@@ -156,30 +158,31 @@ def _axes_on(fit: Fit, joint: int) -> list[SensorAxis]:
 
 
 def add_significant_tilts(fit: Fit, selection: Selection) -> Fit:
-    """Add significant tilts of IMUs that were assumed to lie in the plane of motion.
+    """Add significant tilts of IMUs that were assumed to lie in the plane of motion."""
+    for joint in range(1, selection.arm.n_joints + 1):
+        change = partial(_significant_tilt, joint=joint)
+        fit = Candidate(change, refine, is_addition=False)(fit, selection)
+    return fit
+
+
+def _significant_tilt(fit: Fit, selection: Selection, joint: int) -> Fit | None:
+    """The better of two tilts.
 
     The derivative of the readings with respect to a tilt is zero at zero tilt, so the searches
     start from a small tilt of either sign.
     """
-    arm, options = selection.arm, selection.options
-    for joint in range(1, arm.n_joints + 1):
-        # about a fixed axis, tilt and distance are nearly collinear without gravity
-        axes = _axes_on(fit, joint)
-        if not _is_in_plane(fit, joint) or not axes[0].space.has_varying_force:
-            continue
-        tilts: list[Key] = [(name, joint) for name in IMU_ROTATION[:2]]
-        tilted = [{tilts[0]: _START_TILT, tilts[1]: side * _START_TILT} for side in (1.0, -1.0)]
-        starts = (
-            fit.with_unknowns(add_sensor_constants(fit.space, tilts, one), one) for one in tilted
-        )
-        best = best_trial(starts, partial(_search_briefly, options=options))
-        if best is not None and fit.cost - best.cost > _MIN_TILT_SIGNIFICANCE**2:
-            fit = refine(best, options)
-    return fit
+    # about a fixed axis, tilt and distance are nearly collinear without gravity
+    axes = _axes_on(fit, joint)
+    if not _is_in_plane(fit, joint) or not axes[0].space.has_varying_force:
+        return None
+    tilts: list[Key] = [(name, joint) for name in IMU_ROTATION[:2]]
+    tilted = [{tilts[0]: _START_TILT, tilts[1]: side * _START_TILT} for side in (1.0, -1.0)]
+    starts = (fit.with_unknowns(add_sensor_constants(fit.space, tilts, one), one) for one in tilted)
+    best = best_trial(starts, partial(_search_briefly, options=selection.options))
+    return best if best and fit.cost - best.cost > _MIN_TILT_SIGNIFICANCE**2 else None
 
 
 def _with_mounting(fit: Fit, mounting: Mounting) -> Fit:
-    """Start of a search with another mounting."""
     fixed = {key: value for key, value in mounting.items() if key[0] in IMU_START_ATTITUDE}
     space = replace(fit.space, fixed={**fit.space.fixed, **fixed})
     return fit.with_unknowns(space, dict(mounting))
@@ -189,11 +192,30 @@ def _simulated_mountings(
     fit: Fit, axes: Sequence[SensorAxis], *, flat: bool = False
 ) -> list[dict[Key, float]]:
     """Mountings by least squares on the simulated link motion of all records."""
-    per_record = [record.tables(fit.values, axes) for record in fit.objective.records]
+    per_record = [_tables(record, fit.values, axes) for record in fit.objective.records]
     tables = [np.concatenate(parts) for parts in zip(*per_record, strict=True)]
     if isinstance(axes[0].sensor, Accelerometer):
         return [{(ACCELEROMETER_DISTANCE, axes[0].joint): distance_of(axes[0], tables[0])}]
     return imu_candidates(axes, tables, flat=flat)[:_MAX_STARTS]
+
+
+def _tables(record: Dataset, values: Values, axes: Sequence[SensorAxis]) -> list[FloatArray]:
+    """For each axis, the simulated quantities that it combines and, last, its reading.
+
+    Each table (n_rows, n_quantities + 1) has zero column means. The simulation starts from the
+    initial states of `start`. The table of an axis that the record lacks has no rows.
+    """
+    rows = record.rows(record.run(values, record.start(), record.quantities()))
+    at = {channel: k for k, channel in enumerate(record.channels)}
+    tables = []
+    for axis in axes:
+        parts = [rows[name][:, axis.joint - 1] for name in axis.quantities if name in rows]
+        table = np.zeros((0, len(axis.quantities) + 1))
+        if axis in at:
+            table = np.column_stack([*parts, record.measured[:, at[axis]]])
+            table = table - table.mean(axis=0)
+        tables.append(table)
+    return tables
 
 
 def _simulated_attitudes(
@@ -223,25 +245,26 @@ Names = tuple[Key, Key]
 Mounts = dict[Names, list[MountResonance]]
 
 
-def add_mount_resonances(fit: Fit, selection: Selection) -> Fit:
-    """Add mount resonances one by one, the most significant first.
+def _with_mount(fit: Fit, selection: Selection) -> Fit | None:
+    """The first acceptable one of the best mounts of sensors, the most significant sensor first.
 
-    Returns the fit itself if no sensor has residuals above its noise.
+    The evaluations of the trials do not count for the budget.
     """
-    max_iterations = selection.options.max_iterations
+    for names, mounts in _significant_mounts(fit, selection).items():
+        starts = []
+        for mount in mounts:
+            values = dict(zip(names, (mount.frequency, mount.damping), strict=True))
+            space = add_sensor_constants(fit.space, list(values), values)
+            starts.append(replace(fit.with_unknowns(space, values), iterations=0))
+        search = partial(_search_briefly, options=selection.options, tolerance=_TRIAL_TOLERANCE)
+        trial = best_trial(starts, search)
+        if trial is not None and _is_acceptable(fit, trial, names):
+            selection.allow(selection.options.max_iterations + trial.iterations)
+            return replace(trial, iterations=fit.iterations + trial.iterations)
+    return None
 
-    def extend(fit: Fit) -> Fit | None:
-        """The fit with the most significant acceptable mount."""
-        if fit.iterations >= max_iterations:
-            return None
-        for names, mounts in _significant_mounts(fit, selection).items():
-            trial = _fit_mount(fit, names, mounts, selection.options)
-            if trial is not None and _is_acceptable(fit, trial, names):
-                selection.allow(selection.options.max_iterations + trial.iterations)
-                return replace(trial, iterations=fit.iterations + trial.iterations)
-        return None
 
-    return revise(fit, extend, fine_search, selection)
+add_mount_resonances = Candidate(_with_mount, fine_search, is_repeated=True)
 
 
 def _significant_mounts(fit: Fit, selection: Selection) -> Mounts:
@@ -253,7 +276,7 @@ def _significant_mounts(fit: Fit, selection: Selection) -> Mounts:
     objective, values = fit.objective.lengthen_steps(fit.z), fit.values
 
     def columns(k: int, _: Evaluation) -> FloatArray:
-        return objective.records[k].mount_tangent(values, objective.initial_states(k), tested)
+        return mount_changes(objective.records[k], values, objective.initial_states(k), tested)
 
     projected, target = objective.project_columns(fit.z, n, columns)
     square = np.sum(projected**2, axis=0)
@@ -268,6 +291,32 @@ def _significant_mounts(fit: Fit, selection: Selection) -> Mounts:
             significant.append((ranked[0][0], names, [mount for _, mount in ranked[:_MAX_STARTS]]))
     significant.sort(key=lambda one: -one[0])
     return {names: mounts for _, names, mounts in significant}
+
+
+def mount_changes(
+    record: Dataset,
+    values: Mapping[Key, float],
+    initial: FloatArray,
+    mounts: Mapping[Names, Sequence[MountResonance]],
+) -> FloatArray:
+    """Change of the channels by candidate mount resonances, one at a time.
+
+    `initial` (n_initial,) are the initial states. `mounts` maps the frequency and damping keys
+    of a sensor's mount to candidates. Returns (n_rows, n_channels, n_mounts) in the order of
+    the mapping.
+    """
+    runs, scales = record.run(values, initial, record.quantities()), record.sensor_scales(values)
+    tested = [(names, mount) for names, candidates in mounts.items() for mount in candidates]
+    changes = np.zeros((len(record.time), len(record.channels), len(tested)))
+    for k, channel in enumerate(record.channels):
+        reading = channel.reading(runs, values)
+        for at, (names, mount) in enumerate(tested):
+            if names == channel.mount:
+                change = mount.read(reading, record.log.sample_time) - reading
+                changes[:, k, at] = scales[k] * record.kernels.rows(
+                    change, slope=channel.reads_angle
+                )
+    return changes
 
 
 def _mounts_to_test(fit: Fit, selection: Selection) -> Mounts:
@@ -291,21 +340,6 @@ def _mounts_to_test(fit: Fit, selection: Selection) -> Mounts:
             if not any(is_held(key, selection.options) for key in names):
                 mounts[names] = candidates
     return mounts
-
-
-def _fit_mount(
-    fit: Fit, names: Names, mounts: Sequence[MountResonance], options: WholeArmOptions
-) -> Fit | None:
-    """Best of short searches with a mount as additional unknowns, from several starts.
-
-    Their evaluations count from zero.
-    """
-    fits = []
-    for mount in mounts:
-        starts = dict(zip(names, (mount.frequency, mount.damping), strict=True))
-        space = add_sensor_constants(fit.space, list(starts), starts)
-        fits.append(replace(fit.with_unknowns(space, starts), iterations=0))
-    return best_trial(fits, partial(_search_briefly, options=options, tolerance=_TRIAL_TOLERANCE))
 
 
 def _is_acceptable(before: Fit, after: Fit, names: Names) -> bool:

@@ -15,7 +15,13 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Parameter, Place, WholeArmOptions
-from strainwave.domain.arm.link_sensors import ConstantKind, constant_of, is_kind, nominal
+from strainwave.domain.arm.link_sensors import (
+    ConstantKind,
+    SensorGroup,
+    constant_of,
+    is_kind,
+    nominal,
+)
 from strainwave.domain.arm.link_sensors.imu import (
     IMU_DISTANCE,
     IMU_ROTATION,
@@ -35,10 +41,11 @@ from strainwave.identification.whole_arm.problem.parameter_space import (
     is_held,
 )
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
-from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.solver import refine, resumed_coarse_search
-from strainwave.identification.whole_arm.selection.candidate import Selection, revise
+from strainwave.identification.whole_arm.records.dataset import Dataset
+from strainwave.identification.whole_arm.search import Fit, refine, resumed_coarse_search
+from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection
 from strainwave.numerics.spectra import estimate_rows_per_error
+from strainwave.signals.prepared_record import prepare_record
 
 # standard deviations from which a constant joins: no false alarm in 8 candidates
 _MIN_SIGNIFICANCE = 4.0
@@ -75,6 +82,25 @@ _MIN_REPORTED_HOLD = 0.5  # of a warning: nearer to a command than to a smooth t
 _MIN_REPORTED_SCALE_ERROR = 0.01
 
 
+def constants_of(record: Dataset) -> list[Key]:
+    """Constants of the sensors of a record: delays, scale factors, tilts and drifts."""
+    kinds = (ConstantKind.DELAY, ConstantKind.SCALE)
+    inputs = prepare_record(record.log, record.arm).driving_inputs
+    constants: dict[Key | None, None] = {}
+    for axis in record.channels:
+        if axis.sensor.group is SensorGroup.MOTOR and inputs[axis.joint - 1].is_voltage:
+            continue
+        axes = [one for one in record.channels if one.joint == axis.joint]
+        is_separate = axis.sensor.is_scale_identifiable(axis, axes)
+        constants |= dict.fromkeys(axis.key(kind) for kind in kinds[: 1 + is_separate])
+        if axis.sensor.group is SensorGroup.MOTOR and record.hold_change[:, axis.joint - 1].any():
+            constants[axis.key(ConstantKind.HOLD)] = None
+        if axis.is_mounted:
+            constants[axis.key(ConstantKind.TILT)] = None
+    drifts = (axis.key(ConstantKind.DRIFT, record.log.name) for axis in record.channels)
+    return [key for key in (*constants, *drifts) if key is not None]
+
+
 def add_sensor_constants(
     space: ParameterSpace, keys: Sequence[Key], starts: Values | None = None
 ) -> ParameterSpace:
@@ -104,27 +130,24 @@ def _unknown_of(key: Key, starts: Values) -> Unknown:
     return Unknown(name, joint, constant.unit, start, start, False, _LOG_RANGE)
 
 
-def add_sensor_bandwidths(fit: Fit, selection: Selection, *, coarse: bool) -> Fit:
-    """Add the bandwidths of delayed sensors whose bandwidth the study does not give.
+def _with_bandwidths(fit: Fit, selection: Selection) -> Fit | None:
+    """The fit with bandwidths of delayed sensors for which the study gives none.
 
-    The starting values attribute half of each delay to the low-pass. `coarse` selects the search
-    that follows.
+    The starting values attribute half of each delay to the low-pass.
     """
-    options, values, starts = selection.options, fit.values, Values()
+    values, starts = fit.values, Values()
     for delay, bandwidth in _delayed_sensors(fit):
         lag = values[delay]
-        if (
-            lag > _MIN_LOW_PASS_DELAY
-            and bandwidth not in values
-            and not is_held(bandwidth, options)
-        ):
+        is_unknown = bandwidth not in values and not is_held(bandwidth, selection.options)
+        if lag > _MIN_LOW_PASS_DELAY and is_unknown:
             starts[bandwidth] = np.sqrt(2.0) / (2.0 * np.pi * _LOW_PASS_DELAY_SHARE * lag)
             values[delay] = (1.0 - _LOW_PASS_DELAY_SHARE) * lag
-    if not starts or selection.is_budget_exhausted(fit):
-        return fit
-    extended = add_sensor_constants(fit.space, list(starts), starts)
-    search = resumed_coarse_search if coarse else refine
-    return search(fit.with_unknowns(extended, values | starts), options)
+    space = add_sensor_constants(fit.space, list(starts), starts)
+    return fit.with_unknowns(space, values | starts) if starts else None
+
+
+add_coarse_bandwidths = Candidate(_with_bandwidths, resumed_coarse_search)
+add_fine_bandwidths = Candidate(_with_bandwidths, refine)
 
 
 def _delayed_sensors(fit: Fit) -> Iterator[tuple[Key, Key]]:
@@ -138,38 +161,26 @@ def _delayed_sensors(fit: Fit) -> Iterator[tuple[Key, Key]]:
                 yield delay, bandwidth
 
 
-def add_significant_sensor_constants(fit: Fit, selection: Selection, *, coarse: bool) -> Fit:
-    """Add significant sensor constants until none is left.
-
-    `coarse` selects the search that follows and raises the required cost reduction.
-    """
-
-    def extend(fit: Fit) -> Fit | None:
-        if selection.is_budget_exhausted(fit):
-            return None
-        min_gain = _MIN_COARSE_COST_SHARE * fit.cost if coarse else 0.0
-        estimates = _significant_constants(fit, selection.options, min_gain)
-        estimates |= _significant_drifts(fit, selection.options)
-        space = add_sensor_constants(fit.space, list(estimates))
-        space = update_prior_trust(space, selection.arm)
-        return fit.with_unknowns(space, estimates) if estimates else None
-
-    return revise(fit, extend, resumed_coarse_search if coarse else refine, selection)
+def _with_significant_constants(
+    fit: Fit, selection: Selection, min_cost_share: float = 0.0
+) -> Fit | None:
+    """The fit with the constants that reduce the cost significantly, and by a share of it."""
+    estimates = _significant_constants(fit, selection.options, min_cost_share * fit.cost)
+    estimates |= _significant_drifts(fit, selection.options)
+    space = update_prior_trust(add_sensor_constants(fit.space, list(estimates)), selection.arm)
+    return fit.with_unknowns(space, estimates) if estimates else None
 
 
-def remove_insignificant_sensor_constants(fit: Fit, selection: Selection) -> Fit:
-    """Remove sensor constants that are not significant, one by one."""
-
-    def reduce(fit: Fit) -> Fit | None:
-        insignificant = _least_significant(fit)
-        space = update_prior_trust(fit.space.fix_values(insignificant), selection.arm)
-        return fit.with_unknowns(space) if insignificant else None
-
-    return revise(fit, reduce, refine, selection)
+add_coarse_sensor_constants = Candidate(
+    partial(_with_significant_constants, min_cost_share=_MIN_COARSE_COST_SHARE),
+    resumed_coarse_search,
+    is_repeated=True,
+)
+add_fine_sensor_constants = Candidate(_with_significant_constants, refine, is_repeated=True)
 
 
-def _least_significant(fit: Fit) -> dict[Key, float]:
-    """Least significant sensor constant and its nominal value; empty if all are significant.
+def _without_least_significant(fit: Fit, selection: Selection) -> Fit | None:
+    """The fit without its least significant sensor constant; None if all are significant.
 
     A constant at a bound of its range stays, because its standard deviation is invalid there. A
     bandwidth is tested in any case.
@@ -181,10 +192,10 @@ def _least_significant(fit: Fit) -> dict[Key, float]:
         if (constant := constant_of(key)) and constant.is_optional and not constant.is_of_mount
     }
     if not ideal:
-        return {}
+        return None
     stds = np.sqrt(np.diag(confidence_of(fit).cautious))
-    within_range = (fit.z > _BOUND_SHARE * space.lower) & (fit.z < _BOUND_SHARE * space.upper)
-    rows = zip(space.keys, space.parameters(fit.z), stds, within_range, strict=True)
+    is_low, is_high = fit.z <= _BOUND_SHARE * space.lower, fit.z >= _BOUND_SHARE * space.upper
+    rows = zip(space.keys, space.parameters(fit.z), stds, ~(is_low | is_high), strict=True)
     distances = {
         key: (abs(value - ideal[key]) if np.isfinite(ideal[key]) else value) / std
         for key, value, std, within in rows
@@ -195,11 +206,21 @@ def _least_significant(fit: Fit) -> dict[Key, float]:
         for key, distance in distances.items()
         if distance < min(_MIN_KEPT_SIGNIFICANCE, _min_significance(key))
     }
-    # a delay and a low-pass that cannot be separated both stay; their intervals show it
+    # a delay and a low-pass that cannot be separated both stay, and their intervals show it;
+    # a sensor whose bandwidth is at the upper bound has no low-pass
     inseparable = {key for key in weak if _counterpart(key) in weak}
-    weak -= {key for key in inseparable if not _is_at_upper_bound(fit, key)}
-    weakest = min(weak, key=distances.__getitem__, default=None)
-    return {} if weakest is None else {weakest: ideal[weakest]}
+    unlimited = {key for key, high in zip(space.keys, is_high, strict=True) if high}
+    weak -= {k for k in inseparable if not (is_kind(k, ConstantKind.BANDWIDTH) and k in unlimited)}
+    if not weak:
+        return None
+    weakest = min(weak, key=distances.__getitem__)
+    reduced = space.fix_values({weakest: ideal[weakest]})
+    return fit.with_unknowns(update_prior_trust(reduced, selection.arm))
+
+
+remove_insignificant_sensor_constants = Candidate(
+    _without_least_significant, refine, is_addition=False, is_repeated=True
+)
 
 
 _COUNTERPARTS = {
@@ -217,14 +238,6 @@ def _counterpart(key: Key) -> Key | None:
     return replace(constant, kind=other).key(key[1])
 
 
-def _is_at_upper_bound(fit: Fit, key: Key) -> bool:
-    """Whether a bandwidth is at its upper bound, so that the sensor has no low-pass."""
-    k = fit.space.keys.index(key)
-    return is_kind(key, ConstantKind.BANDWIDTH) and bool(
-        fit.z[k] > _BOUND_SHARE * fit.space.upper[k]
-    )
-
-
 def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) -> dict[Key, float]:
     """Significant sensor constants and their values after one linear step.
 
@@ -234,14 +247,20 @@ def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) 
     included = set(fit.space.keys)
     candidates = [
         key
-        for key in dict.fromkeys(k for r in fit.objective.records for k in r.sensor_constants())
+        for key in dict.fromkeys(k for r in fit.objective.records for k in constants_of(r))
         if key not in included and not is_held(key, options)
         if not is_kind(key, ConstantKind.DRIFT)
         if not _is_collinear_with_tilt(key, fit)
     ]
     if not candidates:
         return {}
-    columns, target = _score_columns(fit, candidates)
+    objective, values, simulated = fit.objective, fit.values, fit.objective.simulate(fit.z)
+
+    def tangent(k: int, _: Evaluation) -> FloatArray:
+        initial = objective.initial_states(k)
+        return objective.records[k].sensor_tangent(simulated[k], values, initial, candidates)
+
+    columns, target = objective.project_columns(fit.z, len(candidates), tangent)
     selected: list[int] = []
     cost = float(target @ target)
     while remaining := set(range(len(candidates))) - set(selected):
@@ -312,17 +331,6 @@ def _is_collinear_with_tilt(key: Key, fit: Fit) -> bool:
         and key in [axis.key(ConstantKind.SCALE) for axis in accelerometers]
         and (IMU_ROTATION[0], key[1]) in fit.space.keys
     )
-
-
-def _score_columns(fit: Fit, keys: Sequence[Key]) -> tuple[FloatArray, FloatArray]:
-    """Columns of sensor constants, and the residual, after elimination of the unknowns."""
-    objective, values, simulated = fit.objective, fit.values, fit.objective.simulate(fit.z)
-
-    def tangent(k: int, _: Evaluation) -> FloatArray:
-        initial = objective.initial_states(k)
-        return objective.records[k].sensor_tangent(simulated[k], values, initial, keys)
-
-    return objective.project_columns(fit.z, len(keys), tangent)
 
 
 def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from strainwave.identification.whole_arm.search.solver import (
+from strainwave.identification.whole_arm.search import (
     are_exceptions,
     find_undescribed,
 )

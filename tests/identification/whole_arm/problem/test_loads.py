@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from strainwave.identification.whole_arm.records.loads import histograms_of, largest_of
+from strainwave.identification.whole_arm.conclusion import histograms_of
+from strainwave.identification.whole_arm.problem.starting_values import largest_of
 
 
 def test_the_largest_is_that_of_any_record_but_for_rare_samples() -> None:

@@ -1,23 +1,38 @@
-"""Iteratively reweighted least squares: a coarse search, then a fine search; what these miss."""
+"""Searches for the minimum of the objective: reweighted least squares, and tuning as published.
+
+A coarse search uses long integrator steps, a fine search short ones. Tuning as published compares
+the velocity steps of the arm with those of its simulation under the same servo (Fig. 7). Here both
+pass the same sensors and the same fusion (10), so that the error of the fusion cancels. There is no
+prior, and the only weight of a record is the size of its step.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 
 import numpy as np
 
-from strainwave.domain import FloatArray, SearchEnd, WholeArmOptions
+from strainwave.domain import BoolArray, FloatArray, SearchEnd, WholeArmOptions
+from strainwave.domain.keys import Values
 from strainwave.domain.results.arm_model import MAX_RESIDUAL_NOISE
+from strainwave.domain.results.estimates import physical_range
 from strainwave.domain.results.identification import MAX_RELATIVE_RESIDUAL
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.whole_arm.problem.objective import Objective
-from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
+from strainwave.identification.whole_arm.records.dataset import Dataset
+from strainwave.numerics.parallel import run_parallel
 from strainwave.numerics.search import Linearised, full_step, minimise
+from strainwave.signals.link_motion import prepare_link_signals
 
+# distance to a bound, relative to half the range, that counts as at the bound
+_BOUND_TOLERANCE = 0.01
 # predicted cost reduction at which a coarse search ends, absolute and relative to the cost
 COARSE_TOLERANCE, COARSE_RELATIVE_TOLERANCE = 1.0, 2e-3
 # the same: absolute for the fine search, relative for a search with initial weights
@@ -33,7 +48,11 @@ _MAX_DECREASED_RATIO = 0.7
 _MAX_EVALUATIONS_PER_WEIGHTS = 20
 _MAX_CORRECTIONS_AHEAD = 4  # Gauss-Newton steps of a stalled search; one is usual
 _NEAR_DAMPING = 1e-8  # initial damping near the minimum
-
+_PUBLISHED_TOLERANCE = (
+    1e-4  # relative change of cost or coordinates at which tuning as published ends
+)
+_DIFFERENCE_STEP = 1e-3  # of a coordinate, the logarithm of a positive parameter
+_ROWS_PER_PERIOD = 8  # of the cut-off; closer samples have no further information
 
 Progress = Callable[[int, int], None]
 """Callback with the number of the evaluation and the maximum number of evaluations."""
@@ -43,13 +62,66 @@ _progress: ContextVar[Progress] = ContextVar(
 _MAX_UNDESCRIBED_SHARE = 0.25  # of the records: if more are not described, the model is wrong
 
 
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Iterate of a search: its result, or the start of another one."""
+
+    objective: Objective
+    z: FloatArray  # (n_unknowns,)
+    cost: float  # objective with the final weights; infinite before the first iteration
+    iterations: int
+    end: SearchEnd = SearchEnd.EVALUATION_LIMIT  # of the last search; no minimum before it
+
+    @classmethod
+    def at(cls, objective: Objective, z: FloatArray) -> Fit:
+        """The start of a search at z (n_unknowns,)."""
+        return cls(objective, z, np.inf, 0)
+
+    def restart(self, objective: Objective, z: FloatArray) -> Fit:
+        """The start of a search with another objective; its evaluations count from this fit."""
+        return replace(self, objective=objective, z=z, cost=np.inf, end=SearchEnd.EVALUATION_LIMIT)
+
+    def with_unknowns(self, space: ParameterSpace, starts: Values | None = None) -> Fit:
+        """The start of a search with other unknowns, at `starts` and the values of this fit."""
+        z = space.coordinates(self.values | (starts or {}))
+        return self.restart(self.objective.replace_unknowns(space), z)
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Unknowns, fixed parameters and prior."""
+        return self.objective.space
+
+    @property
+    def values(self) -> Values:
+        """Values of all parameters, fixed ones included."""
+        return self.space.values(self.z)
+
+    @property
+    def records(self) -> list[str]:
+        """Names of the records."""
+        return [record.log.name for record in self.objective.records]
+
+    @property
+    def at_bounds(self) -> BoolArray:
+        """Unknowns (n_unknowns,) at a bound of their search range that is no physical zero."""
+        at_upper = self._is_near(self.space.upper - self.z)
+        return np.asarray((at_upper | self._is_near(self.z - self.space.lower)) & ~self.at_zero)
+
+    @property
+    def at_zero(self) -> BoolArray:
+        """Unknowns (n_unknowns,) at the lower bound of a range that begins at zero."""
+        may_vanish = [physical_range(name) == "non-negative" for name, _ in self.space.keys]
+        return np.asarray(self._is_near(self.z - self.space.lower) & np.array(may_vanish))
+
+    def _is_near(self, distance: FloatArray) -> BoolArray:
+        margin = 0.5 * _BOUND_TOLERANCE * (self.space.upper - self.space.lower)
+        return np.asarray(distance < margin)
+
+
 @contextmanager
 def report_progress(progress: Progress | None) -> Iterator[None]:
     """Report the progress of all searches in this context to `progress`."""
-    if progress is None:
-        yield
-        return
-    token = _progress.set(progress)
+    token = _progress.set(progress or _progress.get())
     try:
         yield
     finally:
@@ -238,3 +310,59 @@ def find_undescribed(fit: Fit) -> list[int]:
 def are_exceptions(undescribed: list[int], fit: Fit) -> bool:
     """Whether some, but few, records are not described."""
     return 0 < len(undescribed) <= _MAX_UNDESCRIBED_SHARE * len(fit.objective.records)
+
+
+def published_search(start: Fit, records: Sequence[Dataset], arm: Arm, budget: int) -> Fit:
+    """Minimise the squared differences of link velocities within the ranges of the unknowns.
+
+    `arm` has the sensors of `records`; of a record with an excited joint that of its link is
+    compared. `budget` is the maximum number of evaluations of the derivatives.
+    """
+    from scipy.optimize import least_squares
+
+    space = start.space
+    measured = [_velocities(record, {}, arm) for record in records]
+
+    def residual(z: FloatArray) -> FloatArray:
+        values = space.values(z)
+        parts = []
+        for record, velocity in zip(records, measured, strict=True):
+            motion = record.run(values, record.start(), record.quantities())
+            readings = {axis.channel: axis.reading(motion, values) for axis in record.channels}
+            difference = _velocities(record, readings, arm) - velocity
+            parts.append((difference / np.std(velocity, axis=0)).ravel())
+        return np.concatenate(parts)
+
+    def jacobian(z: FloatArray) -> FloatArray:
+        steps = np.where(z < space.upper - _DIFFERENCE_STEP, _DIFFERENCE_STEP, -_DIFFERENCE_STEP)
+        points = [z, *(z + np.diag(steps))]
+        at, *shifted = run_parallel([partial(residual, point) for point in points])
+        return np.column_stack(
+            [(one - at) / step for one, step in zip(shifted, steps, strict=True)]
+        )
+
+    search = least_squares(
+        residual,
+        np.clip(start.z, space.lower, space.upper),
+        jacobian,
+        (space.lower, space.upper),
+        ftol=_PUBLISHED_TOLERANCE,
+        xtol=_PUBLISHED_TOLERANCE,
+        max_nfev=budget,
+    )
+    end = SearchEnd.CONVERGED if search.status > 0 else SearchEnd.EVALUATION_LIMIT
+    objective = start.objective.replace_records(records).update_weights(search.x)
+    linearised = objective.linearise(search.x)
+    cost = np.inf if linearised is None else linearised.cost
+    return replace(
+        start, objective=objective, z=search.x, cost=cost, iterations=search.nfev, end=end
+    )
+
+
+def _velocities(record: Dataset, readings: Mapping[str, FloatArray], arm: Arm) -> FloatArray:
+    """Velocities (n_rows, n_links) by (10) of a record with other `readings` of its sensors."""
+    log = replace(record.log, channels={**record.log.channels, **readings})
+    joint = log.experiment.joint
+    links = slice(None) if joint is None else slice(joint - 1, joint)
+    every = max(1, int(1.0 / (_ROWS_PER_PERIOD * record.cutoff_hz * log.sample_time)))
+    return np.asarray(prepare_link_signals(log, arm).link_velocity[::every, links])

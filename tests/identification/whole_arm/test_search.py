@@ -8,8 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from strainwave.domain import FloatArray, SearchEnd, WholeArmOptions
-from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.solver import fine_search
+from strainwave.identification.whole_arm.search import Fit, fine_search
 from strainwave.numerics.search import Flat, Linearised
 
 MINIMUM = 1.0

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from strainwave.domain import FloatArray, IntArray
-from strainwave.identification.whole_arm.inference.held_out import held_out_scores
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation, Rows
-from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search import Fit
+from strainwave.identification.whole_arm.selection.candidate import held_out_scores
 from strainwave.numerics.statistics import model_weights
 
 N_ROWS, N_FOLDS = 400, 10
