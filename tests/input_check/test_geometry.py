@@ -26,12 +26,12 @@ from strainwave.domain.arm.kinds import single_joint
 from strainwave.domain.results.consistency import apply_corrections
 from strainwave.domain.study.study import Payload
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import JointMotion, imu_parts
 from strainwave.input_check import check_consistency
 from strainwave.input_check.evidence import collect_evidence
 from strainwave.input_check.sensors import IMU_CHANNELS
 from strainwave.input_check.torque_fit import report_impossible_links
 from strainwave.input_check.torque_search import search_explanations
-from strainwave.signals.link_readings import JointMotion, imu_parts
 
 N_JOINTS, SAMPLE_TIME, SECONDS = 3, 2e-3, 20.0
 ARM = ArmDescription(

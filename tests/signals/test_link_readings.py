@@ -9,19 +9,19 @@ from strainwave.domain import Control, Experiment, FloatArray, Joint, Log, Study
 from strainwave.domain.arm.description import ArmDescription, Origin
 from strainwave.domain.arm.kinds.planar import in_plane_gravity, planar_two_link, single_joint
 from strainwave.dynamics.arm import Arm
-from strainwave.input_check.evidence import collect_evidence
-from strainwave.input_check.sensors import regress_readings
-from strainwave.signals.link_motion import prepare_link_signals
-from strainwave.signals.link_readings import (
+from strainwave.dynamics.link_sensors import (
     JointMotion,
     acceleration_gain,
     accelerometer_parts,
     angle_derivatives,
-    preceding_gains,
     read_accelerometer,
     read_gravity,
     read_gyro,
 )
+from strainwave.input_check.evidence import collect_evidence
+from strainwave.input_check.sensors import regress_readings
+from strainwave.signals.link_motion import prepare_link_signals
+from strainwave.signals.link_readings import LinkReading
 
 LENGTH, DISTANCES = 0.35, (0.3, 0.25, 0.2)
 ROUNDING = 1e-13  # of sums of numbers of about ten
@@ -68,10 +68,11 @@ def test_planar_arms_read_8_and_9(gravity: float) -> None:
     np.testing.assert_allclose(second["origin-motion"], carried, atol=ROUNDING)
     np.testing.assert_allclose(second["gravity"], gravity * np.cos(q.sum(axis=1)), atol=ROUNDING)
     np.testing.assert_allclose(read_gyro(arm, motion, 1), dq.sum(axis=1), atol=ROUNDING)
-    gains = preceding_gains(arm, q, 1, gyro=False)
+    gains = LinkReading(2, "accelerometer", gain=DISTANCES[1]).preceding_gains(arm, q)
     expected = DISTANCES[1] + LENGTH * np.cos(q[:, 1])
     np.testing.assert_allclose(gains[:, 0], expected, atol=ROUNDING)
-    np.testing.assert_allclose(preceding_gains(arm, q, 1, gyro=True), 1.0, atol=ROUNDING)
+    gains = LinkReading(2, "gyro").preceding_gains(arm, q)
+    np.testing.assert_allclose(gains, 1.0, atol=ROUNDING)
 
 
 def test_a_slide_reads_its_acceleration() -> None:
@@ -96,7 +97,8 @@ def test_planar_chains_of_any_length(n_joints: int, gravity: float) -> None:
         any_gravity = read_gravity(arm, motion.angle, i, np.array([[0.0, -gravity, 0.0]]))
         np.testing.assert_allclose(any_gravity[:, 0], reading["gravity"], atol=ROUNDING)
         gains = np.zeros_like(motion.angle)
-        gains[:, :i] = preceding_gains(arm, motion.angle, i, gyro=False)
+        accelerometer = LinkReading(i + 1, "accelerometer", gain=DISTANCES[i])
+        gains[:, :i] = accelerometer.preceding_gains(arm, motion.angle)
         gains[:, i] = acceleration_gain(arm.joints[i])
         still = replace(motion, acceleration=np.zeros_like(motion.angle))
         rest = closed_form(still, i, gravity)

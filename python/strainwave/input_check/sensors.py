@@ -15,13 +15,10 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import Correction, FloatArray, Lag, channel_parts
+from strainwave.domain.arm.link_sensors import sensor_of
 from strainwave.domain.keys import JointIndex, JointNumber
 from strainwave.dynamics.arm import Arm
-from strainwave.input_check.evidence import Evidence, PredictedSignal, SlowRecord, is_slow
-from strainwave.numerics.filters import apply_lags, differentiate, low_pass
-from strainwave.numerics.regression import Regression, regress
-from strainwave.signals.channels import sensor_lags
-from strainwave.signals.link_readings import (
+from strainwave.dynamics.link_sensors import (
     JointMotion,
     accelerometer_parts,
     angle_derivatives,
@@ -30,6 +27,10 @@ from strainwave.signals.link_readings import (
     read_gyro,
     read_rotation,
 )
+from strainwave.input_check.evidence import Evidence, PredictedSignal, SlowRecord, is_slow
+from strainwave.numerics.filters import apply_lags, differentiate, low_pass
+from strainwave.numerics.regression import Regression, regress
+from strainwave.signals.channels import sensor_lags
 
 IMU_ACCELEROMETERS = ("ax", "ay", "az")
 """Kinds of channels of the accelerometers of an IMU."""
@@ -241,7 +242,7 @@ def _regress_channel(
         rows = 1.0 / (2.0 * np.pi * hz * T)
         return _MIN_TIME_CONSTANT_ROWS < rows < max_records * len(record.inside)
 
-    lags = sensor_lags(arm.joints[i], kind)
+    lags = sensor_lags(sensor_of(arm.joints[i], kind))
     sensor = [lag for lag in lags if is_relevant(lag.cutoff_hz, _MAX_LAG_RECORDS)]
     cutoff = evidence.high_passes.get(name)
     cutoff = cutoff if cutoff and is_relevant(cutoff, _MAX_DECAY_RECORDS) else None

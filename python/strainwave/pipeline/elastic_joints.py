@@ -37,7 +37,7 @@ from strainwave.pipeline.inputs import Inputs
 from strainwave.pipeline.reporter import Reporter
 from strainwave.signals import link_motion as links
 from strainwave.signals.delays import build_delay_warnings, list_removed_delays
-from strainwave.signals.mounting_start import substitute_equivalent_sensors
+from strainwave.signals.link_readings import combine_axes
 
 _DecoupledRecord = tuple[Log, LinkSignals, tuple[Decoupled, ...]]
 """A log, the signals of both sides of its gears, and the decoupled joints."""
@@ -76,10 +76,10 @@ def fit_elastic_joints(
     if rigid_model is None and not is_uncoupled(inputs.arm):
         return JointStage()  # the rigid stage gives the reason
     with reporter.time_part("decoupled", "decoupling the joints"):
-        # a sensor of unknown mounting gets an approximate one until the whole-arm fit
-        placed_logs, placed_arm = substitute_equivalent_sensors(excited, inputs.arm, inputs.logs)
-        options = inputs.study.options
-        sides, delays = links.compute_link_signals(placed_logs, placed_arm, options.links)
+        arm, options = inputs.arm, inputs.study.options
+        # a sensor of unknown mounting has an approximate one until the whole-arm fit
+        combined = combine_axes(excited, arm, inputs.logs)
+        sides, delays = links.compute_link_signals(excited, arm, options.links, combined)
         removed = list_removed_delays(sides, delays)
         warnings = list(build_delay_warnings(delays))
         # the motion of a coupled link follows several motors: no joint has a model of its own
@@ -92,7 +92,7 @@ def fit_elastic_joints(
             try:
                 postures = mean_postures(sides)
                 decouple = partial(
-                    decoupling.decouple, model=rigid_model, arm=placed_arm, postures=postures
+                    decoupling.decouple, model=rigid_model, arm=arm, postures=postures
                 )
                 joints = run_parallel([partial(decouple, side) for side in sides])
             except NotIdentifiable as failure:

@@ -27,9 +27,9 @@ from strainwave.domain.arm.link_sensors.single_axis import (
 )
 from strainwave.domain.keys import JointIndex, JointNumber
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import JointMotion, imu_parts, read_accelerometer, read_gyro
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise
-from strainwave.signals.link_readings import JointMotion, imu_parts, read_accelerometer, read_gyro
 
 _DEFAULT_COUNTS = 4096.0  # of an encoder without counts and without identified noise
 _MIN_BANDWIDTH_RATIO = 10.0  # of a sensor over the mode of the link, so that its lag is negligible
