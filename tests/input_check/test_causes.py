@@ -10,13 +10,13 @@ import pytest
 
 from consistency_inputs import Input
 from strainwave.domain import ArmDescription, Experiment, Joint, Place
+from strainwave.identification.rigid.torque_constants import suspect_torque_constants
 from strainwave.input_check import report_remaining
 from strainwave.input_check.evidence import Evidence, SlowRecord, collect_evidence
 from strainwave.input_check.hypothesis import UnexplainedEvidence
 from strainwave.input_check.input_hypotheses import propose_hypotheses
 from strainwave.input_check.observations import EXPECTED, is_of_link, observe
 from strainwave.input_check.timing import Clocks
-from strainwave.signals.torque_constants import suspect_torque_constants
 from strainwave.virtual import scara
 
 

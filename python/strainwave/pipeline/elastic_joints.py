@@ -28,7 +28,7 @@ from strainwave.domain.arm.combinations import is_uncoupled
 from strainwave.domain.arm.parameter_table import COULOMB
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.interaction_torque import mean_postures
+from strainwave.dynamics.rigid_prediction import mean_postures
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import decoupling, frequency
 from strainwave.identification import joint_model as physical
