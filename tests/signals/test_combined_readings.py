@@ -10,7 +10,7 @@ from strainwave.domain.arm.kinds.planar import single_joint
 from strainwave.domain.arm.link_sensors.imu import ImuAccelerometers
 from strainwave.domain.arm.link_sensors.link_space import link_space
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.link_sensors import JointMotion, link_quantities, read_accelerometer
+from strainwave.dynamics.link_sensors import JointMotion, link_quantities
 from strainwave.signals.link_readings import combine_axes
 
 
@@ -51,7 +51,7 @@ def test_an_imu_on_a_sliding_link_becomes_an_accelerometer(imu: Imu) -> None:
     log = Log(Experiment("motion", "", "motion", ("open",) * 2), t, T, channels)
     reading = combine_axes([log], arm, [log])[2]
     assert reading is not None
-    expected = read_accelerometer(arm, motion, 1)[2000:-2000]
+    expected = reading.predict(arm, motion)[2000:-2000]
     # a bias is estimated later; the motion of the motors is low-passed
     error = reading.samples(log, arm)[2000:-2000] - expected
     assert np.std(error) < 0.01 * np.std(expected)

@@ -1,12 +1,13 @@
 """Readings of link sensors: ideal ones from the motion of the joints, then mount, delay and scale.
 
 f, dw and w are the specific force, the angular acceleration and the rate of a link in its own
-frame. A tangential accelerometer sits at a distance l from the axis, along x, and reads along y
+frame. At r, along the direction c, an accelerometer reads
 
-    y . f + l (z . dw + (x . w) (y . w)),
+    c . (f + dw x r + w x (w x r)),
 
-a gyro reads z . w. z is the axis of the joint, x the direction along the link as far as it is
-perpendicular to the axis, y = z x x. The accelerometer of a prismatic joint reads z . f.
+a gyro reads c . w. For the tangential accelerometer of a joint r is along x and c along y, where z
+is the axis of the joint, x the direction along the link as far as it is perpendicular to the axis,
+and y = z x x. For the gyro, and for the accelerometer of a prismatic joint, c is z.
 
 The resonance of a sensor's mount is (S31),
 
@@ -19,22 +20,25 @@ resolve the motion. A recursive filter would assume straight lines between sampl
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Self
 
 import numpy as np
 
-from strainwave.domain import ComplexArray, FloatArray, Joint
+from strainwave.domain import ComplexArray, FloatArray, Imu, Joint
 from strainwave.domain.arm.link_sensors import ConstantKind, SensorAxis, sensor_of
-from strainwave.domain.arm.link_sensors.imu import ImuGyros
+from strainwave.domain.arm.link_sensors.imu import ImuGyros, ImuSensor
 from strainwave.domain.arm.link_sensors.link_space import (
     ACCELEROMETER_QUANTITIES,
     GYRO_QUANTITIES,
+    LINK_SIGNALS,
+    accelerometer_weights,
     attitude,
     axes_about,
 )
+from strainwave.domain.arm.link_sensors.single_axis import Accelerometer, Gyro
 from strainwave.domain.keys import JointIndex, Key
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, fast_length
@@ -200,74 +204,70 @@ class JointMotion:
         return arm.link_motion(self.angle, self.velocity, self.acceleration)
 
 
+def read_link(arm: Arm, motion: JointMotion, i: JointIndex) -> FloatArray:
+    """Signals of link i in the order of `LINK_SIGNALS`: (n_samples, n_signals)."""
+    rates, accelerations, forces = np.split(motion.links(arm)[:, i], 3, axis=1)
+    products = rates[:, [0, 1, 2, 0, 0, 1]] * rates[:, [0, 1, 2, 1, 2, 2]]
+    return np.column_stack([forces, accelerations, products, rates])
+
+
 def link_quantities(axis: SensorAxis, arm: Arm, motion: JointMotion) -> FloatArray:
     """The quantities (n_samples, n_quantities) that an axis reads, from the joints' motion."""
-    rates, accelerations, forces = np.split(motion.links(arm)[:, axis.joint - 1], 3, axis=1)
-    products = rates[:, [0, 1, 2, 0, 0, 1]] * rates[:, [0, 1, 2, 1, 2, 2]]
-    names = (*ACCELEROMETER_QUANTITIES, *GYRO_QUANTITIES)
-    signals = np.column_stack([forces, accelerations, products, rates])
-    return signals[:, [names.index(name) for name in axis.quantities]]
+    columns = [LINK_SIGNALS.index(name) for name in axis.quantities]
+    return read_link(arm, motion, axis.joint - 1)[:, columns]
 
 
-def accelerometer_parts(arm: Arm, motion: JointMotion, i: JointIndex) -> dict[str, FloatArray]:
-    """Parts of the reading of the accelerometer on link i, each (n_samples,) [m/s^2].
+def channel_weights(joint: Joint, kind: str, distance: float | None = None) -> FloatArray | None:
+    """Weights (n_signals,) of `LINK_SIGNALS` in the ideal reading of a channel of a link.
 
-    "own-joint" is the rotation of the link about its frame's origin, or the motion of a slide;
-    "origin-motion" is the acceleration of that origin.
+    `distance` [m] is that of a tangential accelerometer, by default that of the study. None if the
+    study does not give the place of the sensor.
     """
-    joint, link = arm.joints[i], motion.links(arm)[:, i]
-    force, gravity = link[:, 6:] @ _direction(joint), np.zeros(len(link))
-    if arm.gravity_size:
-        gravity = JointMotion.at_rest(motion.angle).links(arm)[:, i, 6:] @ _direction(joint)
-    if joint.motion == "prismatic":
-        return {"own-joint": force - gravity, "gravity": gravity}
-    rotation = _rotation(joint, link)
-    return {"own-joint": rotation, "origin-motion": force - gravity, "gravity": gravity}
+    (x, y, z), sensor = axes_about(joint.axis), sensor_of(joint, kind)
+    distance = distance or joint.accelerometer_distance
+    place: Sequence[float] | None = None
+    match sensor:
+        case Gyro():
+            direction = z
+        case Accelerometer() if joint.motion == "prismatic":
+            direction, place = z, (0.0, 0.0, 0.0)
+        case Accelerometer() if distance is not None:
+            direction, place = y, (distance * x).tolist()
+        case ImuSensor(case=Imu(rpy=(_, _, _) as rpy)):
+            direction, place = attitude(rpy)[:, sensor.channel_kinds.index(kind)], sensor.xyz
+        case _:
+            return None
+    if isinstance(sensor, Gyro | ImuGyros):
+        return np.concatenate([np.zeros(len(ACCELEROMETER_QUANTITIES)), direction])
+    if place is None:
+        return None
+    of_motion = accelerometer_weights(direction.tolist(), place)
+    return np.concatenate([of_motion, np.zeros(len(GYRO_QUANTITIES))])
 
 
-def imu_parts(
+def reading_parts(
     arm: Arm, motion: JointMotion, kind: str, i: JointIndex
 ) -> dict[str, FloatArray] | None:
-    """Parts of the reading of one axis of the IMU on link i: of motion and of gravity.
+    """Parts of the ideal reading of a channel of link i, each (n_samples,).
 
-    A gyro reads w . e, an accelerometer (f + dw x r + w x (w x r)) . e, where r is the place and e
-    the axis of the sensor. None if the study does not give them.
+    "own-joint" is the motion of the link. For a tangential accelerometer it is the rotation about
+    the origin of the link's frame, and "origin-motion" the acceleration of that origin. None if the
+    study does not give the place of the sensor.
     """
-    case, sensor = arm.joints[i].imu, sensor_of(arm.joints[i], kind)
-    if case is None or case.rpy is None or sensor is None:
+    joint, weights = arm.joints[i], channel_weights(arm.joints[i], kind)
+    if weights is None:
         return None
-    axis = attitude(case.rpy)[:, sensor.channel_kinds.index(kind)]
-    link = motion.links(arm)[:, i]
-    rate, turning, force = link[:, :3], link[:, 3:6], link[:, 6:]
-    if isinstance(sensor, ImuGyros):
-        return {"own-joint": rate @ axis}
-    if case.xyz is None:
-        return None
-    place = np.array(case.xyz)
-    rotation = np.cross(turning, place) + np.cross(rate, np.cross(rate, place))
-    gravity = JointMotion.at_rest(motion.angle).links(arm)[:, i, 6:] @ axis
-    return {"own-joint": (force + rotation) @ axis - gravity, "gravity": gravity}
-
-
-def read_accelerometer(
-    arm: Arm, motion: JointMotion, i: JointIndex, distance: float | None = None
-) -> FloatArray:
-    """Reading of the accelerometer on link i: (n_samples,) [m/s^2].
-
-    `distance` [m] from the axis is by default that of the study.
-    """
-    joint, link = arm.joints[i], motion.links(arm)[:, i]
-    return np.asarray(link[:, 6:] @ _direction(joint) + _rotation(joint, link, distance))
-
-
-def read_rotation(arm: Arm, motion: JointMotion, i: JointIndex) -> FloatArray:
-    """Contribution of the rotation of link i to the reading of its accelerometer."""
-    return _rotation(arm.joints[i], motion.links(arm)[:, i])
-
-
-def read_gyro(arm: Arm, motion: JointMotion, i: JointIndex) -> FloatArray:
-    """Reading of the gyro on link i: (n_samples,) [rad/s]."""
-    return np.asarray(motion.links(arm)[:, i, :3] @ axes_about(arm.joints[i].axis)[2])
+    signals, force_weights = read_link(arm, motion, i), weights[:3]
+    if not force_weights.any():
+        return {"own-joint": signals @ weights}
+    gravity = np.zeros(len(signals))
+    if arm.gravity_size:
+        at_rest = JointMotion.at_rest(motion.angle)
+        gravity = read_link(arm, at_rest, i)[:, :3] @ force_weights
+    force, rotation = signals[:, :3] @ force_weights - gravity, signals[:, 3:] @ weights[3:]
+    if kind == "a" and joint.motion == "revolute":
+        return {"own-joint": rotation, "origin-motion": force, "gravity": gravity}
+    return {"own-joint": force + rotation, "gravity": gravity}
 
 
 def read_gravity(arm: Arm, angle: FloatArray, i: int, gravity: FloatArray) -> FloatArray:
@@ -275,7 +275,9 @@ def read_gravity(arm: Arm, angle: FloatArray, i: int, gravity: FloatArray) -> Fl
 
     Returns (n_samples, n).
     """
-    return -np.asarray(_direction(arm.joints[i]) @ arm.link_attitudes(angle)[:, i] @ gravity.T)
+    joint = arm.joints[i]
+    direction = axes_about(joint.axis)[2 if joint.motion == "prismatic" else 1]
+    return -np.asarray(direction @ arm.link_attitudes(angle)[:, i] @ gravity.T)
 
 
 def acceleration_gain(joint: Joint) -> float:
@@ -295,17 +297,3 @@ def angle_derivatives(arm: Arm, motion: JointMotion, i: int) -> FloatArray:
     products = (rate @ x) * (rate_slope @ y) + (rate @ y) * (rate_slope @ x)
     rotation = slope[..., 3:6] @ z + products
     return np.asarray(slope[..., 6:] @ y + acceleration_gain(joint) * rotation)
-
-
-def _direction(joint: Joint) -> FloatArray:
-    return np.asarray(axes_about(joint.axis)[2 if joint.motion == "prismatic" else 1])
-
-
-def _rotation(joint: Joint, link: FloatArray, distance: float | None = None) -> FloatArray:
-    """Contribution of the rotation of a link (n_samples, 9) to the reading of its accelerometer."""
-    if joint.motion == "prismatic":
-        return np.zeros(len(link))
-    x, y, z = axes_about(joint.axis)
-    rate, turning = link[:, :3], link[:, 3:6]
-    gain = acceleration_gain(joint) if distance is None else distance
-    return np.asarray(gain * (turning @ z + (rate @ x) * (rate @ y)))

@@ -39,7 +39,7 @@ from strainwave.signals.delays import (
     estimate_sensor_delay,
     estimate_sensor_delays,
 )
-from strainwave.signals.link_readings import CombinedReadings, read_link
+from strainwave.signals.link_readings import CombinedReadings, choose_reading
 from strainwave.signals.prepared_record import PreparedRecord, prepare_record
 
 
@@ -195,7 +195,9 @@ class _FilteredLog:
     ) -> None:
         log, arm = record.log, record.arm
         self.record, self.log, self.arm, self.options = record, log, arm, options
-        self.readings = tuple(read_link(log, arm, i, combined) for i in range(1, arm.n_joints + 1))
+        self.readings = tuple(
+            choose_reading(log, arm, i, combined) for i in range(1, arm.n_joints + 1)
+        )
         self.delays = delays or (0.0,) * arm.n_joints
         self.shared = tuple(dict.fromkeys(lag for each in self.readings for lag in each.lags))
         # The largest band of all joints: a joint with little motion does not determine a band.

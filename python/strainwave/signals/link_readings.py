@@ -26,9 +26,9 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import (
     JointMotion,
     acceleration_gain,
+    channel_weights,
     link_quantities,
-    read_accelerometer,
-    read_gyro,
+    read_link,
 )
 from strainwave.errors import InvalidInput
 from strainwave.signals.channels import sensor_lags
@@ -90,9 +90,10 @@ class LinkReading:
 
     def predict(self, arm: Arm, motion: JointMotion) -> FloatArray:
         """Ideal reading of an accelerometer or a gyro: (n_samples,)."""
-        if self.source == "gyro":
-            return read_gyro(arm, motion, self.joint - 1)
-        return read_accelerometer(arm, motion, self.joint - 1, self.gain)
+        i = self.joint - 1
+        weights = channel_weights(arm.joints[i], _DIRECT[self.source], self.gain)
+        assert weights is not None  # the distance is known
+        return np.asarray(read_link(arm, motion, i) @ weights)
 
     def preceding_gains(self, arm: Arm, angle: FloatArray) -> FloatArray:
         """Derivatives by the accelerations of the joints before: (n_samples, joint - 1).
@@ -115,7 +116,9 @@ CombinedReadings = Mapping[JointNumber, LinkReading | None]
 """Readings of links by sensors that are not read as they are; None: they do not give the motion."""
 
 
-def read_link(log: Log, arm: Arm, joint: JointNumber, combined: CombinedReadings) -> LinkReading:
+def choose_reading(
+    log: Log, arm: Arm, joint: JointNumber, combined: CombinedReadings
+) -> LinkReading:
     """The best reading of a link in a record.
 
     Raises InvalidInput if the position of its accelerometer is missing.

@@ -23,7 +23,7 @@ from strainwave.domain.arm.link_sensors.imu import IMU_START_ATTITUDE, attitude_
 from strainwave.domain.arm.link_sensors.link_space import attitude, axes_about
 from strainwave.domain.keys import Key, Values
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.link_sensors import JointMotion, link_quantities, read_accelerometer
+from strainwave.dynamics.link_sensors import JointMotion, link_quantities
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.parameter_space import (
@@ -211,6 +211,6 @@ def test_earlier_steps_read_the_imu_as_an_accelerometer() -> None:
     motors = np.column_stack([log.channels[f"theta_m{i}"] for i in (1, 2, 3)])
     slow = low_pass(motors, 3.0, SAMPLE_TIME)
     motion = JointMotion.of_motors(slow, arm, SAMPLE_TIME)
-    expected = read_accelerometer(arm, motion, LINK - 1, reading.gain)[1000:-1000]
+    expected = reading.predict(arm, motion)[1000:-1000]
     samples = low_pass(reading.samples(log, arm), 3.0, SAMPLE_TIME)[1000:-1000]
     assert np.std(samples - expected) < 0.1 * np.std(expected)
