@@ -10,7 +10,7 @@ from reproduction.document import comparison_of, criterion_of
 from reproduction.records import Comparison, Criterion
 from reproduction.rig import CLOCK_PERIOD, MAX_AMPLITUDE, PRBS_ORDER, Rig, Run
 from strainwave.domain import Control, FloatArray
-from strainwave.dynamics.interaction_torque import interaction_torques
+from strainwave.dynamics.rigid_prediction import interaction_torques
 from strainwave.numerics.filters import apply_lags
 from strainwave.report.figures import Figure
 from strainwave.report.figures.curves import Series, lines, spectrum

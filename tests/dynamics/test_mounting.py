@@ -20,10 +20,9 @@ from strainwave.domain.arm.link_sensors.link_space import (
     rotation,
 )
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import JointMotion, link_quantities
 from strainwave.dynamics.simulation import Drive, simulate
-from strainwave.signals.imu_attitude import imu_candidates
-from strainwave.signals.link_readings import JointMotion
-from strainwave.signals.mounting_start import estimate_mounting_starts, link_quantities
+from strainwave.signals.mounting_start import estimate_mounting_starts, imu_candidates
 from strainwave.virtual import scara
 from tuning_runs import shaken
 

@@ -19,13 +19,12 @@ from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.keys import Values
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import JointMotion, link_quantities
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.errors import InvalidInput
 from strainwave.export.linear_models import coordinates_of
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import IdentifiedArm
-from strainwave.signals.link_readings import JointMotion
-from strainwave.signals.mounting_start import link_quantities
 
 TICK = 1e-3
 RECORDED: list[Quantity] = ["motor_velocity", "link_velocity", "link_angle"]

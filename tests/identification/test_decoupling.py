@@ -13,7 +13,7 @@ from elastic_runs import log_of, prbs_run, rig, rig_values, true_model
 from strainwave.domain import Decoupled, Joint, LinkSignals, Study
 from strainwave.domain.arm.kinds import single_joint
 from strainwave.domain.study import Use
-from strainwave.dynamics import interaction_torque as interaction
+from strainwave.dynamics import rigid_prediction as interaction
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Trajectory
 from strainwave.errors import NotIdentifiable

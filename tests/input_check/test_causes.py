@@ -10,12 +10,13 @@ import pytest
 
 from consistency_inputs import Input
 from strainwave.domain import ArmDescription, Experiment, Joint, Place
+from strainwave.identification.rigid.torque_constants import suspect_torque_constants
 from strainwave.input_check import report_remaining
 from strainwave.input_check.evidence import Evidence, SlowRecord, collect_evidence
 from strainwave.input_check.hypothesis import UnexplainedEvidence
 from strainwave.input_check.input_hypotheses import propose_hypotheses
 from strainwave.input_check.observations import EXPECTED, is_of_link, observe
-from strainwave.signals.torque_constants import suspect_torque_constants
+from strainwave.input_check.timing import Clocks
 from strainwave.virtual import scara
 
 
@@ -32,10 +33,7 @@ def test_channels_of_any_two_joints_may_be_exchanged() -> None:
         moves=np.ones(1, dtype=bool),
         direction=np.zeros((1, 3)),
         inside=np.ones(1, dtype=bool),
-        prbs_clock=None,
-        servo_clock=None,
-        levels={},
-        excited=frozenset(),
+        clocks=Clocks(),
         delays={},
     )
     suspicions = [

@@ -26,12 +26,12 @@ from strainwave.domain.arm.kinds import single_joint
 from strainwave.domain.results.consistency import apply_corrections
 from strainwave.domain.study import Payload
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import JointMotion, reading_parts
 from strainwave.input_check import check_consistency
 from strainwave.input_check.evidence import collect_evidence
 from strainwave.input_check.sensors import IMU_CHANNELS
 from strainwave.input_check.torque_fit import report_impossible_links
 from strainwave.input_check.torque_search import search_explanations
-from strainwave.signals.link_readings import JointMotion, imu_parts
 
 N_JOINTS, SAMPLE_TIME, SECONDS = 3, 2e-3, 20.0
 ARM = ArmDescription(
@@ -77,7 +77,7 @@ def given(links: list[list[float]]) -> tuple[tuple[Log, ...], Study]:
     channels |= {f"theta_m{i + 1}": angle[:, i] / arm.gear_ratios[i] for i in range(N_JOINTS)}
     motion = JointMotion(angle, rate, acceleration)
     for kind in IMU_CHANNELS:
-        parts = imu_parts(arm, motion, kind, N_JOINTS - 1) or {}
+        parts = reading_parts(arm, motion, kind, N_JOINTS - 1) or {}
         reading = np.sum(list(parts.values()), axis=0)
         channels[f"{kind}{N_JOINTS}"] = reading + 1e-3 * rng.normal(size=len(time))
     experiment = Experiment("motion", "motion.csv", "motion", ("servo", "servo", "servo"))

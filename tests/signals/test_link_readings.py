@@ -9,22 +9,32 @@ from strainwave.domain import Control, Experiment, FloatArray, Joint, Log, Study
 from strainwave.domain.arm.description import ArmDescription, Origin
 from strainwave.domain.arm.kinds.planar import in_plane_gravity, planar_two_link, single_joint
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import (
+    JointMotion,
+    acceleration_gain,
+    angle_derivatives,
+    channel_weights,
+    read_gravity,
+    read_link,
+    reading_parts,
+)
 from strainwave.input_check.evidence import collect_evidence
 from strainwave.input_check.sensors import regress_readings
 from strainwave.signals.link_motion import prepare_link_signals
-from strainwave.signals.link_readings import (
-    JointMotion,
-    acceleration_gain,
-    accelerometer_parts,
-    angle_derivatives,
-    preceding_gains,
-    read_accelerometer,
-    read_gravity,
-    read_gyro,
-)
+from strainwave.signals.link_readings import LinkReading
 
 LENGTH, DISTANCES = 0.35, (0.3, 0.25, 0.2)
 ROUNDING = 1e-13  # of sums of numbers of about ten
+
+
+def ideal_reading(arm: Arm, motion: JointMotion, i: int, kind: str) -> FloatArray:
+    weights = channel_weights(arm.joints[i], kind)
+    assert weights is not None
+    return np.asarray(read_link(arm, motion, i) @ weights)
+
+
+def parts_of(arm: Arm, motion: JointMotion, i: int) -> dict[str, FloatArray]:
+    return reading_parts(arm, motion, "a", i) or {}
 
 
 def drive(i: int) -> Joint:
@@ -58,7 +68,7 @@ def test_planar_arms_read_8_and_9(gravity: float) -> None:
     motion = random_motion(2)
     q, dq, ddq = motion.angle, motion.velocity, motion.acceleration
     arm = Arm.of(planar_two_link([drive(0), drive(1)], LENGTH, gravity))
-    first, second = (accelerometer_parts(arm, motion, i) for i in (0, 1))
+    first, second = (parts_of(arm, motion, i) for i in (0, 1))
     carried = LENGTH * (ddq[:, 0] * np.cos(q[:, 1]) + dq[:, 0] ** 2 * np.sin(q[:, 1]))
     expected = DISTANCES[1] * ddq.sum(axis=1)
     np.testing.assert_allclose(first["own-joint"], DISTANCES[0] * ddq[:, 0], atol=ROUNDING)
@@ -67,16 +77,17 @@ def test_planar_arms_read_8_and_9(gravity: float) -> None:
     np.testing.assert_allclose(second["own-joint"], expected, atol=ROUNDING)
     np.testing.assert_allclose(second["origin-motion"], carried, atol=ROUNDING)
     np.testing.assert_allclose(second["gravity"], gravity * np.cos(q.sum(axis=1)), atol=ROUNDING)
-    np.testing.assert_allclose(read_gyro(arm, motion, 1), dq.sum(axis=1), atol=ROUNDING)
-    gains = preceding_gains(arm, q, 1, gyro=False)
+    np.testing.assert_allclose(ideal_reading(arm, motion, 1, "gyro"), dq.sum(axis=1), atol=ROUNDING)
+    gains = LinkReading(2, "accelerometer", gain=DISTANCES[1]).preceding_gains(arm, q)
     expected = DISTANCES[1] + LENGTH * np.cos(q[:, 1])
     np.testing.assert_allclose(gains[:, 0], expected, atol=ROUNDING)
-    np.testing.assert_allclose(preceding_gains(arm, q, 1, gyro=True), 1.0, atol=ROUNDING)
+    gains = LinkReading(2, "gyro").preceding_gains(arm, q)
+    np.testing.assert_allclose(gains, 1.0, atol=ROUNDING)
 
 
 def test_a_slide_reads_its_acceleration() -> None:
     arm, motion = Arm.of(single_joint(Joint("linear", 0.01, "prismatic"))), random_motion(1)
-    reading = accelerometer_parts(arm, motion, 0)
+    reading = parts_of(arm, motion, 0)
     np.testing.assert_array_equal(reading["own-joint"], motion.acceleration[:, 0])
     np.testing.assert_array_equal(reading["gravity"], 0.0)
 
@@ -87,16 +98,19 @@ def test_planar_chains_of_any_length(n_joints: int, gravity: float) -> None:
     arm, motion = chain(n_joints, gravity), random_motion(n_joints)
     for i in range(n_joints):
         expected = closed_form(motion, i, gravity)
-        reading = accelerometer_parts(arm, motion, i)
+        reading = parts_of(arm, motion, i)
         np.testing.assert_allclose(sum(reading.values()), expected, atol=ROUNDING)
-        np.testing.assert_allclose(read_accelerometer(arm, motion, i), expected, atol=ROUNDING)
+        np.testing.assert_allclose(ideal_reading(arm, motion, i, "a"), expected, atol=ROUNDING)
         np.testing.assert_allclose(
-            read_gyro(arm, motion, i), motion.velocity[:, : i + 1].sum(axis=1), atol=ROUNDING
+            ideal_reading(arm, motion, i, "gyro"),
+            motion.velocity[:, : i + 1].sum(axis=1),
+            atol=ROUNDING,
         )
         any_gravity = read_gravity(arm, motion.angle, i, np.array([[0.0, -gravity, 0.0]]))
         np.testing.assert_allclose(any_gravity[:, 0], reading["gravity"], atol=ROUNDING)
         gains = np.zeros_like(motion.angle)
-        gains[:, :i] = preceding_gains(arm, motion.angle, i, gyro=False)
+        accelerometer = LinkReading(i + 1, "accelerometer", gain=DISTANCES[i])
+        gains[:, :i] = accelerometer.preceding_gains(arm, motion.angle)
         gains[:, i] = acceleration_gain(arm.joints[i])
         still = replace(motion, acceleration=np.zeros_like(motion.angle))
         rest = closed_form(still, i, gravity)

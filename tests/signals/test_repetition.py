@@ -10,7 +10,7 @@ from strainwave.domain import FloatArray, Log, Signals, Study
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.identification import rigid
-from strainwave.identification.rigid.bandwidth import bandwidths_of
+from strainwave.identification.rigid.trial import bandwidths_of
 from strainwave.signals import motor as signals
 from strainwave.signals.motor import period_of
 

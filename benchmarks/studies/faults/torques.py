@@ -12,10 +12,10 @@ from benchmarks.studies.faults.inputs import EFFORTS, Columns, Input
 from strainwave.domain import FloatArray, channel_parts
 from strainwave.domain.study import Channel, Control, Meaning, Payload
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import JointMotion
 from strainwave.input_check.evidence import collect_evidence
 from strainwave.input_check.torque_fit import fit_torques, torque_system
 from strainwave.io.logs import read_logs
-from strainwave.signals.link_readings import JointMotion
 
 _TRACKING_LAG = 0.01  # [s] of the joints behind their set-point; the desired torque is that early
 _SMOOTHING = 0.01  # [s] of the angles, before they are differentiated, and of wind-up torques

@@ -22,7 +22,7 @@ from strainwave.domain import (
 from strainwave.domain.arm.combinations import is_uncoupled, viscous_friction
 from strainwave.domain.arm.parameter_table import COULOMB, OFFSET
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.interaction_torque import (
+from strainwave.dynamics.rigid_prediction import (
     base_parameters,
     interaction_torques,
     mean_postures,

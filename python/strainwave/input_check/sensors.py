@@ -15,21 +15,21 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import Correction, FloatArray, Lag, channel_parts
+from strainwave.domain.arm.link_sensors import sensor_of
 from strainwave.domain.keys import JointIndex, JointNumber
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import (
+    JointMotion,
+    angle_derivatives,
+    channel_weights,
+    read_gravity,
+    read_link,
+    reading_parts,
+)
 from strainwave.input_check.evidence import Evidence, PredictedSignal, SlowRecord, is_slow
 from strainwave.numerics.filters import apply_lags, differentiate, low_pass
 from strainwave.numerics.statistics import Regression, regress
 from strainwave.signals.channels import sensor_lags
-from strainwave.signals.link_readings import (
-    JointMotion,
-    accelerometer_parts,
-    angle_derivatives,
-    imu_parts,
-    read_gravity,
-    read_gyro,
-    read_rotation,
-)
 
 IMU_ACCELEROMETERS = ("ax", "ay", "az")
 """Kinds of channels of the accelerometers of an IMU."""
@@ -194,19 +194,15 @@ def _predicted_parts(
 ) -> dict[str, FloatArray] | None:
     """Parts whose sum is the predicted reading of a channel of joint i.
 
-    Returns None if the study does not give the distance of the accelerometer.
+    Returns None if the study does not give the place of the sensor.
     """
     if kind == "theta_l":
         return {"own-joint": motion.angle[:, i]}
-    if kind == "gyro":
-        return {"own-joint": read_gyro(arm, motion, i)}
-    if kind in IMU_CHANNELS:
-        parts = imu_parts(arm, motion, kind, i) or {}
-        return {key: part for key, part in parts.items() if np.ptp(part) > _MIN_PART} or None
-    joint = arm.joints[i]
-    if joint.motion != "prismatic" and joint.accelerometer_distance is None:
+    parts = reading_parts(arm, motion, kind, i)
+    if parts is None:
         return None
-    parts = accelerometer_parts(arm, motion, i)
+    if kind in IMU_CHANNELS:
+        return {key: part for key, part in parts.items() if np.ptp(part) > _MIN_PART} or None
     return {key: part for key, part in parts.items() if key == "own-joint" or np.any(part)}
 
 
@@ -241,7 +237,7 @@ def _regress_channel(
         rows = 1.0 / (2.0 * np.pi * hz * T)
         return _MIN_TIME_CONSTANT_ROWS < rows < max_records * len(record.inside)
 
-    lags = sensor_lags(arm.joints[i], kind)
+    lags = sensor_lags(sensor_of(arm.joints[i], kind))
     sensor = [lag for lag in lags if is_relevant(lag.cutoff_hz, _MAX_LAG_RECORDS)]
     cutoff = evidence.high_passes.get(name)
     cutoff = cutoff if cutoff and is_relevant(cutoff, _MAX_DECAY_RECORDS) else None
@@ -315,11 +311,12 @@ def _rotations(arm: Arm, motion: JointMotion, kind: str, i: JointIndex) -> list[
 
     Empty if the reading does not contain both.
     """
-    if kind not in ("a", "gyro") or arm.joints[i].motion == "prismatic":
+    weights = channel_weights(arm.joints[i], kind) if kind in ("a", "gyro") else None
+    if weights is None or arm.joints[i].motion == "prismatic":
         return []
-    read = read_gyro if kind == "gyro" else read_rotation
-    before = read(arm, motion.without(i), i)
-    return [read(arm, motion, i) - before, before] if np.any(before) else []
+    of_rotation = weights * (np.arange(len(weights)) >= 3)  # without the specific force
+    before = read_link(arm, motion.without(i), i) @ of_rotation
+    return [read_link(arm, motion, i) @ of_rotation - before, before] if np.any(before) else []
 
 
 def compare_motor_signals(evidence: Evidence) -> Iterator[PredictedSignal]:

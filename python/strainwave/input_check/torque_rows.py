@@ -17,12 +17,12 @@ import numpy as np
 from strainwave.domain import BoolArray, FloatArray, IntArray, channel_parts
 from strainwave.domain.keys import JointIndex, JointNumber
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import JointMotion
 from strainwave.input_check.evidence import Evidence, PredictedSignal, SlowRecord, is_slow
 from strainwave.input_check.sensors import recall_motion
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.statistics import ROWS_PER_INDEPENDENT_ROW, long_run_std
 from strainwave.signals.drive_law import DriveLaw
-from strainwave.signals.link_readings import JointMotion
 
 Array = TypeVar("Array", FloatArray, BoolArray)
 

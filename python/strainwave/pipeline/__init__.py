@@ -33,6 +33,10 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.identification import amplitude_sweep as sweep
 from strainwave.identification import whole_arm
+from strainwave.identification.rigid.torque_constants import (
+    find_doubtful_torque_constant,
+    suspect_torque_constants,
+)
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.logs.arrays import Data
 from strainwave.io.study import read_study, with_options
@@ -49,10 +53,6 @@ from strainwave.pipeline.inputs import (
 from strainwave.pipeline.rigid_joints import estimate_drives, fit_rigid_joints
 from strainwave.report.matplotlib_backend import images
 from strainwave.signals.motor import activity_of
-from strainwave.signals.torque_constants import (
-    find_doubtful_torque_constant,
-    suspect_torque_constants,
-)
 from strainwave.version import __version__
 
 __all__ = ["STAGES", "check_input", "check_stages", "identify", "with_report_loading", "write"]

@@ -33,7 +33,7 @@ from strainwave.domain.arm.parameter_table import COULOMB
 from strainwave.domain.keys import Key
 from strainwave.domain.results.stage_results import StageResults
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.interaction_torque import mean_postures
+from strainwave.dynamics.rigid_prediction import mean_postures
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification import decoupling, frequency, validation, whole_arm
 from strainwave.identification import joint_model as physical
@@ -43,7 +43,7 @@ from strainwave.numerics.parallel import both, run_parallel
 from strainwave.pipeline.inputs import Inputs, Reporter, attempt
 from strainwave.signals import link_motion as links
 from strainwave.signals.delays import build_delay_warnings, list_removed_delays
-from strainwave.signals.mounting_start import substitute_equivalent_sensors
+from strainwave.signals.link_readings import combine_axes
 from strainwave.signals.recorded_input import (
     check_servo_clock,
     missing_motor_signal,
@@ -239,10 +239,10 @@ def fit_elastic_joints(
     if rigid_model is None and not is_uncoupled(inputs.arm):
         return JointStage()  # the rigid stage gives the reason
     with reporter.time_part("decoupled", "decoupling the joints"):
-        # a sensor of unknown mounting gets an approximate one until the whole-arm fit
-        placed_logs, placed_arm = substitute_equivalent_sensors(excited, inputs.arm, inputs.logs)
-        options = inputs.study.options
-        sides, delays = links.compute_link_signals(placed_logs, placed_arm, options.links)
+        arm, options = inputs.arm, inputs.study.options
+        # a sensor of unknown mounting has an approximate one until the whole-arm fit
+        combined = combine_axes(excited, arm, inputs.logs)
+        sides, delays = links.compute_link_signals(excited, arm, options.links, combined)
         removed = list_removed_delays(sides, delays)
         warnings = list(build_delay_warnings(delays))
         # the motion of a coupled link follows several motors: no joint has a model of its own
@@ -255,7 +255,7 @@ def fit_elastic_joints(
             try:
                 postures = mean_postures(sides)
                 decouple = partial(
-                    decoupling.decouple, model=rigid_model, arm=placed_arm, postures=postures
+                    decoupling.decouple, model=rigid_model, arm=arm, postures=postures
                 )
                 joints = run_parallel([partial(decouple, side) for side in sides])
             except NotIdentifiable as failure:

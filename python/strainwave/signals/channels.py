@@ -8,8 +8,8 @@ from typing import Literal, Self
 
 import numpy as np
 
-from strainwave.domain import BoolArray, Decoupled, Diagnostic, FloatArray, Joint, Lag, Log, Place
-from strainwave.domain.arm.link_sensors import sensor_of
+from strainwave.domain import BoolArray, Decoupled, Diagnostic, FloatArray, Lag, Log, Place
+from strainwave.domain.arm.link_sensors import LinkSensor
 from strainwave.domain.keys import JointNumber
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, RecordTooShort
@@ -147,9 +147,8 @@ def check_alike(records: Sequence[Decoupled]) -> None:
             )
 
 
-def sensor_lags(joint: Joint, kind: str) -> tuple[Lag, ...]:
-    """Low-pass of the sensor of a joint with a channel of this kind, as the study gives it."""
-    sensor = sensor_of(joint, kind)
+def sensor_lags(sensor: LinkSensor | None) -> tuple[Lag, ...]:
+    """Low-pass of a sensor, as the study gives it."""
     return (Lag(sensor.low_pass_order, sensor.hz),) if sensor and sensor.hz else ()
 
 

@@ -18,7 +18,7 @@ from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.domain.results.signals import LinkSource
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
-from strainwave.signals.link_readings import acceleration_gain, preceding_gains
+from strainwave.signals.link_readings import LinkReading
 
 _SENSORS: Mapping[LinkSource, type[LinkSensor]] = {
     "accelerometer": Accelerometer,
@@ -99,7 +99,7 @@ _SENSOR_PHASE_ERROR, _DRIVE_PHASE_ERROR = 0.015, 0.05
 _HANN_STD_FACTOR = 1.5  # factor on standard deviations: a Hann window correlates adjacent lines
 
 
-def estimate_sensor_delay(signals: LinkSignals, arm: Arm, i: int) -> Delay | None:
+def estimate_sensor_delay(signals: LinkSignals, arm: Arm, reading: LinkReading) -> Delay | None:
     """Estimate the delay of a link acceleration relative to the motor encoder of joint i (from 0).
 
     The spring gives
@@ -118,8 +118,9 @@ def estimate_sensor_delay(signals: LinkSignals, arm: Arm, i: int) -> Delay | Non
     Returns None if the link has no sensor, if the record has too few spectral lines, or if the
     spring is nonlinear and only another joint is excited.
     """
+    i = reading.joint - 1
     law, excited = arm.joints[i].law, signals.experiment.joint
-    if signals.sources[i] in ("motor", "deflection") or not law.elastic:
+    if reading.source in ("motor", "deflection") or not law.elastic:
         return None
     if law.is_curved and excited not in (None, i + 1):
         return None
@@ -130,7 +131,7 @@ def estimate_sensor_delay(signals: LinkSignals, arm: Arm, i: int) -> Delay | Non
     torque = _torque_columns(signals, arm, link_acceleration)[:, i]
     target = low_pass(motor_acceleration, cutoff, T) - link_acceleration[:, i]
     band = (_MIN_FREQUENCY_HZ, _BAND_MARGIN * _upper_frequency(link_acceleration[:, i], T))
-    contributions = _sensor_contributions(signals, arm, link_acceleration, i)
+    contributions = _sensor_contributions(signals, arm, link_acceleration, reading)
     columns = [
         _differentiate_repeatedly(contributions, T, 1),
         contributions,
@@ -192,17 +193,18 @@ def _delay_with_model_error(
     return Delay(float(value), float(np.hypot(std, phase / (2.0 * np.pi * band[1]))))
 
 
-def _sensor_contributions(signals: LinkSignals, arm: Arm, link: FloatArray, i: int) -> FloatArray:
+def _sensor_contributions(
+    signals: LinkSignals, arm: Arm, link: FloatArray, reading: LinkReading
+) -> FloatArray:
     """Contribution of each sensor to a relative acceleration: of this link, then of those before.
 
     A gyro or accelerometer also measures the motion of the links before, which (9) subtracts.
     """
+    i = reading.joint - 1
     relative = link[:, i]
-    if i == 0 or signals.sources[i] not in ("accelerometer", "gyro"):
+    if i == 0 or reading.source not in ("accelerometer", "gyro"):
         return relative[:, None]
-    is_gyro = signals.sources[i] == "gyro"
-    before = preceding_gains(arm, signals.link_angle, i, gyro=is_gyro) * link[:, :i]
-    before /= 1.0 if is_gyro else acceleration_gain(arm.joints[i])
+    before = reading.preceding_gains(arm, signals.link_angle) * link[:, :i] / reading.gain
     is_measured = np.array(signals.sources[:i]) != "motor"
     return np.column_stack([relative + before.sum(axis=1), -before[:, is_measured]])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -17,15 +17,13 @@ from strainwave.domain import (
     Lag,
     LinkOptions,
     LinkSignals,
-    LinkSource,
     LinkSummary,
     Log,
     Place,
 )
 from strainwave.domain.keys import JointIndex
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.link_sensors import MAX_SENSOR_DELAY, shift_samples
-from strainwave.errors import InvalidInput
+from strainwave.dynamics.link_sensors import MAX_SENSOR_DELAY, JointMotion, shift_samples
 from strainwave.numerics.filters import (
     Between,
     apply_lags,
@@ -34,19 +32,14 @@ from strainwave.numerics.filters import (
     low_pass,
 )
 from strainwave.numerics.parallel import run_parallel
-from strainwave.signals.channels import check_length, sensor_lags, unmeasured
+from strainwave.signals.channels import check_length, unmeasured
 from strainwave.signals.delays import (
     build_misalignment_warnings,
     estimate_drive_delay,
     estimate_sensor_delay,
     estimate_sensor_delays,
 )
-from strainwave.signals.link_readings import (
-    JointMotion,
-    acceleration_gain,
-    read_accelerometer,
-    read_gyro,
-)
+from strainwave.signals.link_readings import CombinedReadings, choose_reading
 from strainwave.signals.prepared_record import PreparedRecord, prepare_record
 
 
@@ -94,8 +87,6 @@ def bias_of(acceleration: FloatArray, velocity: FloatArray, sample_time: float, 
 
 _EDGE_PERIODS = 2.0  # excluded edge of a record, in periods of the slowest low-pass (its transient)
 _MAX_DELAY_STD = 5e-4  # [s] standard deviation above which a delay estimate is discarded
-# Channel of each link sensor, without the joint number
-_CHANNEL: Mapping[LinkSource, str] = {"accelerometer": "a", "encoder": "theta_l", "gyro": "gyro"}
 # standard deviations of a velocity below which its sign is uncertain
 _MIN_VELOCITY_SIGNIFICANCE = 4.0
 # [s] maximum duration of an interpolated stretch that linear models use
@@ -106,7 +97,10 @@ _MAX_ITERATIONS = 4
 
 
 def compute_link_signals(
-    logs: Sequence[Log], arm: Arm, options: LinkOptions | None = None
+    logs: Sequence[Log],
+    arm: Arm,
+    options: LinkOptions | None = None,
+    combined: CombinedReadings | None = None,
 ) -> tuple[list[LinkSignals], tuple[Delay, ...]]:
     """Compute motor-side and link-side motion of several records, corrected for sensor delays.
 
@@ -121,7 +115,7 @@ def compute_link_signals(
     for _ in range(_MAX_ITERATIONS):
         delays = tuple(late.value for late in total)
         records = run_parallel(
-            [partial(prepare_link_signals, log, arm, options, delays) for log in logs]
+            [partial(prepare_link_signals, log, arm, options, delays, combined) for log in logs]
         )
         remaining = estimate_sensor_delays(records, arm.n_joints)
         total = tuple(
@@ -129,14 +123,19 @@ def compute_link_signals(
             for removed, remainder in zip(total, remaining, strict=True)
         )
         if any(abs(late.value) > MAX_SENSOR_DELAY for late in total):  # reported, not corrected
-            return [prepare_link_signals(log, arm, options) for log in logs], none
+            signals = [prepare_link_signals(log, arm, options, None, combined) for log in logs]
+            return signals, none
         if not any(late.value for late in remaining):
             break
     return [replace(record, removed_delay=total) for record in records], total
 
 
 def prepare_link_signals(
-    log: Log, arm: Arm, options: LinkOptions | None = None, delays: Sequence[float] | None = None
+    log: Log,
+    arm: Arm,
+    options: LinkOptions | None = None,
+    delays: Sequence[float] | None = None,
+    combined: CombinedReadings | None = None,
 ) -> LinkSignals:
     """Compute link and motor angles, velocities and accelerations of one record.
 
@@ -151,12 +150,13 @@ def prepare_link_signals(
     accelerometer, the acceleration is from a link encoder, the deflection, a gyro or the motor, in
     this order. The low-pass filter of each sensor is applied to all other signals.
 
-    `delays` [s], one per joint, are known delays of the link sensors; their channels are shifted
-    back. Raises InvalidInput if a channel or the position of an accelerometer is missing, or if the
-    record is too short.
+    `delays` [s], one per joint, are known delays of the link sensors; their readings are shifted
+    back. `combined` has the readings of sensors that are not read as they are, see
+    `strainwave.signals.link_readings.combine_axes`. Raises InvalidInput if a channel or the
+    position of an accelerometer is missing, or if the record is too short.
     """
     chosen = options or LinkOptions()
-    view = _FilteredLog(prepare_record(log, arm), chosen, delays or ())
+    view = _FilteredLog(prepare_record(log, arm), chosen, delays, combined or {})
     torque = np.column_stack([view.torque(i) for i in range(arm.n_joints)])
     motor_velocity = differentiate(view.motor_angle, log.sample_time)
     motion, links = _compute_link_motion(view, motor_velocity)
@@ -187,27 +187,22 @@ class _FilteredLog:
     """Channels of a log through the filters that all channels share."""
 
     def __init__(
-        self, record: PreparedRecord, options: LinkOptions, delays: Sequence[float]
+        self,
+        record: PreparedRecord,
+        options: LinkOptions,
+        delays: Sequence[float] | None,
+        combined: CombinedReadings,
     ) -> None:
         log, arm = record.log, record.arm
-        self.record, self.arm, self.options = record, arm, options
-        self.sources = tuple(_source(log, arm, i) for i in range(1, arm.n_joints + 1))
-        channels = dict(log.channels)
-        for i, delay in enumerate(delays):
-            if delay and self.sources[i] in _CHANNEL:
-                name = f"{_CHANNEL[self.sources[i]]}{i + 1}"
-                channels[name] = shift_samples(channels[name], delay / log.sample_time)
-        self.log = replace(log, channels=channels)
-        self.shared = tuple(
-            dict.fromkeys(
-                lag
-                for joint, source in zip(arm.joints, self.sources, strict=True)
-                for lag in sensor_lags(joint, _CHANNEL.get(source, ""))
-            )
+        self.record, self.log, self.arm, self.options = record, log, arm, options
+        self.readings = tuple(
+            choose_reading(log, arm, i, combined) for i in range(1, arm.n_joints + 1)
         )
+        self.delays = delays or (0.0,) * arm.n_joints
+        self.shared = tuple(dict.fromkeys(lag for each in self.readings for lag in each.lags))
         # The largest band of all joints: a joint with little motion does not determine a band.
         self.band = max(record.bands_hz)
-        differenced = any(s != "accelerometer" for s in self.sources)
+        differenced = any(each.source != "accelerometer" for each in self.readings)
         self.bandwidth_hz = options.bandwidth_hz or (self.band if differenced else None)
         cutoffs = [lag.cutoff_hz for lag in self.shared]
         slowest = min([*cutoffs, self.bandwidth_hz or np.inf, 0.1 / log.sample_time])
@@ -223,6 +218,12 @@ class _FilteredLog:
         for lag in sensor_lags:
             rest.remove(lag)
         return self.smooth(apply_lags_without_aliases(signal, rest, self.log.sample_time, between))
+
+    def reading(self, i: JointIndex) -> FloatArray:
+        """Reading of link i without the delay of its sensor, through the filters of the others."""
+        reading, ahead = self.readings[i], self.delays[i] / self.log.sample_time
+        samples = shift_samples(reading.samples(self.log, self.arm), ahead)
+        return self.through(samples, reading.lags)
 
     def smooth(self, signal: FloatArray) -> FloatArray:
         """Apply the zero-phase low-pass filter, if there is one."""
@@ -264,26 +265,6 @@ class _FilteredLog:
         return certain, self.through(direction, between="straight")
 
 
-def _source(log: Log, arm: Arm, joint: int) -> LinkSource:
-    """Select the best available sensor of a link (joints count from 1)."""
-    if not arm.joints[joint - 1].elastic:
-        return "rigid"
-    if f"a{joint}" in log.channels:
-        drive = arm.joints[joint - 1]
-        if drive.motion == "revolute" and drive.accelerometer_distance is None:
-            raise InvalidInput(
-                f"a{joint} is logged but accelerometer_distance is not given",
-                where=f"joint {joint}",
-                remedy="add accelerometer_distance to the joint, or remove the channel",
-            )
-        return "accelerometer"
-    if f"theta_l{joint}" in log.channels:
-        return "encoder"
-    if f"deflection{joint}" in log.channels:
-        return "deflection"
-    return "gyro" if f"gyro{joint}" in log.channels else "motor"
-
-
 def _compute_link_motion(
     view: _FilteredLog, motor_velocity: FloatArray
 ) -> tuple[JointMotion, list[LinkSummary]]:
@@ -292,20 +273,17 @@ def _compute_link_motion(
     motor_angle, motor_side = arm.links_of(view.motor_angle), arm.links_of(motor_velocity)
     # Initialise all joints with the motor-side motion; the loop replaces it joint by joint.
     motion = JointMotion(motor_angle.copy(), motor_side.copy(), differentiate(motor_side, T))
-    links = [LinkSummary(view.log.name, i, source) for i, source in enumerate(view.sources, 1)]
-    for i, source in enumerate(view.sources):
+    links = [LinkSummary(view.log.name, each.joint, each.source) for each in view.readings]
+    for i, reading in enumerate(view.readings):
         angle, slow = _low_frequency_motion(view, i, motor_angle[:, i])
-        if source in ("accelerometer", "gyro"):
-            channel = view.log.channels[f"{_CHANNEL[source]}{i + 1}"]
-            read = view.through(channel, sensor_lags(arm.joints[i], _CHANNEL[source]))
-        if source != "accelerometer":
-            if source == "gyro":
-                slow = read - read_gyro(arm, motion.without(i), i)
+        if reading.source != "accelerometer":
+            if reading.source == "gyro":
+                slow = view.reading(i) - reading.predict(arm, motion.without(i))
             motion.angle[:, i], motion.velocity[:, i] = angle, slow
             motion.acceleration[:, i] = differentiate(slow, T)
             continue
         still = replace(motion, acceleration=motion.without(i).acceleration)
-        acceleration = (read - read_accelerometer(arm, still, i)) / acceleration_gain(arm.joints[i])
+        acceleration = (view.reading(i) - reading.predict(arm, still)) / reading.gain
         bias = bias_of(acceleration, slow, T, view.edge)
         links[i] = replace(links[i], bias=bias)
         acceleration = acceleration - bias
@@ -326,7 +304,9 @@ def _low_frequency_motion(
 ) -> tuple[FloatArray, FloatArray]:
     """Link angle and velocity at low frequencies, from the link encoder, deflection or motor."""
     channels = view.log.channels
-    if f"theta_l{i + 1}" in channels:
+    if view.readings[i].source == "encoder":
+        motor_side = view.reading(i)
+    elif f"theta_l{i + 1}" in channels:
         motor_side = view.through(channels[f"theta_l{i + 1}"])
     elif f"deflection{i + 1}" in channels:
         motor_side = motor_side + view.through(channels[f"deflection{i + 1}"])
@@ -336,7 +316,7 @@ def _low_frequency_motion(
 def _find_valid_samples(view: _FilteredLog) -> tuple[BoolArray, list[Diagnostic]]:
     """Samples outside record edges, saturation and interpolation, and warnings about sensors."""
     saturation, channels = view.record.saturation, view.record.channels
-    link_channels = [f"{_CHANNEL[s]}{i}" for i, s in enumerate(view.sources, 1) if s in _CHANNEL]
+    link_channels = [name for each in view.readings for name in each.channels]
     motors = [f"theta_m{i}" for i in range(1, view.arm.n_joints + 1)]
     max_samples = max(
         _MIN_INTERPOLATED_SAMPLES, round(_MAX_INTERPOLATED_TIME / view.log.sample_time)
@@ -345,10 +325,10 @@ def _find_valid_samples(view: _FilteredLog) -> tuple[BoolArray, list[Diagnostic]
     valid = ~(saturation.samples | interpolated[:, None])
     valid[: view.edge] = valid[-view.edge :] = False
     warnings = list(saturation.warnings)
-    for i, source in enumerate(view.sources, start=1):
-        if source == "motor":
+    for reading in view.readings:
+        if reading.source == "motor":
             place = Place.in_records(view.log.name)
-            warnings.append(Diagnostic("no-link-sensor", place, joint=i))
+            warnings.append(Diagnostic("no-link-sensor", place, joint=reading.joint))
     prbs, sample_time = view.log.experiment.prbs, view.log.sample_time
     if prbs and prbs.clock < 0.999 * sample_time:
         place = Place.in_records(view.log.name)
@@ -374,7 +354,7 @@ def _with_delays(
         sensor, drive = (
             delay if delay is not None and delay.std < _MAX_DELAY_STD else None
             for delay in (
-                estimate_sensor_delay(signals, arm, i),
+                estimate_sensor_delay(signals, arm, view.readings[i]),
                 estimate_drive_delay(signals, arm, i, view.band),
             )
         )

@@ -1,171 +1,243 @@
-"""Readings of ideal sensors on the links of a chain, from the motion of its joints.
+"""Readings from which the stages before the whole-arm fit compute the motion of each link.
 
-f, dw and w are the specific force, the angular acceleration and the rate of a link in its own
-frame. A tangential accelerometer sits at a distance l from the axis, along x, and reads along y
-
-    y . f + l (z . dw + (x . w) (y . w)),
-
-a gyro reads z . w. z is the axis of the joint, x the direction along the link as far as it is
-perpendicular to the axis, y = z x x. The accelerometer of a prismatic joint reads z . f.
+Encoders, gyros and accelerometers at known positions are read as they are. A weighted sum of the
+axes of an IMU reads as one tangential accelerometer with an estimated distance, or as a gyro along
+the axis; on a prismatic joint, as one accelerometer along the axis.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Self
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Joint
-from strainwave.domain.arm.link_sensors import sensor_of
-from strainwave.domain.arm.link_sensors.imu import ImuGyros
-from strainwave.domain.arm.link_sensors.link_space import attitude, axes_about
-from strainwave.domain.keys import JointIndex
+from strainwave.domain import FloatArray, Lag, LinkSource, Log
+from strainwave.domain.arm.link_sensors import SensorAxis, sensor_of
+from strainwave.domain.arm.link_sensors.imu import ImuAccelerometers, ImuGyros
+from strainwave.domain.arm.link_sensors.link_space import (
+    LinkSpace,
+    accelerometer_weights,
+    axes_about,
+)
+from strainwave.domain.arm.link_sensors.single_axis import Accelerometer
+from strainwave.domain.keys import JointNumber
 from strainwave.dynamics.arm import Arm
-from strainwave.numerics.filters import differentiate
+from strainwave.dynamics.link_sensors import (
+    JointMotion,
+    acceleration_gain,
+    channel_weights,
+    link_quantities,
+    read_link,
+)
+from strainwave.errors import InvalidInput
+from strainwave.signals.channels import sensor_lags
+from strainwave.signals.mounting_start import (
+    axes_on,
+    is_long_enough,
+    linear_factors,
+    slow_motion,
+)
+
+_MIN_SQUARED_SHARE = 0.1  # of the rate about the axis in the gyros of an IMU
+_MAX_FACTOR_ERROR = 0.1  # of a sum of axes that reads as a tangential accelerometer
+_MIN_DISTANCE = 0.02  # [m] minimum distance from the axis to measure angular acceleration
+
+# channels of sensors that are read as they are, without the joint's number, the best first
+_DIRECT: Mapping[LinkSource, str] = {
+    "accelerometer": "a",
+    "encoder": "theta_l",
+    "deflection": "deflection",
+    "gyro": "gyro",
+}
 
 
 @dataclass(frozen=True, slots=True)
-class JointMotion:
-    """Motion of the links relative to the links before them, each (n_samples, n_joints)."""
+class LinkReading:
+    """Weighted sum of sensor axes on one link, less the part of the other quantities they read.
 
-    angle: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
+    It reads as a sensor of the kind `source` does. Without axes the motor gives the motion, with
+    the torsion if that is measured.
+    """
 
-    @classmethod
-    def of_motors(cls, motors: FloatArray, arm: Arm, sample_time: float) -> Self:
-        """Motion of links behind rigid gears from motor angles."""
-        angle = arm.links_of(motors)
-        velocity = differentiate(angle, sample_time)
-        return cls(angle, velocity, differentiate(velocity, sample_time))
+    joint: JointNumber
+    source: LinkSource
+    axes: tuple[SensorAxis, ...] = ()
+    weights: FloatArray = field(default_factory=lambda: np.ones(1))  # (n_axes,)
+    # derivative of the reading by the acceleration of its own joint: 1, or the distance [m] of a
+    # tangential accelerometer
+    gain: float = 1.0
+    # factors of other quantities in the sum, which the motors give; None: not subtracted
+    others: FloatArray | None = None
 
-    @classmethod
-    def at_rest(cls, angle: FloatArray) -> Self:
-        """Links at rest."""
-        rest = np.zeros_like(angle)
-        return cls(angle, rest, rest)
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channels of the axes."""
+        return tuple(axis.channel for axis in self.axes)
 
-    def without(self, i: JointIndex) -> Self:
-        """The motion without rate and acceleration of joint i."""
-        others = np.arange(self.angle.shape[1]) != i
-        return replace(
-            self, velocity=self.velocity * others, acceleration=self.acceleration * others
+    @property
+    def lags(self) -> tuple[Lag, ...]:
+        """Low-pass that the reading has passed, as the study gives it."""
+        return sensor_lags(self.axes[0].sensor) if self.axes else ()
+
+    def samples(self, log: Log, arm: Arm) -> FloatArray:
+        """The reading in a record: (n_samples,)."""
+        samples = self.weights @ np.array([log.channels[name] for name in self.channels])
+        if self.others is not None:
+            axis, motion = self.axes[0], slow_motion(log, arm)
+            samples -= link_quantities(axis, arm, motion) @ self.others[axis.is_simulated]
+        return np.asarray(samples)
+
+    def predict(self, arm: Arm, motion: JointMotion) -> FloatArray:
+        """Ideal reading of an accelerometer or a gyro: (n_samples,)."""
+        i = self.joint - 1
+        weights = channel_weights(arm.joints[i], _DIRECT[self.source], self.gain)
+        assert weights is not None  # the distance is known
+        return np.asarray(read_link(arm, motion, i) @ weights)
+
+    def preceding_gains(self, arm: Arm, angle: FloatArray) -> FloatArray:
+        """Derivatives by the accelerations of the joints before: (n_samples, joint - 1).
+
+        Those of a gyro are derivatives of the slope of its reading, which are those of the reading
+        by the rates.
+        """
+        rest, gains = JointMotion.at_rest(angle), np.empty((len(angle), self.joint - 1))
+        start = self.predict(arm, rest)
+        for j in range(self.joint - 1):
+            unit = np.zeros_like(angle)
+            unit[:, j] = 1.0
+            is_gyro = self.source == "gyro"
+            moving = replace(rest, velocity=unit) if is_gyro else replace(rest, acceleration=unit)
+            gains[:, j] = self.predict(arm, moving) - start
+        return gains
+
+
+CombinedReadings = Mapping[JointNumber, LinkReading | None]
+"""Readings of links by sensors that are not read as they are; None: they do not give the motion."""
+
+
+def choose_reading(
+    log: Log, arm: Arm, joint: JointNumber, combined: CombinedReadings
+) -> LinkReading:
+    """The best reading of a link in a record.
+
+    Raises InvalidInput if the position of its accelerometer is missing.
+    """
+    description, reading = arm.joints[joint - 1], combined.get(joint)
+    if not description.elastic:
+        return LinkReading(joint, "rigid")
+    if reading is not None and set(reading.channels) <= log.channels.keys():
+        return reading
+    for source, kind in _DIRECT.items():
+        if f"{kind}{joint}" not in log.channels:
+            continue
+        if source == "deflection":
+            return LinkReading(joint, source)
+        if source == "accelerometer" and joint in combined:
+            continue
+        sensor = sensor_of(description, kind)
+        if sensor is None:
+            continue
+        if isinstance(sensor, Accelerometer) and not sensor.is_at_known_place:
+            raise InvalidInput(
+                f"a{joint} is logged but accelerometer_distance is not given",
+                where=f"joint {joint}",
+                remedy="add accelerometer_distance to the joint, or remove the channel",
+            )
+        gain = acceleration_gain(description) if source == "accelerometer" else 1.0
+        return LinkReading(joint, source, sensor.axes(joint), gain=gain)
+    return LinkReading(joint, "motor")
+
+
+def combine_axes(logs: Sequence[Log], arm: Arm, known: Sequence[Log]) -> CombinedReadings:
+    """Readings of the links whose only sensors are an IMU or an accelerometer at an unknown place.
+
+    The stages before the whole-arm fit use them. `known` are all logs, which determine the
+    positions.
+    """
+    combined: dict[JointNumber, LinkReading | None] = {}
+    for joint in range(1, arm.n_joints + 1):
+        axes = axes_on(logs, arm, joint)
+        is_single = bool(axes) and isinstance(axes[0].sensor, Accelerometer)
+        has_direct_sensor = any(
+            f"{kind}{joint}" in log.channels for kind in _DIRECT.values() for log in logs
         )
-
-    def links(self, arm: Arm) -> FloatArray:
-        """Motion of the links in space: (n_samples, n_joints, 9)."""
-        return arm.link_motion(self.angle, self.velocity, self.acceleration)
-
-
-def accelerometer_parts(arm: Arm, motion: JointMotion, i: JointIndex) -> dict[str, FloatArray]:
-    """Parts of the reading of the accelerometer on link i, each (n_samples,) [m/s^2].
-
-    "own-joint" is the rotation of the link about its frame's origin, or the motion of a slide;
-    "origin-motion" is the acceleration of that origin.
-    """
-    joint, link = arm.joints[i], motion.links(arm)[:, i]
-    force, gravity = link[:, 6:] @ _direction(joint), np.zeros(len(link))
-    if arm.gravity_size:
-        gravity = JointMotion.at_rest(motion.angle).links(arm)[:, i, 6:] @ _direction(joint)
-    if joint.motion == "prismatic":
-        return {"own-joint": force - gravity, "gravity": gravity}
-    rotation = _rotation(joint, link)
-    return {"own-joint": rotation, "origin-motion": force - gravity, "gravity": gravity}
+        if not axes or (has_direct_sensor and not is_single):
+            continue
+        combined[joint] = None
+        # an inaccurate position is worse than no sensor
+        if any(is_long_enough(log) for log in known if axes[0].channel in log.channels):
+            combined[joint] = _combined_reading(arm, axes, linear_factors(known, arm, axes))
+    return combined
 
 
-def imu_parts(
-    arm: Arm, motion: JointMotion, kind: str, i: JointIndex
-) -> dict[str, FloatArray] | None:
-    """Parts of the reading of one axis of the IMU on link i: of motion and of gravity.
-
-    A gyro reads w . e, an accelerometer (f + dw x r + w x (w x r)) . e, where r is the place and e
-    the axis of the sensor. None if the study does not give them.
-    """
-    case, sensor = arm.joints[i].imu, sensor_of(arm.joints[i], kind)
-    if case is None or case.rpy is None or sensor is None:
+def _combined_reading(
+    arm: Arm, axes: Sequence[SensorAxis], linear: Sequence[FloatArray]
+) -> LinkReading | None:
+    """The reading of one link as an accelerometer or a gyro; None if no sum of axes is one."""
+    joint, space = axes[0].joint, axes[0].space
+    x, y, z = axes_about(arm.joints[joint - 1].axis)
+    pairs = list(zip(axes, linear, strict=True))
+    gyros = [(a, f) for a, f in pairs if isinstance(a.sensor, ImuGyros)]
+    accelerometers = [(a, f) for a, f in pairs if not isinstance(a.sensor, ImuGyros)]
+    used, factors = tuple(a for a, _ in accelerometers), [f for _, f in accelerometers]
+    if arm.joints[joint - 1].motion == "prismatic":
+        return _along_the_slide(used, np.array(factors), z)
+    weights, distance = _tangential_weights(factors, (x, y, z), space)
+    if used and abs(distance) > _MIN_DISTANCE:
+        others = None
+        if isinstance(used[0].sensor, ImuAccelerometers):
+            tangential = accelerometer_weights(y.tolist(), (distance * x).tolist())
+            others = weights @ np.array(factors) - tangential
+        return LinkReading(joint, "accelerometer", used, weights, distance, others)
+    shares = np.array([factor @ z for _, factor in gyros])
+    if not float(shares @ shares) > _MIN_SQUARED_SHARE:
         return None
-    axis = attitude(case.rpy)[:, sensor.channel_kinds.index(kind)]
-    link = motion.links(arm)[:, i]
-    rate, turning, force = link[:, :3], link[:, 3:6], link[:, 6:]
-    if isinstance(sensor, ImuGyros):
-        return {"own-joint": rate @ axis}
-    if case.xyz is None:
+    used, weights = tuple(axis for axis, _ in gyros), shares / float(shares @ shares)
+    others = weights @ np.array([f for _, f in gyros]) - z if space.axis is None else None
+    return LinkReading(joint, "gyro", used, weights, others=others)
+
+
+def _along_the_slide(
+    axes: tuple[SensorAxis, ...], factors: FloatArray, z: FloatArray
+) -> LinkReading | None:
+    """The reading along a prismatic joint, at the origin of its link.
+
+    `factors` is (n_axes, n_quantities).
+    """
+    if not axes:
         return None
-    place = np.array(case.xyz)
-    rotation = np.cross(turning, place) + np.cross(rate, np.cross(rate, place))
-    gravity = JointMotion.at_rest(motion.angle).links(arm)[:, i, 6:] @ axis
-    return {"own-joint": (force + rotation) @ axis - gravity, "gravity": gravity}
+    forces = factors[:, :3].T
+    weights = np.linalg.pinv(forces, rcond=0.1) @ z
+    if np.any(np.abs(forces @ weights - z) > _MAX_FACTOR_ERROR):
+        return None
+    others = weights @ factors - accelerometer_weights(z.tolist(), (0.0, 0.0, 0.0))
+    return LinkReading(axes[0].joint, "accelerometer", axes, weights, others=others)
 
 
-def read_accelerometer(arm: Arm, motion: JointMotion, i: JointIndex) -> FloatArray:
-    """Reading of the accelerometer on link i: (n_samples,) [m/s^2]."""
-    joint, link = arm.joints[i], motion.links(arm)[:, i]
-    return np.asarray(link[:, 6:] @ _direction(joint) + _rotation(joint, link))
+def _tangential_weights(
+    linear: Sequence[FloatArray], directions: Sequence[FloatArray], space: LinkSpace
+) -> tuple[FloatArray, float]:
+    """Weights of a sum of axes that reads f along the tangent only, and its factor of alpha.
 
-
-def read_rotation(arm: Arm, motion: JointMotion, i: JointIndex) -> FloatArray:
-    """Contribution of the rotation of link i to the reading of its accelerometer."""
-    return _rotation(arm.joints[i], motion.links(arm)[:, i])
-
-
-def read_gyro(arm: Arm, motion: JointMotion, i: JointIndex) -> FloatArray:
-    """Reading of the gyro on link i: (n_samples,) [rad/s]."""
-    return np.asarray(motion.links(arm)[:, i, :3] @ axes_about(arm.joints[i].axis)[2])
-
-
-def read_gravity(arm: Arm, angle: FloatArray, i: int, gravity: FloatArray) -> FloatArray:
-    """Readings of accelerometer i at rest under any gravity (n, 3) [m/s^2] of the base's frame.
-
-    Returns (n_samples, n).
+    `directions` are x, along the link, the tangent y and the axis z of the joint. About a fixed
+    axis, where f is small, the sum has factor one of alpha and zero of w^2. The factor is zero if
+    no weights achieve this.
     """
-    return -np.asarray(_direction(arm.joints[i]) @ arm.link_attitudes(angle)[:, i] @ gravity.T)
-
-
-def acceleration_gain(joint: Joint) -> float:
-    """Derivative of the reading of a link's accelerometer by the acceleration of its own joint."""
-    return 1.0 if joint.motion == "prismatic" else joint.accelerometer_distance or 1.0
-
-
-def preceding_gains(arm: Arm, angle: FloatArray, i: int, *, gyro: bool) -> FloatArray:
-    """Derivatives of a reading by the accelerations of the joints before i: (n_samples, i).
-
-    Those of a gyro are derivatives of the slope of its reading.
-    """
-    joint, rest = arm.joints[i], JointMotion.at_rest(angle)
-    start = 0.0 if gyro else read_accelerometer(arm, rest, i)
-    gains = np.empty((len(angle), i))
-    for j in range(i):
-        unit = replace(rest, acceleration=rest.acceleration + np.eye(arm.n_joints)[j])
-        if gyro:
-            gains[:, j] = unit.links(arm)[:, i, 3:6] @ axes_about(joint.axis)[2]
-        else:
-            gains[:, j] = read_accelerometer(arm, unit, i) - start
-    return gains
-
-
-def angle_derivatives(arm: Arm, motion: JointMotion, i: int) -> FloatArray:
-    """Derivatives of a reading of accelerometer i by the joint angles: (n_samples, n_joints)."""
-    joint = arm.joints[i]
-    x, y, z = axes_about(joint.axis)
-    states = motion.angle, motion.velocity, motion.acceleration
-    slope = np.swapaxes(arm.link_motion_derivatives(*states)[0][:, i], 1, 2)
-    if joint.motion == "prismatic":
-        return np.asarray(slope[..., 6:] @ z)
-    rate, rate_slope = motion.links(arm)[:, None, i, :3], slope[..., :3]
-    products = (rate @ x) * (rate_slope @ y) + (rate @ y) * (rate_slope @ x)
-    rotation = slope[..., 3:6] @ z + products
-    return np.asarray(slope[..., 6:] @ y + acceleration_gain(joint) * rotation)
-
-
-def _direction(joint: Joint) -> FloatArray:
-    return np.asarray(axes_about(joint.axis)[2 if joint.motion == "prismatic" else 1])
-
-
-def _rotation(joint: Joint, link: FloatArray) -> FloatArray:
-    """Contribution of the rotation of a link (n_samples, 9) to the reading of its accelerometer."""
-    if joint.motion == "prismatic":
-        return np.zeros(len(link))
-    x, y, z = axes_about(joint.axis)
-    rate, turning = link[:, :3], link[:, 3:6]
-    return np.asarray(acceleration_gain(joint) * (turning @ z + (rate @ x) * (rate @ y)))
+    if not linear:
+        return np.zeros(0), 0.0
+    forces, accelerations, products = np.split(np.array(linear).T, [3, 6])  # (.., n_axes)
+    x, y, z = directions
+    by_alpha = z @ accelerations
+    if len(linear) == 1 and not space.is_axis_fixed:
+        is_tangential = abs(y @ forces[:, 0] - 1.0) < _MAX_FACTOR_ERROR
+        return np.ones(1), float(by_alpha[0]) if is_tangential else 0.0
+    if space.is_axis_fixed:
+        by_square = (z[[0, 1, 2, 0, 0, 1]] * z[[0, 1, 2, 1, 2, 2]]) @ products
+        rows, target = np.array([by_square, by_alpha]), np.array([0.0, 1.0])
+    else:
+        rows, target = np.array([x, y, z]) @ forces, np.array([0.0, 1.0, 0.0])
+    weights = np.linalg.pinv(rows, rcond=0.1) @ target
+    if np.any(np.abs(rows @ weights - target) > _MAX_FACTOR_ERROR):
+        return weights, 0.0
+    return weights, float(by_alpha @ weights)

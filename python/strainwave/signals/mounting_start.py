@@ -1,53 +1,62 @@
-"""Starting values of sensor positions for the whole-arm fit, from low-frequency signals.
+"""Starting values of sensor positions and attitudes for the whole-arm fit.
 
 Far below the resonances, links follow their motors, so kinematics alone give the quantities of
-which each accelerometer reading is a linear combination. Least squares estimate its factors. The
-effect of the springs, a few percent, is left to the whole-arm fit.
+which each reading is a linear combination. Least squares estimate its factors. The effect of the
+springs, a few percent, is left to the whole-arm fit.
+
+The factors of an IMU are products of its position and a rotation. Levenberg-Marquardt iterations
+from many attitudes converge to local minima, and the minimum with the smallest objective is
+selected.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Joint, Log
-from strainwave.domain.arm.link_sensors import SensorAxis, mounted_axes, unknowns_of
-from strainwave.domain.arm.link_sensors.imu import ImuAccelerometers, ImuGyros, ImuSensor
-from strainwave.domain.arm.link_sensors.link_space import (
-    ACCELEROMETER_QUANTITIES,
-    GYRO_QUANTITIES,
-    LinkSpace,
-    accelerometer_weights,
-    axes_about,
+from strainwave.domain import FloatArray, Log
+from strainwave.domain.arm.link_sensors import (
+    ConstantKind,
+    SensorAxis,
+    is_kind,
+    mounted_axes,
+    unknowns_of,
 )
+from strainwave.domain.arm.link_sensors.imu import (
+    IMU_BEARING,
+    IMU_DISTANCE,
+    IMU_POSITION,
+    IMU_ROTATION,
+    IMU_START_ATTITUDE,
+    ImuSensor,
+    attitude_of,
+)
+from strainwave.domain.arm.link_sensors.link_space import angles, attitude
 from strainwave.domain.arm.link_sensors.single_axis import ACCELEROMETER_DISTANCE, Accelerometer
 from strainwave.domain.keys import JointNumber, Key
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import JointMotion, link_quantities
 from strainwave.numerics.filters import low_pass
-from strainwave.signals.channels import unmeasured
-from strainwave.signals.imu_attitude import imu_candidates
-from strainwave.signals.link_readings import JointMotion
 from strainwave.signals.prepared_record import prepare_record
 
 _MAX_FREQUENCY_HZ = 2.0  # [Hz] below which links follow their motors; most resonances exceed 10 Hz
 _MIN_PERIODS = 5.0  # minimum number of periods of the cutoff frequency in a record
 _EDGE_PERIODS = 1.0  # excluded edge of a record, in periods of the cutoff (low-pass transient)
 _MIN_SAMPLES = 64  # minimum number of samples of a record
-_MIN_COLUMN_NORM = 1e-6  # minimum norm of a column relative to the largest one
-_MIN_SQUARED_SHARE = 0.1  # of the rate about the axis in the gyros of an IMU
-_MAX_FACTOR_ERROR = 0.1  # of a sum of axes that replaces a tangential accelerometer
-_MIN_DISTANCE = 0.02  # [m] minimum distance from the axis to measure angular acceleration
-
-
-def link_quantities(axis: SensorAxis, arm: Arm, motion: JointMotion) -> FloatArray:
-    """The quantities (n_samples, n_quantities) that an axis reads, from the joints' motion."""
-    rates, accelerations, forces = np.split(motion.links(arm)[:, axis.joint - 1], 3, axis=1)
-    products = rates[:, [0, 1, 2, 0, 0, 1]] * rates[:, [0, 1, 2, 1, 2, 2]]
-    names = (*ACCELEROMETER_QUANTITIES, *GYRO_QUANTITIES)
-    signals = np.column_stack([forces, accelerations, products, rates])
-    return signals[:, [names.index(name) for name in axis.quantities]]
+_MIN_QUANTITY_NORM = 1e-6  # minimum norm of a quantity relative to the largest one
+_MAX_SEARCHES = 16  # number of best starting values from which the search continues
+_MAX_ITERATIONS = 120  # maximum number of iterations of each search
+_INITIAL_DAMPING = 1e-3  # initial Levenberg-Marquardt damping
+_RELATIVE_TOLERANCE = 1e-9  # relative decrease of the objective at convergence
+# relative difference of the objective below which two minima are identical
+_MIN_COST_DIFFERENCE = 0.01
+_RELATIVE_RIDGE = 1e-9  # relative ridge term for factors that the data do not determine
+_N_BEARINGS = 8  # number of starting values of the bearing, evenly spaced
+_MIN_COLUMN_NORM = 1e-9  # minimum norm of a derivative relative to the largest one
+_MAX_STEP = 0.7  # [rad or m] maximum step of any unknown
 
 
 def estimate_mounting_starts(
@@ -97,7 +106,7 @@ def _axis_tables(logs: Sequence[Log], arm: Arm, axes: Sequence[SensorAxis]) -> l
     for log in logs:
         if len(log) < _MIN_SAMPLES or f"theta_m{arm.n_joints}" not in log.channels:
             continue
-        motion = _motion_from_motors(log, arm)
+        motion = slow_motion(log, arm)
         for axis, table in zip(axes, tables, strict=True):
             if axis.channel not in log.channels:
                 continue
@@ -113,7 +122,13 @@ def _cutoff_hz(log: Log) -> float:
     return max(_MAX_FREQUENCY_HZ, _MIN_PERIODS / (len(log) * log.sample_time))
 
 
-def _motion_from_motors(log: Log, arm: Arm) -> JointMotion:
+def is_long_enough(log: Log) -> bool:
+    """Whether a record determines positions with the accuracy that the decoupled step needs."""
+    return _cutoff_hz(log) == _MAX_FREQUENCY_HZ
+
+
+def slow_motion(log: Log, arm: Arm) -> JointMotion:
+    """Motion of the links at low frequencies, where they follow their motors."""
     motors = low_pass(prepare_record(log, arm).motor_angle, _cutoff_hz(log), log.sample_time)
     return JointMotion.of_motors(motors, arm, log.sample_time)
 
@@ -125,7 +140,7 @@ def _fit_factors(axis: SensorAxis, rows: FloatArray) -> FloatArray:
         return axis.sensor.weights(axis, distance)
     columns, reading = rows[:, :-1], rows[:, -1]
     column_norm = np.linalg.norm(columns, axis=0)
-    is_significant = column_norm > _MIN_COLUMN_NORM * max(float(column_norm.max()), 1e-300)
+    is_significant = column_norm > _MIN_QUANTITY_NORM * max(float(column_norm.max()), 1e-300)
     estimate = np.zeros(len(axis.is_simulated))
     places = np.flatnonzero(axis.is_simulated)[is_significant]
     estimate[places] = np.linalg.lstsq(columns[:, is_significant], reading)[0]
@@ -143,147 +158,224 @@ def distance_of(axis: SensorAxis, rows: FloatArray) -> float:
     return float(rotation @ tangential) / max(float(rotation @ rotation), 1e-300)
 
 
-def substitute_equivalent_sensors(
-    logs: Sequence[Log], arm: Arm, known: Sequence[Log]
-) -> tuple[list[Log], Arm]:
-    """Replace sensors at unknown positions by equivalent tangential accelerometers or gyros.
+def imu_candidates(
+    axes: Sequence[SensorAxis], tables: Sequence[FloatArray], *, flat: bool = False
+) -> list[dict[Key, float]]:
+    """Estimates of an IMU mounting by least squares over its readings, the best first.
 
-    The steps before the whole-arm fit use them. A weighted sum of the axes of an IMU equals one
-    tangential accelerometer `a{i}`, with an estimated distance, or a gyro along the axis; on a
-    prismatic joint, one accelerometer along the axis. If no
-    such sum exists, the sensor is omitted. `known` are all logs, which determine the positions.
-    Logs and arm are unchanged if no position is unknown.
+    They are the distinct local minima. `axes` belong to one link. Each table is (n_rows,
+    n_quantities + 1): the quantities of an axis and, in the last column, its reading. With `flat`,
+    the x and y axes of the IMU lie in the plane of motion. Each estimate has (name, joint) -> value
+    for `strainwave.domain.arm.link_sensors.unknowns_of` and for the attitude at which the rotation
+    starts.
     """
-    arm_then, logs_then = arm, list(logs)
-    for joint in range(1, arm.n_joints + 1):
-        axes = axes_on(logs, arm, joint)
-        direct_sensors = {"a", "theta_l", "gyro", "deflection"}
-        if axes and isinstance(axes[0].sensor, Accelerometer):
-            direct_sensors = set()
-        has_direct_sensor = any(
-            f"{name}{joint}" in log.channels for name in direct_sensors for log in logs
+    problems = [_AxisProblem.of(axis, table) for axis, table in zip(axes, tables, strict=True)]
+    minima: list[tuple[float, dict[Key, float]]] = []
+    for cost, values in _search_minima(problems, flat=flat):
+        differences = (
+            abs(cost - other_cost) > _MIN_COST_DIFFERENCE * max(cost, other_cost)
+            for other_cost, _ in minima
         )
-        if not axes or has_direct_sensor:
-            continue
-        is_long_enough = any(
-            _cutoff_hz(log) == _MAX_FREQUENCY_HZ for log in known if axes[0].channel in log.channels
-        )
-        sensor = None
-        if is_long_enough:  # an inaccurate position is worse than no sensor
-            sensor = _equivalent_sensor(arm_then, axes, linear_factors(known, arm, axes))
-        if sensor is None:
-            logs_then = [
-                replace(log, channels={k: x for k, x in log.channels.items() if k != f"a{joint}"})
-                for log in logs_then
-            ]
-            continue
-        logs_then = [sensor.added_to(log, arm_then) for log in logs_then]
-        before, after = arm_then.joints[: joint - 1], arm_then.joints[joint:]
-        arm_then = arm_then.with_joints((*before, sensor.description, *after))
-    return logs_then, arm_then
+        if all(differences):
+            minima.append((cost, values))
+    return [_with_positive_distance(values, axes[0]) for _, values in minima]
+
+
+def _with_positive_distance(values: dict[Key, float], axis: SensorAxis) -> dict[Key, float]:
+    """The equivalent mounting with a positive distance: half a turn about the joint axis."""
+    joint = axis.joint
+    distance = values.get((IMU_DISTANCE, joint), 1.0)
+    if distance >= 0.0:
+        return values
+    turned = _turned(values, axis, (-1.0, -1.0, 1.0)) | {(IMU_DISTANCE, joint): -distance}
+    if (IMU_BEARING, joint) in turned:
+        turned[IMU_BEARING, joint] += np.pi
+    return turned
+
+
+def mirror_mounting(values: Mapping[Key, float], axis: SensorAxis) -> dict[Key, float]:
+    """The mounting on the other side of a link with one axis, with the same factors of f_y, alpha.
+
+    The factors of f_x and w^2 change their sign, which only fast or large motions show. `values`
+    must contain a rotation.
+    """
+    joint, directions = axis.joint, axis.space.directions
+    mirrored = _turned(values, axis, (-1.0, 1.0, -1.0))
+    if (IMU_BEARING, joint) in mirrored:
+        mirrored[IMU_BEARING, joint] = -mirrored[IMU_BEARING, joint]
+    keys: list[Key] = [(IMU_POSITION[k], joint) for k in axis.space.free_coordinates]
+    if keys[0] in mirrored:
+        position = np.zeros(3)
+        position[list(axis.space.free_coordinates)] = [values[key] for key in keys]
+        opposite = directions.T @ (np.array([1.0, -1.0, 1.0]) * (directions @ position))
+        mirrored |= zip(keys, axis.space.coordinates(opposite), strict=True)
+    return mirrored
+
+
+def _turned(
+    values: Mapping[Key, float], axis: SensorAxis, signs: Sequence[float]
+) -> dict[Key, float]:
+    """The mounting with another attitude, by signs along the directions of the link's space."""
+    joint, directions = axis.joint, axis.space.directions
+    start = directions.T @ np.diag(signs) @ directions @ attitude_of(values, joint)
+    return {
+        **values,
+        **{(name, joint): 0.0 for name in IMU_ROTATION if (name, joint) in values},
+        **_start_attitude(start, joint),
+    }
+
+
+def _start_attitude(matrix: FloatArray, joint: int) -> dict[Key, float]:
+    rpy = zip(IMU_START_ATTITUDE, angles(matrix).tolist(), strict=True)
+    return {(name, joint): angle for name, angle in rpy}
 
 
 @dataclass(frozen=True, slots=True)
-class _EquivalentSensor:
-    """Weighted sum of axes on one link that equals a tangential accelerometer or a gyro."""
+class _AxisProblem:
+    """Linear least-squares problem for the factors of one axis."""
 
-    channel: str
-    description: Joint  # with the constants of the equivalent sensor
-    axes: tuple[SensorAxis, ...]
-    weights: FloatArray  # (n_axes,)
-    # factors of other quantities in the sum, which the motors give; None: not subtracted
-    others: FloatArray | None = None
+    axis: SensorAxis
+    root: FloatArray  # (n_factors + 1, n_factors) triangular
+    target: FloatArray  # (n_factors + 1,)
 
-    def added_to(self, log: Log, arm: Arm) -> Log:
-        """The log with the equivalent sensor, if it has all axes."""
-        names = [axis.channel for axis in self.axes]
-        if not all(name in log.channels for name in names):
-            return log
-        reading = self.weights @ np.array([log.channels[name] for name in names])
-        if self.others is not None:
-            axis, motion = self.axes[0], _motion_from_motors(log, arm)
-            reading -= link_quantities(axis, arm, motion) @ self.others[axis.is_simulated]
-        channels = {**log.channels, self.channel: reading}
-        return replace(
-            log, channels=channels, masked={**log.masked, self.channel: unmeasured(log, names)}
+    @classmethod
+    def of(cls, axis: SensorAxis, rows: FloatArray) -> _AxisProblem:
+        """R and Q'y of the rows: |R f - Q'y|^2 is the objective of factors f, up to a constant."""
+        n = rows.shape[1] - 1
+        ridge = (
+            _RELATIVE_RIDGE * max(float(np.linalg.norm(rows[:, :-1])), 1e-150) * np.eye(n, n + 1)
         )
+        triangular = np.asarray(np.linalg.qr(np.concatenate([rows, ridge]), mode="r"))
+        return cls(axis, triangular[:, :-1], triangular[:, -1])
 
 
-def _equivalent_sensor(
-    arm: Arm, axes: Sequence[SensorAxis], linear: Sequence[FloatArray]
-) -> _EquivalentSensor | None:
-    """The equivalent accelerometer or gyro of one link; None if no sum of axes is one."""
-    joint, space = axes[0].joint, axes[0].space
-    x, y, z = axes_about(arm.joints[joint - 1].axis)
-    description, pairs = arm.joints[joint - 1], list(zip(axes, linear, strict=True))
-    gyros = [(a, f) for a, f in pairs if isinstance(a.sensor, ImuGyros)]
-    accelerometers = [(a, f) for a, f in pairs if not isinstance(a.sensor, ImuGyros)]
-    factors = [f for _, f in accelerometers]
-    if description.motion == "prismatic":
-        return _along_the_slide(description, joint, accelerometers, z)
-    weights, distance = _tangential_weights(factors, (x, y, z), space)
-    if accelerometers and abs(distance) > _MIN_DISTANCE:
-        used = tuple(axis for axis, _ in accelerometers)
-        hz, others = used[0].sensor.hz, None
-        if isinstance(used[0].sensor, ImuAccelerometers):
-            tangential = accelerometer_weights(y.tolist(), (distance * x).tolist())
-            others = weights @ np.array(factors) - tangential
-        changed = replace(description, accelerometer_distance=distance, accelerometer_hz=hz)
-        return _EquivalentSensor(f"a{joint}", changed, used, weights, others)
-    shares = np.array([factor @ z for _, factor in gyros])
-    if not float(shares @ shares) > _MIN_SQUARED_SHARE:
-        return None
-    hz = gyros[0][0].sensor.hz
-    # equal delay of the first-order and the second-order low-pass
-    changed = replace(description, gyro_hz=hz / np.sqrt(2.0) if hz else None)
-    used, weights = tuple(axis for axis, _ in gyros), shares / float(shares @ shares)
-    others = weights @ np.array([f for _, f in gyros]) - z if space.axis is None else None
-    return _EquivalentSensor(f"gyro{joint}", changed, used, weights, others)
+def _search_minima(
+    problems: Sequence[_AxisProblem], *, flat: bool
+) -> list[tuple[float, dict[Key, float]]]:
+    """Local minima as (objective, mounting), in ascending order of the objective."""
+    axes = [problem.axis for problem in problems]
+    joint, keys = axes[0].joint, unknowns_of(axes)
+    has_rotation = any(key[0] in IMU_ROTATION for key in keys)
+    if flat:
+        keys = [key for key in keys if key[0] not in IMU_ROTATION[:2]]
+    has_bearing = (IMU_BEARING, joint) in keys
+    starts = []
+    for rotation in _starting_rotations(problems, flat=flat) if has_rotation else [np.eye(3)]:
+        for k in range(_N_BEARINGS if has_bearing else 1):
+            values = dict.fromkeys(keys, 0.0)
+            if has_rotation:
+                values |= _start_attitude(rotation, joint)
+            if has_bearing:
+                values[IMU_BEARING, joint] = 2.0 * np.pi * k / _N_BEARINGS
+            candidate = _with_optimal_position(problems, values, keys)
+            starts.append((_cost(problems, candidate), candidate))
+    starts.sort(key=lambda one: one[0])
+    minima = [_find_minimum(problems, values, keys) for _, values in starts[:_MAX_SEARCHES]]
+    return sorted(minima, key=lambda one: one[0])
 
 
-def _along_the_slide(
-    description: Joint,
-    joint: int,
-    accelerometers: Sequence[tuple[SensorAxis, FloatArray]],
-    z: FloatArray,
-) -> _EquivalentSensor | None:
-    """The equivalent accelerometer along a prismatic joint, at the origin of its link."""
-    if not accelerometers:
-        return None
-    factors = np.array([factor for _, factor in accelerometers])
-    forces = factors[:, :3].T
-    weights = np.linalg.pinv(forces, rcond=0.1) @ z
-    if np.any(np.abs(forces @ weights - z) > _MAX_FACTOR_ERROR):
-        return None
-    used = tuple(axis for axis, _ in accelerometers)
-    others = weights @ factors - accelerometer_weights(z.tolist(), (0.0, 0.0, 0.0))
-    changed = replace(description, accelerometer_hz=used[0].sensor.hz)
-    return _EquivalentSensor(f"a{joint}", changed, used, weights, others)
+def _starting_rotations(problems: Sequence[_AxisProblem], *, flat: bool) -> Iterator[FloatArray]:
+    """Starting rotations.
 
-
-def _tangential_weights(
-    linear: Sequence[FloatArray], directions: Sequence[FloatArray], space: LinkSpace
-) -> tuple[FloatArray, float]:
-    """Weights of a sum of axes that reads f along the tangent only, and its factor of alpha.
-
-    `directions` are x, along the link, the tangent y and the axis z of the joint. About a fixed
-    axis, where f is small, the sum has factor one of alpha and zero of w^2. The factor is zero if
-    no weights achieve this.
+    On a link that turns about several axes, the linear estimate; on another link right-angle
+    rotations and two between each, or rotations in the plane of motion.
     """
+    space = problems[0].axis.space
+    if space.axis is None:
+        yield _linear_rotation(problems)
+        return
+    if flat:
+        for k, side in product(range(8), (1.0, -1.0)):
+            c, s = np.cos(k * np.pi / 4.0), np.sin(k * np.pi / 4.0)
+            in_plane = np.array([[c, -s * side, 0.0], [s, c * side, 0.0], [0.0, 0.0, side]])
+            yield space.directions.T @ in_plane
+        return
+    intermediate = [attitude(rpy) for rpy in ((0.5, 0.6, 0.7), (-0.7, 0.5, -0.6))]
+    for order in ((0, 1, 2), (1, 2, 0), (2, 0, 1), (0, 2, 1), (2, 1, 0), (1, 0, 2)):
+        for signs in product((1.0, -1.0), repeat=3):
+            matrix = np.eye(3)[:, order] * np.array(signs)
+            if np.linalg.det(matrix) > 0.0:
+                yield matrix
+                yield from (matrix @ rotation for rotation in intermediate)
+
+
+def _linear_rotation(problems: Sequence[_AxisProblem]) -> FloatArray:
+    """The rotation nearest to the directions of the axes by linear least squares.
+
+    An accelerometer reads the specific force along its direction, a gyro the rate.
+    """
+    directions = np.zeros((3, 3))
+    for problem in problems:
+        factors = np.linalg.lstsq(problem.root, problem.target)[0]
+        directions[:, problem.axis.number] += factors[:3] / np.linalg.norm(factors[:3])
+    left, _, right = np.linalg.svd(directions)
+    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
+
+
+def _residual(problems: Sequence[_AxisProblem], values: dict[Key, float]) -> FloatArray:
+    parts = [problem.root @ problem.axis.weights(values) - problem.target for problem in problems]
+    return np.concatenate(parts)
+
+
+def _cost(problems: Sequence[_AxisProblem], values: dict[Key, float]) -> float:
+    return float(np.sum(_residual(problems, values) ** 2))
+
+
+def _jacobian(
+    problems: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key]
+) -> FloatArray:
+    """Derivatives of the residuals with respect to the unknowns, (n_rows, n_keys)."""
+    return np.concatenate(
+        [problem.root @ problem.axis.slopes(values, keys) for problem in problems]
+    )
+
+
+def _with_optimal_position(
+    problems: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key]
+) -> dict[Key, float]:
+    """Mounting with the optimal position and gyro factors for its attitude.
+
+    The readings are linear in these unknowns.
+    """
+    linear = [
+        key
+        for key in keys
+        if key[0] in (IMU_DISTANCE, *IMU_POSITION) or is_kind(key, ConstantKind.SHARE)
+    ]
     if not linear:
-        return np.zeros(0), 0.0
-    forces, accelerations, products = np.split(np.array(linear).T, [3, 6])  # (.., n_axes)
-    x, y, z = directions
-    by_alpha = z @ accelerations
-    if len(linear) == 1 and not space.is_axis_fixed:
-        is_tangential = abs(y @ forces[:, 0] - 1.0) < _MAX_FACTOR_ERROR
-        return np.ones(1), float(by_alpha[0]) if is_tangential else 0.0
-    if space.is_axis_fixed:
-        by_square = (z[[0, 1, 2, 0, 0, 1]] * z[[0, 1, 2, 1, 2, 2]]) @ products
-        rows, target = np.array([by_square, by_alpha]), np.array([0.0, 1.0])
-    else:
-        rows, target = np.array([x, y, z]) @ forces, np.array([0.0, 1.0, 0.0])
-    weights = np.linalg.pinv(rows, rcond=0.1) @ target
-    if np.any(np.abs(rows @ weights - target) > _MAX_FACTOR_ERROR):
-        return weights, 0.0
-    return weights, float(by_alpha @ weights)
+        return values
+    jacobian = _jacobian(problems, values, linear)
+    optimum = np.linalg.lstsq(jacobian, -_residual(problems, values))[0]
+    placed = {**values, **dict(zip(linear, optimum.tolist(), strict=True))}
+    joint = linear[0][1]
+    # A negative distance belongs to the opposite bearing.
+    if placed.get((IMU_DISTANCE, joint), 1.0) < 0.0:
+        placed[IMU_DISTANCE, joint] = 0.0
+    return placed
+
+
+def _find_minimum(
+    problems: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key]
+) -> tuple[float, dict[Key, float]]:
+    """Levenberg-Marquardt search from a mounting: (objective, mounting) at the local minimum."""
+    cost, damping = _cost(problems, values), _INITIAL_DAMPING
+    for _ in range(_MAX_ITERATIONS):
+        jacobian, residual = _jacobian(problems, values, keys), _residual(problems, values)
+        norm = np.linalg.norm(jacobian, axis=0)
+        norm = np.maximum(norm, _MIN_COLUMN_NORM * max(float(norm.max()), 1e-300))
+        rows = np.concatenate([jacobian / norm, np.sqrt(damping) * np.eye(len(keys))])
+        target = np.concatenate([-residual, np.zeros(len(keys))])
+        step = np.linalg.lstsq(rows, target)[0] / norm
+        step *= min(1.0, _MAX_STEP / max(float(np.max(np.abs(step))), 1e-300))
+        changes = zip(keys, step.tolist(), strict=True)
+        trial = values | {key: values[key] + change for key, change in changes}
+        trial_cost = _cost(problems, trial)
+        if trial_cost < cost:
+            decrease, cost, values, damping = cost - trial_cost, trial_cost, trial, 0.2 * damping
+            if decrease < _RELATIVE_TOLERANCE * cost:
+                break
+        else:
+            damping *= 5.0
+            if damping > 1e6:
+                break
+    return cost, values

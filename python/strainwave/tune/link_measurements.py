@@ -27,9 +27,9 @@ from strainwave.domain.arm.link_sensors.single_axis import (
 )
 from strainwave.domain.keys import JointIndex, JointNumber
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import JointMotion, channel_weights, read_link
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise
-from strainwave.signals.link_readings import JointMotion, imu_parts, read_accelerometer, read_gyro
 
 _DEFAULT_COUNTS = 4096.0  # of an encoder without counts and without identified noise
 _MIN_BANDWIDTH_RATIO = 10.0  # of a sensor over the mode of the link, so that its lag is negligible
@@ -115,13 +115,9 @@ def known_part(one: Measurement, model: Arm, motion: JointMotion, i: JointIndex)
     """
     total = np.zeros(len(motion.angle))
     for axis, weight in zip(one.axes, one.weights, strict=True) if one.axes else ():
-        if isinstance(axis.sensor, Accelerometer):
-            total += weight * read_accelerometer(model, motion, i)
-        elif isinstance(axis.sensor, Gyro):
-            total += weight * read_gyro(model, motion, i)
-        else:
-            parts = imu_parts(model, motion, axis.sensor.channel_kinds[axis.number], i) or {}
-            total += weight * sum(parts.values())
+        channel = channel_weights(model.joints[i], axis.sensor.channel_kinds[axis.number])
+        if channel is not None:
+            total += weight * (read_link(model, motion, i) @ channel)
     own = {"link_acceleration": motion.acceleration, "link_velocity": motion.velocity}
     if one.quantity not in own:
         return np.zeros_like(total)

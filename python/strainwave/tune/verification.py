@@ -20,10 +20,10 @@ from strainwave.domain.arm.description import ControlLaw, LinearServo
 from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.keys import JointIndex, JointNumber, Values
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import JointMotion
 from strainwave.dynamics.simulation import Drive, simulate_arms
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.export.source import IdentifiedArm
-from strainwave.signals.link_readings import JointMotion
 from strainwave.tune.closed_loop import Gains, settling_times
 from strainwave.tune.feed_forward import FeedForward, feed_forward, point_to_point
 from strainwave.tune.link_measurements import Measurement, known_part, with_places

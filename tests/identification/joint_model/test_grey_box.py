@@ -24,8 +24,8 @@ from strainwave.identification.joint_model import (
     identify_joint,
     rigid_knowledge,
 )
+from strainwave.identification.joint_model.equations import RigidKnowledge
 from strainwave.identification.joint_model.joint_estimate import JointEstimate
-from strainwave.identification.joint_model.rigid_knowledge import RigidKnowledge
 from strainwave.numerics import least_squares as ls
 from strainwave.signals import link_motion as links
 

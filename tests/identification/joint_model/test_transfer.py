@@ -22,7 +22,7 @@ from strainwave.identification.joint_model import (
     rigid_knowledge,
     state_space_of,
 )
-from strainwave.identification.joint_model.rigid_knowledge import RigidKnowledge
+from strainwave.identification.joint_model.equations import RigidKnowledge
 from two_inertia import SAMPLE_TIME, TwoInertia, state_space
 
 EXACT = TwoInertia(torque_per_volt=1.0)

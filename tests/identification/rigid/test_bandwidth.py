@@ -10,8 +10,7 @@ import pytest
 
 from strainwave.domain import ArmDescription, FloatArray, Joint
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.rigid.bandwidth import select_bandwidth
-from strainwave.identification.rigid.trial import Trial
+from strainwave.identification.rigid.trial import Trial, select_bandwidth
 
 RIGID = Arm.of(ArmDescription("single-joint", (Joint("rigid", 1.0),)))
 

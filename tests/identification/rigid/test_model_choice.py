@@ -13,14 +13,15 @@ from strainwave.domain.arm.kinds.base import MOTOR_SHARE
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid import fit_rigid
-from strainwave.identification.rigid.bandwidth import (
+from strainwave.identification.rigid.equations import ALL_JOINTS, FurtherTerm
+from strainwave.identification.rigid.model_choice import MIN_STDS, ModelChoice
+from strainwave.identification.rigid.trial import (
+    Trial,
+    fit_trial,
     prepare_all,
     search_bandwidths,
     select_bandwidth,
 )
-from strainwave.identification.rigid.equations import ALL_JOINTS, FurtherTerm
-from strainwave.identification.rigid.model_choice import MIN_STDS, ModelChoice
-from strainwave.identification.rigid.trial import Trial, fit_trial
 
 INERTIA, VISCOUS, COULOMB = 2e-3, 1e-3, 0.05
 NOISE = 5e-3  # [N m]

@@ -35,6 +35,7 @@ from strainwave.domain import (
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import StrainwaveError
 from strainwave.identification.joint_model.agreement import compare_response
+from strainwave.identification.joint_model.equations import RigidKnowledge, rigid_knowledge
 from strainwave.identification.joint_model.grey_box import JointFit, solve
 from strainwave.identification.joint_model.linear import (
     LinearFit,
@@ -48,7 +49,6 @@ from strainwave.identification.joint_model.motor_side import (
     models_from_catalogue,
     models_from_motors,
 )
-from strainwave.identification.joint_model.rigid_knowledge import RigidKnowledge, rigid_knowledge
 from strainwave.identification.joint_model.stretches import (
     FIRST_BAND_HZ,
     Band,

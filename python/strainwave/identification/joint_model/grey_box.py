@@ -32,12 +32,12 @@ from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model.equations import (
     PHYSICAL_COLUMNS,
     Records,
+    RigidKnowledge,
     WeightedEquations,
     equations_in,
     physical_values,
 )
 from strainwave.identification.joint_model.joint_estimate import JointEstimate
-from strainwave.identification.joint_model.rigid_knowledge import RigidKnowledge
 from strainwave.identification.joint_model.stretches import (
     FIRST_BAND_HZ,
     Band,

@@ -33,9 +33,9 @@ from strainwave.dynamics.two_inertia import (
     state_space,
 )
 from strainwave.errors import NotIdentifiable
+from strainwave.identification.joint_model.equations import RigidKnowledge
 from strainwave.identification.joint_model.joint_estimate import JointEstimate
 from strainwave.identification.joint_model.linear import modes_of
-from strainwave.identification.joint_model.rigid_knowledge import RigidKnowledge
 from strainwave.identification.joint_model.stretches import band_around, band_of, velocities
 from strainwave.numerics.filters import by_spectrum
 from strainwave.statespace import (

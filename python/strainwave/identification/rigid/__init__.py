@@ -28,15 +28,7 @@ from strainwave.domain.arm.gear_laws import RIGID
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import CORRECTIONS, LOAD_TERMS, band_fit
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.rigid.bandwidth import (
-    Motion,
-    excess_variance,
-    neighbours,
-    prepare_all,
-    search_bandwidths,
-    select_bandwidth,
-)
-from strainwave.identification.rigid.conclusion import Bounded, bound, torque_ratios, warnings_of
+from strainwave.identification.rigid.conclusion import Bounded, bound, warnings_of
 from strainwave.identification.rigid.drive_gains import estimate_drive_gains, gain_sensitivity
 from strainwave.identification.rigid.equations import FurtherTerm, MotorShares, anti_resonances
 from strainwave.identification.rigid.filtered_record import decimation, n_compliances, sample_motion
@@ -56,7 +48,17 @@ from strainwave.identification.rigid.model_choice import (
     candidates_of,
     is_selected,
 )
-from strainwave.identification.rigid.trial import Trial, fit_trial
+from strainwave.identification.rigid.torque_constants import torque_ratios
+from strainwave.identification.rigid.trial import (
+    Motion,
+    Trial,
+    excess_variance,
+    fit_trial,
+    neighbours,
+    prepare_all,
+    search_bandwidths,
+    select_bandwidth,
+)
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 from strainwave.signals.motor import period_of
 

@@ -27,18 +27,19 @@ from strainwave.domain import (
 )
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.rigid.bandwidth import (
+from strainwave.identification.rigid.equations import Estimate, assemble
+from strainwave.identification.rigid.filtered_record import FilteredRecord
+from strainwave.identification.rigid.trial import (
     Motion,
+    Trial,
     bandwidths_of,
     excess_variance,
+    fit_trial,
     neighbours,
     prepare_all,
     search_bandwidths,
     select_bandwidth,
 )
-from strainwave.identification.rigid.equations import Estimate, assemble
-from strainwave.identification.rigid.filtered_record import FilteredRecord
-from strainwave.identification.rigid.trial import Trial, fit_trial
 from strainwave.numerics import least_squares as ls
 from strainwave.numerics.parallel import one_blas_thread
 from strainwave.signals.motor import period_of

@@ -14,15 +14,16 @@ from strainwave.domain.arm.effects import effect_named
 from strainwave.domain.results.estimates import physical_range
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import CORRECTIONS, DELAY, ZERO, correct
-from strainwave.identification.rigid.bandwidth import (
+from strainwave.identification.rigid.equations import FurtherTerm
+from strainwave.identification.rigid.model_choice import MIN_STDS, STRIBECK, is_selected
+from strainwave.identification.rigid.trial import (
     Motion,
+    Trial,
     excess_variance,
+    fit_trial,
     neighbours,
     prepare_all,
 )
-from strainwave.identification.rigid.equations import FurtherTerm
-from strainwave.identification.rigid.model_choice import MIN_STDS, STRIBECK, is_selected
-from strainwave.identification.rigid.trial import Trial, fit_trial
 
 LOAD = "load-friction"
 _MAX_ITERATIONS = 12

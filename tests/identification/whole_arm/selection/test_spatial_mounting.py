@@ -23,6 +23,7 @@ from strainwave.domain.arm.link_sensors.imu import IMU_START_ATTITUDE, attitude_
 from strainwave.domain.arm.link_sensors.link_space import attitude, axes_about
 from strainwave.domain.keys import Key, Values
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import JointMotion, link_quantities
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.parameter_space import (
@@ -35,12 +36,11 @@ from strainwave.identification.whole_arm.search import Fit
 from strainwave.identification.whole_arm.selection.mountings import select_mountings
 from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
 from strainwave.numerics.filters import low_pass
-from strainwave.signals.imu_attitude import imu_candidates, mirror_mounting
-from strainwave.signals.link_readings import JointMotion, read_accelerometer
+from strainwave.signals.link_readings import combine_axes
 from strainwave.signals.mounting_start import (
     estimate_mounting_starts,
-    link_quantities,
-    substitute_equivalent_sensors,
+    imu_candidates,
+    mirror_mounting,
 )
 
 XYZ, RPY = (0.05, -0.03, -0.22), (0.7, -0.4, 2.1)
@@ -202,15 +202,15 @@ def test_short_searches_refine_the_mounting() -> None:
     assert angle < np.radians(1.0)
 
 
-def test_earlier_steps_use_an_equivalent_accelerometer() -> None:
+def test_earlier_steps_read_the_imu_as_an_accelerometer() -> None:
     """The weighted axes of the IMU read as the tangential accelerometer of the joint does."""
     arm, log = Arm.of(hanging_chain(Imu())), record()
-    (changed,), substitute = substitute_equivalent_sensors([log], arm, [log])
-    distance = substitute.joints[LINK - 1].accelerometer_distance
-    assert distance == pytest.approx(XYZ[1], abs=5e-3)  # across the axis, along y
+    reading = combine_axes([log], arm, [log])[LINK]
+    assert reading is not None
+    assert reading.gain == pytest.approx(XYZ[1], abs=5e-3)  # distance across the axis, along y
     motors = np.column_stack([log.channels[f"theta_m{i}"] for i in (1, 2, 3)])
     slow = low_pass(motors, 3.0, SAMPLE_TIME)
-    motion = JointMotion.of_motors(slow, substitute, SAMPLE_TIME)
-    expected = read_accelerometer(substitute, motion, LINK - 1)[1000:-1000]
-    reading = low_pass(changed.channels[f"a{LINK}"], 3.0, SAMPLE_TIME)[1000:-1000]
-    assert np.std(reading - expected) < 0.1 * np.std(expected)
+    motion = JointMotion.of_motors(slow, arm, SAMPLE_TIME)
+    expected = reading.predict(arm, motion)[1000:-1000]
+    samples = low_pass(reading.samples(log, arm), 3.0, SAMPLE_TIME)[1000:-1000]
+    assert np.std(samples - expected) < 0.1 * np.std(expected)

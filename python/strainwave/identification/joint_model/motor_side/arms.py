@@ -23,7 +23,7 @@ import numpy as np
 from strainwave.domain import ComplexArray, FloatArray, RigidModel
 from strainwave.domain.arm.combinations import FRICTION_COLUMNS, LINK_INERTIA, inertias_of_links
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.interaction_torque import base_parameters, total_inertias
+from strainwave.dynamics.rigid_prediction import base_parameters, total_inertias
 from strainwave.dynamics.two_inertia import TwoInertia
 
 COORDINATES_PER_JOINT = 3

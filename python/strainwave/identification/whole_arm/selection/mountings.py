@@ -43,8 +43,7 @@ from strainwave.identification.whole_arm.search import (
 )
 from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection, best_trial
 from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
-from strainwave.signals.imu_attitude import imu_candidates, mirror_mounting
-from strainwave.signals.mounting_start import distance_of
+from strainwave.signals.mounting_start import distance_of, imu_candidates, mirror_mounting
 
 _MAX_STARTS = 3  # mountings of least cost, or mounts, that start a short search
 _MAX_PLANAR_STARTS = 2  # the same of mountings in the plane of motion

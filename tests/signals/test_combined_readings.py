@@ -1,17 +1,17 @@
-"""Sensors at unknown positions as equivalent accelerometers and gyros."""
+"""Readings of an IMU as an accelerometer or a gyro."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from strainwave.domain import ArmDescription, Experiment, FloatArray, Imu, Joint, Log, Origin
+from strainwave.domain import ArmDescription, Experiment, FloatArray, Imu, Joint, Lag, Log, Origin
 from strainwave.domain.arm.kinds.planar import single_joint
 from strainwave.domain.arm.link_sensors.imu import ImuAccelerometers
 from strainwave.domain.arm.link_sensors.link_space import link_space
 from strainwave.dynamics.arm import Arm
-from strainwave.signals.link_readings import JointMotion, read_accelerometer
-from strainwave.signals.mounting_start import link_quantities, substitute_equivalent_sensors
+from strainwave.dynamics.link_sensors import JointMotion, link_quantities
+from strainwave.signals.link_readings import combine_axes
 
 
 def test_an_imu_with_gyros_only_becomes_a_gyro() -> None:
@@ -22,10 +22,12 @@ def test_an_imu_with_gyros_only_becomes_a_gyro() -> None:
     channels = {f"g{axis}1": c * rate for axis, c in zip("xyz", direction, strict=True)}
     channels["theta_m1"] = 50.0 * np.sin(2.0 * t)
     log = Log(Experiment("motion", "", "motion", ("open",)), t, 1e-3, channels)
-    (changed,), substitute = substitute_equivalent_sensors([log], arm, [log])
-    assert substitute.joints[0].gyro_hz == 100.0 / np.sqrt(2.0)
+    reading = combine_axes([log], arm, [log])[1]
+    assert reading is not None
+    assert reading.source == "gyro"
+    assert reading.lags == (Lag(2, 100.0),)
     # the motors give the directions through differences of fourth order
-    np.testing.assert_allclose(changed.channels["gyro1"], rate, atol=1e-4)
+    np.testing.assert_allclose(reading.samples(log, arm), rate, atol=1e-4)
 
 
 @pytest.mark.parametrize("imu", [Imu((0.2, 0.05, 0.03), (0.4, 0.0, 0.3)), Imu()])
@@ -47,8 +49,9 @@ def test_an_imu_on_a_sliding_link_becomes_an_accelerometer(imu: Imu) -> None:
     for axis in axes.axes(2, link_space(arm, 2)):
         channels[axis.channel] = link_quantities(axis, arm, motion) @ axis.sensor.weights(axis, {})
     log = Log(Experiment("motion", "", "motion", ("open",) * 2), t, T, channels)
-    (changed,), _ = substitute_equivalent_sensors([log], arm, [log])
-    expected = read_accelerometer(arm, motion, 1)[2000:-2000]
+    reading = combine_axes([log], arm, [log])[2]
+    assert reading is not None
+    expected = reading.predict(arm, motion)[2000:-2000]
     # a bias is estimated later; the motion of the motors is low-passed
-    error = changed.channels["a2"][2000:-2000] - expected
+    error = reading.samples(log, arm)[2000:-2000] - expected
     assert np.std(error) < 0.01 * np.std(expected)
