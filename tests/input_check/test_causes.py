@@ -16,7 +16,6 @@ from strainwave.input_check.evidence import Evidence, SlowRecord, collect_eviden
 from strainwave.input_check.hypothesis import UnexplainedEvidence
 from strainwave.input_check.input_hypotheses import propose_hypotheses
 from strainwave.input_check.observations import EXPECTED, is_of_link, observe
-from strainwave.input_check.timing import Clocks
 from strainwave.virtual import scara
 
 
@@ -33,7 +32,10 @@ def test_channels_of_any_two_joints_may_be_exchanged() -> None:
         moves=np.ones(1, dtype=bool),
         direction=np.zeros((1, 3)),
         inside=np.ones(1, dtype=bool),
-        clocks=Clocks(),
+        prbs_clock=None,
+        servo_clock=None,
+        levels={},
+        excited=frozenset(),
         delays={},
     )
     suspicions = [
