@@ -73,11 +73,11 @@ def chromium() -> str | None:
 
 @contextmanager
 def serve(folder: Path) -> Iterator[str]:
-    """Address of a served folder."""
+    """Address of a served folder, with the token."""
     command = [sys.executable, "-m", "strainwave", "serve", str(folder), "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        yield process.stdout.readline().rsplit(" ", 1)[-1].strip().rstrip("/")
+        yield process.stdout.readline().rsplit(" ", 1)[-1].strip()
         process.terminate()
 
 
@@ -98,13 +98,14 @@ def _view_of_a_million() -> float:
     return best_of(partial(time_figure, log, scara.STIFF.study(Path()).arm, ["u1"], span, _PIXELS))
 
 
-def _in_browser(url: str, size: float) -> list[Row]:
+def _in_browser(link: str, size: float) -> list[Row]:
     from playwright.sync_api import sync_playwright
 
+    url = link.partition("/?")[0]
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1280, "height": 900})
-        first = _time(page, f"{url}/", "main h1")
+        first = _time(page, link, "main h1")
         study = _time(page, f"{url}/signals/arm/study.toml", "#time[data-drawn]")
         slider = _slider(page, url)
         browser.close()

@@ -35,12 +35,14 @@ def main() -> None:
     study = _study_with_run(options.folder)
     pages = {"studies": "/", "import": "/import", "virtual": "/virtual"}
     pages |= {key: f"/{key}/{study}" for key, _ in TABS}
-    with serve(options.folder) as url, _browser() as browser:
+    with serve(options.folder) as link, _browser() as browser:
+        url = link.partition("/?")[0]
         for scheme in ("light", "dark"):
             for width in _WIDTHS:
                 page = browser.new_page(
                     viewport={"width": width, "height": _HEIGHT}, color_scheme=scheme
                 )
+                page.goto(link)
                 for name, path in pages.items():
                     page.goto(f"{url}{path}")
                     _act(page, name)

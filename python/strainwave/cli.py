@@ -441,14 +441,15 @@ def serve(
     folder: Annotated[Path, _argument("serve.folder")] = Path(),
     port: Annotated[int, _option("serve.port", min=0, max=65535)] = 8765,
     host: Annotated[str, _option("serve.host")] = "127.0.0.1",
-    token: Annotated[str, _option("serve.token")] = "",
+    token_file: Annotated[Path | None, _option("serve.token-file")] = None,
+    allow: Annotated[list[Path] | None, _option("serve.allow")] = None,
     max_upload: Annotated[int, _option("serve.max-upload", min=1)] = 2048,
 ) -> None:
     """Serve the workbench, the whole method in a browser. Ctrl-C ends it."""
-    from strainwave.workbench.options import ServerOptions
+    from strainwave.workbench.options import ServerOptions, token_from
     from strainwave.workbench.server import serve
 
-    serve(ServerOptions(folder, host, port, token, max_upload))
+    serve(ServerOptions(folder, host, port, token_from(token_file), max_upload, tuple(allow or ())))
 
 
 @contextmanager

@@ -12,12 +12,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.request import Request
 
 import pytest
 
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import simulate_study
+from workbench_client import make_client
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -28,6 +30,13 @@ CHROMIUM = (
 )
 STUDY = "arm/study.toml"
 """The study in every served folder: the virtual two-link arm, with its true parameters."""
+
+
+@pytest.fixture(autouse=True)
+def _own_queue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs of tests in other processes do not wait for each other."""
+    (tmp_path / "runtime").mkdir()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "runtime"))
 
 
 @pytest.fixture(scope="session")
@@ -50,13 +59,7 @@ def folder(tmp_path: Path, arm_folder: Path) -> Path:
 def client(folder: Path) -> TestClient:
     """A client of the application without a server."""
     pytest.importorskip("starlette")
-    from starlette.testclient import TestClient
-
-    from strainwave.workbench.app import create_app
-    from strainwave.workbench.options import ServerOptions
-
-    app = create_app(ServerOptions(folder), 8765)
-    return TestClient(app, base_url="http://127.0.0.1:8765", raise_server_exceptions=True)
+    return make_client(folder)
 
 
 @dataclass
@@ -66,6 +69,12 @@ class Server:
     folder: Path
     process: subprocess.Popen[str]
     url: str
+    token: str
+
+    def request(self, path: str, data: bytes | None = None) -> Request:
+        """A request of a client that has the token."""
+        cookie = f"strainwave-{self.url.rpartition(':')[2]}={self.token}"
+        return Request(self.url + path, data, {"cookie": cookie})
 
     def stop(self, *, at_once: bool = False) -> None:
         """End the server as Ctrl-C does, or by kill -9."""
@@ -84,7 +93,8 @@ def launch_server(folder: Path, *arguments: str) -> Server:
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ)
     assert process.stdout is not None
     line = process.stdout.readline()
-    return Server(folder, process, line.rsplit(" ", 1)[-1].strip().rstrip("/"))
+    url, _, query = line.rsplit(" ", 1)[-1].strip().partition("/?")
+    return Server(folder, process, url, query.partition("=")[2])
 
 
 @pytest.fixture
@@ -160,6 +170,7 @@ def visit(server: Server, browser: Browser) -> Iterator[Visit]:
     context = browser.new_context(viewport={"width": 1280, "height": 900}, bypass_csp=False)
     page = context.new_page()
     page.set_default_timeout(60_000)
+    page.goto(f"{server.url}/?token={server.token}")
     visited = Visit(page, server.url, server.folder)
     page.on(
         "console",

@@ -20,10 +20,10 @@ from starlette.routing import Route
 from starlette.testclient import TestClient
 
 import strainwave as sw
-from strainwave.workbench.app import ROUTES, create_app
-from strainwave.workbench.options import ServerOptions
+from strainwave.workbench.app import ROUTES
 from strainwave.workbench.pages.check import run_check
 from strainwave.workbench.runs import Run, Runs
+from workbench_client import make_client
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -74,8 +74,7 @@ def served(tmp_path_factory: pytest.TempPathFactory, arm_folder: Path) -> Iterat
     run_check(folder / STUDY)  # opens the gate before an estimate
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Runs, "start", start)
-        app = create_app(ServerOptions(folder), 8765)
-        yield TestClient(app, base_url="http://127.0.0.1:8765")  # raises what a page raises
+        yield make_client(folder)
 
 
 def study_file(client: TestClient) -> Path:

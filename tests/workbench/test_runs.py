@@ -12,7 +12,9 @@ from pathlib import Path
 import pytest
 
 from strainwave.errors import InvalidInput
-from strainwave.workbench.runs import Run, Runs
+from strainwave.workbench.run_record import Run
+from strainwave.workbench.runs import Runs
+from strainwave.workbench.supervisor import CORES_PER_RUN
 
 PATIENCE = 120.0  # [s] on a loaded machine
 
@@ -60,7 +62,7 @@ def test_a_failed_run_keeps_the_message(folder: Path) -> None:
 
 def test_cancel_ends_the_process_group(folder: Path) -> None:
     runs = start_identify(folder, "one")
-    group = runs.get("one").group
+    group = wait_for(runs, "one", "running").group
     assert is_alive(group)
     assert runs.cancel("one").state == "cancelled"
     assert not is_alive(group)
@@ -83,25 +85,52 @@ from pathlib import Path
 from strainwave.workbench.runs import Runs
 runs = Runs(Path(sys.argv[1]))
 runs.prepare("one")
-runs.start("one", "identify", [("serve", ".", "--port", "0")])
+commands = [("check", "../../study.toml"), ("identify", "../../study.toml", "--stages", "rigid")]
+runs.start("one", "virtual", commands)
 print("started", flush=True)
 time.sleep(1000)
 """
 
 
-def test_a_run_survives_the_server_and_a_broken_run_is_marked(folder: Path) -> None:
+@pytest.fixture
+def killed_server(folder: Path) -> Runs:
+    """Runs whose server started two commands and was killed at once."""
     command = [sys.executable, "-c", SERVER, str(folder / "arm" / "study.toml")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         assert server.stdout is not None
         assert server.stdout.readline() == "started\n"
         server.kill()
-    runs = Runs(folder / "arm" / "study.toml")
-    run = runs.get("one")
-    assert run.state == "running"  # its processes live
-    assert run.group is not None
-    os.killpg(run.group, signal.SIGKILL)
-    assert wait_for(runs, "one", "interrupted").ended is not None
-    assert Runs(folder / "arm" / "study.toml").get("one").state == "interrupted"
+    return Runs(folder / "arm" / "study.toml")
+
+
+def test_a_run_ends_with_all_its_commands_after_the_server_was_killed(killed_server: Runs) -> None:
+    run = wait_for(killed_server, "one", "done")
+    assert run.exit_code == 0
+    assert run.status == "determined"
+    assert (killed_server.path("one") / "result.json").is_file()
+
+
+def test_a_run_that_was_killed_is_interrupted(killed_server: Runs) -> None:
+    group = wait_for(killed_server, "one", "running").group
+    assert group is not None
+    os.killpg(group, signal.SIGKILL)
+    assert wait_for(killed_server, "one", "interrupted").ended is not None
+    assert Runs(killed_server.folder.parent / "study.toml").get("one").state == "interrupted"
+
+
+def test_runs_wait_for_each_other_and_a_waiting_run_can_be_cancelled(folder: Path) -> None:
+    runs = start_identify(folder, "first")
+    wait_for(runs, "first", "running")
+    slots = max(1, (os.cpu_count() or 1) // CORES_PER_RUN)
+    for number in range(slots):
+        start_identify(folder, f"next-{number}", "--stages", "rigid")
+    last = f"next-{slots - 1}"
+    time.sleep(0.5)
+    assert runs.get(last).state == "waiting"
+    assert runs.cancel(last).state == "cancelled"
+    assert runs.get("first").state in ("running", "done")
+    assert runs.cancel("first").state in ("cancelled", "done")
+    assert not any(run.is_active for run in runs.all() if not run.name.startswith("next"))
 
 
 def test_names_cannot_leave_the_folder(folder: Path) -> None:

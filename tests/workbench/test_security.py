@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from strainwave.errors import InvalidInput
-from strainwave.workbench.options import ServerOptions, check_options
+from strainwave.workbench.options import TOKEN_VARIABLE, ServerOptions, token_from
 from strainwave.workbench.workspace import Workspace
+from workbench_client import TOKEN, make_client
 
 pytest.importorskip("starlette")
 
@@ -71,22 +72,42 @@ def test_a_symbolic_link_does_not_lead_out_of_the_folder(folder: Path) -> None:
         Workspace(folder.resolve(), 1).study("link.toml")
 
 
-@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.5", "::", "rig.example"])
-def test_an_address_for_other_machines_needs_a_token(tmp_path: Path, host: str) -> None:
-    with pytest.raises(InvalidInput, match="--token is missing"):
-        check_options(ServerOptions(tmp_path, host))
-    check_options(ServerOptions(tmp_path, host, token="secret"))
-
-
-def test_a_client_needs_the_token(folder: Path) -> None:
+@pytest.mark.parametrize("token", ["secret", 'a;b c=ü%&+"', "geheïm"])
+def test_a_client_needs_the_token(folder: Path, token: str) -> None:
     from starlette.testclient import TestClient
 
     from strainwave.workbench.app import create_app
 
-    app = create_app(ServerOptions(folder, "0.0.0.0", token="secret"), 8765)
+    app = create_app(ServerOptions(folder, "0.0.0.0", token=token), 8765)
     client = TestClient(app, base_url="http://rig.example:8765")
     assert client.get("/").status_code == 401
     assert client.get("/?token=wrong").status_code == 401
-    assert client.get("/?token=geheïm&token=2").status_code == 401
-    assert client.get("/?token=secret").status_code == 200  # follows the redirection
+    assert client.get("/?token=geheïm2&token=2").status_code == 401
+    assert client.get("/", params={"token": token}).status_code == 200  # by the redirection
     assert client.get("/").status_code == 200  # by its cookie
+
+
+@pytest.mark.parametrize("other", ['a={"b": 1}', "=;;", 'x="; y', "strainwave-9999=other"])
+def test_cookies_of_other_applications_do_not_matter(folder: Path, other: str) -> None:
+    client = make_client(folder)
+    client.cookies.clear()
+    own = f"strainwave-8765={TOKEN}"
+    assert client.get("/", headers={"cookie": f"{other}; {own}"}).status_code == 200
+    assert client.get("/", headers={"cookie": f"{own}; {other}"}).status_code == 200
+    assert client.get("/", headers={"cookie": other}).status_code == 401
+
+
+def test_a_token_is_new_unless_a_file_or_the_environment_has_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(TOKEN_VARIABLE, raising=False)
+    assert token_from(None) != token_from(None)
+    assert ServerOptions(tmp_path).token != ServerOptions(tmp_path).token
+    monkeypatch.setenv(TOKEN_VARIABLE, "of the environment")
+    assert token_from(None) == "of the environment"
+    file = tmp_path / "token"
+    file.write_text("of the file\n")
+    assert token_from(file) == "of the file"
+    file.write_text("\n")
+    with pytest.raises(InvalidInput, match="the token is empty"):
+        token_from(file)

@@ -11,6 +11,7 @@ import pytest
 from strainwave.errors import InvalidInput
 from strainwave.init import start_study
 from strainwave.io.study import read_study
+from workbench_client import make_client
 
 pytest.importorskip("starlette")
 
@@ -179,13 +180,7 @@ def test_uploads_do_not_overwrite_and_have_plain_names(client: TestClient, folde
 
 
 def test_uploads_are_bounded_and_leave_nothing(folder: Path) -> None:
-    from starlette.testclient import TestClient
-
-    from strainwave.workbench.app import create_app
-    from strainwave.workbench.options import ServerOptions
-
-    app = create_app(ServerOptions(folder, max_upload_mib=1), 8765)
-    client = TestClient(app, base_url="http://127.0.0.1:8765")
+    client = make_client(folder, max_upload_mib=1)
     answer = client.put("/api/upload/big/a.csv", content=b"0" * (2 << 20))
     assert answer.status_code == 400
     assert "more than 1 MiB" in answer.json()["error"]

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 import tempfile
 import threading
 import tomllib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +66,12 @@ def _write_whole(folder: Path, contents: Mapping[str, bytes]) -> None:
 def read_bytes(path: Path, description: str) -> bytes:
     """A file's bytes; `description` names the file in the message of `InvalidInput`."""
     try:
+        if not stat.S_ISREG(path.stat().st_mode) and not path.is_dir():
+            raise InvalidInput(  # a pipe or a device may never end
+                f"{description} is not a regular file",
+                where=str(path),
+                remedy="copy it to a file on a disk",
+            )
         return path.read_bytes()
     except FileNotFoundError as error:
         hint = suggest_name(path.name, [p.name for p in path.parent.glob("*")])
@@ -83,6 +91,18 @@ def read_bytes(path: Path, description: str) -> bytes:
         ) from error
 
 
+def read_small(path: Path, description: str, max_bytes: int) -> bytes:
+    """A file's bytes, as `read_bytes`; raises InvalidInput also if it exceeds the limit."""
+    with suppress(OSError, ValueError):  # `read_bytes` reports the fault
+        if path.stat().st_size > max_bytes:
+            raise InvalidInput(
+                f"{description} has more than {max_bytes >> 10} KiB",
+                where=str(path),
+                remedy="use a smaller file",
+            )
+    return read_bytes(path, description)
+
+
 def decode(data: bytes, path: Path) -> str:
     """UTF-8 text, with or without byte order mark; `InvalidInput` names path and line."""
     try:
@@ -100,7 +120,7 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
     """The parsed text; `InvalidInput` naming `path` if it is not valid TOML."""
     try:
         return tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # also a number of more than 4,300 digits
         raise InvalidInput(
             f"is not valid TOML ({error})", where=str(path), remedy="correct that line"
         ) from error
@@ -111,7 +131,7 @@ def read_json(path: Path, description: str, remedy: str) -> Any:
     text = decode(read_bytes(path, description), path)
     try:
         return json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # also a number of more than 4,300 digits
         raise InvalidInput(f"is not JSON ({error})", where=str(path), remedy=remedy) from error
 
 

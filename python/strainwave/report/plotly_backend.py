@@ -24,7 +24,7 @@ _BAND_OPACITY = 0.18
 _ERROR_BAR_WIDTH = 1.2  # [px]
 _SYMBOL_LINE_WIDTH = 1.5  # [px]
 _SYMBOLS = {"x": "x-thin-open", "circle-open": "circle-open"}
-_SIGNIFICANT_DIGITS = 5  # of the largest value: more than a screen resolves
+_SIGNIFICANT_DIGITS = 5  # of the largest value, on log axes of each: more than a screen resolves
 
 
 def plotly(figure: Figure) -> dict[str, Any]:
@@ -34,12 +34,13 @@ def plotly(figure: Figure) -> dict[str, Any]:
     """
     domains = _domains([panel.height for panel in figure.panels])
     legend = figure.legend
+    has_log_axis = figure.x.log or any(panel.axis.log for panel in figure.panels)
     lists: dict[int, list[float | None]] = {}
 
     def numbers(values: FloatArray) -> list[float | None]:
         """An array as a list; one that several marks share is converted once."""
         if id(values) not in lists:
-            lists[id(values)] = rounded(values)
+            lists[id(values)] = rounded(values, of_each=has_log_axis)
         return lists[id(values)]
 
     data, legend_names = [], set()
@@ -88,9 +89,14 @@ def plotly(figure: Figure) -> dict[str, Any]:
     return {"data": data, "layout": layout}
 
 
-def rounded(values: FloatArray) -> list[float | None]:
-    """Values rounded to five digits of the largest; None for a value that is not finite."""
+def rounded(values: FloatArray, *, of_each: bool = False) -> list[float | None]:
+    """Values rounded to five digits of the largest, or of each; None for one that is not finite."""
     finite = np.isfinite(values)
+    if of_each:
+        return [
+            float(f"{value:.{_SIGNIFICANT_DIGITS}g}") if is_finite else None
+            for value, is_finite in zip(values.tolist(), finite.tolist(), strict=True)
+        ]
     scale = float(np.abs(values).max(initial=0.0, where=finite))
     digits = _SIGNIFICANT_DIGITS - (math.floor(math.log10(scale)) if scale > 0.0 else 0)
     numbers: list[float | None] = np.round(values, digits).tolist()
@@ -163,7 +169,7 @@ def _band(mark: Area, numbers: _Numbers) -> dict[str, Any]:
         "mode": "lines",
         "name": mark.name,
         "x": x + x[::-1],
-        "y": rounded(np.concatenate([mark.low, mark.high[::-1]])),
+        "y": numbers(mark.low) + numbers(mark.high)[::-1],
         "fill": "toself",
         "fillcolor": f"rgba({red},{green},{blue},{_BAND_OPACITY})",
         "line": {"width": 0, "color": mark.colour},

@@ -40,10 +40,11 @@ def create_app(options: ServerOptions, port: int) -> Starlette:
             Route("/plotly.js", _plotly),  # of the installed package, as in reports
             Mount("/static", StaticFiles(directory=HERE / "static")),
         ],
-        middleware=[Middleware(Guard, hosts=hosts, token=options.token)],
+        middleware=[Middleware(Guard, hosts=hosts, port=port, token=options.token)],
         exception_handlers=dict.fromkeys(HANDLED, error_response),
     )
-    app.state.workspace = Workspace(options.folder.resolve(), options.max_upload_mib << 20)
+    allowed = tuple(folder.resolve() for folder in options.allowed)
+    app.state.workspace = Workspace(options.folder.resolve(), options.max_upload_mib << 20, allowed)
     return app
 
 

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import ipaddress
 import os
-from dataclasses import dataclass
+import secrets
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from strainwave.errors import InvalidInput
+from strainwave.io.atomic_files import decode, read_small
+
+TOKEN_VARIABLE = "STRAINWAVE_TOKEN"
+"""Environment variable of the token; the command line of a process is visible to all users."""
+_MAX_TOKEN_BYTES = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,8 +23,9 @@ class ServerOptions:
     folder: Path
     host: str = "127.0.0.1"
     port: int = 8765  # 0: any free port
-    token: str = ""  # required from clients unless empty
+    token: str = field(default_factory=secrets.token_urlsafe, repr=False)  # clients must know it
     max_upload_mib: int = 2048  # of one file
+    allowed: tuple[Path, ...] = ()  # further folders whose files a study may name
 
     @property
     def is_local(self) -> bool:
@@ -41,9 +48,21 @@ def check_options(options: ServerOptions) -> None:
         raise InvalidInput(
             "is not a folder", where=str(options.folder), remedy="name the folder of your studies"
         )
-    if not options.is_local and not options.token:
-        raise InvalidInput(
-            f"other machines reach {options.host}, and --token is missing",
-            where="--host",
-            remedy="add --token with a secret, or leave --host out",
-        )
+    for folder in options.allowed:
+        if not folder.is_dir():
+            raise InvalidInput(
+                "is not a folder", where=f"--allow {folder}", remedy="name the folder of the logs"
+            )
+
+
+def token_from(file: Path | None) -> str:
+    """The token of a file or else of the environment; a new one if neither is given.
+
+    Raises InvalidInput if the file cannot be read or is empty.
+    """
+    if file is None:
+        return os.environ.get(TOKEN_VARIABLE, "").strip() or secrets.token_urlsafe()
+    token = decode(read_small(file, "the token", _MAX_TOKEN_BYTES), file).strip()
+    if not token:
+        raise InvalidInput("the token is empty", where=str(file), remedy="write one line")
+    return token

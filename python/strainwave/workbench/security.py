@@ -7,16 +7,14 @@ and a file of the folder must not run as code.
 from __future__ import annotations
 
 import hmac
-from collections.abc import Sequence
-from http.cookies import SimpleCookie
-from urllib.parse import parse_qs, urlencode, urlsplit
+from collections.abc import Iterator, Sequence
+from urllib.parse import parse_qs, quote, unquote, urlencode, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 _SAFE_METHODS = ("GET", "HEAD")
-_COOKIE = "strainwave-token"
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:"
     " blob:; connect-src 'self'; form-action 'self'; frame-src 'self'; base-uri 'none';"
@@ -46,8 +44,9 @@ class Guard:
     know the server by any name, and the token protects it).
     """
 
-    def __init__(self, app: ASGIApp, hosts: frozenset[str] | None, token: str) -> None:
+    def __init__(self, app: ASGIApp, hosts: frozenset[str] | None, port: int, token: str) -> None:
         self._app, self._hosts, self._token = app, hosts, token
+        self._cookie = f"strainwave-{port}"  # browsers send a cookie to all ports of a host
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request."""
@@ -64,23 +63,31 @@ class Guard:
             return PlainTextResponse(f"The workbench does not answer as {host!r}.", 400)
         if _is_cross_site(headers, host, scope["method"]):
             return PlainTextResponse("Requests of other sites are refused.", 403)
-        return self._token_refusal(scope, headers) if self._token else None
+        return self._token_refusal(scope, headers)
 
     def _token_refusal(self, scope: Scope, headers: Headers) -> Response | None:
         """None if the client has the token as a cookie; a token in the address sets the cookie."""
-        cookie = SimpleCookie(headers.get("cookie", "")).get(_COOKIE)
-        if cookie is not None and self._is_token(cookie.value):
+        if any(map(self._is_token, self._cookies(headers))):
             return None
         query = parse_qs(scope["query_string"].decode("latin-1"))
         given = query.pop("token", [""])[0]
         if scope["method"] == "GET" and self._is_token(given):
             rest = urlencode(query, doseq=True)
             answer = RedirectResponse(f"{scope['path']}{'?' if rest else ''}{rest}", 303)
-            answer.set_cookie(_COOKIE, self._token, httponly=True, samesite="strict")
+            value = quote(self._token, safe="")
+            answer.set_cookie(self._cookie, value, httponly=True, samesite="lax")
             return answer
         return PlainTextResponse(
             "This workbench needs a token: open the address that strainwave serve printed.", 401
         )
+
+    def _cookies(self, headers: Headers) -> Iterator[str]:
+        """Values of the cookie; those of other applications may have any form."""
+        for header in headers.getlist("cookie"):
+            for part in header.split(";"):
+                name, _, value = part.strip().partition("=")
+                if name == self._cookie:
+                    yield unquote(value.strip('"'))
 
     def _is_token(self, given: str) -> bool:
         return hmac.compare_digest(given.encode(), self._token.encode())

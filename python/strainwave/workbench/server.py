@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from urllib.parse import quote
 
 from strainwave.errors import InvalidInput, import_optional
 from strainwave.workbench.options import ServerOptions, check_options
@@ -23,9 +24,9 @@ def serve(options: ServerOptions) -> None:
     listener = _listen(options)
     port = listener.getsockname()[1]
     address = f"[{options.host}]" if ":" in options.host else options.host
-    query = f"?token={options.token}" if options.token else ""
     app = create_app(options, port)
-    print(f"strainwave serves {options.folder} at http://{address}:{port}/{query}", flush=True)
+    link = f"http://{address}:{port}/?token={quote(options.token, safe='')}"
+    print(f"strainwave serves {options.folder} at {link}", flush=True)
     print("Ctrl-C ends the server; runs go on.", flush=True)
     config = uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1)
     uvicorn.Server(config).run(sockets=[listener])

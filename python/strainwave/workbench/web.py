@@ -48,8 +48,13 @@ def workspace_of(request: Request) -> Workspace:
 
 
 def study_of(request: Request) -> Path:
-    """The study file that the address names."""
+    """The study file that the address names; its files lie in the served folder."""
     return workspace_of(request).study(request.path_params["study"])
+
+
+def study_file_of(request: Request) -> Path:
+    """The study file that the address names, to be corrected; its files are not to be read."""
+    return workspace_of(request).study_file(request.path_params["study"])
 
 
 def page(request: Request, template: str, title: str, **values: Any) -> HTMLResponse:

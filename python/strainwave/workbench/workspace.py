@@ -11,14 +11,17 @@ import os
 import re
 import tempfile
 from collections import OrderedDict
-from collections.abc import AsyncIterator, Callable, Hashable
+from collections.abc import AsyncIterator, Callable, Hashable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
 from strainwave.domain import Log, Study
 from strainwave.errors import InvalidInput
+from strainwave.io.atomic_files import decode, parse_toml, read_small
 from strainwave.io.logs import read_log
 from strainwave.io.study import read_study
 
@@ -26,6 +29,7 @@ _RUNS = "runs"
 _MAX_DEPTH = 3  # of folders in which studies are searched
 _MAX_STUDIES = 500  # listed
 _MAX_STUDY_BYTES = 1 << 20
+_MAX_SHOWN_NAME = 120  # letters of a name in a message
 _STUDY = re.compile(rb"^\s*\[(arm|\[experiment\])\]", re.MULTILINE)
 _NAME = re.compile(r"[^\W.][\w .()+=@,-]*", re.UNICODE)
 
@@ -36,6 +40,7 @@ class Workspace:
 
     folder: Path  # resolved
     max_upload_bytes: int
+    allowed: tuple[Path, ...] = ()  # resolved; further folders whose files a study may name
 
     def studies(self) -> list[str]:
         """Paths of the study files, relative to the folder, sorted."""
@@ -57,23 +62,63 @@ class Workspace:
 
         Raises InvalidInput if the path leads outside, also by a symbolic link.
         """
-        if "\0" in relative:
-            raise InvalidInput("a path must not contain a null character", where="path")
-        path = (self.folder / relative).resolve()
-        if not path.is_relative_to(self.folder):
+        return self._confined(self.folder, relative, (self.folder,))
+
+    def file_of(self, study: Path, name: str) -> Path:
+        """The path of a file that a study names, in the folder or an allowed one.
+
+        Raises InvalidInput if the path leads outside, also by a symbolic link; whether it exists is
+        not looked at.
+        """
+        path = self._confined(study.parent, name, (self.folder, *self.allowed))
+        if path.is_dir():  # a bag
+            for each in path.iterdir():
+                self._confined(path, each.name, (self.folder, *self.allowed))
+        return path
+
+    def _confined(self, base: Path, name: str, roots: tuple[Path, ...]) -> Path:
+        try:
+            path = (base / name).resolve()
+        except (OSError, RuntimeError, ValueError) as error:  # too long, a loop, a null character
+            raise InvalidInput("is no path", where=_abbreviated(name)) from error
+        if not any(path.is_relative_to(root) for root in roots):
             raise InvalidInput(
                 "leads out of the served folder",
-                where=relative,
-                remedy="copy the file into the folder",
+                where=_abbreviated(name),
+                remedy="copy the file into the folder, or start strainwave serve with --allow",
             )
         return path
 
-    def study(self, relative: str) -> Path:
+    def study_file(self, relative: str) -> Path:
         """The path of an existing study file; raises InvalidInput if there is none."""
         path = self.resolve(relative)
         if path.suffix != ".toml" or not path.is_file():
-            raise InvalidInput("there is no such study", where=relative)
+            raise InvalidInput("there is no such study", where=_abbreviated(relative))
         return path
+
+    def study(self, relative: str) -> Path:
+        """The path of an existing study file whose files lie in the folder or an allowed one.
+
+        Raises InvalidInput if there is no such study, or if a file that it names lies elsewhere.
+        """
+        path = self.study_file(relative)
+        for name in _named_files(path, _stamp(path)):
+            self.file_of(path, name)
+        return path
+
+    def files(self, patterns: Iterable[tuple[Path, str]]) -> list[Path]:
+        """Regular files of the folder that match (folder, pattern), the newest first."""
+        times: dict[Path, int] = {}
+        for folder, pattern in patterns:
+            for path in folder.glob(pattern):
+                with suppress(OSError):  # a broken link, or deleted in between
+                    if path.is_file() and path.resolve().is_relative_to(self.folder):
+                        times[path] = path.stat().st_mtime_ns
+        return sorted(times, key=lambda path: -times[path])
+
+    def results_of(self, study: Path) -> list[Path]:
+        """Results of the runs of a study, and parameter files next to it, the newest first."""
+        return self.files([(runs_folder(study), "*/result.json"), (study.parent, "*.json")])
 
     def relative(self, path: Path) -> str:
         """The name of a path in addresses."""
@@ -112,10 +157,29 @@ class Workspace:
         return target
 
 
+@lru_cache(maxsize=_MAX_STUDIES)
+def _named_files(study: Path, _stamp: object) -> tuple[str, ...]:
+    """The files that a study names; none if it is no TOML, since then nothing is read."""
+    try:
+        document = parse_toml(
+            decode(read_small(study, "the study", _MAX_STUDY_BYTES), study), study
+        )
+    except InvalidInput:
+        return ()
+    experiments = document.get("experiment")
+    tables = [*(experiments if isinstance(experiments, list) else []), document.get("arm")]
+    names = [t.get(key) for t in tables if isinstance(t, dict) for key in ("file", "urdf")]
+    return tuple(name for name in names if isinstance(name, str))
+
+
+def _abbreviated(name: str) -> str:
+    return name if len(name) <= _MAX_SHOWN_NAME else f"{name[:_MAX_SHOWN_NAME]}..."
+
+
 def _is_study(path: Path) -> bool:
     try:
-        return path.stat().st_size < _MAX_STUDY_BYTES and bool(_STUDY.search(path.read_bytes()))
-    except OSError:  # a broken link, or no permission
+        return bool(_STUDY.search(read_small(path, "the study", _MAX_STUDY_BYTES)))
+    except InvalidInput:  # a broken link, a pipe, no permission
         return False
 
 

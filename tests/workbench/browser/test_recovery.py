@@ -18,6 +18,7 @@ def test_after_a_kill_the_study_and_finished_runs_are_there(
 
     server = start_server(folder)
     page = browser.new_page()
+    page.goto(f"{server.url}/?token={server.token}")
     page.goto(f"{server.url}/check/arm/study.toml")
     page.click("#check")
     page.wait_for_selector("#state[data-state=consistent]")
@@ -35,6 +36,7 @@ def test_after_a_kill_the_study_and_finished_runs_are_there(
     os.killpg(group, signal.SIGKILL)
 
     again = start_server(folder)
+    page.goto(f"{again.url}/?token={again.token}")
     page.goto(f"{again.url}/estimate/arm/study.toml")
     page.wait_for_selector("tr[data-run='identify-1'][data-state='done']")
     page.wait_for_selector("tr[data-run='identify-2'][data-state='interrupted']")

@@ -213,11 +213,7 @@ def _show_by_hand(request: Request) -> Response:
         for each in study.experiments
         if missing_motor_signal(arm, log_of(path, each.name)) is None
     ]
-    starts = [
-        workspace.relative(file)
-        for files in (Runs(path).folder.glob("*/result.json"), path.parent.glob("*.json"))
-        for file in sorted(files, key=lambda p: -p.stat().st_mtime)
-    ]
+    starts = [workspace.relative(file) for file in workspace.results_of(path)]
     elastic = [i for i, joint in enumerate(study.arm.joints, start=1) if joint.elastic]
     return page(request, "by_hand", "By hand", records=records, starts=starts, joints=elastic)
 

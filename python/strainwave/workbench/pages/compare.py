@@ -210,13 +210,11 @@ def _show_compare(request: Request) -> Response:
 def list_results(request: Request) -> object:
     """Results of the folder, those of this study first."""
     workspace, here = workspace_of(request), study_of(request).parent
-    found = {
-        path
-        for study in map(workspace.study, workspace.studies())
-        for folder in (study.parent, Runs(study).folder)
-        for path in (*folder.glob("result.json"), *folder.glob("*/result.json"))
-    }
-    paths = sorted(found, key=lambda p: (not p.is_relative_to(here), -p.stat().st_mtime))
+    studies = map(workspace.study_file, workspace.studies())
+    folders = {folder for study in studies for folder in (study.parent, Runs(study).folder)}
+    names = ("result.json", "*/result.json")
+    found = workspace.files((folder, name) for folder in folders for name in names)
+    paths = sorted(found, key=lambda p: not p.is_relative_to(here))
     return [
         {"path": workspace.relative(p), "name": _name(p, here), "own": p.is_relative_to(here)}
         for p in paths[:_MAX_RESULTS]

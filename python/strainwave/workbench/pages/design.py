@@ -16,7 +16,8 @@ from strainwave.errors import InvalidInput
 from strainwave.report.figures import Axis, Figure, line_panel
 from strainwave.report.plotly_backend import plotly
 from strainwave.workbench.pages.runs import describe, log_lines
-from strainwave.workbench.runs import RUN_FILES, Run, Runs
+from strainwave.workbench.run_record import Run
+from strainwave.workbench.runs import RUN_FILES, Runs
 from strainwave.workbench.web import Body, Routes, page, study_of, text_of, workspace_of
 from strainwave.workbench.workspace import study_at
 
@@ -35,9 +36,7 @@ def options_of(command: Command) -> dict[str, dict[str, Any]]:
 def _show_design(request: Request) -> Response:
     path = study_of(request)
     workspace = workspace_of(request)
-    files = [*Runs(path).folder.glob("*/result.json"), *path.parent.glob("*.json")]
-    files.sort(key=lambda p: -p.stat().st_mtime)
-    results = [workspace.relative(p) for p in files]
+    results = [workspace.relative(p) for p in workspace.results_of(path)]
     options = {command: options_of(command) for command in COMMANDS}
     return page(request, "design", "Design", options=options, results=results)
 

@@ -22,7 +22,7 @@ from strainwave.report.figures import DOTTED, Axis, Colour, Figure, Line, Panel,
 from strainwave.report.plotly_backend import plotly
 from strainwave.workbench.pages.check import gate_of, require_open
 from strainwave.workbench.pages.runs import describe
-from strainwave.workbench.runs import Runs, status_of
+from strainwave.workbench.runs import Runs
 from strainwave.workbench.web import Body, Routes, message_of, page, study_of, text_of
 from strainwave.workbench.workspace import study_at
 
@@ -148,14 +148,10 @@ def estimates(request: Request) -> object:
     path = study_of(request)
     gate = gate_of(path)
     runs = Runs(path)
-    shown = []
-    for run in reversed(runs.all("identify")):
-        status = status_of(runs.path(run.name)) if run.state == "done" else None
-        shown.append(describe(run) | {"status": status})
     reason = message_of(request, gate.reason)
     return {
         "gate": {"is_open": gate.is_open, "reason": reason, "state": gate.state},
-        "runs": shown,
+        "runs": [describe(run) for run in reversed(runs.all("identify"))],
         "name": runs.free_name("identify"),
     }
 
@@ -184,7 +180,12 @@ def snapshot(path: Path) -> str:
     """The text of a study file for a folder two levels below, so that a run can be repeated."""
     document = tomlkit.parse(decode(path.read_bytes(), path))
     for experiment in document.get("experiment", []):
-        experiment["file"] = f"../../{experiment['file']}"
+        experiment["file"] = _from_below(experiment["file"])
     if "urdf" in document.get("arm", {}):
-        document["arm"]["urdf"] = f"../../{document['arm']['urdf']}"
+        document["arm"]["urdf"] = _from_below(document["arm"]["urdf"])
     return tomlkit.dumps(document)
+
+
+def _from_below(name: str) -> str:
+    """A path as seen from a folder two levels below; an absolute one stays."""
+    return name if Path(name).is_absolute() else f"../../{name}"

@@ -17,8 +17,17 @@ from strainwave.errors import InvalidInput
 from strainwave.init import start_study
 from strainwave.io.logs.bags import BAG_SUFFIXES
 from strainwave.io.logs.tables import TABLE_SUFFIXES
-from strainwave.workbench.runs import Runs, status_of
-from strainwave.workbench.web import Body, Routes, json_response, page, text_of, workspace_of
+from strainwave.workbench.run_record import Run
+from strainwave.workbench.runs import Runs
+from strainwave.workbench.web import (
+    Body,
+    Routes,
+    json_response,
+    message_of,
+    page,
+    text_of,
+    workspace_of,
+)
 from strainwave.workbench.workspace import check_name, is_runs_folder, study_at
 
 routes = Routes()
@@ -27,17 +36,16 @@ routes = Routes()
 @routes.page("/")
 def show_home(request: Request) -> Response:
     """The studies of the folder."""
-    workspace = workspace_of(request)
-    rows = [_row(name, workspace.study(name)) for name in workspace.studies()]
+    rows = [_row(request, name) for name in workspace_of(request).studies()]
     return page(request, "home", "Studies", studies=rows)
 
 
-def _row(name: str, path: Path) -> dict[str, Any]:
+def _row(request: Request, name: str) -> dict[str, Any]:
     """A study file: its arm, or its error, and the verdict of the latest finished run."""
-    runs = Runs(path)
-    finished = [run for run in runs.all("identify") if run.state == "done"]
-    status = (status_of(runs.path(finished[-1].name)) or "no result") if finished else ""
+    runs: list[Run] = []
     try:
+        path = workspace_of(request).study(name)
+        runs = Runs(path).all()
         study = study_at(path)
         arm = study.arm
         springs = ", ".join(dict.fromkeys(joint.spring for joint in arm.joints))
@@ -48,9 +56,11 @@ def _row(name: str, path: Path) -> dict[str, Any]:
         )
         is_valid = True
     except InvalidInput as error:
-        description, is_valid = str(error), False
+        description, is_valid = message_of(request, error), False
+    finished = [run for run in runs if run.kind == "identify" and run.state == "done"]
+    status = (finished[-1].status or "no result") if finished else ""
     row = {"path": name, "description": description, "is_valid": is_valid}
-    return row | {"runs": len(runs.all()), "status": status}
+    return row | {"runs": len(runs), "status": status}
 
 
 LOG_SUFFIXES = (*TABLE_SUFFIXES, *BAG_SUFFIXES)

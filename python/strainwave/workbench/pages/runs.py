@@ -31,13 +31,16 @@ from starlette.responses import (
 from strainwave.errors import InvalidInput
 from strainwave.export import export_file
 from strainwave.report.document.blocks import page_scripts
-from strainwave.workbench.runs import LOG, RUN_FILES, Run, Runs
+from strainwave.workbench.run_record import LOG, Run
+from strainwave.workbench.runs import RUN_FILES, Runs
 from strainwave.workbench.security import report_policy
 from strainwave.workbench.web import Body, Routes, message_of, page, study_of, text_of, workspace_of
 
 routes = Routes()
 
 _POLL = 0.15  # [s] between two looks at the log of a run
+_MAX_FOLLOWED = 200  # runs of one stream
+_MAX_LOG_BYTES = 1 << 20  # of the end of a log
 _EXPORTS = "exports"
 _MAX_ZIP = 4 << 30  # [bytes] of the files
 
@@ -86,8 +89,7 @@ def _state(runs: Runs, run: Run) -> dict[str, object]:
 def log_lines(folder: Path) -> tuple[list[dict[str, object]], list[str]]:
     """Progress and messages of a run so far."""
     progress, messages = [], []
-    path = folder / LOG
-    for line in path.read_text("utf-8", "replace").splitlines() if path.is_file() else ():
+    for line in _end_of(folder / LOG).decode("utf-8", "replace").splitlines():
         try:
             entry = json.loads(line)
         except ValueError:
@@ -99,25 +101,43 @@ def log_lines(folder: Path) -> tuple[list[dict[str, object]], list[str]]:
     return progress, messages
 
 
+def _end_of(path: Path) -> bytes:
+    """The end of a log of bounded size; nothing if it is missing, a link or no regular file."""
+    if path.is_symlink() or not path.is_file():
+        return b""
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - _MAX_LOG_BYTES))
+        return file.read(_MAX_LOG_BYTES)
+
+
 @routes.page("/api/run-events/{study:path}")
 async def run_events(request: Request) -> Response:
-    """Server-sent events of a run: its progress, then its end."""
-    runs, name = await run_in_threadpool(runs_of, request), request.query_params.get("name", "")
-    await run_in_threadpool(runs.get, name)
+    """Server-sent events of runs: their progress, then their ends."""
+    runs = await run_in_threadpool(runs_of, request)
+    sent = dict.fromkeys(request.query_params.getlist("name")[:_MAX_FOLLOWED], "")
+    await run_in_threadpool(lambda: [runs.get(name) for name in sent])
 
     async def events() -> AsyncIterator[str]:
-        sent = ""
-        while True:
-            run = await run_in_threadpool(runs.get, name)
-            text = json.dumps(describe(run) | await run_in_threadpool(_state, runs, run))
-            if text != sent:
-                yield f"data: {text}\n\n"
-                sent = text
-            if run.state != "running":
-                return
+        while sent:
+            for name in list(sent):
+                run, text = await run_in_threadpool(_event, runs, name)
+                if text != sent[name]:
+                    yield f"data: {text}\n\n"
+                    sent[name] = text
+                if not run.is_active:
+                    del sent[name]
             await asyncio.sleep(_POLL)
 
     return StreamingResponse(events(), media_type="text/event-stream")
+
+
+def _event(runs: Runs, name: str) -> tuple[Run, str]:
+    try:
+        run = runs.get(name)
+        return run, json.dumps(describe(run) | _state(runs, run))
+    except InvalidInput as error:  # deleted in the meantime
+        run = Run.damaged(name, str(error))
+        return run, json.dumps(describe(run))
 
 
 @routes.page("/report/{study:path}")

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -37,7 +38,15 @@ from strainwave.workbench.study_edit import (
     table_of,
     tables_of,
 )
-from strainwave.workbench.web import Body, Routes, message_of, page, study_of, text_of
+from strainwave.workbench.web import (
+    Body,
+    Routes,
+    message_of,
+    page,
+    study_file_of,
+    text_of,
+    workspace_of,
+)
 
 Place = tuple[str | int, ...]
 _MARKDOWN = re.compile(r"`|\[([^]]*)\]\([^)]*\)")  # code, or a link and its text
@@ -183,20 +192,20 @@ _EXPERIMENT = (  # key, title, kind, choices, and whether the value is a list of
 
 @routes.page("/study/{study:path}")
 def _show_study(request: Request) -> Response:
-    study_of(request)
+    study_file_of(request)
     return page(request, "study", "Study")
 
 
 @routes.get("/api/study/{study:path}")
 def read_state(request: Request) -> object:
     """The study file as form, text and picture, with its error."""
-    return _state(request, study_of(request))
+    return _state(request, study_file_of(request))
 
 
 @routes.post("/api/study/{study:path}")
 def save(request: Request, body: Body) -> object:
     """Write changes of the form, or the whole text, if the file is still the one that was shown."""
-    path = study_of(request)
+    path = study_file_of(request)
     data = read_bytes(path, "the study file")
     if text_of(body, "sha256") != hashlib.sha256(data).hexdigest():
         raise InvalidInput(
@@ -204,11 +213,13 @@ def save(request: Request, body: Body) -> object:
             where=path.name,
             remedy="reload the page, and repeat the change",
         )
-    if "text" in body:
-        text = text_of(body, "text")
-        parse_draft(text, path)
-    else:
-        text = changed_text(decode(data, path), _changes(body.get("changes")), path)
+    typed = text_of(body, "text") if "text" in body else decode(data, path)
+    text = (
+        changed_text(typed, changes, path)
+        if (changes := _changes(body.get("changes", [])))
+        else typed
+    )
+    parse_draft(text, path)
     write_whole(path.parent, {path.name: text.encode()})
     return _state(request, path)
 
@@ -232,6 +243,7 @@ def _changes(entries: object) -> list[KeyChange]:
 
 
 def _state(request: Request, path: Path) -> dict[str, Any]:
+    workspace = workspace_of(request)
     data = read_bytes(path, "the study file")
     text = decode(data, path)
     state: dict[str, Any] = {"sha256": hashlib.sha256(data).hexdigest(), "text": text}
@@ -244,8 +256,9 @@ def _state(request: Request, path: Path) -> dict[str, Any]:
         ]
         state["experiments"] = _experiments(document)
         state["channels"] = _channels(document)
-        state["columns"] = _columns(document, path.parent)
+        state["columns"] = _columns(document, partial(workspace.file_of, path))
         state["todos"] = sum(f["is_todo"] for group in state["groups"] for f in group["fields"])
+        workspace.study(workspace.relative(path))
         state["arm"] = plotly(arm_picture(read_study(path).arm))
     except InvalidInput as error:
         state["error"] = message_of(request, error)
@@ -293,11 +306,12 @@ def _channels(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     return rows
 
 
-def _columns(document: Mapping[str, Any], folder: Path) -> dict[str, list[str]]:
+def _columns(document: Mapping[str, Any], file_of: Callable[[str], Path]) -> dict[str, list[str]]:
     columns: dict[str, list[str]] = {}
     for experiment in tables_of(document, "experiment"):
-        name, file = str(experiment.get("name")), folder / str(experiment.get("file"))
+        name = str(experiment.get("name"))
         try:
+            file = file_of(str(experiment.get("file")))
             columns[name] = list((Bag(file) if is_bag(file) else open_table(file)).names)
         except InvalidInput:
             columns[name] = []
@@ -307,13 +321,14 @@ def _columns(document: Mapping[str, Any], folder: Path) -> dict[str, list[str]]:
 @routes.get("/api/preview/{study:path}")
 def preview(request: Request) -> object:
     """One column of a log after scaling, over its samples."""
-    path, query = study_of(request), request.query_params
+    path, query = study_file_of(request), request.query_params
     document = parse_draft(decode(read_bytes(path, "the study file"), path), path)
     wanted = query.get("experiment")
     named = [e for e in tables_of(document, "experiment") if e.get("name") == wanted]
     if not named:
         raise InvalidInput("there is no such experiment", where=path.name)
-    file, column = path.parent / str(named[0].get("file", "")), query.get("column", "")
+    file = workspace_of(request).file_of(path, str(named[0].get("file", "")))
+    column = query.get("column", "")
     if is_bag(file):
         tracks, _ = Bag(file).tracks([column])
         values = next(track.columns[column] for track in tracks if column in track.columns)

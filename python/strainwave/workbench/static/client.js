@@ -33,7 +33,10 @@ export function showMessage(text, isError = false) {
 }
 
 // Run an asynchronous action of a control: busy while it runs, its error as a message.
+// A button that is busy ignores further clicks; it keeps the focus, which a disabled one would lose.
 export async function act(control, action) {
+  const isBusy = control?.getAttribute("aria-busy") === "true";
+  if (isBusy && control instanceof HTMLButtonElement) return undefined;
   if (control) control.setAttribute("aria-busy", "true");
   try {
     return await action();

@@ -1,13 +1,12 @@
 // Page "Design": plan experiments and design servos through the command line.
 import { act, address, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
 import { draw } from "./figures.js";
-import { follow } from "./run_events.js";
+import { follow, isActive } from "./run_events.js";
 
 const api = (name) => `/api/${name}/${address(study)}`;
 const of = (run, file) => `${address(study)}?run=${encodeURIComponent(run)}&file=${encodeURIComponent(file)}`;
 const MARKS = { done: "good", failed: "bad", cancelled: "doubt", interrupted: "doubt" };
 const PANEL = 160; // [px]
-const followed = new Set();
 let shownRun = null;
 
 async function refresh(open) {
@@ -15,27 +14,23 @@ async function refresh(open) {
   byId("none").hidden = designs.length > 0;
   byId("designs").replaceChildren(...designs.map(designRow));
   const wanted = designs.find((one) => one.name === open);
-  if (wanted && wanted.state !== "running") await show(wanted);
+  if (wanted && !isActive(wanted)) await show(wanted);
 }
 
 function designRow(run) {
   const actions = make("div", { class: "row" });
   const progress = make("span", { class: "faint" });
-  if (run.state === "running") {
+  if (isActive(run)) {
     const cancel = make("button", { type: "button" }, "Cancel");
     onClick(cancel, async () => { await postJson(api("cancel-run"), { name: run.name }); });
     actions.append(cancel);
-    if (!followed.has(run.name)) {
-      followed.add(run.name);
-      follow(run.name, (event) => { byId(`progress-${run.name}`).textContent = event.progress?.activity ?? "starting"; },
-        () => { followed.delete(run.name); act(null, () => refresh(run.name)); });
-    }
+    follow(run.name, (event) => { progress.textContent = event.progress?.activity ?? event.state; },
+      () => act(null, () => refresh(run.name)));
   } else {
     const look = make("button", { type: "button", "aria-label": `Show ${run.name}` }, "Show");
     onClick(look, () => show(run));
     actions.append(look);
   }
-  progress.id = `progress-${run.name}`;
   return make("tr", { "data-run": run.name, "data-state": run.state },
     make("th", { scope: "row" }, run.name), make("td", {}, make("span", { class: `badge ${MARKS[run.state] ?? ""}` }, run.state)),
     make("td", {}, make("code", {}, run.lines[0]), make("br"), progress), make("td", {}, actions));

@@ -1,11 +1,11 @@
 // Page "Estimate": start runs, follow and cancel them, choose order and horizon.
 import { act, address, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
 import { draw } from "./figures.js";
-import { follow } from "./run_events.js";
+import { follow, isActive } from "./run_events.js";
 
 const api = (name) => `/api/${name}/${address(study)}`;
+const WAITING = { waiting: "waiting for another run", running: "starting" };
 const MARKS = { determined: "good", "partly-determined": "doubt", "not-determined": "bad", "inconsistent-input": "bad" };
-const followed = new Set();
 
 function button(text, action, attributes = {}) {
   const element = make("button", { type: "button", ...attributes }, text);
@@ -22,14 +22,11 @@ function showReport(name) {
 
 function progressCell(run) {
   const bar = make("progress", { max: "1", value: "0", "aria-label": `Progress of ${run.name}` });
-  const text = make("span", { class: "faint" }, "starting");
-  if (!followed.has(run.name)) {
-    followed.add(run.name);
-    follow(run.name, (event) => {
-      if (event.progress?.fraction != null) bar.value = event.progress.fraction;
-      if (event.progress) text.textContent = event.progress.activity;
-    }, () => { followed.delete(run.name); act(null, refresh); });
-  }
+  const text = make("span", { class: "faint" }, WAITING[run.state]);
+  follow(run.name, (event) => {
+    if (event.progress?.fraction != null) bar.value = event.progress.fraction;
+    text.textContent = event.progress?.activity ?? WAITING[event.state] ?? event.state;
+  }, () => act(null, refresh));
   return make("td", {}, bar, text);
 }
 
@@ -48,7 +45,7 @@ function runRow(run) {
   const state = run.status ?? run.state;
   const mark = MARKS[run.status] ?? { failed: "bad", interrupted: "doubt", cancelled: "doubt" }[run.state] ?? "";
   const actions = make("div", { class: "row" });
-  if (run.state === "running") {
+  if (isActive(run)) {
     actions.append(button("Cancel", async () => { await postJson(api("cancel-run"), { name: run.name }); await refresh(); }));
   } else {
     if (run.status) actions.append(button("Report", () => showReport(run.name), { "aria-label": `Report of ${run.name}` }));
@@ -62,17 +59,19 @@ function runRow(run) {
     make("th", { scope: "row" }, run.name),
     make("td", {}, make("span", { class: `badge ${mark}` }, state)),
     make("td", {}, run.created ? new Date(run.created).toLocaleString() : ""),
-    run.state === "running" ? progressCell(run) : endCell(run), make("td", {}, actions));
+    isActive(run) ? progressCell(run) : endCell(run), make("td", {}, actions));
 }
+
+let isNamed = false; // whether the user has typed the name of the next run
+byId("name").addEventListener("input", () => { isNamed = true; });
 
 async function refresh() {
   const { gate, runs, name } = await getJson(api("estimate"));
-  followed.clear();
   byId("gate").textContent = gate.reason;
   byId("gate").className = `callout ${{ consistent: "good", overridden: "doubt", suspected: "bad", invalid: "bad" }[gate.state] ?? ""}`;
   if (!gate.is_open) byId("gate").append(" ", make("a", { href: `/check/${address(study)}` }, "Open the page Check."));
   byId("start").disabled = !gate.is_open;
-  byId("name").value = name;
+  if (!isNamed) byId("name").value = name;
   byId("none").hidden = runs.length > 0;
   byId("runs").replaceChildren(...runs.map(runRow));
 }
@@ -86,6 +85,7 @@ byId("settings").addEventListener("submit", (event) => {
     if (byId("horizon").value) options["statespace.horizon"] = byId("horizon").value;
     const stages = new FormData(byId("settings")).get("stages");
     await postJson(api("estimate"), { name: byId("name").value, stages, options, figures: byId("figures").checked });
+    isNamed = false;
     showMessage("The run has started.");
     await refresh();
   });

@@ -5,13 +5,23 @@ import { draw } from "./figures.js";
 const api = (name) => `/api/${name}/${address(study)}`;
 let state;
 
-async function save(body) {
-  state = await postJson(api("study"), { sha256: state.sha256, ...body });
-  await show();
+let saving = Promise.resolve();
+
+const isTyped = () => state !== undefined && byId("text").value !== state.text;
+
+// Save the changes one after the other; a change of the form applies to the text as typed so far.
+function save(changes) {
+  const saved = saving.then(async () => {
+    const text = isTyped() ? { text: byId("text").value } : {};
+    state = await postJson(api("study"), { sha256: state.sha256, changes, ...text });
+    await show();
+  });
+  saving = saved.catch(() => {});
+  return saved;
 }
 
 // Save one key; the focus stays where the user moved it.
-const saveField = (control, entry) => act(control, () => save({ changes: [{ ...entry, value: control.value }] }));
+const saveField = (control, entry) => act(control, () => save([{ ...entry, value: control.value }]));
 
 function fieldControl(id, entry, attributes = {}) {
   const { kind, choices, value } = entry;
@@ -48,11 +58,9 @@ function channelRow(row) {
     make("option", { value: "" }, columns.includes(row.channel) ? `${row.channel} (same name)` : "none"),
     ...names.map((name) => make("option", {}, name)));
   select.value = row.column;
-  select.addEventListener("change", () => act(select, () => save({
-    changes: select.value
-      ? [{ place: place("column"), kind: "text", value: select.value }]
-      : [{ place: ["channels", row.channel], kind: "text", value: "" }],
-  })));
+  select.addEventListener("change", () => act(select, () => save(select.value
+    ? [{ place: place("column"), kind: "text", value: select.value }]
+    : [{ place: ["channels", row.channel], kind: "text", value: "" }])));
   const number = (key, fallback) => fieldControl(id(key), { place: place(key), kind: "number", choices: [], value: row[key] },
     { "aria-label": `${key} of ${row.channel}`, placeholder: fallback, disabled: !row.column });
   const look = make("button", { type: "button", "aria-label": `Preview ${row.channel}` }, "Show");
@@ -102,10 +110,15 @@ async function show() {
 }
 
 onClick(byId("save"), async () => {
-  await save({ text: byId("text").value });
+  await save([]);
   showMessage("study.toml is saved.");
 });
-onClick(byId("reload"), async () => { state = await getJson(api("study")); await show(); });
+onClick(byId("reload"), async () => {
+  if (isTyped() && !window.confirm("Drop the text that is not saved?")) return;
+  state = await getJson(api("study"));
+  await show();
+});
+window.addEventListener("beforeunload", (event) => { if (isTyped()) event.preventDefault(); });
 byId("preview-record").addEventListener("change", showChannels);
 byId("all-channels").addEventListener("change", showChannels);
 act(null, async () => { state = await getJson(api("study")); await show(); });

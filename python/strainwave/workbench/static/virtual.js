@@ -52,7 +52,7 @@ async function start() {
   byId("bar").value = 0;
   await new Promise((resolve) => follow(run.name, (event) => {
     const isIdentifying = event.progress?.fraction != null;
-    byId("activity").textContent = event.progress?.activity ?? "starting";
+    byId("activity").textContent = event.progress?.activity ?? event.state;
     if (isIdentifying) byId("bar").value = (1 + event.progress.fraction) / STEPS;
   }, async (event) => {
     byId("cancel").hidden = true;
