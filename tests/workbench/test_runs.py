@@ -85,7 +85,7 @@ from pathlib import Path
 from strainwave.workbench.runs import Runs
 runs = Runs(Path(sys.argv[1]))
 runs.prepare("one")
-commands = [("check", "../../study.toml"), ("identify", "../../study.toml", "--stages", "rigid")]
+commands = [("check", "../../study.toml"), ("identify", "../../study.toml", "--out", ".", "--stages", "rigid")]
 runs.start("one", "virtual", commands)
 print("started", flush=True)
 time.sleep(1000)

@@ -29,6 +29,7 @@ from strainwave.workbench.workspace import check_name, runs_folder
 
 RUN_FILES = frozenset((RECORD, LOCK, LOG))
 """Files of a run that its commands do not write."""
+_POLL = 0.05  # [s] between two looks at a run that is being cancelled
 _MAX_SHOWN = 500  # runs in a list, the newest
 
 
@@ -116,11 +117,11 @@ class Runs:
         """End the process group of a run and wait for its end."""
         run = self.get(name)
         limit = time.monotonic() + 2.0 * PATIENCE
-        while run.is_active and time.monotonic() < limit:
-            if run.group is not None:  # the supervisor listens
+        while self._is_alive(name) and time.monotonic() < limit:
+            if run.is_active and run.group is not None:  # the supervisor listens
                 with suppress(ProcessLookupError):
                     os.kill(run.group, CANCEL)
-            time.sleep(0.05)
+            time.sleep(_POLL)
             run = self.get(name)
         if run.is_active and run.group is not None:
             with suppress(ProcessLookupError):
