@@ -22,7 +22,8 @@ from starlette.testclient import TestClient
 import strainwave as sw
 from strainwave.workbench.app import ROUTES
 from strainwave.workbench.pages.check import run_check
-from strainwave.workbench.runs import Run, Runs
+from strainwave.workbench.run_record import Run
+from strainwave.workbench.runs import Runs
 from workbench_client import make_client
 
 if TYPE_CHECKING:

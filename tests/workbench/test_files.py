@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip("starlette")
 
 from strainwave.workbench.pages.runs import EXPORT_FILES, python_script
-from strainwave.workbench.runs import Run
+from strainwave.workbench.run_record import Run
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
