@@ -59,6 +59,17 @@ def test_a_changed_parameter_is_listed(client: TestClient, two_runs: Path) -> No
     assert shown["joints"] == [1, 2]
 
 
+def test_results_of_the_same_logs_are_not_tested(client: TestClient, folder: Path) -> None:
+    result = sw.identify(folder / "arm" / "study.toml", stages=("rigid",))
+    for path in (A, B):
+        (folder / path).parent.mkdir(parents=True)
+        result.save(folder / path)
+    shown = client.post("/api/compare/arm/study.toml", json={"paths": [A, B]}).json()
+    assert shown["test"] is None
+    assert "the same logs" in shown["note"]
+    assert all(cell["change"] is None for row in shown["rows"] for cell in row["cells"])
+
+
 def test_equal_results_agree(client: TestClient, two_runs: Path) -> None:
     shutil.copy(two_runs / A, two_runs / B)
     shown = client.post("/api/compare/arm/study.toml", json={"paths": [A, B]}).json()

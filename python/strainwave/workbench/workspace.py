@@ -102,9 +102,15 @@ class Workspace:
         Raises InvalidInput if there is no such study, or if a file that it names lies elsewhere.
         """
         path = self.study_file(relative)
-        for name in _named_files(path, _stamp(path)):
-            self.file_of(path, name)
+        self.files_named(path)
         return path
+
+    def files_named(self, study: Path) -> list[Path]:
+        """The logs, and the URDF if any, that a study file names.
+
+        Raises InvalidInput if one of them lies outside.
+        """
+        return [self.file_of(study, name) for name in _named_files(study, _stamp(study))]
 
     def files(self, patterns: Iterable[tuple[Path, str]]) -> list[Path]:
         """Regular files of the folder that match (folder, pattern), the newest first."""

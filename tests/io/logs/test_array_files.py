@@ -334,6 +334,15 @@ def test_the_unpacked_size_is_limited(tmp_path: Path, monkeypatch: pytest.Monkey
             table_of(tmp_path, name, data).read(["t"])
 
 
+@pytest.mark.parametrize(("name", "codec"), [("log.csv.gz", "gzip"), ("log.csv.zst", "zstd")])
+def test_no_log_unpacks_to_hundreds_of_times_its_size(
+    tmp_path: Path, name: str, codec: str
+) -> None:
+    data = pa.compress(bytes(100 << 20), codec=codec, asbytes=True)
+    with pytest.raises(InvalidInput, match="unpacks to more than 200 times its size"):
+        table_of(tmp_path, name, data)
+
+
 def test_a_log_that_is_no_regular_file_is_refused_without_waiting(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.csv")
     (tmp_path / "device.csv").symlink_to("/dev/zero")

@@ -24,6 +24,9 @@ MAX_MAGNITUDE = 1e60
 """Largest valid magnitude in any unit; sums of squares of smaller numbers do not overflow."""
 MAX_UNPACKED_BYTES = 1 << 31
 """[bytes] Largest unpacked size of a compressed log: 20 channels for 3 h at 1 kHz."""
+MAX_UNPACKED_RATIO = 200
+"""Largest ratio of the unpacked to the packed size; logs with constant columns reach some 50."""
+_MIN_REFUSED_BYTES = 1 << 26  # [bytes] a smaller log is read whatever its ratio
 _MAX_NAMES = 20  # names in a message
 _CHUNK_BYTES = 1 << 24  # [bytes] that are unpacked at a time
 
@@ -153,6 +156,12 @@ def _unpack(data: bytes, path: Path, kind: str) -> bytes:
             while chunk := stream.read(_CHUNK_BYTES):
                 size += len(chunk)
                 check_unpacked_size(size, path)
+                if size > max(_MIN_REFUSED_BYTES, MAX_UNPACKED_RATIO * len(data)):
+                    raise InvalidInput(
+                        f"unpacks to more than {MAX_UNPACKED_RATIO} times its size, as no log does",
+                        where=str(path),
+                        remedy="store the log without compression",
+                    )
                 chunks.append(chunk)
     except (OSError, pa.ArrowException) as error:
         raise InvalidInput(

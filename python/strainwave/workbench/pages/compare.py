@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -32,11 +33,15 @@ from strainwave.report.plotly_backend import plotly
 from strainwave.workbench.pages.runs import describe
 from strainwave.workbench.runs import Runs
 from strainwave.workbench.web import Body, Routes, message_of, page, study_of, workspace_of
-from strainwave.workbench.workspace import is_runs_folder
+from strainwave.workbench.workspace import Workspace, is_runs_folder
 
 _PERIODS = 8.0  # of the resonance, in a step response
 _STEP_POINTS = 600
 _MIN_PENCIL = 1e-10  # of the largest; eigenvalues of smaller ones are at infinity
+_SHARED = (
+    "The results come from the same logs ({}): their errors are not independent, so that no test"
+    " of a difference applies"
+)
 _MAX_SHOWN_STD = 0.2  # relative; wider intervals would set the scale of the figure
 
 
@@ -56,13 +61,27 @@ def read_results(paths: Mapping[str, Path]) -> list[NamedResult]:
     return [NamedResult(name, path, sw.read_result(path)) for name, path in paths.items()]
 
 
-def parameter_rows(results: Sequence[NamedResult]) -> list[dict[str, Any]]:
-    """One row per parameter: value, interval and change from the first result."""
+def shared_logs(workspace: Workspace, results: Sequence[NamedResult]) -> list[str]:
+    """Names of the logs that several results come from, by their studies in the folder."""
+    counts: Counter[Path] = Counter()
+    for one in results:
+        study = one.result.document.get("study", {})
+        with suppress(InvalidInput):  # the study was deleted, or lies elsewhere
+            files = workspace.files_named(workspace.study(str(study.get("path", ""))))
+            counts.update({path for path in files if path.suffix != ".urdf"})
+    return sorted(path.name for path, count in counts.items() if count > 1)
+
+
+def parameter_rows(
+    results: Sequence[NamedResult], *, are_independent: bool = True
+) -> list[dict[str, Any]]:
+    """One row per parameter: value, interval, and change from the first result if independent."""
     rows = []
     for key in dict.fromkeys(p.key for one in results for p in one.result if p.value is not None):
         estimates = [_estimate(one, key) for one in results]
         unit = next(p.unit for p in estimates if p is not None)
-        cells = [_cell(p, None if p is estimates[0] else estimates[0]) for p in estimates]
+        first = estimates[0] if are_independent else None
+        cells = [_cell(p, None if p is first else first) for p in estimates]
         rows.append({"label": label_of(*key), "unit": unit, "cells": cells})
     return rows
 
@@ -236,7 +255,10 @@ def compare(request: Request, body: Body) -> object:
     results = _chosen(request, body.get("paths"))
     document: dict[str, Any] | None = None
     note = ""
+    shared = shared_logs(workspace_of(request), results)
     try:
+        if shared:
+            raise InvalidInput(_SHARED.format(", ".join(shared)))
         estimates = monitoring.read_estimates([one.path for one in results])
         document = to_document(monitoring.compare(estimates))
     except InvalidInput as error:
@@ -244,7 +266,7 @@ def compare(request: Request, body: Body) -> object:
     first = read_figures(results[0].path.parent / "report.html")
     return {
         "names": [one.name for one in results],
-        "rows": parameter_rows(results),
+        "rows": parameter_rows(results, are_independent=not shared),
         "intervals": plotly(interval_figure(results)),
         "test": document,
         "note": note,

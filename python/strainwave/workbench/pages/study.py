@@ -22,6 +22,7 @@ from strainwave.domain.arm.description import Motion
 from strainwave.domain.arm.link_sensors import key_texts
 from strainwave.domain.study import KeyKind, StudyKey, study_keys
 from strainwave.errors import InvalidInput
+from strainwave.init import count_todos
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.tables import open_table
@@ -257,7 +258,7 @@ def _state(request: Request, path: Path) -> dict[str, Any]:
         state["experiments"] = _experiments(document)
         state["channels"] = _channels(document)
         state["columns"] = _columns(document, partial(workspace.file_of, path))
-        state["todos"] = sum(f["is_todo"] for group in state["groups"] for f in group["fields"])
+        state["todos"] = count_todos(text)
         workspace.study(workspace.relative(path))
         state["arm"] = plotly(arm_picture(read_study(path).arm))
     except InvalidInput as error:
