@@ -20,6 +20,9 @@ from workbench_client import make_client
 pytest.importorskip("uvicorn")
 
 
+ESTIMATE = "/api/estimate/arm/study.toml"
+
+
 def serve(*arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "strainwave", "serve", *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
@@ -63,6 +66,39 @@ def test_a_run_does_not_block_the_pages(server: Any) -> None:
         assert time.perf_counter() - begin < 10.0  # a run takes longer on a loaded machine
     assert runs.get("one").state in ("waiting", "running", "done")
     runs.cancel("one")
+
+
+def test_ten_runs_at_once_all_end_and_the_pages_answer(server: Any) -> None:
+    get(server, "/api/check/arm/study.toml", b"{}")
+    bodies = [{"name": f"run-{k}", "stages": "rigid", "options": {}} for k in range(10)]
+    with ThreadPoolExecutor(10) as pool:
+        list(pool.map(lambda b: get(server, ESTIMATE, json.dumps(b).encode()), bodies))
+    states = {"waiting"}
+    while states & {"waiting", "running"}:
+        begin = time.perf_counter()
+        get(server, "/estimate/arm/study.toml")
+        assert time.perf_counter() - begin < 10.0  # 0.2 s on a quiet machine
+        states = {run["state"] for run in json.loads(get(server, ESTIMATE))["runs"]}
+        time.sleep(0.2)
+    assert states == {"done"}
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.4, 1.2])
+def test_a_run_ends_as_it_should_whenever_the_server_is_killed(
+    folder: Path, start_server: Any, delay: float
+) -> None:
+    server = start_server(folder)
+    get(server, "/api/check/arm/study.toml", b"{}")
+    body = {"name": "one", "stages": "rigid", "options": {}}
+    get(server, ESTIMATE, json.dumps(body).encode())
+    time.sleep(delay)
+    server.stop(at_once=True)
+    again = start_server(folder)
+    limit = time.monotonic() + 120.0
+    while (run := json.loads(get(again, ESTIMATE))["runs"][0])["state"] in ("waiting", "running"):
+        assert time.monotonic() < limit
+        time.sleep(0.2)
+    assert (run["state"], run["status"]) == ("done", "determined")
 
 
 def test_clients_on_different_studies_do_not_mix(server: Any) -> None:
