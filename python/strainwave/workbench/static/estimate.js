@@ -26,6 +26,9 @@ function progressCell(run) {
   follow(run.name, (event) => {
     if (event.progress?.fraction != null) bar.value = event.progress.fraction;
     text.textContent = event.progress?.activity ?? WAITING[event.state] ?? event.state;
+    const row = bar.closest("tr");
+    if (!row || !isActive(event)) return;
+    row.dataset.state = row.querySelector(".badge").textContent = event.state;
   }, () => act(null, refresh));
   return make("td", {}, bar, text);
 }
