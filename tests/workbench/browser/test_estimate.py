@@ -61,3 +61,26 @@ def test_a_run_is_started_and_cancelled_by_keyboard(visit: Any) -> None:
     press_until_focus(page, "Cancel")
     page.keyboard.press("Enter")
     page.wait_for_selector("tr[data-state='cancelled']")
+
+
+def test_several_runs_share_one_stream_and_a_typed_name_stays(visit: Any) -> None:
+    page = visit.open("/check/arm/study.toml")
+    page.click("#check")
+    page.wait_for_selector("#state[data-state=consistent]")
+    page = visit.open("/estimate/arm/study.toml")
+    page.wait_for_selector("#start:not([disabled])")
+    streams: list[str] = []
+    page.on("request", lambda r: streams.append(r.url) if "run-events" in r.url else None)
+    page.check("input[value='rigid']")
+    page.dblclick("#start")  # starts one run
+    page.wait_for_selector("tr[data-run='identify-1']")
+    for number in range(2, 9):
+        page.fill("#name", f"run {number}")
+        page.click("#start")
+        page.wait_for_selector(f"tr[data-run='run {number}']")
+    page.fill("#name", "typed while runs end")
+    for number in range(2, 9):
+        page.wait_for_selector(f"tr[data-run='run {number}'][data-state='done']")
+    assert page.locator("tr[data-run]").count() == 8
+    assert page.input_value("#name") == "typed while runs end"
+    assert len(streams) <= 8  # one for each set of runs, the former one closed

@@ -51,3 +51,29 @@ def test_from_logs_to_a_complete_study(visit: Any) -> None:
     page.select_option("#channel-a1-column", "a2")
     visit.wait_until("document.querySelector('#text').value.includes('column = \"a2\"')")
     assert read_study(visit.folder / "rig" / "study.toml").channels["a1"].column == "a2"
+
+
+def test_typed_text_survives_a_change_of_the_form(visit: Any) -> None:
+    file = visit.folder / "arm" / "study.toml"
+    page = visit.open("/study/arm/study.toml")
+    page.wait_for_selector("#state[data-state=valid]")
+    text = page.locator("#text")
+    text.fill(f"# typed\n{text.input_value()}")
+    page.fill("#field-joint-0-gear_ratio", "0.02")
+    page.fill("#field-joint-1-gear_ratio", "0.03")  # before the first change is saved
+    page.keyboard.press("Tab")
+    visit.wait_until("document.querySelector('#text').value.includes('gear_ratio = 0.03')")
+    assert text.input_value().startswith("# typed\n")
+    assert file.read_text() == text.input_value()
+    assert [joint.gear_ratio for joint in read_study(file).arm.joints] == [0.02, 0.03]
+
+
+def test_leaving_with_typed_text_asks(visit: Any) -> None:
+    page = visit.open("/study/arm/study.toml")
+    page.wait_for_selector("#state[data-state=valid]")
+    page.locator("#text").press("x")
+    asked: list[str] = []
+    page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
+    page.click("text=Check >> nth=0")
+    page.wait_for_selector("#check")
+    assert asked == ["beforeunload"]
