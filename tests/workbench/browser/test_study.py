@@ -73,7 +73,12 @@ def test_leaving_with_typed_text_asks(visit: Any) -> None:
     page.wait_for_selector("#state[data-state=valid]")
     page.locator("#text").press("x")
     asked: list[str] = []
-    page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
+
+    def accept(dialog: Any) -> None:
+        asked.append(dialog.type)
+        dialog.accept()
+
+    page.on("dialog", accept)
     page.click("text=Check >> nth=0")
     page.wait_for_selector("#check")
     assert asked == ["beforeunload"]
