@@ -248,7 +248,7 @@ def test_a_file_without_read_permission_is_rejected(tmp_path: Path) -> None:
 
 names = st.text(
     st.characters(codec="utf-8", categories=("L", "N", "P", "Zs")), min_size=1, max_size=12
-)
+).filter(lambda name: "TODO" not in name)  # which stands for a value that is missing
 sizes = st.floats(0.01, 1.0)
 joint = st.builds(
     Joint,
