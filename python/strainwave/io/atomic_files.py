@@ -66,7 +66,8 @@ def _write_whole(folder: Path, contents: Mapping[str, bytes]) -> None:
 def read_bytes(path: Path, description: str) -> bytes:
     """A file's bytes; `description` names the file in the message of `InvalidInput`."""
     try:
-        if not stat.S_ISREG(path.stat().st_mode) and not path.is_dir():
+        mode = path.stat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
             raise InvalidInput(  # a pipe or a device may never end
                 f"{description} is not a regular file",
                 where=str(path),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import io
-import stat
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,7 +24,11 @@ MAX_MAGNITUDE = 1e60
 MAX_UNPACKED_BYTES = 1 << 31
 """[bytes] Largest unpacked size of a compressed log: 20 channels for 3 h at 1 kHz."""
 MAX_UNPACKED_RATIO = 200
-"""Largest ratio of the unpacked to the packed size; logs with constant columns reach some 50."""
+"""Largest ratio of the unpacked to the packed size.
+
+CSV of a clock and 20 constant columns reaches 62 by gzip and 156 by zstd, of 7 moving ones among 37
+it is 12.
+"""
 _MIN_REFUSED_BYTES = 1 << 26  # [bytes] a smaller log is read whatever its ratio
 _MAX_NAMES = 20  # names in a message
 _CHUNK_BYTES = 1 << 24  # [bytes] that are unpacked at a time
@@ -128,14 +131,6 @@ def open_table(path: Path) -> LogTable:
         remedy = f"use a file whose name ends in {', '.join(_OPENERS)}, or a bag"
         remedy = "save the sheet as CSV" if suffix in _SPREADSHEETS else remedy
         raise InvalidInput("has an unknown file type", where=str(path), remedy=remedy)
-    try:
-        mode = path.stat().st_mode
-    except (OSError, ValueError):
-        mode = stat.S_IFREG  # `read_bytes` reports the fault
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # pipes and devices may never end
-        raise InvalidInput(
-            "is not a regular file", where=str(path), remedy="copy the log to a file on a disk"
-        )
     data = read_bytes(path, "the log")
     if packing:
         data = _unpack(data, path, _PACKINGS[packing])

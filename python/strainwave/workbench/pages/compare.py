@@ -40,7 +40,7 @@ _STEP_POINTS = 600
 _MIN_PENCIL = 1e-10  # of the largest; eigenvalues of smaller ones are at infinity
 _SHARED = (
     "The results come from the same logs ({}): their errors are not independent, so that no test"
-    " of a difference applies"
+    " of a difference applies."
 )
 _MAX_SHOWN_STD = 0.2  # relative; wider intervals would set the scale of the figure
 
@@ -254,15 +254,14 @@ def compare(request: Request, body: Body) -> object:
     """Parameters, joint test, and the joints that have figures."""
     results = _chosen(request, body.get("paths"))
     document: dict[str, Any] | None = None
-    note = ""
     shared = shared_logs(workspace_of(request), results)
-    try:
-        if shared:
-            raise InvalidInput(_SHARED.format(", ".join(shared)))
-        estimates = monitoring.read_estimates([one.path for one in results])
-        document = to_document(monitoring.compare(estimates))
-    except InvalidInput as error:
-        note = message_of(request, error)
+    note = _SHARED.format(", ".join(shared)) if shared else ""
+    if not shared:
+        try:
+            estimates = monitoring.read_estimates([one.path for one in results])
+            document = to_document(monitoring.compare(estimates))
+        except InvalidInput as error:
+            note = message_of(request, error)
     first = read_figures(results[0].path.parent / "report.html")
     return {
         "names": [one.name for one in results],
