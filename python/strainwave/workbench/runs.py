@@ -110,7 +110,7 @@ class Runs:
                 )
         finally:
             os.close(lock)
-        threading.Thread(target=process.wait, daemon=True).start()  # no zombie stays
+        threading.Thread(target=process.wait, daemon=True).start()  # reaps the process
         return replace(run, group=process.pid)
 
     def cancel(self, name: str) -> Run:
