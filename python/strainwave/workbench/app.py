@@ -17,7 +17,9 @@ from strainwave.workbench.pages import (
     compare,
     design,
     estimate,
+    experiments,
     home,
+    import_logs,
     runs,
     signals,
     study,
@@ -27,7 +29,10 @@ from strainwave.workbench.security import Guard, allowed_hosts
 from strainwave.workbench.web import HANDLED, HERE, error_response
 from strainwave.workbench.workspace import Workspace
 
-_PAGES = (home, study, check, signals, estimate, compare, by_hand, design, virtual, runs)
+_PAGES = (
+    *(home, import_logs, study, experiments, check, signals, estimate),
+    *(compare, by_hand, design, virtual, runs),
+)
 ROUTES = [route for page in _PAGES for route in page.routes]
 
 

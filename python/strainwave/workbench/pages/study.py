@@ -1,4 +1,4 @@
-"""Page "Study": channels, rig data, a picture of the arm, experiments, and the file itself."""
+"""Page "Study": channels, rig data, a picture of the arm, and the file itself."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from tomlkit.items import Whitespace
 
-from strainwave.domain import Use, channel_names
+from strainwave.domain import channel_names
 from strainwave.domain.arm import gear_laws, kinds
 from strainwave.domain.arm.description import Motion
 from strainwave.domain.arm.link_sensors import key_texts
@@ -31,6 +31,7 @@ from strainwave.report.document.predictions import unit_of
 from strainwave.report.document.rig import arm_picture
 from strainwave.report.figures import Axis, Figure, line_panel
 from strainwave.report.plotly_backend import plotly
+from strainwave.workbench.pages.experiments import experiments_of
 from strainwave.workbench.study_edit import (
     TODO,
     KeyChange,
@@ -180,16 +181,6 @@ def _numbers(text: str) -> list[Any]:
 
 routes = Routes()
 
-_EXPERIMENT = (  # key, title, kind, choices, and whether the value is a list of texts
-    ("name", "Name", "text", (), False),
-    ("file", "File", "text", (), False),
-    ("use", "Use", "choice", get_args(Use), False),
-    ("joint", "Joint", "number", (), False),
-    ("control", "Control", "text", (), True),
-    ("start", "Start [s]", "number", (), False),
-    ("stop", "Stop [s]", "number", (), False),
-)
-
 
 @routes.page("/study/{study:path}")
 def _show_study(request: Request) -> Response:
@@ -255,7 +246,7 @@ def _state(request: Request, path: Path) -> dict[str, Any]:
             {"title": title, "fields": [asdict(field) for field in fields]}
             for title, fields in field_groups(document).items()
         ]
-        state["experiments"] = _experiments(document)
+        state["experiments"] = experiments_of(document)
         state["channels"] = _channels(document)
         state["columns"] = _columns(document, partial(workspace.file_of, path))
         state["todos"] = count_todos(text)
@@ -264,27 +255,6 @@ def _state(request: Request, path: Path) -> dict[str, Any]:
     except InvalidInput as error:
         state["error"] = message_of(request, error)
     return state
-
-
-def _experiments(document: Mapping[str, Any]) -> list[dict[str, Any]]:
-    rows = []
-    for index, experiment in enumerate(tables_of(document, "experiment")):
-        cells = []
-        for key, title, kind, choices, is_list in _EXPERIMENT:
-            value = experiment.get(key)
-            shown = ", ".join(map(str, value)) if isinstance(value, list) else value
-            cells.append(
-                {
-                    "place": ["experiment", index, key],
-                    "title": title,
-                    "kind": kind,
-                    "choices": choices,
-                    "value": "" if shown is None else str(shown),
-                    "is_list": is_list,
-                }
-            )
-        rows.append({"name": str(experiment.get("name", "")), "cells": cells})
-    return rows
 
 
 def _channels(document: Mapping[str, Any]) -> list[dict[str, Any]]:

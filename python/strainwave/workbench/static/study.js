@@ -1,5 +1,6 @@
 // Page "Study": the form and the text show the same file; every change is saved at once.
 import { act, address, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
+import { showExperiments } from "./experiments.js";
 import { draw } from "./figures.js";
 
 const api = (name) => `/api/${name}/${address(study)}`;
@@ -10,7 +11,7 @@ let saving = Promise.resolve();
 const isTyped = () => state !== undefined && byId("text").value !== state.text;
 
 // Save the changes one after the other; a change of the form applies to the text as typed so far.
-function save(changes) {
+export function save(changes) {
   const saved = saving.then(async () => {
     const text = isTyped() ? { text: byId("text").value } : {};
     state = await postJson(api("study"), { sha256: state.sha256, changes, ...text });
@@ -23,7 +24,7 @@ function save(changes) {
 // Save one key; the focus stays where the user moved it.
 const saveField = (control, entry) => act(control, () => save([{ ...entry, value: control.value }]));
 
-function fieldControl(id, entry, attributes = {}) {
+export function fieldControl(id, entry, attributes = {}) {
   const { kind, choices, value } = entry;
   const control = kind === "choice"
     ? make("select", { id, ...attributes }, ...(choices.includes(value) ? [] : [make("option", { value }, value || "default")]), ...choices.map((one) => make("option", {}, one)))
@@ -82,14 +83,6 @@ function showChannels() {
   byId("channels").replaceChildren(...used.map(channelRow));
 }
 
-function showExperiments() {
-  const heads = state.experiments[0]?.cells.map((cell) => make("th", { scope: "col" }, cell.title)) ?? [];
-  byId("experiment-heads").replaceChildren(...heads);
-  byId("experiments").replaceChildren(...state.experiments.map((row, index) => make("tr", {}, ...row.cells.map((cell) =>
-    make("td", {}, fieldControl(`experiment-${index}-${cell.place[2]}`, cell,
-      { "aria-label": `${cell.title} of ${row.name}`, class: cell.kind === "number" ? "short" : null }))))));
-}
-
 async function show() {
   const focus = document.activeElement?.id;
   byId("state").textContent = state.error ?? "The study is complete and has no errors.";
@@ -102,7 +95,7 @@ async function show() {
   byId("preview-record").replaceChildren(...state.experiments.map((row) => make("option", {}, row.name)));
   if (state.experiments.some((row) => row.name === record)) byId("preview-record").value = record;
   showChannels();
-  showExperiments();
+  showExperiments(state);
   if (focus) byId(focus)?.focus({ preventScroll: true });
   byId("arm").hidden = !state.arm;
   byId("no-arm").hidden = Boolean(state.arm);
