@@ -150,7 +150,7 @@ function goTo({ place }) {
 
 // From a field to the next missing one, in the order of the page.
 function goToNext(event) {
-  if (event.key !== "Enter" || !event.target.matches("input[id^=field-]")) return;
+  if (event.key !== "Enter" || event.ctrlKey || event.metaKey || !event.target.matches("input[id^=field-]")) return;
   const others = state.missing.filter(({ place }) => byId(idOf(place)) && idOf(place) !== event.target.id);
   const isBelow = ({ place }) => event.target.compareDocumentPosition(byId(idOf(place))) & Node.DOCUMENT_POSITION_FOLLOWING;
   const next = others.find(isBelow) ?? others[0];

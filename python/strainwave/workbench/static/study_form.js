@@ -85,16 +85,6 @@ function unitMenu(row, update) {
   return menu;
 }
 
-// A button that opens an explanation.
-export function tip(title, explanation) {
-  const button = make("button", { type: "button", class: "tip", "aria-label": `About ${title}`, "aria-expanded": "false", "aria-controls": explanation.id }, "?");
-  button.addEventListener("click", () => {
-    explanation.hidden = !explanation.hidden;
-    button.setAttribute("aria-expanded", String(!explanation.hidden));
-  });
-  return button;
-}
-
 function explanationOf(row, columns) {
   const { range, unit } = row.key, text = row.key.default.replaceAll("`", "");
   const reasons = row.fields.map((field, k) => field.reason && `${columns.length > 1 ? `${columns[k]}: ` : ""}${field.reason}`);
@@ -120,7 +110,7 @@ function buildRow(row, group) {
   const body = make("tbody");
   const update = () => updateRow(body, body.row, body.group);
   body.append(
-    make("tr", {}, make("th", { scope: "row" }, title, tip(title, explanation)), make("td", { class: "unit" }, unitMenu(row, update)),
+    make("tr", {}, make("th", { scope: "row" }, title, make("button", { type: "button", class: "tip", "aria-label": `About ${title}`, "aria-expanded": "false", "aria-controls": explanation.id }, "?")), make("td", { class: "unit" }, unitMenu(row, update)),
       ...row.fields.map((field, k) => make("td", {}, fieldControl(idOf(field.place), entryOf(row, field), { "aria-label": group.columns.length > 1 ? `${title} of ${group.columns[k].toLowerCase()}` : title }))),
       ...(group.columns.length > 1 ? [make("td", {}, copyButton(`Copy ${title} of joint 1 to all joints`, "copy", () => [body.row]))] : [])),
     explanation);
