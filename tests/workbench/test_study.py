@@ -13,8 +13,8 @@ from strainwave.io.study import read_study
 
 pytest.importorskip("starlette")
 
-from strainwave.workbench.pages.study import field_groups, value_of
 from strainwave.workbench.study_edit import KeyChange, changed_text, edit_study, parse_draft
+from strainwave.workbench.study_form import drawn_arm, form_groups, missing_values, value_of
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
@@ -35,6 +35,12 @@ gear_ratio = 0.01
 [servo]
 kp = [TODO, TODO]  # gains
 """
+SERVO = (
+    ("period", "Period"),
+    ("kp", "Proportional gain"),
+    ("ki", "Integral gain"),
+    ("limit", "Voltage limit"),
+)
 
 
 def saved(client: TestClient, *changes: dict[str, Any], sha256: str | None = None) -> Any:
@@ -61,10 +67,11 @@ def test_a_change_keeps_comments_and_is_read_by_the_command_line(
 def test_a_file_of_the_command_line_is_shown(client: TestClient, folder: Path) -> None:
     edit_study(folder / "arm" / "study.toml", [KeyChange(("joint", 1, "gear_ratio"), 0.0125)])
     groups = client.get(API).json()["groups"]
-    (joint,) = [group for group in groups if group["title"] == "Joint 2"]
-    (field,) = [f for f in joint["fields"] if f["key"]["key"] == "gear_ratio"]
-    assert field["value"] == "0.0125"
-    assert field["key"]["range"] == [1e-4, 1.0]
+    (joints,) = [group for group in groups if group["title"] == "Joints"]
+    (row,) = [row for row in joints["rows"] if row["key"]["key"] == "gear_ratio"]
+    assert row["fields"][1]["value"] == "0.0125"
+    assert row["key"]["range"] == [1e-4, 1.0]
+    assert [unit["name"] for unit in row["units"]] == ["n", "1/n"]
 
 
 def test_a_file_that_changed_in_the_meantime_is_not_overwritten(
@@ -112,15 +119,76 @@ def test_a_column_is_mapped_scaled_and_removed(client: TestClient, folder: Path)
     assert "a1" not in read_study(study).channels
 
 
-def test_todo_values_are_marked_and_survive_other_changes() -> None:
+def test_todo_values_are_listed_and_survive_other_changes() -> None:
     document = parse_draft(DRAFT, Path("study.toml"))
-    groups = field_groups(document)
-    missing = [f.place for fields in groups.values() for f in fields if f.is_todo]
-    assert missing == [("arm", "link_length"), ("joint", 0, "gear_ratio"), ("servo", "kp")]
-    reasons = {f.key.key: f.reason for f in groups["Arm"]}
-    assert reasons["link_length"] == "[m] measured"
+    missing = missing_values(document, form_groups(document))
+    assert [(each.place, each.title) for each in missing] == [
+        (("arm", "link_length"), "Link length"),
+        (("joint", 0, "gear_ratio"), "Gear ratio of joint 1"),
+        *((("servo", name), title) for name, title in SERVO),
+    ]
+    assert missing[0].hint == "[m] measured"
     text = changed_text(DRAFT, [KeyChange(("arm", "link_length"), 0.35)], Path("study.toml"))
     assert text == DRAFT.replace("link_length = TODO", "link_length = 0.35")
+
+
+def test_missing_values_of_channels_and_experiments_are_listed() -> None:
+    text = """[channels]
+sample_rate = TODO
+a1 = { column = "acc", scale = TODO }  # counts of the sensor
+gyro1 = "TODO"
+[[experiment]]
+name = "chirp"
+prbs = { order = 10, amplitude = TODO }
+"""
+    document = parse_draft(text, Path("study.toml"))
+    missing = missing_values(document, form_groups(document))[1:]  # after the kind of the arm
+    assert [(each.place, each.title, each.hint) for each in missing] == [
+        (("channels", "sample_rate"), "Sampling rate", "of logs without a time column"),
+        (("channels", "a1", "scale"), "scale of a1", "counts of the sensor"),
+        (("channels", "gyro1", "column"), "column of gyro1", ""),
+        (("experiment", 0, "prbs", "amplitude"), "prbs.amplitude of experiment chirp", ""),
+    ]
+
+
+def test_a_cleared_value_is_missing_if_the_study_needs_it(client: TestClient) -> None:
+    state = saved(client, change(["joint", 1, "gear_ratio"], "")).json()
+    assert [each["title"] for each in state["missing"]] == ["Gear ratio of joint 2"]
+    assert "gear_ratio" in state["error"]
+
+
+def test_the_arm_is_drawn_while_values_are_missing(client: TestClient, folder: Path) -> None:
+    study = folder / "arm" / "study.toml"
+    study.write_text(DRAFT)
+    state = client.get(API).json()
+    assert state["error"]
+    assert "its length is missing" in state["caption"]
+    assert state["arm"]["data"]
+    arm, note = drawn_arm(parse_draft(DRAFT.replace("h = TODO", "h = 0.4"), study), study)
+    assert (arm.joints[1].origin.xyz[0], note) == (0.4, "")
+
+
+def test_a_serial_arm_without_positions_says_which_are_missing() -> None:
+    text = """[arm]
+kind = "serial"
+[[joint]]
+origin = { xyz = [0, 0, 0.3], rpy = [TODO, TODO, TODO] }
+axis = [TODO, TODO, TODO]
+[[joint]]
+gear_ratio = TODO
+"""
+    arm, note = drawn_arm(parse_draft(text, Path("study.toml")), Path("study.toml"))
+    assert arm.joints[0].origin.xyz == (0.0, 0.0, 0.3)
+    assert note == "No position is given of joint 2: see Placement."
+
+
+def test_a_urdf_outside_the_folder_is_not_drawn(client: TestClient, folder: Path) -> None:
+    (folder.parent / "secret.urdf").write_text("<robot name='x'/>")
+    draft = '[arm]\nkind = "serial"\nurdf = "../../secret.urdf"\n[[joint]]\ngear_ratio = TODO\n'
+    (folder / "arm" / "study.toml").write_text(draft)
+    state = client.get(API).json()
+    assert state["arm"] is None
+    assert state["error"]
 
 
 @pytest.mark.parametrize(
@@ -139,6 +207,42 @@ def test_todo_values_are_marked_and_survive_other_changes() -> None:
 )
 def test_values_of_fields(text: str, kind: Any, value: object) -> None:
     assert value_of(text, kind) == value
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "unit", "chosen", "value"),
+    [
+        ("100:1", "number", "link turns per motor turn", "", 0.01),
+        ("-1:160", "number", "link turns per motor turn", "", -0.00625),
+        ("160", "number", "link turns per motor turn", "1/n", 0.00625),
+        ("160", "number", "link turns per motor turn", "n", 160),
+        ("3.5 mN m/V", "number", "N m/V", "", 0.0035),
+        ("3.5", "number", "N m/V", "mN m/V", 0.0035),
+        ("3.5 N·m/V", "number", "N m/V", "mN m/V", 3.5),
+        ("1e3", "number", "Hz", "kHz", 1e6),
+        ("30 deg", "number", "rad", "", 0.523598775598299),
+        ("0, 0, 90 deg", "numbers", "rad", "", [0, 0, 1.5707963267949]),
+        ("[10, 20, 0.3 m] mm", "numbers", "m", "", [0.01, 0.02, 0.3]),
+        ("unknown", "number", "N m/V", "mN m/V", "unknown"),
+    ],
+)
+def test_values_with_units_are_saved_in_si(
+    text: str, kind: Any, unit: str, chosen: str, value: object
+) -> None:
+    assert value_of(text, kind, unit, chosen) == value
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"), [("3 mN m", "m"), ("100:1", "m"), ("5 deg", "counts"), ("3 furlong", "m")]
+)
+def test_a_unit_of_another_quantity_is_refused(text: str, unit: str) -> None:
+    with pytest.raises(InvalidInput, match="is no unit of the value"):
+        value_of(text, "number", unit)
+
+
+def test_zero_has_no_reciprocal() -> None:
+    with pytest.raises(InvalidInput, match="zero has no reciprocal"):
+        value_of("0", "number", "link turns per motor turn", "1/n")
 
 
 @pytest.mark.parametrize("text", ["0,5x", "1 2", "true", "[1, [2]]"])

@@ -203,6 +203,7 @@ class StudyKey:
     key: str  # dotted for a table in the table: "imu.xyz"
     title: str = ""
     kind: KeyKind = "number"
+    group: Literal["placement", "drive", "sensors", ""] = ""  # of a joint
     serial: bool | None = None
     unit: str = ""
     range: Sequence[float] | None = None  # smallest and largest

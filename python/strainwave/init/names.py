@@ -1,13 +1,12 @@
 """Parse column names: quantity, joint, unit, side of the gear, desired or actual.
 
-The words, phrases and units of languages and robot systems are data: words.toml.
+The words and phrases of languages and robot systems are data: words.toml; units: units.toml.
 """
 
 from __future__ import annotations
 
 import re
 import tomllib
-import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 from strainwave.domain import channel_kinds
 from strainwave.domain.arm.kinds import KINDS
+from strainwave.init.units import key_of, normalised, spellings
 
 Quantity = Literal[
     "temperature",
@@ -109,19 +109,6 @@ def _vocabulary() -> dict[tuple[str, ...], set[tuple[str, str]]]:
     return vocabulary
 
 
-def _spellings(group: str) -> Iterator[tuple[str, float]]:
-    """The units of a group of the table, or of its rates: `rotation/s`, `length/s2`."""
-    name, _, per = group.partition("/")
-    endings = {
-        "": ("",),
-        "s": ("/s", "s", "ps", "pers", "s1", "/sec", "sec", "persec", "/秒"),
-        "s2": ("/s2", "s2", "ps2", "pers2", "/s/s", "ss", "pss", "/sec2"),
-    }[per]
-    for texts, factor in _TABLE["units"][name].items():
-        for text in texts.split():
-            yield from ((text + ending, factor) for ending in endings)
-
-
 _VOCABULARY = _vocabulary()
 _LONGEST_PHRASE = max(map(len, _VOCABULARY))
 _SYMBOLS = set(_TABLE["derivative"]["symbols"].split())
@@ -139,21 +126,21 @@ _OF_IMU: Mapping[Quantity | None, Quantity] = {
 _COMMANDS = set(_TABLE["role"]["command"].split())
 
 UNITS: dict[Quantity, dict[str, float]] = {
-    quantity: {text: factor for group in groups.split() for text, factor in _spellings(group)}
+    quantity: {text: factor for group in groups.split() for text, factor in spellings(group)}
     for quantity, groups in _TABLE["quantity_units"].items()
 }
 """Quantity -> unit -> factor to SI."""
 UNITS["reference"] = UNITS["angle"] | UNITS["velocity"]
-_OPEN = dict(_spellings("open")) | {f"{t}/s": f for t, f in _spellings("open")}
+_OPEN = dict(spellings("open")) | {f"{t}/s": f for t, f in spellings("open")}
 LINEAR = frozenset(
-    text for group in ("length", "length/s", "force") for text, _ in _spellings(group)
+    text for group in ("length", "length/s", "force") for text, _ in spellings(group)
 )
 """Units of a prismatic joint."""
 
 
 def find_unit(text: str, quantity: Quantity | None, factor: float = 1.0) -> Unit | None:
     """The unit of a quantity in a text such as `deg/s`, `kgf.cm` or `0.1%`; None if it is none."""
-    key = re.sub(r"(?<!\d)\.|\.(?!\d)|[\s·⋅・*^_-]", "", _normalised(text).lower())
+    key = key_of(text)
     if quantity is None or not key:
         return None
     open_factors = _OPEN | UNITS["current"] if quantity == "current" else _OPEN
@@ -382,7 +369,7 @@ def system_entry(names: Sequence[str], key: str) -> Mapping[Quantity, str]:
 
 def words_of(name: str) -> tuple[str, ...]:
     """Return the words and numbers of a name in lower case."""
-    return tuple(token.lower() for token in _TOKEN.findall(_normalised(name)))
+    return tuple(token.lower() for token in _TOKEN.findall(normalised(name)))
 
 
 def last_number(words: Sequence[str]) -> int | None:
@@ -394,13 +381,6 @@ def position(words: Sequence[str], part: Sequence[str]) -> int | None:
     """Position at which `part` is in `words`, or None if it is empty or absent."""
     starts = range(len(words) - len(part) + 1) if part else ()
     return next((k for k in starts if tuple(words[k : k + len(part)]) == tuple(part)), None)
-
-
-def _normalised(text: str) -> str:
-    """Text without accents, in compatible characters; dots above a symbol become words."""
-    text = unicodedata.normalize("NFKD", re.sub("[º˚]", "°", text).replace("℃", "°c"))
-    text = re.sub("(?<=[qQθφ])\u0307", "dot", re.sub("(?<=[qQθφ])\u0308", "ddot", text))
-    return unicodedata.normalize("NFC", re.sub("[\u0300-\u036f]", "", text)).replace("ß", "ss")
 
 
 def _compounds(words: Sequence[str]) -> list[str]:

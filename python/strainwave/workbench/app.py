@@ -18,6 +18,7 @@ from strainwave.workbench.pages import (
     design,
     estimate,
     experiments,
+    help,
     home,
     import_logs,
     overview,
@@ -31,7 +32,7 @@ from strainwave.workbench.web import HANDLED, HERE, error_response
 from strainwave.workbench.workspace import Workspace
 
 _PAGES = (
-    *(home, import_logs, study, experiments, overview, check, signals, estimate),
+    *(home, help, import_logs, study, experiments, overview, check, signals, estimate),
     *(compare, by_hand, design, virtual, runs),
 )
 ROUTES = [route for page in _PAGES for route in page.routes]

@@ -9,6 +9,8 @@ import pytest
 
 import exports
 from strainwave.domain import ArmDescription, Joint, Origin
+from strainwave.domain.arm.description import Imu
+from strainwave.domain.arm.kinds import planar_two_link, single_joint
 from strainwave.report.document.rig import arm_picture, describe_arm
 from strainwave.report.figures import Figure, Line, Markers
 from strainwave.report.plotly_backend import plotly
@@ -62,6 +64,58 @@ def test_joints_in_one_place_share_a_label() -> None:
     assert isinstance(drawn, Markers)
     assert drawn.labels == ("shoulder", "joint2, joint3")
     assert "The 3 joints at zero angles" in describe_arm(arm)
+
+
+def test_a_planar_arm_is_seen_along_its_axes() -> None:
+    """In metres of its plane, with its sensors; the last link has no stated length."""
+    joints = (
+        Joint("linear", 0.01, accelerometer_distance=0.3),
+        Joint("linear", 0.01, imu=Imu(xyz=(0.2, 0.05, 0.0))),
+    )
+    figure = arm_picture(planar_two_link(joints, 0.35, 9.81))
+    (links,), (drawn,) = marks(figure, "links"), marks(figure, "joints")
+    np.testing.assert_allclose([links.x, links.y], [[0.0, 0.0, 0.35], [0.0, 0.0, 0.0]])
+    (sensors,) = marks(figure, "sensors")
+    assert isinstance(sensors, Markers)
+    assert sensors.labels == ("accelerometer 1", "IMU 2")
+    np.testing.assert_allclose([sensors.x, sensors.y], [[0.3, 0.55], [0.0, 0.05]])
+    (last,) = marks(figure, "last link, whose length is not given")
+    np.testing.assert_allclose(last.x, [0.35, 0.55])
+    assert (figure.x.title, figure.panels[0].axis.title) == ("x [m]", "y [m]")
+    gravity, _ = marks(figure, "gravity")
+    assert (gravity.x[1], gravity.y[1] < 0.0) == (0.0, True)
+    assert isinstance(drawn, Markers)
+    assert drawn.labels == ("joint1", "joint2")
+
+
+def test_a_single_joint_has_a_picture() -> None:
+    slide = single_joint(Joint("rigid", 1.0, motion="prismatic"))
+    (direction,) = marks(arm_picture(slide), "direction of prismatic joints")
+    assert np.ptp(direction.y) == 0.0
+    assert np.ptp(direction.x) > 0.0
+    assert describe_arm(slide).startswith("The joint at zero angles, as the study places it.")
+
+
+@pytest.mark.parametrize("arm", [CHAIN, planar_two_link((Joint("rigid", 0.1),) * 2, 0.35)])
+def test_the_axis_of_each_joint_follows_the_links(arm: ArmDescription) -> None:
+    """The form marks the joint that is edited at the middle of its axis."""
+    _, *axes = arm_picture(arm).marks
+    centres = [(np.mean(mark.x), np.mean(mark.y)) for mark in axes[: arm.n_joints]]
+    (joints,) = marks(arm_picture(arm), "joints")
+    np.testing.assert_allclose(centres, np.transpose([joints.x, joints.y]), atol=1e-12)
+
+
+def test_sensors_of_a_chain_are_at_their_places() -> None:
+    """Joint 2 turns by pi/2 about z, so that its link's x axis is y of the base."""
+    turned = Origin((0.5, 0.0, 0.0), (0.0, 0.0, 0.5 * np.pi))
+    joint = Joint("rigid", 0.01, origin=turned, accelerometer_distance=0.2)
+    figure = arm_picture(ArmDescription("serial", (Joint("rigid", 0.01), joint)))
+    (sensors,), (joints,) = marks(figure, "sensors"), marks(figure, "joints")
+    y_tip = marks(figure, "frame of the base")[1]
+    moved = np.array([sensors.x[0] - joints.x[1], sensors.y[0] - joints.y[1]])
+    along_y = np.array([y_tip.x[1], y_tip.y[1]])
+    size = np.hypot(0.5, 0.2)  # of the arm with its sensor; axes of the base have a fifth of it
+    np.testing.assert_allclose(moved / 0.2, along_y / (0.2 * size))
 
 
 def test_both_back_ends_keep_scales_and_labels() -> None:

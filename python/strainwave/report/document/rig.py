@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
-from strainwave.domain import ArmDescription, FloatArray, Identification, SensorGain
+from strainwave.domain import ArmDescription, FloatArray, Identification, Joint, SensorGain
 from strainwave.domain.arm.kinds import kind_of
 from strainwave.domain.arm.link_sensors import all_types, key_texts
-from strainwave.domain.arm.link_sensors.link_space import attitude
+from strainwave.domain.arm.link_sensors.link_space import attitude, axes_about
 from strainwave.report import figures
 from strainwave.report.document import blocks
 from strainwave.report.document.blocks import Block, Cell, Facts, Row
-from strainwave.report.figures import Axis, Colour, Dash, Figure, Line, Mark, Markers, Panel
+from strainwave.report.figures import Axis, Colour, Figure, Line, Mark, Markers, Panel
 
 _NOT_GIVEN = "not given"
 _MAX_ROUNDING = 1e-12  # of a coordinate or an angle that frames of fixed joints were merged into
@@ -140,72 +141,103 @@ def _improvement(gain: SensorGain) -> float:
 
 
 _AZIMUTH, _ELEVATION = math.radians(-60.0), math.radians(25.0)  # of the eye, about the base
+_FROM_ABOVE = np.eye(3)[:2]  # the plane of motion of a planar arm
+_OBLIQUE = np.array(  # to the right and up in the view
+    [
+        [-math.sin(_AZIMUTH), math.cos(_AZIMUTH), 0.0],
+        [
+            -math.sin(_ELEVATION) * math.cos(_AZIMUTH),
+            -math.sin(_ELEVATION) * math.sin(_AZIMUTH),
+            math.cos(_ELEVATION),
+        ],
+    ]
+)
 _AXIS_SHARE = 0.09  # half-length of a drawn axis over the size of the arm
 _ARROW_SHARE = 0.2  # length of the base's axes and of gravity over the size of the arm
+_END_SHARE = 0.6  # length of a planar arm's last link, if no sensor is on it, over the size
 _SAME_PLACE = 1e-3  # distance of joints with one label over the size of the arm
 _HEIGHT = 2.0  # of the figure, in panels
-_JOINT_SIZE = 9.0  # [px]
+_JOINT_SIZE, _SENSOR_SIZE = 9.0, 7.0  # [px]
 
 
 def arm_picture(arm: ArmDescription) -> Figure:
-    """The arm in parallel projection, seen from the front right and above."""
+    """The arm at zero angles: joints, axes, and sensors at known places on the links.
+
+    Planar arms are seen along their axes; others in parallel projection, from the front right and
+    above. The first mark is the links, then there is one for the axis of each joint, in order.
+    """
+    is_planar = kind_of(arm).places_joints
+    view = _FROM_ABOVE if is_planar else _OBLIQUE
+
+    def line(points: Sequence[FloatArray], name: str, colour: str, **style: Any) -> Line:
+        return Line(*(view @ np.transpose(points)), name, colour, **{"width": 3.0} | style)
+
     turn, place = np.eye(3), np.zeros(3)
     origins, axes = list[FloatArray](), list[FloatArray]()
-    for joint in arm.joints:  # in the frame of the base
+    sensors: list[tuple[str, FloatArray]] = []
+    for number, joint in enumerate(arm.joints, start=1):  # in the frame of the base
         place = place + turn @ joint.origin.xyz
         turn = turn @ attitude(joint.origin.rpy)
         origins.append(place)
         axes.append(turn @ joint.axis / np.linalg.norm(joint.axis))
-    size = float(np.linalg.norm(origins, axis=1).max()) or 1.0
+        for label, position in _sensor_positions(joint):
+            sensors.append((f"{label} {number}", place + turn @ position))
     base = np.zeros(3)
-    marks: list[Mark] = [_line([base, *origins], "links", Colour.RESIDUAL, width=5.0)]
+    reach = [float(np.linalg.norm(each)) for each in (*origins, *(at for _, at in sensors))]
+    size = max(reach) or 1.0
+    marks: list[Mark] = [line([base, *origins], "links", Colour.RESIDUAL, width=5.0)]
     for joint, origin, axis in zip(arm.joints, origins, axes, strict=True):
         name, colour, dash = "axes of revolute joints", Colour.MEASURED, figures.SOLID
         if joint.motion == "prismatic":
             name, colour, dash = "direction of prismatic joints", Colour.TUNED, figures.SHORT_DASH
-        half = size * _AXIS_SHARE * axis
-        marks.append(_line([origin - half, origin + half], name, colour, dash))
+        half, is_seen = size * _AXIS_SHARE * axis, bool(np.any(view @ axis))
+        marks.append(line([origin - half, origin + half], name, colour, dash=dash, legend=is_seen))
+    if is_planar:  # its links lie along +x
+        on_last = [float(position[0]) for _, position in _sensor_positions(arm.joints[-1])]
+        length = max([0.0, *on_last]) or _END_SHARE * size
+        end = [place, place + np.array([length, 0.0, 0.0])]
+        name = "last link, whose length is not given"
+        marks.append(line(end, name, Colour.RESIDUAL, dash=figures.SHORT_DASH))
     arrows = {("frame of the base", Colour.LINEAR): dict(zip("xyz", np.eye(3), strict=True))}
     if arm.gravity:
         arrows["gravity", Colour.MODEL] = {"g": np.array(arm.gravity) / arm.gravity_size}
     for (name, colour), directions in arrows.items():
-        tips = [size * _ARROW_SHARE * each for each in directions.values()]
-        marks += [_line([base, tip], name, colour, width=1.5) for tip in tips]
-        marks.append(Markers(*_projected(tips), name, colour, 3.0, labels=tuple(directions)))
-    places: list[tuple[FloatArray, list[str]]] = []  # with the names of all joints there
+        labels = tuple(label for label, each in directions.items() if np.any(view @ each))
+        tips = [size * _ARROW_SHARE * directions[label] for label in labels]
+        marks += [line([base, tip], name, colour, width=1.5) for tip in tips]
+        marks.append(Markers(*(view @ np.transpose(tips)), name, colour, 3.0, labels=labels))
+    if sensors:
+        labels, places = zip(*sensors, strict=True)
+        x, y = view @ np.transpose(places)
+        marks.append(Markers(x, y, "sensors", Colour.AMBER, _SENSOR_SIZE, labels=labels))
+    joints: list[tuple[FloatArray, list[str]]] = []  # places, with the names of all joints there
     for origin, joint_name in zip(origins, arm.joint_names, strict=True):
-        near = [names for at, names in places if np.linalg.norm(at - origin) < _SAME_PLACE * size]
+        near = [names for at, names in joints if np.linalg.norm(at - origin) < _SAME_PLACE * size]
         if near:
             near[0].append(joint_name)
         else:
-            places.append((origin, [joint_name]))
-    labels = tuple(", ".join(names) for _, names in places)
-    points = _projected([place for place, _ in places])
-    marks.append(Markers(*points, "joints", Colour.MEASURED, _JOINT_SIZE, labels=labels))
-    panel = Panel(Axis("up in the view [m]"), tuple(marks), _HEIGHT)
-    return Figure(Axis("to the right in the view [m]"), (panel,), has_equal_scales=True)
+            joints.append((origin, [joint_name]))
+    names = tuple(", ".join(names) for _, names in joints)
+    x, y = view @ np.transpose([at for at, _ in joints])
+    marks.append(Markers(x, y, "joints", Colour.MEASURED, _JOINT_SIZE, labels=names))
+    right, up = ("x", "y") if is_planar else ("to the right in the view", "up in the view")
+    panel = Panel(Axis(f"{up} [m]"), tuple(marks), _HEIGHT)
+    return Figure(Axis(f"{right} [m]"), (panel,), has_equal_scales=True)
+
+
+def _sensor_positions(joint: Joint) -> Iterator[tuple[str, FloatArray]]:
+    """Sensors whose position in the frame of the joint's link is given, with their names."""
+    if joint.accelerometer_distance and joint.motion == "revolute":
+        yield "accelerometer", joint.accelerometer_distance * axes_about(joint.axis)[0]
+    if joint.imu is not None and joint.imu.xyz is not None:
+        yield "IMU", np.array(joint.imu.xyz)
 
 
 def describe_arm(arm: ArmDescription) -> str:
     """Caption of the picture."""
+    joints, them = (f"{arm.n_joints} joints", "them") if arm.n_joints > 1 else ("joint", "it")
+    placer = "and its URDF place" if arm.urdf else "places"
     return (
-        f"The {arm.n_joints} joints at zero angles, as the study"
-        f"{' and its URDF place' if arm.urdf else ' places'} them. The last link has no drawn end."
+        f"The {joints} at zero angles, as the study {placer} {them}. The length of the last link is"
+        " not given."
     )
-
-
-def _line(
-    points: Sequence[FloatArray],
-    name: str,
-    colour: str,
-    dash: Dash = figures.SOLID,
-    width: float = 3.0,
-) -> Line:
-    return Line(*_projected(points), name, colour, dash, width)
-
-
-def _projected(points: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Right and up components of points in the view, (n_points,) both."""
-    (ca, sa), (ce, se) = ((math.cos(a), math.sin(a)) for a in (_AZIMUTH, _ELEVATION))
-    right, up = np.array([[-sa, ca, 0.0], [-se * ca, -se * sa, ce]]) @ np.array(points).T
-    return right, up

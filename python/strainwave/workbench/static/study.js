@@ -2,116 +2,219 @@
 import { act, address, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
 import { showExperiments } from "./experiments.js";
 import { draw } from "./figures.js";
+import { fieldControl, idOf, keep, showGroups, showMissing, showValue } from "./study_form.js";
+
+export { fieldControl } from "./study_form.js";
 
 const api = (name) => `/api/${name}/${address(study)}`;
-let state;
-
+const STORED = `strainwave history of ${study}`;
+const MAX_STEPS = 50; // of changes that can be undone
+const SCALE_TOLERANCE = 1e-4; // relative; scales such as 0.0174533 have few digits
+const history = { past: [], future: [] }; // texts of the file before and after the changes of this session
+let state, drawnArm, editedJoint, previewed;
 let saving = Promise.resolve();
 
-const isTyped = () => state !== undefined && byId("text").value !== state.text;
+const text = byId("text");
+const isTyped = () => state !== undefined && text.value !== state.text;
+const mayDropText = () => !isTyped() || window.confirm("Drop the text that is not saved?");
 
-// Save the changes one after the other; a change of the form applies to the text as typed so far.
-export function save(changes) {
-  const saved = saving.then(async () => {
-    const text = isTyped() ? { text: byId("text").value } : {};
-    state = await postJson(api("study"), { sha256: state.sha256, changes, ...text });
+// Write the file, one change after the other; `confirm` gets the text before.
+function write(bodyOf, confirm) {
+  const written = saving.then(async () => {
+    const before = state.text, typed = text.value;
+    state = await postJson(api("study"), { sha256: state.sha256, ...bodyOf() });
+    confirm(before);
+    sessionStorage.setItem(STORED, JSON.stringify({ sha256: state.sha256, ...history }));
+    if (text.value === typed) text.value = state.text;
     await show();
   });
-  saving = saved.catch(() => {});
-  return saved;
+  saving = written.catch(() => {});
+  return written;
 }
 
-// Save one key; the focus stays where the user moved it.
-const saveField = (control, entry) => act(control, () => save([{ ...entry, value: control.value }]));
-
-export function fieldControl(id, entry, attributes = {}) {
-  const { kind, choices, value } = entry;
-  const control = kind === "choice"
-    ? make("select", { id, ...attributes }, ...(choices.includes(value) ? [] : [make("option", { value }, value || "default")]), ...choices.map((one) => make("option", {}, one)))
-    : make("input", { id, ...attributes });
-  control.value = value;
-  control.addEventListener("change", () => saveField(control, entry));
-  return control;
+// Save changes of keys, or those of a function, which sees earlier ones; in the text as typed so far.
+export function save(changes, confirm = () => {}) {
+  return write(() => ({ changes: typeof changes === "function" ? changes() : changes, ...(isTyped() ? { text: text.value } : {}) }), (before) => {
+    if (before !== state.text) Object.assign(history, { past: [...history.past, before].slice(-MAX_STEPS), future: [] });
+    confirm();
+  });
 }
 
-function isImplausible(field) {
-  const size = Math.abs(Number(field.value));
-  return field.value !== "" && !Number.isNaN(size) && field.key.range != null && (size < field.key.range[0] || size > field.key.range[1]);
+// Undo or redo: the last text of one list replaces the present one, which goes to the other list.
+async function step(from, to) {
+  if (!history[from].length || !mayDropText()) return undefined;
+  return write(() => ({ text: history[from].at(-1) }), (before) => { history[from].pop(); history[to].push(before); });
+}
+const undo = () => step("past", "future");
+const redo = () => step("future", "past");
+
+function setOptions(select, options) { // pairs of value and text
+  const key = JSON.stringify(options);
+  if (select.dataset.options === key) return;
+  const { value } = select;
+  select.replaceChildren(...options.map(([one, text]) => make("option", { value: one }, text)));
+  select.dataset.options = key;
+  select.value = value;
 }
 
-function rigField(field) {
-  const id = `field-${field.place.join("-")}`;
-  const range = field.key.range == null ? "" : ` Plausible: ${field.key.range[0]} to ${field.key.range[1]}.`;
-  const entry = { place: field.place, kind: field.key.kind, choices: field.choices, value: field.value };
-  const control = fieldControl(id, entry, { "aria-describedby": `${id}-hint`, "aria-invalid": isImplausible(field) ? "true" : null });
-  return make("div", { class: field.is_todo ? "rig-field todo" : "rig-field" },
-    make("label", { for: id }, field.key.title), control, make("span", { class: "unit" }, field.key.unit),
-    make("p", { class: "hint", id: `${id}-hint` }, (field.is_todo ? "Missing. " : "") + `${field.meaning}.${range}`,
-      ...(field.reason ? [make("span", { class: "reason" }, ` In the file: ${field.reason}`)] : [])));
-}
+const columnsOfRecord = () => state.columns[byId("preview-record").value] ?? [];
+const channelPlace = (row, key) => ["channels", row.channel, key];
 
-function channelRow(row) {
-  const columns = state.columns[byId("preview-record").value] ?? [];
-  const place = (key) => ["channels", row.channel, key];
-  const id = (key) => `channel-${row.channel}-${key}`;
-  const names = row.column && !columns.includes(row.column) ? [row.column, ...columns] : columns;
-  const select = make("select", { id: id("column"), "aria-label": `Column of ${row.channel}` },
-    make("option", { value: "" }, columns.includes(row.channel) ? `${row.channel} (same name)` : "none"),
-    ...names.map((name) => make("option", {}, name)));
-  select.value = row.column;
-  select.addEventListener("change", () => act(select, () => save(select.value
-    ? [{ place: place("column"), kind: "text", value: select.value }]
+function buildChannel(row) {
+  const column = make("select", { id: idOf(channelPlace(row, "column")), "aria-label": `Column of ${row.channel}` });
+  column.addEventListener("change", () => act(column, () => save(column.value
+    ? [{ place: channelPlace(row, "column"), kind: "text", value: column.value }]
     : [{ place: ["channels", row.channel], kind: "text", value: "" }])));
-  const number = (key, fallback) => fieldControl(id(key), { place: place(key), kind: "number", choices: [], value: row[key] },
-    { "aria-label": `${key} of ${row.channel}`, placeholder: fallback, disabled: !row.column });
+  const unit = make("select", { class: "column-unit", "aria-label": `Unit of the column of ${row.channel}` });
+  unit.addEventListener("change", () => act(unit, () => {
+    const sign = Number(tr.row.scale) < 0 ? -1 : 1;
+    return save([{ place: channelPlace(row, "scale"), kind: "number", value: String(sign * unit.value) }]);
+  }));
   const look = make("button", { type: "button", "aria-label": `Preview ${row.channel}` }, "Show");
-  onClick(look, () => preview(row));
-  return make("tr", {}, make("th", { scope: "row" }, row.channel), make("td", {}, row.unit),
-    make("td", {}, select, ...(row.reason ? [make("span", { class: "hint reason" }, row.reason)] : [])), make("td", {}, number("scale", "1")), make("td", {}, number("offset", "0")), make("td", {}, look));
+  onClick(look, () => { previewed = row.channel; return preview(); });
+  const number = (key, fallback) => make("td", {}, fieldControl(idOf(channelPlace(row, key)), channelEntry(row, key), { "aria-label": `${key} of ${row.channel}`, "data-default": fallback }));
+  const tr = make("tr", {}, make("th", { scope: "row" }, row.channel), make("td", {}, column), make("td", {}, unit), number("scale", "1"), number("offset", "0"),
+    make("td", { class: "unit" }, row.unit), make("td", {}, look), make("td", {}, make("details", { class: "reason" }, make("summary"))));
+  return tr;
 }
 
-async function preview(row) {
-  const place = byId("preview");
-  place.hidden = false;
+const channelEntry = (row, key) => ({ place: channelPlace(row, key), kind: "number", choices: [], value: row[key], unit: row.unit });
+
+function updateChannel(tr, row) {
+  tr.row = row;
+  const columns = columnsOfRecord(), [column, unit, ...numbers] = tr.querySelectorAll("select, input");
+  const names = row.column && !columns.includes(row.column) ? [row.column, ...columns] : columns;
+  setOptions(column, [["", columns.includes(row.channel) ? `${row.channel} (same name)` : "none"], ...names.map((name) => [name, name])]);
+  column.value = row.column;
+  const scale = Math.abs(Number(row.scale || 1));
+  const known = row.units.find(({ factor }) => Math.abs(scale / factor - 1) < SCALE_TOLERANCE);
+  setOptions(unit, [...row.units.map(({ name, factor }) => [String(factor), name]), ...(known ? [] : [[String(scale), "other"]])]);
+  unit.value = String(known?.factor ?? scale);
+  for (const one of [unit, ...numbers]) one.disabled = !row.column;
+  numbers.forEach((control, k) => showValue(control, channelEntry(row, ["scale", "offset"][k])));
+  tr.lastChild.firstChild.hidden = !row.reason;
+  tr.querySelector("summary").textContent = row.reason;
+}
+
+function showChannels() {
+  const columns = columnsOfRecord();
+  const used = state.channels.filter((row) => byId("all-channels").checked || row.column || columns.includes(row.channel));
+  keep(byId("channels"), used, (row) => row.channel, buildChannel, updateChannel);
+}
+
+async function preview() {
+  const row = state.channels.find((one) => one.channel === previewed), place = byId("preview");
+  place.hidden = !row;
+  if (!row) return;
   const query = { experiment: byId("preview-record").value, channel: row.channel, column: row.column || row.channel, scale: row.scale, offset: row.offset };
   await draw(place, await getJson(api("preview"), query), { layout: { showlegend: false } });
 }
 
-function showChannels() {
-  const columns = state.columns?.[byId("preview-record").value] ?? [];
-  const used = state.channels.filter((row) => byId("all-channels").checked || row.column || columns.includes(row.channel));
-  byId("channels").replaceChildren(...used.map(channelRow));
+// Draw the arm, with a ring around the joint that is edited; its marks are the links, then the axes.
+async function showArm() {
+  byId("no-arm").hidden = Boolean(state.arm);
+  byId("arm-figure").hidden = !state.arm;
+  const key = JSON.stringify([state.arm, editedJoint]);
+  if (!state.arm || key === drawnArm) return;
+  drawnArm = key;
+  byId("arm-caption").textContent = state.caption;
+  const axis = state.arm.data[1 + editedJoint]; // of no joint if none is edited
+  const mean = (ends) => [(ends[0] + ends[1]) / 2];
+  const ring = axis ? [{ type: "scatter", mode: "markers", x: mean(axis.x), y: mean(axis.y), name: `joint ${editedJoint + 1}`, showlegend: false, hoverinfo: "skip",
+    marker: { size: 24, color: "#D55E00", symbol: "circle-open", line: { width: 3 } } }] : [];
+  await draw(byId("arm"), { ...state.arm, data: [...state.arm.data, ...ring] });
+  byId("arm").dataset.joint = axis ? String(editedJoint + 1) : "";
+}
+
+// Show a line of the text, and select it.
+function goToLine(line) {
+  byId("file").open = true;
+  const lines = text.value.split("\n"), start = lines.slice(0, line - 1).reduce((sum, one) => sum + one.length + 1, 0);
+  text.focus();
+  text.setSelectionRange(start, start + (lines[line - 1]?.length ?? 0));
+  text.scrollTop = (line - 4) * (text.scrollHeight / lines.length);
+}
+
+const lineIn = (message) => Number(/\bline (\d+)/.exec(message ?? "")?.[1] ?? 0);
+
+// Focus the field of a missing value, or its line of the text if the form has none.
+function goTo({ place }) {
+  const control = byId(idOf(place));
+  if (control) {
+    control.scrollIntoView({ block: "center" });
+    return control.focus({ preventScroll: true });
+  }
+  const lines = text.value.split("\n"), key = String(place.at(-1));
+  return goToLine(1 + lines.findIndex((one) => one.split("#")[0].includes("TODO") && one.includes(key)));
+}
+
+// From a field to the next missing one, in the order of the page.
+function goToNext(event) {
+  if (event.key !== "Enter" || event.ctrlKey || event.metaKey || !event.target.matches("input[id^=field-]")) return;
+  const others = state.missing.filter(({ place }) => byId(idOf(place)) && idOf(place) !== event.target.id);
+  const isBelow = ({ place }) => event.target.compareDocumentPosition(byId(idOf(place))) & Node.DOCUMENT_POSITION_FOLLOWING;
+  const next = others.find(isBelow) ?? others[0];
+  if (!next) return; // the browser reports the change
+  event.preventDefault();
+  goTo(next);
+}
+
+function showState() {
+  const { missing, error } = state, count = missing.length, line = count ? 0 : lineIn(error);
+  byId("state").className = `callout ${count ? "doubt" : error ? "bad" : "good"}`;
+  byId("state").dataset.state = error ? "error" : "valid";
+  const complete = error ?? "The study is complete and has no errors.";
+  byId("state-text").textContent = count ? `${count} ${count === 1 ? "value is" : "values are"} missing. Enter goes from a field to the next missing one.` : complete;
+  byId("to-line").hidden = !line;
+  byId("to-line").textContent = `Show line ${line}`;
+  showMissing(missing, goTo);
 }
 
 async function show() {
-  const focus = document.activeElement?.id;
-  byId("state").textContent = state.error ?? "The study is complete and has no errors.";
-  byId("state").className = `callout ${state.error ? (state.todos ? "doubt" : "bad") : "good"}`;
-  byId("state").dataset.state = state.error ? "error" : "valid";
-  byId("text").value = state.text;
-  byId("rig").replaceChildren(...state.groups.map((group) =>
-    make("fieldset", {}, make("legend", {}, group.title), ...group.fields.map(rigField))));
-  const record = byId("preview-record").value;
-  byId("preview-record").replaceChildren(...state.experiments.map((row) => make("option", {}, row.name)));
-  if (state.experiments.some((row) => row.name === record)) byId("preview-record").value = record;
+  const focus = document.activeElement?.id, record = byId("preview-record").value;
+  setOptions(byId("preview-record"), state.experiments.map((row) => [row.name, row.name]));
+  byId("preview-record").value = state.experiments.some((row) => row.name === record) ? record : state.experiments[0]?.name ?? "";
+  showGroups(state.groups);
   showChannels();
   showExperiments(state);
-  if (focus) byId(focus)?.focus({ preventScroll: true });
-  byId("arm").hidden = !state.arm;
-  byId("no-arm").hidden = Boolean(state.arm);
-  if (state.arm) await draw(byId("arm"), state.arm);
+  showState();
+  for (const [id, list] of [["undo", history.past], ["redo", history.future]]) byId(id).setAttribute("aria-disabled", String(!list.length));
+  if (focus && document.activeElement?.id !== focus) byId(focus)?.focus({ preventScroll: true });
+  await Promise.all([showArm(), previewed && preview()]);
+}
+
+async function load() {
+  state = await getJson(api("study"));
+  text.value = state.text;
+  const stored = JSON.parse(sessionStorage.getItem(STORED) ?? "{}");
+  if (stored.sha256 === state.sha256) Object.assign(history, { past: stored.past, future: stored.future });
+  await show();
 }
 
 onClick(byId("save"), async () => {
-  await save([]);
-  showMessage("study.toml is saved.");
+  try {
+    await save([]);
+    showMessage("study.toml is saved.");
+  } catch (error) {
+    if (lineIn(error.message)) goToLine(lineIn(error.message));
+    throw error;
+  }
 });
-onClick(byId("reload"), async () => {
-  if (isTyped() && !window.confirm("Drop the text that is not saved?")) return;
-  state = await getJson(api("study"));
-  await show();
+onClick(byId("reload"), () => mayDropText() && load());
+onClick(byId("undo"), undo);
+onClick(byId("redo"), redo);
+byId("to-line").addEventListener("click", () => goToLine(lineIn(state.error)));
+document.addEventListener("keydown", (event) => {
+  goToNext(event);
+  if (!(event.ctrlKey || event.metaKey) || event.key.toLowerCase() !== "z" || event.target.matches("input:not([type=checkbox]), textarea")) return;
+  event.preventDefault();
+  act(null, event.shiftKey ? redo : undo);
+});
+byId("rig").addEventListener("focusin", (event) => {
+  editedJoint = Number(/^field-joint-(\d+)-/.exec(event.target.id)?.[1] ?? NaN);
+  act(null, showArm);
 });
 window.addEventListener("beforeunload", (event) => { if (isTyped()) event.preventDefault(); });
 byId("preview-record").addEventListener("change", showChannels);
 byId("all-channels").addEventListener("change", showChannels);
-act(null, async () => { state = await getJson(api("study")); await show(); });
+act(null, load);
