@@ -35,6 +35,8 @@ QUERY = {"experiment": "motion", "channel": "u1", "channels": "u1", "run": "one"
 VALUES = [{"name": "motor_inertia", "joint": 1, "value": 1e-4}]
 BODIES: dict[str, dict[str, Any]] = {
     "study": {"changes": [{"place": ["joint", 0, "gear_ratio"], "kind": "number", "value": "1"}]},
+    "experiments": {"logs": ["step-j1.parquet"]},
+    "rig-values": {"values": '{"arm": {"link_length": 0.3}, "joint": [{}, {"gyro_hz": 5}]}'},
     "apply-remedy": {"index": 0},
     "compare": {"paths": [START, OTHER]},
     "compare-joint": {"paths": [START, OTHER], "joint": 1},

@@ -1,4 +1,4 @@
-"""Pages "Study" and "Import logs": the form and the command line share one file."""
+"""Page "Study": the form and the command line share one file."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from strainwave.errors import InvalidInput
-from strainwave.init import start_study
 from strainwave.init.draft import placed_arm
 from strainwave.io.study import read_study
-from workbench_client import make_client
 
 pytest.importorskip("starlette")
 
@@ -270,54 +268,6 @@ def test_wrong_numbers_are_refused(text: str) -> None:
     for kind in ("number", "numbers"):
         with pytest.raises(InvalidInput):
             value_of(text, kind)
-
-
-def test_imported_logs_become_a_draft_with_the_guesses_of_init(
-    client: TestClient, folder: Path, tmp_path: Path
-) -> None:
-    names = ["motion.parquet", "prbs-j1.parquet"]
-    for name in names:
-        data = (folder / "arm" / name).read_bytes()
-        assert client.put(f"/api/upload/new rig/{name}", content=data).json()["size"] == len(data)
-        shutil.copy(folder / "arm" / name, tmp_path / name)
-    listed = client.get("/api/logs", params={"folder": "new rig"}).json()
-    assert listed["logs"] == names
-    draft = client.post("/api/draft", json={"folder": "new rig", "logs": names}).json()
-    wanted = start_study([tmp_path / name for name in names], tmp_path / "study.toml")
-    assert (draft["n_todos"], tuple(draft["channels"])) == (wanted.n_todos, wanted.channels)
-    text = (folder / "new rig" / "study.toml").read_text()
-    assert text == (tmp_path / "study.toml").read_text()
-    state = client.get("/api/study/new rig/study.toml").json()
-    assert state["missing"]
-    assert "TODO" in state["error"]
-
-
-def test_uploads_do_not_overwrite_and_have_plain_names(client: TestClient, folder: Path) -> None:
-    before = (folder / "arm" / "motion.parquet").read_bytes()
-    answer = client.put("/api/upload/arm/motion.parquet", content=b"new")
-    assert answer.status_code == 400
-    assert (folder / "arm" / "motion.parquet").read_bytes() == before
-    for path in ("arm/evil.py", "..%2Farm/a.csv", "arm/..%2Fa.csv", ".hidden/a.csv"):
-        assert client.put(f"/api/upload/{path}", content=b"x").status_code in (400, 404)
-
-
-def test_uploads_are_bounded_and_leave_nothing(folder: Path) -> None:
-    client = make_client(folder, max_upload_mib=1)
-    answer = client.put("/api/upload/big/a.csv", content=b"0" * (2 << 20))
-    assert answer.status_code == 400
-    assert "more than 1 MiB" in answer.json()["error"]
-    assert list((folder / "big").iterdir()) == []
-
-
-def test_a_bad_log_gives_the_message_of_the_command_line(client: TestClient, folder: Path) -> None:
-    client.put("/api/upload/bad/a.csv", content=b"t,x\n0,1\n1,oops\n")
-    answer = client.post("/api/draft", json={"folder": "bad", "logs": ["a.csv"]})
-    assert answer.status_code == 400
-    (folder / "direct").mkdir()
-    with pytest.raises(InvalidInput) as failure:
-        start_study([folder / "bad" / "a.csv"], folder / "direct" / "study.toml")
-    assert answer.json()["error"] == str(failure.value).replace(f"{folder}/", "")
-    assert not (folder / "bad" / "study.toml").exists()
 
 
 def test_the_list_of_studies_names_arms_errors_and_verdicts(

@@ -28,7 +28,7 @@ from strainwave.init.robot import Robot
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.templates import fill_text
 
-__all__ = ["StudyDraft", "start_study"]
+__all__ = ["StudyDraft", "draft_study", "start_study"]
 
 _RATE_CHANNELS = ("omega_m", "gyro", "gx", "gy", "gz", "ref")  # scaled by derivatives of angles
 _MIN_MOTION = 0.01  # [rad, m] of an angle; the noise of one that stands still is below
@@ -47,6 +47,7 @@ class StudyDraft:
     warnings: tuple[str, ...]
     guesses: tuple[Guess, ...]  # of the channels
     todos: tuple[str, ...]  # what the user must fill in, in the order of the file
+    text: str  # of the file
 
 
 def start_study(logs: Sequence[Path], out: Path, urdf: Path | None = None) -> StudyDraft:
@@ -62,6 +63,13 @@ def start_study(logs: Sequence[Path], out: Path, urdf: Path | None = None) -> St
             where=str(out),
             remedy="choose another file with --out, or move the existing file",
         )
+    draft = draft_study(logs, out, urdf)
+    write_whole(out.parent, {out.name: draft.text.encode()})
+    return draft
+
+
+def draft_study(logs: Sequence[Path], out: Path, urdf: Path | None = None) -> StudyDraft:
+    """The draft that `start_study` writes; the paths in it are relative to the folder of `out`."""
     records = [read_record(path) for path in logs]
     # the record with the most varying columns classifies the columns of all
     fullest = max(records, key=lambda r: sum(np.ptp(v) > 0.0 for v in r.columns.values()))
@@ -80,7 +88,6 @@ def start_study(logs: Sequence[Path], out: Path, urdf: Path | None = None) -> St
     text = study_text(
         [fullest, *(r for r in records if r is not fullest)], mapping, experiments, out
     )
-    write_whole(out.parent, {out.name: text.encode()})
     return StudyDraft(
         path=out,
         joints=len(mapping.joints),
@@ -91,6 +98,7 @@ def start_study(logs: Sequence[Path], out: Path, urdf: Path | None = None) -> St
         warnings=tuple(_warnings(records, mapping, experiments)),
         guesses=tuple(mapping.guesses.values()),
         todos=list_todos(text),
+        text=text,
     )
 
 
@@ -138,7 +146,7 @@ def _check_alike(records: Sequence[InspectedLog], fullest: InspectedLog, mapping
             raise InvalidInput(
                 f"has no {', '.join(missing_columns)}, but {fullest.path.name} has",
                 where=str(record.path),
-                remedy="run init for each kind of log, or rename the columns",
+                remedy="draft a study for each kind of log, or rename the columns",
             )
 
 

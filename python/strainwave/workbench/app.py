@@ -21,6 +21,7 @@ from strainwave.workbench.pages import (
     help,
     home,
     import_logs,
+    overview,
     runs,
     signals,
     study,
@@ -31,7 +32,7 @@ from strainwave.workbench.web import HANDLED, HERE, error_response
 from strainwave.workbench.workspace import Workspace
 
 _PAGES = (
-    *(home, help, import_logs, study, experiments, check, signals, estimate),
+    *(home, help, import_logs, study, experiments, overview, check, signals, estimate),
     *(compare, by_hand, design, virtual, runs),
 )
 ROUTES = [route for page in _PAGES for route in page.routes]

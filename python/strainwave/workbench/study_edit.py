@@ -1,10 +1,11 @@
-"""Changes of single keys of a study file; comments, order and layout stay."""
+"""Changes of single keys and tables of a study file; comments, order and layout stay."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,19 +18,21 @@ from strainwave.init.draft import TODO
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
 
 _TODO = re.compile(rf"(?<![\w\"]){TODO}(?![\w\"])")
+_HEADER = re.compile(r"\s*\[\[?\s*([\w.-]+)\s*\]\]?\s*(#.*)?$")
 _CODE = re.compile(r"""(?:[^#"']|"(?:[^"\\]|\\.)*"|'[^']*')*""")
 
 
 @dataclass(frozen=True, slots=True)
 class KeyChange:
-    """One key of the file and its new value.
+    """One key of the file and its new value, or one table of an array.
 
     `place` has table names, and for arrays of tables their position from 0: ("joint", 0,
-    "gear_ratio"), ("channels", "a1", "scale"), ("options", "links", "order").
+    "gear_ratio"), ("channels", "a1", "scale"), ("options", "links", "order"). At ("experiment", 2)
+    a table is inserted, whose value is the text of its lines.
     """
 
     place: tuple[str | int, ...]
-    value: Any  # None: the key is removed
+    value: Any  # None: the key or table is removed
 
 
 def edit_study(path: Path, changes: Sequence[KeyChange]) -> None:
@@ -44,10 +47,15 @@ def edit_study(path: Path, changes: Sequence[KeyChange]) -> None:
 def changed_text(text: str, changes: Sequence[KeyChange], path: Path) -> str:
     """The text of a study file with the changes; `path` is for messages."""
     document = parse_draft(text, path)
+    lines = text.split("\n")
     for change in changes:
-        _apply(document, change, path)
+        if len(change.place) == 2 and isinstance(change.place[1], int):
+            document = _with_table(document, change, path)
+            lines += str(change.value).split("\n")
+        else:
+            _apply(document, change, path)
     changed = tomlkit.dumps(document)
-    is_draft = any(_TODO.search(_split(line)[0]) for line in text.split("\n"))
+    is_draft = any(_TODO.search(_split(line)[0]) for line in lines)
     return changed.replace(f'"{TODO}"', TODO) if is_draft else changed
 
 
@@ -71,6 +79,58 @@ def tables_of(document: Mapping[str, Any], name: str) -> Sequence[Mapping[str, A
     tables = document.get(name)
     is_array = isinstance(tables, list) and all(isinstance(each, Mapping) for each in tables)
     return tables if is_array else []  # type: ignore[return-value]
+
+
+def columns_of(entry: object) -> list[str]:
+    """Names of the columns of an entry of [channels]; two for time stamps in two columns."""
+    table = entry if isinstance(entry, Mapping) else {"column": entry}
+    column = table.get("column")
+    if "topic" in table:
+        name = f"[{table['name']}]" if "name" in table else ""
+        column = f"{table['topic']}.{table.get('field')}{name}"
+    return [str(each) for each in (column if isinstance(column, list) else [column]) if each]
+
+
+def table_spans(lines: Sequence[str], name: str) -> list[tuple[int, int]]:
+    """First line and end of each table of an array, with its subtables.
+
+    Comments after a blank line at its end belong to what follows.
+    """
+    heads = [(k, match[1]) for k, line in enumerate(lines) if (match := _HEADER.match(line))]
+    heads = [(k, head) for k, head in heads if not head.startswith(f"{name}.")]
+    spans = []
+    for (first, head), (following, _) in pairwise([*heads, (len(lines), "")]):
+        if head == name:
+            end = tail = following
+            while not (line := lines[tail - 1].strip()) or line[0] == "#":
+                tail -= 1
+                end = end if line else tail
+            spans.append((first, end))
+    return spans
+
+
+def _with_table(
+    document: tomlkit.TOMLDocument, change: KeyChange, path: Path
+) -> tomlkit.TOMLDocument:
+    """The document with a table of an array inserted or removed; all other lines stay."""
+    name, index, is_new = str(change.place[0]), int(change.place[1]), change.value is not None
+    lines = tomlkit.dumps(document).rstrip("\n").split("\n")
+    spans, tables = table_spans(lines, name), list(tables_of(document.unwrap(), name))
+    if len(spans) != len(tables) or not 0 <= index < len(spans) + is_new:
+        raise _no_place(change, path)
+    if is_new:
+        at = spans[index - 1][1] if index else spans[0][0] if spans else len(lines)
+        block = [f"[[{name}]]", *str(change.value).strip().split("\n")]
+        lines[at:at] = [*block, ""] if spans and not index else ["", *block]
+    else:
+        first, end = spans[index]
+        del lines[first : end + (end < len(lines) and not lines[end].strip())], tables[index]
+    changed = parse_draft("\n".join([*lines, ""]), path)
+    rest = list(tables_of(changed.unwrap(), name))
+    del rest[index : index + is_new]
+    if rest != tables:  # a text of several lines that looks like a table
+        raise _no_place(change, path)
+    return changed
 
 
 def _split(line: str) -> tuple[str, str]:
@@ -100,8 +160,21 @@ def _apply(table: Any, change: KeyChange, path: Path) -> None:
         raise _no_place(change, path)
     if change.value is None:
         table.pop(last, None)
-    else:
-        table[last] = change.value
+        return
+    try:
+        table[last] = _inline(change.value)
+    except (TOMLKitError, RecursionError) as error:  # null in a list, or a deep one
+        problem = f"{last} has a value that TOML does not have"
+        raise InvalidInput(problem, where=str(path), remedy="correct the value") from error
+
+
+def _inline(value: Any) -> Any:
+    """A value whose tables are written on one line."""
+    if not isinstance(value, dict):
+        return value
+    table = tomlkit.inline_table()
+    table.update({key: _inline(each) for key, each in value.items()})
+    return table
 
 
 def _no_place(change: KeyChange, path: Path) -> InvalidInput:

@@ -17,7 +17,7 @@ from starlette.routing import BaseRoute, Route
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.io.templates import template_environment
 from strainwave.version import __version__
-from strainwave.workbench.workspace import Workspace
+from strainwave.workbench.workspace import ACCEPTED, Workspace
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -83,6 +83,7 @@ def page(request: Request, template: str, title: str, **values: Any) -> HTMLResp
             path=request.url.path,
             folder=workspace_of(request).folder.name,
             version=__version__,
+            accepted=ACCEPTED,
             **values,
         )
     )

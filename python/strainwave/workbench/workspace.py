@@ -10,11 +10,13 @@ import json
 import os
 import re
 import tempfile
+import unicodedata
 from collections import OrderedDict
 from collections.abc import AsyncIterator, Callable, Hashable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import chain, count
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -23,6 +25,8 @@ from strainwave.domain import Log, Study
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, parse_toml, read_small
 from strainwave.io.logs import read_log
+from strainwave.io.logs.bags import BAG_SUFFIXES
+from strainwave.io.logs.tables import TABLE_SUFFIXES
 from strainwave.io.study import read_study
 
 _RUNS = "runs"
@@ -32,6 +36,11 @@ _MAX_STUDY_BYTES = 1 << 20
 _MAX_SHOWN_NAME = 120  # letters of a name in a message
 _STUDY = re.compile(rb"^\s*\[(arm|\[experiment\])\]", re.MULTILINE)
 _NAME = re.compile(r"[^\W.][\w .()+=@,-]*", re.UNICODE)
+_NOT_PLAIN = re.compile(r"[^\w .()+=@,-]+")
+_MAX_NAME_BYTES = 110  # of a stored log, without its number
+LOG_SUFFIXES = (*TABLE_SUFFIXES, *BAG_SUFFIXES)
+ACCEPTED = (*LOG_SUFFIXES, ".urdf", ".yaml")
+"""Endings of files that may be uploaded; metadata.yaml belongs to a bag."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +88,7 @@ class Workspace:
     def _confined(self, base: Path, name: str, roots: tuple[Path, ...]) -> Path:
         try:
             path = (base / name).resolve()
+            path.exists()  # fails if the name is too long
         except (OSError, RuntimeError, ValueError) as error:  # too long, a loop, a null character
             raise InvalidInput("is no path", where=_abbreviated(name)) from error
         if not any(path.is_relative_to(root) for root in roots):
@@ -110,7 +120,7 @@ class Workspace:
 
         Raises InvalidInput if one of them lies outside.
         """
-        return [self.file_of(study, name) for name in _named_files(study, _stamp(study))]
+        return [self.file_of(study, name) for name in _named_files(study, stamp_of(study))]
 
     def files(self, patterns: Iterable[tuple[Path, str]]) -> list[Path]:
         """Regular files of the folder that match (folder, pattern), the newest first."""
@@ -131,18 +141,21 @@ class Workspace:
         return path.relative_to(self.folder).as_posix()
 
     async def receive(self, folder: str, name: str, chunks: AsyncIterator[bytes]) -> Path:
-        """Store an uploaded file whole or not at all, and return its path.
+        """Store an uploaded file whole or not at all, under a free name, and return its path.
 
-        Raises InvalidInput if the name is not that of a file, if the file exists already, or if it
-        exceeds the limit.
+        An upload that fails or is cancelled leaves nothing, also no folder. Raises InvalidInput if
+        the folder cannot have logs, or if the file exceeds the limit.
         """
-        check_name(name)
-        target = self.resolve(folder) / name
-        if target.exists():
-            raise InvalidInput("exists already", where=name, remedy="rename the file")
-        target.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(prefix=".upload-", dir=target.parent)
+        parent = self.resolve(folder)
+        new_folders = [each for each in (parent, *parent.parents) if not each.exists()]
+        for each in new_folders:
+            check_name(each.name)
+        if any(part[0] == "." or is_runs_folder(part) for part in Path(folder).parts):
+            raise InvalidInput("is no folder for logs", where=folder, remedy="choose another name")
+        temporary = None
         try:
+            parent.mkdir(parents=True, exist_ok=True)
+            handle, temporary = tempfile.mkstemp(prefix=".upload-", dir=parent)
             size = 0
             with os.fdopen(handle, "wb") as file:
                 async for chunk in chunks:
@@ -155,11 +168,17 @@ class Workspace:
                             remedy="copy it into the folder, or raise --max-upload",
                         )
                     file.write(chunk)
+            target = free_path(parent, name)
             os.link(temporary, target)  # fails if another upload was faster
-        except FileExistsError as error:
-            raise InvalidInput("exists already", where=name, remedy="rename it") from error
+        except OSError as error:
+            problem = f"cannot be stored ({error.strerror or error})"
+            raise InvalidInput(problem, where=name, remedy="choose another folder") from error
         finally:
-            os.unlink(temporary)
+            if temporary:
+                os.unlink(temporary)
+            with suppress(OSError):  # a folder that has files stays
+                for each in new_folders:
+                    each.rmdir()
         return target
 
 
@@ -208,6 +227,21 @@ def check_name(name: str) -> None:
         )
 
 
+def free_path(parent: Path, name: str) -> Path:
+    """The path of a new file or folder: `name`, repaired where it is not allowed, or numbered."""
+    plain = _NOT_PLAIN.sub("-", unicodedata.normalize("NFC", name))
+    ending = max((each for each in ACCEPTED if plain.lower().endswith(each)), key=len, default="")
+    stem, suffix = plain[: len(plain) - len(ending)], plain[len(plain) - len(ending) :]
+    stem = stem.lstrip(" .-_").rstrip(" .-") or "log"
+    if not suffix and is_runs_folder(stem):
+        stem = f"logs {stem}"
+    while len(f"{stem}{suffix}".encode()) > _MAX_NAME_BYTES:
+        stem = stem[:-1].rstrip()
+    numbered = (f"{stem} ({k}){suffix}" for k in count(2))
+    names = chain([f"{stem}{suffix}"], numbered)
+    return next(parent / each for each in names if not os.path.lexists(parent / each))
+
+
 _MAX_BYTES = 512 << 20  # of all logs in memory
 
 
@@ -215,7 +249,7 @@ _cache: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()  # value and size
 _cache_lock = Lock()
 
 
-def _cached(key: Hashable, make: Callable[[], Any], size: Callable[[Any], int]) -> Any:
+def cached(key: Hashable, make: Callable[[], Any], size: Callable[[Any], int]) -> Any:
     """A value by key; the least recently used are dropped when all exceed `_MAX_BYTES`."""
     with _cache_lock:
         if key in _cache:
@@ -231,7 +265,7 @@ def _cached(key: Hashable, make: Callable[[], Any], size: Callable[[Any], int]) 
 
 def study_at(path: Path) -> Study:
     """The study of a file; raises InvalidInput if it has a fault."""
-    study: Study = _cached(("study", _stamp(path)), lambda: read_study(path), lambda _: 10_000)
+    study: Study = cached(("study", stamp_of(path)), lambda: read_study(path), lambda _: 10_000)
     return study
 
 
@@ -247,20 +281,20 @@ def log_of(path: Path, experiment: str, *, is_whole: bool = False) -> Log:
         raise InvalidInput(f"there is no experiment {experiment!r}", remedy=f"choose from: {names}")
     if is_whole:
         chosen = replace(chosen, start=None, stop=None)
-    key = ("log", _stamp(path), experiment, is_whole, _stamp(study.log_path(chosen)))
-    log: Log = _cached(key, lambda: read_log(study, chosen), _size)
+    key = ("log", stamp_of(path), experiment, is_whole, stamp_of(study.log_path(chosen)))
+    log: Log = cached(key, lambda: read_log(study, chosen), _size)
     return log
 
 
 def fingerprint(path: Path) -> str:
     """A text that changes whenever the study file or one of its logs changes."""
     study = study_at(path)
-    stamps = [_stamp(study.log_path(each)) for each in study.experiments]
+    stamps = [stamp_of(study.log_path(each)) for each in study.experiments]
     text = json.dumps([hashlib.sha256(path.read_bytes()).hexdigest(), stamps])
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _stamp(path: Path) -> tuple[str, int, int]:
+def stamp_of(path: Path) -> tuple[str, int, int]:
     """Path, size and time of change of a file; of a folder, those of its largest change."""
     status = path.stat()
     if path.is_dir():

@@ -1,31 +1,58 @@
-"""Experiments of a study, on page "Study"."""
+"""Page "Study": experiments, logs that become further ones, and rig values of other studies."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, get_args
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from itertools import chain, count
+from pathlib import Path
+from typing import Any
 
-from strainwave.domain import Use
-from strainwave.workbench.study_edit import tables_of
-from strainwave.workbench.web import Routes
+import tomlkit
+from starlette.requests import Request
+
+from strainwave.errors import InvalidInput
+from strainwave.init import draft_study
+from strainwave.io.atomic_files import decode, read_bytes
+from strainwave.workbench.pages.import_logs import logs_in
+from strainwave.workbench.pages.overview import column_names
+from strainwave.workbench.rig_values import rig_changes
+from strainwave.workbench.study_edit import (
+    KeyChange,
+    changed_text,
+    parse_draft,
+    table_of,
+    table_spans,
+    tables_of,
+)
+from strainwave.workbench.web import Body, Routes, message_of, study_file_of, text_of, workspace_of
 
 routes = Routes()
 
-_EXPERIMENT = (  # key, title, kind, choices, and whether the value is a list of texts
-    ("name", "Name", "text", (), False),
-    ("file", "File", "text", (), False),
-    ("use", "Use", "choice", get_args(Use), False),
-    ("joint", "Joint", "number", (), False),
-    ("control", "Control", "text", (), True),
-    ("start", "Start [s]", "number", (), False),
-    ("stop", "Stop [s]", "number", (), False),
+_USES = {
+    "motion": "motion of the arm: rigid model",
+    "frequency": "test signal of a joint: elasticity",
+    "sweep": "the same signal, weaker: curve of the stiffness",
+    "tuning": "step of a joint: final fit",
+    "check": "validation: predicted, never fitted",
+}
+_EXPERIMENT = (  # key, title, kind, choices with their meaning, and whether it is a list of texts
+    ("name", "Name", "text", {}, False),
+    ("file", "File", "choice", {}, False),  # the page adds the logs of the folder
+    ("use", "Use", "choice", _USES, False),
+    ("joint", "Joint", "number", {}, False),
+    ("control", "Control", "text", {}, True),
+    ("start", "Start [s]", "number", {}, False),
+    ("stop", "Stop [s]", "number", {}, False),
 )
 
 
-def experiments_of(document: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The experiments as rows of a form: a cell for each key."""
+def experiments_of(document: tomlkit.TOMLDocument) -> list[dict[str, Any]]:
+    """The experiments as rows of a form: a cell for each key, and the text to duplicate one."""
+    lines = tomlkit.dumps(document).split("\n")
+    tables, spans = tables_of(document, "experiment"), table_spans(lines, "experiment")
     rows = []
-    for index, experiment in enumerate(tables_of(document, "experiment")):
+    for index, experiment in enumerate(tables):
         cells = []
         for key, title, kind, choices, is_list in _EXPERIMENT:
             value = experiment.get(key)
@@ -40,5 +67,85 @@ def experiments_of(document: Mapping[str, Any]) -> list[dict[str, Any]]:
                     "is_list": is_list,
                 }
             )
-        rows.append({"name": str(experiment.get("name", "")), "cells": cells})
+        first, end = spans[index] if len(spans) == len(tables) else (0, 0)
+        text = "\n".join(lines[first + 1 : end])
+        rows.append({"name": str(experiment.get("name", "")), "text": text, "cells": cells})
     return rows
+
+
+@routes.get("/api/experiments/{study:path}")
+def list_sources(request: Request) -> object:
+    """Logs of the study's folder, and the studies that may lend their rig values."""
+    path, workspace = study_file_of(request), workspace_of(request)
+    others = [name for name in workspace.studies() if name != workspace.relative(path)]
+    return {"logs": logs_in(path.parent), "studies": others}
+
+
+@routes.post("/api/experiments/{study:path}")
+def propose_experiments(request: Request, body: Body) -> object:
+    """Changes of the study that add logs of its folder, by the rules of `strainwave init`.
+
+    A log whose use cannot be guessed is added as a motion, with a note.
+    """
+    path, workspace, names = study_file_of(request), workspace_of(request), body.get("logs")
+    if not isinstance(names, list) or not names:
+        raise InvalidInput("no log is chosen", remedy="choose a log of the folder, or drop one")
+    document = parse_draft(_text(path), path).unwrap()
+    urdf = table_of(document, "arm").get("urdf")
+    robot = workspace.file_of(path, urdf) if isinstance(urdf, str) else None
+    tables, n_joints = tables_of(document, "experiment"), len(tables_of(document, "joint"))
+    taken = {str(table.get("name")) for table in tables}
+    logs = [workspace.file_of(path, str(name)) for name in names]
+    changes, notes = [], []
+    for text, fault in _drafts(logs, path, robot, n_joints):
+        entry = parse_draft(text, path).unwrap()
+        numbered = chain([entry["name"]], (f"{entry['name']} ({k})" for k in count(2)))
+        name = next(each for each in numbered if each not in taken)
+        taken.add(name)
+        value = changed_text(text, [KeyChange(("name",), name)], path)
+        place = ["experiment", len(tables) + len(changes)]
+        changes.append({"place": place, "kind": "text", "value": value})
+        why = f", not guessed: {message_of(request, fault)}" if fault else ""
+        notes.append(f"{name} ({entry['use']}{why})")
+    return {"changes": changes, "notes": notes}
+
+
+def _drafts(
+    logs: Sequence[Path], study: Path, urdf: Path | None, n_joints: int
+) -> Iterator[tuple[str, InvalidInput | None]]:
+    """The text of an experiment for each log, and the reason why its use is no guess."""
+    try:
+        draft = draft_study(logs, study, urdf)
+        if draft.joints != n_joints:
+            raise InvalidInput(f"the columns are those of {draft.joints} joint(s)")
+        texts = draft.text.split("\n[[experiment]]\n")[1:]
+        yield from ((text, None) for text in texts)
+    except InvalidInput as error:
+        if len(logs) > 1:
+            for log in logs:
+                yield from _drafts([log], study, urdf, n_joints)
+        else:
+            entry = {
+                "name": logs[0].name.split(".")[0],
+                "file": str(logs[0].relative_to(study.parent)),
+                "use": "motion",
+            }
+            yield tomlkit.dumps(entry), error
+
+
+@routes.post("/api/rig-values/{study:path}")
+def propose_rig_values(request: Request, body: Body) -> object:
+    """Changes that give the study the rig values of another `study`, or of a text with `values`."""
+    path, workspace = study_file_of(request), workspace_of(request)
+    lender = text_of(body, "study", "")
+    values = _text(workspace.study_file(lender)) if lender else text_of(body, "values")
+    text, columns = _text(path), set[str]()
+    for experiment in tables_of(parse_draft(text, path), "experiment"):
+        with suppress(InvalidInput):
+            columns.update(column_names(workspace.file_of(path, str(experiment.get("file")))))
+    changes = rig_changes(text, values, columns, path)
+    return {"changes": [{"place": c.place, "kind": "text", "value": c.value} for c in changes]}
+
+
+def _text(path: Path) -> str:
+    return decode(read_bytes(path, "the study file"), path)

@@ -1,52 +1,55 @@
-"""Page "Import logs": upload logs, and draft a study file from them as `strainwave init` does."""
+"""Page "Import logs": store logs, and draft a study file from them as `strainwave init` does."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 
 from starlette.concurrency import run_in_threadpool
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 
 from strainwave.errors import InvalidInput
-from strainwave.init import start_study
-from strainwave.io.logs.bags import BAG_SUFFIXES
-from strainwave.io.logs.tables import TABLE_SUFFIXES
+from strainwave.init import draft_study
+from strainwave.io.atomic_files import write_whole
+from strainwave.workbench.pages.overview import column_names
+from strainwave.workbench.rig_values import is_study_of, rig_changes
+from strainwave.workbench.study_edit import changed_text
 from strainwave.workbench.web import (
     Body,
     Routes,
     json_response,
+    message_of,
     page,
     text_of,
     workspace_of,
 )
-from strainwave.workbench.workspace import check_name, is_runs_folder
+from strainwave.workbench.workspace import (
+    ACCEPTED,
+    LOG_SUFFIXES,
+    free_path,
+    is_runs_folder,
+)
 
 routes = Routes()
-
-LOG_SUFFIXES = (*TABLE_SUFFIXES, *BAG_SUFFIXES)
-_ACCEPTED = (*LOG_SUFFIXES, ".urdf", ".yaml")  # .yaml: metadata of a bag
 
 
 @routes.page("/import")
 def _show_import(request: Request) -> Response:
-    accepted = ", ".join(LOG_SUFFIXES)
-    return page(request, "import", "Import logs", accepted=accepted, folders=_folders(request))
-
-
-def _folders(request: Request) -> list[str]:
-    """Folders with logs and without a study file."""
+    """The page, with the folders that have logs and no study file."""
     root = workspace_of(request).folder
-    folders = [path for path in root.iterdir() if path.is_dir() and not is_runs_folder(path.name)]
-    return sorted(path.name for path in folders if not path.name.startswith(".") and _logs(path))
+    paths = [path for path in root.iterdir() if path.is_dir() and not is_runs_folder(path.name)]
+    folders = sorted(p.name for p in paths if p.name[0] != "." and not (p / "study.toml").exists())
+    names = [name for name in folders if logs_in(root / name)]
+    return page(request, "import", "Import logs", folders=names)
 
 
-def _logs(folder: Path) -> list[str]:
+def logs_in(folder: Path) -> list[str]:
+    """Names of the logs in a folder."""
     return sorted(
         path.name
         for path in folder.iterdir()
-        if path.name.lower().endswith(LOG_SUFFIXES) or (path / "metadata.yaml").is_file()
+        if (path.name.lower().endswith(LOG_SUFFIXES) and path.name[0] != ".")
+        or (path / "metadata.yaml").is_file()
     )
 
 
@@ -56,33 +59,79 @@ def list_logs(request: Request) -> object:
     folder = workspace_of(request).resolve(request.query_params.get("folder", ""))
     if not folder.is_dir():
         return {"logs": [], "urdfs": []}
-    return {"logs": _logs(folder), "urdfs": sorted(path.name for path in folder.glob("*.urdf"))}
+    return {"logs": logs_in(folder), "urdfs": sorted(path.name for path in folder.glob("*.urdf"))}
 
 
-@routes.page("/api/upload/{folder}/{name}", method="PUT")
+@routes.get("/api/free-folder")
+def free_folder(request: Request) -> object:
+    """The name of a new folder: the wanted one, repaired where it is not allowed, or numbered."""
+    workspace, query = workspace_of(request), request.query_params
+    parent = workspace.resolve(query.get("parent", ""))
+    return {"folder": workspace.relative(free_path(parent, query.get("name", "")))}
+
+
+@routes.page("/api/upload", method="PUT")
 async def upload(request: Request) -> Response:
     """Store one file of a folder."""
-    folder, name = request.path_params["folder"], request.path_params["name"]
-    check_name(folder)
-    if not name.lower().endswith(_ACCEPTED):
+    folder, name = (request.query_params.get(key, "") for key in ("folder", "name"))
+    if not name.lower().endswith(ACCEPTED):
         raise InvalidInput(
-            "has an unknown file type", where=name, remedy=f"choose {', '.join(_ACCEPTED)}"
+            "is no log: its file type is unknown",
+            where=name,
+            remedy="save it as CSV, Parquet, MAT, HDF5, NumPy, JSON or a bag",
         )
-    path = await workspace_of(request).receive(folder, name, request.stream())
+    try:
+        path = await workspace_of(request).receive(folder, name, request.stream())
+    except ClientDisconnect:  # cancelled
+        return Response(status_code=499)
     size = (await run_in_threadpool(path.stat)).st_size
-    return json_response({"name": name, "size": size})
+    return json_response({"name": path.name, "size": size})
 
 
 @routes.post("/api/draft")
 def draft(request: Request, body: Body) -> object:
-    """Write a draft of the study file in a folder."""
-    workspace, folder = workspace_of(request), text_of(body, "folder")
-    check_name(folder)
-    names, urdf = body.get("logs"), text_of(body, "urdf", "")
-    if not isinstance(names, list) or not names:
+    """Write a draft of the study file of a folder; return its path, and notes for the user.
+
+    `values` is the text of another study file or a data sheet. If it names these logs, it is the
+    study file; else the draft takes its values.
+    """
+    workspace, logs = workspace_of(request), body.get("logs")
+    name, urdf, values = (text_of(body, key, "") for key in ("folder", "urdf", "values"))
+    target = workspace.resolve(name) / "study.toml"
+    if target.exists() or not target.parent.is_dir():
+        problem = "has a study already" if target.exists() else "is no folder with logs"
+        raise InvalidInput(problem, where=name, remedy="type another name")
+    if not isinstance(logs, list) or not logs:
         raise InvalidInput("no log is chosen", remedy="choose at least one log")
-    logs = [workspace.resolve(f"{folder}/{name}") for name in names]
-    target = workspace.resolve(f"{folder}/study.toml")
-    robot = workspace.resolve(f"{folder}/{urdf}") if urdf else None
-    summary = asdict(start_study(logs, target, robot))
-    return summary | {"path": workspace.relative(target)}
+    notes: list[str] = []
+    if values and is_study_of(values, [path.name for path in target.parent.iterdir()]):
+        text = values
+    else:
+        paths = [workspace.file_of(target, str(each)) for each in logs]
+        robot = workspace.file_of(target, urdf) if urdf else None
+        text, notes = _draft(request, paths, target, robot)
+        if values:
+            try:
+                columns = {name for path in paths for name in column_names(path)}
+                text = changed_text(text, rig_changes(text, values, columns, target), target)
+            except InvalidInput as error:
+                notes.append(f"The values are not taken. {message_of(request, error)}")
+    write_whole(target.parent, {target.name: text.encode()})
+    return {"path": workspace.relative(target), "notes": notes}
+
+
+def _draft(
+    request: Request, logs: list[Path], target: Path, urdf: Path | None
+) -> tuple[str, list[str]]:
+    """The text of a draft, and notes; logs that are not like the others are left out."""
+    notes = list[str]()
+    while True:
+        try:
+            drafted = draft_study(logs, target, urdf)
+            return drafted.text, [*notes, *filter(None, [drafted.limit]), *drafted.warnings]
+        except InvalidInput as error:
+            rest = [path for path in logs if not (error.where or "").startswith(str(path))]
+            if not rest or len(rest) == len(logs):
+                raise
+            notes.append(f"Left out: {message_of(request, error)}")
+            logs = rest

@@ -30,6 +30,7 @@ from strainwave.report.document.rig import arm_picture, describe_arm
 from strainwave.report.figures import Axis, Figure, line_panel
 from strainwave.report.plotly_backend import plotly
 from strainwave.workbench.pages.experiments import experiments_of
+from strainwave.workbench.pages.overview import column_names
 from strainwave.workbench.study_edit import (
     KeyChange,
     changed_text,
@@ -103,8 +104,10 @@ def _changes(entries: object) -> list[KeyChange]:
         kind: Any = entry.get("kind")
         if kind not in get_args(KeyKind) or not isinstance(place, list) or not place:
             raise InvalidInput("the request has no place", where="request")
-        units = (text_of(entry, key, "") for key in ("unit", "chosen"))
-        value = value_of(text_of(entry, "value"), kind, *units)
+        value = entry.get("value")  # a text of a field, or a value of another study
+        if isinstance(value, str):
+            units = (text_of(entry, key, "") for key in ("unit", "chosen"))
+            value = value_of(value, kind, *units)
         if entry.get("is_list") and isinstance(value, str):
             value = [part.strip() for part in value.split(",")]
         changes.append(KeyChange(tuple(place), value))
@@ -171,8 +174,7 @@ def _columns(document: Mapping[str, Any], file_of: Callable[[str], Path]) -> dic
     for experiment in tables_of(document, "experiment"):
         name = str(experiment.get("name"))
         try:
-            file = file_of(str(experiment.get("file")))
-            columns[name] = list((Bag(file) if is_bag(file) else open_table(file)).names)
+            columns[name] = column_names(file_of(str(experiment.get("file"))))
         except InvalidInput:
             columns[name] = []
     return columns

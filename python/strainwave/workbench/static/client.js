@@ -19,8 +19,6 @@ export const getJson = (path, query = {}) => {
 export const postJson = (path, body = {}) =>
   request(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) });
 
-export const uploadFile = (path, file) => request(path, { method: "PUT", body: file });
-
 // Show a message at the bottom; errors stay until the next message.
 let timer;
 export function showMessage(text, isError = false) {
