@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -131,6 +132,7 @@ def test_a_result_places_the_joints_without_the_urdf(tmp_path: Path) -> None:
         (_LIMITED.replace("lower = -1.0", "lower = 3.0", 1), "3, is not below the upper, 2"),
         (_LIMITED.replace("80.0", "-80.0", 1), "'effort' is -80.0"),
         (_ARM + 8 * _JOINT + _RECORD, "at most 7"),
+        (re.sub(r"origin = .*", "origin = 3", _STUDY), "'origin' is 3, but it should be a table"),
         (_PLACED_BY_URDF + _JOINT + _RECORD, "2 joints move in robot.urdf (one, two)"),
         (_PLACED_BY_URDF.replace("robot.urdf", "none.urdf") + _RECORD, "none.urdf"),
         (

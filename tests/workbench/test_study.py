@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from strainwave.errors import InvalidInput
+from strainwave.init.draft import placed_arm
 from strainwave.io.study import read_study
 
 pytest.importorskip("starlette")
 
 from strainwave.workbench.study_edit import KeyChange, changed_text, edit_study, parse_draft
-from strainwave.workbench.study_form import drawn_arm, form_groups, missing_values, value_of
+from strainwave.workbench.study_form import missing_values, value_of
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
@@ -35,12 +36,10 @@ gear_ratio = 0.01
 [servo]
 kp = [TODO, TODO]  # gains
 """
-SERVO = (
-    ("period", "Period"),
-    ("kp", "Proportional gain"),
-    ("ki", "Integral gain"),
-    ("limit", "Voltage limit"),
-)
+
+
+def tables_in(text: str) -> dict[str, Any]:
+    return parse_draft(text, Path("study.toml")).unwrap()
 
 
 def saved(client: TestClient, *changes: dict[str, Any], sha256: str | None = None) -> Any:
@@ -121,13 +120,11 @@ def test_a_column_is_mapped_scaled_and_removed(client: TestClient, folder: Path)
 
 def test_todo_values_are_listed_and_survive_other_changes() -> None:
     document = parse_draft(DRAFT, Path("study.toml"))
-    missing = missing_values(document, form_groups(document))
-    assert [(each.place, each.title) for each in missing] == [
-        (("arm", "link_length"), "Link length"),
-        (("joint", 0, "gear_ratio"), "Gear ratio of joint 1"),
-        *((("servo", name), title) for name, title in SERVO),
-    ]
-    assert missing[0].hint == "[m] measured"
+    missing = missing_values(document)
+    places = [("arm", "link_length"), ("joint", 0, "gear_ratio")]
+    assert [*missing] == places + [("servo", key) for key in ("period", "kp", "ki", "limit")]
+    assert missing["arm", "link_length"] == "[m] measured"
+    assert missing["servo", "limit"] == "largest output; integration stops there"
     text = changed_text(DRAFT, [KeyChange(("arm", "link_length"), 0.35)], Path("study.toml"))
     assert text == DRAFT.replace("link_length = TODO", "link_length = 0.35")
 
@@ -142,18 +139,19 @@ name = "chirp"
 prbs = { order = 10, amplitude = TODO }
 """
     document = parse_draft(text, Path("study.toml"))
-    missing = missing_values(document, form_groups(document))[1:]  # after the kind of the arm
-    assert [(each.place, each.title, each.hint) for each in missing] == [
-        (("channels", "sample_rate"), "Sampling rate", "of logs without a time column"),
-        (("channels", "a1", "scale"), "scale of a1", "counts of the sensor"),
-        (("channels", "gyro1", "column"), "column of gyro1", ""),
-        (("experiment", 0, "prbs", "amplitude"), "prbs.amplitude of experiment chirp", ""),
-    ]
+    missing = missing_values(document)
+    del missing["arm", "kind"]
+    assert missing == {
+        ("channels", "sample_rate"): "of logs without a time column",
+        ("channels", "a1", "scale"): "counts of the sensor",
+        ("channels", "gyro1"): "",
+        ("experiment", 0, "prbs", "amplitude"): "",
+    }
 
 
 def test_a_cleared_value_is_missing_if_the_study_needs_it(client: TestClient) -> None:
     state = saved(client, change(["joint", 1, "gear_ratio"], "")).json()
-    assert [each["title"] for each in state["missing"]] == ["Gear ratio of joint 2"]
+    assert [each["place"] for each in state["missing"]] == [["joint", 1, "gear_ratio"]]
     assert "gear_ratio" in state["error"]
 
 
@@ -164,7 +162,7 @@ def test_the_arm_is_drawn_while_values_are_missing(client: TestClient, folder: P
     assert state["error"]
     assert "its length is missing" in state["caption"]
     assert state["arm"]["data"]
-    arm, note = drawn_arm(parse_draft(DRAFT.replace("h = TODO", "h = 0.4"), study), study)
+    arm, note = placed_arm(tables_in(DRAFT.replace("h = TODO", "h = 0.4")), study)
     assert (arm.joints[1].origin.xyz[0], note) == (0.4, "")
 
 
@@ -177,9 +175,29 @@ axis = [TODO, TODO, TODO]
 [[joint]]
 gear_ratio = TODO
 """
-    arm, note = drawn_arm(parse_draft(text, Path("study.toml")), Path("study.toml"))
+    arm, note = placed_arm(tables_in(text), Path("study.toml"))
     assert arm.joints[0].origin.xyz == (0.0, 0.0, 0.3)
     assert note == "No position is given of joint 2: see Placement."
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "arm = 3",
+        "joint = [1]",
+        '[arm]\nkind = "serial"\n[[joint]]\norigin = 3',
+        '[arm]\nkind = "serial"\n[[joint]]\nimu = 3\n[channels]\na1 = 3',
+        '[arm]\nkind = "planar-two-link"\nlink_length = "x"\n[[joint]]\n[[joint]]',
+        "x = TODO",
+    ],
+)
+def test_a_file_with_wrong_tables_stays_editable(
+    client: TestClient, folder: Path, text: str
+) -> None:
+    (folder / "arm" / "study.toml").write_text(text)
+    state = client.get(API).json()
+    assert state["error"]
+    assert (state["text"], state["arm"]) == (text, None)
 
 
 def test_a_urdf_outside_the_folder_is_not_drawn(client: TestClient, folder: Path) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 
 from strainwave.errors import InvalidInput
 from strainwave.init.channels import add_channels, map_channels
+from strainwave.init.draft import TODO
 from strainwave.init.experiment_type import ExperimentProposal, propose_uses
 from strainwave.init.inspection import InspectedLog, read_record
 from strainwave.init.joint_columns import Guess, Mapping
@@ -149,7 +150,6 @@ def _check_alike(records: Sequence[InspectedLog], fullest: InspectedLog, mapping
             )
 
 
-TODO = "TODO"
 _WIDTH = 100  # [characters] maximum length of a line
 _MAX_LISTED = 4  # names in a sentence
 

@@ -114,7 +114,8 @@ def _points(axes: Axes, mark: Line | Markers) -> None:
             axes.annotate(
                 label,
                 (at_x, at_y),
-                xytext=(4.0, 4.0),
+                xytext=(4.0, 4.0 if mark.is_above else -4.0),
+                verticalalignment="bottom" if mark.is_above else "top",
                 textcoords="offset points",
                 fontsize=_FONT_SIZE,
                 parse_math=False,

@@ -148,7 +148,8 @@ def _points(mark: Line | Markers, numbers: _Numbers) -> dict[str, Any]:
         trace["marker"] = {"color": mark.colour, "size": mark.size}
     if isinstance(mark, Markers):
         if mark.labels:
-            label = {"text": list(mark.labels), "textposition": "top right", "cliponaxis": False}
+            position = "top right" if mark.is_above else "bottom right"
+            label = {"text": list(mark.labels), "textposition": position, "cliponaxis": False}
             trace |= {"mode": "markers+text", **label}
         trace["marker"] |= {"opacity": mark.opacity} if mark.opacity < 1.0 else {}
         if mark.symbol != "circle":

@@ -14,10 +14,8 @@ from tomlkit.exceptions import TOMLKitError
 
 from strainwave.domain.results.consistency import Correction
 from strainwave.errors import InvalidInput
+from strainwave.init.draft import TODO
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
-
-TODO = "TODO"
-"""What `strainwave init` writes in place of a value that it cannot know."""
 
 _TODO = re.compile(rf"(?<![\w\"]){TODO}(?![\w\"])")
 _HEADER = re.compile(r"\s*\[\[?\s*([\w.-]+)\s*\]\]?\s*(#.*)?$")

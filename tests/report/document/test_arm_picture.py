@@ -77,7 +77,7 @@ def test_a_planar_arm_is_seen_along_its_axes() -> None:
     np.testing.assert_allclose([links.x, links.y], [[0.0, 0.0, 0.35], [0.0, 0.0, 0.0]])
     (sensors,) = marks(figure, "sensors")
     assert isinstance(sensors, Markers)
-    assert sensors.labels == ("accelerometer 1", "IMU 2")
+    assert sensors.labels == ("a1", "imu2")
     np.testing.assert_allclose([sensors.x, sensors.y], [[0.3, 0.55], [0.0, 0.05]])
     (last,) = marks(figure, "last link, whose length is not given")
     np.testing.assert_allclose(last.x, [0.35, 0.55])
@@ -116,6 +116,11 @@ def test_sensors_of_a_chain_are_at_their_places() -> None:
     along_y = np.array([y_tip.x[1], y_tip.y[1]])
     size = np.hypot(0.5, 0.2)  # of the arm with its sensor; axes of the base have a fifth of it
     np.testing.assert_allclose(moved / 0.2, along_y / (0.2 * size))
+
+
+def test_a_gravity_of_zero_has_no_arrow() -> None:
+    arm = ArmDescription("serial", (Joint("rigid", 0.01),), gravity=(0.0, 0.0, 0.0))
+    assert not marks(arm_picture(arm), "gravity")
 
 
 def test_both_back_ends_keep_scales_and_labels() -> None:

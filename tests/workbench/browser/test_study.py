@@ -49,7 +49,7 @@ def test_from_logs_to_a_complete_study(visit: Any) -> None:
     page.wait_for_selector("#preview[data-drawn]")
     study = read_study(visit.folder / "rig" / "study.toml")
     assert study.arm.joints[1].gear_ratio == 0.01
-    page.select_option("#field-channels-a1-column", "a2")
+    page.select_option("#field-channels-a1", "a2")
     wait_for_text(visit, 'column = "a2"')
     assert read_study(visit.folder / "rig" / "study.toml").channels["a1"].column == "a2"
 
@@ -209,7 +209,7 @@ def test_the_unit_of_a_column_is_its_scale(visit: Any) -> None:
     unit = page.get_by_label("Unit of the column of a1")
     assert unit.is_disabled()  # while the column has the channel's name
     page.get_by_label("Preview a1").click()
-    page.select_option("#field-channels-a1-column", "a2")
+    page.select_option("#field-channels-a1", "a2")
     visit.wait_until("!document.querySelector('#field-channels-a1-scale').disabled")
     unit.select_option("g")
     visit.wait_until("document.querySelector('#field-channels-a1-scale').value === '9.80665'")
@@ -222,7 +222,7 @@ def test_the_unit_of_a_column_is_its_scale(visit: Any) -> None:
     wait_for_text(visit, "scale = 2")
     assert unit.evaluate("(one) => one.selectedOptions[0].text") == "other"
     visit.wait_until("document.querySelector('#preview').dataset.drawn === 'true'")
-    hidden = page.locator("#field-channels-tau_l1-column")
+    hidden = page.locator("#field-channels-tau_l1")
     assert not hidden.is_visible()
     page.check("#all-channels")
     assert hidden.is_visible()

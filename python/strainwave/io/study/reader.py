@@ -313,6 +313,12 @@ class Reader:
         inner = [kind for kind in kinds if dataclasses.is_dataclass(kind)]
         if inner and isinstance(value, dict):
             return self.record(cast(type, inner[0]), value, name, index)
+        if dataclasses.is_dataclass(hint):
+            raise InvalidInput(
+                f"'{key}' is {_abbreviated(value)}, but it should be a table",
+                where=self.place(name, index, key),
+                remedy=f"write {key} = {{ ... }}",
+            )
         try:
             checked = _adapter(hint).validate_python(_lists_to_tuples(value))
             if isinstance(value, bool) and not isinstance(checked, bool):

@@ -181,7 +181,7 @@ def arm_picture(arm: ArmDescription) -> Figure:
         origins.append(place)
         axes.append(turn @ joint.axis / np.linalg.norm(joint.axis))
         for label, position in _sensor_positions(joint):
-            sensors.append((f"{label} {number}", place + turn @ position))
+            sensors.append((f"{label}{number}", place + turn @ position))
     base = np.zeros(3)
     reach = [float(np.linalg.norm(each)) for each in (*origins, *(at for _, at in sensors))]
     size = max(reach) or 1.0
@@ -199,7 +199,7 @@ def arm_picture(arm: ArmDescription) -> Figure:
         name = "last link, whose length is not given"
         marks.append(line(end, name, Colour.RESIDUAL, dash=figures.SHORT_DASH))
     arrows = {("frame of the base", Colour.LINEAR): dict(zip("xyz", np.eye(3), strict=True))}
-    if arm.gravity:
+    if arm.gravity and arm.gravity_size:
         arrows["gravity", Colour.MODEL] = {"g": np.array(arm.gravity) / arm.gravity_size}
     for (name, colour), directions in arrows.items():
         labels = tuple(label for label, each in directions.items() if np.any(view @ each))
@@ -207,30 +207,38 @@ def arm_picture(arm: ArmDescription) -> Figure:
         marks += [line([base, tip], name, colour, width=1.5) for tip in tips]
         marks.append(Markers(*(view @ np.transpose(tips)), name, colour, 3.0, labels=labels))
     if sensors:
-        labels, places = zip(*sensors, strict=True)
-        x, y = view @ np.transpose(places)
-        marks.append(Markers(x, y, "sensors", Colour.AMBER, _SENSOR_SIZE, labels=labels))
-    joints: list[tuple[FloatArray, list[str]]] = []  # places, with the names of all joints there
-    for origin, joint_name in zip(origins, arm.joint_names, strict=True):
-        near = [names for at, names in joints if np.linalg.norm(at - origin) < _SAME_PLACE * size]
-        if near:
-            near[0].append(joint_name)
-        else:
-            joints.append((origin, [joint_name]))
-    names = tuple(", ".join(names) for _, names in joints)
-    x, y = view @ np.transpose([at for at, _ in joints])
+        x, y = view @ np.transpose([at for _, at in sensors])
+        names = tuple(name for name, _ in sensors)
+        style: Any = {"labels": names, "is_above": False}
+        marks.append(Markers(x, y, "sensors", Colour.AMBER, _SENSOR_SIZE, **style))
+    places, names = _joint_places(origins, arm.joint_names, _SAME_PLACE * size)
+    x, y = view @ np.transpose(places)
     marks.append(Markers(x, y, "joints", Colour.MEASURED, _JOINT_SIZE, labels=names))
     right, up = ("x", "y") if is_planar else ("to the right in the view", "up in the view")
     panel = Panel(Axis(f"{up} [m]"), tuple(marks), _HEIGHT)
     return Figure(Axis(f"{right} [m]"), (panel,), has_equal_scales=True)
 
 
+def _joint_places(
+    origins: Sequence[FloatArray], names: Sequence[str], distance: float
+) -> tuple[list[FloatArray], tuple[str, ...]]:
+    """Places of joints, each with the names of all joints within a distance."""
+    joints: list[tuple[FloatArray, list[str]]] = []
+    for origin, name in zip(origins, names, strict=True):
+        near = [others for at, others in joints if np.linalg.norm(at - origin) < distance]
+        if near:
+            near[0].append(name)
+        else:
+            joints.append((origin, [name]))
+    return [at for at, _ in joints], tuple(", ".join(others) for _, others in joints)
+
+
 def _sensor_positions(joint: Joint) -> Iterator[tuple[str, FloatArray]]:
-    """Sensors whose position in the frame of the joint's link is given, with their names."""
+    """Sensors at given places in the frame of the joint's link, with kinds as in channels."""
     if joint.accelerometer_distance and joint.motion == "revolute":
-        yield "accelerometer", joint.accelerometer_distance * axes_about(joint.axis)[0]
+        yield "a", joint.accelerometer_distance * axes_about(joint.axis)[0]
     if joint.imu is not None and joint.imu.xyz is not None:
-        yield "IMU", np.array(joint.imu.xyz)
+        yield "imu", np.array(joint.imu.xyz)
 
 
 def describe_arm(arm: ArmDescription) -> str:

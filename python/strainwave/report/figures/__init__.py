@@ -84,6 +84,7 @@ class Markers:
     error: FloatArray | None = None  # half-length of a vertical error bar at each point
     symbol: Symbol = "circle"
     labels: tuple[str, ...] = ()  # text beside each point
+    is_above: bool = True  # of the labels; below the points otherwise
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,6 +19,7 @@ from strainwave.domain import Joint, channel_names
 from strainwave.domain.arm.gear_laws import RIGID
 from strainwave.domain.study import KeyKind
 from strainwave.errors import InvalidInput
+from strainwave.init.draft import placed_arm
 from strainwave.init.units import form_units
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
 from strainwave.io.logs.bags import Bag, is_bag
@@ -39,7 +40,6 @@ from strainwave.workbench.study_edit import (
 )
 from strainwave.workbench.study_form import (
     comments_of,
-    drawn_arm,
     form_groups,
     missing_values,
     shown,
@@ -123,9 +123,12 @@ def _state(request: Request, path: Path) -> dict[str, Any]:
     state |= {"missing": [], "columns": {}}
     try:
         document = parse_draft(text, path)
-        groups = form_groups(document)
-        state["groups"] = [asdict(group) for group in groups]
-        state["missing"] = [asdict(each) for each in missing_values(document, groups)]
+        state["groups"] = [
+            {"title": title, "rows": [asdict(row) for row in rows]}
+            for title, rows in form_groups(document).items()
+        ]
+        missing = missing_values(document).items()
+        state["missing"] = [{"place": place, "hint": hint} for place, hint in missing]
         state["experiments"] = experiments_of(document)
         state["channels"] = _channels(document)
         state["columns"] = _columns(document, partial(workspace.file_of, path))
@@ -141,7 +144,7 @@ def _picture(document: TOMLDocument, workspace: Workspace, path: Path) -> dict[s
     """The picture of the arm and its caption, also while values are missing."""
     if urdf := table_of(document, "arm").get("urdf"):
         workspace.file_of(path, str(urdf))
-    arm, note = drawn_arm(document, path)
+    arm, note = placed_arm(document.unwrap(), path)
     return {"arm": plotly(arm_picture(arm)), "caption": f"{describe_arm(arm)} {note}"}
 
 

@@ -61,7 +61,7 @@ const columnsOfRecord = () => state.columns[byId("preview-record").value] ?? [];
 const channelPlace = (row, key) => ["channels", row.channel, key];
 
 function buildChannel(row) {
-  const column = make("select", { id: idOf(channelPlace(row, "column")), "aria-label": `Column of ${row.channel}` });
+  const column = make("select", { id: idOf(["channels", row.channel]), "aria-label": `Column of ${row.channel}` });
   column.addEventListener("change", () => act(column, () => save(column.value
     ? [{ place: channelPlace(row, "column"), kind: "text", value: column.value }]
     : [{ place: ["channels", row.channel], kind: "text", value: "" }])));
@@ -98,7 +98,8 @@ function updateChannel(tr, row) {
 
 function showChannels() {
   const columns = columnsOfRecord();
-  const used = state.channels.filter((row) => byId("all-channels").checked || row.column || columns.includes(row.channel));
+  const used = state.channels.filter((row) => byId("all-channels").checked || row.column || columns.includes(row.channel)
+    || state.missing.some(({ place }) => place[1] === row.channel));
   keep(byId("channels"), used, (row) => row.channel, buildChannel, updateChannel);
 }
 

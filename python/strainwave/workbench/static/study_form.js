@@ -85,76 +85,73 @@ function unitMenu(row, update) {
   return menu;
 }
 
-function explanationOf(row, columns) {
-  const { range, unit } = row.key, text = row.key.default.replaceAll("`", "");
-  const reasons = row.fields.map((field, k) => field.reason && `${columns.length > 1 ? `${columns[k]}: ` : ""}${field.reason}`);
-  return [
-    `${row.meaning}.`, range == null ? "" : `Plausible: ${range[0]} to ${range[1]} ${unit}.`, text && `Without a value: ${text}.`,
-    `Key: ${row.key.key}.`, ...new Set(reasons),
-  ].filter(Boolean).map((line) => make("div", {}, line));
+function explanationOf({ key, meaning, fields }) {
+  const reasons = fields.map((field, k) => field.reason && (fields.length > 1 ? `Joint ${k + 1}: ${field.reason}` : field.reason));
+  const without = key.default === "required" ? "The study needs a value." : key.default && `Without a value: ${key.default.replaceAll("`", "")}.`;
+  return [`${meaning.slice(0, 1).toUpperCase()}${meaning.slice(1)}.`, key.range == null ? "" : `Plausible: ${key.range[0]} to ${key.range[1]} ${key.unit}.`,
+    without, `Key in the file: ${key.key}.`, ...new Set(reasons)].filter(Boolean).map((line) => make("div", {}, line));
 }
 
-// The changes that give all joints the values of joint 1.
-const copies = (rows) => rows.flatMap(({ key, fields: [first, ...others] }) => first.value === "" ? []
-  : others.filter(({ value }) => value !== first.value).map(({ place }) => ({ place, kind: key.kind, value: first.value })));
-
-function copyButton(label, text, rows) {
+// A button that copies the values of joint 1 to all joints, as one change.
+function copyButton(label, text, rowsOf) {
+  const changes = () => rowsOf().flatMap(({ key, fields: [first, ...others] }) => others
+    .filter(({ value }) => first.value !== "" && value !== first.value)
+    .map(({ place }) => ({ place, kind: key.kind, value: first.value })));
   const button = make("button", { type: "button", class: "quiet", "aria-label": label, title: label }, text);
-  onClick(button, () => save(() => copies(rows())));
+  onClick(button, () => save(changes));
   return button;
 }
 
-function buildRow(row, group) {
-  if (!row.key) return make("tbody", {}, make("tr", {}, make("th", { scope: "rowgroup", class: "section", colspan: group.columns.length + 3 }, row.section)));
-  const { title, key } = row.key, explanation = make("tr", { class: "explanation", id: `about-${row.fields[0].place[0]}-${key}`, hidden: true }, make("td", { colspan: group.columns.length + 3 }));
+function buildRow(row, count) {
+  if (!row.key) return make("tbody", {}, make("tr", {}, make("th", { scope: "rowgroup", class: "section", colspan: count + 3 }, row.section)));
+  const { title, key } = row.key, about = `about-${row.fields[0].place[0]}-${key}`;
   const body = make("tbody");
-  const update = () => updateRow(body, body.row, body.group);
+  const control = (field, k) => fieldControl(idOf(field.place), entryOf(row, field), { "aria-label": count > 1 ? `${title} of joint ${k + 1}` : title });
   body.append(
-    make("tr", {}, make("th", { scope: "row" }, title, make("button", { type: "button", class: "tip", "aria-label": `About ${title}`, "aria-expanded": "false", "aria-controls": explanation.id }, "?")), make("td", { class: "unit" }, unitMenu(row, update)),
-      ...row.fields.map((field, k) => make("td", {}, fieldControl(idOf(field.place), entryOf(row, field), { "aria-label": group.columns.length > 1 ? `${title} of ${group.columns[k].toLowerCase()}` : title }))),
-      ...(group.columns.length > 1 ? [make("td", {}, copyButton(`Copy ${title} of joint 1 to all joints`, "copy", () => [body.row]))] : [])),
-    explanation);
+    make("tr", {}, make("th", { scope: "row" }, title, make("button", { type: "button", class: "tip", "aria-label": `About ${title}`, "aria-expanded": "false", "aria-controls": about }, "?")),
+      make("td", { class: "unit" }, unitMenu(row, () => updateRow(body, body.row, false))), ...row.fields.map((field, k) => make("td", {}, control(field, k))),
+      ...(count > 1 ? [make("td", {}, copyButton(`Copy ${title} of joint 1 to all joints`, "copy", () => [body.row]))] : [])),
+    make("tr", { class: "explanation", id: about, hidden: true }, make("td", { colspan: count + 3 })));
   return body;
 }
 
 const isOptional = (row) => row.fields.every((field) => field.value === "" && !field.is_missing);
 
-function updateRow(body, row, group) {
-  Object.assign(body, { row, group }); // for the buttons of the row
-  const rows = row.key ? [row] : group.rows.filter((one) => one.section === row.section);
-  body.hidden = !opened.has(group.title) && rows.every(isOptional) && !body.contains(document.activeElement);
+function updateRow(body, row, isHidden) {
+  body.row = row;
+  body.hidden = isHidden && !body.contains(document.activeElement);
   if (!row.key) return;
   for (const field of row.fields) {
-    const control = byId(idOf(field.place)) ?? body.querySelector(`[id="${idOf(field.place)}"]`);
+    const control = body.querySelector(`[id="${idOf(field.place)}"]`);
     showValue(control, entryOf(row, field));
     control.title = [`${row.meaning}${row.key.unit && ` [${row.key.unit}]`}`, field.reason].filter(Boolean).join("\n");
   }
-  body.querySelector(".explanation > td").replaceChildren(...explanationOf(row, group.columns));
+  body.querySelector(".explanation > td").replaceChildren(...explanationOf(row));
 }
 
-function buildGroup(group) {
+function buildGroup({ title, rows: [{ fields }] }) {
   const more = make("button", { type: "button", class: "quiet more" });
   more.addEventListener("click", () => {
-    if (!opened.delete(group.title)) opened.add(group.title);
+    if (!opened.delete(title)) opened.add(title);
     updateGroup(section, section.group);
   });
-  const heads = group.columns.length > 1
-    ? [make("thead", { "data-key": "heads" }, make("tr", {}, make("td"), make("th", { scope: "col" }, "unit"), ...group.columns.map((title) => make("th", { scope: "col" }, title)),
-      make("td", {}, copyButton("Copy all values of joint 1 except its placement to all joints", "copy all", () => section.group.rows.filter((row) => row.key.group !== "placement")))))]
-    : [];
-  const section = make("section", { class: "group" }, make("h3", {}, group.title),
-    make("div", { class: "wide", role: "region", "aria-label": group.title, tabindex: "0" }, make("table", {}, ...heads)), more);
+  const all = () => section.group.rows.filter((row) => row.key.group !== "placement");
+  const heads = fields.length > 1 ? [make("thead", { "data-key": "heads" }, make("tr", {}, make("td"), make("th", { scope: "col" }, "unit"),
+    ...fields.map((_, k) => make("th", { scope: "col" }, `Joint ${k + 1}`)), make("td", {}, copyButton("Copy all values of joint 1 except its placement to all joints", "copy all", all))))] : [];
+  const section = make("section", { class: "group" }, make("h3", {}, title),
+    make("div", { class: "wide", role: "region", "aria-label": title, tabindex: "0" }, make("table", {}, ...heads)), more);
   return section;
 }
 
 function updateGroup(section, group) {
   section.group = group;
-  const sections = [...new Set(group.rows.map((row) => row.section))];
-  const entries = sections.flatMap((name) => [...(name ? [{ section: name }] : []), ...group.rows.filter((row) => row.section === name)]);
-  const table = section.querySelector("table"), count = group.rows.filter(isOptional).length, isOpen = opened.has(group.title);
-  const heads = table.tHead ? [table.tHead] : [];
-  keep(table, [...heads, ...entries], (one) => one === table.tHead ? "heads" : one.key?.key ?? one.section,
-    (row) => buildRow(row, group), (body, row) => { if (row !== table.tHead) updateRow(body, row, group); });
+  const { title, rows } = group, isOpen = opened.has(title), table = section.querySelector("table"), count = rows.filter(isOptional).length;
+  const entries = [...new Set(rows.map((row) => row.section))].flatMap((name) => {
+    const inside = rows.filter((row) => row.section === name);
+    return [...(name ? [{ section: name, isHidden: inside.every(isOptional) }] : []), ...inside.map((row) => ({ ...row, isHidden: isOptional(row) }))];
+  });
+  keep(table, [...(table.tHead ? [{ section: "heads" }] : []), ...entries], (row) => row.key?.key ?? row.section,
+    (row) => buildRow(row, rows[0].fields.length), (body, row) => { if (body !== table.tHead) updateRow(body, row, row.isHidden && !isOpen); });
   const more = section.querySelector(".more");
   more.hidden = count === 0;
   more.setAttribute("aria-expanded", String(isOpen));
@@ -162,16 +159,16 @@ function updateGroup(section, group) {
 }
 
 export const showGroups = (groups) =>
-  keep(byId("rig"), groups, (group) => `${group.title} ${group.columns.length}`, buildGroup, updateGroup);
+  keep(byId("rig"), groups, ({ title, rows }) => `${title} ${rows[0].fields.length}`, buildGroup, updateGroup);
 
-// The list of missing values; each leads to its field.
+// The list of missing values; each leads to its field, whose label is its title.
 export function showMissing(missing, goTo) {
+  const wanted = new Set(missing.map((one) => idOf(one.place)));
   keep(byId("missing-list"), missing, (one) => idOf(one.place), (one) => {
-    const button = make("button", { type: "button", class: "link" }, one.title);
+    const button = make("button", { type: "button", class: "link" }, byId(idOf(one.place))?.getAttribute("aria-label") ?? one.place.join(" "));
     button.addEventListener("click", () => goTo(one));
     return make("li", { title: one.hint }, button, " ", make("span", { class: "hint" }, one.hint));
   }, () => {});
-  const wanted = new Set(missing.map((one) => idOf(one.place)));
   for (const control of document.querySelectorAll("[id^=field-]")) {
     control.classList.toggle("missing", wanted.has(control.id));
     if (control instanceof HTMLInputElement) control.placeholder = wanted.has(control.id) ? "missing" : control.dataset.default ?? "";
