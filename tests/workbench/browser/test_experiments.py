@@ -34,16 +34,16 @@ def test_a_dropped_log_becomes_an_experiment_that_is_undone(visit: Any, tmp_path
     drop(page, log)
     wait_for_rows(visit, n_rows + 1)
     added = experiments(visit)[-1]
-    assert (added.name, added.file, added.use) == ("more -x", "more -x-.parquet", "frequency")
+    assert (added.name, added.file, added.use) == ("more -x", "more -x.parquet", "frequency")
     assert added.prbs == before[2].prbs
     message = page.locator("#message").inner_text()
     assert "Added: more -x (frequency)." in message
-    assert "stored as more -x-.parquet." in message
+    assert "stored as more -x.parquet." in message
     visit.check_accessibility()
     page.click("#undo")
     wait_for_rows(visit, n_rows)
     assert experiments(visit) == before
-    page.select_option("#log", "more -x-.parquet")
+    page.select_option("#log", "more -x.parquet")
     page.click("#add")
     wait_for_rows(visit, n_rows + 1)
     assert experiments(visit)[-1] == added

@@ -41,7 +41,11 @@ function updateRow(tr, row) {
     const entry = entryOf(row.cells[k]);
     if (entry.kind === "choice") for (const one of entry.choices) if (![...control.options].some(({ value }) => value === one)) control.add(new Option(one));
     showValue(control, entry);
-    for (const one of control.options ?? []) one.text = row.cells[k].choices[one.value] ? `${one.value}: ${row.cells[k].choices[one.value]}` : one.value;
+    for (const one of control.options ?? []) {
+      const { value } = one, meaning = row.cells[k].choices[value];
+      one.setAttribute("value", value); // without, the text is the value
+      one.text = meaning ? `${value}: ${meaning}` : value;
+    }
     control.setAttribute("aria-label", `${entry.title} of ${nameOf(row)}`);
   }
   for (const button of tr.querySelectorAll("button")) button.setAttribute("aria-label", `${button.textContent} ${nameOf(row)}`);
