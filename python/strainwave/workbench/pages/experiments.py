@@ -36,15 +36,15 @@ _USES = {
     "tuning": "step of one joint, for the final fit",
     "check": "validation, predicted and never fitted",
 }
-_EXPERIMENT = (  # key, title, kind, choices with their meaning, and whether it is a list of texts
-    ("name", "Name", "text", {}, False),
-    ("file", "File", "choice", {}, False),  # the page adds the logs of the folder
-    ("use", "Use", "choice", _USES, False),
-    ("joint", "Joint", "number", {}, False),
-    ("control", "Control", "text", {}, True),
-    ("start", "Start [s]", "number", {}, False),
-    ("stop", "Stop [s]", "number", {}, False),
-)
+_CELLS: dict[str, dict[str, Any]] = {
+    "name": {"title": "Name", "kind": "text", "choices": {}},
+    "file": {"title": "File", "kind": "choice", "choices": {}},  # the logs of the folder
+    "use": {"title": "Use", "kind": "choice", "choices": _USES},
+    "joint": {"title": "Joint", "kind": "number", "choices": {}},
+    "control": {"title": "Control", "kind": "text", "choices": {}, "is_list": True},
+    "start": {"title": "Start [s]", "kind": "number", "choices": {}},
+    "stop": {"title": "Stop [s]", "kind": "number", "choices": {}},
+}
 
 
 def experiments_of(document: tomlkit.TOMLDocument) -> list[dict[str, Any]]:
@@ -52,25 +52,22 @@ def experiments_of(document: tomlkit.TOMLDocument) -> list[dict[str, Any]]:
     lines = tomlkit.dumps(document).split("\n")
     tables, spans = tables_of(document, "experiment"), table_spans(lines, "experiment")
     rows = []
-    for index, experiment in enumerate(tables):
-        cells = []
-        for key, title, kind, choices, is_list in _EXPERIMENT:
-            value = experiment.get(key)
-            shown = ", ".join(map(str, value)) if isinstance(value, list) else value
-            cells.append(
-                {
-                    "place": ["experiment", index, key],
-                    "title": title,
-                    "kind": kind,
-                    "choices": choices,
-                    "value": "" if shown is None else str(shown),
-                    "is_list": is_list,
-                }
-            )
+    for index, table in enumerate(tables):
+        cells = [
+            {"place": ["experiment", index, key], "value": _shown(table.get(key)), **looks}
+            for key, looks in _CELLS.items()
+        ]
         first, end = spans[index] if len(spans) == len(tables) else (0, 0)
-        text = "\n".join(lines[first + 1 : end])
-        rows.append({"name": str(experiment.get("name", "")), "text": text, "cells": cells})
+        rows.append(
+            {"name": _shown(table.get("name")), "text": "\n".join(lines[first + 1 : end])}
+            | {"cells": cells}
+        )
     return rows
+
+
+def _shown(value: object) -> str:
+    text = ", ".join(map(str, value)) if isinstance(value, list) else value
+    return "" if text is None else str(text)
 
 
 @routes.get("/api/experiments/{study:path}")

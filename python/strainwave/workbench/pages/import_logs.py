@@ -115,7 +115,7 @@ def draft(request: Request, body: Body) -> object:
                 columns = {name for path in paths for name in column_names(path)}
                 text = changed_text(text, rig_changes(text, values, columns, target), target)
             except InvalidInput as error:
-                notes.append(f"The values are not taken. {message_of(request, error)}")
+                notes.append(f"The values are not taken: {message_of(request, error)}")
     write_whole(target.parent, {target.name: text.encode()})
     return {"path": workspace.relative(target), "notes": notes}
 

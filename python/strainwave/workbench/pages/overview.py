@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -105,40 +105,28 @@ def overview(request: Request) -> object:
     files = [e.get("file") for e in tables_of(document, "experiment") if e.get("name") == wanted]
     if not files:
         raise InvalidInput("there is no such experiment", where=path.name)
-    lines = outlines(workspace_of(request).file_of(path, str(files[0])))
-    rows = [*_channel_rows(document, lines)]
-    used = {row["column"] for row in rows}
-    rows += [_row(name, line) for name, line in lines.items() if name not in used]
+    lines = dict(outlines(workspace_of(request).file_of(path, str(files[0]))))
+    mapped = table_of(document, "channels")
+    channels = channel_names(len(tables_of(document, "joint")))
+    rows = [
+        _row(column, lines.pop(column), channel, mapped.get(channel, channel))
+        for channel in channels
+        for column in columns_of(mapped.get(channel, channel))
+        if column in lines
+    ]
     clock = [row for row in rows if row["channel"] == "t" and row["unit"]]
-    seconds = clock[0]["high"] - clock[0]["low"] if clock else None
+    seconds = clock[0]["high"] - clock[0]["low"] if len(clock) == 1 else None
+    rows += [_row(column, line) for column, line in lines.items()]
     return {"file": files[0], "seconds": seconds, "rows": rows}
 
 
-def _channel_rows(
-    document: Mapping[str, Any], lines: Mapping[str, Outline]
-) -> Iterator[dict[str, Any]]:
-    mapped = table_of(document, "channels")
-    for channel in channel_names(len(tables_of(document, "joint"))):
-        entry = mapped.get(channel, channel)
-        table = entry if isinstance(entry, Mapping) else {}
-        scale, offset = table.get("scale", 1.0), table.get("offset", 0.0)
-        is_known = isinstance(scale, int | float) and isinstance(offset, int | float)
-        unit = ("s" if channel == "t" else unit_of(channel)) if is_known else ""
-        for column in columns_of(entry):
-            if column in lines and is_known:
-                yield _row(column, lines[column], channel, unit, scale, offset)
-            elif column in lines:
-                yield _row(column, lines[column], channel)
-
-
-def _row(
-    column: str,
-    line: Outline,
-    channel: str = "",
-    unit: str = "",
-    scale: float = 1.0,
-    offset: float = 0.0,
-) -> dict[str, Any]:
+def _row(column: str, line: Outline, channel: str = "", entry: object = None) -> dict[str, Any]:
+    """A column with its channel, in SI units if its `entry` in [channels] has numbers."""
+    table = entry if isinstance(entry, Mapping) else {}
+    scale, offset = table.get("scale", 1.0), table.get("offset", 0.0)
+    unit = "s" if channel == "t" else unit_of(channel)
+    if not isinstance(scale, int | float) or not isinstance(offset, int | float):
+        scale, offset, unit = 1.0, 0.0, ""
     low, high = sorted((scale * line.low + offset, scale * line.high + offset))
-    row = {"column": column, "channel": channel, "unit": unit, "low": low, "high": high}
-    return row | {"samples": line.samples, "points": line.points, "is_reversed": scale < 0}
+    row = {"column": column, "channel": channel, "unit": unit, "is_reversed": scale < 0}
+    return asdict(line) | row | {"low": low, "high": high}

@@ -28,7 +28,7 @@ async function draft() {
 
 onFiles(async (dropped) => {
   byId("import").hidden = false;
-  if (!dropped.uploads.length) throw new Error(`No log is among these files: ${dropped.others.join(", ") || "values alone make no study; drop them with the logs"}.`);
+  if (!dropped.uploads.length) throw new Error(dropped.others.length ? `No log is among these files: ${dropped.others.join(", ")}. Save tables as CSV, Parquet, MAT, HDF5, NumPy or JSON.` : "Values alone make no study: drop them with the logs.");
   const wanted = folder() || dropped.name;
   byId("folder").value = known.includes(wanted) ? wanted : (await getJson("/api/free-folder", { name: wanted })).folder;
   const { stored, notes: repairs } = await uploadAll(dropped, folder());

@@ -17,7 +17,13 @@ async function filesIn(entry) {
 async function valuesIn(file) {
   if (!/\.(toml|json)$/i.test(file.name) || file.size > 2 ** 20) return undefined;
   const text = await file.text();
-  return file.name.toLowerCase().endsWith(".toml") || /^\s*\{[^]*"(joint|arm|servo|channels)"\s*:\s*[[{]/.test(text) ? text : undefined;
+  if (/\.toml$/i.test(file.name)) return text;
+  try {
+    const { arm, servo, joint } = JSON.parse(text);
+    return arm?.constructor === Object || servo?.constructor === Object || Array.isArray(joint) ? text : undefined;
+  } catch {
+    return undefined; // JSON lines, or null
+  }
 }
 
 // Sort { file, path } into uploads, the text with values, and files of other types.
