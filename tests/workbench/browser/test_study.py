@@ -1,13 +1,15 @@
-"""Import logs, map a column, fill in what is missing."""
+"""The form of a study: missing values, units, copies, undo, picture, channels and text."""
 
 from __future__ import annotations
 
 import json
 import re
+import shutil
 from typing import Any
 
 import pytest
 
+from strainwave.init import start_study
 from strainwave.io.study import read_study
 
 VALUES = {
@@ -24,19 +26,17 @@ VALUES = {
 }
 
 
-def test_from_logs_to_a_complete_study(visit: Any) -> None:
-    page = visit.open("/")
-    page.click("text=Import logs >> nth=0")
-    page.fill("#folder", "rig")
-    logs = [visit.folder / "arm" / f"{name}.parquet" for name in ("motion", "prbs-j1", "step-j1")]
-    page.set_input_files("#files", [str(path) for path in logs])
-    visit.wait_until("!document.querySelector('#draft').disabled")
-    visit.check_accessibility()
-    page.click("#draft")
-    page.click("#continue")
+def test_the_missing_values_of_a_draft_by_keyboard(visit: Any) -> None:
+    (visit.folder / "rig").mkdir()
+    logs = []
+    for name in ("motion", "prbs-j1", "step-j1"):
+        logs.append(visit.folder / "rig" / f"{name}.parquet")
+        shutil.copy(visit.folder / "arm" / logs[-1].name, logs[-1])
+    start_study(logs, visit.folder / "rig" / "study.toml")
+    page = visit.open("/study/rig/study.toml")
     page.wait_for_selector("#state[data-state=error]")
     visit.check_accessibility()
-    # the missing values, by keyboard: from the list to the first, then Enter leads to the next
+    # from the list to the first, then Enter leads to the next
     count = page.locator("#missing-list li").count()
     page.locator("#missing-list button").first.press("Enter")
     for k in range(count):
@@ -130,7 +130,7 @@ def test_explanations_open_on_demand(visit: Any) -> None:
     assert not about.is_visible()
     button = page.get_by_label("About Current loop")
     button.press("Enter")
-    assert "bandwidth of the first-order lag" in about.inner_text()
+    assert "Bandwidth of the first-order lag" in about.inner_text()
     assert "Plausible: 5 to 1000000 Hz." in about.inner_text()
     assert button.get_attribute("aria-expanded") == "true"
     title = page.locator("#field-joint-0-current_loop_hz").get_attribute("title")
