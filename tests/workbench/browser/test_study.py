@@ -265,6 +265,8 @@ def test_an_error_of_the_text_leads_to_its_line(visit: Any) -> None:
     page.wait_for_selector("#to-line:visible")
     page.click("#to-line")
     assert page.evaluate(selected) == "linklength = 1"
+    line = text.input_value()[: text.input_value().index("linklength")].count("\n") + 1
+    visit.wait_until(f"document.querySelector('#cursor').textContent === 'Line {line}'")
 
 
 def test_leaving_with_typed_text_asks(visit: Any) -> None:

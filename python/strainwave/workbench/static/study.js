@@ -211,6 +211,9 @@ document.addEventListener("keydown", (event) => {
   event.preventDefault();
   act(null, event.shiftKey ? redo : undo);
 });
+document.addEventListener("selectionchange", () => {
+  if (document.activeElement === text) byId("cursor").textContent = `Line ${text.value.slice(0, text.selectionStart).split("\n").length}`;
+});
 byId("rig").addEventListener("focusin", (event) => {
   editedJoint = Number(/^field-joint-(\d+)-/.exec(event.target.id)?.[1] ?? NaN);
   act(null, showArm);

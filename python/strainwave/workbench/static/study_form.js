@@ -74,11 +74,11 @@ const entryOf = (row, field) => ({ ...field, kind: row.key.kind, choices: row.ch
 
 function unitMenu(row, update) {
   if (row.units.length < 2) return make("span", {}, row.key.unit.split(",")[0]);
-  const key = entryOf(row, row.fields[0]).unitKey;
+  const entry = entryOf(row, row.fields[0]);
   const menu = make("select", { "aria-label": `Unit of ${row.key.title}` }, ...row.units.map(({ name }) => make("option", {}, name)));
-  menu.value = chosenUnits[key] ?? row.units[0].name;
+  menu.value = unitOf(entry).name || row.units[0].name;
   menu.addEventListener("change", () => {
-    chosenUnits[key] = menu.value;
+    chosenUnits[entry.unitKey] = menu.value;
     localStorage.setItem(STORED, JSON.stringify(chosenUnits));
     update();
   });
