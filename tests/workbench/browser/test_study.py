@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 from typing import Any
 
 import pytest
 
-from strainwave.init import start_study
 from strainwave.io.study import read_study
 
 VALUES = {
@@ -26,14 +24,13 @@ VALUES = {
 }
 
 
-def test_the_missing_values_of_a_draft_by_keyboard(visit: Any) -> None:
-    (visit.folder / "rig").mkdir()
-    logs = []
-    for name in ("motion", "prbs-j1", "step-j1"):
-        logs.append(visit.folder / "rig" / f"{name}.parquet")
-        shutil.copy(visit.folder / "arm" / logs[-1].name, logs[-1])
-    start_study(logs, visit.folder / "rig" / "study.toml")
-    page = visit.open("/study/rig/study.toml")
+def test_from_logs_to_a_complete_study(visit: Any) -> None:
+    page = visit.open("/")
+    page.click("text=Import logs >> nth=0")
+    page.fill("#folder", "rig")
+    logs = [visit.folder / "arm" / f"{name}.parquet" for name in ("motion", "prbs-j1", "step-j1")]
+    page.set_input_files("#files", [str(path) for path in logs])
+    page.wait_for_url("**/study/rig/study.toml")
     page.wait_for_selector("#state[data-state=error]")
     visit.check_accessibility()
     # from the list to the first, then Enter leads to the next

@@ -30,11 +30,11 @@ from strainwave.workbench.web import Body, Routes, message_of, study_file_of, te
 routes = Routes()
 
 _USES = {
-    "motion": "motion of the arm: rigid model",
-    "frequency": "test signal of a joint: elasticity",
-    "sweep": "the same signal, weaker: curve of the stiffness",
-    "tuning": "step of a joint: final fit",
-    "check": "validation: predicted, never fitted",
+    "motion": "motion of the arm, for the rigid model",
+    "frequency": "test signal of one joint, for its elasticity",
+    "sweep": "the same signal with a smaller amplitude",
+    "tuning": "step of one joint, for the final fit",
+    "check": "validation, predicted and never fitted",
 }
 _EXPERIMENT = (  # key, title, kind, choices with their meaning, and whether it is a list of texts
     ("name", "Name", "text", {}, False),

@@ -2,45 +2,60 @@
 import { act, address, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
 import { showOverview } from "./overview.js";
 import { save } from "./study.js";
+import { fieldControl, idOf, keep, showValue } from "./study_form.js";
 import { onFiles, uploadAll } from "./upload.js";
 
 const api = (name) => `/api/${name}/${address(study)}`;
 let state, sources = { logs: [], studies: [] };
 
-function cellControl(row, cell) {
-  const [, index, key] = cell.place, attributes = { id: `experiment-${index}-${key}`, "aria-label": `${cell.title} of ${row.name}` };
-  const logs = Object.fromEntries(sources.logs.map((name) => [name, ""])), choices = key === "file" ? logs : cell.choices;
-  const options = Object.entries(cell.value in choices ? choices : { [cell.value]: "", ...choices });
-  const control = cell.kind === "choice"
-    ? make("select", attributes, ...options.map(([value, meaning]) => make("option", { value }, meaning ? `${value}: ${meaning}` : value)))
-    : make("input", { ...attributes, class: cell.kind === "number" ? "short" : null });
-  control.value = cell.value;
-  control.addEventListener("change", () => act(control, () => save([{ ...cell, value: control.value }])));
-  return control;
+const nameOf = (row) => row.cells[0].value;
+const entryOf = (cell) => ({ ...cell, choices: cell.place[2] === "file" ? sources.logs : Object.keys(cell.choices) });
+
+function buildCell(cell) {
+  const control = fieldControl(idOf(cell.place), entryOf(cell), { class: cell.kind === "number" ? "short" : null });
+  if (cell.kind === "choice") control.options[0].remove(); // there is no default
+  return make("td", {}, control);
 }
 
 function freeName(name) {
-  const names = state.experiments.map((row) => row.name);
+  const names = state.experiments.map(nameOf);
   for (let k = 2; ; k += 1) if (!names.includes(`${name} (${k})`)) return `${name} (${k})`;
 }
 
-function rowOf(row, index) {
-  const button = (text, changes, next) => {
-    const one = make("button", { type: "button", id: `${text}-${index}`, "aria-label": `${text} ${row.name}` }, text);
-    onClick(one, async () => { await save(changes()); byId(next)?.focus(); });
+function buildRow(row) {
+  const index = row.cells[0].place[1], at = (k, ...key) => ({ place: ["experiment", k, ...key], kind: "text" });
+  const button = (text, changes) => {
+    const one = make("button", { type: "button" }, text);
+    onClick(one, () => save(changes()));
     return one;
   };
-  const at = (k, ...key) => ({ place: ["experiment", k, ...key], kind: "text" });
-  const duplicate = () => [{ ...at(index + 1), value: row.text }, { ...at(index + 1, "name"), value: freeName(row.name) }];
-  return make("tr", {}, ...row.cells.map((cell) => make("td", {}, cellControl(row, cell))),
-    make("td", {}, make("div", { class: "row" }, button("Duplicate", duplicate, `experiment-${index + 1}-name`), button("Remove", () => [{ ...at(index), value: "" }], `Remove-${Math.max(0, index - 1)}`))));
+  const tr = make("tr", {}, ...row.cells.map((cell) => buildCell(cell)), make("td", {}, make("div", { class: "row" },
+    button("Duplicate", () => [{ ...at(index + 1), value: tr.row.text }, { ...at(index + 1, "name"), value: freeName(nameOf(tr.row)) }]),
+    button("Remove", () => [{ ...at(index), value: "" }]))));
+  return tr;
+}
+
+function updateRow(tr, row) {
+  tr.row = row;
+  for (const [k, control] of tr.querySelectorAll("input, select").entries()) {
+    const entry = entryOf(row.cells[k]);
+    if (entry.kind === "choice") for (const one of entry.choices) if (![...control.options].some(({ value }) => value === one)) control.add(new Option(one));
+    showValue(control, entry);
+    for (const one of control.options ?? []) {
+      const { value } = one, meaning = row.cells[k].choices[value];
+      one.setAttribute("value", value); // without, the text is the value
+      one.text = meaning ? `${value}: ${meaning}` : value;
+    }
+    control.setAttribute("aria-label", `${entry.title} of ${nameOf(row)}`);
+  }
+  for (const button of tr.querySelectorAll("button")) button.setAttribute("aria-label", `${button.textContent} ${nameOf(row)}`);
 }
 
 export function showExperiments(next) {
   state = next;
   const heads = state.experiments[0]?.cells.map((cell) => make("th", { scope: "col" }, cell.title)) ?? [];
   byId("experiment-heads").replaceChildren(...heads, make("th", { scope: "col" }, "actions"));
-  byId("experiments").replaceChildren(...state.experiments.map(rowOf));
+  keep(byId("experiments"), state.experiments, (row) => String(row.cells[0].place[1]), buildRow, updateRow);
   act(null, () => showOverview(state));
 }
 

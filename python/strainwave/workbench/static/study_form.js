@@ -139,7 +139,7 @@ function buildGroup({ title, rows: [{ fields }] }) {
   const heads = fields.length > 1 ? [make("thead", { "data-key": "heads" }, make("tr", {}, make("td"), make("th", { scope: "col" }, "unit"),
     ...fields.map((_, k) => make("th", { scope: "col" }, `Joint ${k + 1}`)), make("td", {}, copyButton("Copy all values of joint 1 except its placement to all joints", "copy all", all))))] : [];
   const section = make("section", { class: "group" }, make("h3", {}, title),
-    make("div", { class: "wide", role: "region", "aria-label": `Fields of ${title}`, tabindex: "0" }, make("table", {}, ...heads)), more);
+    make("div", { class: "wide", role: "region", "aria-label": `Table: ${title}`, tabindex: "0" }, make("table", {}, ...heads)), more);
   return section;
 }
 
