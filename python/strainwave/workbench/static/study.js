@@ -87,8 +87,9 @@ function updateChannel(tr, row) {
   setOptions(column, [["", columns.includes(row.channel) ? `${row.channel} (same name)` : "none"], ...names.map((name) => [name, name])]);
   column.value = row.column;
   const scale = Math.abs(Number(row.scale || 1));
-  const known = row.units.find(({ factor }) => Math.abs(scale / factor - 1) < SCALE_TOLERANCE);
-  setOptions(unit, [...row.units.map(({ name, factor }) => [String(factor), name]), ...(known ? [] : [[String(scale), "other"]])]);
+  const units = row.units.length ? row.units : [{ name: row.unit, factor: 1 }];
+  const known = units.find(({ factor }) => Math.abs(scale / factor - 1) < SCALE_TOLERANCE);
+  setOptions(unit, [...units.map(({ name, factor }) => [String(factor), name]), ...(known ? [] : [[String(scale), "other"]])]);
   unit.value = String(known?.factor ?? scale);
   for (const one of [unit, ...numbers]) one.disabled = !row.column;
   numbers.forEach((control, k) => showValue(control, channelEntry(row, ["scale", "offset"][k])));
