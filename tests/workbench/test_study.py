@@ -180,6 +180,17 @@ gear_ratio = TODO
     assert note == "No position is given of joint 2: see Placement."
 
 
+def test_units_of_a_prismatic_joint(client: TestClient, folder: Path) -> None:
+    text = '[arm]\nkind = "single-joint"\n[[joint]]\nmotion = "prismatic"\ngear_ratio = 0.02\n'
+    (folder / "arm" / "study.toml").write_text(text)
+    state = client.get(API).json()
+    (angle,) = [row for row in state["channels"] if row["channel"] == "theta_m1"]
+    assert (angle["unit"], [unit["name"] for unit in angle["units"]]) == ("m", ["m", "mm"])
+    (joint,) = [group for group in state["groups"] if group["title"] == "Joint"]
+    (ratio,) = [row for row in joint["rows"] if row["key"]["key"] == "gear_ratio"]
+    assert (ratio["key"]["unit"], ratio["units"]) == ("link rad (or m) per motor rad", [])
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -84,10 +84,11 @@ def in_si(text: str, unit: str, chosen: str = "") -> str:
     last = _LAST_UNIT.search(text)
     if last:
         text, chosen = text[: last.start(1)], last[1]
-    return _QUANTITY.sub(lambda match: _converted(*match.groups(""), unit, chosen), text)
+    return _QUANTITY.sub(lambda match: _converted(match, unit, chosen), text)
 
 
-def _converted(number: str, per: str, given: str, unit: str, chosen: str) -> str:
+def _converted(match: re.Match[str], unit: str, chosen: str) -> str:
+    number, per, given = match.groups("")
     name, units = (given or chosen).strip(), form_units(unit)
     reciprocals = [key_of(each.name) for each in units if each.power < 0]
     if per and reciprocals:  # a:b of a gear, which reduces the speed

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from strainwave.errors import InvalidInput
+from strainwave.init.draft import TODO
 from strainwave.workbench.study_edit import (
-    TODO,
     KeyChange,
     columns_of,
     parse_draft,

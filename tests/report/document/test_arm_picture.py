@@ -12,10 +12,16 @@ from strainwave.domain import ArmDescription, Joint, Origin
 from strainwave.domain.arm.description import Imu
 from strainwave.domain.arm.kinds import planar_two_link, single_joint
 from strainwave.report.document.rig import arm_picture, describe_arm
-from strainwave.report.figures import Figure, Line, Markers
+from strainwave.report.figures import Figure, Line, Mark, Markers
 from strainwave.report.plotly_backend import plotly
 
 CHAIN = exports.chain(Path("nowhere"), motions=exports.MOTIONS[1])[0].arm
+
+
+def points(mark: Mark) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    """Coordinates x and y in rows."""
+    assert isinstance(mark, Line | Markers)
+    return np.array([mark.x, mark.y], dtype=float)
 
 
 def marks(figure: Figure, name: str) -> list[Line | Markers]:
@@ -74,13 +80,13 @@ def test_a_planar_arm_is_seen_along_its_axes() -> None:
     )
     figure = arm_picture(planar_two_link(joints, 0.35, 9.81))
     (links,), (drawn,) = marks(figure, "links"), marks(figure, "joints")
-    np.testing.assert_allclose([links.x, links.y], [[0.0, 0.0, 0.35], [0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(points(links), [[0.0, 0.0, 0.35], [0.0, 0.0, 0.0]])
     (sensors,) = marks(figure, "sensors")
     assert isinstance(sensors, Markers)
     assert sensors.labels == ("a1", "imu2")
-    np.testing.assert_allclose([sensors.x, sensors.y], [[0.3, 0.55], [0.0, 0.05]])
+    np.testing.assert_allclose(points(sensors), [[0.3, 0.55], [0.0, 0.05]])
     (last,) = marks(figure, "last link, whose length is not given")
-    np.testing.assert_allclose(last.x, [0.35, 0.55])
+    np.testing.assert_allclose(points(last), [[0.35, 0.55], [0.0, 0.0]])
     assert (figure.x.title, figure.panels[0].axis.title) == ("x [m]", "y [m]")
     gravity, _ = marks(figure, "gravity")
     assert (gravity.x[1], gravity.y[1] < 0.0) == (0.0, True)
@@ -100,9 +106,9 @@ def test_a_single_joint_has_a_picture() -> None:
 def test_the_axis_of_each_joint_follows_the_links(arm: ArmDescription) -> None:
     """The form marks the joint that is edited at the middle of its axis."""
     _, *axes = arm_picture(arm).marks
-    centres = [(np.mean(mark.x), np.mean(mark.y)) for mark in axes[: arm.n_joints]]
+    centres = [points(mark).mean(axis=1) for mark in axes[: arm.n_joints]]
     (joints,) = marks(arm_picture(arm), "joints")
-    np.testing.assert_allclose(centres, np.transpose([joints.x, joints.y]), atol=1e-12)
+    np.testing.assert_allclose(np.array(centres), points(joints).T, atol=1e-12)
 
 
 def test_sensors_of_a_chain_are_at_their_places() -> None:
@@ -112,8 +118,7 @@ def test_sensors_of_a_chain_are_at_their_places() -> None:
     figure = arm_picture(ArmDescription("serial", (Joint("rigid", 0.01), joint)))
     (sensors,), (joints,) = marks(figure, "sensors"), marks(figure, "joints")
     y_tip = marks(figure, "frame of the base")[1]
-    moved = np.array([sensors.x[0] - joints.x[1], sensors.y[0] - joints.y[1]])
-    along_y = np.array([y_tip.x[1], y_tip.y[1]])
+    moved, along_y = points(sensors)[:, 0] - points(joints)[:, 1], points(y_tip)[:, 1]
     size = np.hypot(0.5, 0.2)  # of the arm with its sensor; axes of the base have a fifth of it
     np.testing.assert_allclose(moved / 0.2, along_y / (0.2 * size))
 

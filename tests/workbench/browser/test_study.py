@@ -1,4 +1,4 @@
-"""Import logs, map a column, fill in what is missing."""
+"""The form of a study: missing values, units, copies, undo, picture, channels and text."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_from_logs_to_a_complete_study(visit: Any) -> None:
     page.wait_for_url("**/study/rig/study.toml")
     page.wait_for_selector("#state[data-state=error]")
     visit.check_accessibility()
-    # the missing values, by keyboard: from the list to the first, then Enter leads to the next
+    # from the list to the first, then Enter leads to the next
     count = page.locator("#missing-list li").count()
     page.locator("#missing-list button").first.press("Enter")
     for k in range(count):
@@ -127,7 +127,7 @@ def test_explanations_open_on_demand(visit: Any) -> None:
     assert not about.is_visible()
     button = page.get_by_label("About Current loop")
     button.press("Enter")
-    assert "bandwidth of the first-order lag" in about.inner_text()
+    assert "Bandwidth of the first-order lag" in about.inner_text()
     assert "Plausible: 5 to 1000000 Hz." in about.inner_text()
     assert button.get_attribute("aria-expanded") == "true"
     title = page.locator("#field-joint-0-current_loop_hz").get_attribute("title")
@@ -262,6 +262,8 @@ def test_an_error_of_the_text_leads_to_its_line(visit: Any) -> None:
     page.wait_for_selector("#to-line:visible")
     page.click("#to-line")
     assert page.evaluate(selected) == "linklength = 1"
+    line = text.input_value()[: text.input_value().index("linklength")].count("\n") + 1
+    visit.wait_until(f"document.querySelector('#cursor').textContent === 'Line {line}'")
 
 
 def test_leaving_with_typed_text_asks(visit: Any) -> None:

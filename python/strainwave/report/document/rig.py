@@ -170,7 +170,8 @@ def arm_picture(arm: ArmDescription) -> Figure:
     view = _FROM_ABOVE if is_planar else _OBLIQUE
 
     def line(points: Sequence[FloatArray], name: str, colour: str, **style: Any) -> Line:
-        return Line(*(view @ np.transpose(points)), name, colour, **{"width": 3.0} | style)
+        x, y = view @ np.transpose(points)
+        return Line(x, y, name, colour, **{"width": 3.0} | style)
 
     turn, place = np.eye(3), np.zeros(3)
     origins, axes = list[FloatArray](), list[FloatArray]()
@@ -205,7 +206,8 @@ def arm_picture(arm: ArmDescription) -> Figure:
         labels = tuple(label for label, each in directions.items() if np.any(view @ each))
         tips = [size * _ARROW_SHARE * directions[label] for label in labels]
         marks += [line([base, tip], name, colour, width=1.5) for tip in tips]
-        marks.append(Markers(*(view @ np.transpose(tips)), name, colour, 3.0, labels=labels))
+        x, y = view @ np.transpose(tips)
+        marks.append(Markers(x, y, name, colour, 3.0, labels=labels))
     if sensors:
         x, y = view @ np.transpose([at for _, at in sensors])
         names = tuple(name for name, _ in sensors)

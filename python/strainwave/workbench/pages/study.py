@@ -80,7 +80,7 @@ def save(request: Request, body: Body) -> object:
         raise InvalidInput(
             "the study file has changed in the meantime",
             where=path.name,
-            remedy="reload the page, and repeat the change",
+            remedy='press "Reload", and repeat the change',
         )
     typed = text_of(body, "text") if "text" in body else decode(data, path)
     text = (

@@ -87,8 +87,9 @@ function updateChannel(tr, row) {
   setOptions(column, [["", columns.includes(row.channel) ? `${row.channel} (same name)` : "none"], ...names.map((name) => [name, name])]);
   column.value = row.column;
   const scale = Math.abs(Number(row.scale || 1));
-  const known = row.units.find(({ factor }) => Math.abs(scale / factor - 1) < SCALE_TOLERANCE);
-  setOptions(unit, [...row.units.map(({ name, factor }) => [String(factor), name]), ...(known ? [] : [[String(scale), "other"]])]);
+  const units = row.units.length ? row.units : [{ name: row.unit, factor: 1 }];
+  const known = units.find(({ factor }) => Math.abs(scale / factor - 1) < SCALE_TOLERANCE);
+  setOptions(unit, [...units.map(({ name, factor }) => [String(factor), name]), ...(known ? [] : [[String(scale), "other"]])]);
   unit.value = String(known?.factor ?? scale);
   for (const one of [unit, ...numbers]) one.disabled = !row.column;
   numbers.forEach((control, k) => showValue(control, channelEntry(row, ["scale", "offset"][k])));
@@ -210,6 +211,9 @@ document.addEventListener("keydown", (event) => {
   if (!(event.ctrlKey || event.metaKey) || event.key.toLowerCase() !== "z" || event.target.matches("input:not([type=checkbox]), textarea")) return;
   event.preventDefault();
   act(null, event.shiftKey ? redo : undo);
+});
+document.addEventListener("selectionchange", () => {
+  if (document.activeElement === text) byId("cursor").textContent = `Line ${text.value.slice(0, text.selectionStart).split("\n").length}`;
 });
 byId("rig").addEventListener("focusin", (event) => {
   editedJoint = Number(/^field-joint-(\d+)-/.exec(event.target.id)?.[1] ?? NaN);

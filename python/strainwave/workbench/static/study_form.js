@@ -74,11 +74,11 @@ const entryOf = (row, field) => ({ ...field, kind: row.key.kind, choices: row.ch
 
 function unitMenu(row, update) {
   if (row.units.length < 2) return make("span", {}, row.key.unit.split(",")[0]);
-  const key = entryOf(row, row.fields[0]).unitKey;
+  const entry = entryOf(row, row.fields[0]);
   const menu = make("select", { "aria-label": `Unit of ${row.key.title}` }, ...row.units.map(({ name }) => make("option", {}, name)));
-  menu.value = chosenUnits[key] ?? row.units[0].name;
+  menu.value = unitOf(entry).name || row.units[0].name;
   menu.addEventListener("change", () => {
-    chosenUnits[key] = menu.value;
+    chosenUnits[entry.unitKey] = menu.value;
     localStorage.setItem(STORED, JSON.stringify(chosenUnits));
     update();
   });
@@ -106,11 +106,11 @@ function buildRow(row, count) {
   if (!row.key) return make("tbody", {}, make("tr", {}, make("th", { scope: "rowgroup", class: "section", colspan: count + 3 }, row.section)));
   const { title, key } = row.key, about = `about-${row.fields[0].place[0]}-${key}`;
   const body = make("tbody");
-  const control = (field, k) => fieldControl(idOf(field.place), entryOf(row, field), { "aria-label": count > 1 ? `${title} of joint ${k + 1}` : title });
+  const control = (field, k) => fieldControl(idOf(field.place), entryOf(row, field), { "aria-label": count > 1 ? `${title} of joint ${k + 1}` : title, "aria-describedby": about });
   body.append(
     make("tr", {}, make("th", { scope: "row" }, title, make("button", { type: "button", class: "tip", "aria-label": `About ${title}`, "aria-expanded": "false", "aria-controls": about }, "?")),
       make("td", { class: "unit" }, unitMenu(row, () => updateRow(body, body.row, false))), ...row.fields.map((field, k) => make("td", {}, control(field, k))),
-      ...(count > 1 ? [make("td", {}, copyButton(`Copy ${title} of joint 1 to all joints`, "copy", () => [body.row]))] : [])),
+      ...(count > 1 && row.key.kind !== "text" ? /* a text is the name of one joint */ [make("td", {}, copyButton(`Copy ${title} of joint 1 to all joints`, "copy", () => [body.row]))] : [])),
     make("tr", { class: "explanation", id: about, hidden: true }, make("td", { colspan: count + 3 })));
   return body;
 }
