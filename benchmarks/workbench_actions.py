@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
@@ -119,7 +119,7 @@ def _type_values(hands: Hands, study: Path) -> None:
         if not field.startswith("field-"):
             hands.click("#missing-list button")
             continue
-        value = values
+        value: Any = values
         for key in field.split("-")[1:]:
             value = value[int(key) if key.isdigit() else key]
         hands.enter(", ".join(map(str, value)) if isinstance(value, list) else str(value))

@@ -58,6 +58,11 @@ def test_a_draft_takes_the_values_of_another_study(client: TestClient, folder: P
     assert read_study(study).arm == read_study(folder / "arm" / "study.toml").arm
     assert "# link turns per motor turn" in study.read_text()  # it is the draft
     study.unlink()
+    (folder / "new" / "arm.urdf").write_text("<robot/>")
+    sheet = '[arm]\nurdf = "arm.urdf"\nlink_length = 0.5\n'  # no study, although the file exists
+    client.post("/api/draft", json=body | {"values": sheet})
+    assert "link_length = 0.5 " in study.read_text()
+    study.unlink()
     client.post("/api/draft", json=body | {"values": values})  # it names these logs
     assert study.read_text() == values
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -60,12 +59,13 @@ def rig_changes(text: str, values: str, columns: Collection[str], path: Path) ->
 
 def is_study_of(text: str, names: Collection[str]) -> bool:
     """Whether a text is a study file, and all files that it names are among `names`."""
-    files: list[Any] = []
-    with suppress(InvalidInput):
+    try:
         document = _parse(text)
-        files = [each.get("file") for each in tables_of(document, "experiment")]
-        files += [table_of(document, "arm").get("urdf")] * ("urdf" in table_of(document, "arm"))
-    return bool(files) and all(file in names for file in files)
+    except InvalidInput:
+        return False
+    experiments, arm = tables_of(document, "experiment"), table_of(document, "arm")
+    files = [*(each.get("file") for each in experiments), arm.get("urdf")]
+    return bool(experiments) and all(file in (None, *names) for file in files)
 
 
 def _parse(text: str) -> dict[str, Any]:

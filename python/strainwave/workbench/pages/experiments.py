@@ -93,7 +93,7 @@ def propose_experiments(request: Request, body: Body) -> object:
     tables, n_joints = tables_of(document, "experiment"), len(tables_of(document, "joint"))
     taken = {str(table.get("name")) for table in tables}
     logs = [workspace.file_of(path, str(name)) for name in names]
-    changes, notes = [], []
+    changes, notes = list[dict[str, Any]](), list[str]()
     for text, fault in _drafts(logs, path, robot, n_joints):
         entry = parse_draft(text, path).unwrap()
         numbered = chain([entry["name"]], (f"{entry['name']} ({k})" for k in count(2)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from starlette.requests import Request
@@ -19,6 +19,8 @@ from strainwave.report.document.predictions import unit_of
 from strainwave.workbench.study_edit import columns_of, parse_draft, table_of, tables_of
 from strainwave.workbench.web import Routes, study_file_of, workspace_of
 from strainwave.workbench.workspace import cached, stamp_of
+
+T = TypeVar("T")
 
 routes = Routes()
 WIDTH, HEIGHT = 240, 100  # of the view of a line; a bin is one unit wide
@@ -72,11 +74,12 @@ def outlines(path: Path) -> dict[str, Outline]:
     return _kept("outlines", path, read)
 
 
-def _kept(what: str, path: Path, read: Callable[[], Any]) -> Any:
+def _kept(what: str, path: Path, read: Callable[[], T]) -> T:
     """What is read of a log, until the log changes."""
     if not path.exists():
         raise InvalidInput("the log does not exist", where=str(path), remedy="choose another file")
-    return cached((what, stamp_of(path)), read, lambda each: _COLUMN_BYTES * len(each))
+    kept: T = cached((what, stamp_of(path)), read, lambda each: _COLUMN_BYTES * len(each))
+    return kept
 
 
 def _columns(path: Path) -> Iterator[tuple[str, FloatArray]]:
