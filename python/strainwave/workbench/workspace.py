@@ -20,6 +20,7 @@ from threading import Lock
 from typing import Any
 
 from strainwave.domain import Log, Study
+from strainwave.domain.steps import files_of
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, parse_toml, read_small
 from strainwave.io.logs import read_log
@@ -173,9 +174,10 @@ def _named_files(study: Path, _stamp: object) -> tuple[str, ...]:
     except InvalidInput:
         return ()
     experiments = document.get("experiment")
-    tables = [*(experiments if isinstance(experiments, list) else []), document.get("arm")]
-    names = [t.get(key) for t in tables if isinstance(t, dict) for key in ("file", "urdf")]
-    return tuple(name for name in names if isinstance(name, str))
+    arm, tables = document.get("arm"), experiments if isinstance(experiments, list) else []
+    names = [name for each in tables if isinstance(each, dict) for name in files_of(each)]
+    urdf = arm.get("urdf") if isinstance(arm, dict) else None
+    return (*names, *([urdf] if isinstance(urdf, str) else []))
 
 
 def _abbreviated(name: str) -> str:
@@ -247,7 +249,7 @@ def log_of(path: Path, experiment: str, *, is_whole: bool = False) -> Log:
         raise InvalidInput(f"there is no experiment {experiment!r}", remedy=f"choose from: {names}")
     if is_whole:
         chosen = replace(chosen, start=None, stop=None)
-    key = ("log", _stamp(path), experiment, is_whole, _stamp(study.log_path(chosen)))
+    key = ("log", _stamp(path), experiment, is_whole, *map(_stamp, study.log_paths(chosen)))
     log: Log = _cached(key, lambda: read_log(study, chosen), _size)
     return log
 
@@ -255,7 +257,7 @@ def log_of(path: Path, experiment: str, *, is_whole: bool = False) -> Log:
 def fingerprint(path: Path) -> str:
     """A text that changes whenever the study file or one of its logs changes."""
     study = study_at(path)
-    stamps = [_stamp(study.log_path(each)) for each in study.experiments]
+    stamps = [_stamp(log) for each in study.experiments for log in study.log_paths(each)]
     text = json.dumps([hashlib.sha256(path.read_bytes()).hexdigest(), stamps])
     return hashlib.sha256(text.encode()).hexdigest()
 

@@ -218,7 +218,9 @@ def _table(record: Any, without: Container[str] = ()) -> dict[str, Any]:
         value = getattr(record, field.name)
         if field.name in without or value in (None, {}, field.default):
             continue
-        if dataclasses.is_dataclass(value):
+        if field.name == "steps":
+            value = [{"kind": step.kind, **_table(step)} for step in value]
+        elif dataclasses.is_dataclass(value):
             value = _table(value)
         elif isinstance(value, tuple):
             value = list(value)

@@ -27,6 +27,7 @@ from strainwave.domain.arm.effects import names as effect_names
 from strainwave.domain.arm.kinds import kind_of
 from strainwave.domain.arm.link_sensors import optional_constants, sensor_of
 from strainwave.domain.arm.parameters import whole_arm_parameter_names
+from strainwave.domain.steps import DETRENDABLE, RATES, Detrend, Merge
 from strainwave.domain.study import study_keys
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.study.reader import Reader
@@ -39,6 +40,7 @@ def check_consistency(study: Study, reader: Reader) -> None:
     _check_joints(study.arm, reader)
     _check_channels(study, reader)
     _check_experiments(study, reader)
+    _check_steps(study, reader)
     _check_payloads(study, reader)
     check_options(study, reader)
 
@@ -298,6 +300,42 @@ def _check_experiments(study: Study, reader: Reader) -> None:
             )
 
 
+def _check_steps(study: Study, reader: Reader) -> None:
+    """Raise InvalidInput if steps are out of order, or would remove a part of the motion."""
+    gravity = study.arm.gravity
+    has_gravity = gravity is not None and bool(np.any(gravity))
+    known = channel_names(study.arm.n_joints)
+    for index, experiment in enumerate(study.experiments):
+        place = reader.place("experiment", index, "steps")
+        for number, step in enumerate(experiment.steps):
+            before = experiment.steps[number - 1] if number else step
+            if isinstance(step, Merge) and not isinstance(before, Merge):
+                raise InvalidInput(
+                    f"the step 'merge' follows '{before.kind}', which acts on the whole record",
+                    where=place,
+                    remedy="put the merge steps first",
+                )
+            for name in step.channels if isinstance(step, Detrend) else ():
+                _check_detrended(name, known, place, has_gravity=has_gravity)
+
+
+def _check_detrended(name: str, known: tuple[str, ...], place: str, *, has_gravity: bool) -> None:
+    kind = channel_parts(name)[0]
+    usable = [each for each in known if channel_parts(each)[0] in DETRENDABLE]
+    if name not in known:
+        problem, remedy = f"'{name}' is not a channel of this arm", suggest_name(name, known)
+    elif kind not in DETRENDABLE:
+        problem = f"the mean of '{name}' is not a fault of a sensor, so that it cannot be removed"
+        remedy = "; correct the zero of an encoder by offset in [channels]"
+    elif has_gravity and kind not in RATES:
+        problem = f"gravity has a mean in '{name}', which detrending would remove"
+        remedy, usable = "", [each for each in usable if channel_parts(each)[0] in RATES]
+    else:
+        return
+    remedy = f"detrend one of {', '.join(usable)}{remedy}"
+    raise InvalidInput(problem, where=place, remedy=remedy)
+
+
 def _check_payloads(study: Study, reader: Reader) -> None:
     """Raise InvalidInput unless unknown drives and known payloads belong together."""
     unknown = study.arm.unknown_drives
@@ -320,21 +358,23 @@ def _check_payloads(study: Study, reader: Reader) -> None:
 
 
 def check_files(study: Study, reader: Reader) -> None:
-    """Raise InvalidInput if the log of an experiment does not exist."""
+    """Raise InvalidInput if a log of an experiment does not exist."""
     for index, experiment in enumerate(study.experiments):
-        path = study.log_path(experiment)
-        try:
-            exists = path.exists()
-        except (OSError, ValueError):
-            exists = False
-        if not exists:
-            siblings = [p.name for p in study.path.parent.glob("*")]
-            raise InvalidInput(
-                f"the log file {experiment.file!r} does not exist",
-                where=reader.place("experiment", index, "file"),
-                remedy="put it next to the study file, or correct the name"
-                + suggest_name(experiment.file, siblings),
-            )
+        files = (experiment.file, *(step.file for step in experiment.merges))
+        paths = study.log_paths(experiment)
+        for number, (file, path) in enumerate(zip(files, paths, strict=True)):
+            try:
+                exists = path.exists()
+            except (OSError, ValueError):
+                exists = False
+            if not exists:
+                siblings = [p.name for p in study.path.parent.glob("*")]
+                raise InvalidInput(
+                    f"the log file {file!r} does not exist",
+                    where=reader.place("experiment", index, "steps" if number else "file"),
+                    remedy="put it next to the study file, or correct the name"
+                    + suggest_name(file, siblings),
+                )
 
 
 def check_sizes(study: Study, reader: Reader) -> None:
@@ -346,10 +386,14 @@ def check_sizes(study: Study, reader: Reader) -> None:
         _check_record_sizes(reader, study.arm.servo, "servo")
     for index, experiment in enumerate(study.experiments):
         _check_record_sizes(reader, experiment, "experiment", index)
+        for step in experiment.steps:
+            _check_record_sizes(reader, step, "experiment", index, keys=step.kind)
 
 
-def _check_record_sizes(reader: Reader, record: Any, table: str, index: int | None = None) -> None:
-    for key in study_keys()[table]:
+def _check_record_sizes(
+    reader: Reader, record: Any, table: str, index: int | None = None, *, keys: str = ""
+) -> None:
+    for key in study_keys()[keys or table]:
         owner, _, name = key.key.rpartition(".")
         value = getattr(getattr(record, owner, None) if owner else record, name, None)
         if key.range is None or value is None or isinstance(value, str):
