@@ -15,13 +15,14 @@ from strainwave.io.study import read_study
 
 pytest.importorskip("starlette")
 
-from strainwave.workbench.pages.signals import (
+from strainwave.workbench.pages.signal_figures import (
+    ShownRecord,
+    View,
     coherence_figure,
-    marks_of,
-    sequences_of,
     spectrum_figure,
     time_figure,
 )
+from strainwave.workbench.pages.signals import marks_of, sequences_of
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
@@ -42,21 +43,24 @@ def motors(samples: int) -> dict[str, FloatArray]:
     return {"theta_m1": angle, "theta_m2": 0.5 * angle, "u1": 2.0 * angle, "u2": angle}
 
 
-def test_a_million_points_are_few_and_keep_their_peaks(folder: Path) -> None:
+def view_of(folder: Path, log: Log, *channels: str, **choices: str) -> View:
     arm = read_study(folder / PATH).arm
+    return View([ShownRecord("one", [log])], channels, arm, **choices)
+
+
+def test_a_million_points_are_few_and_keep_their_peaks(folder: Path) -> None:
     values = np.random.default_rng(1).normal(size=1_000_000)
     values[123_456], values[654_321] = 50.0, -60.0
     log = log_with({"a1": values, **motors(1_000_000)})
-    (panel,) = time_figure(log, arm, ["a1"], (0.0, 1000.0), 1500).panels
+    (panel,) = time_figure(view_of(folder, log, "a1"), (0.0, 1000.0), 1500).panels
     drawn: Any = panel.marks[0]
     assert len(drawn.x) <= 1500
     assert (drawn.y.min(), drawn.y.max()) == (-60.0, 50.0)
 
 
 def test_a_zoom_shows_every_sample(folder: Path) -> None:
-    arm = read_study(folder / PATH).arm
     log = log_with(motors(100_000))
-    (panel,) = time_figure(log, arm, ["u1"], (10.0, 10.5), 1500).panels
+    (panel,) = time_figure(view_of(folder, log, "u1"), (10.0, 10.5), 1500).panels
     drawn: Any = panel.marks[0]
     assert 501 <= len(drawn.x) <= 504
     assert drawn.x[0] <= 10.0
@@ -64,10 +68,10 @@ def test_a_zoom_shows_every_sample(folder: Path) -> None:
 
 
 def test_the_spectrum_of_a_sine_has_its_peak_and_power(folder: Path) -> None:
-    arm = read_study(folder / PATH).arm
     time = T * np.arange(60_000)
     log = log_with({"u1": 3.0 * np.sin(2.0 * np.pi * 40.0 * time)})
-    (panel,) = spectrum_figure(log, arm, ["u1"]).panels
+    view = view_of(folder, log, "u1")
+    (panel,) = spectrum_figure(view, log_frequency=True, log_magnitude=True).panels
     drawn: Any = panel.marks[0]
     assert drawn.x[np.argmax(drawn.y)] == pytest.approx(40.0, abs=0.2)
 
@@ -96,7 +100,7 @@ def test_saturation_standstill_and_a_spike_are_marked(folder: Path) -> None:
 
 
 def test_the_sequence_of_a_record_is_detected(client: TestClient) -> None:
-    record = client.get(f"/api/record/{PATH}", params={"experiment": "prbs-j1"}).json()
+    record = client.get(f"/api/record/{PATH}", params={"record": "prbs-j1"}).json()
     prbs = read_study_of(client).experiments
     wanted = next(e.prbs for e in prbs if e.name == "prbs-j1")
     assert wanted is not None
@@ -119,7 +123,7 @@ def test_a_window_is_written_and_read_back(client: TestClient, folder: Path) -> 
     experiment = read_study(study).experiments[0]
     assert (experiment.start, experiment.stop) == (1.5, 6.0)
     assert study.read_text().startswith("# kept\n")
-    record = client.get(f"/api/record/{PATH}", params={"experiment": "motion"}).json()
+    record = client.get(f"/api/record/{PATH}", params={"record": "motion"}).json()
     assert record["window"] == [1.5, 6.0]
     assert record["stop"] > 9.0  # the viewer shows the whole record
     client.post(f"/api/window/{PATH}", json={"experiment": "motion", "start": None, "stop": None})
@@ -133,10 +137,23 @@ def test_an_empty_window_is_refused(client: TestClient, ends: tuple[Any, Any]) -
 
 
 @pytest.mark.parametrize(
-    "query", [{"channels": "nothing"}, {"channels": ""}, {"channels": "u1", "from": "x"}]
+    "query",
+    [
+        {"channel": "nothing"},
+        {},
+        {"channel": "u1", "from": "x"},
+        {"channel": "u1", "from": "3", "to": "3"},
+        {"channel": "u1", "units": "miles"},
+        {"channel": "u1", "panels": "none"},
+        {"channel": "u1", "steps": "{"},
+        {"channel": "u1", "steps": "[1]"},
+        {"channel": "u1", "steps": '[{"kind": "lowpass"}]'},
+        {"channel": "u1", "steps": '[{"kind": "lowpass", "cutoff_hz": null}]'},
+        {"channel": "u1", "steps": '[{"kind": "merge", "file": "../../out.csv"}]'},
+    ],
 )
 def test_a_wrong_request_gives_a_sentence(client: TestClient, query: dict[str, str]) -> None:
-    answer = client.get(f"/api/signal-time/{PATH}", params=query | {"experiment": "motion"})
+    answer = client.get(f"/api/signal-time/{PATH}", params=query | {"record": "motion"})
     assert answer.status_code == 400
     assert answer.json()["error"]
 

@@ -47,7 +47,7 @@ from strainwave.io.logs.updates import (
 )
 from strainwave.numerics.parallel import run_parallel
 
-__all__ = ["read_log", "read_logs", "write_log"]
+__all__ = ["read_log", "read_logs", "read_segments", "write_log"]
 
 write_log = write_table
 
@@ -73,7 +73,7 @@ def read_logs(
                 where="data",
                 remedy=f"use the name of an experiment: {', '.join(names)}",
             )
-    jobs = [partial(_read_segments, study, each, replacements.get(each.name)) for each in selected]
+    jobs = [partial(read_segments, study, each, replacements.get(each.name)) for each in selected]
     logs = tuple(log for segments in run_parallel(jobs) for log in segments)
     _check_mapped(study, logs, replacements)
     return logs
@@ -89,12 +89,15 @@ def read_log(study: Study, experiment: Experiment, data: Any = None) -> Log:
     doubtful value. Of a record with pauses, the longest segment is returned, under the name of the
     experiment. Raises InvalidInput if the file, a column or a value is invalid.
     """
-    segments = _read_segments(study, experiment, data)
+    segments = read_segments(study, experiment, data)
     return replace(max(segments, key=len), experiment=experiment, warnings=segments[0].warnings)
 
 
-def _read_segments(study: Study, experiment: Experiment, data: Any) -> tuple[Log, ...]:
-    """Read the segments of one experiment; one without pauses keeps its name."""
+def read_segments(study: Study, experiment: Experiment, data: Any = None) -> tuple[Log, ...]:
+    """Read the segments of one experiment; one without pauses keeps its name.
+
+    See `read_log`, which returns the longest.
+    """
     table = _open(study, experiment, data)
     sources = _sources(study, experiment, table)
     if experiment.merges:

@@ -300,11 +300,15 @@ def _check_experiments(study: Study, reader: Reader) -> None:
             )
 
 
+def detrendable_channels(arm: ArmDescription) -> tuple[str, ...]:
+    """Channels of an arm whose mean or slope can be a fault of the sensor."""
+    has_gravity = arm.gravity is not None and bool(np.any(arm.gravity))
+    kinds = RATES if has_gravity else DETRENDABLE
+    return tuple(name for name in channel_names(arm.n_joints) if channel_parts(name)[0] in kinds)
+
+
 def _check_steps(study: Study, reader: Reader) -> None:
     """Raise InvalidInput if steps are out of order, or would remove a part of the motion."""
-    gravity = study.arm.gravity
-    has_gravity = gravity is not None and bool(np.any(gravity))
-    known = channel_names(study.arm.n_joints)
     for index, experiment in enumerate(study.experiments):
         place = reader.place("experiment", index, "steps")
         for number, step in enumerate(experiment.steps):
@@ -316,24 +320,20 @@ def _check_steps(study: Study, reader: Reader) -> None:
                     remedy="put the merge steps first",
                 )
             for name in step.channels if isinstance(step, Detrend) else ():
-                _check_detrended(name, known, place, has_gravity=has_gravity)
+                _check_detrended(name, study.arm, place)
 
 
-def _check_detrended(name: str, known: tuple[str, ...], place: str, *, has_gravity: bool) -> None:
-    kind = channel_parts(name)[0]
-    usable = [each for each in known if channel_parts(each)[0] in DETRENDABLE]
-    if name not in known:
-        problem, remedy = f"'{name}' is not a channel of this arm", suggest_name(name, known)
-    elif kind not in DETRENDABLE:
-        problem = f"the mean of '{name}' is not a fault of a sensor, so that it cannot be removed"
-        remedy = "; correct the zero of an encoder by offset in [channels]"
-    elif has_gravity and kind not in RATES:
-        problem = f"gravity has a mean in '{name}', which detrending would remove"
-        remedy, usable = "", [each for each in usable if channel_parts(each)[0] in RATES]
-    else:
+def _check_detrended(name: str, arm: ArmDescription, place: str) -> None:
+    usable = detrendable_channels(arm)
+    if name in usable:
         return
-    remedy = f"detrend one of {', '.join(usable)}{remedy}"
-    raise InvalidInput(problem, where=place, remedy=remedy)
+    problem = f"the mean of '{name}' is not a fault of a sensor, so that it cannot be removed"
+    remedy = "; correct the zero of an encoder by offset in [channels]"
+    if name not in channel_names(arm.n_joints):
+        problem, remedy = f"'{name}' is not a channel of this arm", suggest_name(name, usable)
+    elif channel_parts(name)[0] in DETRENDABLE:
+        problem, remedy = f"gravity has a mean in '{name}', which detrending would remove", ""
+    raise InvalidInput(problem, where=place, remedy=f"detrend one of {', '.join(usable)}{remedy}")
 
 
 def _check_payloads(study: Study, reader: Reader) -> None:

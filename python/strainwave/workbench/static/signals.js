@@ -1,49 +1,88 @@
-// Page "Signals": the visible range of a record in the resolution of the screen, spectra, windows.
+// Page "Signals": the visible range of records in the resolution of the screen, spectra, window, steps.
 import { act, address, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
+import { addCursor } from "./cursor.js";
 import { draw } from "./figures.js";
+import { showSteps } from "./steps.js";
 
 const api = (name) => `/api/${name}/${address(study)}`;
-const PANEL = 150; // [px] height of a panel
+const PANEL = 150, FRAME = 60; // [px] height of a panel, and of the axis below
 const DEBOUNCE = 120; // [ms]
 const FIRST = ["u1", "torque1", "theta_m1", "a1", "theta_l1", "ax1"];
-let record, range, latest = 0, timer, chosen = null;
+const CHOICES = ["panels", "units", "frequency", "magnitude", "before"];
+let record, range, latest = 0, timer, chosen = null, draft = null;
 
 const experiment = () => byId("record").value;
-const channels = () => [...document.querySelectorAll("[data-channel]:checked")].map((box) => box.dataset.channel);
+const checked = (kind) => [...document.querySelectorAll(`[data-${kind}]:checked`)].map((box) => box.value);
+const overlaid = () => checked("overlay").filter((name) => name !== experiment());
+// with several records, time counts from the start of each
+const origin = () => overlaid().length ? record.start : 0;
+const hasDraft = () => JSON.stringify(draft) !== JSON.stringify(record.steps);
 
-function outside() {
+// The address has the whole view, so that a link or Back restores it.
+const view = () => [
+  ...[experiment(), ...overlaid()].map((name) => ["record", name]),
+  ...checked("channel").map((name) => ["channel", name]),
+  ...CHOICES.map((id) => [id, byId(id).value]),
+  ...(hasDraft() ? [["steps", JSON.stringify(draft)]] : []),
+];
+const span = () => range ? [["from", range[0]], ["to", range[1]]] : [];
+
+function saveAddress(method) {
+  const text = `?${new URLSearchParams([...view(), ...span()])}`;
+  if (text !== location.search) history[method](null, "", text);
+}
+
+function readAddress() {
+  const query = new URLSearchParams(location.search), records = query.getAll("record");
+  const names = [...byId("record").options].map((option) => option.value);
+  byId("record").value = names.includes(records[0]) ? records[0] : names[0];
+  for (const box of document.querySelectorAll("[data-overlay]")) box.checked = records.slice(1).includes(box.value);
+  chosen = query.has("channel") ? query.getAll("channel") : null;
+  for (const id of CHOICES) byId(id).value = query.get(id) ?? byId(id).options[0].value;
+  range = query.has("from") && query.has("to") ? [Number(query.get("from")), Number(query.get("to"))] : null;
+  try { draft = JSON.parse(query.get("steps")); } catch { draft = null; }
+}
+
+// Grey outside of the window, orange where a channel is marked.
+function shapes({ data }) {
   const [start, stop] = record.window;
-  const grey = (x0, x1) => ({ type: "rect", xref: "x", yref: "paper", x0, x1, y0: 0, y1: 1, fillcolor: "#888888", opacity: 0.25, line: { width: 0 } });
+  const box = (x0, x1, yref, fillcolor, opacity) => ({
+    type: "rect", xref: "x", yref, x0: x0 - origin(), x1: x1 - origin(), y0: 0, y1: 1, fillcolor, opacity, line: { width: 0 } });
+  const axisOf = (channel) => data.find((trace) => trace.name.startsWith(`${channel} [`))?.yaxis;
   return [
-    ...(start == null ? [] : [grey(record.start, start)]),
-    ...(stop == null ? [] : [grey(stop, record.stop)]),
+    ...(start == null ? [] : [box(record.start, start, "paper", "#888888", 0.25)]),
+    ...(stop == null ? [] : [box(stop, record.stop, "paper", "#888888", 0.25)]),
+    ...record.marks.filter((mark) => axisOf(mark.channel)).map((mark) => box(
+      mark.start, Math.max(mark.stop, mark.start + record.sample_time), `${axisOf(mark.channel)} domain`, "#E69F00", 0.3)),
   ];
 }
 
-function marked() {
-  const names = channels();
-  return record.marks.filter((mark) => names.includes(mark.channel)).map((mark) => ({
-    type: "rect", xref: "x", yref: `y${names.indexOf(mark.channel) + 1} domain`.replace("y1 ", "y "),
-    x0: mark.start, x1: Math.max(mark.stop, mark.start + record.sample_time), y0: 0, y1: 1,
-    fillcolor: "#E69F00", opacity: 0.3, line: { width: 0 },
-  }));
+async function drawPanels(place, figure, layout) {
+  const panels = Object.keys(figure.layout).filter((key) => key.startsWith("yaxis")).length;
+  place.style.height = `${FRAME + Math.max(PANEL * panels, 2 * PANEL)}px`;
+  await draw(place, figure, { layout: { showlegend: false, hovermode: "x unified", ...layout } });
 }
 
 async function drawTime() {
-  const place = byId("time"), names = channels();
-  if (!names.length) return;
+  if (!checked("channel").length) return;
   const request = ++latest;
-  const query = { experiment: experiment(), channels: names.join(","), points: 2 * Math.max(place.clientWidth, 400) };
-  if (range) [query.from, query.to] = range;
-  const figure = await getJson(api("signal-time"), query);
+  const points = 2 * Math.max(byId("time").clientWidth, 400);
+  const figure = await getJson(api("signal-time"), [...view(), ...span(), ["points", points]]);
   if (request !== latest) return; // a newer range is on its way
-  place.style.height = `${60 + PANEL * names.length}px`;
-  await draw(place, figure, { layout: { shapes: [...outside(), ...marked()], showlegend: false } });
+  await drawPanels(byId("time"), figure, { shapes: shapes(figure) });
+  placeTimeCursor();
+}
+
+async function drawSpectra() {
+  if (!checked("channel").length) return;
+  const { spectra, coherence } = await getJson(api("signal-spectra"), view());
+  await drawPanels(byId("spectra"), spectra);
+  await draw(byId("coherence"), coherence);
+  placeFrequencyCursor();
 }
 
 function onRelayout(event) {
-  const keys = Object.keys(event);
-  if (keys.some((key) => key.startsWith("xaxis.range"))) {
+  if (event["xaxis.range[0]"] !== undefined || event["xaxis.range"]) {
     range = [event["xaxis.range[0]"] ?? event["xaxis.range"][0], event["xaxis.range[1]"] ?? event["xaxis.range"][1]];
   } else if (event["xaxis.autorange"]) {
     range = null;
@@ -51,61 +90,77 @@ function onRelayout(event) {
     return;
   }
   clearTimeout(timer);
-  timer = setTimeout(() => act(null, drawTime), DEBOUNCE);
+  timer = setTimeout(() => { saveAddress("replaceState"); act(null, drawTime); }, DEBOUNCE);
 }
 
-async function drawSpectra() {
-  const names = channels();
-  if (!names.length) return;
-  const { spectra, coherence } = await getJson(api("signal-spectra"), { experiment: experiment(), channels: names.join(",") });
-  byId("spectra").style.height = `${60 + PANEL * names.length}px`;
-  await draw(byId("spectra"), spectra, { layout: { showlegend: false } });
-  await draw(byId("coherence"), coherence);
-}
+const redraw = () => Promise.all([drawTime(), drawSpectra()]);
+const choose = () => { saveAddress("pushState"); return act(null, redraw); };
 
 function channelBox(name) {
-  const box = make("input", { type: "checkbox", "data-channel": name, id: `channel-${name}` });
-  box.checked = chosen ? chosen.has(name) : FIRST.includes(name);
-  box.addEventListener("change", () => { chosen = new Set(channels()); act(null, redraw); });
-  return make("label", { for: box.id }, box, ` ${name}`);
+  const box = make("input", { type: "checkbox", "data-channel": true, value: name, onchange: () => { chosen = checked("channel"); choose(); } });
+  box.checked = (chosen ?? FIRST).includes(name);
+  return make("label", {}, box, ` ${name}`);
 }
 
-const redraw = async () => { await drawTime(); await drawSpectra(); };
-
 async function showRecord() {
-  record = await getJson(api("record"), { experiment: experiment() });
-  range = null;
+  record = await getJson(api("record"), { record: experiment() });
+  draft ??= record.steps;
   byId("joint").hidden = true;
   byId("joint-text").textContent = "";
   byId("joint-checks").replaceChildren();
-  byId("facts").textContent = `${record.file}: ${record.samples.toLocaleString()} samples, ${(1 / record.sample_time).toPrecision(6) * 1} Hz, ${(record.stop - record.start).toFixed(2)} s`;
+  byId("facts").textContent = `${record.files.join(", ")}: ${record.samples.toLocaleString()} samples, ${Number((1 / record.sample_time).toPrecision(6))} Hz, ${(record.stop - record.start).toFixed(2)} s`;
   byId("channels").replaceChildren(...record.channels.map(channelBox));
-  if (!channels().length) { byId("channels").querySelector("input").checked = true; }
+  if (!checked("channel").length) byId("channels").querySelector("input").checked = true;
   [byId("start").value, byId("stop").value] = record.window.map((end) => end ?? "");
   byId("sequences").replaceChildren(...record.sequences.map((text) => make("li", {}, text)));
   byId("no-marks").hidden = record.marks.length > 0;
   byId("marks").replaceChildren(...record.marks.map((mark) => make("tr", {},
     make("th", { scope: "row" }, mark.kind), make("td", {}, mark.channel),
     make("td", { class: "number" }, mark.start.toFixed(3)), make("td", { class: "number" }, mark.stop.toFixed(3)))));
+  showSteps(draft, record, changeSteps);
+  byId("write-steps").disabled = byId("undo-steps").disabled = !hasDraft();
   await redraw();
 }
 
+// Show the record with other steps; the study file stays until they are written.
+async function changeSteps(steps) {
+  const before = draft;
+  draft = steps;
+  try {
+    await redraw();
+    saveAddress("pushState");
+  } catch (error) {
+    draft = before;
+    throw error;
+  } finally {
+    showSteps(draft, record, changeSteps);
+    byId("write-steps").disabled = byId("undo-steps").disabled = !hasDraft();
+  }
+}
+
+const note = (what) => showMessage(`${what} written to the study file. Check the study again before an estimate.`);
+
 async function setWindow(start, stop) {
   await postJson(api("window"), { experiment: experiment(), start, stop });
-  showMessage("The window is written to the study file. Check the study again before an estimate.");
-  const kept = range;
+  note("The window is");
   await showRecord();
-  range = kept;
-  await drawTime();
 }
 
 const numberOf = (id) => byId(id).value === "" ? null : Number(byId(id).value);
+onClick(byId("visible"), () => {
+  const [start, stop] = range ?? [record.start - origin(), record.stop - origin()];
+  return setWindow(start + origin(), stop + origin());
+});
 onClick(byId("use"), () => setWindow(numberOf("start"), numberOf("stop")));
 onClick(byId("whole"), () => setWindow(null, null));
-byId("visible").addEventListener("click", () => {
-  const [start, stop] = range ?? [record.start, record.stop];
-  [byId("start").value, byId("stop").value] = [start.toFixed(4), stop.toFixed(4)];
+onClick(byId("write-steps"), async () => {
+  await postJson(api("steps"), { experiment: experiment(), steps: draft });
+  note("The steps are");
+  draft = null;
+  await showRecord();
+  saveAddress("replaceState");
 });
+onClick(byId("undo-steps"), () => changeSteps(record.steps));
 onClick(byId("compute"), async () => {
   byId("joint-text").textContent = "Computing ...";
   try {
@@ -119,7 +174,21 @@ onClick(byId("compute"), async () => {
     byId("joint-text").textContent = error.message;
   }
 });
-byId("record").addEventListener("change", () => act(byId("record"), showRecord));
+byId("record").addEventListener("change", () => act(byId("record"), async () => {
+  [range, draft] = [null, null];
+  await showRecord();
+  saveAddress("pushState");
+}));
+for (const box of document.querySelectorAll("[data-overlay]")) {
+  box.addEventListener("change", () => { range = null; choose(); }); // the origin of time changes
+}
+for (const id of CHOICES) byId(id).addEventListener("change", choose);
+window.addEventListener("popstate", () => { readAddress(); act(null, showRecord); });
 
+const at = (name, unit) => (value) => value === null ? `Values at the cursor` : `Values at ${name} = ${value} ${unit}`;
+const placeTimeCursor = addCursor(byId("time"), byId("time-values"), byId("time-at"), at("t", "s"));
+const placeFrequencyCursor = addCursor(byId("spectra"), byId("spectra-values"), byId("spectra-at"), at("f", "Hz"));
+readAddress();
 await act(null, showRecord);
+saveAddress("replaceState");
 byId("time").on?.("plotly_relayout", onRelayout);
