@@ -26,6 +26,7 @@ from strainwave.report.figures import (
 )
 
 _SEGMENTS = 8  # of Welch's method
+_MAX_SEGMENT = 1 << 16  # [samples] a minute at 1 kHz: 0.015 Hz
 _MAX_LINES = 800  # frequencies drawn
 _MAX_POINTS = 60_000  # of all lines of a figure
 _MAX_NAMED = 3  # channels in the title of a panel
@@ -73,6 +74,11 @@ class View:
                 remedy=f"choose from: {', '.join(known)}",
             )
 
+    @property
+    def has_several(self) -> bool:
+        """Whether lines need the names of their records."""
+        return len({record.name for record in self.records}) > 1
+
     def unit(self, channel: str) -> tuple[float, str]:
         """Factor from SI units, and unit of a channel."""
         unit = unit_of(channel, self.arm.joints)
@@ -99,7 +105,7 @@ class View:
                 label = f"{name} [{unit}]"
                 if record.is_before:
                     style, label = (Colour.RESIDUAL, ()), f"{label}, before the steps"
-                elif n_records > 1:
+                elif self.has_several:
                     label = f"{label}, {record.name}"
                 for log in record.logs:
                     if name in log.channels:
@@ -130,7 +136,7 @@ def time_figure(view: View, span: tuple[float, float], points: int) -> Figure:
         Panel(Axis(view.title(group)), _before_first(view.lines(group, points_of)))
         for group in view.groups()
     ]
-    title = "time from the start of each record [s]" if view.records[0].origin else "time [s]"
+    title = "time from the start of each record [s]" if view.has_several else "time [s]"
     return Figure(Axis(title, range=span), tuple(panels))
 
 
@@ -181,7 +187,7 @@ def coherence_figure(log: Log, n_joints: int) -> Figure:
 
 
 def _segment(log: Log) -> int:
-    return min(len(log), max(64, 2 * len(log) // (_SEGMENTS + 1)))
+    return min(len(log), max(64, 2 * len(log) // (_SEGMENTS + 1)), _MAX_SEGMENT)
 
 
 def _shown(frequency: FloatArray) -> IntArray:

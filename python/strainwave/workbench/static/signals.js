@@ -9,7 +9,8 @@ const PANEL = 150, FRAME = 60; // [px] height of a panel, and of the axis below
 const DEBOUNCE = 120; // [ms]
 const FIRST = ["u1", "torque1", "theta_m1", "a1", "theta_l1", "ax1"];
 const CHOICES = ["panels", "units", "frequency", "magnitude", "before"];
-let record, range, latest = 0, timer, chosen = null, draft = null;
+const latest = {}; // request of each kind
+let record, range, timer, chosen = null, draft = null;
 
 const experiment = () => byId("record").value;
 const checked = (kind) => [...document.querySelectorAll(`[data-${kind}]:checked`)].map((box) => box.value);
@@ -57,6 +58,13 @@ function shapes({ data }) {
   ];
 }
 
+// The answer to a request, or null if a newer one of its kind is on its way.
+async function newest(kind, query) {
+  const mine = latest[kind] = (latest[kind] ?? 0) + 1;
+  const answer = await getJson(api(kind), query);
+  return mine === latest[kind] ? answer : null;
+}
+
 async function drawPanels(place, figure, layout) {
   const panels = Object.keys(figure.layout).filter((key) => key.startsWith("yaxis")).length;
   place.style.height = `${FRAME + Math.max(PANEL * panels, 2 * PANEL)}px`;
@@ -65,19 +73,19 @@ async function drawPanels(place, figure, layout) {
 
 async function drawTime() {
   if (!checked("channel").length) return;
-  const request = ++latest;
   const points = 2 * Math.max(byId("time").clientWidth, 400);
-  const figure = await getJson(api("signal-time"), [...view(), ...span(), ["points", points]]);
-  if (request !== latest) return; // a newer range is on its way
+  const figure = await newest("signal-time", [...view(), ...span(), ["points", points]]);
+  if (!figure) return;
   await drawPanels(byId("time"), figure, { shapes: shapes(figure) });
   placeTimeCursor();
 }
 
 async function drawSpectra() {
   if (!checked("channel").length) return;
-  const { spectra, coherence } = await getJson(api("signal-spectra"), view());
-  await drawPanels(byId("spectra"), spectra);
-  await draw(byId("coherence"), coherence);
+  const figures = await newest("signal-spectra", view());
+  if (!figures) return;
+  await drawPanels(byId("spectra"), figures.spectra);
+  await draw(byId("coherence"), figures.coherence);
   placeFrequencyCursor();
 }
 
@@ -103,7 +111,9 @@ function channelBox(name) {
 }
 
 async function showRecord() {
-  record = await getJson(api("record"), { record: experiment() });
+  const answer = await newest("record", { record: experiment() });
+  if (!answer) return;
+  record = answer;
   draft ??= record.steps;
   byId("joint").hidden = true;
   byId("joint-text").textContent = "";
