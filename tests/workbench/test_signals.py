@@ -47,7 +47,7 @@ def motors(samples: int) -> dict[str, FloatArray]:
     return {"theta_m1": angle, "theta_m2": 0.5 * angle, "u1": 2.0 * angle, "u2": angle}
 
 
-def view_of(folder: Path, log: Log, *channels: str, **choices: str) -> View:
+def view_of(folder: Path, log: Log, *channels: str, **choices: Any) -> View:
     arm = read_study(folder / PATH).arm
     return View([ShownRecord("one", [log])], channels, arm, **choices)
 
@@ -148,7 +148,6 @@ def test_an_empty_window_is_refused(client: TestClient, ends: tuple[Any, Any]) -
         {"channel": "u1", "from": "x"},
         {"channel": "u1", "from": "3", "to": "3"},
         {"channel": "u1", "units": "miles"},
-        {"channel": "u1", "panels": "none"},
         {"channel": "u1", "steps": "{"},
         {"channel": "u1", "steps": "[1]"},
         {"channel": "u1", "steps": '[{"kind": "lowpass"}]'},
@@ -186,16 +185,16 @@ def test_records_are_overlaid_from_their_starts(client: TestClient, folder: Path
     late["t"] = late["t"] + 100.0
     write_log(folder / "arm" / "motion-check.parquet", late)
     names = ["motion", "motion-check"]
-    figure = time_of(client, record=names, channel=["u1", "a1"], panels="all")
+    figure = time_of(client, record=names, channel=["u1", "a1"], panels="unit")
     lines = figure["data"]
     assert [line["name"] for line in lines] == [
-        f"{channel}, {name}" for name in names for channel in ("u1 [V]", "a1 [m/s²]")
+        f"{channel}, {name}" for channel in ("u1 [V]", "a1 [m/s²]") for name in names
     ]
-    assert {line["x"][0] for line in lines} == {0.0}
+    assert all(0.0 <= line["x"][0] < 0.05 for line in lines)
     assert len({line["line"]["color"] for line in lines}) == 4
     assert figure["layout"]["xaxis"]["title"]["text"] == "time from the start of each record [s]"
     alone = time_of(client, record="motion-check", channel="u1")
-    assert alone["data"][0]["x"][0] == 100.0
+    assert 100.0 <= alone["data"][0]["x"][0] < 100.1
 
 
 def pandas_table(path: Path) -> dict[str, FloatArray]:
@@ -205,7 +204,7 @@ def pandas_table(path: Path) -> dict[str, FloatArray]:
     return {name: table[name].to_numpy() for name in table.column_names}
 
 
-@pytest.mark.parametrize(("panels", "count"), [("channel", 4), ("unit", 3), ("all", 1)])
+@pytest.mark.parametrize(("panels", "count"), [("channel", 4), ("unit", 3)])
 def test_channels_share_panels(panels: str, count: int, client: TestClient) -> None:
     channels = ["u1", "u2", "theta_m1", "a1"]
     figure = time_of(client, record="motion", channel=channels, panels=panels)

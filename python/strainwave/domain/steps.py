@@ -16,14 +16,6 @@ from strainwave.domain.arm.description import Positive
 
 
 @dataclass(frozen=True, slots=True)
-class Merge:
-    """Continue the record with a second log of the same columns."""
-
-    kind: ClassVar[str] = "merge"
-    file: Annotated[str, MinLen(1)]  # relative to the study file
-
-
-@dataclass(frozen=True, slots=True)
 class Detrend:
     """Subtract the mean of channels over the record, or their straight line of least squares."""
 
@@ -48,9 +40,17 @@ class Resample:
     sample_time: Positive  # [s]
 
 
-Step = Merge | Detrend | LowPass | Resample
+@dataclass(frozen=True, slots=True)
+class Merge:
+    """Continue the record with a second log of the same columns."""
 
-STEPS: Mapping[str, type[Step]] = {each.kind: each for each in (Merge, Detrend, LowPass, Resample)}
+    kind: ClassVar[str] = "merge"
+    file: Annotated[str, MinLen(1)]  # relative to the study file
+
+
+Step = Detrend | LowPass | Resample | Merge
+
+STEPS: Mapping[str, type[Step]] = {each.kind: each for each in (Detrend, LowPass, Resample, Merge)}
 """Records of the steps by their kind."""
 
 RATES = ("omega_m", "gyro", "gx", "gy", "gz")

@@ -235,7 +235,7 @@ def test_steps_are_written_and_read_back(tmp_path: Path) -> None:
     ("steps", "message"),
     [
         ('"lowpass"', "it should be a list of tables"),
-        ('[{ kind = "high" }]', "should be 'merge', 'detrend', 'lowpass' or 'resample'"),
+        ('[{ kind = "high" }]', "should be 'detrend', 'lowpass', 'resample' or 'merge'"),
         ("[{ cutoff_hz = 3.0 }]", "'kind' is None"),
         ('[{ kind = "lowpass" }]', r"step 1 \(lowpass\): the key 'cutoff_hz' is missing"),
         ('[{ kind = "lowpass", cutoff_hz = -1.0 }]', "'cutoff_hz' is -1.0, but"),

@@ -90,8 +90,8 @@ def test_records_are_overlaid_and_panels_shared(visit: Any) -> None:
     assert "u1 [V], prbs-j2" in page.evaluate(NAMES)
     styles = page.evaluate("document.querySelector('#time').data.map(t => t.line.color)")
     assert len(set(styles)) == 6
-    page.select_option("#panels", "all")
-    visit.wait_until("document.querySelector('#time').data.every(t => t.yaxis === 'y')")
+    page.select_option("#panels", "channel")
+    visit.wait_until("document.querySelector('#time').data.some(t => t.yaxis === 'y3')")
     visit.check_accessibility()
 
 

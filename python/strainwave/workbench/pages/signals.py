@@ -29,7 +29,6 @@ from strainwave.signals import hygiene
 from strainwave.signals.prepared_record import prepare_record
 from strainwave.signals.standstill import runs_of
 from strainwave.workbench.pages.signal_figures import (
-    PANELS,
     UNITS,
     ShownRecord,
     View,
@@ -133,8 +132,8 @@ def show_time(request: Request) -> object:
     """Channels over a span of time."""
     query, view = request.query_params, _view(request)
     first = view.records[0]
-    low = _number(query.get("from"), float(first.logs[0].time[0]) - first.origin)
-    high = _number(query.get("to"), float(first.logs[-1].time[-1]) - first.origin)
+    low = _number(query.get("from"), float(first.logs[0].time[0]) - (first.origin or 0.0))
+    high = _number(query.get("to"), float(first.logs[-1].time[-1]) - (first.origin or 0.0))
     if not low < high:
         raise InvalidInput("the time span is empty", where="from, to")
     points = int(min(max(_number(query.get("points"), 1200.0), _POINTS[0]), _POINTS[1]))
@@ -251,13 +250,12 @@ def _view(request: Request) -> View:
     records = []
     for experiment, is_before in shown:
         logs = _whole(path, experiment)
-        origin = float(logs[0].time[0]) if len(experiments) > 1 else 0.0
+        origin = float(logs[0].time[0]) if len(experiments) > 1 else None
         records.append(ShownRecord(experiment.name, logs, origin, is_before))
-    panels, units = query.get("panels", PANELS[0]), query.get("units", "rad")
-    for name, value, known in (("panels", panels, PANELS), ("units", units, tuple(UNITS))):
-        if value not in known:
-            raise InvalidInput(f"{value!r} is no choice", where=name, remedy=", ".join(known))
-    return View(records, query.getlist("channel"), study.arm, panels, units)
+    units, channels = query.get("units", "rad"), query.getlist("channel")
+    if units not in UNITS:
+        raise InvalidInput(f"{units!r} are no units", where="units", remedy=", ".join(UNITS))
+    return View(records, channels, study.arm, query.get("panels") == "unit", units)
 
 
 def _json_of(text: str) -> object:

@@ -5,7 +5,7 @@ import { draw } from "./figures.js";
 import { showSteps } from "./steps.js";
 
 const api = (name) => `/api/${name}/${address(study)}`;
-const PANEL = 150, FRAME = 60; // [px] height of a panel, and of the axis below
+const PANEL = [150, 360], FRAME = 60; // [px] range of the height of a panel, and height of the axis below
 const DEBOUNCE = 120; // [ms]
 const FIRST = ["u1", "torque1", "theta_m1", "a1", "theta_l1", "ax1"];
 const CHOICES = ["panels", "units", "frequency", "magnitude", "before"];
@@ -38,18 +38,19 @@ function readAddress() {
   const names = [...byId("record").options].map((option) => option.value);
   byId("record").value = names.includes(records[0]) ? records[0] : names[0];
   for (const box of document.querySelectorAll("[data-overlay]")) box.checked = records.slice(1).includes(box.value);
+  byId("overlays").open ||= records.length > 1;
   chosen = query.has("channel") ? query.getAll("channel") : null;
   for (const id of CHOICES) byId(id).value = query.get(id) ?? byId(id).options[0].value;
   range = query.has("from") && query.has("to") ? [Number(query.get("from")), Number(query.get("to"))] : null;
   try { draft = JSON.parse(query.get("steps")); } catch { draft = null; }
 }
 
-// Grey outside of the window, orange where a channel is marked.
+// Grey outside of the window, orange where a channel is marked, if its panel is its own.
 function shapes({ data }) {
   const [start, stop] = record.window;
   const box = (x0, x1, yref, fillcolor, opacity) => ({
     type: "rect", xref: "x", yref, x0: x0 - origin(), x1: x1 - origin(), y0: 0, y1: 1, fillcolor, opacity, line: { width: 0 } });
-  const axisOf = (channel) => data.find((trace) => trace.name.startsWith(`${channel} [`))?.yaxis;
+  const axisOf = (channel) => byId("panels").value === "channel" && data.find((trace) => trace.name.startsWith(`${channel} [`))?.yaxis;
   return [
     ...(start == null ? [] : [box(record.start, start, "paper", "#888888", 0.25)]),
     ...(stop == null ? [] : [box(stop, record.stop, "paper", "#888888", 0.25)]),
@@ -67,7 +68,8 @@ async function newest(kind, query) {
 
 async function drawPanels(place, figure, layout) {
   const panels = Object.keys(figure.layout).filter((key) => key.startsWith("yaxis")).length;
-  place.style.height = `${FRAME + Math.max(PANEL * panels, 2 * PANEL)}px`;
+  const fitting = 0.7 * window.innerHeight / Math.max(panels, 2);
+  place.style.height = `${FRAME + panels * Math.min(Math.max(fitting, PANEL[0]), PANEL[1])}px`;
   await draw(place, figure, { layout: { showlegend: false, hovermode: "x unified", ...layout } });
 }
 
