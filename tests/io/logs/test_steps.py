@@ -187,7 +187,7 @@ def test_a_held_command_keeps_its_delay() -> None:
     from strainwave.io.logs.steps import apply_steps
     from strainwave.numerics.filters import apply_lags
 
-    t = T * np.arange(20_000)
+    t = np.arange(20_000) * np.float64(T)
     command = np.sin(2.0 * np.pi * 2.0 * t) + np.sin(2.0 * np.pi * 15.0 * t)
     lags = [Lag(2, 4.0)]
     response = apply_lags(command, lags, T, held=True)

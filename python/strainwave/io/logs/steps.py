@@ -69,7 +69,7 @@ def apply_steps(
     Raises InvalidInput if a step does not fit the record.
     """
     notes = [
-        Diagnostic("preprocessed", Place(file=path.name), "merge", file=step.file)
+        Diagnostic("preprocessed", Place.in_records(experiment.name), "merge", file=step.file)
         for step in experiment.merges
     ]
     processed = list(logs)
@@ -119,7 +119,9 @@ def _detrend(logs: list[Log], step: Detrend, path: Path) -> tuple[list[Log], Dia
         )
         for name, trend in trends.items()
     )
-    return detrended, Diagnostic("preprocessed", Place(file=path.name), "detrend", removed=removed)
+    return detrended, Diagnostic(
+        "preprocessed", Place.in_records(logs[0].name), "detrend", removed=removed
+    )
 
 
 def _filter(logs: list[Log], step: LowPass, path: Path) -> tuple[list[Log], Diagnostic]:
@@ -136,7 +138,7 @@ def _filter(logs: list[Log], step: LowPass, path: Path) -> tuple[list[Log], Diag
                 remedy="change cutoff_hz, or remove the step",
             )
     filtered = [_passed(log, step.cutoff_hz) for log in logs]
-    place = Place(file=path.name)
+    place = Place.in_records(logs[0].name)
     return filtered, Diagnostic("preprocessed", place, "lowpass", cutoff_hz=step.cutoff_hz)
 
 
@@ -165,7 +167,7 @@ def _resample(logs: list[Log], step: Resample, path: Path) -> tuple[list[Log], D
             remedy="set a shorter sample_time in the step 'resample'",
         )
     note = Diagnostic(
-        "preprocessed", Place(file=path.name), "resample", before=T, after=step.sample_time
+        "preprocessed", Place.in_records(logs[0].name), "resample", before=T, after=step.sample_time
     )
     return resampled, note
 
@@ -213,10 +215,8 @@ def cut_to_window(logs: Sequence[Log], experiment: Experiment, path: Path) -> li
         first = int(np.searchsorted(log.time, start - tolerance))
         rows = slice(first, int(np.searchsorted(log.time, stop + tolerance, side="right")))
         if rows.stop - rows.start >= least:
-            channels, masked = (
-                {name: values[rows] for name, values in each.items()}
-                for each in (log.channels, log.masked)
-            )
+            channels = {name: values[rows] for name, values in log.channels.items()}
+            masked = {name: mask[rows] for name, mask in log.masked.items()}
             cut.append(replace(log, time=log.time[rows], channels=channels, masked=masked))
     if not cut:
         raise InvalidInput(
