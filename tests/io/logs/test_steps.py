@@ -317,3 +317,25 @@ def test_a_detrended_offset_does_not_reach_the_estimates(virtual_arm: Study) -> 
     step = Detrend(("u1",))
     assert offset(faulty) - offset(columns) == pytest.approx(0.2 * 0.08, rel=1e-3)
     assert offset(faulty, step) == pytest.approx(offset(columns, step), abs=1e-9)
+
+
+def test_a_simulated_record_has_no_steps(virtual_arm: Study, tmp_path: Path) -> None:
+    motion = replace(virtual_arm.experiments[0], steps=(LowPass(20.0), Resample(0.01)))
+    study = replace(virtual_arm, experiments=(motion,))
+    simulate_study(study, scara.STIFF.parameters(), tmp_path, noise=SensorNoise())
+    simulated = read_study(tmp_path / "study.toml")
+    assert not simulated.experiments[0].steps
+    log = read_log(simulated, simulated.experiments[0])
+    logged = read_log(virtual_arm, virtual_arm.experiments[0])
+    assert log.sample_time == pytest.approx(logged.sample_time)  # held inputs as logged
+    np.testing.assert_allclose(log.channels["u1"], logged.channels["u1"], atol=0.05)
+
+
+def test_records_with_one_step_share_its_note(virtual_arm: Study) -> None:
+    steps = (LowPass(150.0),)
+    study = replace(
+        virtual_arm, experiments=tuple(replace(e, steps=steps) for e in virtual_arm.experiments)
+    )
+    warnings = sw.check(study).warnings
+    (note,) = [warning for warning in warnings if warning.code == "preprocessed"]
+    assert all(experiment.name in note.where for experiment in study.experiments)
