@@ -162,6 +162,20 @@ def test_steps_are_previewed_and_written(visit: Any) -> None:
     visit.wait_until("document.querySelectorAll('#steps li').length === 2")
 
 
+def test_a_record_that_cannot_be_read_does_not_stop_the_page(visit: Any) -> None:
+    (visit.folder / "arm" / "motion.parquet").write_bytes(b"PAR1 broken PAR1")
+    page = visit.open(PATH)
+    page.wait_for_selector("#message.bad")
+    assert "motion.parquet" in page.inner_text("#message")
+    visit.faults.clear()
+    page.select_option("#record", "prbs-j1")
+    page.wait_for_selector("#coherence[data-drawn]")
+    page.evaluate("Plotly.relayout('time', {'xaxis.range': [1.0, 1.1]})")
+    visit.wait_until("location.search.includes('to=1.1')")
+    page.evaluate("Plotly.relayout('time', {'xaxis.range': [-1.0, 100.0]})")  # everything
+    visit.wait_until("!location.search.includes('to=')")
+
+
 @pytest.mark.parametrize("width", [1280, 2560])
 def test_the_page_fits_the_screen(visit: Any, width: int) -> None:
     visit.page.set_viewport_size({"width": width, "height": 1000})

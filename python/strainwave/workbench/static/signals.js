@@ -10,7 +10,7 @@ const DEBOUNCE = 120; // [ms]
 const FIRST = ["u1", "torque1", "theta_m1", "a1", "theta_l1", "ax1"];
 const CHOICES = ["panels", "units", "frequency", "magnitude", "before"];
 const latest = {}; // request of each kind
-let record, range, timer, chosen = null, draft = null;
+let record, range, timer, chosen = null, draft = null, hasZoom = false;
 
 const experiment = () => byId("record").value;
 const checked = (kind) => [...document.querySelectorAll(`[data-${kind}]:checked`)].map((box) => box.value);
@@ -29,6 +29,7 @@ const view = () => [
 const span = () => range ? [["from", range[0]], ["to", range[1]]] : [];
 
 function saveAddress(method) {
+  if (!record) return; // it could not be read
   const text = `?${new URLSearchParams([...view(), ...span()])}`;
   if (text !== location.search) history[method](null, "", text);
 }
@@ -79,6 +80,8 @@ async function drawTime() {
   const figure = await newest("signal-time", [...view(), ...span(), ["points", points]]);
   if (!figure) return;
   await drawPanels(byId("time"), figure, { shapes: shapes(figure) });
+  if (!hasZoom) byId("time").on("plotly_relayout", onRelayout);
+  hasZoom = true;
   placeTimeCursor();
 }
 
@@ -92,13 +95,11 @@ async function drawSpectra() {
 }
 
 function onRelayout(event) {
-  if (event["xaxis.range[0]"] !== undefined || event["xaxis.range"]) {
-    range = [event["xaxis.range[0]"] ?? event["xaxis.range"][0], event["xaxis.range[1]"] ?? event["xaxis.range"][1]];
-  } else if (event["xaxis.autorange"]) {
-    range = null;
-  } else {
-    return;
-  }
+  const ends = event["xaxis.range"] ?? [event["xaxis.range[0]"], event["xaxis.range[1]"]];
+  if (ends[0] === undefined && !event["xaxis.autorange"]) return;
+  range = ends[0] === undefined ? null : ends.map((end) => Number(end.toFixed(6)));
+  const [start, stop] = [record.start - origin(), record.stop - origin()];
+  if (range && range[0] <= start + 1e-6 && range[1] >= stop - 1e-6) range = null; // the whole record
   clearTimeout(timer);
   timer = setTimeout(() => { saveAddress("replaceState"); act(null, drawTime); }, DEBOUNCE);
 }
@@ -203,4 +204,3 @@ const placeFrequencyCursor = addCursor(byId("spectra"), byId("spectra-values"), 
 readAddress();
 await act(null, showRecord);
 saveAddress("replaceState");
-byId("time").on?.("plotly_relayout", onRelayout);
