@@ -112,11 +112,9 @@ def _detrend(logs: list[Log], step: Detrend, path: Path) -> tuple[list[Log], Dia
         )
         for log in logs
     ]
-    ends = time[[0, -1]]
+    template = "removed-trend" if step.degree else "removed-trend/mean"
     removed = tuple(
-        Clause(
-            "removed-trend", channel=name, first=float(trend(ends[0])), last=float(trend(ends[1]))
-        )
+        Clause(template, channel=name, first=float(trend(time[0])), last=float(trend(time[-1])))
         for name, trend in trends.items()
     )
     return detrended, Diagnostic(
