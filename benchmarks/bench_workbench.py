@@ -27,7 +27,7 @@ from strainwave.dynamics.simulation import SensorNoise
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import simulate_study
 from strainwave.workbench.pages.by_hand import parameter_document
-from strainwave.workbench.pages.signals import time_figure
+from strainwave.workbench.pages.signal_figures import ShownRecord, View, time_figure
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -95,7 +95,8 @@ def _view_of_a_million() -> float:
     experiment = Experiment("one", "one.csv", "motion", ("servo", "servo"))
     log = Log(experiment, time_axis, 1e-4, channels)
     span = (0.0, float(time_axis[-1]))
-    return best_of(partial(time_figure, log, scara.STIFF.study(Path()).arm, ["u1"], span, _PIXELS))
+    view = View([ShownRecord("one", [log])], ["u1"], scara.STIFF.study(Path()).arm)
+    return best_of(partial(time_figure, view, span, _PIXELS))
 
 
 def _in_browser(link: str, size: float) -> list[Row]:

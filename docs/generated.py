@@ -13,6 +13,7 @@ from textwrap import fill
 
 from strainwave.commands import command_texts
 from strainwave.domain.messages import catalogue
+from strainwave.domain.steps import STEPS
 from strainwave.domain.study import option_texts, study_keys
 
 HERE = Path(__file__).parent
@@ -55,7 +56,12 @@ def with_study_keys(page: str) -> str:
             for each in study_keys()[table]
         ]
         page = head + title + _with_table(rest, "key | unit | default | meaning", rows)
-    return _with_options(page)
+    rows = [
+        f"| `{kind}` | `{each.key}` | {each.unit} | {each.default} | {each.meaning} |"
+        for kind in STEPS
+        for each in study_keys()[kind]
+    ]
+    return _with_options(_with_table(page, "step | key | unit | default | meaning", rows))
 
 
 def _with_options(page: str) -> str:

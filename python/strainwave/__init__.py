@@ -41,6 +41,10 @@ if TYPE_CHECKING:
     from strainwave.domain import Stage as Stage
     from strainwave.domain import Study as Study
     from strainwave.domain import WholeArmOptions as WholeArmOptions
+    from strainwave.domain.steps import Detrend as Detrend
+    from strainwave.domain.steps import LowPass as LowPass
+    from strainwave.domain.steps import Merge as Merge
+    from strainwave.domain.steps import Resample as Resample
     from strainwave.domain.study import ProgressEvent as ProgressEvent
     from strainwave.dynamics.arm import Arm as Arm
     from strainwave.errors import Cancelled as Cancelled
@@ -76,6 +80,7 @@ _NAMES_OF_MODULE = {
         "Options Parameter Payload PhysicalOptions Prbs RigidOptions Servo Stage Study "
         "WholeArmOptions"
     ),
+    "strainwave.domain.steps": "Detrend LowPass Merge Resample",
     "strainwave.domain.study": "ProgressEvent",
     "strainwave.dynamics.arm": "Arm",
     "strainwave.errors": "Cancelled InvalidInput NotIdentifiable StrainwaveError",

@@ -52,6 +52,8 @@ def test_panels_have_their_relative_heights_and_do_not_overlap() -> None:
 def test_numbers_have_five_digits_of_the_largest_and_gaps_are_null() -> None:
     assert rounded(np.array([123.456789, 1.0, np.nan])) == [123.457, 1.0, None]
     assert rounded(np.array([np.nan, np.inf])) == [None, None]
+    late = 1e5 + 1e-3 * np.arange(4.0)  # [s] a zoom into a long record
+    assert np.diff(np.array(rounded(late), float)) == pytest.approx(1e-3)
     (trace,) = plotly(figure(Line(X, np.array([1.0, np.nan, 3.0]), "a", Colour.MODEL)))["data"]
     assert trace["y"] == [1.0, None, 3.0]
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 STUDY = "arm/study.toml"
 START, OTHER = "arm/runs/one/result.json", "arm/runs/other/result.json"
-QUERY = {"experiment": "motion", "channel": "u1", "channels": "u1", "run": "one", "name": "one"}
+QUERY = {"experiment": "motion", "record": "motion", "channel": "u1", "run": "one", "name": "one"}
 VALUES = [{"name": "motor_inertia", "joint": 1, "value": 1e-4}]
 BODIES: dict[str, dict[str, Any]] = {
     "study": {"changes": [{"place": ["joint", 0, "gear_ratio"], "kind": "number", "value": "1"}]},
@@ -45,6 +45,7 @@ BODIES: dict[str, dict[str, Any]] = {
     "by-hand-save": {"name": "mine", "values": VALUES},
     "by-hand-fit": {"values": VALUES, "held": ["motor_inertia"]},
     "window": {"experiment": "motion", "start": 0, "stop": 1},
+    "steps": {"experiment": "motion", "steps": [{"kind": "lowpass", "cutoff_hz": 60.0}]},
     "cancel-run": {"name": "one"},
     "remove-run": {"name": "two"},
     "export": {"name": "one", "format": "json"},

@@ -59,7 +59,7 @@ def test_a_run_does_not_block_the_pages(server: Any) -> None:
     runs = Runs(server.folder / "arm" / "study.toml")
     runs.prepare("one")
     runs.start("one", "identify", [("identify", "../../study.toml", "--out", ".")])
-    query = "/api/signal-time/arm/study.toml?experiment=prbs-j1&channels=u1"
+    query = "/api/signal-time/arm/study.toml?record=prbs-j1&channel=u1"
     for _ in range(10):
         begin = time.perf_counter()
         get(server, query)

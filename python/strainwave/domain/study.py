@@ -22,6 +22,7 @@ from strainwave.domain.arm.consistent_links import standard_parameters
 from strainwave.domain.arm.description import ArmDescription, Positive, Vector
 from strainwave.domain.arm.link_sensors import link_channel_kinds
 from strainwave.domain.keys import JointNumber
+from strainwave.domain.steps import Merge, Resample, Step
 from strainwave.errors import InvalidInput, suggest_name
 
 Band = tuple[Positive, Positive]  # lowest and highest frequency [Hz]
@@ -281,6 +282,17 @@ class Experiment:
     stop: float | None = None  # [s]
     add: Mapping[str, str] = field(default_factory=dict)  # channel -> column added to it
     payload: Payload | None = None  # of serial arms
+    steps: tuple[Step, ...] = ()  # of preprocessing, in order; merges come first
+
+    @property
+    def merges(self) -> tuple[Merge, ...]:
+        """Logs that continue the record."""
+        return tuple(step for step in self.steps if isinstance(step, Merge))
+
+    @property
+    def is_resampled(self) -> bool:
+        """Whether a step gives the record another sampling period than that of its log."""
+        return any(isinstance(step, Resample) for step in self.steps)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -302,6 +314,11 @@ class Study:
     def log_path(self, experiment: Experiment) -> Path:
         """Path of an experiment's log."""
         return self.path.parent / experiment.file
+
+    def log_paths(self, experiment: Experiment) -> tuple[Path, ...]:
+        """Paths of an experiment's log and of the logs that continue it."""
+        merged = (self.path.parent / step.file for step in experiment.merges)
+        return self.log_path(experiment), *merged
 
 
 def channel_kinds() -> tuple[str, ...]:

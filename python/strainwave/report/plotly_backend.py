@@ -90,14 +90,16 @@ def plotly(figure: Figure) -> dict[str, Any]:
 
 
 def rounded(values: FloatArray, *, of_each: bool = False) -> list[float | None]:
-    """Values rounded to five digits of the largest, or of each; None for one that is not finite."""
+    """Values rounded to five digits of their range, or of each; None for one that is not finite."""
     finite = np.isfinite(values)
     if of_each:
         return [
             float(f"{value:.{_SIGNIFICANT_DIGITS}g}") if is_finite else None
             for value, is_finite in zip(values.tolist(), finite.tolist(), strict=True)
         ]
-    scale = float(np.abs(values).max(initial=0.0, where=finite))
+    shown = values[finite]
+    scale = float(np.ptp(shown)) if len(shown) else 0.0
+    scale = scale or float(np.abs(shown).max(initial=0.0))
     digits = _SIGNIFICANT_DIGITS - (math.floor(math.log10(scale)) if scale > 0.0 else 0)
     numbers: list[float | None] = np.round(values, digits).tolist()
     for gap in np.flatnonzero(~finite).tolist():

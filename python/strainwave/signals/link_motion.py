@@ -329,7 +329,8 @@ def _find_valid_samples(view: _FilteredLog) -> tuple[BoolArray, list[Diagnostic]
         if reading.source == "motor":
             place = Place.in_records(view.log.name)
             warnings.append(Diagnostic("no-link-sensor", place, joint=reading.joint))
-    prbs, sample_time = view.log.experiment.prbs, view.log.sample_time
+    experiment, sample_time = view.log.experiment, view.log.sample_time
+    prbs = None if experiment.is_resampled else experiment.prbs
     if prbs and prbs.clock < 0.999 * sample_time:
         place = Place.in_records(view.log.name)
         warnings.append(Diagnostic("sub-sampled", place, clock=prbs.clock, sample_time=sample_time))

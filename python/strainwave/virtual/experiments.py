@@ -122,7 +122,7 @@ def simulate_study(
         file = Path(experiment.file).name
         if not file.endswith(_WRITABLE_FORMATS):
             file = f"{Path(file).stem}.parquet"
-        experiments.append(replace(experiment, file=file, start=None, stop=None, add={}))
+        experiments.append(replace(experiment, file=file, start=None, stop=None, add={}, steps=()))
     for experiment, columns in zip(experiments, logs_columns, strict=True):
         logs.write_log(folder / experiment.file, columns)
     copy = studies.copy_to(study, folder)
@@ -165,7 +165,7 @@ def derived(values: Values, arm: ArmDescription) -> Values:
 def _existing_plan(study: Study, arm: Arm, experiment: Experiment, values: Values) -> Plan | None:
     """Plan of an experiment from its log or its table of inputs; None if there is neither."""
     if study.log_path(experiment).exists():
-        log = logs.read_log(study, experiment)
+        log = logs.read_log(study, replace(experiment, steps=experiment.merges))  # held inputs
         return Plan(recorded_drive(arm, log), log.sample_time, len(log))
     drive = read_applied(study.path.parent, arm, experiment, values)
     if drive is None:

@@ -28,7 +28,8 @@ class KeyChange:
 
     `place` has table names, and for arrays of tables their position from 0: ("joint", 0,
     "gear_ratio"), ("channels", "a1", "scale"), ("options", "links", "order"). At ("experiment", 2)
-    a table is inserted, whose value is the text of its lines.
+    a table is inserted, whose value is the text of its lines; at ("experiment", 0, "steps", 1), an
+    entry of a list.
     """
 
     place: tuple[str | int, ...]
@@ -146,7 +147,8 @@ def _apply(table: Any, change: KeyChange, path: Path) -> None:
         if isinstance(table, dict) and isinstance(key, str) and key not in table:
             if change.value is None:
                 return
-            table[key] = tomlkit.table()
+            is_list = isinstance(change.place[position + 1], int)
+            table[key] = tomlkit.array() if is_list else tomlkit.table()
         try:
             entry = table[key]
         except (LookupError, TypeError) as error:
@@ -156,6 +158,12 @@ def _apply(table: Any, change: KeyChange, path: Path) -> None:
             table[key]["column"] = entry
             entry = table[key]
         table = entry
+    if isinstance(table, list) and isinstance(last, int) and last <= len(table):
+        if change.value is not None:
+            table.insert(last, change.value)
+        elif last < len(table):
+            del table[last]
+        return
     if not isinstance(table, dict) or not isinstance(last, str):
         raise _no_place(change, path)
     if change.value is None:

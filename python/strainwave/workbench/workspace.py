@@ -21,10 +21,11 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from strainwave.domain import Log, Study
+from strainwave.domain import Experiment, Log, Study
+from strainwave.domain.steps import files_of
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, parse_toml, read_small
-from strainwave.io.logs import read_log
+from strainwave.io.logs import read_segments
 from strainwave.io.logs.bags import BAG_SUFFIXES
 from strainwave.io.logs.tables import TABLE_SUFFIXES
 from strainwave.io.study import read_study
@@ -192,9 +193,10 @@ def _named_files(study: Path, _stamp: object) -> tuple[str, ...]:
     except InvalidInput:
         return ()
     experiments = document.get("experiment")
-    tables = [*(experiments if isinstance(experiments, list) else []), document.get("arm")]
-    names = [t.get(key) for t in tables if isinstance(t, dict) for key in ("file", "urdf")]
-    return tuple(name for name in names if isinstance(name, str))
+    arm, tables = document.get("arm"), experiments if isinstance(experiments, list) else []
+    names = [name for each in tables if isinstance(each, dict) for name in files_of(each)]
+    urdf = arm.get("urdf") if isinstance(arm, dict) else None
+    return (*names, *([urdf] if isinstance(urdf, str) else []))
 
 
 def _abbreviated(name: str) -> str:
@@ -269,27 +271,45 @@ def study_at(path: Path) -> Study:
     return study
 
 
-def log_of(path: Path, experiment: str, *, is_whole: bool = False) -> Log:
-    """The log of one experiment of a study file; raises InvalidInput if it has a fault.
+def experiment_of(path: Path, name: str) -> Experiment:
+    """An experiment of a study file; raises InvalidInput if there is none of that name."""
+    experiments = study_at(path).experiments
+    for experiment in experiments:
+        if experiment.name == name:
+            return experiment
+    names = ", ".join(e.name for e in experiments)
+    raise InvalidInput(f"there is no experiment {name!r}", remedy=f"choose from: {names}")
 
-    With `is_whole`, the window of the experiment is not cut out.
+
+def log_of(path: Path, experiment: str) -> Log:
+    """The log of one experiment of a study file, of a record with pauses the longest segment.
+
+    Raises InvalidInput if it has a fault.
+    """
+    chosen = experiment_of(path, experiment)
+    segments = segments_of(path, chosen)
+    return segments[0] if len(segments) == 1 else replace(max(segments, key=len), experiment=chosen)
+
+
+def segments_of(path: Path, experiment: Experiment) -> tuple[Log, ...]:
+    """The segments of an experiment, whose window and steps may differ from the study file's.
+
+    Raises InvalidInput if the log has a fault.
     """
     study = study_at(path)
-    chosen = next((e for e in study.experiments if e.name == experiment), None)
-    if chosen is None:
-        names = ", ".join(e.name for e in study.experiments)
-        raise InvalidInput(f"there is no experiment {experiment!r}", remedy=f"choose from: {names}")
-    if is_whole:
-        chosen = replace(chosen, start=None, stop=None)
-    key = ("log", stamp_of(path), experiment, is_whole, stamp_of(study.log_path(chosen)))
-    log: Log = cached(key, lambda: read_log(study, chosen), _size)
-    return log
+    how = experiment.start, experiment.stop, experiment.steps
+    stamps = map(stamp_of, study.log_paths(experiment))
+    key = ("log", stamp_of(path), experiment.name, *how, *stamps)
+    logs: tuple[Log, ...] = cached(
+        key, lambda: read_segments(study, experiment), lambda logs: sum(map(_size, logs))
+    )
+    return logs
 
 
 def fingerprint(path: Path) -> str:
     """A text that changes whenever the study file or one of its logs changes."""
     study = study_at(path)
-    stamps = [stamp_of(study.log_path(each)) for each in study.experiments]
+    stamps = [stamp_of(log) for each in study.experiments for log in study.log_paths(each)]
     text = json.dumps([hashlib.sha256(path.read_bytes()).hexdigest(), stamps])
     return hashlib.sha256(text.encode()).hexdigest()
 

@@ -141,6 +141,20 @@ def test_a_urdf_is_an_input_of_its_study(tmp_path: Path) -> None:
     assert local.hashes()[1] != first[1]
 
 
+def test_a_merged_log_is_an_input_of_its_study(tmp_path: Path) -> None:
+    step = '[[experiment]]\nsteps = [{ kind = "merge", file = "part2.csv" }]'
+    (tmp_path / "study.toml").write_text(STUDY.replace("[[experiment]]", step, 1))
+    (tmp_path / "part2.csv").write_text("1")
+    location = (tmp_path / "study.toml").as_uri()
+    with StudyFile(location, location).opened() as opened:
+        assert isinstance(opened.study, Path)
+        assert (opened.study.parent / "part2.csv").read_text() == "1"
+    local = StudyFile("study", str(tmp_path / "study.toml"))
+    first = local.hashes()
+    (tmp_path / "part2.csv").write_text("2")
+    assert local.hashes()[1] != first[1]
+
+
 def test_a_folder_of_logs_is_hashed_file_by_file(tmp_path: Path) -> None:
     """For example a bag."""
     path = tmp_path / "study.toml"

@@ -20,6 +20,7 @@ from typing import Any, ClassVar, Protocol
 
 from strainwave.domain import Study
 from strainwave.domain.keys import Key
+from strainwave.domain.steps import files_of
 from strainwave.errors import InvalidInput, import_optional, suggest_name
 from strainwave.io.atomic_files import check_keys, decode, parse_toml, read_bytes
 from strainwave.io.logs.arrays import Data
@@ -137,13 +138,10 @@ def _list_inputs(text: bytes) -> list[str]:
     except (ValueError, RecursionError):
         return []
     experiments, arm = document.get("experiment"), document.get("arm")
-    files = [
-        entry.get("file")
-        for entry in (experiments if isinstance(experiments, list) else [])
-        if isinstance(entry, dict)
-    ]
-    files.append(arm.get("urdf") if isinstance(arm, dict) else None)
-    return list(dict.fromkeys(name for name in files if isinstance(name, str) and name))
+    tables = experiments if isinstance(experiments, list) else []
+    files = [name for each in tables if isinstance(each, dict) for name in files_of(each)]
+    urdf = arm.get("urdf") if isinstance(arm, dict) else None
+    return list(dict.fromkeys([*files, *([urdf] if isinstance(urdf, str) and urdf else [])]))
 
 
 def _read(location: str) -> bytes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -31,6 +31,13 @@ from strainwave.io.logs.arrays import Data, open_memory_table
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clock_text import time_of
 from strainwave.io.logs.clocks import Track, resample_tracks
+from strainwave.io.logs.steps import (
+    COMMAND_PREFIXES,
+    MIN_FILLED_SHARE,
+    apply_steps,
+    cut_to_window,
+    merge_tables,
+)
 from strainwave.io.logs.tables import LogTable, open_table, release_reader_memory, write_table
 from strainwave.io.logs.updates import (
     drop_missing,
@@ -40,14 +47,11 @@ from strainwave.io.logs.updates import (
 )
 from strainwave.numerics.parallel import run_parallel
 
-__all__ = ["read_log", "read_logs", "write_log"]
+__all__ = ["read_log", "read_logs", "read_segments", "write_log"]
 
 write_log = write_table
 
-_MIN_FILLED_SHARE = 1e-3  # of an interpolated row in a sample; rounding of stamps is below
 _MAX_REST_RANGE = 0.01  # [rad] range of the angle of a motor that stands still, with its noise
-
-_COMMAND_PREFIXES = ("u", "ref")  # prefixes of commands, constant between the ticks of a clock
 
 
 def read_logs(
@@ -69,7 +73,7 @@ def read_logs(
                 where="data",
                 remedy=f"use the name of an experiment: {', '.join(names)}",
             )
-    jobs = [partial(_read_segments, study, each, replacements.get(each.name)) for each in selected]
+    jobs = [partial(read_segments, study, each, replacements.get(each.name)) for each in selected]
     logs = tuple(log for segments in run_parallel(jobs) for log in segments)
     _check_mapped(study, logs, replacements)
     return logs
@@ -79,60 +83,56 @@ def read_log(study: Study, experiment: Experiment, data: Any = None) -> Log:
     """Read the log of one experiment: channels in SI units, cut to its window, on uniform time.
 
     value = scale * (column + added) + offset, where `added` is the column that `add` names, if any.
+    Then the steps of the experiment are applied, and then its window is cut.
     If the log lacks the column of an optional channel, the channel is absent. `data`, a table or a
     path, replaces the study's file. The log carries a warning for each correction and each
     doubtful value. Of a record with pauses, the longest segment is returned, under the name of the
     experiment. Raises InvalidInput if the file, a column or a value is invalid.
     """
-    segments = _read_segments(study, experiment, data)
+    segments = read_segments(study, experiment, data)
     return replace(max(segments, key=len), experiment=experiment, warnings=segments[0].warnings)
 
 
-def _read_segments(study: Study, experiment: Experiment, data: Any) -> tuple[Log, ...]:
-    """Read the segments of one experiment; one without pauses keeps its name."""
+def read_segments(study: Study, experiment: Experiment, data: Any = None) -> tuple[Log, ...]:
+    """Read the segments of one experiment; one without pauses keeps its name.
+
+    See `read_log`, which returns the longest.
+    """
     table = _open(study, experiment, data)
     sources = _sources(study, experiment, table)
-    segments, warnings = _segments(table, sources, experiment, study.sample_rate)
+    if experiment.merges:
+        table = _merged(study, experiment, table, sources)
+    # steps act on the whole record
+    read = replace(experiment, start=None, stop=None) if experiment.steps else experiment
+    segments, warnings = _segments(table, sources, read, study.sample_rate)
     warnings += [
         Diagnostic("torque-sensor", Place(file=table.path.name), channel=name)
         for name, channel in sources.items()
         if channel.meaning == "sensor"
     ]
+    whole = [
+        _log(tracks, sources, read, table.path, is_continuation=number > 0)
+        for number, tracks in enumerate(segments)
+    ]
+    del segments
+    release_reader_memory()
+    if experiment.steps:
+        processed, notes = apply_steps(whole, experiment, table.path)
+        whole, warnings = cut_to_window(processed, experiment, table.path), warnings + notes
     logs: list[Log] = []
     unusable: InvalidInput | None = None
-    for number, tracks in enumerate(segments):
-        filled: dict[str, BoolArray] = {}
-        dense = []
-        for track in tracks:
-            complete, mask = fill_missing(track)
-            filled |= mask
-            dense.append(complete)
-        time, columns, clock_warnings = resample_tracks(dense, experiment, table.path)
-        channels = {}
-        for name, channel in sources.items():
-            if name != "t":
-                added = columns[experiment.add[name]] if name in experiment.add else 0.0
-                channels[name] = channel.scale * (columns[channel.column] + added) + channel.offset
-        clock_warnings += _integrate_velocities(channels, study, time, table.path)
+    for log in whole:
+        channels = dict(log.channels)
+        found = _integrate_velocities(channels, study, log.time, table.path)
         try:
-            clock_warnings += _check_constants(channels, study, experiment, table.path)
+            found += _check_constants(channels, study, experiment, table.path)
         except InvalidInput as error:  # one segment at rest is no fault
             unusable = unusable or error
             continue
-        masked = {
-            name: np.interp(time, track.time, filled[channel.column].astype(np.float64))
-            > _MIN_FILLED_SHARE
-            for name, channel in sources.items()
-            for track in dense
-            if channel.column in filled and channel.column in track.columns
-        }
-        sample_time = float((time[-1] - time[0]) / (len(time) - 1))
-        notes = tuple(clock_warnings)
-        logs.append(Log(experiment, time, sample_time, channels, notes, masked, number > 0))
+        each = replace(log, experiment=experiment, channels=channels)
+        logs.append(replace(each, warnings=(*log.warnings, *found)))
     if unusable is not None and not logs:
         raise unusable
-    del segments
-    release_reader_memory()
     logs[0] = replace(logs[0], warnings=(*warnings, *logs[0].warnings))
     if len(logs) == 1:
         return tuple(logs)
@@ -140,6 +140,59 @@ def _read_segments(study: Study, experiment: Experiment, data: Any) -> tuple[Log
         replace(log, experiment=replace(experiment, name=f"{experiment.name}/{k}"))
         for k, log in enumerate(logs, start=1)
     )
+
+
+def _log(
+    tracks: Sequence[Track],
+    sources: Mapping[str, Channel],
+    experiment: Experiment,
+    path: Path,
+    *,
+    is_continuation: bool,
+) -> Log:
+    """The channels of one segment on uniform time, in SI units."""
+    filled: dict[str, BoolArray] = {}
+    dense = []
+    for track in tracks:
+        complete, mask = fill_missing(track)
+        filled |= mask
+        dense.append(complete)
+    time, columns, warnings = resample_tracks(dense, experiment, path)
+    channels = {}
+    for name, channel in sources.items():
+        if name != "t":
+            added = columns[experiment.add[name]] if name in experiment.add else 0.0
+            channels[name] = channel.scale * (columns[channel.column] + added) + channel.offset
+    masked = {
+        name: np.interp(time, track.time, filled[channel.column].astype(np.float64))
+        > MIN_FILLED_SHARE
+        for name, channel in sources.items()
+        for track in dense
+        if channel.column in filled and channel.column in track.columns
+    }
+    sample_time = float((time[-1] - time[0]) / (len(time) - 1))
+    notes = tuple(warnings)
+    return Log(experiment, time, sample_time, channels, notes, masked, is_continuation)
+
+
+def _merged(
+    study: Study,
+    experiment: Experiment,
+    table: LogTable | Bag,
+    sources: Mapping[str, Channel],
+) -> LogTable:
+    """The table of a record that continues in further logs."""
+    columns = [column for channel in sources.values() for column in channel.columns]
+    for path in study.log_paths(experiment)[1:]:
+        if isinstance(table, Bag) or is_bag(path) or study.sample_rate is not None:
+            what = "logs without time stamps" if study.sample_rate is not None else "bags"
+            raise InvalidInput(
+                f"{what} cannot be merged",
+                where=str(study.path),
+                remedy=f"make {path.name} an experiment of its own",
+            )
+        table = merge_tables(table, open_table(path), [*columns, *experiment.add.values()])
+    return table  # type: ignore[return-value]  # no bag
 
 
 def _open(study: Study, experiment: Experiment, data: Any) -> LogTable | Bag:
@@ -165,7 +218,7 @@ def _segments(
     )
     columns_by_name = [(name, channel.column) for name, channel in sources.items()]
     columns_by_name += experiment.add.items()
-    commands = {column for name, column in columns_by_name if name.startswith(_COMMAND_PREFIXES)}
+    commands = {column for name, column in columns_by_name if name.startswith(COMMAND_PREFIXES)}
     if isinstance(table, Bag):
         tracks, warnings = table.tracks(required)
         tracks = [replace(track, commands=commands) for track in tracks]

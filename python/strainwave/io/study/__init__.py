@@ -15,6 +15,7 @@ from typing import Any
 
 from strainwave.domain import Options, Study
 from strainwave.domain.arm.kinds import kind_of
+from strainwave.domain.steps import Step
 from strainwave.domain.study import PUBLISHED_OPTIONS
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, parse_toml, read_bytes, write_whole
@@ -23,11 +24,22 @@ from strainwave.io.study.checks import (
     check_files,
     check_options,
     check_sizes,
+    detrendable_channels,
     without_gravity,
 )
 from strainwave.io.study.reader import PLACED_BY_URDF, Reader, parse_flag
 
-__all__ = ["check_study", "copy_to", "document_of", "read_study", "with_options", "write_study"]
+__all__ = [
+    "check_study",
+    "copy_to",
+    "detrendable_channels",
+    "document_of",
+    "read_study",
+    "step_table",
+    "with_options",
+    "with_steps",
+    "write_study",
+]
 
 AS_PUBLISHED = "as-published"
 """Text that stands for all options of the source."""
@@ -158,6 +170,23 @@ def check_study(study: Study, given: Collection[str] = ()) -> Study:
     return dataclasses.replace(study, sha256=sha256)
 
 
+def with_steps(study: Study, name: str, steps: Sequence[Any]) -> Study:
+    """The study with other preprocessing steps of an experiment, as tables of a study file.
+
+    Raises InvalidInput as `read_study` does.
+    """
+    document = document_of(study)
+    for table in document["experiment"]:
+        if table["name"] == name:
+            table["steps"] = list(steps)
+    reader = Reader(study.path, "")
+    changed = reader.study(document, study.sha256)
+    check_consistency(changed, reader)
+    check_sizes(changed, reader)
+    check_files(changed, reader)
+    return changed
+
+
 def write_study(study: Study, path: Path) -> None:
     """Write a study file that reads back equal.
 
@@ -211,6 +240,11 @@ def document_of(study: Study) -> dict[str, Any]:
     return document
 
 
+def step_table(step: Step) -> dict[str, Any]:
+    """A preprocessing step as a table of a study file."""
+    return {"kind": step.kind, **_table(step)}
+
+
 def _table(record: Any, without: Container[str] = ()) -> dict[str, Any]:
     """Values of a record that differ from their defaults, as TOML values."""
     table: dict[str, Any] = {}
@@ -218,7 +252,9 @@ def _table(record: Any, without: Container[str] = ()) -> dict[str, Any]:
         value = getattr(record, field.name)
         if field.name in without or value in (None, {}, field.default):
             continue
-        if dataclasses.is_dataclass(value):
+        if field.name == "steps":
+            value = list(map(step_table, value))
+        elif dataclasses.is_dataclass(value):
             value = _table(value)
         elif isinstance(value, tuple):
             value = list(value)

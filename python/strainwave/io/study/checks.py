@@ -27,6 +27,7 @@ from strainwave.domain.arm.effects import names as effect_names
 from strainwave.domain.arm.kinds import kind_of
 from strainwave.domain.arm.link_sensors import optional_constants, sensor_of
 from strainwave.domain.arm.parameters import whole_arm_parameter_names
+from strainwave.domain.steps import DETRENDABLE, RATES, Detrend, Merge
 from strainwave.domain.study import study_keys
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.study.reader import Reader
@@ -39,6 +40,7 @@ def check_consistency(study: Study, reader: Reader) -> None:
     _check_joints(study.arm, reader)
     _check_channels(study, reader)
     _check_experiments(study, reader)
+    _check_steps(study, reader)
     _check_payloads(study, reader)
     check_options(study, reader)
 
@@ -298,6 +300,42 @@ def _check_experiments(study: Study, reader: Reader) -> None:
             )
 
 
+def detrendable_channels(arm: ArmDescription) -> tuple[str, ...]:
+    """Channels of an arm whose mean or slope can be a fault of the sensor."""
+    has_gravity = arm.gravity is not None and bool(np.any(arm.gravity))
+    kinds = RATES if has_gravity else DETRENDABLE
+    return tuple(name for name in channel_names(arm.n_joints) if channel_parts(name)[0] in kinds)
+
+
+def _check_steps(study: Study, reader: Reader) -> None:
+    """Raise InvalidInput if steps are out of order, or would remove a part of the motion."""
+    for index, experiment in enumerate(study.experiments):
+        place = reader.place("experiment", index, "steps")
+        for number, step in enumerate(experiment.steps):
+            before = experiment.steps[number - 1] if number else step
+            if isinstance(step, Merge) and not isinstance(before, Merge):
+                raise InvalidInput(
+                    f"the step 'merge' follows '{before.kind}', which acts on the whole record",
+                    where=place,
+                    remedy="put the merge steps first",
+                )
+            for name in step.channels if isinstance(step, Detrend) else ():
+                _check_detrended(name, study.arm, place)
+
+
+def _check_detrended(name: str, arm: ArmDescription, place: str) -> None:
+    usable = detrendable_channels(arm)
+    if name in usable:
+        return
+    problem = f"the mean of '{name}' is not a fault of a sensor, so that it cannot be removed"
+    remedy = "; correct the zero of an encoder by offset in [channels]"
+    if name not in channel_names(arm.n_joints):
+        problem, remedy = f"'{name}' is not a channel of this arm", suggest_name(name, usable)
+    elif channel_parts(name)[0] in DETRENDABLE:
+        problem, remedy = f"gravity has a mean in '{name}', which detrending would remove", ""
+    raise InvalidInput(problem, where=place, remedy=f"detrend one of {', '.join(usable)}{remedy}")
+
+
 def _check_payloads(study: Study, reader: Reader) -> None:
     """Raise InvalidInput unless unknown drives and known payloads belong together."""
     unknown = study.arm.unknown_drives
@@ -320,21 +358,23 @@ def _check_payloads(study: Study, reader: Reader) -> None:
 
 
 def check_files(study: Study, reader: Reader) -> None:
-    """Raise InvalidInput if the log of an experiment does not exist."""
+    """Raise InvalidInput if a log of an experiment does not exist."""
     for index, experiment in enumerate(study.experiments):
-        path = study.log_path(experiment)
-        try:
-            exists = path.exists()
-        except (OSError, ValueError):
-            exists = False
-        if not exists:
-            siblings = [p.name for p in study.path.parent.glob("*")]
-            raise InvalidInput(
-                f"the log file {experiment.file!r} does not exist",
-                where=reader.place("experiment", index, "file"),
-                remedy="put it next to the study file, or correct the name"
-                + suggest_name(experiment.file, siblings),
-            )
+        files = (experiment.file, *(step.file for step in experiment.merges))
+        paths = study.log_paths(experiment)
+        for number, (file, path) in enumerate(zip(files, paths, strict=True)):
+            try:
+                exists = path.exists()
+            except (OSError, ValueError):
+                exists = False
+            if not exists:
+                siblings = [p.name for p in study.path.parent.glob("*")]
+                raise InvalidInput(
+                    f"the log file {file!r} does not exist",
+                    where=reader.place("experiment", index, "steps" if number else "file"),
+                    remedy="put it next to the study file, or correct the name"
+                    + suggest_name(file, siblings),
+                )
 
 
 def check_sizes(study: Study, reader: Reader) -> None:
@@ -346,10 +386,14 @@ def check_sizes(study: Study, reader: Reader) -> None:
         _check_record_sizes(reader, study.arm.servo, "servo")
     for index, experiment in enumerate(study.experiments):
         _check_record_sizes(reader, experiment, "experiment", index)
+        for step in experiment.steps:
+            _check_record_sizes(reader, step, "experiment", index, keys=step.kind)
 
 
-def _check_record_sizes(reader: Reader, record: Any, table: str, index: int | None = None) -> None:
-    for key in study_keys()[table]:
+def _check_record_sizes(
+    reader: Reader, record: Any, table: str, index: int | None = None, *, keys: str = ""
+) -> None:
+    for key in study_keys()[keys or table]:
         owner, _, name = key.key.rpartition(".")
         value = getattr(getattr(record, owner, None) if owner else record, name, None)
         if key.range is None or value is None or isinstance(value, str):

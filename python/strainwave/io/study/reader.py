@@ -32,6 +32,7 @@ from strainwave.domain.arm import effects, gear_laws
 from strainwave.domain.arm.description import Matrix, Positive
 from strainwave.domain.arm.kinds import KINDS, Kind
 from strainwave.domain.messages import fault_codes
+from strainwave.domain.steps import STEPS, Step
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.urdf import UrdfJoint, read_urdf
 
@@ -88,11 +89,34 @@ class Reader:
             channels=self._channels(channels),
             sample_rate=rate,
             experiments=tuple(
-                self.record(Experiment, {"control": ["open"] * count} | table, "experiment", i)
+                self._experiment({"control": ["open"] * count} | table, i)
                 for i, table in enumerate(experiments)
             ),
             options=self.options(self._one(document, "options") or {}, Options()),
         )
+
+    def _experiment(self, table: dict[str, Any], index: int) -> Experiment:
+        """One `[[experiment]]`; each of its steps is a record by its kind."""
+        tables, steps = table.pop("steps", []), list[Step]()
+        place = "experiment", index, "steps"
+        if not isinstance(tables, list) or not all(isinstance(each, dict) for each in tables):
+            raise InvalidInput(
+                f"'steps' is {_abbreviated(tables)}, but it should be a list of tables",
+                where=self.place(*place),
+                remedy='write, for example, steps = [{ kind = "lowpass", cutoff_hz = 80.0 }]',
+            )
+        for each in tables:
+            kind = each.get("kind")
+            self._check_registered([kind], [*STEPS], kind, "experiment", index, "kind")
+            rest = {key: value for key, value in each.items() if key != "kind"}
+            try:
+                steps.append(self.record(STEPS[kind], rest, "experiment", index))
+            except InvalidInput as error:
+                problem = f"step {len(steps) + 1} ({kind}): {error.problem}"
+                where = self.place(*place)
+                raise InvalidInput(problem, where=where, remedy=error.remedy) from error
+        experiment = self.record(Experiment, table, "experiment", index, steps=())
+        return dataclasses.replace(experiment, steps=tuple(steps))
 
     def options(self, table: Mapping[str, Any], previous: Options) -> Options:
         """Options from tables by stage, on top of previous options.

@@ -180,7 +180,9 @@ def snapshot(path: Path) -> str:
     """The text of a study file for a folder two levels below, so that a run can be repeated."""
     document = tomlkit.parse(decode(path.read_bytes(), path))
     for experiment in document.get("experiment", []):
-        experiment["file"] = _from_below(experiment["file"])
+        for table in (experiment, *experiment.get("steps", [])):
+            if "file" in table:
+                table["file"] = _from_below(table["file"])
     if "urdf" in document.get("arm", {}):
         document["arm"]["urdf"] = _from_below(document["arm"]["urdf"])
     return tomlkit.dumps(document)

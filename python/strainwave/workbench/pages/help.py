@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 from markdown_it import MarkdownIt
@@ -52,7 +52,7 @@ def _topics() -> Mapping[str, tuple[str, Callable[[], str]]]:
     written = dict(section.split("\n", 1) for section in sections)
     topics: dict[str, tuple[str, Callable[[], str]]] = {}
     for key, name, _ in (*PAGE_TABS, *STUDY_TABS):
-        topics[key or "studies"] = name, lambda name=name: written[name]
+        topics[key or "studies"] = name, partial(written.__getitem__, name)
     topics["keys"] = "Keys of a study file", _study_keys
     topics["options"] = "Options of the estimate", _options
     topics["warnings"] = "Warnings and what to do", _warnings

@@ -2,54 +2,44 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from difflib import SequenceMatcher
 from functools import lru_cache
-from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from starlette.requests import Request
 from starlette.responses import Response
 
 from strainwave import pipeline
-from strainwave.domain import (
-    ArmDescription,
-    BoolArray,
-    FloatArray,
-    IntArray,
-    Log,
-    Study,
-    channel_parts,
-)
+from strainwave.domain import BoolArray, Experiment, Log, channel_parts
+from strainwave.domain.steps import STEPS, Step, files_of
+from strainwave.domain.study import study_keys
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.init.signal_features import sequence_of, sequence_under_servo
+from strainwave.io.study import detrendable_channels, step_table, with_steps
 from strainwave.report.document import elastic
 from strainwave.report.document.predictions import unit_of
-from strainwave.report.figures import (
-    DASHES,
-    FREQUENCY_AXIS,
-    PALETTE,
-    Axis,
-    Figure,
-    Line,
-    Panel,
-    line_panel,
-    spread_evenly,
-)
 from strainwave.report.plotly_backend import plotly
 from strainwave.signals import hygiene
 from strainwave.signals.prepared_record import prepare_record
 from strainwave.signals.standstill import runs_of
+from strainwave.workbench.pages.signal_figures import (
+    UNITS,
+    ShownRecord,
+    View,
+    coherence_figure,
+    spectrum_figure,
+    time_figure,
+)
 from strainwave.workbench.study_edit import KeyChange, edit_study
-from strainwave.workbench.web import Body, Routes, page, study_of, text_of
-from strainwave.workbench.workspace import fingerprint, log_of, study_at
+from strainwave.workbench.web import Body, Routes, page, study_of, text_of, workspace_of
+from strainwave.workbench.workspace import experiment_of, fingerprint, segments_of, study_at
 
-_SEGMENTS = 8  # of Welch's method
-_MAX_LINES = 800  # frequencies drawn
 _MAX_MARKS = 200  # listed; the largest
 _MIN_STANDSTILL = 0.05  # [s] shorter ones belong to every reversal
 
@@ -62,74 +52,6 @@ class Mark:
     channel: str
     start: float  # [s]
     stop: float  # [s]
-
-
-def require_channels(log: Log, names: Sequence[str]) -> list[str]:
-    """The names; raises InvalidInput if one is no channel of the log, or if there is none."""
-    unknown = [name for name in names if name not in log.channels]
-    if unknown or not names:
-        raise InvalidInput(
-            f"the record {log.name!r} has no channel {', '.join(unknown) or 'chosen'}",
-            remedy=f"choose from: {', '.join(log.channels)}",
-        )
-    return list(names)
-
-
-def time_figure(
-    log: Log, arm: ArmDescription, names: Sequence[str], span: tuple[float, float], points: int
-) -> Figure:
-    """Channels over time in one panel each, decimated to minimum and maximum per column."""
-    first, last = np.searchsorted(log.time, span)
-    first, last = max(int(first) - 1, 0), min(int(last) + 1, len(log))
-    panels = []
-    for name, colour in zip(require_channels(log, names), cycle(PALETTE), strict=False):
-        values, time = log.channels[name][first:last], log.time[first:last]
-        title = f"{name} [{unit_of(name, arm.joints)}]"
-        panels.append(line_panel(title, time, values, name, colour, points))
-    return Figure(Axis("time [s]", range=span), tuple(panels))
-
-
-def spectrum_figure(log: Log, arm: ArmDescription, names: Sequence[str]) -> Figure:
-    """Amplitude spectral density of channels, by Welch's method."""
-    from scipy import signal  # takes half a second
-
-    panels = []
-    for name, colour in zip(require_channels(log, names), cycle(PALETTE), strict=False):
-        values, rate = log.channels[name], 1.0 / log.sample_time
-        frequency, density = signal.welch(values, rate, nperseg=_segment(log))
-        rows = _shown(frequency)
-        title = f"{name} [{unit_of(name, arm.joints)}/√Hz]"
-        line = Line(frequency[rows], np.sqrt(density[rows]), name, colour)
-        panels.append(Panel(Axis(title, log=True), (line,)))
-    return Figure(FREQUENCY_AXIS, tuple(panels))
-
-
-def coherence_figure(log: Log, n_joints: int) -> Figure:
-    """Coherence of each motor's input and velocity."""
-    from scipy import signal
-
-    lines = []
-    styles = zip(range(1, n_joints + 1), cycle(PALETTE), cycle(DASHES), strict=False)
-    for joint, colour, dash in styles:
-        drive = next((c for c in (f"u{joint}", f"torque{joint}") if c in log.channels), None)
-        if drive is None or not np.ptp(log.channels[drive]):
-            continue
-        velocity = np.gradient(log.channels[f"theta_m{joint}"], log.sample_time)
-        pair, rate = (log.channels[drive], velocity), 1.0 / log.sample_time
-        frequency, share = signal.coherence(*pair, rate, nperseg=_segment(log))
-        rows = _shown(frequency)
-        name = f"{drive} and velocity of motor {joint}"
-        lines.append(Line(frequency[rows], share[rows], name, colour, dash))
-    panel = Panel(Axis("coherence", range=(0.0, 1.02)), tuple(lines))
-    return Figure(FREQUENCY_AXIS, (panel,))
-
-
-def _segment(log: Log) -> int:
-    return min(len(log), max(64, 2 * len(log) // (_SEGMENTS + 1)))
-
-
-def _shown(frequency: FloatArray) -> IntArray:
-    return spread_evenly(frequency, frequency[1], float(frequency[-1]), _MAX_LINES)
 
 
 def marks_of(log: Log, arm: Arm) -> list[Mark]:
@@ -179,53 +101,54 @@ _POINTS = (200, 6000)  # smallest and largest number of points of a line
 @routes.page("/signals/{study:path}")
 def _show_signals(request: Request) -> Response:
     study = study_at(study_of(request))
-    return page(request, "signals", "Signals", experiments=study.experiments)
+    steps = {kind: study_keys()[kind] for kind in STEPS}
+    return page(request, "signals", "Signals", experiments=study.experiments, steps=steps)
 
 
 @routes.get("/api/record/{study:path}")
 def describe_record(request: Request) -> object:
-    """Channels, window, marks and detected sequences of a record."""
-    path, study, log = _record(request)
-    experiment = next(e for e in study.experiments if e.name == log.name)
+    """Channels, window, steps, marks and detected sequences of a record."""
+    path, name = study_of(request), request.query_params.get("record", "")
+    study, experiment = study_at(path), experiment_of(path, name)
+    logs = _whole(path, experiment)
+    arm = Arm.of(study.arm)
     return {
-        "channels": list(log.channels),
-        "samples": len(log),
-        "sample_time": log.sample_time,
-        "start": float(log.time[0]),
-        "stop": float(log.time[-1]),
+        "channels": list(logs[0].channels),
+        "detrendable": [n for n in logs[0].channels if n in detrendable_channels(study.arm)],
+        "samples": sum(map(len, logs)),
+        "sample_time": logs[0].sample_time,
+        "start": float(logs[0].time[0]),
+        "stop": float(logs[-1].time[-1]),
         "window": [experiment.start, experiment.stop],
-        "use": experiment.use,
-        "joint": experiment.joint,
-        "marks": [asdict(mark) for mark in marks_of(log, Arm.of(study.arm))],
-        "sequences": sequences_of(log),
-        "file": str(study.log_path(experiment).relative_to(path.parent)),
+        "steps": [step_table(step) for step in experiment.steps],
+        "marks": [asdict(mark) for log in logs for mark in marks_of(log, arm)],
+        "sequences": sequences_of(max(logs, key=len)),
+        "files": [str(each.relative_to(path.parent)) for each in study.log_paths(experiment)],
     }
 
 
 @routes.get("/api/signal-time/{study:path}")
 def show_time(request: Request) -> object:
     """Channels over a span of time."""
-    _, study, log = _record(request)
-    query = request.query_params
-    low = _number(query.get("from"), float(log.time[0]))
-    high = _number(query.get("to"), float(log.time[-1]))
+    query, view = request.query_params, _view(request)
+    first = view.records[0]
+    low = _number(query.get("from"), float(first.logs[0].time[0]) - (first.origin or 0.0))
+    high = _number(query.get("to"), float(first.logs[-1].time[-1]) - (first.origin or 0.0))
     if not low < high:
         raise InvalidInput("the time span is empty", where="from, to")
     points = int(min(max(_number(query.get("points"), 1200.0), _POINTS[0]), _POINTS[1]))
-    names = query.get("channels", "").split(",")
-    return plotly(time_figure(log, study.arm, names, (low, high), points))
+    return plotly(time_figure(view, (low, high), points))
 
 
 @routes.get("/api/signal-spectra/{study:path}")
 def show_spectra(request: Request) -> object:
     """Spectra of channels, and the coherence of inputs and motor velocities."""
-    _, study, log = _record(request)
-    names = request.query_params.get("channels", "").split(",")
-    spectra = spectrum_figure(log, study.arm, names)
-    return {
-        "spectra": plotly(spectra),
-        "coherence": plotly(coherence_figure(log, study.arm.n_joints)),
-    }
+    query, view = request.query_params, _view(request)
+    frequency, magnitude = (query.get(name) != "linear" for name in ("frequency", "magnitude"))
+    spectra = spectrum_figure(view, log_frequency=frequency, log_magnitude=magnitude)
+    longest = max(view.records[0].logs, key=len)
+    coherence = coherence_figure(longest, view.arm.n_joints)
+    return {"spectra": plotly(spectra), "coherence": plotly(coherence)}
 
 
 @routes.get("/api/joint-spectrum/{study:path}")
@@ -259,27 +182,87 @@ def _joint_spectra(path: Path, _fingerprint: str) -> list[dict[str, Any]]:
 def set_window(request: Request, body: Body) -> object:
     """Write the window of a record to the study file; null removes an end."""
     path, name = study_of(request), text_of(body, "experiment")
-    study, log = study_at(path), log_of(path, name, is_whole=True)
-    index = [e.name for e in study.experiments].index(name)
+    logs = _whole(path, experiment_of(path, name))
     ends = [body.get("start"), body.get("stop")]
     for end in ends:
         if end is not None and not (isinstance(end, int | float) and math.isfinite(end)):
             raise InvalidInput("a window has two numbers in s", where="start, stop")
-    low = log.time[0] if ends[0] is None else ends[0]
-    high = log.time[-1] if ends[1] is None else ends[1]
-    if not low < high or low > log.time[-1] or high < log.time[0]:
+    first, last = logs[0].time[0], logs[-1].time[-1]
+    low = first if ends[0] is None else ends[0]
+    high = last if ends[1] is None else ends[1]
+    if not low < high or low > last or high < first:
         raise InvalidInput("the window contains no samples", where="start, stop")
     rounded = [None if end is None else round(float(end), 6) for end in ends]
-    places = [("experiment", index, key) for key in ("start", "stop")]
+    places = [("experiment", _index(path, name), key) for key in ("start", "stop")]
     edit_study(path, list(map(KeyChange, places, rounded)))
     return {}
 
 
-def _record(request: Request) -> tuple[Path, Study, Log]:
-    path = study_of(request)
+@routes.post("/api/steps/{study:path}")
+def set_steps(request: Request, body: Body) -> object:
+    """Write the preprocessing steps of a record to the study file; unchanged ones stay."""
+    path, name = study_of(request), text_of(body, "experiment")
+    steps = _steps(request, path, name, body.get("steps"))
+    old = experiment_of(path, name).steps
+    place = ("experiment", _index(path, name), "steps")
+    changes = []
+    for _, low, high, first, last in reversed(SequenceMatcher(None, old, steps).get_opcodes()):
+        if old[low:high] != steps[first:last]:
+            changes += [KeyChange((*place, low), None)] * (high - low)
+            new = map(step_table, reversed(steps[first:last]))
+            changes += [KeyChange((*place, low), table) for table in new]
+    edit_study(path, changes if steps else [KeyChange(place, None)])
+    return {}
+
+
+def _index(path: Path, name: str) -> int:
+    return [each.name for each in study_at(path).experiments].index(name)
+
+
+def _steps(request: Request, path: Path, name: str, tables: object) -> tuple[Step, ...]:
+    """Checked steps of a request, whose files lie in the served folder or an allowed one."""
+    if not isinstance(tables, list) or not all(isinstance(each, dict) for each in tables):
+        raise InvalidInput("the request has no list of steps", where="steps")
+    for file in files_of({"steps": tables}):
+        workspace_of(request).file_of(path, file)
+    experiment_of(path, name)
+    changed = with_steps(study_at(path), name, tables)
+    return next(each.steps for each in changed.experiments if each.name == name)
+
+
+def _whole(path: Path, experiment: Experiment) -> tuple[Log, ...]:
+    """The segments of a record without its window."""
+    return segments_of(path, replace(experiment, start=None, stop=None))
+
+
+def _view(request: Request) -> View:
+    """What the address asks for: records, channels, steps of the first record, panels, units."""
+    path, query = study_of(request), request.query_params
     study = study_at(path)
-    name = request.query_params.get("experiment", "") or study.experiments[0].name
-    return path, study, log_of(path, name, is_whole=True)
+    names = query.getlist("record") or [study.experiments[0].name]
+    experiments = [experiment_of(path, name) for name in dict.fromkeys(names)]
+    if "steps" in query:
+        steps = _steps(request, path, names[0], _json_of(query["steps"]))
+        experiments[0] = replace(experiments[0], steps=steps)
+    shown = [(each, False) for each in experiments]
+    if query.get("before") and experiments[0].steps:
+        shown.insert(1, (replace(experiments[0], steps=experiments[0].merges), True))
+    records = []
+    for experiment, is_before in shown:
+        logs = _whole(path, experiment)
+        origin = float(logs[0].time[0]) if len(experiments) > 1 else None
+        records.append(ShownRecord(experiment.name, logs, origin, is_before))
+    units, channels = query.get("units", "rad"), query.getlist("channel")
+    if units not in UNITS:
+        raise InvalidInput(f"{units!r} are no units", where="units", remedy=", ".join(UNITS))
+    return View(records, channels, study.arm, query.get("panels") == "unit", units)
+
+
+def _json_of(text: str) -> object:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InvalidInput("the steps are no JSON", where="steps") from error
 
 
 def _number(text: str | None, default: float) -> float:
