@@ -15,7 +15,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import count
@@ -29,8 +29,10 @@ from strainwave.workbench.workspace import check_name, runs_folder
 
 RUN_FILES = frozenset((RECORD, LOCK, LOG))
 """Files of a run that its commands do not write."""
+_MAX_TAGS = 20  # of a run
 _POLL = 0.05  # [s] between two looks at a run that is being cancelled
-_MAX_SHOWN = 500  # runs in a list, the newest
+MAX_LISTED = 500
+"""Runs in a list, those whose records are the newest."""
 
 
 class Runs:
@@ -39,13 +41,21 @@ class Runs:
     def __init__(self, study: Path) -> None:
         self.folder = runs_folder(study.resolve())
 
-    def all(self, kind: Kind | None = None) -> list[Run]:
-        """The newest runs in the order of their start; a run that was broken off is marked."""
-        if not self.folder.is_dir():
-            return []
-        runs = [self._listed(path.parent.name) for path in self.folder.glob(f"*/{RECORD}")]
-        chosen = (run for run in runs if kind in (None, run.kind))
-        return sorted(chosen, key=lambda run: run.created)[-_MAX_SHOWN:]
+    def all(self) -> list[Run]:
+        """The `MAX_LISTED` newest runs in the order of their start, the interrupted ones marked."""
+        times: dict[str, int] = {}
+        for path in self._records():
+            with suppress(OSError):  # deleted in between
+                times[path.parent.name] = path.lstat().st_mtime_ns
+        newest = sorted(times, key=lambda name: times[name])[-MAX_LISTED:]
+        return sorted(map(self._listed, newest), key=lambda run: run.created)
+
+    def count(self) -> int:
+        """Number of all runs."""
+        return sum(1 for _ in self._records())
+
+    def _records(self) -> Iterator[Path]:
+        return self.folder.glob(f"*/{RECORD}") if self.folder.is_dir() else iter(())
 
     def _listed(self, name: str) -> Run:
         """A run, or what stands for one that cannot be read."""
@@ -133,7 +143,30 @@ class Runs:
         """Delete the folder of a run that has ended; raises InvalidInput if it is running."""
         if self.get(name).is_active:
             raise InvalidInput(f"the run {name!r} is running", remedy="cancel it first")
-        shutil.rmtree(self.path(name))
+        try:
+            shutil.rmtree(self.path(name))
+        except OSError as error:
+            raise InvalidInput(
+                f"cannot be deleted ({error.strerror})",
+                where=name,
+                remedy="check the permissions of its folder",
+            ) from error
+
+    def tag(self, name: str, tag: str, *, is_set: bool) -> None:
+        """Set or remove a tag of a run that has ended.
+
+        Raises InvalidInput if the run cannot have the tag.
+        """
+        run = self.get(name)
+        if run.is_active or not run.commands:  # its processes write the record, or it is damaged
+            reason = "is not finished" if run.is_active else f"has no record ({run.note})"
+            raise InvalidInput(f"the run {name!r} {reason}", remedy="tag other runs")
+        check_name(tag)
+        others = tuple(each for each in run.tags if each != tag)
+        tags = (*others, tag) if is_set else others
+        if len(tags) > _MAX_TAGS:
+            raise InvalidInput(f"the run {name!r} has {_MAX_TAGS} tags", remedy="remove one first")
+        write_run(self.path(name), replace(run, tags=tags))
 
     def _is_alive(self, name: str) -> bool:
         try:
