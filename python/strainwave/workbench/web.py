@@ -157,7 +157,7 @@ def error_response(request: Request, error: Exception) -> Response:
         answer = page(request, "error", "Error", message=message)
         answer.status_code = status
         return answer
-    return json_response({"error": message}, status)
+    return json_response({"error": message, "where": getattr(error, "where", None)}, status)
 
 
 def message_of(request: Request, error: Exception | str) -> str:

@@ -151,7 +151,7 @@ _STAGE_CHOICES = (
 )
 _SNAPSHOT, _RESULT = "study.toml", "result.json"
 _READING_TIME = 0.1  # [s] of results in one answer
-_MAX_COLUMNS = 6  # of parameters, unless the user chooses more
+_MAX_COLUMNS = 4  # of several parameters, unless the user chooses more
 _KEY_PARAMETERS = (
     "gear_stiffness",
     "link_inertia",
@@ -199,9 +199,8 @@ def _table(request: Request, runs: Runs) -> dict[str, Any]:
             break
         summaries[run.name] = summary_of(runs.path(run.name) / _RESULT)
     units = {p.label: p.unit for one in summaries.values() for p in one.parameters.values()}
-    by_name = [label for name in _KEY_PARAMETERS for label in units if label.split()[0] == name]
-    chosen = [label for label in request.query_params.getlist("column") if label in units]
-    columns = chosen or (by_name or list(units))[:_MAX_COLUMNS]
+    columns = [label for label in request.query_params.getlist("column") if label in units]
+    columns = columns or _key_columns(list(units))
     rows: list[dict[str, Any]] = []
     rig: Mapping[str, str] = {}
     for run in listed:
@@ -216,6 +215,16 @@ def _table(request: Request, runs: Runs) -> dict[str, Any]:
     pending = len(readable) - len(summaries)
     shown = {"units": units, "columns": columns, "pending": pending, "total": runs.count()}
     return shown | {"runs": rows[::-1]}
+
+
+def _key_columns(labels: list[str]) -> list[str]:
+    """The first of the key parameters, each with all joints."""
+    columns: list[str] = []
+    for name in _KEY_PARAMETERS:
+        group = [label for label in labels if label.split()[0] == name]
+        if not columns or len(columns) + len(group) <= _MAX_COLUMNS:
+            columns += group
+    return columns
 
 
 def _row(request: Request, runs: Runs, run: Run, summary: Summary) -> dict[str, Any]:
@@ -256,7 +265,10 @@ def start_estimate(request: Request, body: Body) -> object:
     arguments = option_arguments(options, path)
     runs = Runs(path)
     name = text_of(body, "name", "") or runs.free_name("identify")
-    folder = runs.prepare(name)
+    try:
+        folder = runs.prepare(name)
+    except InvalidInput as error:
+        raise InvalidInput(error.problem, where="name", remedy=error.remedy) from error
     write_whole(folder, {_SNAPSHOT: snapshot(path).encode()})
     if body.get("figures") is True:
         arguments.append("--figures")
