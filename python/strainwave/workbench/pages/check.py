@@ -8,6 +8,7 @@ Any change of them closes the gate again.
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -31,6 +32,7 @@ from strainwave.workbench.web import Body, Routes, message_of, page, study_of
 from strainwave.workbench.workspace import fingerprint, log_of, runs_folder, study_at
 
 _STORED = ".check.json"
+_HEADER = re.compile(r"\[\[?(joint|experiment|arm|servo|transmission)\]\]?")  # of a table
 
 GateState = Literal["unchecked", "consistent", "suspected", "overridden", "invalid"]
 
@@ -79,7 +81,7 @@ def gate_of(path: Path) -> Gate:
     return Gate(state, REASONS[state], stored.document)
 
 
-def run_check(path: Path) -> Gate:
+def run_check(path: Path) -> None:
     """Check the input of a study and store the result.
 
     Raises InvalidInput if the study or a log is invalid.
@@ -92,7 +94,6 @@ def run_check(path: Path) -> Gate:
     for entry, suspicion in zip(document["suspected"], check.suspected, strict=True):
         entry["places"] = [asdict(place) for place in suspicion.places]
     _write(path, _Stored(current, document))
-    return gate_of(path)
 
 
 def require_open(path: Path) -> Gate:
@@ -127,13 +128,14 @@ def _show_check(request: Request) -> Response:
 @routes.get("/api/check/{study:path}")
 def read_gate(request: Request) -> object:
     """The last check, if it is still valid."""
-    return _shown(request, gate_of(study_of(request)))
+    return _shown(request, study_of(request))
 
 
 @routes.post("/api/check/{study:path}")
 def check_now(request: Request, _body: Body) -> object:
     """Check the study."""
-    return _shown(request, run_check(study_of(request)))
+    run_check(study_of(request))
+    return _shown(request, study_of(request))
 
 
 @routes.post("/api/override-check/{study:path}")
@@ -144,7 +146,7 @@ def override(request: Request, _body: Body) -> object:
     if stored is None or gate_of(path).state != "suspected":
         raise InvalidInput("there is no check to override", remedy="check the study first")
     _write(path, replace(stored, is_overridden=True))
-    return _shown(request, gate_of(path))
+    return _shown(request, path)
 
 
 @routes.post("/api/apply-remedy/{study:path}")
@@ -163,7 +165,8 @@ def apply_remedy(request: Request, body: Body) -> object:
     if not changes:
         raise InvalidInput("the study file cannot correct this fault", remedy="correct the logs")
     edit_study(path, changes)
-    return _shown(request, run_check(path))
+    run_check(path)
+    return _shown(request, path)
 
 
 @routes.get("/api/check-signal/{study:path}")
@@ -180,13 +183,22 @@ def show_channel(request: Request) -> object:
     return plotly(Figure(Axis("time [s]"), (panel,)))
 
 
-def _shown(request: Request, gate: Gate) -> dict[str, Any]:
+def _shown(request: Request, path: Path) -> dict[str, Any]:
+    """The gate; suspected faults get their contradictions and the fields that correct them."""
+    gate = gate_of(path)
     reason = message_of(request, gate.reason)
     shown: dict[str, Any] = asdict(gate) | {"is_open": gate.is_open, "reason": reason}
     if gate.document is None:
         return shown
     relations = _merged(gate.document["relations"])
+    contradictions = [relation for relation in relations if not relation["consistent"]]
+    text = decode(path.read_bytes(), path)
     for each in gate.document["suspected"]:
+        each["fields"] = _fields(text, each)
+        near = [one for one in contradictions if _joints(one) & _joints(each)]
+        each["evidence"] = near or contradictions
+        each["places"] += [place for one in each["evidence"] for place in one["places"]]
+        each["remedy"] = _HEADER.sub(r"\1", each["remedy"])
         each["lines"] = [
             f"{c['table']} {c['entry']} {c['key']} = {c['value']}".replace("  ", " ")
             for c in each["corrections"]
@@ -194,6 +206,31 @@ def _shown(request: Request, gate: Gate) -> dict[str, Any]:
         ]
     shown["document"] = gate.document | {"relations": relations}
     return shown
+
+
+def _joints(entry: dict[str, Any]) -> set[str]:
+    """Numbers of the joints that a fault or a relation concerns."""
+    names = (place["joint"] or place["channel"] or "" for place in entry["places"])
+    return {number for name in names for number in re.findall(r"\d+$", str(name))}
+
+
+def _fields(text: str, suspicion: dict[str, Any]) -> list[str]:
+    """Fields of the page Study that a fault concerns, first those of its corrections."""
+    corrections = [Correction(**entry) for entry in suspicion["corrections"]]
+    if suspicion["code"] == "wrong-gear-ratio":
+        joints = sorted(_joints(suspicion))
+        corrections += [Correction("joint", joint, "gear_ratio", None) for joint in joints]
+    for place in suspicion["places"]:
+        joint, channel, key, names = (place[k] for k in ("joint", "channel", "key", "experiments"))
+        table, entry = ("joint", str(joint)) if joint else ("arm", "")
+        if channel:
+            table, entry, key = "channels", channel, "scale"
+        elif key and names:
+            table, entry = "experiment", names[0]
+        if key:
+            corrections.append(Correction(table, entry, key, None))
+    places = [map(str, change.place) for change in correction_changes(text, corrections)]
+    return list(dict.fromkeys(map("-".join, places)))
 
 
 def _merged(relations: list[dict[str, Any]]) -> list[dict[str, Any]]:

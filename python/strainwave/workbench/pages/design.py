@@ -88,7 +88,7 @@ def list_designs(request: Request) -> object:
 def _shown(runs: Runs, run: Run) -> dict[str, Any]:
     folder = runs.path(run.name)
     files = sorted(p.name for p in folder.iterdir() if p.is_file() and p.name not in RUN_FILES)
-    return describe(run) | {"files": files, "messages": log_lines(folder, run.kind)[1]}
+    return describe(run) | {"files": files, "messages": log_lines(folder, run.kind, 1 << 13)[1]}
 
 
 @routes.get("/api/plan/{study:path}")

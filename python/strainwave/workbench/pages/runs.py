@@ -282,18 +282,18 @@ def _show_files(request: Request) -> Response:
 
 @routes.get("/api/files/{study:path}")
 def list_files(request: Request) -> object:
-    """Runs with their files, command lines and scripts, the newest first."""
+    """Runs, the newest first; one of them, by default the first, with its files and script."""
     runs = runs_of(request)
-    shown = []
-    for run in reversed(runs.all()):
-        folder = runs.path(run.name)
-        entries = [
-            {"name": p.relative_to(folder).as_posix(), "size": p.stat().st_size}
-            for p in _files(folder)
-        ]
-        script = python_script(run) if _is_repeatable(run) else ""
-        is_result = (folder / "result.json").is_file()
-        shown.append(describe(run) | {"files": entries, "script": script, "has_result": is_result})
+    listed = runs.all()[::-1]
+    chosen = request.query_params.get("run") or (listed[0].name if listed else "")
+    shown = [describe(run) for run in listed]
+    for run, row in zip(listed, shown, strict=True):
+        if run.name == chosen and run.commands:
+            folder = runs.path(run.name)
+            files = [(p.relative_to(folder).as_posix(), p.stat().st_size) for p in _files(folder)]
+            row["files"] = [{"name": name, "size": size} for name, size in files]
+            row["script"] = python_script(run) if _is_repeatable(run) else ""
+            row["has_result"] = (folder / "result.json").is_file()
     return shown
 
 

@@ -5,7 +5,7 @@ import { badge, copyText, duration, ofRun, progressOf, removeRuns, showRows, sta
 
 const api = (name) => `/api/${name}/${address(study)}`;
 const STORED = `columns of ${study}`;
-const MAX_CHIPS = 3; // in a row
+const MAX_CHIPS = 2; // in a row
 const KINDS = { estimates: ["identify", "virtual"], designs: ["excite", "tune"], comparisons: ["compare"] };
 const ticked = new Set(); // names of runs
 let table = { runs: [], columns: [], units: {} };
@@ -41,7 +41,7 @@ function columns() {
 
 const shortTime = (text) => {
   const time = new Date(text);
-  return Number.isNaN(time.getTime()) ? "" : time.toLocaleString([], { month: "short", day: "numeric", hour: "2-digit", minute: "2-digit" });
+  return Number.isNaN(time.getTime()) ? "" : time.toLocaleString([], { month: "short", day: "numeric", hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
 };
 
 function nameCell(run) {

@@ -2,7 +2,7 @@
 import { act, address, make, postJson, showMessage, study } from "./client.js";
 import { follow, isActive } from "./run_events.js";
 
-const MARKS = {
+export const MARKS = {
   determined: "good", "partly-determined": "doubt", "not-determined": "bad", "inconsistent-input": "bad",
   failed: "bad", interrupted: "doubt", cancelled: "doubt",
 };
@@ -20,7 +20,7 @@ export function duration(seconds) {
   return minutes < 60 ? `${minutes} min ${two(seconds % 60)} s` : `${Math.floor(minutes / 60)} h ${two(minutes % 60)} min`;
 }
 
-function activity(run) {
+export function activity(run) {
   if (run.state === "waiting") return run.ahead ? `waiting for ${run.ahead + 1} other runs` : "waiting for another run";
   return run.progress?.activity ?? (run.state === "running" ? "starting" : run.state);
 }
