@@ -38,7 +38,7 @@ def test_check_remedy_estimate_and_report(visit: Any) -> None:
     page.check("input[value='rigid']")
     page.click("#start")
     page.wait_for_selector("tr[data-run='identify-1'][data-state='done']")
-    page.get_by_role("button", name="Report of identify-1").click()
+    page.get_by_role("link", name="identify-1").click()
     frame = page.frame_locator("#report-frame")
     assert "Determined" in frame.locator(".badge").first.inner_text()
     frame.locator(".js-plotly-plot").first.wait_for()  # its scripts run in the sandbox

@@ -248,8 +248,11 @@ export async function showReport() {
   byId("report-files").href = ofRun("files", run.name);
   byId("report-title").focus();
   byId("report").scrollIntoView();
-  if (run.report) byId("report-frame").src = byId("report-tab").href = ofRun("report", run.name, run.report);
-  else byId("report-log").textContent = run.note || (await getJson(api("run-log"), { name })).messages.join("\n");
+  if (run.report) {
+    const frame = byId("report-frame").cloneNode(); // a new one has no history of its own, which Back would follow
+    frame.src = byId("report-tab").href = ofRun("report", run.name, run.report);
+    byId("report-frame").replaceWith(frame);
+  } else byId("report-log").textContent = run.note || (await getJson(api("run-log"), { name })).messages.join("\n");
 }
 
 for (const id of ["find", "kind", "state", "tagged"]) byId(id).addEventListener("input", show);
