@@ -12,12 +12,12 @@ import pytest
 
 pytest.importorskip("starlette")
 
+from strainwave.io import result_summaries as summaries
+from strainwave.io.result_summaries import changed_options, toml_text
 from strainwave.workbench import runs as runs_module
-from strainwave.workbench import summaries
 from strainwave.workbench.pages import estimate
 from strainwave.workbench.run_record import Run
 from strainwave.workbench.runs import Runs
-from strainwave.workbench.summaries import changed_options, toml_text
 from strainwave.workbench.supervisor import runs_ahead
 from workbench_runs import add_run, result_of
 

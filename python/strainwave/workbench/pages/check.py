@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import re
+from copy import deepcopy
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -107,10 +108,10 @@ def require_open(path: Path) -> Gate:
 def _read(path: Path) -> _Stored | None:
     try:
         stored = _Stored(**json.loads((runs_folder(path) / _STORED).read_bytes()))
-        entries = [*stored.document["relations"], *stored.document["suspected"]]
-    except (OSError, ValueError, TypeError, KeyError):
+        _shown_document(deepcopy(stored.document), "")  # fails if it is damaged
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
-    return stored if all(isinstance(entry, dict) for entry in entries) else None
+    return stored if isinstance(stored.document.get("status"), str) else None
 
 
 def _write(path: Path, stored: _Stored) -> None:
@@ -184,16 +185,20 @@ def show_channel(request: Request) -> object:
 
 
 def _shown(request: Request, path: Path) -> dict[str, Any]:
-    """The gate; suspected faults get their contradictions and the fields that correct them."""
+    """The gate and the check."""
     gate = gate_of(path)
     reason = message_of(request, gate.reason)
     shown: dict[str, Any] = asdict(gate) | {"is_open": gate.is_open, "reason": reason}
-    if gate.document is None:
-        return shown
-    relations = _merged(gate.document["relations"])
+    if gate.document is not None:
+        shown["document"] = _shown_document(gate.document, decode(path.read_bytes(), path))
+    return shown
+
+
+def _shown_document(document: dict[str, Any], text: str) -> dict[str, Any]:
+    """A check with merged relations; each suspected fault has evidence, and fields to correct."""
+    relations = _merged(document["relations"])
     contradictions = [relation for relation in relations if not relation["consistent"]]
-    text = decode(path.read_bytes(), path)
-    for each in gate.document["suspected"]:
+    for each in document["suspected"]:
         each["fields"] = _fields(text, each)
         near = [one for one in contradictions if _joints(one) & _joints(each)]
         each["evidence"] = near or contradictions
@@ -204,8 +209,7 @@ def _shown(request: Request, path: Path) -> dict[str, Any]:
             for c in each["corrections"]
             if c["table"] != "log"
         ]
-    shown["document"] = gate.document | {"relations": relations}
-    return shown
+    return document | {"relations": relations}
 
 
 def _joints(entry: dict[str, Any]) -> set[str]:

@@ -20,6 +20,7 @@ from strainwave.domain.messages import plus_minus
 from strainwave.domain.study import Options, option_texts
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.io.atomic_files import decode, write_whole
+from strainwave.io.result_summaries import Summary, changed_options, summary_of
 from strainwave.io.study import with_options
 from strainwave.pipeline import check_stages
 from strainwave.report.figures import DOTTED, Axis, Colour, Figure, Line, Panel, Upright
@@ -28,7 +29,6 @@ from strainwave.workbench.pages.check import gate_of, require_open
 from strainwave.workbench.pages.runs import REPORTS, arguments_of, describe, last_message
 from strainwave.workbench.run_record import Run
 from strainwave.workbench.runs import Runs
-from strainwave.workbench.summaries import Summary, changed_options, summary_of
 from strainwave.workbench.web import (
     Body,
     Routes,

@@ -20,7 +20,7 @@ async function refresh(open) {
 function designRow(run) {
   const note = isActive(run) ? progressOf(run, () => act(null, () => refresh(run.name))) : run.state === "failed" ? run.messages.at(-1) : "";
   const button = (text, action) => {
-    const element = make("button", { type: "button", "aria-label": `${text} ${run.name}`, "data-key": `${text} ${run.name}` }, text);
+    const element = make("button", { type: "button", "aria-label": `${text} ${run.name}`, "data-key": `${text === "Show" ? "open" : text} ${run.name}` }, text);
     onClick(element, action);
     return element;
   };

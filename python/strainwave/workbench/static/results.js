@@ -39,10 +39,9 @@ function columns() {
   ];
 }
 
-const shortTime = (text) => {
-  const time = new Date(text);
-  return Number.isNaN(time.getTime()) ? "" : time.toLocaleString([], { month: "short", day: "numeric", hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
-};
+const clock = new Intl.DateTimeFormat([], { month: "short", day: "numeric", hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
+const shortTime = (text) => (Number.isNaN(Date.parse(text)) ? "" : clock.format(Date.parse(text)));
+const { compare } = new Intl.Collator([], { numeric: true });
 
 function nameCell(run) {
   const link = make("a", { href: `?${new URLSearchParams({ run: run.name })}`, "data-key": `open ${run.name}`, title: run.note || null }, run.name);
@@ -115,7 +114,7 @@ function sorted(runs, column) {
   return [...runs].sort((a, b) => {
     const [x, y] = [column.value(a), column.value(b)];
     if (x == null || y == null) return (x == null) - (y == null); // always last
-    return sign * (typeof x === "number" ? x - y : x.localeCompare(y, undefined, { numeric: true }));
+    return sign * (typeof x === "number" ? x - y : compare(x, y));
   });
 }
 
@@ -157,16 +156,22 @@ function showColumns() {
   }));
 }
 
-const tickedRuns = () => table.runs.filter((run) => ticked.has(run.name));
+const tickedRuns = () => filtered().filter((run) => ticked.has(run.name));
 
 function showTicked() {
   const runs = tickedRuns();
+  const hidden = ticked.size - runs.length;
   const paths = runs.filter((run) => run.path).map((run) => ["path", run.path]).reverse(); // the oldest first
-  byId("ticked").textContent = `${runs.length} ticked`;
+  byId("ticked").textContent = `${runs.length} ticked${hidden ? `, ${hidden} hidden` : ""}`;
   if (paths.length > 1) byId("compare").href = `/compare/${address(study)}?${new URLSearchParams(paths)}`;
   else byId("compare").removeAttribute("href");
-  for (const id of ["copy", "add-tag", "remove-tag", "delete"]) byId(id).disabled = runs.length === 0;
-  byId("use").disabled = runs.length !== 1;
+}
+
+// What an action applies to; its button stays enabled, since a disabled one loses the focus.
+function required(most = Infinity) {
+  const runs = tickedRuns();
+  if (!runs.length || runs.length > most) throw new Error(most === 1 ? "Tick one run." : "Tick the runs first.");
+  return runs;
 }
 
 let latest = 0;
@@ -201,13 +206,12 @@ function useOptions(run) {
   showMessage(`The form has the options of ${run.name}.`);
 }
 
-const commandLines = (runs) => copyText(runs.flatMap((run) => run.lines).join("\n"), "The command line");
-
 async function changeTicked(change) {
   try {
-    await change([...ticked]);
+    await change(required().map((run) => run.name));
   } finally {
     await refresh();
+    if (shownRun && !table.runs.some((run) => run.name === shownRun.name)) closeReport();
   }
 }
 const tagAs = (is_set) => changeTicked(async (names) => {
@@ -259,10 +263,10 @@ for (const id of ["find", "kind", "state", "tagged"]) byId(id).addEventListener(
 onClick(byId("add-tag"), () => tagAs(true));
 onClick(byId("remove-tag"), () => tagAs(false));
 onClick(byId("delete"), () => changeTicked(removeRuns));
-onClick(byId("copy"), () => commandLines(tickedRuns()));
-byId("use").addEventListener("click", () => useOptions(tickedRuns()[0]));
+onClick(byId("copy"), async () => copyText(required().flatMap((run) => run.lines).join("\n"), "The command line"));
+onClick(byId("use"), async () => useOptions(required(1)[0]));
 byId("report-use").addEventListener("click", () => useOptions(shownRun));
-onClick(byId("report-copy"), () => commandLines([shownRun]));
+byId("tag").addEventListener("keydown", (event) => { if (event.key === "Enter") byId("add-tag").click(); });
 byId("report-close").addEventListener("click", closeReport);
 byId("report").addEventListener("keydown", (event) => { if (event.key === "Escape") closeReport(); });
 window.addEventListener("popstate", () => act(null, showReport));

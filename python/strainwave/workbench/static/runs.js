@@ -7,6 +7,8 @@ export const MARKS = {
   failed: "bad", interrupted: "doubt", cancelled: "doubt",
 };
 
+const MAX_NAMED = 10; // in a question
+
 export const statusOf = (run) => run.status ?? run.state;
 export const badge = (run) => make("span", { class: `badge ${MARKS[statusOf(run)] ?? ""}` }, statusOf(run));
 export const ofRun = (page, name, file) =>
@@ -50,13 +52,14 @@ export function showRows(body, rows, otherwise) {
   const key = body.contains(active) ? active.dataset.key : undefined;
   body.replaceChildren(...rows);
   if (key === undefined) return;
-  (body.querySelector(`[data-key="${CSS.escape(key)}"]`) ?? otherwise).focus({ preventScroll: true });
+  const find = (name) => body.querySelector(`[data-key="${CSS.escape(name)}"]`);
+  (find(key) ?? find(key.replace(/^cancel /, "open ")) ?? otherwise).focus({ preventScroll: true });
 }
 
 // Ask once, and delete runs; returns whether they were to be deleted.
 export async function removeRuns(names) {
-  const what = names.length === 1 ? `the run ${names[0]} and its` : `${names.length} runs and their`;
-  if (!window.confirm(`Delete ${what} files?`)) return false;
+  const [what, whose] = names.length === 1 ? ["the run", "its"] : [`${names.length} runs`, "their"];
+  if (!window.confirm(`Delete ${what} with ${whose} files: ${names.slice(0, MAX_NAMED).join(", ")}${names.length > MAX_NAMED ? ", ..." : ""}?`)) return false;
   await postJson(`/api/remove-runs/${address(study)}`, { names });
   return true;
 }
