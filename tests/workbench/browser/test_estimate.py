@@ -29,6 +29,12 @@ def test_check_remedy_estimate_and_report(visit: Any) -> None:
     page = visit.open("/check/arm/study.toml")
     page.click("#check")
     page.wait_for_selector("#state[data-state=suspected]")
+    suspected = page.locator("#suspected section").first
+    assert suspected.locator("li").count() > 0  # evidence
+    field = suspected.locator("a").first
+    assert field.get_attribute("href") == "/study/arm/study.toml#field-channels-theta_m1-scale"
+    assert page.locator("#contradictions tr").count() > 0
+    assert page.locator("#relations").is_hidden()  # those that agree
     visit.check_accessibility()
     page.locator(".remedy").first.click()
     page.wait_for_selector("#state[data-state=consistent]")

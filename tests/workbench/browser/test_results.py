@@ -159,3 +159,16 @@ def test_a_refused_value_gets_the_focus_and_options_are_taken_and_reset(table: A
     table.faults.clear()
     page.click("#options [aria-label='About links.order']")
     assert "low-pass" in page.inner_text("[id='text-links.order']")
+
+
+def test_a_design_that_failed_has_its_message_and_is_deleted(visit: Any) -> None:
+    path = add_run(visit.folder / STUDY, "tune-1", kind="tune", state="failed", status=None)
+    (path / "log.txt").write_text("strainwave: --bandwidth=x: 'x' is not a number.\n")
+    page = visit.open(f"/design/{STUDY}")
+    page.wait_for_selector("tr[data-run='tune-1']")
+    assert "Smallest bandwidth=x" in page.inner_text("tr[data-run='tune-1']")
+    visit.check_accessibility()
+    page.on("dialog", lambda dialog: dialog.accept())
+    page.get_by_role("button", name="Delete tune-1").press("Enter")
+    page.wait_for_selector("tr[data-run='tune-1']", state="detached")
+    assert not path.exists()

@@ -221,7 +221,7 @@ def _key_columns(labels: list[str]) -> list[str]:
     """The first of the key parameters, each with all joints."""
     columns: list[str] = []
     for name in _KEY_PARAMETERS:
-        group = [label for label in labels if label.split()[0] == name]
+        group = [label for label in labels if f"{label} ".startswith(f"{name} ")]
         if not columns or len(columns) + len(group) <= _MAX_COLUMNS:
             columns += group
     return columns
