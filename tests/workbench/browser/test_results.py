@@ -8,10 +8,11 @@ import pytest
 
 from strainwave.workbench.pages.check import run_check
 from strainwave.workbench.runs import Runs
+from strainwave.workbench.study_edit import KeyChange, edit_study
 from workbench_runs import add_run, result_of
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    from playwright.sync_api import Dialog, Page
 
 STUDY = "arm/study.toml"
 ESTIMATE = f"/estimate/{STUDY}"
@@ -99,7 +100,12 @@ def test_ticked_runs_are_compared_tagged_copied_and_deleted(table: Any) -> None:
     page.check("[data-key='tick all']")
     page.uncheck("[data-key='tick two']")
     questions: list[str] = []
-    page.on("dialog", lambda dialog: (questions.append(dialog.message), dialog.accept()))
+
+    def accept(dialog: Dialog) -> None:
+        questions.append(dialog.message)
+        dialog.accept()
+
+    page.on("dialog", accept)
     page.focus("#delete")
     page.keyboard.press("Enter")
     page.wait_for_selector("tr[data-run='one']", state="detached")
@@ -133,6 +139,8 @@ def test_a_report_is_opened_and_left_by_keyboard(table: Any) -> None:
 
 
 def test_a_refused_value_gets_the_focus_and_options_are_taken_and_reset(table: Any) -> None:
+    changes = [KeyChange(("options", "tuning", "max_iterations"), 50)]
+    edit_study(table.folder / STUDY, changes)
     run_check(table.folder / STUDY)
     page = table.open(ESTIMATE)
     page.wait_for_selector("#start:not([disabled])")
@@ -151,6 +159,7 @@ def test_a_refused_value_gets_the_focus_and_options_are_taken_and_reset(table: A
     page.check("[data-key='tick two']")
     page.click("#use")
     assert page.input_value("[id='option-links.order']") == "1"
+    assert page.input_value("[id='option-tuning.max_iterations']") == "100"  # not that of the study
     assert page.is_checked("input[value='rigid']")
     page.fill("#name", "one")
     page.click("#start")

@@ -226,7 +226,8 @@ def _fields(text: str, suspicion: dict[str, Any]) -> list[str]:
         corrections += [Correction("joint", joint, "gear_ratio", None) for joint in joints]
     for place in suspicion["places"]:
         joint, channel, key, names = (place[k] for k in ("joint", "channel", "key", "experiments"))
-        table, entry = ("joint", str(joint)) if joint else ("arm", "")
+        table: Any = "joint" if joint else "arm"
+        entry = str(joint or "")
         if channel:
             table, entry, key = "channels", channel, "scale"
         elif key and names:

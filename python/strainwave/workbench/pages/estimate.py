@@ -20,7 +20,7 @@ from strainwave.domain.messages import plus_minus
 from strainwave.domain.study import Options, option_texts
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.io.atomic_files import decode, write_whole
-from strainwave.io.result_summaries import Summary, changed_options, summary_of
+from strainwave.io.result_summaries import Summary, changed_options, summary_of, toml_text
 from strainwave.io.study import with_options
 from strainwave.pipeline import check_stages
 from strainwave.report.figures import DOTTED, Axis, Colour, Figure, Line, Panel, Upright
@@ -49,6 +49,7 @@ class OptionRow:
     text: Mapping[str, str]  # `meaning`, `default` and `reason`
     choices: tuple[str, ...]  # TOML values to choose from; empty: any value
     value: str  # of the study, if it differs from the default
+    default: str  # as a TOML value; "" for one that depends on the data
 
 
 def option_groups(options: Options) -> dict[str, list[OptionRow]]:
@@ -60,9 +61,12 @@ def option_groups(options: Options) -> dict[str, list[OptionRow]]:
         hints = get_type_hints(type(record), include_extras=False)
         rows = []
         for key, text in texts["options"].items():
-            name = f"{stage}.{key}"
+            name, value = f"{stage}.{key}", getattr(getattr(Options(), stage), key)
+            default = "" if value is None else toml_text(value)
             plain = {kind: words.replace("`", "") for kind, words in text.items()}
-            rows.append(OptionRow(name, plain, _choices(hints[key]), changed.get(name, "")))
+            rows.append(
+                OptionRow(name, plain, _choices(hints[key]), changed.get(name, ""), default)
+            )
         groups[texts["title"]] = rows
     return groups
 

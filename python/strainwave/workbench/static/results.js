@@ -197,7 +197,8 @@ export async function refresh() {
 // Fill the form with the options of a run; those that the study has already stay empty.
 function useOptions(run) {
   for (const field of document.querySelectorAll("[data-option]")) {
-    const text = run.options[field.dataset.option] ?? "";
+    const kept = run.path && field.dataset.study ? field.dataset.default : ""; // the study has changed since
+    const text = run.options[field.dataset.option] ?? kept;
     field.value = text === field.dataset.study ? "" : text.startsWith('"') ? JSON.parse(text) : text;
     field.dispatchEvent(new Event("input", { bubbles: true }));
   }
