@@ -67,6 +67,7 @@ def test_a_run_is_started_and_cancelled_by_keyboard(visit: Any) -> None:
     press_until_focus(page, "Cancel")
     page.keyboard.press("Enter")
     page.wait_for_selector("tr[data-state='cancelled']")
+    assert page.evaluate("document.activeElement.dataset.key") == "open identify-1"
 
 
 def test_several_runs_share_one_stream_and_a_typed_name_stays(visit: Any) -> None:
