@@ -208,7 +208,7 @@ def check_name(name: str) -> None:
         )
 
 
-_MAX_BYTES = 512 << 20  # of all logs in memory
+_MAX_BYTES = 256 << 20  # of all logs in memory
 
 
 _cache: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()  # value and size by key
@@ -247,7 +247,8 @@ def log_of(path: Path, experiment: str, *, is_whole: bool = False) -> Log:
         raise InvalidInput(f"there is no experiment {experiment!r}", remedy=f"choose from: {names}")
     if is_whole:
         chosen = replace(chosen, start=None, stop=None)
-    key = ("log", _stamp(path), experiment, is_whole, _stamp(study.log_path(chosen)))
+    window = chosen.start, chosen.stop
+    key = ("log", _stamp(path), experiment, window, _stamp(study.log_path(chosen)))
     log: Log = _cached(key, lambda: read_log(study, chosen), _size)
     return log
 
