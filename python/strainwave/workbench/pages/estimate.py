@@ -15,7 +15,7 @@ from starlette.responses import Response
 from strainwave import pipeline
 from strainwave.domain.study import Options, option_texts
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.io.atomic_files import decode, write_whole
+from strainwave.io.atomic_files import decode
 from strainwave.io.study import with_options
 from strainwave.pipeline import check_stages
 from strainwave.report.figures import DOTTED, Axis, Colour, Figure, Line, Panel, Upright
@@ -168,12 +168,12 @@ def start_estimate(request: Request, body: Body) -> object:
     arguments = option_arguments(options, path)
     runs = Runs(path)
     name = text_of(body, "name", "") or runs.free_name("identify")
-    folder = runs.prepare(name)
-    write_whole(folder, {_SNAPSHOT: snapshot(path).encode()})
+    files, note = {_SNAPSHOT: snapshot(path).encode()}, text_of(body, "note", "")
+    runs.prepare(name)
     if body.get("figures") is True:
         arguments.append("--figures")
     command = ("identify", _SNAPSHOT, "--out", ".", "--stages", stages, *arguments)
-    return describe(runs.start(name, "identify", [command], text_of(body, "note", "")))
+    return describe(runs.start(name, "identify", [command], note, files))
 
 
 def snapshot(path: Path) -> str:
