@@ -15,13 +15,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
 from strainwave.errors import InvalidInput
+from strainwave.io.atomic_files import write_whole
 from strainwave.workbench import supervisor
 from strainwave.workbench.run_record import LOCK, LOG, RECORD, Kind, Run, now, read_run, write_run
 from strainwave.workbench.supervisor import CANCEL, PATIENCE
@@ -72,7 +73,8 @@ class Runs:
             run = read_run(folder)  # it may have ended in between
             if run.is_active:
                 run = run.ended_as("interrupted")
-                write_run(folder, run)
+                with suppress(InvalidInput):  # no space: the next one to look writes it
+                    write_run(folder, run)
         return run
 
     def path(self, name: str) -> Path:
@@ -100,11 +102,26 @@ class Runs:
         return folder
 
     def start(
-        self, name: str, kind: Kind, commands: Sequence[Sequence[str]], note: str = ""
+        self,
+        name: str,
+        kind: Kind,
+        commands: Sequence[Sequence[str]],
+        note: str = "",
+        files: Mapping[str, bytes] | None = None,
     ) -> Run:
-        """Start the commands in the prepared folder of a run; a failing command ends the run."""
-        folder = self.path(name)
-        run = Run(name, kind, tuple(map(tuple, commands)), now(), note=note)
+        """Start the commands in the prepared folder of a run; a failing command ends the run.
+
+        `files` are written first. The folder is deleted if the run does not start.
+        """
+        try:
+            write_whole(self.path(name), files or {})
+            return self._start(Run(name, kind, tuple(map(tuple, commands)), now(), note=note))
+        except (InvalidInput, OSError):
+            shutil.rmtree(self.path(name), ignore_errors=True)
+            raise
+
+    def _start(self, run: Run) -> Run:
+        folder = self.path(run.name)
         lock = os.open(folder / LOCK, os.O_CREAT | os.O_RDWR, 0o644)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX)
@@ -143,14 +160,7 @@ class Runs:
         """Delete the folder of a run that has ended; raises InvalidInput if it is running."""
         if self.get(name).is_active:
             raise InvalidInput(f"the run {name!r} is running", remedy="cancel it first")
-        try:
-            shutil.rmtree(self.path(name))
-        except OSError as error:
-            raise InvalidInput(
-                f"cannot be deleted ({error.strerror})",
-                where=name,
-                remedy="check the permissions of its folder",
-            ) from error
+        shutil.rmtree(self.path(name))
 
     def tag(self, name: str, tag: str, *, is_set: bool) -> None:
         """Set or remove a tag of a run that has ended.
@@ -170,8 +180,8 @@ class Runs:
 
     def _is_alive(self, name: str) -> bool:
         try:
-            lock = os.open(self.path(name) / LOCK, os.O_RDWR)
-        except FileNotFoundError:
+            lock = os.open(self.path(name) / LOCK, os.O_RDWR | os.O_NOFOLLOW)
+        except OSError:  # there is none, or what is there was never locked
             return False
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
@@ -55,8 +55,9 @@ def supervise(folder: Path, lock: int) -> None:
         _end_commands()
         write_run(folder, run.ended_as("cancelled"))
     except (OSError, InvalidInput) as error:  # no slot, no program, no space
-        print(f"strainwave: {error}", file=sys.stderr)
-        write_run(folder, run.ended_as("failed"))
+        with suppress(OSError, InvalidInput):  # without space the run ends as interrupted
+            print(f"strainwave: {error}", file=sys.stderr)
+            write_run(folder, run.ended_as("failed"))
     os.killpg(0, signal.SIGKILL)  # what the commands left behind
 
 

@@ -19,7 +19,7 @@ from strainwave.domain import Parameter
 from strainwave.domain.messages import plus_minus
 from strainwave.domain.study import Options, option_texts
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.io.atomic_files import decode, write_whole
+from strainwave.io.atomic_files import decode
 from strainwave.io.result_summaries import Summary, changed_options, summary_of, toml_text
 from strainwave.io.study import with_options
 from strainwave.pipeline import check_stages
@@ -269,15 +269,15 @@ def start_estimate(request: Request, body: Body) -> object:
     arguments = option_arguments(options, path)
     runs = Runs(path)
     name = text_of(body, "name", "") or runs.free_name("identify")
+    files, note = {_SNAPSHOT: snapshot(path).encode()}, text_of(body, "note", "")
     try:
-        folder = runs.prepare(name)
+        runs.prepare(name)
     except InvalidInput as error:
         raise InvalidInput(error.problem, where="name", remedy=error.remedy) from error
-    write_whole(folder, {_SNAPSHOT: snapshot(path).encode()})
     if body.get("figures") is True:
         arguments.append("--figures")
     command = ("identify", _SNAPSHOT, "--out", ".", "--stages", stages, *arguments)
-    return describe(runs.start(name, "identify", [command], text_of(body, "note", "")))
+    return describe(runs.start(name, "identify", [command], note, files))
 
 
 def snapshot(path: Path) -> str:

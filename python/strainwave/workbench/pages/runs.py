@@ -97,7 +97,7 @@ def _each(request: Request, body: Body, change: Callable[[Runs, str], None]) -> 
     for name in names[:MAX_LISTED]:
         try:
             change(runs, name)
-        except InvalidInput as error:
+        except (InvalidInput, OSError) as error:
             errors.append(message_of(request, error))
     if errors:
         raise InvalidInput(" ".join(errors).removesuffix("."))
@@ -195,7 +195,7 @@ def _event(runs: Runs, name: str) -> tuple[Run, str]:
 def show_report(request: Request) -> Response:
     """An HTML file of a run for a frame, without access to the workbench."""
     name = request.query_params.get("file", "report.html")
-    path = _file_of_run(request, name)
+    path = file_of_run(request, request.query_params.get("run", ""), name)
     if path.suffix != ".html":
         raise InvalidInput("is not a page", where=name)
     headers = {"content-security-policy": report_policy(_script_hashes())}
@@ -205,12 +205,14 @@ def show_report(request: Request) -> Response:
 @routes.page("/download/{study:path}")
 def download(request: Request) -> Response:
     """A file of a run to save."""
-    path = _file_of_run(request, request.query_params.get("file", ""))
+    query = request.query_params
+    path = file_of_run(request, query.get("run", ""), query.get("file", ""))
     return FileResponse(path, filename=path.name, media_type="application/octet-stream")
 
 
-def _file_of_run(request: Request, name: str) -> Path:
-    runs, run = runs_of(request), request.query_params.get("run", "")
+def file_of_run(request: Request, run: str, name: str) -> Path:
+    """The path of a file of a run; raises InvalidInput if there is none, or if it is a link."""
+    runs = runs_of(request)
     workspace = workspace_of(request)
     path = workspace.resolve(workspace.relative(runs.path(run)) + f"/{name}")
     if not path.is_relative_to(runs.path(run)) or not path.is_file():
@@ -315,7 +317,6 @@ def export(request: Request, body: Body) -> object:
         raise InvalidInput(f"there is no format {form!r}", remedy=f"choose from: {formats}")
     run = runs.get(text_of(body, "name"))
     folder = runs.path(run.name)
-    (folder / _EXPORTS).mkdir(exist_ok=True)
     target = folder / _EXPORTS / EXPORT_FILES[form]
     written = export_file(folder / "result.json", target, form=form)
     warnings = [f"{w.where}: {w.message}" for w in written.warnings]
@@ -350,10 +351,15 @@ def download_zip(request: Request) -> Response:
     if size > _MAX_ZIP:
         raise InvalidInput(f"the run has {size >> 20} MiB", remedy="copy its folder")
     with tempfile.NamedTemporaryFile(suffix=".zip", delete=False) as file:
-        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-            for path in files:
-                archive.write(path, f"{run.name}/{path.relative_to(folder).as_posix()}")
         name = Path(file.name)
+        options = {"compression": zipfile.ZIP_DEFLATED, "strict_timestamps": False}  # before 1980
+        try:
+            with zipfile.ZipFile(file, "w", **options) as archive:
+                for path in files:
+                    archive.write(path, f"{run.name}/{path.relative_to(folder).as_posix()}")
+        except OSError:  # no space
+            name.unlink()
+            raise
     remove = BackgroundTask(name.unlink, missing_ok=True)
     return FileResponse(
         name, filename=f"{run.name}.zip", media_type="application/zip", background=remove
