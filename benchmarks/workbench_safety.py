@@ -7,19 +7,23 @@ server that is killed during runs; ten runs at once. The numbers of the table ar
 from __future__ import annotations
 
 import argparse
+import hashlib
 import io
 import json
 import os
+import subprocess
+import sys
 import time
 import traceback
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 from unittest.mock import patch
 from urllib.parse import quote, urlencode
+from urllib.request import Request, urlopen
 
 import numpy as np
 from rich.table import Table
@@ -28,17 +32,16 @@ from starlette.testclient import TestClient
 
 from benchmarks.console import Console
 from benchmarks.odd_items import NUMBER, ODD, SECRET, Foreign, draw_items, replaced
+from strainwave.dynamics.simulation import SensorNoise
+from strainwave.virtual import scara
+from strainwave.virtual.experiments import simulate_study
 from strainwave.workbench.app import ROUTES, create_app
 from strainwave.workbench.options import ServerOptions
-from strainwave.workbench.run_record import Run
 from strainwave.workbench.runs import Runs
-
-if TYPE_CHECKING:
-    from httpx import Response
 
 MAX_SECONDS = 1.0
 """Largest processor time of an answer, and on a quiet machine its time."""
-MAX_WAIT = 20.0  # [s] of an answer on a loaded machine; a pipe never ends
+MAX_WAIT = 60.0  # [s] of an answer on a loaded machine; a pipe never ends
 _TOKEN = "the-token"
 _ANSWERS = (200, 400, 404, 405, 422, 507)
 _LONG = ("orders", "joint-spectrum")  # they identify
@@ -102,7 +105,11 @@ def client_of(folder: Path) -> TestClient:
 
 
 def faults_of(
-    client: TestClient, served: Path, item: str, rng: np.random.Generator
+    client: TestClient,
+    served: Path,
+    item: str,
+    rng: np.random.Generator,
+    max_seconds: float = MAX_SECONDS,
 ) -> Iterator[Fault]:
     """Faults of the answers to all requests about an item; runs start no processes."""
     with patch.object(Runs, "_start", lambda _, run: run):
@@ -116,10 +123,11 @@ def faults_of(
                 yield Fault(item, request, f"{error!r:.200}, {at.filename}:{at.lineno}")
                 continue
             wait, used = time.perf_counter() - begin, time.process_time() - used
-            is_slow = min(wait, used) > MAX_SECONDS or wait > MAX_WAIT
+            is_slow = min(wait, used) > max_seconds or wait > MAX_WAIT
             if is_slow and not any(name in address for name in _LONG):
                 yield Fault(item, request, f"{wait:.1f} s, {used:.1f} s used")
-            text = _fault_of(answer)
+            media_type = answer.headers.get("content-type", "")
+            text = fault_of(answer.status_code, media_type, answer.content)
             if text:
                 yield Fault(item, request, text)
 
@@ -164,7 +172,6 @@ def _requests(
 
 
 def _sha256(path: Path) -> str:
-    import hashlib
 
     return (
         hashlib.sha256(path.read_bytes()).hexdigest()
@@ -173,17 +180,17 @@ def _sha256(path: Path) -> str:
     )
 
 
-def _fault_of(answer: Response) -> str:
-    content = answer.content
-    if answer.headers.get("content-type") == "application/zip":
+def fault_of(status: int, media_type: str, content: bytes) -> str:
+    """What is wrong with an answer; empty if nothing is."""
+    if media_type == "application/zip":
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             content = b"".join(map(archive.read, archive.namelist()))
-    if answer.status_code not in _ANSWERS:
-        return f"status {answer.status_code}: {content[:300].decode(errors='replace')}"
+    if status not in _ANSWERS:
+        return f"status {status}: {content[:300].decode(errors='replace')}"
     foreign = (SECRET.encode(), str(NUMBER).encode()[:8], b"root:", b"PATH=", _TOKEN.encode())
     if any(each in content for each in foreign):
         return f"foreign bytes: {content[:300].decode(errors='replace')}"
-    if answer.headers.get("content-type") == "application/json":
+    if media_type == "application/json":
         try:
             json.loads(content, parse_constant=_refuse)
         except ValueError as error:
@@ -193,3 +200,135 @@ def _fault_of(answer: Response) -> str:
 
 def _refuse(text: str) -> None:
     raise ValueError(text)
+
+
+# --- Kills and bursts -----------------------------------------------------------------------------
+
+_STAGES = "rigid"
+_KILLS = 20
+_BURST = 10  # runs started at once
+_MAX_PAGE = 0.2  # [s] of a page meanwhile
+_POLL = 0.1  # [s]
+
+
+class Served:
+    """A served folder as a process."""
+
+    def __init__(self, folder: Path) -> None:
+        command = [sys.executable, "-m", "strainwave", "serve", str(folder), "--port", "0"]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        link = self.process.stdout.readline().rsplit(" ", 1)[-1].strip()
+        self.url, _, query = link.partition("/?token=")
+        self.cookie = f"strainwave-{self.url.rpartition(':')[2]}={query}"
+
+    def ask(self, path: str, body: object = None) -> Any:
+        """The answer of an API, or the text of a page."""
+        data = None if body is None else json.dumps(body).encode()
+        with urlopen(Request(self.url + path, data, {"cookie": self.cookie})) as answer:
+            text = answer.read()
+        return json.loads(text) if path.startswith("/api/") else text
+
+    def states(self) -> dict[str, tuple[str, str | None]]:
+        """State and verdict of the runs by name, once all have ended."""
+        while True:
+            runs = self.ask("/api/runs/arm/study.toml")
+            if not any(run["state"] in ("waiting", "running") for run in runs):
+                return {run["name"]: (run["state"], run["status"]) for run in runs}
+            time.sleep(_POLL)
+
+    def kill(self) -> None:
+        """End the server at once."""
+        self.process.kill()
+        self.process.wait()
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+
+
+def write_arm(folder: Path) -> None:
+    """The study of the built-in arm and its logs."""
+    study = scara.STIFF.study(folder / "arm")
+    values = scara.STIFF.parameters()
+    simulate_study(study, values, folder / "arm", noise=SensorNoise(), as_recorded=False)
+
+
+def count_wrong_states(folder: Path, rng: np.random.Generator) -> int:
+    """Runs with a wrong state after a server was killed at drawn moments; half are cancelled."""
+    wrong = 0
+    for number in range(_KILLS):
+        server, name, is_cancelled = Served(folder), f"kill-{number}", number % 2 == 1
+        server.ask("/api/check/arm/study.toml", {})
+        server.ask("/api/estimate/arm/study.toml", {"name": name, "stages": _STAGES})
+        time.sleep(rng.uniform(0.0, 3.0))
+        before = ""
+        if is_cancelled:
+            before = server.ask("/api/cancel-run/arm/study.toml", {"name": name})["state"]
+        server.kill()
+        server = Served(folder)
+        state, status = server.states()[name]
+        is_right = state == before if is_cancelled else (state, status) == ("done", "determined")
+        wrong += not (is_right and state in ("done", "cancelled"))
+        server.kill()
+    return wrong
+
+
+def burst(folder: Path) -> tuple[int, float]:
+    """Runs of several started at once that do not end as done; longest time of a page meanwhile."""
+    server = Served(folder)
+    server.ask("/api/check/arm/study.toml", {})
+    names = [f"burst-{number}" for number in range(_BURST)]
+    bodies = [{"name": name, "stages": _STAGES} for name in names]
+    with ThreadPoolExecutor(_BURST) as pool:
+        for future in [pool.submit(server.ask, "/api/estimate/arm/study.toml", b) for b in bodies]:
+            future.result()
+    times = []
+    while True:
+        begin = time.perf_counter()
+        server.ask("/estimate/arm/study.toml")
+        times.append(time.perf_counter() - begin)
+        runs = {run["name"]: run["state"] for run in server.ask("/api/runs/arm/study.toml")}
+        if not any(runs[name] in ("waiting", "running") for name in names):
+            break
+        time.sleep(_POLL)
+    server.kill()
+    return sum(runs[name] != "done" for name in names), max(times)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--items", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    table = Table("what", "cases", "failures", box=None)
+    console = Console()
+    with TemporaryDirectory() as name:
+        served = Path(name) / "served"
+        served.mkdir()
+        items = draw_items(served, Foreign(Path(name)), options.items, options.seed)
+        client = client_of(served)
+        client.get("/")  # loads the modules
+        failed = set()
+        for number, item in enumerate(items):
+            for fault in faults_of(
+                client, served, item, np.random.default_rng([options.seed, number])
+            ):
+                failed.add(item)
+                console.print(fault, markup=False)
+        table.add_row("odd items", str(len(items)), str(len(failed)))
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        write_arm(folder)
+        wrong = count_wrong_states(folder, np.random.default_rng(options.seed))
+        table.add_row("kills of the server in a run", str(_KILLS), str(wrong))
+        unfinished, longest = burst(folder)
+        table.add_row("runs started at once", str(_BURST), str(unfinished))
+        table.add_row(
+            f"longest page meanwhile, limit {_MAX_PAGE} s",
+            f"{longest:.2f} s",
+            str(int(longest > _MAX_PAGE)),
+        )
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()
