@@ -12,6 +12,7 @@ from strainwave.domain import Correction, Experiment, Joint, Lag, Log, Prbs
 from strainwave.domain.arm.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.excitation import prbs
+from strainwave.input_check import evidence, timing
 from strainwave.input_check.evidence import collect_evidence
 from strainwave.input_check.timing import estimate_clocks
 from strainwave.input_check.torque_rows import regress_torques, spread_stretches
@@ -41,6 +42,26 @@ def test_a_motor_at_standstill_does_not_determine_the_band(vertical_arm: Input) 
     assert still.bandwidth_hz <= 1.5 * moving.bandwidth_hz
     (alone, *_) = collect_evidence([changed], study).records  # no record in which it moves
     assert alone.bandwidth_hz <= 4.0 * moving.bandwidth_hz  # limited by the other motor
+
+
+def test_the_evidence_of_a_long_record_is_bounded(
+    horizontal_arm: Input, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    logs, study = horizontal_arm
+    log = next(each for each in logs if each.name == "prbs-j1")
+    half = log.cut(slice(len(log) // 2))
+    (expected,) = collect_evidence([half], study).records
+    monkeypatch.setattr(evidence, "_MAX_SAMPLES", len(half))
+    monkeypatch.setattr(timing, "_BLOCK_LINES", 100)
+    (bounded,) = collect_evidence([log], study).records
+    for record in (bounded, expected):
+        assert record.delays.keys() == {1}
+    shares = [record.delays[1].unexplained for record in (bounded, expected)]
+    np.testing.assert_allclose(*shares, rtol=1e-6)  # the blocks of lines are added in another order
+    np.testing.assert_array_equal(bounded.channels["theta_m1"], expected.channels["theta_m1"])
+    monkeypatch.setattr(evidence, "_MAX_ROWS", 100)
+    (short,) = collect_evidence([half], study).records
+    assert len(short.inside) == 100 < len(expected.inside)
 
 
 @pytest.mark.parametrize(("key", "size"), [("delay_s", 0.017), ("delay_s", -0.4), ("clock", 2e-3)])

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import resource
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 import tomlkit
@@ -22,13 +24,10 @@ from starlette.testclient import TestClient
 import strainwave as sw
 from strainwave.workbench.app import ROUTES
 from strainwave.workbench.pages.check import run_check
-from strainwave.workbench.run_record import Run
 from strainwave.workbench.runs import Runs
 from workbench_client import make_client
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
+START_PROCESS = Runs._start
 STUDY = "arm/study.toml"
 START, OTHER = "arm/runs/one/result.json", "arm/runs/other/result.json"
 QUERY = {"experiment": "motion", "record": "motion", "channel": "u1", "run": "one", "name": "one"}
@@ -47,7 +46,8 @@ BODIES: dict[str, dict[str, Any]] = {
     "window": {"experiment": "motion", "start": 0, "stop": 1},
     "steps": {"experiment": "motion", "steps": [{"kind": "lowpass", "cutoff_hz": 60.0}]},
     "cancel-run": {"name": "one"},
-    "remove-run": {"name": "two"},
+    "remove-runs": {"names": ["two"]},
+    "tag-runs": {"names": ["one"], "tag": "warm"},
     "export": {"name": "one", "format": "json"},
     "design": {"kind": "tune", "parameters": START, "options": {"seed": "1"}},
     "estimate": {"name": "two", "stages": "rigid", "options": {"statespace.order": "4"}},
@@ -70,14 +70,9 @@ def served(tmp_path_factory: pytest.TempPathFactory, arm_folder: Path) -> Iterat
     result.save(run / "result.json")
     shutil.copytree(run, run.with_name("other"))
 
-    def start(
-        _runs: Runs, name: str, kind: Any, commands: Sequence[Sequence[str]], note: str = ""
-    ) -> Run:
-        return Run(name, kind, tuple(map(tuple, commands)), "", note=note)
-
     run_check(folder / STUDY)  # opens the gate before an estimate
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Runs, "start", start)
+        patch.setattr(Runs, "_start", lambda _, run: run)
         yield make_client(folder)
 
 
@@ -173,6 +168,60 @@ def test_any_study_file_is_shown_with_its_error(served: TestClient, data: st.Dat
         study.write_text(tomlkit.dumps(replaced(document, place, value)))
         for path in ("/", f"/api/study/{STUDY}", f"/api/preview/{STUDY}", f"/signals/{STUDY}"):
             assert served.get(path, params=query).status_code in (200, 400, 422)
+
+
+@contextmanager
+def full_disk() -> Iterator[None]:
+    """No file of this process grows: the system refuses each write."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() if path.is_file() else b"" for path in folder.rglob("*")}
+
+
+WRITING = (
+    "study",
+    "window",
+    "check",
+    "by-hand-save",
+    "by-hand-fit",
+    "estimate",
+    "design",
+    "export",
+)
+WRITING += ("save-comparison",)
+
+
+@pytest.mark.parametrize("route", [*WRITING, "virtual", "draft", "upload", "zip"])
+def test_a_full_disk_is_a_sentence_and_changes_nothing(
+    served: TestClient, route: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(Runs, "_start", START_PROCESS)  # its first write fails
+    folder = study_file(served).parents[1]
+    body = dict(BODIES["compare"] if route == "save-comparison" else BODIES.get(route, {}))
+    body["sha256"] = served.get(f"/api/study/{STUDY}").json()["sha256"]
+    body |= {"folder": "draft", "logs": ["log.parquet"]} if route == "draft" else {}
+    (folder / "draft").mkdir(exist_ok=True)
+    shutil.copyfile(folder / "arm" / "motion.parquet", folder / "draft" / "log.parquet")
+    before = contents(folder)
+    with full_disk():
+        if route == "upload":
+            answer = served.put("/api/upload/new/log.csv", content=b"t,u1\n0,1\n")
+        elif route == "zip":
+            answer = served.get(f"/zip/{STUDY}?run=one")
+        else:
+            of_study = "" if route in ("virtual", "draft") else f"/{STUDY}"
+            answer = served.post(f"/api/{route}{of_study}", json=body)
+    assert (answer.status_code, answer.json()["error"].count("make space on the disk")) == (507, 1)
+    assert contents(folder) == before
+    assert not list(tmp_path.glob("*.zip"))
 
 
 @pytest.mark.parametrize("name", ["result.json", "report.html", "run.json", "../.check.json"])

@@ -91,3 +91,17 @@ def test_a_signal_is_decimated_and_has_its_unit(client: TestClient) -> None:
     assert figure["layout"]["yaxis"]["title"]["text"] == "a1 [m/s²]"
     query["channel"] = "a9"
     assert client.get("/api/check-signal/arm/study.toml", params=query).status_code == 400
+
+
+def test_a_suspected_fault_has_evidence_and_fields_of_the_page_study(
+    client: TestClient, folder: Path
+) -> None:
+    edit_study(folder / "arm" / "study.toml", [KeyChange(("joint", 0, "gear_ratio"), 0.013)])
+    document = post(client, API).json()["document"]
+    for entry in document["suspected"]:
+        assert entry["fields"]
+        assert entry["evidence"]
+        assert not any(one["consistent"] for one in entry["evidence"])
+        assert "[[joint]]" not in entry["remedy"]
+    fields = [field for entry in document["suspected"] for field in entry["fields"]]
+    assert "joint-0-gear_ratio" in fields

@@ -71,7 +71,7 @@ def test_errors_of_the_command_line_are_shown(client: TestClient, folder: Path) 
     client.get(f"/api/run-events/{STUDY}", params={"name": run["name"]})
     (design,) = client.get(f"/api/designs/{STUDY}").json()
     assert design["state"] == "failed"
-    assert any("limit-angle" in line for line in design["messages"])
+    assert any("Largest link angle" in line for line in design["messages"])
 
 
 @pytest.mark.parametrize(

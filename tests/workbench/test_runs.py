@@ -14,7 +14,7 @@ import pytest
 from strainwave.errors import InvalidInput
 from strainwave.workbench.run_record import Run
 from strainwave.workbench.runs import Runs
-from strainwave.workbench.supervisor import CORES_PER_RUN
+from strainwave.workbench.supervisor import CORES_PER_RUN, runs_ahead
 
 PATIENCE = 120.0  # [s] on a loaded machine
 
@@ -128,7 +128,11 @@ def test_runs_wait_for_each_other_and_a_waiting_run_can_be_cancelled(folder: Pat
     for number in range(slots):
         start_identify(folder, f"next-{number}", "--stages", "rigid")
     last = f"next-{slots - 1}"
-    time.sleep(0.5)
+    limit = time.monotonic() + PATIENCE
+    while (ahead := runs_ahead(runs.get(last).group)) is None:  # until its process waits
+        assert time.monotonic() < limit
+        time.sleep(0.02)
+    assert ahead == 0
     assert runs.get(last).state == "waiting"
     assert runs.cancel(last).state == "cancelled"
     assert runs.get("first").state in ("running", "done")

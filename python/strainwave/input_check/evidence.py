@@ -48,8 +48,11 @@ _ROWS_PER_CYCLE = 20.0
 # Samples per period of the bandwidth frequency at least: with fewer, velocities that controllers
 # calculate by differences lose more than the tolerance of a scale.
 _MIN_SAMPLES_PER_CYCLE = 10.0
-# Maximum number of samples evaluated per record.
+# Maximum number of samples evaluated per record, from its start.
 _MAX_SAMPLES = 2**18
+# The same after decimation: a record of wide motion has ten times the cycles that a search of
+# causes needs, and each cause takes as long as its rows.
+_MAX_ROWS = 2**14
 
 
 Result = TypeVar("Result")
@@ -292,11 +295,11 @@ def collect_evidence(logs: Sequence[Log], study: Study) -> Evidence:
 
     Motors that only deflect stand; fast records excite their gears.
     """
+    # a shorter log stays the same object, with what other stages prepared from it
+    logs = [log.cut(slice(_MAX_SAMPLES)) if len(log) > _MAX_SAMPLES else log for log in logs]
     arm, slow = Arm.of(study.arm), [is_slow(log.experiment) for log in logs]
     angles = [
-        np.column_stack(
-            [log.channels[f"theta_m{i + 1}"][:_MAX_SAMPLES] for i in range(arm.n_joints)]
-        )
+        np.column_stack([log.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)])
         for log in logs
     ]
     stands = iter(detect_standing_motors([angles[k] for k in np.flatnonzero(slow)]))
@@ -327,13 +330,12 @@ def _slow_record(
 ) -> SlowRecord | None:
     """Low-pass filter and decimate a record. Returns None if the record is too short.
 
-    `angle` are the motor angles of the evaluated samples, `band` is the bandwidth of the motion
-    [Hz].
+    `angle` are the motor angles, (n_samples, n_joints), `band` is the bandwidth of the motion [Hz].
     """
     T, n = log.sample_time, len(angle)
     band = max(min(band, 1.0 / (_MIN_SAMPLES_PER_CYCLE * T)), _MIN_CYCLES / (n * T))
     block = max(1, int(1.0 / (_ROWS_PER_CYCLE * band * T)))
-    n_rows = n // block
+    n_rows = min(n // block, _MAX_ROWS)
     edge = int(np.ceil(1.0 / (band * block * T)))
     if n_rows < 4 * edge:
         return None

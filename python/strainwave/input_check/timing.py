@@ -177,6 +177,8 @@ _MIN_EXPLAINED = 0.95
 # Minimum decrease of the unexplained share, as a factor. Without a fault, noise gave up to 1.7 on
 # planar arms, and up to 2.2 on chains.
 _MIN_IMPROVEMENT = 3.0
+# Spectral lines whose delays are computed at a time; those of a long record need gigabytes.
+_BLOCK_LINES = 4096
 # Phase error at the upper band limit due to friction and unmodelled lags [rad].
 _PHASE_FLOOR = 0.03
 
@@ -252,10 +254,21 @@ def _band_profile(
     columns = columns[:, size > 0.0] / size[size > 0.0]
     basis, values, _ = singular_values(columns)
     basis = basis[:, values > 1e-7 * values[0]]
-    shifted = lines[:, :1] * np.exp(2j * np.pi * np.outer(frequency[inside], _DELAYS))
-    explained = np.sum((basis.T @ _stack_real_imaginary(shifted)) ** 2, axis=0) / total
+    explained = np.sum(_products(basis, lines[:, 0], frequency[inside]) ** 2, axis=0) / total
     unexplained = np.maximum(1.0 - explained, 1e-9)
     return DelayProfile(unexplained, int(inside.sum()), band[1], T)
+
+
+def _products(basis: FloatArray, command: ComplexArray, frequency: FloatArray) -> FloatArray:
+    """Products of a basis, (2 n_lines, n), with the command after each delay: (n, n_delays)."""
+    of_real, of_imaginary = np.split(basis, 2)
+    products = np.zeros((basis.shape[1], len(_DELAYS)))
+    for start in range(0, len(command), _BLOCK_LINES):
+        rows = slice(start, start + _BLOCK_LINES)
+        turns = np.exp(2j * np.pi * np.outer(frequency[rows], _DELAYS))
+        shifted = command[rows, None] * turns
+        products += of_real[rows].T @ shifted.real + of_imaginary[rows].T @ shifted.imag
+    return products
 
 
 def _stack_real_imaginary(lines: ComplexArray) -> FloatArray:

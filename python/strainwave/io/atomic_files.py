@@ -5,8 +5,10 @@ TOML documents that a user writes.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import re
 import stat
 import tempfile
 import threading
@@ -18,6 +20,10 @@ from typing import Any
 
 from strainwave.errors import InvalidInput, suggest_name
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Errors of a disk that is full, or of a limit of this user."""
+# dotted keys, for which the parser takes a time that grows with the square of their length
+_LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){100}""")
 writing = threading.Lock()
 """Held while files are written; a thread that ends the process acquires it first."""
 written: list[Path] = []
@@ -27,9 +33,9 @@ written: list[Path] = []
 def write_whole(folder: Path, contents: Mapping[str, bytes]) -> None:
     """Write files into a folder: temporary files first, then one rename each.
 
-    A reader sees the old file or the new one, never a part. The folder is created if necessary. A
-    name may contain subfolders: `figures/bode.svg`. Raises `InvalidInput` if the folder cannot
-    be created or written to.
+    A reader sees the old file or the new one, never a part. The folder is created if necessary; it
+    remains only with files. A name may contain subfolders: `figures/bode.svg`. Raises
+    `InvalidInput` if the folder cannot be created or written to.
     """
     with writing:
         _write_whole(folder, contents)
@@ -38,6 +44,7 @@ def write_whole(folder: Path, contents: Mapping[str, bytes]) -> None:
 
 def _write_whole(folder: Path, contents: Mapping[str, bytes]) -> None:
     pending: list[tuple[Path, Path]] = []
+    is_new = not os.path.lexists(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, data in contents.items():
@@ -56,11 +63,16 @@ def _write_whole(folder: Path, contents: Mapping[str, bytes]) -> None:
         raise InvalidInput(
             f"cannot write there ({error.strerror or error})",
             where=str(folder),
-            remedy="choose another --out directory or change its permissions",
+            remedy="make space on the disk"
+            if error.errno in FULL
+            else "choose another --out directory or change its permissions",
         ) from error
     finally:
         for temporary_path, _ in pending:
             temporary_path.unlink(missing_ok=True)
+        if is_new:
+            with suppress(OSError):  # it has the files
+                folder.rmdir()
 
 
 def read_bytes(path: Path, description: str) -> bytes:
@@ -120,6 +132,8 @@ def decode(data: bytes, path: Path) -> str:
 def parse_toml(text: str, path: Path) -> dict[str, Any]:
     """The parsed text; `InvalidInput` naming `path` if it is not valid TOML."""
     try:
+        if _LONG_KEY.search(text):
+            raise ValueError("a key has more than 100 parts")
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also a number of more than 4,300 digits
         raise InvalidInput(

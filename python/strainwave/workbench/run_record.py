@@ -37,7 +37,9 @@ class Run:
     exit_code: int | None = None  # of the last command
     group: int | None = None  # process group
     ended: str | None = None
+    started: str | None = None  # when its first command began
     note: str = ""
+    tags: tuple[str, ...] = ()  # of the user
     status: str | None = None  # of the result, once the run has ended
 
     @property
@@ -49,6 +51,16 @@ class Run:
     def is_active(self) -> bool:
         """Whether the run waits or runs, by its record."""
         return self.state in ("waiting", "running")
+
+    @property
+    def seconds(self) -> int | None:
+        """Duration so far, without the wait for other runs; None if the record has no times."""
+        end = now() if self.is_active else self.ended
+        try:
+            begin = datetime.fromisoformat(self.started or self.created)
+            return round((datetime.fromisoformat(end or "") - begin).total_seconds())
+        except (ValueError, TypeError, OverflowError):  # written by hand
+            return None
 
     def ended_as(self, state: State, **values: Any) -> Run:
         """The run with its end."""

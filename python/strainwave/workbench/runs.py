@@ -15,13 +15,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
 from strainwave.errors import InvalidInput
+from strainwave.io.atomic_files import write_whole
 from strainwave.workbench import supervisor
 from strainwave.workbench.run_record import LOCK, LOG, RECORD, Kind, Run, now, read_run, write_run
 from strainwave.workbench.supervisor import CANCEL, PATIENCE
@@ -29,8 +30,10 @@ from strainwave.workbench.workspace import check_name, runs_folder
 
 RUN_FILES = frozenset((RECORD, LOCK, LOG))
 """Files of a run that its commands do not write."""
+_MAX_TAGS = 20  # of a run
 _POLL = 0.05  # [s] between two looks at a run that is being cancelled
-_MAX_SHOWN = 500  # runs in a list, the newest
+MAX_LISTED = 500
+"""Runs in a list, those whose records are the newest."""
 
 
 class Runs:
@@ -39,13 +42,21 @@ class Runs:
     def __init__(self, study: Path) -> None:
         self.folder = runs_folder(study.resolve())
 
-    def all(self, kind: Kind | None = None) -> list[Run]:
-        """The newest runs in the order of their start; a run that was broken off is marked."""
-        if not self.folder.is_dir():
-            return []
-        runs = [self._listed(path.parent.name) for path in self.folder.glob(f"*/{RECORD}")]
-        chosen = (run for run in runs if kind in (None, run.kind))
-        return sorted(chosen, key=lambda run: run.created)[-_MAX_SHOWN:]
+    def all(self) -> list[Run]:
+        """The `MAX_LISTED` newest runs in the order of their start, the interrupted ones marked."""
+        times: dict[str, int] = {}
+        for path in self._records():
+            with suppress(OSError):  # deleted in between
+                times[path.parent.name] = path.lstat().st_mtime_ns
+        newest = sorted(times, key=lambda name: times[name])[-MAX_LISTED:]
+        return sorted(map(self._listed, newest), key=lambda run: run.created)
+
+    def count(self) -> int:
+        """Number of all runs."""
+        return sum(1 for _ in self._records())
+
+    def _records(self) -> Iterator[Path]:
+        return self.folder.glob(f"*/{RECORD}") if self.folder.is_dir() else iter(())
 
     def _listed(self, name: str) -> Run:
         """A run, or what stands for one that cannot be read."""
@@ -62,7 +73,8 @@ class Runs:
             run = read_run(folder)  # it may have ended in between
             if run.is_active:
                 run = run.ended_as("interrupted")
-                write_run(folder, run)
+                with suppress(InvalidInput):  # no space: the next one to look writes it
+                    write_run(folder, run)
         return run
 
     def path(self, name: str) -> Path:
@@ -90,11 +102,26 @@ class Runs:
         return folder
 
     def start(
-        self, name: str, kind: Kind, commands: Sequence[Sequence[str]], note: str = ""
+        self,
+        name: str,
+        kind: Kind,
+        commands: Sequence[Sequence[str]],
+        note: str = "",
+        files: Mapping[str, bytes] | None = None,
     ) -> Run:
-        """Start the commands in the prepared folder of a run; a failing command ends the run."""
-        folder = self.path(name)
-        run = Run(name, kind, tuple(map(tuple, commands)), now(), note=note)
+        """Start the commands in the prepared folder of a run; a failing command ends the run.
+
+        `files` are written first. The folder is deleted if the run does not start.
+        """
+        try:
+            write_whole(self.path(name), files or {})
+            return self._start(Run(name, kind, tuple(map(tuple, commands)), now(), note=note))
+        except (InvalidInput, OSError):
+            shutil.rmtree(self.path(name), ignore_errors=True)
+            raise
+
+    def _start(self, run: Run) -> Run:
+        folder = self.path(run.name)
         lock = os.open(folder / LOCK, os.O_CREAT | os.O_RDWR, 0o644)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX)
@@ -135,10 +162,26 @@ class Runs:
             raise InvalidInput(f"the run {name!r} is running", remedy="cancel it first")
         shutil.rmtree(self.path(name))
 
+    def tag(self, name: str, tag: str, *, is_set: bool) -> None:
+        """Set or remove a tag of a run that has ended.
+
+        Raises InvalidInput if the run cannot have the tag.
+        """
+        run = self.get(name)
+        if run.is_active or not run.commands:  # its processes write the record, or it is damaged
+            reason = "is not finished" if run.is_active else f"has no record ({run.note})"
+            raise InvalidInput(f"the run {name!r} {reason}", remedy="tag other runs")
+        check_name(tag)
+        others = tuple(each for each in run.tags if each != tag)
+        tags = (*others, tag) if is_set else others
+        if len(tags) > _MAX_TAGS:
+            raise InvalidInput(f"the run {name!r} has {_MAX_TAGS} tags", remedy="remove one first")
+        write_run(self.path(name), replace(run, tags=tags))
+
     def _is_alive(self, name: str) -> bool:
         try:
-            lock = os.open(self.path(name) / LOCK, os.O_RDWR)
-        except FileNotFoundError:
+            lock = os.open(self.path(name) / LOCK, os.O_RDWR | os.O_NOFOLLOW)
+        except OSError:  # there is none, or what is there was never locked
             return False
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

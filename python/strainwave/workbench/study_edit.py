@@ -65,7 +65,7 @@ def parse_draft(text: str, path: Path) -> tomlkit.TOMLDocument:
     lines = [_TODO.sub(f'"{TODO}"', code) + note for code, note in map(_split, text.split("\n"))]
     try:
         return tomlkit.parse("\n".join(lines))
-    except TOMLKitError as error:
+    except (TOMLKitError, ValueError, RecursionError) as error:
         raise InvalidInput(str(error), where=str(path), remedy="correct the text") from error
 
 

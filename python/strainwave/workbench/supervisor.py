@@ -16,13 +16,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
 from strainwave.errors import InvalidInput
-from strainwave.workbench.run_record import LOG, Run, State, read_run, status_of, write_run
+from strainwave.workbench.run_record import LOG, Run, State, now, read_run, status_of, write_run
 
 CANCEL = signal.SIGUSR1
 """Signal that cancels a run."""
@@ -45,7 +45,7 @@ def supervise(folder: Path, lock: int) -> None:
     try:
         write_run(folder, run)
         with _slot():
-            run = replace(run, state="running")
+            run = replace(run, state="running", started=now())
             write_run(folder, run)
             code = _run_commands(run, folder, lock)
         state: State = "done" if code in _SUCCESS else "failed"
@@ -55,8 +55,9 @@ def supervise(folder: Path, lock: int) -> None:
         _end_commands()
         write_run(folder, run.ended_as("cancelled"))
     except (OSError, InvalidInput) as error:  # no slot, no program, no space
-        print(f"strainwave: {error}", file=sys.stderr)
-        write_run(folder, run.ended_as("failed"))
+        with suppress(OSError, InvalidInput):  # without space the run ends as interrupted
+            print(f"strainwave: {error}", file=sys.stderr)
+            write_run(folder, run.ended_as("failed"))
     os.killpg(0, signal.SIGKILL)  # what the commands left behind
 
 
@@ -96,14 +97,38 @@ def _slot() -> Iterator[None]:
     """Hold one of the slots that this machine has for runs; waits in a queue for it."""
     folder = _slot_folder()
     files = [folder / f"slot-{k}" for k in range(max(1, (os.cpu_count() or 1) // CORES_PER_RUN))]
-    with (folder / "queue").open("w") as queue:
-        fcntl.flock(queue, fcntl.LOCK_EX)  # the first in the queue
-        while (slot := next(filter(None, map(_try_lock, files)), None)) is None:
-            time.sleep(_POLL)
+    ticket = folder / f"ticket-{time.time_ns()}.{os.getpid()}"
+    try:
+        ticket.touch()
+        with (folder / "queue").open("w") as queue:
+            fcntl.flock(queue, fcntl.LOCK_EX)  # the first in the queue
+            while (slot := next(filter(None, map(_try_lock, files)), None)) is None:
+                time.sleep(_POLL)
+    finally:
+        ticket.unlink(missing_ok=True)
     try:
         yield
     finally:
         os.close(slot)
+
+
+def runs_ahead(group: int | None) -> int | None:
+    """How many runs of this user wait in front of one; None if it does not wait."""
+    try:
+        names = sorted(path.name for path in _slot_folder().glob("ticket-*"))
+    except OSError:
+        return None
+    numbers = [name.rpartition(".")[2] for name in names]
+    waiting = [int(number) for number in numbers if number.isdecimal() and _lives(int(number))]
+    return waiting.index(group) if group in waiting else None
+
+
+def _lives(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except (OSError, OverflowError):
+        return False
+    return True
 
 
 def _try_lock(path: Path) -> int | None:

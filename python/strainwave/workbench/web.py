@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
@@ -15,9 +16,10 @@ from starlette.responses import HTMLResponse, Response
 from starlette.routing import BaseRoute, Route
 
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
+from strainwave.io.atomic_files import FULL
 from strainwave.io.templates import template_environment
 from strainwave.version import __version__
-from strainwave.workbench.workspace import ACCEPTED, Workspace
+from strainwave.workbench.workspace import ACCEPTED, Workspace, abbreviated
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -162,21 +164,29 @@ def text_of(body: Body, key: str, default: str | None = None) -> str:
 
 def error_response(request: Request, error: Exception) -> Response:
     """The message of the command line; as a page, or as JSON for a script."""
-    status = 400 if isinstance(error, InvalidInput) else 422
+    status = 422 if isinstance(error, NotIdentifiable | NumericalFailure) else 400
+    cause = error if isinstance(error, OSError) else error.__cause__
+    if isinstance(cause, OSError) and cause.errno in FULL:
+        status = 507
     message = message_of(request, error)
     if request.headers.get("sec-fetch-dest") == "document":
         answer = page(request, "error", "Error", message=message)
         answer.status_code = status
         return answer
-    return json_response({"error": message}, status)
+    where = message_of(request, getattr(error, "where", None) or "")  # a field, if there is one
+    return json_response({"error": message, "where": where}, status)
 
 
 def message_of(request: Request, error: Exception | str) -> str:
     """The message of an error, with paths relative to the served folder."""
+    if isinstance(error, OSError):  # a name that is too long, no permission, no space
+        name = abbreviated(os.fspath(error.filename)) if error.filename else None
+        remedy = "make space on the disk" if error.errno in FULL else "check names and permissions"
+        error = InvalidInput(f"cannot be used ({error.strerror})", where=name, remedy=remedy)
     return str(error).replace(f"{workspace_of(request).folder}/", "")
 
 
-HANDLED = (InvalidInput, NotIdentifiable, NumericalFailure)
+HANDLED = (InvalidInput, NotIdentifiable, NumericalFailure, OSError)
 """Errors whose message is the answer."""
 
 

@@ -33,7 +33,7 @@ from strainwave.io.study import read_study
 _RUNS = "runs"
 _MAX_DEPTH = 3  # of folders in which studies are searched
 _MAX_STUDIES = 500  # listed
-_MAX_STUDY_BYTES = 1 << 20
+_MAX_STUDY_BYTES = 1 << 18
 _MAX_SHOWN_NAME = 120  # letters of a name in a message
 _STUDY = re.compile(rb"^\s*\[(arm|\[experiment\])\]", re.MULTILINE)
 _NAME = re.compile(r"[^\W.][\w .()+=@,-]*", re.UNICODE)
@@ -89,13 +89,13 @@ class Workspace:
     def _confined(self, base: Path, name: str, roots: tuple[Path, ...]) -> Path:
         try:
             path = (base / name).resolve()
-            path.exists()  # fails if the name is too long
-        except (OSError, RuntimeError, ValueError) as error:  # too long, a loop, a null character
-            raise InvalidInput("is no path", where=_abbreviated(name)) from error
+            path.exists()
+        except (OSError, RuntimeError, ValueError) as error:  # too long, a loop, a null
+            raise InvalidInput("is no path", where=abbreviated(name)) from error
         if not any(path.is_relative_to(root) for root in roots):
             raise InvalidInput(
                 "leads out of the served folder",
-                where=_abbreviated(name),
+                where=abbreviated(name),
                 remedy="copy the file into the folder, or start strainwave serve with --allow",
             )
         return path
@@ -104,7 +104,10 @@ class Workspace:
         """The path of an existing study file; raises InvalidInput if there is none."""
         path = self.resolve(relative)
         if path.suffix != ".toml" or not path.is_file():
-            raise InvalidInput("there is no such study", where=_abbreviated(relative))
+            raise InvalidInput("there is no such study", where=abbreviated(relative))
+        if path.stat().st_size > _MAX_STUDY_BYTES:
+            limit = f"has more than {_MAX_STUDY_BYTES >> 10} KiB"
+            raise InvalidInput(limit, where=str(path), remedy="split the study")
         return path
 
     def study(self, relative: str) -> Path:
@@ -171,9 +174,6 @@ class Workspace:
                     file.write(chunk)
             target = free_path(parent, name)
             os.link(temporary, target)  # fails if another upload was faster
-        except OSError as error:
-            problem = f"cannot be stored ({error.strerror or error})"
-            raise InvalidInput(problem, where=name, remedy="choose another folder") from error
         finally:
             if temporary:
                 os.unlink(temporary)
@@ -199,7 +199,8 @@ def _named_files(study: Path, _stamp: object) -> tuple[str, ...]:
     return (*names, *([urdf] if isinstance(urdf, str) else []))
 
 
-def _abbreviated(name: str) -> str:
+def abbreviated(name: str) -> str:
+    """A name for a message."""
     return name if len(name) <= _MAX_SHOWN_NAME else f"{name[:_MAX_SHOWN_NAME]}..."
 
 
@@ -244,30 +245,40 @@ def free_path(parent: Path, name: str) -> Path:
     return next(parent / each for each in names if not os.path.lexists(parent / each))
 
 
-_MAX_BYTES = 512 << 20  # of all logs in memory
+_MAX_BYTES = 256 << 20  # of all logs in memory
 
 
+_STUDY_SIZE = 10_000  # [bytes] of a study, or of a fault
 _cache: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()  # value and size by key
 _cache_lock = Lock()
 
 
 def cached(key: Hashable, make: Callable[[], Any], size: Callable[[Any], int]) -> Any:
-    """A value by key; the least recently used are dropped when all exceed `_MAX_BYTES`."""
+    """A value by key, or its fault; at more than `_MAX_BYTES`, the least recently used go."""
     with _cache_lock:
         if key in _cache:
             _cache.move_to_end(key)
-            return _cache[key][0]
-    value = make()
-    with _cache_lock:
-        _cache[key] = value, size(value)
-        while len(_cache) > 1 and sum(n for _, n in _cache.values()) > _MAX_BYTES:
-            _cache.popitem(last=False)
+        value, n_bytes = _cache.get(key, (None, 0))
+    if not n_bytes:
+        try:
+            value = make()
+            n_bytes = size(value)
+        except InvalidInput as error:
+            value, n_bytes = error, _STUDY_SIZE
+        with _cache_lock:
+            _cache[key] = value, n_bytes
+            while len(_cache) > 1 and sum(n for _, n in _cache.values()) > _MAX_BYTES:
+                _cache.popitem(last=False)
+    if isinstance(value, InvalidInput):
+        raise value.with_traceback(None)
     return value
 
 
 def study_at(path: Path) -> Study:
     """The study of a file; raises InvalidInput if it has a fault."""
-    study: Study = cached(("study", stamp_of(path)), lambda: read_study(path), lambda _: 10_000)
+    stamps = [stamp_of(path.parent / name) for name in _named_files(path, stamp_of(path))]
+    key = ("study", stamp_of(path), *stamps)  # a URDF decides, and whether files exist
+    study: Study = cached(key, lambda: read_study(path), lambda _: _STUDY_SIZE)
     return study
 
 
@@ -315,12 +326,18 @@ def fingerprint(path: Path) -> str:
 
 
 def stamp_of(path: Path) -> tuple[str, int, int]:
-    """Path, size and time of change of a file; of a folder, those of its largest change."""
-    status = path.stat()
-    if path.is_dir():
-        parts = [each.stat() for each in path.iterdir()]
-        size = sum(each.st_size for each in parts)
-        return str(path), size, max((p.st_mtime_ns for p in parts), default=status.st_mtime_ns)
+    """Path, size and time of change of a file; of a folder, those of its largest change.
+
+    The size of what cannot be looked at is -1.
+    """
+    try:
+        status = path.stat()
+        if path.is_dir():
+            parts = [each.stat() for each in path.iterdir()]
+            size = sum(each.st_size for each in parts)
+            return str(path), size, max((p.st_mtime_ns for p in parts), default=status.st_mtime_ns)
+    except (OSError, ValueError):
+        return str(path), -1, 0
     return str(path), status.st_size, status.st_mtime_ns
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
-from strainwave.io.logs import arrays
+from strainwave.io.logs import arrays, text
 from strainwave.io.logs.tables import LogTable, open_table
 
 TIME = 0.005 * np.arange(40)
@@ -242,6 +242,16 @@ def test_a_twincat_scope_has_pairs_of_columns(tmp_path: Path) -> None:
 def test_a_long_preamble_is_skipped(tmp_path: Path) -> None:
     text = "".join(f"comment {k};value {k}\n" for k in range(9000)) + "t;a;b\n" + rows(";")
     expect(table_of(tmp_path, text), ["t", "a", "b"])
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("delimiter", [",", " "])
+def test_a_text_is_read_in_pieces(
+    delimiter: str, end: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(text, "_PIECE_BYTES", 100)
+    written = (delimiter.join("tab") + "\n" + rows(delimiter)).replace("\n", end)
+    expect(table_of(tmp_path, written), ["t", "a", "b"])
 
 
 def test_zstandard_is_unpacked(tmp_path: Path) -> None:

@@ -29,6 +29,12 @@ def test_check_remedy_estimate_and_report(visit: Any) -> None:
     page = visit.open("/check/arm/study.toml")
     page.click("#check")
     page.wait_for_selector("#state[data-state=suspected]")
+    suspected = page.locator("#suspected section").first
+    assert suspected.locator("li").count() > 0  # evidence
+    field = suspected.locator("a").first
+    assert field.get_attribute("href") == "/study/arm/study.toml#field-channels-theta_m1-scale"
+    assert page.locator("#contradictions tr").count() > 0
+    assert page.locator("#relations").is_hidden()  # those that agree
     visit.check_accessibility()
     page.locator(".remedy").first.click()
     page.wait_for_selector("#state[data-state=consistent]")
@@ -38,7 +44,7 @@ def test_check_remedy_estimate_and_report(visit: Any) -> None:
     page.check("input[value='rigid']")
     page.click("#start")
     page.wait_for_selector("tr[data-run='identify-1'][data-state='done']")
-    page.get_by_role("button", name="Report of identify-1").click()
+    page.get_by_role("link", name="identify-1").click()
     frame = page.frame_locator("#report-frame")
     assert "Determined" in frame.locator(".badge").first.inner_text()
     frame.locator(".js-plotly-plot").first.wait_for()  # its scripts run in the sandbox
@@ -61,6 +67,7 @@ def test_a_run_is_started_and_cancelled_by_keyboard(visit: Any) -> None:
     press_until_focus(page, "Cancel")
     page.keyboard.press("Enter")
     page.wait_for_selector("tr[data-state='cancelled']")
+    assert page.evaluate("document.activeElement.dataset.key") == "open identify-1"
 
 
 def test_several_runs_share_one_stream_and_a_typed_name_stays(visit: Any) -> None:

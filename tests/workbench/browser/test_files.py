@@ -28,4 +28,8 @@ def test_export_and_download(visit: Any) -> None:
     with page.expect_download() as download:
         page.click("#zip")
     assert download.value.suggested_filename == "one.zip"
-    assert "sw.identify('study.toml')" in page.inner_text("#script")
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    page.click("#copy")
+    page.wait_for_selector("#message:not([hidden])")
+    assert "sw.identify('study.toml')" in page.evaluate("navigator.clipboard.readText()")
+    assert page.locator("#script").is_hidden()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from strainwave.display import Displayed
@@ -34,6 +34,15 @@ class Log(Displayed):
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def cut(self, rows: slice) -> Log:
+        """Some rows of the record."""
+        return replace(
+            self,
+            time=self.time[rows],
+            channels={name: values[rows] for name, values in self.channels.items()},
+            masked={name: mask[rows] for name, mask in self.masked.items()},
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -202,9 +202,9 @@ def arrow_reader(data: bytes | memoryview) -> Any:
     """
     import pyarrow as pa
 
-    sink = pa.BufferOutputStream()
-    sink.write(data)
-    return pa.BufferReader(sink.getvalue())
+    buffer = pa.allocate_buffer(len(data))  # of a stream, it would grow by copies
+    pa.FixedSizeBufferWriter(buffer).write(data)
+    return pa.BufferReader(buffer)
 
 
 def open_parquet(data: bytes, path: Path) -> LogTable:

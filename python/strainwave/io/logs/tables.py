@@ -94,12 +94,19 @@ def damaged(
 
 
 def check_unpacked_size(size: float, path: Path) -> None:
-    """Raise InvalidInput if a log of this unpacked size [bytes] exceeds the limit."""
+    """Raise InvalidInput if a log of this unpacked size [bytes] exceeds a limit."""
     if size > MAX_UNPACKED_BYTES:
         raise InvalidInput(
             f"unpacks to more than {MAX_UNPACKED_BYTES >> 20} MiB, the limit of a log",
             where=str(path),
             remedy="split the log, or store fewer columns",
+        )
+    packed = path.stat().st_size if path.is_file() else size  # a table in memory
+    if size > max(_MIN_REFUSED_BYTES, MAX_UNPACKED_RATIO * packed):
+        raise InvalidInput(
+            f"unpacks to more than {MAX_UNPACKED_RATIO} times its size, as no log does",
+            where=str(path),
+            remedy="store the log without compression",
         )
 
 
@@ -151,12 +158,6 @@ def _unpack(data: bytes, path: Path, kind: str) -> bytes:
             while chunk := stream.read(_CHUNK_BYTES):
                 size += len(chunk)
                 check_unpacked_size(size, path)
-                if size > max(_MIN_REFUSED_BYTES, MAX_UNPACKED_RATIO * len(data)):
-                    raise InvalidInput(
-                        f"unpacks to more than {MAX_UNPACKED_RATIO} times its size, as no log does",
-                        where=str(path),
-                        remedy="store the log without compression",
-                    )
                 chunks.append(chunk)
     except (OSError, pa.ArrowException) as error:
         raise InvalidInput(

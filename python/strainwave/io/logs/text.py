@@ -6,7 +6,7 @@ Only a text that the fast reader rejects is read again line by line; this also l
 from __future__ import annotations
 
 import codecs
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -30,6 +30,7 @@ from strainwave.io.logs.text_layout import (
     text_lines,
 )
 
+_PIECE_BYTES = 1 << 25  # [bytes] of text that are read at a time
 _OMITTED = {"empty": "no values", "flag": "flags", "text": "text"}  # kind of cells -> content
 
 
@@ -93,23 +94,25 @@ class _TextRows:
         indices = [self.layout.names.index(name) for name in column_names]
         is_number = {k: self.layout.kinds[k] == "number" for k in indices}
         types = {str(k): pa.float64() if is_number[k] else pa.string() for k in indices}
-        rows: Any = memoryview(self.data)[self.layout.start :]
+        rows, start = self.data, self.layout.start
         if self.layout.delimiter == " ":
-            rows = b"\n".join(b" ".join(line.split()) for line in bytes(rows).splitlines())
+            lines = self.data[start:].splitlines()
+            rows, start = b"\n".join(b" ".join(line.split()) for line in lines), 0
+        read_options = pa.csv.ReadOptions(
+            column_names=[str(k) for k in range(len(self.layout.names))], use_threads=True
+        )
+        parse_options = pa.csv.ParseOptions(delimiter=self.layout.delimiter)
+        convert_options = pa.csv.ConvertOptions(
+            column_types=types,
+            include_columns=list(types),
+            null_values=list(MISSING),
+            decimal_point=self.layout.decimal,
+        )
         columns: dict[int, Any]
         try:
-            table = pa.csv.read_csv(
-                arrow_reader(rows),
-                read_options=pa.csv.ReadOptions(
-                    column_names=[str(k) for k in range(len(self.layout.names))], use_threads=True
-                ),
-                parse_options=pa.csv.ParseOptions(delimiter=self.layout.delimiter),
-                convert_options=pa.csv.ConvertOptions(
-                    column_types=types,
-                    include_columns=list(types),
-                    null_values=list(MISSING),
-                    decimal_point=self.layout.decimal,
-                ),
+            table = pa.concat_tables(
+                pa.csv.read_csv(arrow_reader(piece), read_options, parse_options, convert_options)
+                for piece in _pieces(rows, start)
             )
             columns = {
                 k: column_values(column) if is_number[k] else column.to_pylist()
@@ -163,6 +166,14 @@ class _TextRows:
     def row_name(self, row: int) -> str:
         lines = self._lines()
         return f"line {lines[row][0] if row < len(lines) else row + len(self.layout.head) + 1}"
+
+
+def _pieces(rows: bytes, start: int) -> Iterator[memoryview]:
+    """Whole lines from a position, some MiB at a time; the reader holds a copy of its input."""
+    while start < len(rows):
+        end = rows.find(b"\n", start + _PIECE_BYTES) + 1 or len(rows)
+        yield memoryview(rows)[start:end]
+        start = end
 
 
 def _find_footer(data: bytes, layout: Layout) -> tuple[int, int]:

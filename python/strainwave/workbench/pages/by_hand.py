@@ -127,6 +127,8 @@ def simulate(
         simulated, _ = record.linearise(values, record.start(), ())
     except (NumericalFailure, InvalidInput) as error:
         raise NotIdentifiable(f"these values cannot be simulated: {error}") from error
+    except KeyError as error:  # neither the start nor the study has it
+        raise NotIdentifiable(f"there is no value of {label_of(*error.args[0])}") from error
     if not np.all(np.isfinite(simulated)):
         raise NotIdentifiable("these values cannot be simulated: the motion grows without limit")
     residual = record.measured - simulated
@@ -310,12 +312,12 @@ def fit_from_here(request: Request, body: Body) -> object:
         raise InvalidInput("the request names no parameters to hold", where="held")
     runs = Runs(path)
     name = runs.free_name("identify")
-    folder = runs.prepare(name)
-    write_whole(folder, {"study.toml": snapshot(path).encode(), _START: _json(values)})
+    files = {"study.toml": snapshot(path).encode(), _START: _json(values)}
+    runs.prepare(name)
     command = ["identify", "study.toml", "--out", ".", "--start", _START]
     if held:
         command += ["--set", f"tuning.hold={json.dumps(held)}"]
-    return describe(runs.start(name, "identify", [command], note="from sliders"))
+    return describe(runs.start(name, "identify", [command], "from sliders", files))
 
 
 def _json(values: Values) -> bytes:

@@ -8,6 +8,8 @@ Any change of them closes the gate again.
 from __future__ import annotations
 
 import json
+import re
+from copy import deepcopy
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -31,6 +33,7 @@ from strainwave.workbench.web import Body, Routes, message_of, page, study_of
 from strainwave.workbench.workspace import fingerprint, log_of, runs_folder, study_at
 
 _STORED = ".check.json"
+_HEADER = re.compile(r"\[\[?(joint|experiment|arm|servo|transmission)\]\]?")  # of a table
 
 GateState = Literal["unchecked", "consistent", "suspected", "overridden", "invalid"]
 
@@ -79,7 +82,7 @@ def gate_of(path: Path) -> Gate:
     return Gate(state, REASONS[state], stored.document)
 
 
-def run_check(path: Path) -> Gate:
+def run_check(path: Path) -> None:
     """Check the input of a study and store the result.
 
     Raises InvalidInput if the study or a log is invalid.
@@ -92,7 +95,6 @@ def run_check(path: Path) -> Gate:
     for entry, suspicion in zip(document["suspected"], check.suspected, strict=True):
         entry["places"] = [asdict(place) for place in suspicion.places]
     _write(path, _Stored(current, document))
-    return gate_of(path)
 
 
 def require_open(path: Path) -> Gate:
@@ -106,10 +108,10 @@ def require_open(path: Path) -> Gate:
 def _read(path: Path) -> _Stored | None:
     try:
         stored = _Stored(**json.loads((runs_folder(path) / _STORED).read_bytes()))
-        entries = [*stored.document["relations"], *stored.document["suspected"]]
-    except (OSError, ValueError, TypeError, KeyError):
+        _shown_document(deepcopy(stored.document), "")  # fails if it is damaged
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
-    return stored if all(isinstance(entry, dict) for entry in entries) else None
+    return stored if isinstance(stored.document.get("status"), str) else None
 
 
 def _write(path: Path, stored: _Stored) -> None:
@@ -127,13 +129,14 @@ def _show_check(request: Request) -> Response:
 @routes.get("/api/check/{study:path}")
 def read_gate(request: Request) -> object:
     """The last check, if it is still valid."""
-    return _shown(request, gate_of(study_of(request)))
+    return _shown(request, study_of(request))
 
 
 @routes.post("/api/check/{study:path}")
 def check_now(request: Request, _body: Body) -> object:
     """Check the study."""
-    return _shown(request, run_check(study_of(request)))
+    run_check(study_of(request))
+    return _shown(request, study_of(request))
 
 
 @routes.post("/api/override-check/{study:path}")
@@ -144,7 +147,7 @@ def override(request: Request, _body: Body) -> object:
     if stored is None or gate_of(path).state != "suspected":
         raise InvalidInput("there is no check to override", remedy="check the study first")
     _write(path, replace(stored, is_overridden=True))
-    return _shown(request, gate_of(path))
+    return _shown(request, path)
 
 
 @routes.post("/api/apply-remedy/{study:path}")
@@ -163,7 +166,8 @@ def apply_remedy(request: Request, body: Body) -> object:
     if not changes:
         raise InvalidInput("the study file cannot correct this fault", remedy="correct the logs")
     edit_study(path, changes)
-    return _shown(request, run_check(path))
+    run_check(path)
+    return _shown(request, path)
 
 
 @routes.get("/api/check-signal/{study:path}")
@@ -180,20 +184,58 @@ def show_channel(request: Request) -> object:
     return plotly(Figure(Axis("time [s]"), (panel,)))
 
 
-def _shown(request: Request, gate: Gate) -> dict[str, Any]:
+def _shown(request: Request, path: Path) -> dict[str, Any]:
+    """The gate and the check."""
+    gate = gate_of(path)
     reason = message_of(request, gate.reason)
     shown: dict[str, Any] = asdict(gate) | {"is_open": gate.is_open, "reason": reason}
-    if gate.document is None:
-        return shown
-    relations = _merged(gate.document["relations"])
-    for each in gate.document["suspected"]:
+    if gate.document is not None:
+        shown["document"] = _shown_document(gate.document, decode(path.read_bytes(), path))
+    return shown
+
+
+def _shown_document(document: dict[str, Any], text: str) -> dict[str, Any]:
+    """A check with merged relations; each suspected fault has evidence, and fields to correct."""
+    relations = _merged(document["relations"])
+    contradictions = [relation for relation in relations if not relation["consistent"]]
+    for each in document["suspected"]:
+        each["fields"] = _fields(text, each)
+        near = [one for one in contradictions if _joints(one) & _joints(each)]
+        each["evidence"] = near or contradictions
+        each["places"] += [place for one in each["evidence"] for place in one["places"]]
+        each["remedy"] = _HEADER.sub(r"\1", each["remedy"])
         each["lines"] = [
             f"{c['table']} {c['entry']} {c['key']} = {c['value']}".replace("  ", " ")
             for c in each["corrections"]
             if c["table"] != "log"
         ]
-    shown["document"] = gate.document | {"relations": relations}
-    return shown
+    return document | {"relations": relations}
+
+
+def _joints(entry: dict[str, Any]) -> set[str]:
+    """Numbers of the joints that a fault or a relation concerns."""
+    names = (place["joint"] or place["channel"] or "" for place in entry["places"])
+    return {number for name in names for number in re.findall(r"\d+$", str(name))}
+
+
+def _fields(text: str, suspicion: dict[str, Any]) -> list[str]:
+    """Fields of the page Study that a fault concerns, first those of its corrections."""
+    corrections = [Correction(**entry) for entry in suspicion["corrections"]]
+    if suspicion["code"] == "wrong-gear-ratio":
+        joints = sorted(_joints(suspicion))
+        corrections += [Correction("joint", joint, "gear_ratio", None) for joint in joints]
+    for place in suspicion["places"]:
+        joint, channel, key, names = (place[k] for k in ("joint", "channel", "key", "experiments"))
+        table: Any = "joint" if joint else "arm"
+        entry = str(joint or "")
+        if channel:
+            table, entry, key = "channels", channel, "scale"
+        elif key and names:
+            table, entry = "experiment", names[0]
+        if key:
+            corrections.append(Correction(table, entry, key, None))
+    places = [map(str, change.place) for change in correction_changes(text, corrections)]
+    return list(dict.fromkeys(map("-".join, places)))
 
 
 def _merged(relations: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import os
-from pathlib import Path
 from typing import Any, Literal, get_args
 
-import pyarrow.csv
 from starlette.requests import Request
 from starlette.responses import Response
 
 from strainwave.commands import command_texts
 from strainwave.errors import InvalidInput
+from strainwave.io.atomic_files import read_json
+from strainwave.io.logs.tables import open_table
 from strainwave.report.figures import Axis, Figure, line_panel
 from strainwave.report.plotly_backend import plotly
-from strainwave.workbench.pages.runs import describe, log_lines
+from strainwave.workbench.pages.runs import describe, file_of_run, log_lines
 from strainwave.workbench.run_record import Run
 from strainwave.workbench.runs import RUN_FILES, Runs
 from strainwave.workbench.web import Body, Routes, page, study_of, text_of, workspace_of
@@ -88,32 +87,26 @@ def list_designs(request: Request) -> object:
 def _shown(runs: Runs, run: Run) -> dict[str, Any]:
     folder = runs.path(run.name)
     files = sorted(p.name for p in folder.iterdir() if p.is_file() and p.name not in RUN_FILES)
-    return describe(run) | {"files": files, "messages": log_lines(folder)[1]}
+    return describe(run) | {"files": files, "messages": log_lines(folder, run.kind, 1 << 13)[1]}
 
 
 @routes.get("/api/plan/{study:path}")
 def show_plan(request: Request) -> object:
     """Commands of one planned record over time."""
-    runs, query = Runs(study_of(request)), request.query_params
-    run, file = runs.get(query.get("run", "")), query.get("file", "")
-    path = runs.path(run.name) / Path(file).name
-    if path.suffix != ".csv" or not path.is_file():
-        raise InvalidInput("there is no such plan", where=file)
-    table = pyarrow.csv.read_csv(path)
-    time, *names = table.column_names
-    t = table.column(time).to_numpy().astype(float)
-    columns = {name: table.column(name).to_numpy().astype(float) for name in names}
-    panels = (line_panel(name, t, values, name) for name, values in columns.items())
+    query = request.query_params
+    table = open_table(file_of_run(request, query.get("run", ""), query.get("file", "")))
+    columns = table.read(table.names)
+    time, *names = columns
+    panels = (line_panel(name, columns[time], columns[name], name) for name in names)
     return plotly(Figure(Axis(time), tuple(panels)))
 
 
 @routes.get("/api/precision/{study:path}")
 def show_precision(request: Request) -> object:
     """Predicted intervals of a plan."""
-    runs = Runs(study_of(request))
-    run = runs.get(request.query_params.get("run", ""))
-    file = runs.path(run.name) / "predicted.json"
-    if not file.is_file():
-        raise InvalidInput("the run predicts nothing", where=run.name)
-    entries = json.loads(file.read_bytes())["parameters"]
-    return [entry for entry in entries if entry["value"] is not None]
+    file = file_of_run(request, request.query_params.get("run", ""), "predicted.json")
+    document = read_json(file, "the prediction", "plan the records again")
+    try:
+        return [entry for entry in document["parameters"] if entry["value"] is not None]
+    except (KeyError, TypeError) as error:
+        raise InvalidInput("is no prediction", where=str(file)) from error

@@ -1,7 +1,9 @@
-"""Page "Estimate": stages and options, runs with progress, order and horizon."""
+"""Page "Estimate": stages and options, the table of results, order and horizon."""
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -13,17 +15,29 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from strainwave import pipeline
+from strainwave.domain import Parameter
+from strainwave.domain.messages import plus_minus
 from strainwave.domain.study import Options, option_texts
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.io.atomic_files import decode, write_whole
+from strainwave.io.atomic_files import decode
+from strainwave.io.result_summaries import Summary, changed_options, summary_of, toml_text
 from strainwave.io.study import with_options
 from strainwave.pipeline import check_stages
 from strainwave.report.figures import DOTTED, Axis, Colour, Figure, Line, Panel, Upright
 from strainwave.report.plotly_backend import plotly
 from strainwave.workbench.pages.check import gate_of, require_open
-from strainwave.workbench.pages.runs import describe
+from strainwave.workbench.pages.runs import REPORTS, arguments_of, describe, last_message
+from strainwave.workbench.run_record import Run
 from strainwave.workbench.runs import Runs
-from strainwave.workbench.web import Body, Routes, message_of, page, study_of, text_of
+from strainwave.workbench.web import (
+    Body,
+    Routes,
+    message_of,
+    page,
+    study_of,
+    text_of,
+    workspace_of,
+)
 from strainwave.workbench.workspace import study_at
 
 
@@ -35,41 +49,49 @@ class OptionRow:
     text: Mapping[str, str]  # `meaning`, `default` and `reason`
     choices: tuple[str, ...]  # TOML values to choose from; empty: any value
     value: str  # of the study, if it differs from the default
+    default: str  # as a TOML value; "" for one that depends on the data
 
 
 def option_groups(options: Options) -> dict[str, list[OptionRow]]:
     """The form of all options with the values of a study, by the title of their stage."""
-    defaults = asdict(Options())
+    changed = changed_options(asdict(options))
     groups = {}
     for stage, texts in option_texts().items():
         record = getattr(options, stage)
         hints = get_type_hints(type(record), include_extras=False)
         rows = []
         for key, text in texts["options"].items():
-            shown, value = "", getattr(record, key)
-            if asdict(options)[stage][key] != defaults[stage][key]:
-                item = tomlkit.item(list(value) if isinstance(value, tuple) else value)
-                shown = str(item.as_string())
+            name, value = f"{stage}.{key}", getattr(getattr(Options(), stage), key)
+            default = "" if value is None else toml_text(value)
             plain = {kind: words.replace("`", "") for kind, words in text.items()}
-            rows.append(OptionRow(f"{stage}.{key}", plain, _choices(hints[key]), shown))
+            rows.append(
+                OptionRow(name, plain, _choices(hints[key]), changed.get(name, ""), default)
+            )
         groups[texts["title"]] = rows
     return groups
 
 
-def option_arguments(values: Mapping[str, Any], study_path: Any) -> list[str]:
+def option_arguments(values: Mapping[str, Any], study_path: Path) -> list[str]:
     """Arguments `--set` of a form's values; empty values are left out.
 
-    Raises InvalidInput if an option is unknown or its value invalid.
+    Raises InvalidInput if an option is unknown or its value invalid; `where` is its name.
     """
-    flags = []
+    arguments: list[str] = []
     names = {f"{stage}.{key}" for stage, each in option_texts().items() for key in each["options"]}
     for name, value in values.items():
         if name not in names or not isinstance(value, str):
             raise InvalidInput(f"there is no option {name!r}", where="options")
-        if value.strip():
-            flags.append(f"{name}={value.strip()}")
-    with_options(study_at(study_path), flags)
-    return [part for flag in flags for part in ("--set", flag)]
+        if not value.strip():
+            continue
+        flag = f"{name}={value.strip()}"
+        try:
+            with_options(study_at(study_path), [flag])
+        except InvalidInput as error:
+            raise InvalidInput(
+                error.problem, where=name, remedy="correct the value, or empty the field"
+            ) from error
+        arguments += ["--set", flag]
+    return arguments
 
 
 def _choices(hint: Any) -> tuple[str, ...]:
@@ -131,7 +153,18 @@ _STAGE_CHOICES = (
     ),
     ("rigid", "Rigid model", "Inertias and friction from slow motion; no elasticity."),
 )
-_SNAPSHOT = "study.toml"
+_SNAPSHOT, _RESULT = "study.toml", "result.json"
+_READING_TIME = 0.1  # [s] of results in one answer
+_MAX_COLUMNS = 4  # of several parameters, unless the user chooses more
+_KEY_PARAMETERS = (
+    "gear_stiffness",
+    "link_inertia",
+    "inertia",
+    "motor_coulomb_friction",
+    "rigid_inertia",
+    "motor_viscous_friction",
+)
+"""The first of these that results have are the columns of the table."""
 
 
 @routes.page("/estimate/{study:path}")
@@ -151,9 +184,77 @@ def estimates(request: Request) -> object:
     reason = message_of(request, gate.reason)
     return {
         "gate": {"is_open": gate.is_open, "reason": reason, "state": gate.state},
-        "runs": [describe(run) for run in reversed(runs.all("identify"))],
         "name": runs.free_name("identify"),
+        **_table(request, runs),
     }
+
+
+def _table(request: Request, runs: Runs) -> dict[str, Any]:
+    """The newest runs with the parameters that the query names, or else the first key parameters.
+
+    Results are read for a limited time, the newest first; the others are `pending`.
+    """
+    listed = runs.all()
+    limit = time.monotonic() + _READING_TIME
+    readable = [run for run in reversed(listed) if run.commands]
+    summaries: dict[str, Summary] = {}
+    for run in readable:
+        if summaries and time.monotonic() > limit:
+            break
+        summaries[run.name] = summary_of(runs.path(run.name) / _RESULT)
+    units = {p.label: p.unit for one in summaries.values() for p in one.parameters.values()}
+    columns = [label for label in request.query_params.getlist("column") if label in units]
+    columns = columns or _key_columns(list(units))
+    rows: list[dict[str, Any]] = []
+    rig: Mapping[str, str] = {}
+    for run in listed:
+        summary = summaries.get(run.name, Summary())
+        row = _row(request, runs, run, summary)
+        row["cells"] = {each: _cell(summary.parameters.get(each)) for each in columns}
+        if summary.rig:
+            places = [each for each in summary.rig if summary.rig[each] != rig.get(each)]
+            row["rig"] = {each: summary.rig[each] for each in places if rig}
+            rig = summary.rig
+        rows.append(row)
+    pending = len(readable) - len(summaries)
+    shown = {"units": units, "columns": columns, "pending": pending, "total": runs.count()}
+    return shown | {"runs": rows[::-1]}
+
+
+def _key_columns(labels: list[str]) -> list[str]:
+    """The first of the key parameters, each with all joints."""
+    columns: list[str] = []
+    for name in _KEY_PARAMETERS:
+        group = [label for label in labels if f"{label} ".startswith(f"{name} ")]
+        if not columns or len(columns) + len(group) <= _MAX_COLUMNS:
+            columns += group
+    return columns
+
+
+def _row(request: Request, runs: Runs, run: Run, summary: Summary) -> dict[str, Any]:
+    """A run with what it leaves; a damaged one has its record alone."""
+    row = describe(run) | {"message": summary.fault, "report": "", "path": "", "rig": {}}
+    row |= {"worst": summary.worst_fit, "mean": summary.mean_fit}
+    given = arguments_of(run)
+    options = dict(text.partition("=")[::2] for text in given.set or ())
+    row |= {"options": summary.options or options, "stages": given.stages}
+    if run.state == "failed":
+        row["message"] = last_message(runs, run)
+    if run.commands:
+        folder = runs.path(run.name)
+        row["report"] = next((name for name in REPORTS if (folder / name).is_file()), "")
+        if summary.parameters:
+            row["path"] = workspace_of(request).relative(folder / _RESULT)
+    return row
+
+
+def _cell(parameter: Parameter | None) -> dict[str, Any] | None:
+    """A value with the half-width of its 95 % interval."""
+    if parameter is None or parameter.value is None:
+        return None
+    low, high = parameter.ci95 or (math.nan, math.nan)
+    value, half = plus_minus(parameter.value, (high - low) / 2.0)
+    return {"value": parameter.value, "text": value, "half": half, "low": low, "high": high}
 
 
 @routes.post("/api/estimate/{study:path}")
@@ -168,12 +269,15 @@ def start_estimate(request: Request, body: Body) -> object:
     arguments = option_arguments(options, path)
     runs = Runs(path)
     name = text_of(body, "name", "") or runs.free_name("identify")
-    folder = runs.prepare(name)
-    write_whole(folder, {_SNAPSHOT: snapshot(path).encode()})
+    files, note = {_SNAPSHOT: snapshot(path).encode()}, text_of(body, "note", "")
+    try:
+        runs.prepare(name)
+    except InvalidInput as error:
+        raise InvalidInput(error.problem, where="name", remedy=error.remedy) from error
     if body.get("figures") is True:
         arguments.append("--figures")
     command = ("identify", _SNAPSHOT, "--out", ".", "--stages", stages, *arguments)
-    return describe(runs.start(name, "identify", [command], text_of(body, "note", "")))
+    return describe(runs.start(name, "identify", [command], note, files))
 
 
 def snapshot(path: Path) -> str:

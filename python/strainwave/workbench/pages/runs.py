@@ -9,10 +9,11 @@ import asyncio
 import base64
 import hashlib
 import json
+import re
 import tempfile
 import zipfile
-from argparse import ArgumentParser
-from collections.abc import AsyncIterator
+from argparse import ArgumentError, ArgumentParser, Namespace
+from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
@@ -28,12 +29,14 @@ from starlette.responses import (
     StreamingResponse,
 )
 
+from strainwave.commands import command_texts
 from strainwave.errors import InvalidInput
 from strainwave.export import export_file
 from strainwave.report.document.blocks import page_scripts
-from strainwave.workbench.run_record import LOG, Run
-from strainwave.workbench.runs import RUN_FILES, Runs
+from strainwave.workbench.run_record import LOG, Kind, Run
+from strainwave.workbench.runs import MAX_LISTED, RUN_FILES, Runs
 from strainwave.workbench.security import report_policy
+from strainwave.workbench.supervisor import runs_ahead
 from strainwave.workbench.web import Body, Routes, message_of, page, study_of, text_of, workspace_of
 
 routes = Routes()
@@ -41,6 +44,11 @@ routes = Routes()
 _POLL = 0.15  # [s] between two looks at the log of a run
 _MAX_FOLLOWED = 200  # runs of one stream
 _MAX_LOG_BYTES = 1 << 20  # of the end of a log
+_MAX_MESSAGE_BYTES = 1 << 13  # of the end of a log, in a table
+_NO_MESSAGE = "It ended without a message: the system may have ended it for lack of memory."
+_FLAG = re.compile(r"--([a-z][a-z-]*)")
+REPORTS = ("report.html", "tune.html", "comparison.html")
+"""What a run may leave to read."""
 _EXPORTS = "exports"
 _MAX_ZIP = 4 << 30  # [bytes] of the files
 
@@ -51,8 +59,9 @@ def runs_of(request: Request) -> Runs:
 
 
 def describe(run: Run) -> dict[str, object]:
-    """A run for the pages."""
-    return {**asdict(run), "lines": run.lines}
+    """A run for the pages, with its duration so far [s] and its place in the queue."""
+    ahead = runs_ahead(run.group) if run.state == "waiting" else None
+    return {**asdict(run), "lines": run.lines, "seconds": run.seconds, "ahead": ahead}
 
 
 @routes.get("/api/runs/{study:path}")
@@ -67,10 +76,31 @@ def cancel_run(request: Request, body: Body) -> object:
     return describe(runs_of(request).cancel(text_of(body, "name")))
 
 
-@routes.post("/api/remove-run/{study:path}")
-def remove_run(request: Request, body: Body) -> object:
-    """Delete a run."""
-    runs_of(request).remove(text_of(body, "name"))
+@routes.post("/api/remove-runs/{study:path}")
+def remove_runs(request: Request, body: Body) -> object:
+    """Delete runs of any kind."""
+    return _each(request, body, Runs.remove)
+
+
+@routes.post("/api/tag-runs/{study:path}")
+def tag_runs(request: Request, body: Body) -> object:
+    """Set a tag of runs, or remove it."""
+    tag, is_set = text_of(body, "tag").strip(), body.get("is_set") is not False
+    return _each(request, body, lambda runs, name: runs.tag(name, tag, is_set=is_set))
+
+
+def _each(request: Request, body: Body, change: Callable[[Runs, str], None]) -> object:
+    """Change each of the runs named; those that cannot be changed give messages."""
+    runs, names, errors = runs_of(request), body.get("names"), []
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InvalidInput("no runs are named", remedy="tick at least one run")
+    for name in names[:MAX_LISTED]:
+        try:
+            change(runs, name)
+        except (InvalidInput, OSError) as error:
+            errors.append(message_of(request, error))
+    if errors:
+        raise InvalidInput(" ".join(errors).removesuffix("."))
     return {}
 
 
@@ -82,14 +112,16 @@ def show_log(request: Request) -> object:
 
 
 def _state(runs: Runs, run: Run) -> dict[str, object]:
-    progress, messages = log_lines(runs.path(run.name))
+    progress, messages = log_lines(runs.path(run.name), run.kind)
     return {"progress": progress[-1] if progress else None, "messages": messages[-40:]}
 
 
-def log_lines(folder: Path) -> tuple[list[dict[str, object]], list[str]]:
-    """Progress and messages of a run so far."""
+def log_lines(
+    folder: Path, kind: Kind, max_bytes: int = _MAX_LOG_BYTES
+) -> tuple[list[dict[str, object]], list[str]]:
+    """Progress and messages of a run so far, in the end of its log of a number of bytes."""
     progress, messages = [], []
-    for line in _end_of(folder / LOG).decode("utf-8", "replace").splitlines():
+    for line in _end_of(folder / LOG, max_bytes).decode("utf-8", "replace").splitlines():
         try:
             entry = json.loads(line)
         except ValueError:
@@ -97,17 +129,36 @@ def log_lines(folder: Path) -> tuple[list[dict[str, object]], list[str]]:
         if isinstance(entry, dict) and "activity" in entry:
             progress.append(entry)
         else:
-            messages.append(line)
+            messages.append(_in_terms_of_the_page(line, kind))
     return progress, messages
 
 
-def _end_of(path: Path) -> bytes:
+def last_message(runs: Runs, run: Run) -> str:
+    """Why a run failed."""
+    if not run.commands:  # damaged
+        return run.note
+    messages = log_lines(runs.path(run.name), run.kind, _MAX_MESSAGE_BYTES)[1]
+    return next((line for line in reversed(messages) if line.strip()), _NO_MESSAGE)
+
+
+def _in_terms_of_the_page(line: str, kind: Kind) -> str:
+    """A message that names a field of a form instead of an option of the command line."""
+
+    def title(match: re.Match[str]) -> str:
+        texts = command_texts().get(kind, {}).get(match[1], {})
+        return str(texts.get("title", match[0]))
+
+    line = line.removeprefix("strainwave: ").replace("--set ", "option ")
+    return _FLAG.sub(title, line)
+
+
+def _end_of(path: Path, max_bytes: int) -> bytes:
     """The end of a log of bounded size; nothing if it is missing, a link or no regular file."""
     if path.is_symlink() or not path.is_file():
         return b""
     with path.open("rb") as file:
-        file.seek(max(0, path.stat().st_size - _MAX_LOG_BYTES))
-        return file.read(_MAX_LOG_BYTES)
+        file.seek(max(0, path.stat().st_size - max_bytes))
+        return file.read(max_bytes)
 
 
 @routes.page("/api/run-events/{study:path}")
@@ -144,7 +195,7 @@ def _event(runs: Runs, name: str) -> tuple[Run, str]:
 def show_report(request: Request) -> Response:
     """An HTML file of a run for a frame, without access to the workbench."""
     name = request.query_params.get("file", "report.html")
-    path = _file_of_run(request, name)
+    path = file_of_run(request, request.query_params.get("run", ""), name)
     if path.suffix != ".html":
         raise InvalidInput("is not a page", where=name)
     headers = {"content-security-policy": report_policy(_script_hashes())}
@@ -154,12 +205,14 @@ def show_report(request: Request) -> Response:
 @routes.page("/download/{study:path}")
 def download(request: Request) -> Response:
     """A file of a run to save."""
-    path = _file_of_run(request, request.query_params.get("file", ""))
+    query = request.query_params
+    path = file_of_run(request, query.get("run", ""), query.get("file", ""))
     return FileResponse(path, filename=path.name, media_type="application/octet-stream")
 
 
-def _file_of_run(request: Request, name: str) -> Path:
-    runs, run = runs_of(request), request.query_params.get("run", "")
+def file_of_run(request: Request, run: str, name: str) -> Path:
+    """The path of a file of a run; raises InvalidInput if there is none, or if it is a link."""
+    runs = runs_of(request)
     workspace = workspace_of(request)
     path = workspace.resolve(workspace.relative(runs.path(run)) + f"/{name}")
     if not path.is_relative_to(runs.path(run)) or not path.is_file():
@@ -194,9 +247,17 @@ for _option in ("--stages", "--start", "--out"):
     _IDENTIFY.add_argument(_option)
 
 
+def arguments_of(run: Run) -> Namespace:
+    """Arguments of the last command of a run, as `identify` has them; others are left out."""
+    try:
+        return _IDENTIFY.parse_known_args(run.commands[-1][1:] if run.commands else ())[0]
+    except ArgumentError:  # written by hand
+        return _IDENTIFY.parse_args(())
+
+
 def python_script(run: Run) -> str:
     """A script that identifies the study again as a run did, in the run's folder."""
-    given, _ = _IDENTIFY.parse_known_args(run.commands[-1][1:])  # the script saves no figures
+    given = arguments_of(run)  # the script saves no figures
     study = Path(given.study).as_posix()
     keywords = [f"stages={given.stages.split(',')!r}"] if given.stages else []
     keywords += [f"options={given.set!r}"] if given.set else []
@@ -223,18 +284,18 @@ def _show_files(request: Request) -> Response:
 
 @routes.get("/api/files/{study:path}")
 def list_files(request: Request) -> object:
-    """Runs with their files, command lines and scripts, the newest first."""
+    """Runs, the newest first; one of them, by default the first, with its files and script."""
     runs = runs_of(request)
-    shown = []
-    for run in reversed(runs.all()):
-        folder = runs.path(run.name)
-        entries = [
-            {"name": p.relative_to(folder).as_posix(), "size": p.stat().st_size}
-            for p in _files(folder)
-        ]
-        script = python_script(run) if _is_repeatable(run) else ""
-        is_result = (folder / "result.json").is_file()
-        shown.append(describe(run) | {"files": entries, "script": script, "has_result": is_result})
+    listed = runs.all()[::-1]
+    chosen = request.query_params.get("run") or (listed[0].name if listed else "")
+    shown = [describe(run) for run in listed]
+    for run, row in zip(listed, shown, strict=True):
+        if run.name == chosen and run.commands:
+            folder = runs.path(run.name)
+            files = [(p.relative_to(folder).as_posix(), p.stat().st_size) for p in _files(folder)]
+            row["files"] = [{"name": name, "size": size} for name, size in files]
+            row["script"] = python_script(run) if _is_repeatable(run) else ""
+            row["has_result"] = (folder / "result.json").is_file()
     return shown
 
 
@@ -256,7 +317,6 @@ def export(request: Request, body: Body) -> object:
         raise InvalidInput(f"there is no format {form!r}", remedy=f"choose from: {formats}")
     run = runs.get(text_of(body, "name"))
     folder = runs.path(run.name)
-    (folder / _EXPORTS).mkdir(exist_ok=True)
     target = folder / _EXPORTS / EXPORT_FILES[form]
     written = export_file(folder / "result.json", target, form=form)
     warnings = [f"{w.where}: {w.message}" for w in written.warnings]
@@ -291,10 +351,19 @@ def download_zip(request: Request) -> Response:
     if size > _MAX_ZIP:
         raise InvalidInput(f"the run has {size >> 20} MiB", remedy="copy its folder")
     with tempfile.NamedTemporaryFile(suffix=".zip", delete=False) as file:
-        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-            for path in files:
-                archive.write(path, f"{run.name}/{path.relative_to(folder).as_posix()}")
         name = Path(file.name)
+        try:
+            with zipfile.ZipFile(
+                file,
+                "w",
+                zipfile.ZIP_DEFLATED,
+                strict_timestamps=False,  # some are before 1980
+            ) as archive:
+                for path in files:
+                    archive.write(path, f"{run.name}/{path.relative_to(folder).as_posix()}")
+        except OSError:  # no space
+            name.unlink()
+            raise
     remove = BackgroundTask(name.unlink, missing_ok=True)
     return FileResponse(
         name, filename=f"{run.name}.zip", media_type="application/zip", background=remove

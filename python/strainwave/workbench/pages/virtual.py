@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
@@ -12,17 +13,17 @@ from typing import Any, Literal
 from starlette.requests import Request
 from starlette.responses import Response
 
+from strainwave.api import read_result
 from strainwave.domain import Study
 from strainwave.domain.arm.gear_laws import is_slope
 from strainwave.domain.keys import Values, label_of
 from strainwave.errors import InvalidInput
-from strainwave.io.atomic_files import write_whole
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study, write_study
 from strainwave.virtual.experiments import derived
 from strainwave.virtual.scara import MAX_DISKS, SOFT
 from strainwave.workbench.pages.by_hand import parameter_document
-from strainwave.workbench.pages.runs import describe
+from strainwave.workbench.pages.runs import describe, file_of_run
 from strainwave.workbench.runs import Runs
 from strainwave.workbench.web import Body, Routes, page, study_of, workspace_of
 
@@ -121,19 +122,18 @@ def estimates_against_truth(study_path: Path, result: Path, truth: Path) -> list
     """Each parameter of a result with its true value and its error."""
     values = derived(read_parameters(truth), read_study(study_path).arm)
     rows = []
-    for entry in json.loads(result.read_bytes())["parameters"]:
-        key = entry["name"], entry["joint"]
-        if key not in values:
+    for each in read_result(result):
+        if each.key not in values:
             continue
-        true, value, std = values[key], entry["value"], entry["std"]
+        true, value, std = values[each.key], each.value, each.std
         error = None if value is None else value - true
         rows.append(
             {
-                "label": label_of(*key),
-                "unit": entry["unit"],
+                "label": label_of(*each.key),
+                "unit": each.unit,
                 "true": true,
                 "value": value,
-                "ci95": entry["ci95"],
+                "ci95": each.ci95,
                 "percent": 100.0 * error / abs(true) if error is not None and true else None,
                 "stds": error / std if error is not None and std else None,
             }
@@ -162,21 +162,20 @@ def record_and_identify(request: Request, body: Body) -> object:
             break
     try:
         rig = virtual_rig(body, folder)
-    except InvalidInput:
-        folder.rmdir()
+        runs = Runs(folder / "study.toml")
+        run_folder = runs.prepare(_RUN)
+        write_study(rig.study, folder / "study.toml")
+        write_study(rig.study, run_folder / _RIG)
+        truth = json.dumps(parameter_document(rig.values), indent=1)
+        simulate = ["simulate", _RIG, "--parameters", _TRUTH, "--out", "../.."]
+        commands = [
+            simulate if rig.has_noise else [*simulate, "--ideal"],
+            ["identify", "../../study.toml", "--out", "."],
+        ]
+        run = runs.start(_RUN, "virtual", commands, files={_TRUTH: truth.encode()})
+    except (InvalidInput, OSError):
+        shutil.rmtree(folder, ignore_errors=True)
         raise
-    runs = Runs(folder / "study.toml")
-    run_folder = runs.prepare(_RUN)
-    write_study(rig.study, folder / "study.toml")
-    write_study(rig.study, run_folder / _RIG)
-    truth = json.dumps(parameter_document(rig.values), indent=1)
-    write_whole(run_folder, {_TRUTH: truth.encode()})
-    simulate = ["simulate", _RIG, "--parameters", _TRUTH, "--out", "../.."]
-    commands = [
-        simulate if rig.has_noise else [*simulate, "--ideal"],
-        ["identify", "../../study.toml", "--out", "."],
-    ]
-    run = runs.start(_RUN, "virtual", commands)
     return describe(run) | {"study": workspace.relative(folder / "study.toml")}
 
 
@@ -184,10 +183,6 @@ def record_and_identify(request: Request, body: Body) -> object:
 def show_result(request: Request) -> object:
     """Estimates, true values and verdict of a finished run."""
     path = study_of(request)
-    folder = Runs(path).path(_RUN)
-    result = folder / "result.json"
-    if not result.is_file():
-        raise InvalidInput("the run has no result", where=path.name)
-    rows = estimates_against_truth(path, result, folder / _TRUTH)
-    document = json.loads(result.read_bytes())
-    return {"rows": rows, "status": document["status"], "run": _RUN}
+    result, truth = (file_of_run(request, _RUN, name) for name in ("result.json", _TRUTH))
+    rows = estimates_against_truth(path, result, truth)
+    return {"rows": rows, "status": read_result(result).status, "run": _RUN}

@@ -19,6 +19,10 @@ async function showSignal(places) {
   await draw(byId("signal"), figure);
 }
 
+const evidence = (one) => make("li", {}, `${one.text} (${one.where.join(", ")}): ${one.measured}, expected ${one.expected}`);
+// "joint-0-gear_ratio" as people read it
+const fieldTitle = (id) => id.split("-").map((part) => (/^\d+$/.test(part) ? Number(part) + 1 : part)).join(" ");
+
 function relationRow(relation) {
   const hasSignal = relation.places.some((place) => place.channel);
   const name = hasSignal
@@ -33,9 +37,10 @@ function relationRow(relation) {
 }
 
 function suspicionBox(suspicion, index) {
-  const box = make("div", { class: "callout bad" },
-    make("p", {}, make("strong", {}, `${suspicion.code}, ${suspicion.where}: `), suspicion.message),
-    make("p", {}, suspicion.remedy));
+  const box = make("section", {},
+    make("h2", { class: "bad" }, `${suspicion.code}: ${suspicion.where}`),
+    make("p", {}, suspicion.message), make("ul", { "aria-label": "Evidence" }, ...suspicion.evidence.map(evidence)),
+    make("p", {}, make("strong", {}, "Remedy: "), suspicion.remedy));
   const controls = make("div", { class: "row" });
   if (suspicion.lines.length) {
     const button = make("button", { type: "button", class: "remedy" }, "Apply the remedy");
@@ -45,6 +50,8 @@ function suspicionBox(suspicion, index) {
   const look = make("button", { type: "button" }, "Show the signal");
   onClick(look, () => showSignal(suspicion.places));
   if (suspicion.places.some((place) => place.channel)) controls.append(look);
+  controls.append(...suspicion.fields.map((id) =>
+    make("a", { class: "button", href: `/study/${address(study)}#field-${id}` }, `Study: ${fieldTitle(id)}`)));
   box.append(controls);
   return box;
 }
@@ -57,11 +64,16 @@ function show(gate) {
   byId("go").hidden = !gate.is_open;
   byId("override").hidden = gate.state !== "suspected";
   byId("suspected").replaceChildren(...(check?.suspected ?? []).map(suspicionBox));
-  byId("relations").replaceChildren(...(check?.relations ?? []).map(relationRow));
+  const [bad, good] = [false, true].map((isGood) => (check?.relations ?? []).filter((one) => one.consistent === isGood));
+  byId("contradictions").replaceChildren(...bad.map(relationRow));
+  byId("contradicting").hidden = !bad.length;
+  byId("relations").replaceChildren(...good.map(relationRow));
+  byId("passed").hidden = !good.length;
+  byId("passed-count").textContent = `${good.length} relations agree`;
   const warnings = (check?.warnings ?? []).map((one) => make("li", {}, make("strong", {}, `${one.where}: `), one.message));
   byId("warnings").replaceChildren(...(warnings.length || !check ? warnings : [make("li", { class: "faint" }, "none")]));
-  const first = (check?.suspected ?? [])[0] ?? (check?.relations ?? []).find((one) => one.places.some((p) => p.channel));
-  if (first) act(null, () => showSignal(first.places));
+  const first = check?.suspected.length ? check.suspected[0].places : check?.relations.find((one) => one.places.some((p) => p.channel))?.places;
+  if (first) act(null, () => showSignal(first));
 }
 
 onClick(byId("check"), async () => show(await postJson(api("check"))));

@@ -7,7 +7,7 @@ export const byId = (id) => document.getElementById(id);
 async function request(path, options) {
   const response = await fetch(path, options);
   const value = await response.json().catch(() => ({ error: `the server answered ${response.status}` }));
-  if (!response.ok) throw new Error(value.error);
+  if (!response.ok) throw Object.assign(new Error(value.error), { where: value.where }); // a field
   return value;
 }
 

@@ -1,39 +1,37 @@
 // Page "Design": plan experiments and design servos through the command line.
 import { act, address, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
 import { draw } from "./figures.js";
-import { follow, isActive } from "./run_events.js";
+import { isActive } from "./run_events.js";
+import { badge, copyText, duration, ofRun, progressOf, removeRuns, showRows } from "./runs.js";
 
 const api = (name) => `/api/${name}/${address(study)}`;
-const of = (run, file) => `${address(study)}?run=${encodeURIComponent(run)}&file=${encodeURIComponent(file)}`;
-const MARKS = { done: "good", failed: "bad", cancelled: "doubt", interrupted: "doubt" };
 const PANEL = 160; // [px]
 let shownRun = null;
 
 async function refresh(open) {
   const designs = await getJson(api("designs"));
   byId("none").hidden = designs.length > 0;
-  byId("designs").replaceChildren(...designs.map(designRow));
+  byId("table").hidden = designs.length === 0;
+  showRows(byId("designs"), designs.map(designRow), byId("designs-title"));
   const wanted = designs.find((one) => one.name === open);
   if (wanted && !isActive(wanted)) await show(wanted);
 }
 
 function designRow(run) {
-  const actions = make("div", { class: "row" });
-  const progress = make("span", { class: "faint" });
-  if (isActive(run)) {
-    const cancel = make("button", { type: "button" }, "Cancel");
-    onClick(cancel, async () => { await postJson(api("cancel-run"), { name: run.name }); });
-    actions.append(cancel);
-    follow(run.name, (event) => { progress.textContent = event.progress?.activity ?? event.state; },
-      () => act(null, () => refresh(run.name)));
-  } else {
-    const look = make("button", { type: "button", "aria-label": `Show ${run.name}` }, "Show");
-    onClick(look, () => show(run));
-    actions.append(look);
-  }
+  const note = isActive(run) ? progressOf(run, () => act(null, () => refresh(run.name))) : run.state === "failed" ? run.messages.at(-1) : "";
+  const button = (text, action) => {
+    const element = make("button", { type: "button", "aria-label": `${text} ${run.name}`, "data-key": `${text === "Show" ? "open" : text} ${run.name}` }, text);
+    onClick(element, action);
+    return element;
+  };
+  const actions = isActive(run) ? [] : [
+    button("Show", () => show(run)),
+    button("Copy the command line", () => copyText(run.lines.join("\n"), "The command line")),
+    button("Delete", async () => { if (await removeRuns([run.name])) await refresh(); }),
+  ];
   return make("tr", { "data-run": run.name, "data-state": run.state },
-    make("th", { scope: "row" }, run.name), make("td", {}, make("span", { class: `badge ${MARKS[run.state] ?? ""}` }, run.state)),
-    make("td", {}, make("code", {}, run.lines[0]), make("br"), progress), make("td", {}, actions));
+    make("th", { scope: "row" }, run.name), make("td", {}, badge(run)), make("td", { class: "number seconds" }, duration(run.seconds)),
+    make("td", { class: isActive(run) ? null : "bad" }, note), make("td", {}, make("div", { class: "row" }, ...actions)));
 }
 
 async function show(run) {
@@ -41,12 +39,12 @@ async function show(run) {
   byId("shown").hidden = false;
   byId("shown-title").textContent = run.name;
   byId("messages").textContent = run.messages.join("\n");
-  byId("files").replaceChildren(...run.files.map((file) => make("a", { class: "button", href: `/download/${of(run.name, file)}` }, file)),
-    ...(run.files.length ? [make("a", { class: "button", href: `/zip/${address(study)}?run=${encodeURIComponent(run.name)}` }, "all as .zip")] : []));
+  byId("files").replaceChildren(...run.files.map((file) => make("a", { class: "button", href: ofRun("download", run.name, file) }, file)),
+    ...(run.files.length ? [make("a", { class: "button", href: ofRun("zip", run.name) }, "all as .zip")] : []));
   const plans = run.files.filter((file) => file.startsWith("apply-") && file.endsWith(".csv"));
   byId("plan").hidden = plans.length === 0;
   byId("tuned").hidden = !run.files.includes("tune.html");
-  if (run.files.includes("tune.html")) byId("tuned").src = `/report/${of(run.name, "tune.html")}`;
+  if (run.files.includes("tune.html")) byId("tuned").src = ofRun("report", run.name, "tune.html");
   if (!plans.length) return;
   byId("plan-file").replaceChildren(...plans.map((file) => make("option", {}, file)));
   await showPlan();

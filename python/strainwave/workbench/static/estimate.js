@@ -1,98 +1,61 @@
-// Page "Estimate": start runs, follow and cancel them, choose order and horizon.
+// Page "Estimate": the form of a run, and order and horizon; results.js has the table of results.
 import { act, address, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
 import { draw } from "./figures.js";
-import { follow, isActive } from "./run_events.js";
+import { refresh, showReport } from "./results.js";
 
 const api = (name) => `/api/${name}/${address(study)}`;
-const WAITING = { waiting: "waiting for another run", running: "starting" };
-const MARKS = { determined: "good", "partly-determined": "doubt", "not-determined": "bad", "inconsistent-input": "bad" };
-
-function button(text, action, attributes = {}) {
-  const element = make("button", { type: "button", ...attributes }, text);
-  onClick(element, action);
-  return element;
-}
-
-function showReport(name) {
-  byId("report").hidden = false;
-  byId("report-title").textContent = `Report of ${name}`;
-  byId("report-frame").src = `/report/${address(study)}?run=${encodeURIComponent(name)}`;
-  byId("report").scrollIntoView();
-}
-
-function progressCell(run) {
-  const bar = make("progress", { max: "1", value: "0", "aria-label": `Progress of ${run.name}` });
-  const text = make("span", { class: "faint" }, WAITING[run.state]);
-  follow(run.name, (event) => {
-    if (event.progress?.fraction != null) bar.value = event.progress.fraction;
-    text.textContent = event.progress?.activity ?? WAITING[event.state] ?? event.state;
-    const row = bar.closest("tr");
-    if (!row || !isActive(event)) return;
-    row.dataset.state = row.querySelector(".badge").textContent = event.state;
-  }, () => act(null, refresh));
-  return make("td", {}, bar, text);
-}
-
-function endCell(run) {
-  const lines = run.lines.map((line) => make("code", {}, line));
-  const messages = run.note ? [make("p", { class: "faint" }, run.note)] : [];
-  if (run.state === "failed") {
-    const log = make("p", { class: "bad", "data-log": run.name });
-    getJson(api("run-log"), { name: run.name }).then((read) => { log.textContent = read.messages.join("\n"); });
-    messages.push(log);
-  }
-  return make("td", {}, ...lines, ...messages);
-}
-
-function runRow(run) {
-  const state = run.status ?? run.state;
-  const mark = MARKS[run.status] ?? { failed: "bad", interrupted: "doubt", cancelled: "doubt" }[run.state] ?? "";
-  const actions = make("div", { class: "row" });
-  if (isActive(run)) {
-    actions.append(button("Cancel", async () => { await postJson(api("cancel-run"), { name: run.name }); await refresh(); }));
-  } else {
-    if (run.status) actions.append(button("Report", () => showReport(run.name), { "aria-label": `Report of ${run.name}` }));
-    actions.append(button("Delete", async () => {
-      if (!window.confirm(`Delete the run ${run.name} and its files?`)) return;
-      await postJson(api("remove-run"), { name: run.name });
-      await refresh();
-    }, { "aria-label": `Delete ${run.name}` }));
-  }
-  return make("tr", { "data-run": run.name, "data-state": run.state },
-    make("th", { scope: "row" }, run.name),
-    make("td", {}, make("span", { class: `badge ${mark}` }, state)),
-    make("td", {}, run.created ? new Date(run.created).toLocaleString() : ""),
-    isActive(run) ? progressCell(run) : endCell(run), make("td", {}, actions));
-}
-
+const fields = [...document.querySelectorAll("[data-option]")];
 let isNamed = false; // whether the user has typed the name of the next run
-byId("name").addEventListener("input", () => { isNamed = true; });
 
-async function refresh() {
-  const { gate, runs, name } = await getJson(api("estimate"));
+async function update() {
+  const { gate, name } = await refresh();
   byId("gate").textContent = gate.reason;
-  byId("gate").className = `callout ${{ consistent: "good", overridden: "doubt", suspected: "bad", invalid: "bad" }[gate.state] ?? ""}`;
+  byId("gate").className = gate.is_open ? `badge ${gate.state === "consistent" ? "good" : "doubt"}` : `callout ${gate.state === "unchecked" ? "" : "bad"}`;
   if (!gate.is_open) byId("gate").append(" ", make("a", { href: `/check/${address(study)}` }, "Open the page Check."));
   byId("start").disabled = !gate.is_open;
   if (!isNamed) byId("name").value = name;
-  byId("none").hidden = runs.length > 0;
-  byId("runs").replaceChildren(...runs.map(runRow));
+}
+
+function markChanged(field) {
+  field.closest(".field").classList.toggle("changed", field.value !== "");
+  field.removeAttribute("aria-invalid");
+  byId(`fault-${field.id}`).textContent = "";
+  const changed = fields.filter((one) => one.value !== "").length;
+  byId("changed").textContent = changed ? `${changed} changed` : "";
+}
+
+// Show why the run was refused at its field.
+function refuse(error) {
+  const field = error.where === "name" ? byId("name") : byId(`option-${error.where}`);
+  if (!field) throw error;
+  for (const closed of [byId("options"), field.closest("details")]) if (field.dataset.option) closed.open = true;
+  field.setAttribute("aria-invalid", "true");
+  byId(`fault-${field.id}`).textContent = error.message;
+  field.focus();
 }
 
 byId("settings").addEventListener("submit", (event) => {
   event.preventDefault();
   act(byId("start"), async () => {
-    const options = {};
-    for (const field of document.querySelectorAll("[data-option]")) options[field.dataset.option] = field.value;
+    const options = Object.fromEntries(fields.map((field) => [field.dataset.option, field.value]));
     if (byId("order").value) options["statespace.order"] = byId("order").value;
     if (byId("horizon").value) options["statespace.horizon"] = byId("horizon").value;
-    const stages = new FormData(byId("settings")).get("stages");
-    await postJson(api("estimate"), { name: byId("name").value, stages, options, figures: byId("figures").checked });
+    const { value: stages } = byId("settings").elements.stages;
+    try {
+      const run = await postJson(api("estimate"), { name: byId("name").value, stages, options, figures: byId("figures").checked });
+      showMessage(`${run.name} has started.`);
+    } catch (error) { refuse(error); return; }
     isNamed = false;
-    showMessage("The run has started.");
-    await refresh();
+    await update();
   });
 });
+byId("name").addEventListener("input", () => {
+  isNamed = true;
+  byId("name").removeAttribute("aria-invalid");
+  byId("fault-name").textContent = "";
+});
+for (const field of fields) field.addEventListener("input", () => markChanged(field));
+byId("reset").addEventListener("click", () => { for (const field of fields) { field.value = ""; markChanged(field); } });
 
 let orders = [];
 async function showOrder() {
@@ -120,4 +83,4 @@ byId("order-plot").addEventListener("click", () => {
   if (point) byId("order").value = Math.min(Math.max(point.x, 2), 10);
 });
 
-act(null, refresh);
+act(null, async () => { await update(); await showReport(); });

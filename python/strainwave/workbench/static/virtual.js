@@ -1,8 +1,8 @@
 // Page "Virtual arm": set, record, identify, and compare with the truth.
 import { act, address, byId, getJson, make, onClick, postJson } from "./client.js";
 import { follow } from "./run_events.js";
+import { MARKS, activity, duration } from "./runs.js";
 
-const MARKS = { determined: "good", "partly-determined": "doubt" };
 const STEPS = 2; // commands of a run: simulate, identify
 let running = null;
 
@@ -52,11 +52,11 @@ async function start() {
   byId("bar").value = 0;
   await new Promise((resolve) => follow(run.name, (event) => {
     const isIdentifying = event.progress?.fraction != null;
-    byId("activity").textContent = event.progress?.activity ?? event.state;
+    byId("activity").textContent = `${activity(event)}, ${duration(event.seconds)}`;
     if (isIdentifying) byId("bar").value = (1 + event.progress.fraction) / STEPS;
   }, async (event) => {
     byId("cancel").hidden = true;
-    byId("activity").textContent = event.state === "done" ? `in ${run.study.replace("/study.toml", "")}` : `${event.state}: ${event.messages.at(-1) ?? ""}`;
+    byId("activity").textContent = event.state === "done" ? `in ${run.study.replace("/study.toml", "")}` : `${event.state}: ${event.messages?.at(-1) ?? event.note}`;
     byId("bar").value = 1;
     if (event.state === "done") await act(null, () => showResult(run.study));
     resolve();
