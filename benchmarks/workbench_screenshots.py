@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from benchmarks.bench_workbench import chromium, serve
 from strainwave.workbench.runs import Runs
-from strainwave.workbench.web import TABS
+from strainwave.workbench.web import PAGE_TABS, STUDY_TABS
 from strainwave.workbench.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -33,8 +33,8 @@ def main() -> None:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     study = _study_with_run(options.folder)
-    pages = {"studies": "/", "import": "/import", "virtual": "/virtual"}
-    pages |= {key: f"/{key}/{study}" for key, _ in TABS}
+    pages = {key or "studies": f"/{key}" for key, _, _ in PAGE_TABS}
+    pages |= {key: f"/{key}/{study}" for key, _, _ in STUDY_TABS}
     with serve(options.folder) as link, _browser() as browser:
         url = link.partition("/?")[0]
         for scheme in ("light", "dark"):

@@ -17,6 +17,7 @@ from strainwave.workbench.pages import (
     compare,
     design,
     estimate,
+    help,
     home,
     runs,
     signals,
@@ -27,7 +28,7 @@ from strainwave.workbench.security import Guard, allowed_hosts
 from strainwave.workbench.web import HANDLED, HERE, error_response
 from strainwave.workbench.workspace import Workspace
 
-_PAGES = (home, study, check, signals, estimate, compare, by_hand, design, virtual, runs)
+_PAGES = (home, help, study, check, signals, estimate, compare, by_hand, design, virtual, runs)
 ROUTES = [route for page in _PAGES for route in page.routes]
 
 

@@ -25,17 +25,23 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 MAX_BODY = 4 << 20  # [bytes] of a JSON request
 
-# (title, address) of the pages of one study, in the order of the work
-TABS = (
-    ("study", "Study"),
-    ("check", "Check"),
-    ("signals", "Signals"),
-    ("estimate", "Estimate"),
-    ("compare", "Compare"),
-    ("by-hand", "By hand"),
-    ("design", "Design"),
-    ("files", "Files"),
+PAGE_TABS = (
+    ("", "Studies", "H"),
+    ("import", "Import logs", "I"),
+    ("virtual", "Virtual arm", "V"),
 )
+"""Address, title, and letter of the keyboard, of the pages of the folder."""
+STUDY_TABS = (
+    ("study", "Study", "S"),
+    ("check", "Check", "C"),
+    ("signals", "Signals", "L"),
+    ("estimate", "Estimate", "E"),
+    ("compare", "Compare", "P"),
+    ("by-hand", "By hand", "B"),
+    ("design", "Design", "D"),
+    ("files", "Files", "F"),
+)
+"""The same of the pages of one study, in the order of the work."""
 
 Body = Mapping[str, Any]
 Answer = TypeVar("Answer", bound=Callable[..., Any])
@@ -63,13 +69,17 @@ def page(request: Request, template: str, title: str, **values: Any) -> HTMLResp
     A page of a study gets the tabs of all pages; `study` and `workspace` are its template values.
     """
     study = request.path_params.get("study")
+    key = request.url.path.split("/")[1]
+    tabs = STUDY_TABS if study else PAGE_TABS
+    topic = key if key and any(key == tab[0] for tab in tabs) else "studies"
     text = (
         _templates()
         .get_template(f"{template}.html.j2")
         .render(
             title=title,
             study=study,
-            tabs=TABS,
+            tabs=tabs,
+            topic=topic,
             path=request.url.path,
             folder=workspace_of(request).folder.name,
             version=__version__,

@@ -32,6 +32,9 @@ from strainwave.workbench.workspace import check_name, is_runs_folder, study_at
 
 routes = Routes()
 
+MARKS = {"determined": "good", "partly-determined": "doubt", "not-determined": "bad"}
+"""Colour of the status of a result."""
+
 
 @routes.page("/")
 def show_home(request: Request) -> Response:
@@ -59,8 +62,9 @@ def _row(request: Request, name: str) -> dict[str, Any]:
         description, is_valid = message_of(request, error), False
     finished = [run for run in runs if run.kind == "identify" and run.state == "done"]
     status = (finished[-1].status or "no result") if finished else ""
-    row = {"path": name, "description": description, "is_valid": is_valid}
-    return row | {"runs": len(runs), "status": status}
+    row = {"path": name, "description": description, "is_valid": is_valid, "runs": len(runs)}
+    latest = finished[-1].ended if finished else None
+    return row | {"status": status, "mark": MARKS.get(status, ""), "ended": (latest or "")[:10]}
 
 
 LOG_SUFFIXES = (*TABLE_SUFFIXES, *BAG_SUFFIXES)
