@@ -96,8 +96,7 @@ def _gear(
         value = usual[parameter.name]
         if parameter.is_slope:
             value = last = known.get(parameter.name, last)
-        if parameter.above in known:
-            value = max(value, _KNEE_RATIO * known[parameter.above])
+        value = max(value, _KNEE_RATIO * known.get(parameter.above or "", 0.0))
         for other in law.parameters:
             if other.above == parameter.name and other.name in known:
                 value = min(value, known[other.name] / _KNEE_RATIO)
@@ -137,12 +136,12 @@ def _nearest_links(known: Values, arm: ArmDescription) -> Values:
         * over_bodies(link_inertia(arm, i))
         for i in numbers
     }
-    facts = {key: {key: 1.0} for key in base.links}
+    facts: dict[Key, Row] = {key: {key: 1.0} for key in base.links}
     facts |= {key: row for key, row in reported(arm).items() if key[0] == LINK_INERTIA}
     facts |= {column.key: column.parts for column in base.columns}
     rows, targets, sizes = list[FloatArray](), list[float](), list[tuple[str, int | None]]()
     loose, loose_targets = list[FloatArray](), list[float]()  # with the share of a motor
-    for key in facts.keys() & known.keys():
+    for key in (key for key in facts if key in known):
         motors = {k: w for k, w in facts[key].items() if k[0] == MOTOR_INERTIA}
         row = over_bodies({k: w for k, w in facts[key].items() if k not in motors})
         target = known[key] - sum(w * known.get(motor, 0.0) for motor, w in motors.items())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -17,45 +17,36 @@ from starlette.responses import Response
 from strainwave.domain import (
     ComplexArray,
     FloatArray,
-    FrictionTerm,
     Log,
-    Parameter,
     Prediction,
-    Signals,
     Study,
     channel_parts,
 )
-from strainwave.domain.arm.assumed_values import OF_LINKS, AssumedValues, assume_missing
-from strainwave.domain.arm.combinations import value_of
+from strainwave.domain.arm.assumed_values import AssumedValues, assume_missing
 from strainwave.domain.arm.description import ArmDescription, unit_in
-from strainwave.domain.arm.effects import effect_named
 from strainwave.domain.arm.kinds.base import LINK_PARAMETERS
 from strainwave.domain.arm.link_sensors import constant_of
 from strainwave.domain.arm.parameter_table import ParameterDescription, base_name, record_of
 from strainwave.domain.arm.parameters import parameter_descriptions
 from strainwave.domain.keys import Key, Values, label_of
-from strainwave.domain.results.estimates import is_physical
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import resonance
-from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
+from strainwave.errors import InvalidInput
 from strainwave.export.linear_models import joint_model
 from strainwave.export.source import IdentifiedArm
 from strainwave.identification.closed_loop import restrict_to_values
 from strainwave.identification.joint_model.agreement import motor_response
-from strainwave.identification.validation import predict_torques
-from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.identification.whole_arm.records.preparation import (
-    cutoff_of,
-    dataset_of,
-    lengthen_steps,
+from strainwave.identification.trial_values import (
+    MotionWindow,
+    TorqueWindow,
+    starting_values,
+    window_of,
 )
-from strainwave.io.atomic_files import write_whole
-from strainwave.io.parameters import read_assumptions, read_parameters
-from strainwave.io.results import response_of, stage_estimates_of
+from strainwave.io.atomic_files import read_json, write_whole
+from strainwave.io.results import response_of
 from strainwave.report.document.predictions import prediction_figure
 from strainwave.report.figures.curves import Curve, bode
 from strainwave.report.plotly_backend import plotly
-from strainwave.signals.motor import SignalOptions, motion_bands, prepare_motor_signals
 from strainwave.signals.recorded_input import missing_motor_signal
 from strainwave.workbench.pages.check import require_open
 from strainwave.workbench.pages.estimate import snapshot
@@ -67,36 +58,9 @@ from strainwave.workbench.workspace import check_name, fingerprint, log_of, stud
 _MAX_POINTS = 600  # of a line
 _DECADES = 1.0  # of a Bode plot below the anti-resonance and above the resonance
 _N_FREQUENCIES = 160
-_DEFAULT_RESONANCE_HZ = 30.0  # where no joint has a linear model
 _RANGE_DECADES = 1.0  # of a slider on either side of its start
 _ZERO_RANGE = 0.1  # of a slider that starts at zero, over the largest value of its unit
-_SIGNAL_BAND = 4.0  # of motor signals over the compared band
-_SAMPLES_PER_PERIOD = 8.0  # of the band of motor signals
-_MIN_MOTION_TO_NOISE = 3.0  # a channel with less has no fit
-_MIN_MOTION_SHARE = 0.02  # of the largest motion of a channel of its kind
 _LINK_NAMES = frozenset(f"link_{name}" for name in LINK_PARAMETERS)
-_OF_STAGE = "an estimate that the verdict of the result does not confirm"
-_OF_RIGID = "the smallest value with which the rigid model fits the records"
-
-
-def starting_values(study: Study, file: Path) -> AssumedValues:
-    """Values of all parameters from a result or a parameter file, also where it has none."""
-    given = read_parameters(file)
-    document = json.loads(file.read_bytes())
-    entries = document.get("parameters") or ()
-    known = {(p["name"], p.get("joint")) for p in entries if p.get("value") is not None}
-    values, reasons = dict(given), dict[Key, str]()
-    if "stages" in document:
-        reasons = dict.fromkeys(given.keys() - known, OF_LINKS)  # `standard_parameters`
-        for table, reason in (
-            (stage_estimates_of(document), _OF_STAGE),
-            (read_assumptions(file), _OF_RIGID),
-        ):
-            added = {k: v for k, v in table.items() if k not in values and is_physical(k[0], v)}
-            values |= added
-            reasons |= dict.fromkeys(added, reason)
-    assumed = assume_missing(values, restrict_to_values(Arm.of(study.arm), values))
-    return AssumedValues(assumed.values, {**assumed.reasons, **reasons})
 
 
 def sliders(study: Study, start: AssumedValues, record: str) -> list[dict[str, Any]]:
@@ -170,124 +134,28 @@ class Shown:
     experiment: str
     window: tuple[float, float]  # [s]
     channels: tuple[str, ...] = ()  # empty: all
-    bandwidth_hz: float | None = None  # of the torques of rigid joints; None: that of the motion
+    band_hz: float = 0.0  # of the torques of rigid joints; 0: that of the motion
 
 
 def simulate(shown: Shown, given: Values) -> Prediction:
-    """Simulate a record with given parameters; link sensors without their bias.
+    """Simulate a record with given parameters; `trial_values` tells what is compared.
 
-    Behind rigid gears the torques of the motors are predicted from the measured motion: a motion
-    that is simulated from torques drifts away under gravity. Raises NotIdentifiable with a sentence
-    if these values cannot be simulated, and InvalidInput if the record cannot be compared.
+    Raises NotIdentifiable with a sentence if these values cannot be simulated, and InvalidInput if
+    the record cannot be compared.
     """
     stamp, keys = fingerprint(shown.path), frozenset(given)
-    arm = restrict_to_values(Arm.of(study_at(shown.path).arm), given)
-    values = assume_missing(given, arm).values
-    if not any(joint.elastic for joint in arm.joints):
-        return _predict_torques(shown, stamp, arm, values)
-    record = _prepared(shown.path, stamp, shown.experiment, shown.window, keys)
-    kinds = np.array([channel_parts(name)[0] for name in record.channel_names])
-    motion = record.measured.std(axis=0)
-    # a channel with little motion of its kind only reacts to the motion of others
-    largest = np.array([motion[kinds == kind].max() for kind in kinds])
-    rests = motion < np.maximum(_MIN_MOTION_TO_NOISE * record.noise, _MIN_MOTION_SHARE * largest)
-    columns = [k for k, name in enumerate(record.channel_names) if name in shown.channels]
-    columns = columns or list(range(len(kinds)))
-    record = replace(
-        record,
-        channels=tuple(record.channels[k] for k in columns),
-        measured=record.measured[:, columns],
-        step_error_correction=record.step_error_correction[:, columns],
-    )
-    try:
-        simulated, _ = record.linearise(values, record.start(), ())
-    except (NumericalFailure, InvalidInput) as error:
-        raise NotIdentifiable(f"these values cannot be simulated: {error}") from error
-    if not np.all(np.isfinite(simulated)):
-        raise NotIdentifiable("these values cannot be simulated: the motion grows without limit")
-    measured = record.advance_measured(values)
-    residual = measured - simulated
-    of_link = kinds[columns] != "omega_m"  # a sensor on the link has a bias
-    residual[:, of_link] -= residual[:, of_link].mean(axis=0)
-    errors = np.sqrt(np.mean(residual**2, axis=0))
-    fits = 100.0 * (1.0 - errors / np.where(rests[columns], np.nan, motion[columns]))
-    return Prediction(
-        shown.experiment,
-        record.time,
-        tuple(record.channel_names),
-        measured,
-        measured - residual,
-        dict(zip(record.channel_names, fits.tolist(), strict=True)),
-    )
-
-
-def _predict_torques(shown: Shown, stamp: str, arm: Arm, values: Values) -> Prediction:
-    """Torques of the motors behind rigid gears."""
-    signals, bandwidth = _motion(
-        shown.path, stamp, shown.experiment, shown.window, shown.bandwidth_hz
-    )
-    solution = [value_of(column.parts, values) for column in arm.rigid_columns]
-    terms = []
-    for number, joint in enumerate(arm.joints, start=1):
-        for effect in map(effect_named, joint.named_effects):
-            size, *shape = (values[name, number] for name in effect.names)
-            of_size = Parameter(effect.sizes[0], number, size, None, "", "rigid")
-            terms.append(FrictionTerm(effect.name, number, of_size, shape[0] if shape else 0.0))
-    return predict_torques(np.array(solution), signals, arm, bandwidth, terms)
-
-
-@lru_cache(maxsize=6)
-def _motion(
-    path: Path,
-    _stamp: str,
-    experiment: str,
-    window: tuple[float, float],
-    bandwidth_hz: float | None,
-) -> tuple[Signals, float]:
-    """Motor signals of a window of a record at a low rate, and the bandwidth [Hz] to compare."""
-    log, arm = _cut(log_of(path, experiment), window), Arm.of(study_at(path).arm)
-    signals = prepare_motor_signals(log, arm)
-    if bandwidth_hz is None:
-        bands = motion_bands(signals.motor_angle, signals.sample_time, slow=True)
-        bandwidth_hz = max(bands, default=signals.bandwidth_hz)
-    bandwidth = min(bandwidth_hz, signals.bandwidth_hz)
-    wide = SignalOptions(bandwidth_hz=min(_SIGNAL_BAND * bandwidth, signals.bandwidth_hz))
-    signals = prepare_motor_signals(log, arm, wide)
-    step = max(1, int(1.0 / (_SAMPLES_PER_PERIOD * signals.bandwidth_hz * signals.sample_time)))
-    arrays = {
-        field.name: value[::step]
-        for field in fields(signals)
-        if isinstance(value := getattr(signals, field.name), np.ndarray)
-        and len(value) == len(signals.time)
-    }
-    return replace(signals, sample_time=step * signals.sample_time, **arrays), bandwidth
+    record = _prepared(shown.path, stamp, (shown.experiment, *shown.window), keys, shown.band_hz)
+    return record.predict(given, shown.channels)
 
 
 @lru_cache(maxsize=6)
 def _prepared(
-    path: Path, _stamp: str, experiment: str, window: tuple[float, float], keys: frozenset[Key]
-) -> Dataset:
-    """A window of a record, filtered and in long integrator steps; `keys` are the parameters."""
-    study = study_at(path)
-    cut = _cut(log_of(path, experiment), window)
-    arm = restrict_to_values(Arm.of(study.arm), dict.fromkeys(keys, 0.0))
-    cutoff = cutoff_of([cut], arm, _DEFAULT_RESONANCE_HZ)
-    # under gravity the error of a simulation by recorded voltages grows; a servo holds it
-    closed_loop = study.arm.servo is not None and "servo" in cut.experiment.control
-    return lengthen_steps(dataset_of(cut, arm, cutoff, closed_loop=closed_loop))
-
-
-def _cut(log: Log, window: tuple[float, float]) -> Log:
-    first, last = np.searchsorted(log.time, window)
-    rows = slice(int(first), int(last))
-    if first == 0 and last >= len(log):
-        return log
-    return replace(
-        log,
-        time=log.time[rows],
-        channels={name: values[rows] for name, values in log.channels.items()},
-        masked={name: mask[rows] for name, mask in log.masked.items()},
-    )
+    path: Path, _stamp: str, window: tuple[str, float, float], keys: frozenset[Key], band: float
+) -> MotionWindow | TorqueWindow:
+    """A window of a record for an arm whose known parameters are `keys`."""
+    experiment, first, last = window
+    arm = restrict_to_values(Arm.of(study_at(path).arm), dict.fromkeys(keys, 0.0))
+    return window_of(log_of(path, experiment), (first, last), arm, band or None)
 
 
 def joint_response(study: Study, given: Values, joint: int) -> tuple[FloatArray, ComplexArray]:
@@ -345,7 +213,7 @@ def begin(request: Request, body: Body) -> object:
     """Sliders with the values of a file, and the channels of a record."""
     shown = _shown(request, body)
     study, file = study_at(shown.path), workspace_of(request).resolve(text_of(body, "start"))
-    start = starting_values(study, file)
+    start = starting_values(study.arm, file)
     rows = sliders(study, start, shown.experiment)
     prediction = simulate(shown, {(row["name"], row["joint"]): row["value"] for row in rows})
     return {"sliders": rows, "channels": prediction.channels, "window": shown.window}
@@ -381,21 +249,25 @@ def _shown(request: Request, body: Body) -> Shown:
         of_joint = (name for name in log.channels if channel_parts(name)[1] == joint)
         names = [*filter(None, map(str, wanted)), *of_joint, f"omega_m{joint}"]
         measured = tuple(name.replace("theta", "omega") for name in names)
-    stage = _document(request, body).get("stages", {}).get("rigid") or {}
+    stage = _document(request, body)["stages"].get("rigid")
+    band = stage.get("bandwidth_hz") if isinstance(stage, dict) else None
     window = _window(body, log, longest_window(study_at(path).arm))
-    return Shown(path, log.name, window, measured, stage.get("bandwidth_hz"))
+    return Shown(path, log.name, window, measured, band if isinstance(band, float) else 0.0)
 
 
 def _document(request: Request, body: Body) -> dict[str, Any]:
-    """The result at which the sliders start; empty for a parameter file."""
+    """The result at which the sliders start; without stages for a parameter file."""
     start = workspace_of(request).resolve(text_of(body, "start"))
-    return _result_at(start, start.stat().st_mtime_ns) if start.name == "result.json" else {}
+    if start.name != "result.json" or not start.is_file():
+        return {"stages": {}}
+    return _result_at(start, start.stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=4)
 def _result_at(path: Path, _time: int) -> dict[str, Any]:
-    document: dict[str, Any] = json.loads(path.read_bytes())
-    return document
+    document = read_json(path, "the result", "choose another one")
+    has_stages = isinstance(document, dict) and isinstance(document.get("stages"), dict)
+    return document if has_stages else {"stages": {}}
 
 
 def _bode(request: Request, body: Body, study: Study, values: Values) -> dict[str, Any] | None:
