@@ -32,6 +32,12 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.closed_loop import restrict_to_values
 from strainwave.identification.validation import predict_torques
+from strainwave.identification.whole_arm.inference.fit_tests import (
+    InputCorrelation,
+    assess_channel,
+    has_noise_spectrum,
+    strongest_input,
+)
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.preparation import (
     cutoff_of,
@@ -40,7 +46,9 @@ from strainwave.identification.whole_arm.records.preparation import (
 )
 from strainwave.io.parameters import read_assumptions, read_parameters
 from strainwave.io.results import stage_estimates_of
+from strainwave.numerics.spectra import correlate_residuals
 from strainwave.signals.motor import SignalOptions, motion_bands, prepare_motor_signals
+from strainwave.signals.prepared_record import prepare_record
 
 _DEFAULT_RESONANCE_HZ = 30.0  # where no joint has a linear model
 _SIGNAL_BAND = 4.0  # of motor signals over the compared band
@@ -70,6 +78,17 @@ def starting_values(description: ArmDescription, file: Path) -> AssumedValues:
             reasons |= dict.fromkeys(added, reason)
     assumed = assume_missing(values, restrict_to_values(Arm.of(description), values))
     return AssumedValues(assumed.values, {**assumed.reasons, **reasons})
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelTest:
+    """Residual of one channel, which is sensor noise if the model is complete."""
+
+    channel: str
+    deviation: float  # standard deviation of the residual, in the channel's unit
+    noise: float | None  # that of the sensor noise after the same low-pass; None: unknown
+    whiteness: float  # p-value: the residual has the spectrum of the sensor noise
+    by_input: InputCorrelation
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +142,22 @@ class MotionWindow:
             dict(zip(record.channel_names, fits.tolist(), strict=True)),
         )
 
+    def residual_tests(self, prediction: Prediction) -> list[ChannelTest]:
+        """Test the residuals of a prediction of all channels against the recorded inputs."""
+        record, tests = self.record, list[ChannelTest]()
+        voltage = prepare_record(record.log, record.arm).voltage
+        inputs = record.kernels.rows(voltage, slope=False)
+        residuals = (prediction.measured - prediction.predicted).T
+        for k, residual in enumerate(residuals):
+            test = assess_channel(record, k, residual, inputs)
+            by_input = InputCorrelation(
+                test.input_joint, test.input_correlation, test.input_delay, test.input_probability
+            )
+            tests.append(
+                ChannelTest(test.channel, test.deviation, test.noise, test.whiteness, by_input)
+            )
+        return tests
+
 
 @dataclass(frozen=True, slots=True)
 class TorqueWindow:
@@ -143,14 +178,32 @@ class TorqueWindow:
                 terms.append(FrictionTerm(effect.name, number, of_size, shape[0] if shape else 0.0))
         return predict_torques(np.array(solution), self.signals, self.arm, self.bandwidth_hz, terms)
 
+    def residual_tests(self, prediction: Prediction) -> list[ChannelTest]:
+        """Test the residuals of a prediction against the motor velocities, the inputs here."""
+        T, tests = self.signals.sample_time, list[ChannelTest]()
+        rows = np.searchsorted(self.signals.time, prediction.time)
+        inputs = self.signals.motor_velocity[rows]
+        residuals = (prediction.measured - prediction.predicted).T
+        for channel, residual in zip(prediction.channels, residuals, strict=True):
+            by_input = strongest_input(correlate_residuals(residual, inputs, T))
+            whiteness = has_noise_spectrum(residual, T, np.ones(1), T, self.bandwidth_hz)
+            tests.append(ChannelTest(channel, float(np.std(residual)), None, whiteness, by_input))
+        return tests
+
 
 def window_of(
-    log: Log, window: tuple[float, float], arm: Arm, bandwidth_hz: float | None = None
+    log: Log,
+    window: tuple[float, float],
+    arm: Arm,
+    bandwidth_hz: float | None = None,
+    *,
+    exact_at: Values | None = None,
 ) -> MotionWindow | TorqueWindow:
     """Prepare a window [s] of a record for an arm with the effects and gears of the values.
 
-    `bandwidth_hz` is that of the compared torques; the default is that of the motion. Raises
-    InvalidInput if the record cannot be compared.
+    `bandwidth_hz` is that of the compared torques; the default is that of the motion. Steps of the
+    integrator are long, with errors that a slider hardly changes; at the values `exact_at` they
+    have none, which takes longer. Raises InvalidInput if the record cannot be compared.
     """
     cut = _cut(log, window)
     if not any(joint.elastic for joint in arm.joints):
@@ -158,7 +211,10 @@ def window_of(
     cutoff = cutoff_of([cut], arm, _DEFAULT_RESONANCE_HZ)
     # under gravity the error of a simulation by recorded voltages grows; a servo holds it
     closed_loop = arm.servo is not None and "servo" in cut.experiment.control
-    return MotionWindow(lengthen_steps(dataset_of(cut, arm, cutoff, closed_loop=closed_loop)))
+    record = dataset_of(cut, arm, cutoff, closed_loop=closed_loop)
+    if exact_at is None:
+        return MotionWindow(lengthen_steps(record))
+    return MotionWindow(record.correct_step_error(exact_at, record.start()))
 
 
 def _torque_window(log: Log, arm: Arm, bandwidth_hz: float | None) -> TorqueWindow:

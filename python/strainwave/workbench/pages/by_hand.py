@@ -143,8 +143,8 @@ def simulate(shown: Shown, given: Values) -> Prediction:
     Raises NotIdentifiable with a sentence if these values cannot be simulated, and InvalidInput if
     the record cannot be compared.
     """
-    stamp, keys = fingerprint(shown.path), frozenset(given)
-    record = _prepared(shown.path, stamp, (shown.experiment, *shown.window), keys, shown.band_hz)
+    window, keys = (shown.experiment, *shown.window), frozenset(given)
+    record = _prepared(shown.path, fingerprint(shown.path), window, keys, shown.band_hz)
     return record.predict(given, shown.channels)
 
 
