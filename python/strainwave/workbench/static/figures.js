@@ -2,7 +2,7 @@
 
 const DARK = { // replacement of each figure colour on a dark page
   "#0072B2": "#56A8E8", "#D55E00": "#FF8A3C", "#009E73": "#35C99B", "#CC79A7": "#E59CC4",
-  "#56B4E9": "#8ACCF5", "#E69F00": "#F2BB4E", "#888888": "#A0A8B4", "#FFFFFF": "#14181E",
+  "#56B4E9": "#8ACCF5", "#E69F00": "#F2BB4E", "#888888": "#A0A8B4", "#FFFFFF": "#161B22",
 };
 const BUTTONS = [["toImage"], ["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"]];
 const dark = window.matchMedia("(prefers-color-scheme: dark)");
@@ -16,11 +16,11 @@ const coloured = (figure) => !dark.matches ? figure : JSON.parse(
     .replace(/rgba\(\d+,\d+,\d+,/g, (c) => BANDS[c] ?? c));
 
 function themed(given, options) {
-  const [ink, rule, paper] = dark.matches
-    ? ["#e4e8ee", "#333c48", "#1c222b"] : ["#1c2430", "#d9dee5", "#ffffff"];
+  const roles = getComputedStyle(document.documentElement); // workbench.css names the colours
+  const [ink, faint, rule, paper] = ["--ink", "--faint", "--rule", "--paper"].map((name) => roles.getPropertyValue(name));
   const axis = { gridcolor: rule, zerolinecolor: rule, linecolor: rule, automargin: !given.margin };
   const axes = Object.keys(given).filter((key) => /^[xy]axis\d*$/.test(key));
-  const titled = (one) => ({ ...one, title: { standoff: 6, font: { size: 11 }, ...one.title } });
+  const titled = (one) => ({ ...one, title: { standoff: 6, font: { size: 11 }, ...one.title }, tickfont: { size: 11, color: faint } });
   return {
     ...given,
     paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
@@ -28,7 +28,7 @@ function themed(given, options) {
     margin: { l: 56, r: 12, t: 24, b: 40, ...given.margin },
     legend: { orientation: "h", x: 0, xanchor: "left", y: 1.01, yanchor: "bottom", ...given.legend },
     hovermode: given.hovermode ?? "closest",
-    modebar: { bgcolor: "rgba(0,0,0,0)", color: "#7d8794", activecolor: ink },
+    modebar: { bgcolor: "rgba(0,0,0,0)", color: faint, activecolor: ink },
     hoverlabel: { bgcolor: paper, bordercolor: rule, font: { color: ink } },
     ...Object.fromEntries(axes.map((key) => [key, { ...axis, ...titled(given[key]) }])),
     ...options.layout,

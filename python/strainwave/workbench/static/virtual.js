@@ -45,7 +45,7 @@ async function showResult(study) {
 }
 
 async function start() {
-  byId("result").hidden = true;
+  byId("result").hidden = byId("empty").hidden = true;
   const run = await postJson("/api/virtual", setting());
   running = run;
   byId("running").hidden = byId("cancel").hidden = false;
