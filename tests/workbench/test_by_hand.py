@@ -131,7 +131,7 @@ def test_a_rigid_result_is_simulated_with_marked_values(
 
 
 def test_every_parameter_of_a_result_may_be_null(partial: dict[str, Any], folder: Path) -> None:
-    true = [
+    true: list[dict[str, Any]] = [
         {"name": name, "joint": joint, "value": value, "unit": "", "std": None, "stage": "tuned"}
         for (name, joint), value in scara.STIFF.parameters().items()
     ]

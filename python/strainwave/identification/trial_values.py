@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -219,22 +219,27 @@ def window_of(
 
 def _torque_window(log: Log, arm: Arm, bandwidth_hz: float | None) -> TorqueWindow:
     signals = prepare_motor_signals(log, arm)
+    highest = signals.bandwidth_hz or np.inf
     if bandwidth_hz is None:
         bands = motion_bands(signals.motor_angle, signals.sample_time, slow=True)
-        bandwidth_hz = max(bands, default=signals.bandwidth_hz)
-    bandwidth = min(bandwidth_hz, signals.bandwidth_hz)
-    wide = SignalOptions(bandwidth_hz=min(_SIGNAL_BAND * bandwidth, signals.bandwidth_hz))
-    signals = prepare_motor_signals(log, arm, wide)
-    step = max(1, int(1.0 / (_SAMPLES_PER_PERIOD * signals.bandwidth_hz * signals.sample_time)))
-    arrays = {
-        field.name: value[::step]
-        for field in fields(signals)
-        if isinstance(value := getattr(signals, field.name), np.ndarray)
-        and len(value) == len(signals.time)
-    }
-    return TorqueWindow(
-        arm, replace(signals, sample_time=step * signals.sample_time, **arrays), bandwidth
+        bandwidth_hz = max(bands, default=highest)
+    bandwidth = min(bandwidth_hz, highest)
+    band = min(_SIGNAL_BAND * bandwidth, highest)
+    signals = prepare_motor_signals(log, arm, SignalOptions(bandwidth_hz=band))
+    step = max(1, int(1.0 / (_SAMPLES_PER_PERIOD * band * signals.sample_time)))
+    rows = slice(None, None, step)
+    decimated = replace(
+        signals,
+        sample_time=step * signals.sample_time,
+        time=signals.time[rows],
+        motor_torque=signals.motor_torque[rows],
+        motor_angle=signals.motor_angle[rows],
+        motor_velocity=signals.motor_velocity[rows],
+        motor_acceleration=signals.motor_acceleration[rows],
+        direction=signals.direction[rows],
+        valid=signals.valid[rows],
     )
+    return TorqueWindow(arm, decimated, bandwidth)
 
 
 def _cut(log: Log, window: tuple[float, float]) -> Log:

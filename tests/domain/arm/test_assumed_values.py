@@ -78,7 +78,7 @@ def test_links_of_a_chain_are_bodies_with_the_known_base_parameters() -> None:
         assert value_of(column.parts, values) == pytest.approx(known[column.key], abs=5e-3 * size)
     for i in (1, 2, 3):
         link = tuple(values[f"link_{name}", i] for name in LINK_PARAMETERS)
-        assert is_consistent(link)  # type: ignore[arg-type]
+        assert is_consistent(link)
 
 
 def test_a_gear_has_the_usual_anti_resonance_and_no_friction_is_assumed() -> None:

@@ -69,7 +69,9 @@ def sliders(study: Study, start: AssumedValues, record: str) -> list[dict[str, A
     idle = set(arm.base.links) - set(arm.base.effective)
     keys = [key for key in arm.parameter_names if key in values]
     keys += [k for k in values if constant_of(k) and record_of(k[0]) in ("", record)]
-    units = {key: _unit(study, key) for key in keys}
+    keys.sort(key=lambda key: (key[1] or 0, key[0] in _LINK_NAMES))
+    constants = {key: constant_of(key) for key in keys}
+    units = {key: c.unit if c else unit_in(study.arm, key) for key, c in constants.items()}
     largest: dict[str, float] = {}
     for key, unit in units.items():
         largest[unit] = max(largest.get(unit, 0.0), abs(values[key]))
@@ -81,29 +83,16 @@ def sliders(study: Study, start: AssumedValues, record: str) -> list[dict[str, A
         factor = 10.0**_RANGE_DECADES
         spread = 2.0 * abs(value) or _ZERO_RANGE * largest[unit] or 1.0
         group = "Link" if key[0] in _LINK_NAMES else "Sensors" if constant_of(key) else "Joint"
-        rows.append(
-            {
-                "label": label_of(*key),
-                "name": key[0],
-                "joint": key[1],
-                "group": f"{group} {key[1]}" if key[1] else "Arm",
-                "symbol": text.symbol if text else "",
-                "description": text.description if text else "",
-                "unit": unit,
-                "value": value,
-                "low": value / factor if is_log else value - spread if has_sign else 0.0,
-                "high": value * factor if is_log else value + spread,
-                "is_log": is_log,
-                "is_idle": key in idle,  # the motion does not depend on it
-                "reason": start.reasons.get(key, ""),
-            }
-        )
+        low = value / factor if is_log else value - spread if has_sign else 0.0
+        high = value * factor if is_log else value + spread
+        texts = {"symbol": text.symbol, "description": text.description} if text else {}
+        ends = {"value": value, "low": low, "high": high, "is_log": is_log}
+        names = {"name": key[0], "joint": key[1], "label": label_of(*key), "unit": unit}
+        # the motion does not depend on idle values
+        state = {"is_idle": key in idle, "reason": start.reasons.get(key, "")}
+        place = {"group": f"{group} {key[1]}" if key[1] else "Arm"}
+        rows.append({**names, **place, **texts, **ends, **state})
     return rows
-
-
-def _unit(study: Study, key: Key) -> str:
-    constant = constant_of(key)
-    return constant.unit if constant else unit_in(study.arm, key)
 
 
 def check_values(study: Study, entries: object) -> Values:
@@ -115,9 +104,11 @@ def check_values(study: Study, entries: object) -> Values:
         name, joint, value = str(entry.get("name")), entry.get("joint"), entry.get("value")
         if not isinstance(joint, int | None):
             raise InvalidInput(f"there is no parameter {label_of(name, joint)}", where="values")
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not is_number or not math.isfinite(value):
-            raise InvalidInput("is not a number", where=f"the field of {label_of(name, joint)}")
+        place = f"the field of {label_of(name, joint)}"
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            raise InvalidInput("is not a number", where=place)
+        if not math.isfinite(value):
+            raise InvalidInput("is not a finite number", where=place)
         values[name, joint] = float(value)
     known = restrict_to_values(Arm.of(study.arm), values).parameter_names
     for key in values.keys() - set(known):

@@ -147,17 +147,10 @@ def interval_figure(results: Sequence[NamedResult], scale: str) -> dict[str, Any
         stds = [np.nan if p is None or p.std is None else p.std for p in estimates]
         change = (np.array(values) - np.array([value for _, value, _ in rows])) / sizes
         error = rounded(CI95_STDS * np.array(stds) / sizes, of_each=True)
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": one.name,
-                "x": rounded(change, of_each=True),
-                "y": [joints, [p.name for p, _, _ in rows]],
-                "error_x": {"type": "data", "array": error, "thickness": 1.2, "width": 3},
-                "marker": {"color": colour, "size": 6},
-            }
-        )
+        points = {"x": rounded(change, of_each=True), "y": [joints, [p.name for p, _, _ in rows]]}
+        bars = {"error_x": {"type": "data", "array": error, "thickness": 1.2, "width": 3}}
+        look = {"type": "scatter", "mode": "markers", "marker": {"color": colour, "size": 6}}
+        data.append({"name": one.name, **points, **bars, **look})
     unit = "%" if scale == "percent" else f"standard deviations of {results[0].name}"
     layout = {
         "xaxis": {"title": {"text": f"change from {results[0].name} [{unit}]"}, "zeroline": True},

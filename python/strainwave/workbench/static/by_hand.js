@@ -43,8 +43,11 @@ async function update() {
       const fits = Object.entries(answer.fits);
       byId("fit-heads").replaceChildren(...fits.map(([name]) => make("th", { scope: "col", class: "number" }, `fit of ${name}`)));
       byId("fits").replaceChildren(...fits.map(([, fit]) => make("td", { class: "number" }, fit == null ? "rest" : `${fit.toFixed(1)} %`)));
+      if (byId("bode").parentElement.hidden !== !answer.bode) { // the plots get other widths
+        byId("bode").parentElement.hidden = !answer.bode;
+        window.dispatchEvent(new Event("resize"));
+      }
       await draw(byId("time"), answer.time);
-      byId("bode").parentElement.hidden = !answer.bode;
       const bode = JSON.stringify(answer.bode);
       if (answer.bode && bode !== shownBode) await draw(byId("bode"), answer.bode);
       shownBode = bode;
