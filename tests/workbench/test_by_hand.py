@@ -183,3 +183,20 @@ def test_no_number_gives_a_sentence(client: TestClient, begun: Any, value: str) 
     answer = client.post(f"/api/by-hand/{STUDY}", content=text)
     assert answer.status_code == 400
     assert answer.json()["error"]
+
+
+@pytest.mark.parametrize(
+    "stages", [3, {"rigid": 3}, {"rigid": [1]}, {"joints": [3]}, {"tuned": "x"}, {"responses": 3}]
+)
+def test_a_faulty_result_gives_a_sentence_or_no_values(
+    client: TestClient, folder: Path, stages: object
+) -> None:
+    path = folder / "arm/runs/odd/result.json"
+    path.parent.mkdir(parents=True)
+    beta = {"name": "beta", "joint": None, "value": 0.6}
+    path.write_text(json.dumps({"parameters": [beta], "stages": stages}))
+    setting = SETTING | {"start": "arm/runs/odd/result.json"}
+    answer = client.post(f"/api/by-hand-begin/{STUDY}", json=setting)
+    values = {"values": values_of(answer.json()), "joint": 1} if answer.status_code == 200 else {}
+    update = client.post(f"/api/by-hand/{STUDY}", json=setting | values)
+    assert {answer.status_code, update.status_code} <= {200, 400}

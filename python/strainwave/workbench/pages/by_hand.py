@@ -17,6 +17,7 @@ from starlette.responses import Response
 from strainwave.domain import (
     ComplexArray,
     FloatArray,
+    FrequencyResponse,
     Log,
     Prediction,
     Study,
@@ -43,7 +44,7 @@ from strainwave.identification.trial_values import (
     window_of,
 )
 from strainwave.io.atomic_files import read_json, write_whole
-from strainwave.io.results import response_of
+from strainwave.io.results import response_of, rigid_band_of
 from strainwave.report.document.predictions import prediction_figure
 from strainwave.report.figures.curves import Curve, bode
 from strainwave.report.plotly_backend import plotly
@@ -240,25 +241,24 @@ def _shown(request: Request, body: Body) -> Shown:
         of_joint = (name for name in log.channels if channel_parts(name)[1] == joint)
         names = [*filter(None, map(str, wanted)), *of_joint, f"omega_m{joint}"]
         measured = tuple(name.replace("theta", "omega") for name in names)
-    stage = _document(request, body)["stages"].get("rigid")
-    band = stage.get("bandwidth_hz") if isinstance(stage, dict) else None
-    window = _window(body, log, longest_window(study_at(path).arm))
-    return Shown(path, log.name, window, measured, band if isinstance(band, float) else 0.0)
-
-
-def _document(request: Request, body: Body) -> dict[str, Any]:
-    """The result at which the sliders start; without stages for a parameter file."""
     start = workspace_of(request).resolve(text_of(body, "start"))
-    if start.name != "result.json" or not start.is_file():
-        return {"stages": {}}
-    return _result_at(start, start.stat().st_mtime_ns)
+    band = _band_at(start, start.stat().st_mtime_ns) if start.is_file() else 0.0
+    window = _window(body, log, longest_window(study_at(path).arm))
+    return Shown(path, log.name, window, measured, band)
 
 
-@lru_cache(maxsize=4)
-def _result_at(path: Path, _time: int) -> dict[str, Any]:
-    document = read_json(path, "the result", "choose another one")
-    has_stages = isinstance(document, dict) and isinstance(document.get("stages"), dict)
-    return document if has_stages else {"stages": {}}
+@lru_cache(maxsize=8)
+def _band_at(path: Path, _time: int) -> float:
+    """Bandwidth [Hz] of the rigid stage of a result; zero if it has none."""
+    document = read_json(path, "the start", "choose another one")
+    return rigid_band_of(document) if isinstance(document, dict) else 0.0
+
+
+@lru_cache(maxsize=32)
+def _response_at(path: Path, _time: int, joint: int) -> FrequencyResponse | None:
+    """Measured response of a joint in a result; None if it has none."""
+    document = read_json(path, "the start", "choose another one")
+    return response_of(document, joint) if isinstance(document, dict) else None
 
 
 def _bode(request: Request, body: Body, study: Study, values: Values) -> dict[str, Any] | None:
@@ -270,7 +270,8 @@ def _bode(request: Request, body: Body, study: Study, values: Values) -> dict[st
         curves = [Curve("sliders", *joint_response(study, values, joint))]
     except InvalidInput:  # rigid, or a joint of a coupled transmission
         return None
-    measured = response_of(_document(request, body), joint)
+    start = workspace_of(request).resolve(text_of(body, "start"))
+    measured = _response_at(start, start.stat().st_mtime_ns, joint) if start.is_file() else None
     if measured is not None:
         points = measured.frequencies_hz, measured.response[:, 0, 0]
         curves.insert(0, Curve("measured", *points, true=True))
