@@ -59,7 +59,7 @@ from strainwave.workbench.workspace import check_name, fingerprint, log_of, stud
 _MAX_POINTS = 600  # of a line
 _DECADES = 1.0  # of a Bode plot below the anti-resonance and above the resonance
 _N_FREQUENCIES = 160
-_RANGE_DECADES = 1.0  # of a slider on either side of its start
+_RANGE = 10.0  # of a slider, as a factor on either side of its start
 _ZERO_RANGE = 0.1  # of a slider that starts at zero, over the largest value of its unit
 _LINK_NAMES = frozenset(f"link_{name}" for name in LINK_PARAMETERS)
 
@@ -67,7 +67,7 @@ _LINK_NAMES = frozenset(f"link_{name}" for name in LINK_PARAMETERS)
 def sliders(study: Study, start: AssumedValues, record: str) -> list[dict[str, Any]]:
     """The values that the simulation of a record needs, with the ranges of their sliders."""
     arm, values = restrict_to_values(Arm.of(study.arm), start.values), start.values
-    idle = set(arm.base.links) - set(arm.base.effective)
+    idle = set(arm.base.links) - set(arm.base.effective)  # without effect on the motion
     keys = [key for key in arm.parameter_names if key in values]
     keys += [k for k in values if constant_of(k) and record_of(k[0]) in ("", record)]
     keys.sort(key=lambda key: (key[1] or 0, key[0] in _LINK_NAMES))
@@ -81,15 +81,13 @@ def sliders(study: Study, start: AssumedValues, record: str) -> list[dict[str, A
         value, text = values[key], parameter_descriptions().get(base_name(key[0]))
         has_sign = not isinstance(text, ParameterDescription) or text.range == "any"
         is_log = value > 0.0 and not has_sign
-        factor = 10.0**_RANGE_DECADES
         spread = 2.0 * abs(value) or _ZERO_RANGE * largest[unit] or 1.0
         group = "Link" if key[0] in _LINK_NAMES else "Sensors" if constant_of(key) else "Joint"
-        low = value / factor if is_log else value - spread if has_sign else 0.0
-        high = value * factor if is_log else value + spread
+        low = value / _RANGE if is_log else value - spread if has_sign else 0.0
+        high = value * _RANGE if is_log else value + spread
         texts = {"symbol": text.symbol, "description": text.description} if text else {}
         ends = {"value": value, "low": low, "high": high, "is_log": is_log}
         names = {"name": key[0], "joint": key[1], "label": label_of(*key), "unit": unit}
-        # the motion does not depend on idle values
         state = {"is_idle": key in idle, "reason": start.reasons.get(key, "")}
         place = {"group": f"{group} {key[1]}" if key[1] else "Arm"}
         rows.append({**names, **place, **texts, **ends, **state})
@@ -175,7 +173,7 @@ routes = Routes()
 _START = "start.json"
 # of a window; longer ones take longer than a tenth of a second
 _MAX_DURATION = 20.0  # [s]
-_MAX_JOINT_SECONDS = 35.0  # [s] times joints, behind elastic gears
+_MAX_JOINT_SECONDS = 30.0  # [s] times joints, behind elastic gears
 
 
 def longest_window(arm: ArmDescription) -> float:

@@ -191,7 +191,7 @@ def bode_differences(results: Sequence[NamedResult], joint: int) -> Figure:
     """Responses over that of the first result, at its frequencies."""
     responses = [one.result.frequency_response(joint) for one in results]
     f, first = responses[0].frequencies_hz, responses[0].response
-    curves = []
+    curves = [Curve(results[0].name, f, np.ones_like(first))]
     for one, response in zip(results[1:], responses[1:], strict=True):
         inside = (f >= response.frequencies_hz[0]) & (f <= response.frequencies_hz[-1])
         logarithm = np.log(np.abs(response.response)) + 1j * np.unwrap(np.angle(response.response))
@@ -418,8 +418,7 @@ def predicted_record(request: Request, body: Body) -> object:
 
 def records_of(path: Path) -> list[str]:
     """Records of a study that can be predicted: its check records, or all if there are none."""
-    study = study_at(path)
-    arm = Arm.of(study.arm)
+    study, arm = study_at(path), Arm.of(study_at(path).arm)
     usable = [
         e for e in study.experiments if missing_motor_signal(arm, log_of(path, e.name)) is None
     ]

@@ -48,13 +48,15 @@ async function update() {
         window.dispatchEvent(new Event("resize"));
       }
       await draw(byId("time"), answer.time);
-      const bode = JSON.stringify(answer.bode);
-      if (answer.bode && bode !== shownBode) await draw(byId("bode"), answer.bode);
-      shownBode = bode;
       note("");
       byId("note").dataset.record = chosen.experiment;
       byId("note").dataset.milliseconds = (performance.now() - begin).toFixed(0);
       byId("note").dataset.server = answer.milliseconds.toFixed(0);
+      const bode = JSON.stringify(answer.bode);
+      if (answer.bode && bode !== shownBode && !again) { // after the curves: a dragged slider waits less
+        await draw(byId("bode"), answer.bode);
+        shownBode = bode;
+      }
       if (again) await new Promise((resolve) => setTimeout(resolve, MIN_WAIT));
     } while (again);
   } catch (error) {
@@ -108,7 +110,7 @@ function sliderRow(one, index) {
   const field = make("input", { type: "number", step: "any", "aria-label": `Value of ${one.label} [${one.unit}]` });
   const hold = make("input", { type: "checkbox", "aria-label": `Hold ${one.label} in a fit` });
   const row = make("div", { class: "slider", title: [one.symbol, one.description].filter(Boolean).join(": ") },
-    make("label", { for: id }, one.label, one.reason ? make("span", { class: "chip", title: one.reason }, "not determined") : ""),
+    make("label", { for: id }, `${one.label} `, one.reason ? make("span", { class: "chip", title: one.reason }, "not determined") : ""),
     range, field, make("span", { class: "unit faint" }, one.unit), make("label", { class: "hold" }, hold, " hold"));
   let now;
   const show = (value) => {
