@@ -200,3 +200,21 @@ def test_a_faulty_result_gives_a_sentence_or_no_values(
     values = {"values": values_of(answer.json()), "joint": 1} if answer.status_code == 200 else {}
     update = client.post(f"/api/by-hand/{STUDY}", json=setting | values)
     assert {answer.status_code, update.status_code} <= {200, 400}
+
+
+def test_values_of_one_record_have_sliders_in_that_record_only(
+    client: TestClient, begun: Any, folder: Path
+) -> None:
+    values = scara.STIFF.parameters() | {
+        ("friction_change[step-j1]", 1): 0.5,
+        ("friction_change[step-j2]", 1): 0.1,
+        ("accelerometer_delay", 1): 1e-3,
+    }
+    (folder / "arm" / "truth.json").write_text(json.dumps(parameter_document(values)))
+    shown = client.post(f"/api/by-hand-begin/{STUDY}", json=SETTING).json()
+    labels = {one["label"] for one in shown["sliders"]}
+    assert {"friction_change[step-j1] 1", "accelerometer_delay 1"} <= labels
+    assert "friction_change[step-j2] 1" not in labels
+    plain, changed = (update(client, values_of(each)).json()["fits"] for each in (begun, shown))
+    assert changed["omega_m1"] < plain["omega_m1"] - 0.5  # of the friction
+    assert changed["a1"] < plain["a1"] - 0.5  # of the delay as well

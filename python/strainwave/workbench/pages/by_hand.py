@@ -69,7 +69,7 @@ def sliders(study: Study, start: AssumedValues, record: str) -> list[dict[str, A
     arm, values = restrict_to_values(Arm.of(study.arm), start.values), start.values
     idle = set(arm.base.links) - set(arm.base.effective)  # without effect on the motion
     keys = [key for key in arm.parameter_names if key in values]
-    keys += [k for k in values if constant_of(k) and record_of(k[0]) in ("", record)]
+    keys += [k for k in values if _is_of_record(k) and record_of(k[0]) in ("", record)]
     keys.sort(key=lambda key: (key[1] or 0, key[0] in _LINK_NAMES))
     constants = {key: constant_of(key) for key in keys}
     units = {key: c.unit if c else unit_in(study.arm, key) for key, c in constants.items()}
@@ -94,6 +94,12 @@ def sliders(study: Study, start: AssumedValues, record: str) -> list[dict[str, A
     return rows
 
 
+def _is_of_record(key: Key) -> bool:
+    """Whether a value belongs to a sensor, or to one record as a change of friction."""
+    is_change = record_of(key[0]) != "" and base_name(key[0]) in parameter_descriptions()
+    return is_change or constant_of(key) is not None
+
+
 def check_values(study: Study, entries: object) -> Values:
     """Values of a request; raises InvalidInput for an unknown parameter or no number."""
     values: Values = {}
@@ -111,7 +117,7 @@ def check_values(study: Study, entries: object) -> Values:
         values[name, joint] = float(value)
     known = restrict_to_values(Arm.of(study.arm), values).parameter_names
     for key in values.keys() - set(known):
-        if not constant_of(key):
+        if not _is_of_record(key):
             raise InvalidInput(f"there is no parameter {label_of(*key)}", where="values")
     return values
 
