@@ -18,7 +18,7 @@ from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
-from urllib.request import urlopen
+from urllib.request import HTTPCookieProcessor, build_opener
 
 import numpy as np
 
@@ -80,14 +80,16 @@ def serve(folder: Path) -> Iterator[str]:
     command = [sys.executable, "-m", "strainwave", "serve", str(folder), "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        yield process.stdout.readline().rsplit(" ", 1)[-1].strip()
-        process.terminate()
+        try:
+            yield process.stdout.readline().rsplit(" ", 1)[-1].strip()
+        finally:
+            process.terminate()
 
 
 def _first_byte(folder: Path) -> float:
     """Time from the start of the command to the first page, without a browser."""
     begin = time.perf_counter()
-    with serve(folder) as url, urlopen(url) as answer:
+    with serve(folder) as url, build_opener(HTTPCookieProcessor()).open(url) as answer:
         answer.read()
         return time.perf_counter() - begin
 

@@ -176,9 +176,9 @@ def test_other_results_are_ghosts_and_have_a_difference(client: TestClient, two_
         assert {t["line"]["dash"] == "solid" for t in lines if t["name"] == "a"} == {True}
         assert {t.get("opacity", 1.0) < 1.0 for t in lines if t["name"] == "b"} == {True}
         assert {t["line"]["dash"] == "solid" for t in lines if t["name"] == "b"} == {False}
-    lines = {t["name"]: t["y"] for t in figures["difference"]["data"] if t["yaxis"] == "y"}
-    assert not any(lines["a"])
-    low = np.array(lines["b"], dtype=float)[:3]
+    difference = {t["name"]: t["y"] for t in figures["difference"]["data"] if t["yaxis"] == "y"}
+    assert not any(difference["a"])
+    low = np.array(difference["b"], dtype=float)[:3]
     assert np.abs(low).max() < 0.5  # [dB] below the resonance only the inertia counts
 
 
@@ -187,3 +187,17 @@ def test_a_record_that_does_not_exist_gives_a_sentence(client: TestClient, two_r
     answer = client.post("/api/compare-record/arm/study.toml", json=body)
     assert answer.status_code == 400
     assert "no experiment" in answer.json()["error"]
+
+
+def test_results_without_a_common_parameter_are_shown_with_a_note(
+    client: TestClient, two_runs: Path
+) -> None:
+    document = json.loads((two_runs / B).read_bytes())
+    document["parameters"] = [document["parameters"][0] | {"name": "gear_stiffness_cubic"}]
+    document.pop("covariance", None)
+    document["study"]["path"] = "elsewhere.toml"
+    (two_runs / B).write_text(json.dumps(document))
+    answer = client.post("/api/compare/arm/study.toml", json={"paths": [A, B]})
+    assert answer.status_code == 200, answer.json()
+    assert answer.json()["test"] is None
+    assert answer.json()["note"]

@@ -53,6 +53,7 @@ from strainwave.signals.prepared_record import prepare_record
 _DEFAULT_RESONANCE_HZ = 30.0  # where no joint has a linear model
 _SIGNAL_BAND = 4.0  # of motor signals over the compared band
 _SAMPLES_PER_PERIOD = 8.0  # of the band of motor signals
+_MIN_LINES = 8.0  # of a spectrum in which a test of torques sees a colour
 _MIN_MOTION_TO_NOISE = 3.0  # a channel with less has no fit
 _MIN_MOTION_SHARE = 0.02  # of the largest motion of a channel of its kind
 _OF_STAGE = "an estimate that the verdict of the result does not confirm"
@@ -143,12 +144,14 @@ class MotionWindow:
         )
 
     def residual_tests(self, prediction: Prediction) -> list[ChannelTest]:
-        """Test the residuals of a prediction of all channels against the recorded inputs."""
+        """Test the residuals of moving channels, of a prediction of all, against the inputs."""
         record, tests = self.record, list[ChannelTest]()
         voltage = prepare_record(record.log, record.arm).voltage
         inputs = record.kernels.rows(voltage, slope=False)
         residuals = (prediction.measured - prediction.predicted).T
         for k, residual in enumerate(residuals):
+            if not np.isfinite(prediction.fit_percent[prediction.channels[k]]):
+                continue
             test = assess_channel(record, k, residual, inputs)
             by_input = InputCorrelation(
                 test.input_joint, test.input_correlation, test.input_delay, test.input_probability
@@ -179,12 +182,16 @@ class TorqueWindow:
         return predict_torques(np.array(solution), self.signals, self.arm, self.bandwidth_hz, terms)
 
     def residual_tests(self, prediction: Prediction) -> list[ChannelTest]:
-        """Test the residuals of a prediction against the motor velocities, the inputs here."""
+        """Test the residuals of moving motors against the motor velocities, the inputs here."""
         T, tests = self.signals.sample_time, list[ChannelTest]()
+        if len(prediction.time) * T * self.bandwidth_hz < _MIN_LINES:
+            return tests
         rows = np.searchsorted(self.signals.time, prediction.time)
         inputs = self.signals.motor_velocity[rows]
         residuals = (prediction.measured - prediction.predicted).T
         for channel, residual in zip(prediction.channels, residuals, strict=True):
+            if not np.isfinite(prediction.fit_percent[channel]):
+                continue
             by_input = strongest_input(correlate_residuals(residual, inputs, T))
             whiteness = has_noise_spectrum(residual, T, np.ones(1), T, self.bandwidth_hz)
             tests.append(ChannelTest(channel, float(np.std(residual)), None, whiteness, by_input))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -31,6 +32,7 @@ from strainwave.fleet.monitoring.comparison_output import to_document
 from strainwave.identification.closed_loop import restrict_to_values
 from strainwave.identification.trial_values import ChannelTest, starting_values, window_of
 from strainwave.identification.whole_arm.inference.fit_tests import SIGNIFICANCE_LEVEL
+from strainwave.io.results import rigid_band_of
 from strainwave.report.document.blocks import read_figures
 from strainwave.report.document.predictions import unit_of
 from strainwave.report.figures import DASHES, PALETTE, Axis, Figure, Line, Markers, Panel
@@ -281,7 +283,8 @@ def _predicted(
     arm, log = study_at(study).arm, log_of(study, record)
     values = starting_values(arm, result).values
     arm, first = restrict_to_values(Arm.of(arm), values), float(log.time[0])
-    window = window_of(log, (first, first + _MAX_DURATION), arm, exact_at=values)
+    band, span = rigid_band_of(json.loads(result.read_bytes())), (first, first + _MAX_DURATION)
+    window = window_of(log, span, arm, band or None, exact_at=values)
     prediction = window.predict(values)
     return prediction, window.residual_tests(prediction)
 
@@ -362,7 +365,7 @@ def compare(request: Request, body: Body) -> object:
         try:
             estimates = monitoring.read_estimates([one.path for one in results])
             document = to_document(monitoring.compare(estimates))
-        except InvalidInput as error:
+        except HANDLED as error:
             note = message_of(request, error)
     first = read_figures(results[0].path.parent / "report.html")
     return {
