@@ -37,7 +37,7 @@ from strainwave.report.document.blocks import read_figures
 from strainwave.report.document.predictions import unit_of
 from strainwave.report.figures import DASHES, PALETTE, Axis, Figure, Line, Markers, Panel
 from strainwave.report.figures.curves import Curve, Series, bode, lines
-from strainwave.report.plotly_backend import plotly, rounded
+from strainwave.report.plotly_backend import plotly, whiskers
 from strainwave.signals.recorded_input import missing_motor_signal
 from strainwave.workbench.pages.runs import describe
 from strainwave.workbench.runs import Runs
@@ -142,32 +142,24 @@ def interval_figure(results: Sequence[NamedResult], scale: str) -> dict[str, Any
     rows.sort(key=lambda row: row[0].joint or 0)
     joints = [f"joint {p.joint}" if p.joint else "arm" for p, _, _ in rows]
     sizes = np.array([0.01 * abs(v) if scale == "percent" else std for _, v, std in rows])
-    data = []
-    for one, colour in zip(results, cycle(PALETTE), strict=False):
+    dots = []
+    for one in results:
         estimates = [_estimate(one, p.key) for p, _, _ in rows]
         values = [np.nan if p is None or p.value is None else p.value for p in estimates]
         stds = [np.nan if p is None or p.std is None else p.std for p in estimates]
         change = (np.array(values) - np.array([value for _, value, _ in rows])) / sizes
-        error = rounded(CI95_STDS * np.array(stds) / sizes, of_each=True)
-        points = {"x": rounded(change, of_each=True), "y": [joints, [p.name for p, _, _ in rows]]}
-        bars = {"error_x": {"type": "data", "array": error, "thickness": 1.2, "width": 3}}
-        look = {"type": "scatter", "mode": "markers", "marker": {"color": colour, "size": 6}}
-        data.append({"name": one.name, **points, **bars, **look})
+        dots.append(Series(one.name, change, CI95_STDS * np.array(stds) / sizes))
     unit = "%" if scale == "percent" else f"standard deviations of {results[0].name}"
-    layout = {
-        "xaxis": {"title": {"text": f"change from {results[0].name} [{unit}]"}, "zeroline": True},
-        "yaxis": {"type": "multicategory", "autorange": "reversed", "tickfont": {"size": 10}},
-        "scattermode": "group",
-        "height": 90 + (12 + 9 * len(results)) * len(rows),
-    }
-    return {"data": data, "layout": layout}
+    names = [p.name for p, _, _ in rows]
+    return whiskers((joints, names), dots, f"change from {results[0].name} [{unit}]")
 
 
 def joints_of(results: Sequence[NamedResult]) -> list[int]:
     """Joints that have a linear model of their own in every result."""
-    arms = list(map(_arm, results))
-    joints = []
-    for joint in range(1, min(len(arm.study.arm.joints) for arm in arms) + 1):
+    arms, joints = list[Any](), list[int]()
+    with suppress(InvalidInput):  # a result without parameters
+        arms = list(map(_arm, results))
+    for joint in range(1, min((arm.study.arm.n_joints for arm in arms), default=0) + 1):
         with suppress(InvalidInput):
             for arm in arms:
                 joint_model(arm, joint)
