@@ -64,14 +64,16 @@ def assume_missing(values: Values, arm: ArmDescription) -> AssumedValues:
 
     base = base_parameters(arm)
     # arms without gravity have no gravity torques
-    links = [k for k in base.links if k in base.effective or family_of(k[0]) != "gravity"]
-    if not known.keys() >= set(links):
+    missing = [key for key in base.links if key not in known]
+    links = [k for k in missing if k in base.effective or family_of(k[0]) != "gravity"]
+    if links:
         nearest = _nearest_links(known, arm)
         for key in links:
             assume(key, nearest[key], OF_LINKS)
     for number, joint in enumerate(arm.joints, start=1):
         link = value_of(link_inertia(arm, number), known)
-        assume((MOTOR_INERTIA, number), _motor_inertia(known, arm, number, link), OF_MOTOR)
+        if (MOTOR_INERTIA, number) not in known:
+            assume((MOTOR_INERTIA, number), _motor_inertia(known, arm, number, link), OF_MOTOR)
         for name in (*VISCOUS, COULOMB, OFFSET):
             assume((name, number), 0.0, OF_FRICTION)
         if joint.elastic:
