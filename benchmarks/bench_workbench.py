@@ -14,13 +14,15 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
-from urllib.request import urlopen
+from urllib.request import HTTPCookieProcessor, build_opener
 
 import numpy as np
 
+from benchmarks.studies.drawn_chains import draw_chain, simulate_chain
 from benchmarks.timing import Row, best_of
 from strainwave.domain import Experiment, Log
 from strainwave.dynamics.simulation import SensorNoise
@@ -59,6 +61,7 @@ def rows() -> list[Row]:
             Row("workbench, first byte after the start", _first_byte(folder), "limit", _FIRST_PAGE)
         ]
         table.append(Row("workbench, view of 1e6 samples", _view_of_a_million(), "limit", _VIEW))
+        _write_seven_joints(folder / "seven")
         if chromium():
             with serve(folder) as url:
                 table += _in_browser(url, size)
@@ -77,14 +80,16 @@ def serve(folder: Path) -> Iterator[str]:
     command = [sys.executable, "-m", "strainwave", "serve", str(folder), "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        yield process.stdout.readline().rsplit(" ", 1)[-1].strip()
-        process.terminate()
+        try:
+            yield process.stdout.readline().rsplit(" ", 1)[-1].strip()
+        finally:
+            process.terminate()
 
 
 def _first_byte(folder: Path) -> float:
     """Time from the start of the command to the first page, without a browser."""
     begin = time.perf_counter()
-    with serve(folder) as url, urlopen(url) as answer:
+    with serve(folder) as url, build_opener(HTTPCookieProcessor()).open(url) as answer:
         answer.read()
         return time.perf_counter() - begin
 
@@ -108,13 +113,24 @@ def _in_browser(link: str, size: float) -> list[Row]:
         page = browser.new_page(viewport={"width": 1280, "height": 900})
         first = _time(page, link, "main h1")
         study = _time(page, f"{url}/signals/arm/study.toml", "#time[data-drawn]")
-        slider = _slider(page, url)
+        sliders = {
+            "curves after a slider": _slider(page, url, "arm", "step-j1"),
+            "curves of seven joints after a slider": _slider(page, url, "seven", "motion"),
+        }
         browser.close()
     return [
         Row("workbench, first page in Chromium", first, "limit", _FIRST_PAGE),
         Row(f"workbench, study of {size:.0f} MB on screen", study, "limit", _STUDY),
-        Row("workbench, curves after a slider", slider, "limit", _SLIDER),
+        *(Row(f"workbench, {task}", time, "limit", _SLIDER) for task, time in sliders.items()),
     ]
+
+
+def _write_seven_joints(folder: Path) -> None:
+    """Study and logs of the first drawn chain of seven joints, with an IMU on each link."""
+    chains = (draw_chain(seed, (7,), ("imu",)) for seed in count())
+    chain = next(chain for chain in chains if chain.engine == "own")
+    simulate_chain(chain, folder, 0)
+    (folder / "values.json").write_text(json.dumps(parameter_document(chain.values)))
 
 
 def _time(page: Page, address: str, selector: str) -> float:
@@ -124,13 +140,14 @@ def _time(page: Page, address: str, selector: str) -> float:
     return time.perf_counter() - begin
 
 
-def _slider(page: Page, url: str) -> float:
-    """Median time from a change of a slider to the drawn curves."""
-    page.goto(f"{url}/by-hand/arm/study.toml")
-    page.select_option("#record", "step-j1")
-    page.wait_for_selector("#note[data-record='step-j1']", state="attached")
+def _slider(page: Page, url: str, arm: str, record: str) -> float:
+    """Median time from a change of a slider of joint 1 to the drawn curves."""
+    page.goto(f"{url}/by-hand/{arm}/study.toml")
+    page.select_option("#record", record)
+    page.wait_for_selector(f"#note[data-record='{record}']", state="attached")
+    page.select_option("#joint", "1")
     times = []
-    slider = page.locator(".slider input[type=range]").first
+    slider = page.locator("[data-group='Joint 1'] .slider input[type=range]").first
     for _ in range(_UPDATES):
         slider.press("ArrowUp")
         page.wait_for_timeout(250)

@@ -213,7 +213,7 @@ def test_a_full_disk_is_a_sentence_and_changes_nothing(
     before = contents(folder)
     with full_disk():
         if route == "upload":
-            answer = served.put("/api/upload/new/log.csv", content=b"t,u1\n0,1\n")
+            answer = served.put("/api/upload?folder=new&name=log.csv", content=b"t,u1\n0,1\n")
         elif route == "zip":
             answer = served.get(f"/zip/{STUDY}?run=one")
         else:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import strainwave as sw
+from strainwave.virtual import scara
 
 pytest.importorskip("starlette")
 
@@ -119,3 +120,84 @@ def test_the_command_line_writes_the_comparison(client: TestClient, two_runs: Pa
     assert document["differs"]
     query = {"run": "compare-1", "file": "comparison.html"}
     assert client.get("/download/arm/study.toml", params=query).status_code == 200
+
+
+def test_residuals_of_true_and_wrong_values_are_compared_and_tested(
+    client: TestClient, folder: Path
+) -> None:
+    true = scara.STIFF.parameters()
+    wrong = {key: 1.2 * v if "stiffness" in key[0] else v for key, v in true.items()}
+    for path, values in ((A, true), (B, wrong)):
+        parameters = [
+            {"name": name, "joint": joint, "value": v, "std": None, "unit": "", "stage": "tuned"}
+            for (name, joint), v in values.items()
+        ]
+        (folder / path).parent.mkdir(parents=True)
+        document: dict[str, Any] = {"schema": "strainwave/result/1", "stages": {}, "verdict": {}}
+        document |= {"status": "determined", "checks": [], "warnings": []}
+        document |= {"study": {"path": "study.toml", "sha256": ""}, "parameters": parameters}
+        (folder / path).write_text(json.dumps(document))
+    body = {"paths": [A, B], "record": "step-check-j1", "channel": "a1"}
+    answer = client.post("/api/compare-record/arm/study.toml", json=body).json()
+    assert (answer["channel"], answer["notes"]) == ("a1", [])
+    lines = {one["name"]: one["y"] for one in answer["difference"]["data"]}
+    rms = {name: np.std([y for y in line if y is not None]) for name, line in lines.items()}
+    assert rms["b"] > 10.0 * rms["a"]
+    rows = {(row["channel"], row["name"]): row for row in answer["tests"]}
+    assert len(rows) == 2 * len(answer["channels"])
+    for channel in answer["channels"]:
+        good, bad = rows[channel, "a"], rows[channel, "b"]
+        assert good["is_independent"]
+        assert float(good["noise"]) < 1.3
+        assert float(bad["noise"]) > 10.0
+        assert not bad["is_white"]
+    assert rows["a1", "a"]["is_white"]
+    assert not rows["omega_m1", "b"]["is_independent"]
+
+
+def test_the_changes_are_in_percent_or_standard_deviations(two_runs: Path) -> None:
+    results = compare.read_results({"a": two_runs / A, "b": two_runs / B})
+    for scale in ("percent", "std"):
+        first, second = compare.interval_figure(results, scale)["data"]
+        assert not any(first["x"])
+        rows = zip(*first["y"], second["x"], strict=True)
+        changed = {(joint, name): x for joint, name, x in rows if x}
+        assert changed
+        assert all("stiffness" in name for _, name in changed)
+        if scale == "percent":
+            assert list(changed.values()) == pytest.approx([20.0] * len(changed))
+
+
+def test_other_results_are_ghosts_and_have_a_difference(client: TestClient, two_runs: Path) -> None:
+    body = {"paths": [A, B], "joint": 1}
+    figures = client.post("/api/compare-joint/arm/study.toml", json=body).json()
+    for name in ("bode", "step"):
+        lines = [trace for trace in figures[name]["data"] if "fill" not in trace]
+        assert {t["line"]["dash"] == "solid" for t in lines if t["name"] == "a"} == {True}
+        assert {t.get("opacity", 1.0) < 1.0 for t in lines if t["name"] == "b"} == {True}
+        assert {t["line"]["dash"] == "solid" for t in lines if t["name"] == "b"} == {False}
+    difference = {t["name"]: t["y"] for t in figures["difference"]["data"] if t["yaxis"] == "y"}
+    assert not any(difference["a"])
+    low = np.array(difference["b"], dtype=float)[:3]
+    assert np.abs(low).max() < 0.5  # [dB] below the resonance only the inertia counts
+
+
+def test_a_record_that_does_not_exist_gives_a_sentence(client: TestClient, two_runs: Path) -> None:
+    body = {"paths": [A, B], "record": "none"}
+    answer = client.post("/api/compare-record/arm/study.toml", json=body)
+    assert answer.status_code == 400
+    assert "no experiment" in answer.json()["error"]
+
+
+def test_results_without_a_common_parameter_are_shown_with_a_note(
+    client: TestClient, two_runs: Path
+) -> None:
+    document = json.loads((two_runs / B).read_bytes())
+    document["parameters"] = [document["parameters"][0] | {"name": "gear_stiffness_cubic"}]
+    document.pop("covariance", None)
+    document["study"]["path"] = "elsewhere.toml"
+    (two_runs / B).write_text(json.dumps(document))
+    answer = client.post("/api/compare/arm/study.toml", json={"paths": [A, B]})
+    assert answer.status_code == 200, answer.json()
+    assert answer.json()["test"] is None
+    assert answer.json()["note"]

@@ -11,6 +11,7 @@ import numpy as np
 from strainwave.domain import (
     ArmModel,
     FloatArray,
+    FrictionTerm,
     Log,
     Prediction,
     RigidModel,
@@ -108,7 +109,8 @@ def predict_rigid(
             f"lasts {len(signals.time) * signals.sample_time:.3g} s, too short to be predicted"
             f" behind the rigid model's low-pass of {model.bandwidth_hz:.2g} Hz"
         )
-    prediction = _predict_torques(model, model.solution, signals, arm)
+    terms, band = model.friction_terms, model.bandwidth_hz
+    prediction = predict_torques(model.solution, signals, arm, band, terms)
     if not fitted:
         return prediction
 
@@ -117,7 +119,7 @@ def predict_rigid(
         covariance = np.nan_to_num(model.covariance, nan=0.0, posinf=0.0)
         every = range(len(covariance))
         for solution in _variations(model.solution, coulomb, every, covariance):
-            other = _predict_torques(model, solution, signals, arm)
+            other = predict_torques(solution, signals, arm, band, terms)
             yield other.predicted - prediction.predicted
 
     motions = np.max([np.std(each.measured, axis=0) for each in fitted], axis=0)
@@ -128,11 +130,19 @@ def predict_rigid(
     return replace(prediction, unexplained=unexplained)
 
 
-def _predict_torques(
-    model: RigidModel, solution: FloatArray, signals: Signals, arm: Arm
+def predict_torques(
+    solution: FloatArray,
+    signals: Signals,
+    arm: Arm,
+    bandwidth_hz: float,
+    friction_terms: Sequence[FrictionTerm] = (),
 ) -> Prediction:
-    """Prediction of the drive signals with other values (n_parameters,) of a model."""
-    band = band_prediction(arm, solution, signals, model.bandwidth_hz, model.friction_terms)
+    """Predict the drive signals of a record as in `predict_rigid`, with given values.
+
+    `solution` (n_parameters,) has the order of `Arm.rigid_columns`; the low-pass of both sides has
+    the bandwidth.
+    """
+    band = band_prediction(arm, solution, signals, bandwidth_hz, friction_terms)
     names = signals.torque_channel
     is_voltage = [channel_parts(name)[0] == "u" for name in names]
     per_channel = np.where(is_voltage, arm.torque_per_volt, 1.0)

@@ -59,7 +59,8 @@ def read_assumptions(path: Path) -> Values:
     document = _document(path)
     if not isinstance(document, dict) or not isinstance(document.get("stages"), dict):
         return {}
-    columns = parameters_of(document["stages"].get("rigid") or {}, str(path))
+    rigid = document["stages"].get("rigid")
+    columns = parameters_of(rigid if isinstance(rigid, dict) else {}, str(path))
     model = rigid_model_of(document, len(columns))
     if model is None:
         return {}

@@ -189,10 +189,21 @@ def parameters_of(document: Mapping[str, Any], source: str = "the result") -> tu
     return entries
 
 
+def _stage(document: Mapping[str, Any], name: str, kind: type = dict) -> Any:
+    """The table of a stage, or the list of its tables; empty if the result has none."""
+    stages = document.get("stages") or {}
+    entry = (stages.get(name) or kind()) if isinstance(stages, dict) else stages
+    tables = entry if kind is list and isinstance(entry, list) else [entry]
+    if not isinstance(entry, kind) or not all(isinstance(table, dict) for table in tables):
+        where = f"the result: stages.{name}"
+        raise InvalidInput("is not a table", where=where, remedy=NOT_A_RESULT)
+    return entry
+
+
 def stage_estimates_of(document: Mapping[str, Any]) -> Values:
     """Estimates of all stages by (name, joint), the last stage first; they may be rejected."""
-    stages = document.get("stages", {})
-    tables = [stages.get("tuned") or {}, *stages.get("joints", []), stages.get("rigid") or {}]
+    joints = _stage(document, "joints", list)
+    tables = [_stage(document, "tuned"), *joints, _stage(document, "rigid")]
     values: Values = {}
     for table in tables:
         for p in parameters_of(table, "the result: stages"):
@@ -318,7 +329,7 @@ def rigid_model_of(document: Mapping[str, Any], n_parameters: int) -> RigidModel
     `n_parameters` is the number of the arm's rigid columns. Files of earlier versions have no
     entry `prediction`.
     """
-    table = document.get("stages", {}).get("rigid") or {}
+    table = _stage(document, "rigid")
     if "prediction" not in table or table.get("status") == "not-identifiable":
         return None
     entry = _read(RigidEntry, table, "the result: stages.rigid")
@@ -348,10 +359,16 @@ def rigid_model_of(document: Mapping[str, Any], n_parameters: int) -> RigidModel
     )
 
 
+def rigid_band_of(document: Mapping[str, Any]) -> float:
+    """Bandwidth [Hz] of the rigid model; zero without one."""
+    band = _stage(document, "rigid").get("bandwidth_hz")
+    return band if isinstance(band, float) and band > 0.0 else 0.0
+
+
 def response_of(document: Mapping[str, Any], joint: int) -> FrequencyResponse | None:
     """The nonparametric response of a joint at full amplitude; None if the result has none."""
-    responses = document.get("stages", {}).get("responses", [])
-    table = next((each for each in responses if each["joint"] == joint), None)
+    responses = _stage(document, "responses", list)
+    table = next((each for each in responses if each.get("joint") == joint), None)
     if table is None:
         return None
     entry = _read(ResponseEntry, table, "the result: stages.responses")

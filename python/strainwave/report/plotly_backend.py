@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from strainwave.domain import FloatArray
 from strainwave.report import figures
 from strainwave.report.figures import Area, Axis, Colour, Dash, Figure, Line, Mark, Markers, Panel
+from strainwave.report.figures.curves import Series
 
 _Numbers = Callable[[FloatArray], "list[float | None]"]
 
@@ -22,6 +24,8 @@ _MAX_DECADES_WITH_DIGITS = 1.5  # over a wider range, 2 and 5 between the decade
 _HEAT_MAP_FONT_SIZE = 10  # [px] thirty names fit one below the other
 _BAND_OPACITY = 0.18
 _ERROR_BAR_WIDTH = 1.2  # [px]
+# [px] of a figure with a row per name: around all rows, of a row, and of each of its dots
+_WHISKER_MARGIN, _WHISKER_ROW, _WHISKER_STEP = 90, 12, 9
 _SYMBOL_LINE_WIDTH = 1.5  # [px]
 _SYMBOLS = {"x": "x-thin-open", "circle-open": "circle-open"}
 _SIGNIFICANT_DIGITS = 5  # of the largest value, on log axes of each: more than a screen resolves
@@ -87,6 +91,32 @@ def plotly(figure: Figure) -> dict[str, Any]:
         elif isinstance(mark, Markers) and isinstance(mark.x, tuple):
             layout["xaxis"]["tickangle"] = -90
     return {"data": data, "layout": layout}
+
+
+def whiskers(
+    rows: tuple[Sequence[str], Sequence[str]], series: Sequence[Series], title: str
+) -> dict[str, Any]:
+    """Horizontal dots with error bars: one row per name, by groups, with all series beside it.
+
+    `rows` are the groups and the names; the x of a series is its dots, y the half-lengths of the
+    bars.
+    """
+    data = [
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": one.name,
+            "x": rounded(one.x, of_each=True),
+            "y": list(map(list, rows)),
+            "error_x": {"type": "data", "array": rounded(one.y, of_each=True), "width": 3},
+            "marker": {"color": colour, "size": 6},
+        }
+        for one, colour in zip(series, cycle(figures.PALETTE), strict=False)
+    ]
+    height = _WHISKER_MARGIN + (_WHISKER_ROW + _WHISKER_STEP * len(series)) * len(rows[1])
+    names = {"type": "multicategory", "autorange": "reversed", "tickfont": {"size": 10}}
+    axes = {"xaxis": {"title": {"text": title}, "zeroline": True}, "yaxis": names}
+    return {"data": data, "layout": {**axes, "scattermode": "group", "height": height}}
 
 
 def rounded(values: FloatArray, *, of_each: bool = False) -> list[float | None]:

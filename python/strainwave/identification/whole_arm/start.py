@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, JointModel, Log, RigidModel, WholeArmOptions
+from strainwave.domain.arm.assumed_values import TYPICAL_ANTI_RESONANCE_HZ
 from strainwave.domain.arm.combinations import value_of
 from strainwave.domain.arm.effects import effect_named
 from strainwave.domain.arm.gear_laws import STIFFNESS, gear_parameters, is_slope
@@ -25,7 +26,6 @@ from strainwave.identification.whole_arm.problem.parameter_space import (
     restrict_space,
 )
 from strainwave.identification.whole_arm.problem.starting_values import (
-    TYPICAL_ANTI_RESONANCE_HZ,
     StartingValues,
     add_stiffness_curves,
     gear_torques,

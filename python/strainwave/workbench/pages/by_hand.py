@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -17,32 +17,34 @@ from starlette.responses import Response
 from strainwave.domain import (
     ComplexArray,
     FloatArray,
+    FrequencyResponse,
     Log,
-    Parameter,
     Prediction,
     Study,
     channel_parts,
 )
-from strainwave.domain.arm.description import unit_in
+from strainwave.domain.arm.assumed_values import AssumedValues, assume_missing
+from strainwave.domain.arm.description import ArmDescription, unit_in
 from strainwave.domain.arm.kinds.base import LINK_PARAMETERS
-from strainwave.domain.arm.parameter_table import base_name, parameter_table
-from strainwave.domain.arm.parameters import complete_values
-from strainwave.domain.keys import Values, label_of
+from strainwave.domain.arm.link_sensors import constant_of
+from strainwave.domain.arm.parameter_table import ParameterDescription, base_name, record_of
+from strainwave.domain.arm.parameters import parameter_descriptions
+from strainwave.domain.keys import Key, Values, label_of
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import resonance
-from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
+from strainwave.errors import InvalidInput
 from strainwave.export.linear_models import joint_model
 from strainwave.export.source import IdentifiedArm
+from strainwave.identification.closed_loop import restrict_to_values
 from strainwave.identification.joint_model.agreement import motor_response
-from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.identification.whole_arm.records.preparation import (
-    cutoff_of,
-    dataset_of,
-    lengthen_steps,
+from strainwave.identification.trial_values import (
+    MotionWindow,
+    TorqueWindow,
+    starting_values,
+    window_of,
 )
-from strainwave.io.atomic_files import write_whole
-from strainwave.io.parameters import read_parameters
-from strainwave.io.results import response_of
+from strainwave.io.atomic_files import read_json, write_whole
+from strainwave.io.results import response_of, rigid_band_of
 from strainwave.report.document.predictions import prediction_figure
 from strainwave.report.figures.curves import Curve, bode
 from strainwave.report.plotly_backend import plotly
@@ -54,140 +56,113 @@ from strainwave.workbench.runs import Runs
 from strainwave.workbench.web import Body, Routes, page, study_of, text_of, workspace_of
 from strainwave.workbench.workspace import check_name, fingerprint, log_of, study_at
 
-_MAX_POINTS = 800  # of a line
+_MAX_POINTS = 600  # of a line
 _DECADES = 1.0  # of a Bode plot below the anti-resonance and above the resonance
-_N_FREQUENCIES = 300
-_DEFAULT_RESONANCE_HZ = 30.0  # where no joint has a linear model
-_RANGE_DECADES = 1.0  # of a slider on either side of its start
-_MIN_MOTION_TO_NOISE = 3.0  # a channel with less has no fit
-_MIN_MOTION_SHARE = 0.02  # of the largest motion of a channel of its kind
+_N_FREQUENCIES = 160
+_RANGE = 10.0  # of a slider, as a factor on either side of its start
+_ZERO_RANGE = 0.1  # of a slider that starts at zero, over the largest value of its unit
 _LINK_NAMES = frozenset(f"link_{name}" for name in LINK_PARAMETERS)
 
 
-def sliders(study: Study, values: Values) -> list[dict[str, Any]]:
-    """The parameters of the arm that a simulation needs, with the ranges of their sliders."""
-    arm = Arm.of(study.arm.with_selected_laws(values))
-    known = complete_values(values, arm)
+def sliders(study: Study, start: AssumedValues, record: str) -> list[dict[str, Any]]:
+    """The values that the simulation of a record needs, with the ranges of their sliders."""
+    arm, values = restrict_to_values(Arm.of(study.arm), start.values), start.values
+    idle = set(arm.base.links) - set(arm.base.effective)  # without effect on the motion
+    keys = [key for key in arm.parameter_names if key in values]
+    keys += [k for k in values if _is_of_record(k) and record_of(k[0]) in ("", record)]
+    keys.sort(key=lambda key: (key[1] or 0, key[0] in _LINK_NAMES))
+    constants = {key: constant_of(key) for key in keys}
+    units = {key: c.unit if c else unit_in(study.arm, key) for key, c in constants.items()}
     largest: dict[str, float] = {}
-    for key in arm.parameter_names:
-        unit = unit_in(study.arm, key)
-        largest[unit] = max(largest.get(unit, 0.0), abs(known.get(key, 0.0)))
+    for key, unit in units.items():
+        largest[unit] = max(largest.get(unit, 0.0), abs(values[key]))
     rows = []
-    for key in (key for key in arm.parameter_names if key in known):
-        value, unit, table = known[key], unit_in(study.arm, key), parameter_table()
-        text = table.get(base_name(key[0]))
-        is_log = value > 0.0 and (text is None or text.range != "any")
-        factor = 10.0**_RANGE_DECADES
-        spread = 2.0 * abs(value) or 0.1 * largest[unit] or 1.0
-        rows.append(
-            {
-                "label": label_of(*key),
-                "name": key[0],
-                "joint": key[1],
-                "symbol": text.symbol if text else "",
-                "description": text.description if text else "",
-                "unit": unit,
-                "value": value,
-                "low": value / factor if is_log else value - spread,
-                "high": value * factor if is_log else value + spread,
-                "is_log": is_log,
-                "is_of_link": key[0] in _LINK_NAMES,
-            }
-        )
+    for key, unit in units.items():
+        value, text = values[key], parameter_descriptions().get(base_name(key[0]))
+        has_sign = not isinstance(text, ParameterDescription) or text.range == "any"
+        is_log = value > 0.0 and not has_sign
+        spread = 2.0 * abs(value) or _ZERO_RANGE * largest[unit] or 1.0
+        group = "Link" if key[0] in _LINK_NAMES else "Sensors" if constant_of(key) else "Joint"
+        low = value / _RANGE if is_log else value - spread if has_sign else 0.0
+        high = value * _RANGE if is_log else value + spread
+        texts = {"symbol": text.symbol, "description": text.description} if text else {}
+        ends = {"value": value, "low": low, "high": high, "is_log": is_log}
+        names = {"name": key[0], "joint": key[1], "label": label_of(*key), "unit": unit}
+        state = {"is_idle": key in idle, "reason": start.reasons.get(key, "")}
+        place = {"group": f"{group} {key[1]}" if key[1] else "Arm"}
+        rows.append({**names, **place, **texts, **ends, **state})
     return rows
+
+
+def _is_of_record(key: Key) -> bool:
+    """Whether a value belongs to a sensor, or to one record as a change of friction."""
+    is_change = record_of(key[0]) != "" and base_name(key[0]) in parameter_descriptions()
+    return is_change or constant_of(key) is not None
 
 
 def check_values(study: Study, entries: object) -> Values:
     """Values of a request; raises InvalidInput for an unknown parameter or no number."""
     values: Values = {}
     for entry in entries if isinstance(entries, list) else [None]:
-        if not isinstance(entry, dict) or not isinstance(entry.get("value"), int | float):
+        if not isinstance(entry, dict):
             raise InvalidInput("the request has no values", where="values")
-        key = str(entry.get("name")), entry.get("joint")
-        if not isinstance(key[1], int | None):
-            raise InvalidInput(f"there is no parameter {label_of(*key)}", where="values")
-        values[key] = float(entry["value"])
-    known = Arm.of(study.arm.with_selected_laws(values)).parameter_names
+        name, joint, value = str(entry.get("name")), entry.get("joint"), entry.get("value")
+        if not isinstance(joint, int | None):
+            raise InvalidInput(f"there is no parameter {label_of(name, joint)}", where="values")
+        place = f"the field of {label_of(name, joint)}"
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            raise InvalidInput("is not a number", where=place)
+        if not math.isfinite(value):
+            raise InvalidInput("is not a finite number", where=place)
+        values[name, joint] = float(value)
+    known = restrict_to_values(Arm.of(study.arm), values).parameter_names
     for key in values.keys() - set(known):
-        raise InvalidInput(f"there is no parameter {label_of(*key)}", where="values")
+        if not _is_of_record(key):
+            raise InvalidInput(f"there is no parameter {label_of(*key)}", where="values")
     return values
 
 
-def simulate(
-    path: Path, experiment: str, window: tuple[float, float], values: Values
-) -> Prediction:
-    """Simulate a window of a record with given parameters; link sensors without their bias.
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A window of a record, and the channels that are shown of it."""
+
+    path: Path  # of the study
+    experiment: str
+    window: tuple[float, float]  # [s]
+    channels: tuple[str, ...] = ()  # empty: all
+    band_hz: float = 0.0  # of the torques of rigid joints; 0: that of the motion
+
+
+def simulate(shown: Shown, given: Values) -> Prediction:
+    """Simulate a record with given parameters; `trial_values` tells what is compared.
 
     Raises NotIdentifiable with a sentence if these values cannot be simulated, and InvalidInput if
     the record cannot be compared.
     """
-    record = _prepared(path, fingerprint(path), experiment, window)
-    record = replace(record, arm=record.arm.with_selected_laws(values))
-    try:
-        simulated, _ = record.linearise(values, record.start(), ())
-    except (NumericalFailure, InvalidInput) as error:
-        raise NotIdentifiable(f"these values cannot be simulated: {error}") from error
-    except KeyError as error:  # neither the start nor the study has it
-        raise NotIdentifiable(f"there is no value of {label_of(*error.args[0])}") from error
-    if not np.all(np.isfinite(simulated)):
-        raise NotIdentifiable("these values cannot be simulated: the motion grows without limit")
-    residual = record.measured - simulated
-    kinds = np.array([channel_parts(name)[0] for name in record.channel_names])
-    of_link = kinds != "omega_m"  # a sensor on the link has a bias
-    residual[:, of_link] -= residual[:, of_link].mean(axis=0)
-    motion, errors = record.measured.std(axis=0), np.sqrt(np.mean(residual**2, axis=0))
-    # a channel with little motion of its kind only reacts to the motion of others
-    largest = np.array([motion[kinds == kind].max() for kind in kinds])
-    rests = motion < np.maximum(_MIN_MOTION_TO_NOISE * record.noise, _MIN_MOTION_SHARE * largest)
-    fits = 100.0 * (1.0 - errors / np.where(rests, np.nan, motion))
-    return Prediction(
-        experiment,
-        record.time,
-        tuple(record.channel_names),
-        record.measured,
-        record.measured - residual,
-        dict(zip(record.channel_names, fits.tolist(), strict=True)),
-    )
+    window, keys = (shown.experiment, *shown.window), frozenset(given)
+    record = _prepared(shown.path, fingerprint(shown.path), window, keys, shown.band_hz)
+    return record.predict(given, shown.channels)
 
 
 @lru_cache(maxsize=6)
 def _prepared(
-    path: Path, _fingerprint: str, experiment: str, window: tuple[float, float]
-) -> Dataset:
-    """A window of a record, filtered and in long integrator steps."""
-    study, log = study_at(path), log_of(path, experiment)
-    cut = _cut(log, window)
-    arm = Arm.of(study.arm)
-    cutoff = cutoff_of([cut], arm, _DEFAULT_RESONANCE_HZ)
-    # under gravity the error of a simulation by recorded voltages grows; a servo holds it
-    closed_loop = study.arm.servo is not None and "servo" in cut.experiment.control
-    return lengthen_steps(dataset_of(cut, arm, cutoff, closed_loop=closed_loop))
+    path: Path, _stamp: str, window: tuple[str, float, float], keys: frozenset[Key], band: float
+) -> MotionWindow | TorqueWindow:
+    """A window of a record for an arm whose known parameters are `keys`."""
+    experiment, first, last = window
+    arm = restrict_to_values(Arm.of(study_at(path).arm), dict.fromkeys(keys, 0.0))
+    return window_of(log_of(path, experiment), (first, last), arm, band or None)
 
 
-def _cut(log: Log, window: tuple[float, float]) -> Log:
-    first, last = np.searchsorted(log.time, window)
-    rows = slice(int(first), int(last))
-    if first == 0 and last >= len(log):
-        return log
-    return replace(
-        log,
-        time=log.time[rows],
-        channels={name: values[rows] for name, values in log.channels.items()},
-        masked={name: mask[rows] for name, mask in log.masked.items()},
-    )
-
-
-def joint_response(study: Study, values: Values, joint: int) -> tuple[FloatArray, ComplexArray]:
+def joint_response(study: Study, given: Values, joint: int) -> tuple[FloatArray, ComplexArray]:
     """Frequencies [Hz] and response of motor velocity to motor torque of one joint alone.
 
     Raises InvalidInput if the joint has no linear model with these values.
     """
-    parameters = tuple(
-        Parameter(*key, value, None, unit_in(study.arm, key), "tuned")
-        for key, value in values.items()
-    )
-    study = replace(study, arm=study.arm.with_selected_laws(values))
-    model = joint_model(IdentifiedArm(study, parameters, "the sliders"), joint)
+    arm = restrict_to_values(Arm.of(study.arm), given)
+    values = assume_missing(given, arm).values
+    identified = IdentifiedArm(replace(study, arm=arm), (), "the sliders", completion=values)
+    model = joint_model(identified, joint)
     high = resonance(model).frequency_hz
     f = np.geomspace(high / 10.0 ** (2.0 * _DECADES), high * 10.0**_DECADES, _N_FREQUENCIES)
     return f, motor_response(model.vector, model.gear_ratio, f)
@@ -202,7 +177,15 @@ def parameter_document(values: Values) -> dict[str, Any]:
 routes = Routes()
 
 _START = "start.json"
-_MAX_DURATION = 20.0  # [s] of a window; longer ones take longer than a tenth of a second
+# of a window; longer ones take longer than a tenth of a second
+_MAX_DURATION = 20.0  # [s]
+_MAX_JOINT_SECONDS = 30.0  # [s] times joints, behind elastic gears
+
+
+def longest_window(arm: ArmDescription) -> float:
+    """Longest window [s] that follows a slider."""
+    is_rigid = len(arm.rigid_joints) == arm.n_joints
+    return min(_MAX_DURATION, np.inf if is_rigid else round(_MAX_JOINT_SECONDS / arm.n_joints, 1))
 
 
 @routes.page("/by-hand/{study:path}")
@@ -216,48 +199,70 @@ def _show_by_hand(request: Request) -> Response:
         if missing_motor_signal(arm, log_of(path, each.name)) is None
     ]
     starts = [workspace.relative(file) for file in workspace.results_of(path)]
-    elastic = [i for i, joint in enumerate(study.arm.joints, start=1) if joint.elastic]
-    return page(request, "by_hand", "By hand", records=records, starts=starts, joints=elastic)
+    shown = {"records": records, "starts": starts, "joints": range(1, arm.n_joints + 1)}
+    is_rigid, duration = len(arm.rigid_joints) == arm.n_joints, longest_window(arm)
+    return page(request, "by_hand", "By hand", is_rigid=is_rigid, duration=duration, **shown)
 
 
 @routes.post("/api/by-hand-begin/{study:path}")
 def begin(request: Request, body: Body) -> object:
     """Sliders with the values of a file, and the channels of a record."""
-    path = study_of(request)
-    study, start = study_at(path), text_of(body, "start")
-    log = log_of(path, text_of(body, "experiment"))
-    values = read_parameters(workspace_of(request).resolve(start))
-    rows = sliders(study, values)
-    rows = sliders(study, values)
-    values = {(row["name"], row["joint"]): row["value"] for row in rows}
-    shown = simulate(path, log.name, _window(body, log), values)
-    return {
-        "sliders": rows,
-        "channels": shown.channels,
-        "window": _window(body, log),
-    }
+    shown = _shown(request, body)
+    study, file = study_at(shown.path), workspace_of(request).resolve(text_of(body, "start"))
+    start = starting_values(study.arm, file)
+    rows = sliders(study, start, shown.experiment)
+    prediction = simulate(shown, {(row["name"], row["joint"]): row["value"] for row in rows})
+    return {"sliders": rows, "channels": prediction.channels, "window": shown.window}
 
 
 @routes.post("/api/by-hand/{study:path}")
 def update(request: Request, body: Body) -> object:
     """Simulated channels, residuals and Bode plot with the values of the sliders."""
     begin_time = time.perf_counter()
-    path = study_of(request)
-    study = study_at(path)
+    shown = _shown(request, body)
+    study = study_at(shown.path)
     values = check_values(study, body.get("values"))
-    log = log_of(path, text_of(body, "experiment"))
-    shown = simulate(path, log.name, _window(body, log), values)
+    prediction = simulate(shown, values)
     wanted = body.get("channels")
-    names = [name for name in wanted if name in shown.channels] if isinstance(wanted, list) else []
+    names = [n for n in prediction.channels if isinstance(wanted, list) and n in wanted]
     figure = prediction_figure(
-        shown, study.arm.joints, _MAX_POINTS, names or shown.channels[:2], model="simulated"
+        prediction, study.arm.joints, _MAX_POINTS, names or prediction.channels[:2], "simulated"
     )
     return {
         "time": plotly(figure),
-        "fits": shown.fit_percent,
+        "fits": prediction.fit_percent,
         "bode": _bode(request, body, study, values),
         "milliseconds": 1e3 * (time.perf_counter() - begin_time),
     }
+
+
+def _shown(request: Request, body: Body) -> Shown:
+    """The record, its window, and the channels of a request: those named and of the joint."""
+    path = study_of(request)
+    log, measured = log_of(path, text_of(body, "experiment")), tuple[str, ...]()
+    wanted, joint = body.get("channels"), body.get("joint")
+    if isinstance(wanted, list) and isinstance(joint, int):
+        of_joint = (name for name in log.channels if channel_parts(name)[1] == joint)
+        names = [*filter(None, map(str, wanted)), *of_joint, f"omega_m{joint}"]
+        measured = tuple(name.replace("theta", "omega") for name in names)
+    start = workspace_of(request).resolve(text_of(body, "start"))
+    band = _band_at(start, start.stat().st_mtime_ns) if start.is_file() else 0.0
+    window = _window(body, log, longest_window(study_at(path).arm))
+    return Shown(path, log.name, window, measured, band)
+
+
+@lru_cache(maxsize=8)
+def _band_at(path: Path, _time: int) -> float:
+    """Bandwidth [Hz] of the rigid stage of a result; zero if it has none."""
+    document = read_json(path, "the start", "choose another one")
+    return rigid_band_of(document) if isinstance(document, dict) else 0.0
+
+
+@lru_cache(maxsize=32)
+def _response_at(path: Path, _time: int, joint: int) -> FrequencyResponse | None:
+    """Measured response of a joint in a result; None if it has none."""
+    document = read_json(path, "the start", "choose another one")
+    return response_of(document, joint) if isinstance(document, dict) else None
 
 
 def _bode(request: Request, body: Body, study: Study, values: Values) -> dict[str, Any] | None:
@@ -267,25 +272,24 @@ def _bode(request: Request, body: Body, study: Study, values: Values) -> dict[st
         return None
     try:
         curves = [Curve("sliders", *joint_response(study, values, joint))]
-    except InvalidInput:  # a joint of a coupled transmission has no model of its own
+    except InvalidInput:  # rigid, or a joint of a coupled transmission
         return None
     start = workspace_of(request).resolve(text_of(body, "start"))
-    if start.name == "result.json":
-        measured = response_of(json.loads(start.read_bytes()), joint)
-        if measured is not None:
-            points = measured.frequencies_hz, measured.response[:, 0, 0]
-            curves.insert(0, Curve("measured", *points, true=True))
+    measured = _response_at(start, start.stat().st_mtime_ns, joint) if start.is_file() else None
+    if measured is not None:
+        points = measured.frequencies_hz, measured.response[:, 0, 0]
+        curves.insert(0, Curve("measured", *points, true=True))
     return plotly(bode(curves, f"Joint {joint}"))
 
 
-def _window(body: Body, log: Any) -> tuple[float, float]:
-    """Window of the record, of a bounded duration."""
+def _window(body: Body, log: Log, duration: float) -> tuple[float, float]:
+    """Window of the record, of at most a duration [s]."""
     begin_time = body.get("from")
     first, last = float(log.time[0]), float(log.time[-1])
     if not isinstance(begin_time, int | float) or not math.isfinite(begin_time):
         begin_time = first
     begin_time = min(max(float(begin_time), first), last)
-    return begin_time, min(begin_time + _MAX_DURATION, last + log.sample_time)
+    return begin_time, min(begin_time + duration, last + log.sample_time)
 
 
 @routes.post("/api/by-hand-save/{study:path}")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -17,23 +19,45 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 import strainwave as sw
-from strainwave.domain import ComplexArray, Parameter
+from strainwave.domain import ComplexArray, Joint, Parameter, Prediction
 from strainwave.domain.keys import Key, label_of
 from strainwave.domain.messages import plus_minus
 from strainwave.domain.results.distributions import CI95_STDS
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export import arm_of
 from strainwave.export.linear_models import Matrices, joint_model, state_space
 from strainwave.fleet.monitoring import comparison as monitoring
 from strainwave.fleet.monitoring.comparison_output import to_document
+from strainwave.identification.closed_loop import restrict_to_values
+from strainwave.identification.trial_values import ChannelTest, starting_values, window_of
+from strainwave.identification.whole_arm.inference.fit_tests import SIGNIFICANCE_LEVEL
+from strainwave.io.results import rigid_band_of
 from strainwave.report.document.blocks import read_figures
+from strainwave.report.document.predictions import unit_of
 from strainwave.report.figures import DASHES, PALETTE, Axis, Figure, Line, Markers, Panel
-from strainwave.report.figures.curves import Curve, bode
-from strainwave.report.plotly_backend import plotly
+from strainwave.report.figures.curves import Curve, Series, bode, lines
+from strainwave.report.plotly_backend import plotly, whiskers
+from strainwave.signals.recorded_input import missing_motor_signal
 from strainwave.workbench.pages.runs import describe
 from strainwave.workbench.runs import Runs
-from strainwave.workbench.web import Body, Routes, message_of, page, study_of, workspace_of
-from strainwave.workbench.workspace import Workspace, is_runs_folder
+from strainwave.workbench.web import (
+    HANDLED,
+    Body,
+    Routes,
+    message_of,
+    page,
+    study_of,
+    text_of,
+    workspace_of,
+)
+from strainwave.workbench.workspace import (
+    Workspace,
+    fingerprint,
+    is_runs_folder,
+    log_of,
+    study_at,
+)
 
 _PERIODS = 8.0  # of the resonance, in a step response
 _STEP_POINTS = 600
@@ -43,6 +67,8 @@ _SHARED = (
     " of a difference applies."
 )
 _MAX_SHOWN_STD = 0.2  # relative; wider intervals would set the scale of the figure
+_GHOST_OPACITY = 0.55  # of the lines of other results
+_MAX_DURATION = 60.0  # [s] of a predicted record
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,32 +131,35 @@ def _cell(parameter: Parameter | None, first: Parameter | None) -> dict[str, Any
     return {"text": text, "low": low, "high": high, "change": change}
 
 
-def interval_figure(results: Sequence[NamedResult]) -> Figure:
-    """Values over those of the first result, with 95 % intervals."""
-    marks, keys = [], []
-    for parameter in results[0].result:
-        estimates = [_estimate(one, parameter.key) for one in results]
-        is_narrow = all(
-            p and p.value and p.std is not None and p.std < _MAX_SHOWN_STD * abs(p.value)
-            for p in estimates
-        )
-        if parameter.value and is_narrow:
-            keys.append((parameter.key, parameter.value))
-    names = tuple(label_of(*key) for key, _ in keys)
-    for one, colour in zip(results, cycle(PALETTE), strict=False):
-        values = [(one.result[key].value or np.nan) / reference for key, reference in keys]
-        stds = [(one.result[key].std or np.nan) / abs(reference) for key, reference in keys]
-        error = CI95_STDS * np.array(stds)
-        marks.append(Markers(names, np.array(values), one.name, colour, 6.0, error=error))
-    axis = Axis(f"value / value of {results[0].name}")
-    return Figure(Axis(""), (Panel(axis, tuple(marks), 1.6),))
+def interval_figure(results: Sequence[NamedResult], scale: str) -> dict[str, Any]:
+    """Changes from the first result with 95 % intervals, one row per parameter, by joint.
+
+    `scale` is "percent" of the first value, or "std", standard deviations of the first result.
+    """
+    rows = [(p, p.value, p.std) for p in results[0].result if p.value and p.std]
+    if scale == "percent":
+        rows = [row for row in rows if row[2] < _MAX_SHOWN_STD * abs(row[1])]
+    rows.sort(key=lambda row: row[0].joint or 0)
+    joints = [f"joint {p.joint}" if p.joint else "arm" for p, _, _ in rows]
+    sizes = np.array([0.01 * abs(v) if scale == "percent" else std for _, v, std in rows])
+    dots = []
+    for one in results:
+        estimates = [_estimate(one, p.key) for p, _, _ in rows]
+        values = [np.nan if p is None or p.value is None else p.value for p in estimates]
+        stds = [np.nan if p is None or p.std is None else p.std for p in estimates]
+        change = (np.array(values) - np.array([value for _, value, _ in rows])) / sizes
+        dots.append(Series(one.name, change, CI95_STDS * np.array(stds) / sizes))
+    unit = "%" if scale == "percent" else f"standard deviations of {results[0].name}"
+    names = [p.name for p, _, _ in rows]
+    return whiskers((joints, names), dots, f"change from {results[0].name} [{unit}]")
 
 
 def joints_of(results: Sequence[NamedResult]) -> list[int]:
     """Joints that have a linear model of their own in every result."""
-    arms = list(map(_arm, results))
-    joints = []
-    for joint in range(1, min(len(arm.study.arm.joints) for arm in arms) + 1):
+    arms, joints = list[Any](), list[int]()
+    with suppress(InvalidInput):  # a result without parameters
+        arms = list(map(_arm, results))
+    for joint in range(1, min((arm.study.arm.n_joints for arm in arms), default=0) + 1):
         with suppress(InvalidInput):
             for arm in arms:
                 joint_model(arm, joint)
@@ -140,6 +169,30 @@ def joints_of(results: Sequence[NamedResult]) -> list[int]:
 
 def _arm(one: NamedResult) -> Any:
     return arm_of(one.result.document, one.path)
+
+
+def with_ghosts(figure: dict[str, Any], name: str) -> dict[str, Any]:
+    """The figure with the lines of all but one result faint and dashed."""
+    for trace in figure["data"]:
+        if trace.get("name") != name:
+            trace["opacity"] = _GHOST_OPACITY
+        if "fill" not in trace:
+            trace["line"]["dash"] = "solid" if trace.get("name") == name else "6px,4px"
+    return figure
+
+
+def bode_differences(results: Sequence[NamedResult], joint: int) -> Figure:
+    """Responses over that of the first result, at its frequencies."""
+    responses = [one.result.frequency_response(joint) for one in results]
+    f, first = responses[0].frequencies_hz, responses[0].response
+    curves = [Curve(results[0].name, f, np.ones_like(first))]
+    for one, response in zip(results[1:], responses[1:], strict=True):
+        inside = (f >= response.frequencies_hz[0]) & (f <= response.frequencies_hz[-1])
+        logarithm = np.log(np.abs(response.response)) + 1j * np.unwrap(np.angle(response.response))
+        at = np.interp(np.log(f[inside]), np.log(response.frequencies_hz), logarithm)
+        if inside.any():
+            curves.append(Curve(one.name, f[inside], np.exp(at) / first[inside]))
+    return bode(curves, f"Joint {joint}: responses over that of {results[0].name}")
 
 
 def bode_figure(results: Sequence[NamedResult], joint: int) -> Figure:
@@ -214,6 +267,50 @@ def check_fits(results: Sequence[NamedResult]) -> list[dict[str, Any]]:
     ]
 
 
+@lru_cache(maxsize=16)
+def _predicted(
+    study: Path, _stamp: str, record: str, result: Path, _time: int
+) -> tuple[Prediction, list[ChannelTest]]:
+    """Prediction and residual tests of a record with the values of a result."""
+    arm, log = study_at(study).arm, log_of(study, record)
+    values = starting_values(arm, result).values
+    arm, first = restrict_to_values(Arm.of(arm), values), float(log.time[0])
+    band, span = rigid_band_of(json.loads(result.read_bytes())), (first, first + _MAX_DURATION)
+    window = window_of(log, span, arm, band or None, exact_at=values)
+    prediction = window.predict(values)
+    return prediction, window.residual_tests(prediction)
+
+
+def difference_figure(
+    predictions: Mapping[str, Prediction], channel: str, joints: Sequence[Joint]
+) -> Figure:
+    """Simulated minus measured channel of each result over time."""
+    series = []
+    for name, prediction in predictions.items():
+        if channel in prediction.channels:
+            k = prediction.channels.index(channel)
+            difference = prediction.predicted[:, k] - prediction.measured[:, k]
+            series.append(Series(name, prediction.time, difference))
+    unit = unit_of(channel, joints)
+    return lines(series, "time [s]", f"{channel}, simulated minus measured [{unit}]", "")
+
+
+def test_row(name: str, test: ChannelTest) -> dict[str, Any]:
+    """Cells of the residual tests of one channel and result."""
+    by_input, is_white = test.by_input, test.whiteness >= SIGNIFICANCE_LEVEL
+    return {
+        "channel": test.channel,
+        "name": name,
+        "deviation": f"{test.deviation:.3g}",
+        "noise": f"{test.deviation / test.noise:.3g}" if test.noise else "",
+        "is_white": is_white,
+        "whiteness": f"p = {test.whiteness:.2g}" if is_white else f"p < {SIGNIFICANCE_LEVEL:g}",
+        "is_independent": by_input.probability >= SIGNIFICANCE_LEVEL,
+        "input": f"joint {by_input.joint}, r = {by_input.correlation:.2f},"
+        f" delay {1e3 * by_input.delay:.3g} ms",
+    }
+
+
 routes = Routes()
 
 _MAX_RESULTS = 200  # listed
@@ -222,7 +319,7 @@ _MAX_RESULTS = 200  # listed
 @routes.page("/compare/{study:path}")
 def _show_compare(request: Request) -> Response:
     study_of(request)
-    return page(request, "compare", "Compare")
+    return page(request, "compare", "Compare", level=SIGNIFICANCE_LEVEL)
 
 
 @routes.get("/api/results/{study:path}")
@@ -260,17 +357,18 @@ def compare(request: Request, body: Body) -> object:
         try:
             estimates = monitoring.read_estimates([one.path for one in results])
             document = to_document(monitoring.compare(estimates))
-        except InvalidInput as error:
+        except HANDLED as error:
             note = message_of(request, error)
     first = read_figures(results[0].path.parent / "report.html")
     return {
         "names": [one.name for one in results],
         "rows": parameter_rows(results, are_independent=not shared),
-        "intervals": plotly(interval_figure(results)),
+        "intervals": {scale: interval_figure(results, scale) for scale in ("percent", "std")},
         "test": document,
         "note": note,
         "joints": joints_of(results),
         "checks": check_fits(results),
+        "records": records_of(study_of(request)),
         "figures": [{"key": key, "title": figure["title"]} for key, figure in first.items()],
     }
 
@@ -281,11 +379,45 @@ def joint_figures(request: Request, body: Body) -> object:
     results, joint = _chosen(request, body.get("paths")), body.get("joint")
     if not isinstance(joint, int):
         raise InvalidInput("the request names no joint", where="joint")
+    name = results[0].name
     return {
-        "bode": plotly(bode_figure(results, joint)),
-        "step": plotly(step_figure(results, joint)),
+        "bode": with_ghosts(plotly(bode_figure(results, joint)), name),
+        "difference": plotly(bode_differences(results, joint)),
+        "step": with_ghosts(plotly(step_figure(results, joint)), name),
         "poles": plotly(pole_figure(results, joint)),
     }
+
+
+@routes.post("/api/compare-record/{study:path}")
+def predicted_record(request: Request, body: Body) -> object:
+    """Differences and residual tests of a record with the values of each result."""
+    path, record = study_of(request), text_of(body, "record")
+    log_of(path, record)  # exists
+    predictions, tests, notes = dict[str, Prediction](), list[dict[str, Any]](), list[str]()
+    for one in _chosen(request, body.get("paths")):
+        key = path, fingerprint(path), record, one.path, one.path.stat().st_mtime_ns
+        try:
+            predictions[one.name], tested = _predicted(*key)
+            tests += [test_row(one.name, test) for test in tested]
+        except HANDLED as error:
+            notes.append(f"{one.name}: {message_of(request, error)}")
+    channels = list(dict.fromkeys(c for p in predictions.values() for c in p.channels))
+    wanted = body.get("channel")
+    channel = wanted if wanted in channels else next(iter(channels), None)
+    joints = study_at(path).arm.joints
+    figure = plotly(difference_figure(predictions, channel, joints)) if channel else None
+    tests.sort(key=lambda row: channels.index(row["channel"]))
+    shown = {"channels": channels, "channel": channel, "difference": figure}
+    return {**shown, "tests": tests, "notes": notes}
+
+
+def records_of(path: Path) -> list[str]:
+    """Records of a study that can be predicted: its check records, or all if there are none."""
+    study, arm = study_at(path), Arm.of(study_at(path).arm)
+    usable = [
+        e for e in study.experiments if missing_motor_signal(arm, log_of(path, e.name)) is None
+    ]
+    return [e.name for e in usable if e.use == "check"] or [e.name for e in usable]
 
 
 @routes.post("/api/compare-figure/{study:path}")

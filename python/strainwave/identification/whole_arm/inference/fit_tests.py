@@ -45,7 +45,8 @@ _MIN_SEGMENT_ROWS = 64  # minimum segment length [rows]
 _MAX_BAND_SHARE = 0.8  # upper limit of the band for spectral comparison, relative to the cut-off
 MIN_WARNING_RATIO = 3.0  # ratio of residual to sensor noise above which a warning is issued
 _MIN_NOISE_RATIO = 1.5  # ratio above which more than half of the residual power is not noise
-_SIGNIFICANCE_LEVEL = 1e-3  # significance level of the input correlation
+SIGNIFICANCE_LEVEL = 1e-3
+"""Significance level of the tests of a residual."""
 
 
 def residual_tests(objective: Objective, z: FloatArray) -> tuple[ResidualTest, ...]:
@@ -57,15 +58,16 @@ def residual_tests(objective: Objective, z: FloatArray) -> tuple[ResidualTest, .
     def tested(record: Dataset, rows: Rows) -> list[ResidualTest]:
         inputs = record.kernels.rows(record.drive.voltage[: len(record.log)], slope=False)
         errors = rows.errors.T
-        return [_test_channel(record, k, column, inputs) for k, column in enumerate(errors)]
+        return [assess_channel(record, k, column, inputs) for k, column in enumerate(errors)]
 
     each = zip(objective.records, objective.rows(z), strict=True)
     return tuple(chain.from_iterable(run_parallel([partial(tested, *pair) for pair in each])))
 
 
-def _test_channel(
+def assess_channel(
     record: Dataset, k: int, residual: FloatArray, inputs: FloatArray
 ) -> ResidualTest:
+    """Test the residual (n_rows,) of one channel against the inputs (n_rows, n_joints)."""
     channel, kernels = record.channels[k], record.kernels
     T = record.log.sample_time
     frequency, density = spectral_density(residual, kernels.step * T)
@@ -198,7 +200,7 @@ def residual_warnings(tests: Sequence[ResidualTest], *, explained: bool) -> Iter
         if worst is None or worst.deviation < MIN_WARNING_RATIO * worst.noise:
             continue
         dependence = Clause("follows-no-input")
-        if worst.input_probability < _SIGNIFICANCE_LEVEL:
+        if worst.input_probability < SIGNIFICANCE_LEVEL:
             joint, delay = worst.input_joint, worst.input_delay
             dependence = Clause("follows-input", joint=joint, delay=delay)
         yield Diagnostic(

@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Joint, JointModel, Place, RigidModel
+from strainwave.domain.arm.assumed_values import TYPICAL_ANTI_RESONANCE_HZ, TYPICAL_DAMPING_RATIO
 from strainwave.domain.arm.combinations import change_from, value_of
 from strainwave.domain.arm.description import unit_in, unit_of
 from strainwave.domain.arm.gear_laws import STIFFNESS
@@ -41,11 +42,7 @@ from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.prepared_record import prepare_record
 
-TYPICAL_ANTI_RESONANCE_HZ = 15.0
-"""Typical of strain-wave gears: 10 to 30 Hz, small arms up to 60 Hz."""
-
 _MIN_FRICTION_SHARE = 0.05  # minimum share of the total viscous friction, motor or link
-_TYPICAL_DAMPING_RATIO = 0.03  # typical damping ratio of strain-wave gears
 # range of starting damping ratios, as search ranges are relative to them
 _DAMPING_RATIO_RANGE = (0.01, 0.5)
 
@@ -95,7 +92,7 @@ def starting_values_of(
         critical = 2.0 * float(np.sqrt(stiffness * link_inertia))
         if not is_positive(damping):
             rejected["gear_damping", number] = damping
-            damping = _TYPICAL_DAMPING_RATIO * critical
+            damping = TYPICAL_DAMPING_RATIO * critical
         low, high = _DAMPING_RATIO_RANGE
         damping = min(max(damping, low * critical), high * critical)
         friction = _friction(rigid, models[number], float(arm.gear_ratios[number - 1]))
