@@ -165,6 +165,13 @@ def test_seven_joints_are_a_table_that_fits(visit: Any) -> None:
     page.get_by_text("Show 14 optional rows").press("Enter")
     assert field.is_visible()
     visit.check_accessibility()
+    unit = page.get_by_label("Unit of Gear ratio")
+    assert unit.is_visible()
+    page.focus("#field-joint-6-motion")
+    page.select_option("#field-joint-6-motion", "prismatic")  # m per rad for this joint
+    visit.wait_until("document.body.textContent.includes('link rad (or m) per motor rad')")
+    assert unit.count() == 0
+    assert page.evaluate("document.activeElement.id") == "field-joint-6-motion"
 
 
 def test_the_edited_joint_is_marked_in_the_picture_of_a_draft(visit: Any) -> None:

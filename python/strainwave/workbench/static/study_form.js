@@ -105,12 +105,12 @@ function copyButton(label, text, rowsOf) {
 function buildRow(row, count) {
   if (!row.key) return make("tbody", {}, make("tr", {}, make("th", { scope: "rowgroup", class: "section", colspan: count + 3 }, row.section)));
   const { title, key } = row.key, about = `about-${row.fields[0].place[0]}-${key}`;
-  const body = make("tbody");
+  const body = make("tbody"), isCopied = count > 1 && row.key.kind !== "text"; // a text is the name of one joint
   const control = (field, k) => fieldControl(idOf(field.place), entryOf(row, field), { "aria-label": count > 1 ? `${title} of joint ${k + 1}` : title, "aria-describedby": about });
   body.append(
     make("tr", {}, make("th", { scope: "row" }, title, make("button", { type: "button", class: "tip", "aria-label": `About ${title}`, "aria-expanded": "false", "aria-controls": about }, "?")),
       make("td", { class: "unit" }, unitMenu(row, () => updateRow(body, body.row, false))), ...row.fields.map((field, k) => make("td", {}, control(field, k))),
-      ...(count > 1 && row.key.kind !== "text" ? /* a text is the name of one joint */ [make("td", {}, copyButton(`Copy ${title} of joint 1 to all joints`, "copy", () => [body.row]))] : [])),
+      ...(isCopied ? [make("td", {}, copyButton(`Copy ${title} of joint 1 to all joints`, "copy", () => [body.row]))] : [])),
     make("tr", { class: "explanation", id: about, hidden: true }, make("td", { colspan: count + 3 })));
   return body;
 }
@@ -150,7 +150,7 @@ function updateGroup(section, group) {
     const inside = rows.filter((row) => row.section === name);
     return [...(name ? [{ section: name, isHidden: inside.every(isOptional) }] : []), ...inside.map((row) => ({ ...row, isHidden: isOptional(row) }))];
   });
-  keep(table, [...(table.tHead ? [{ section: "heads" }] : []), ...entries], (row) => row.key?.key ?? row.section,
+  keep(table, [...(table.tHead ? [{ section: "heads" }] : []), ...entries], (row) => row.key ? `${row.key.key} ${row.key.unit}` : row.section,
     (row) => buildRow(row, rows[0].fields.length), (body, row) => { if (body !== table.tHead) updateRow(body, row, row.isHidden && !isOpen); });
   const more = section.querySelector(".more");
   more.hidden = count === 0;
