@@ -49,7 +49,8 @@ class Hands:
         self.clicks += 1
 
     def click(self, selector: str) -> None:
-        """Click the first element."""
+        """Click the first element, on a page whose scripts have run."""
+        self.page.wait_for_load_state()
         self.page.locator(selector).first.click()
         self.clicks += 1
 

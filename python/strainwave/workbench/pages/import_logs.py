@@ -130,7 +130,8 @@ def _draft(
             drafted = draft_study(logs, target, urdf)
             return drafted.text, [*notes, *filter(None, [drafted.limit]), *drafted.warnings]
         except InvalidInput as error:
-            rest = [path for path in logs if not (error.where or "").startswith(str(path))]
+            where = f"{error.where}, "  # of a log, or of a row in it
+            rest = [path for path in logs if not where.startswith(f"{path}, ")]
             if not rest or len(rest) == len(logs):
                 raise
             notes.append(f"Left out: {message_of(request, error)}")
