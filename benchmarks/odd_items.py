@@ -36,13 +36,34 @@ SECRET = "the-secret-of-another-user"
 NUMBER = 271828.18
 """In every row of a foreign log; a figure of it would show the number."""
 N_ROWS = 400
-_TEXTS = ("", "NaN", "-Infinity", "1e999", "9" * 5000, "0x10", "١٢٣", "\u202e\ud800", "null")
+_TEXTS: tuple[str, ...] = (
+    "",
+    "NaN",
+    "-Infinity",
+    "1e999",
+    "9" * 5000,
+    "0x10",
+    "١٢٣",
+    "\u202e\ud800",
+    "null",
+)
 _TEXTS += ("a\0b", "'\"", "../../foreign.csv", "/etc/passwd", "file:///etc/passwd", "~", "x" * 5000)
 _TEXTS += ("<script>alert(1)</script>", "{{ 7 * 7 }}", "[" * 3000, "\r\n\r\n", "%2e%2e%2f")
 ODD: tuple[Any, ...] = (*_TEXTS, None, True, 0, -1, 10**400, 1e308, float("nan"), float("inf"))
 ODD += ([], [[]], [None], {}, {"a": {"b": []}}, [[1.0] * 300], list(range(3000)))
 """Values that a document or a request has in place of its own."""
-_NAMES = ("a'b\"c", "x" * 246, "ü\n", "%2e%2e", "&amp;", "<b>", "\u202etxt", "a;b", "-rf", "a b")
+_NAMES: tuple[str, ...] = (
+    "a'b\"c",
+    "x" * 246,
+    "ü\n",
+    "%2e%2e",
+    "&amp;",
+    "<b>",
+    "\u202etxt",
+    "a;b",
+    "-rf",
+    "a b",
+)
 _NAMES += (os.fsdecode(b"\xff\xfe"), "{{x}}", "$(id)", "con", "`", "\\..\\", "\x1b[2J", "é" * 123)
 STUDY = """[arm]
 kind = "planar-two-link"
@@ -78,7 +99,7 @@ file = "log.csv"
 use = "motion"
 control = ["servo"]
 """
-RUN = {"name": "one", "kind": "identify", "commands": [["identify", "study.toml"]]}
+RUN: dict[str, Any] = {"name": "one", "kind": "identify", "commands": [["identify", "study.toml"]]}
 RUN |= {"created": "2026-01-01", "state": "done", "exit_code": 0}
 RESULT = {
     "schema": 1,
@@ -136,7 +157,7 @@ def log_bytes(suffix: str) -> bytes:
     if suffix == ".json":
         return json.dumps({name: values.tolist() for name, values in table.items()}).encode()
     if suffix == ".npz":
-        np.savez(file, **table)
+        np.savez(file, **table)  # type: ignore[arg-type]
     elif suffix == ".mat":
         scipy.io.savemat(file, table)
     elif suffix == ".h5":
@@ -342,14 +363,26 @@ def no_file(folder: Path, rng: np.random.Generator, foreign: Foreign) -> None:
     """A pipe, a socket, a folder, or a link in place of a file."""
     base(folder)
     run = run_folder(folder)
-    names = ("log.csv", "study.toml", "values.json", "robot.urdf", "runs/.check.json")
+    names: tuple[str, ...] = (
+        "log.csv",
+        "study.toml",
+        "values.json",
+        "robot.urdf",
+        "runs/.check.json",
+    )
     names += tuple(
         f"runs/one/{name}" for name in (*("run.json", "result.json", "log.txt", "lock"),)
     )
     names += tuple(f"runs/one/{name}" for name in ("report.html", "predicted.json", "plan.csv"))
     path = folder / str(rng.choice(names))
     path.unlink(missing_ok=True)
-    links = [foreign.log, foreign.folder / "foreign.json", foreign.folder, path, "/dev/zero"]
+    links: list[Path | str] = [
+        foreign.log,
+        foreign.folder / "foreign.json",
+        foreign.folder,
+        path,
+        "/dev/zero",
+    ]
     links += ["/proc/self/environ", folder / "nowhere", "/dev/tty", run]
     kind = rng.integers(4)
     if kind == 0:

@@ -67,7 +67,14 @@ BODIES: dict[str, dict[str, Any]] = {
     "virtual": {"disks": 1, "spring": "linear"},
 }
 """A request of each API; others get an empty one."""
-_RAW = (b"", b"[]", b"\xff", b'{"index": NaN}', b'{"joint": 1e999, "index": 1e999}', b"[" * 100_000)
+_RAW: tuple[bytes, ...] = (
+    b"",
+    b"[]",
+    b"\xff",
+    b'{"index": NaN}',
+    b'{"joint": 1e999, "index": 1e999}',
+    b"[" * 100_000,
+)
 _RAW += (
     b'{"a":' * 50_000,
     b'{"joint": ' + b"9" * 5000 + b"}",
@@ -76,7 +83,7 @@ _RAW += (
 )
 _QUERY = {"experiment": "motion", "channel": "u1", "channels": "u1,theta_m1", "column": "theta_m1"}
 _QUERY |= {"run": "one", "name": "one", "file": "log.txt", "folder": "."}
-_TEXTS = (
+_TEXTS: tuple[str, ...] = (
     "../../../foreign.csv",
     "/etc/passwd",
     "nan",
@@ -163,12 +170,12 @@ def _requests(
                     yield "POST", path, json.dumps(each).encode()
                 yield "POST", path, _RAW[rng.integers(len(_RAW))]
             else:
-                odd = [
+                names = [
                     quote(str(ODD[rng.integers(20)]).encode("utf-8", "surrogatepass"), "")
                     for _ in "ab"
                 ]
-                yield "PUT", f"/api/upload/{quote(item)}/{odd[0][:300]}.csv", rng.bytes(100)
-                yield "PUT", f"/api/upload/{odd[1][:300]}/log.csv", b"t,u1\n0,1\n"
+                yield "PUT", f"/api/upload/{quote(item)}/{names[0][:300]}.csv", rng.bytes(100)
+                yield "PUT", f"/api/upload/{names[1][:300]}/log.csv", b"t,u1\n0,1\n"
 
 
 def _sha256(path: Path) -> str:

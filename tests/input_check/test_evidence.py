@@ -56,8 +56,10 @@ def test_the_evidence_of_a_long_record_is_bounded(
     (bounded,) = collect_evidence([log], study).records
     for record in (bounded, expected):
         assert record.delays.keys() == {1}
-    shares = [record.delays[1].unexplained for record in (bounded, expected)]
-    np.testing.assert_allclose(*shares, rtol=1e-6)  # the blocks of lines are added in another order
+    # the blocks of lines are added in another order
+    np.testing.assert_allclose(
+        bounded.delays[1].unexplained, expected.delays[1].unexplained, rtol=1e-6
+    )
     np.testing.assert_array_equal(bounded.channels["theta_m1"], expected.channels["theta_m1"])
     monkeypatch.setattr(evidence, "_MAX_ROWS", 100)
     (short,) = collect_evidence([half], study).records

@@ -316,4 +316,4 @@ def channel_names(count: int) -> tuple[str, ...]:
 def channel_parts(name: str) -> tuple[str, int]:
     """Kind and joint of a channel: ("theta_m", 2) of "theta_m2"; joint 0 of "t"."""
     kind = name.rstrip("0123456789")
-    return kind, int(name[len(kind) :] or 0)
+    return kind, int(name[len(kind) :][:9] or 0)  # a name of a request may have any length

@@ -241,7 +241,7 @@ def _band_profile(
     springs = [(j, order) for j in range(n) for order in _SPRING_ORDERS]
     derivatives = [(n + 1, 0), (i, -2), (i, -1), (n, 0), *springs]
     filtered = band_passes(signals, derivatives, *band, T)[edge:-edge]
-    frequency = np.fft.rfftfreq(len(filtered), T)
+    frequency: FloatArray = np.fft.rfftfreq(len(filtered), T).astype(np.float64)
     inside = (frequency >= band[0]) & (frequency <= band[1])
     if inside.sum() < max(_MIN_LINES, _MIN_LINES_PER_COEFFICIENT * len(derivatives)):
         return None

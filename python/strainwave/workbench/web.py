@@ -182,10 +182,12 @@ def message_of(request: Request, error: Exception | str) -> str:
         name = abbreviated(os.fspath(error.filename)) if error.filename else None
         remedy = "make space on the disk" if error.errno in FULL else "check names and permissions"
         error = InvalidInput(f"cannot be used ({error.strerror})", where=name, remedy=remedy)
+    if isinstance(error, OverflowError):  # an integer of hundreds of digits
+        error = InvalidInput("a number is too large", remedy="correct the number")
     return str(error).replace(f"{workspace_of(request).folder}/", "")
 
 
-HANDLED = (InvalidInput, NotIdentifiable, NumericalFailure, OSError)
+HANDLED = (InvalidInput, NotIdentifiable, NumericalFailure, OSError, OverflowError)
 """Errors whose message is the answer."""
 
 

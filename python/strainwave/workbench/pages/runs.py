@@ -352,9 +352,13 @@ def download_zip(request: Request) -> Response:
         raise InvalidInput(f"the run has {size >> 20} MiB", remedy="copy its folder")
     with tempfile.NamedTemporaryFile(suffix=".zip", delete=False) as file:
         name = Path(file.name)
-        options = {"compression": zipfile.ZIP_DEFLATED, "strict_timestamps": False}  # before 1980
         try:
-            with zipfile.ZipFile(file, "w", **options) as archive:
+            with zipfile.ZipFile(
+                file,
+                "w",
+                zipfile.ZIP_DEFLATED,
+                strict_timestamps=False,  # a file of before 1980
+            ) as archive:
                 for path in files:
                     archive.write(path, f"{run.name}/{path.relative_to(folder).as_posix()}")
         except OSError:  # no space
