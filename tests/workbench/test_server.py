@@ -112,7 +112,8 @@ def test_clients_on_different_studies_do_not_mix(server: Any) -> None:
     def length(study: str) -> str:
         state = json.loads(get(server, f"/api/study/{study}/study.toml"))
         (arm,) = [group for group in state["groups"] if group["title"] == "Arm"]
-        return next(str(f["value"]) for f in arm["fields"] if f["key"]["key"] == "link_length")
+        (row,) = [row for row in arm["rows"] if row["key"]["key"] == "link_length"]
+        return str(row["fields"][0]["value"])
 
     with ThreadPoolExecutor(8) as pool:
         seen = list(pool.map(length, ["arm", "other"] * 10))
