@@ -26,7 +26,7 @@ from strainwave.domain.arm.assumed_values import OF_LINKS, AssumedValues, assume
 from strainwave.domain.arm.combinations import value_of
 from strainwave.domain.arm.description import ArmDescription
 from strainwave.domain.arm.effects import effect_named
-from strainwave.domain.keys import Key, Values
+from strainwave.domain.keys import Key, Values, label_of
 from strainwave.domain.results.estimates import is_physical
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
@@ -124,6 +124,8 @@ class MotionWindow:
             simulated, _ = record.linearise(values, record.start(), ())
         except (NumericalFailure, InvalidInput) as error:
             raise NotIdentifiable(f"these values cannot be simulated: {error}") from error
+        except KeyError as error:  # a constant of a sensor that neither start nor study has
+            raise NotIdentifiable(f"there is no value of {label_of(*error.args[0])}") from error
         if not np.all(np.isfinite(simulated)):
             raise NotIdentifiable(
                 "these values cannot be simulated: the motion grows without limit"
