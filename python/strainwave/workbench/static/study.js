@@ -2,7 +2,7 @@
 import { act, address, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
 import { showExperiments } from "./experiments.js";
 import { draw } from "./figures.js";
-import { fieldControl, idOf, keep, showGroups, showMissing, showValue } from "./study_form.js";
+import { fieldControl, focusField, idOf, keep, showGroups, showMissing, showValue } from "./study_form.js";
 
 export { fieldControl } from "./study_form.js";
 
@@ -139,15 +139,17 @@ function goToLine(line) {
 
 const lineIn = (message) => Number(/\bline (\d+)/.exec(message ?? "")?.[1] ?? 0);
 
-// Focus the field of a missing value, or its line of the text if the form has none.
-function goTo({ place }) {
-  const control = byId(idOf(place));
-  if (control) {
-    control.scrollIntoView({ block: "center" });
-    return control.focus({ preventScroll: true });
+// Focus the field of a place, or of the channel if it has no column; or a line of the text that lacks the value.
+function goTo(place) {
+  if (place[0] === "channels" && !byId(idOf(place.slice(0, 2)))) {
+    byId("all-channels").checked = true;
+    showChannels();
   }
+  const control = [place, place.slice(0, -1)].map((one) => byId(idOf(one))).find((one) => one && !one.disabled);
+  if (control) return focusField(control);
   const lines = text.value.split("\n"), key = String(place.at(-1));
-  return goToLine(1 + lines.findIndex((one) => one.split("#")[0].includes("TODO") && one.includes(key)));
+  const line = 1 + lines.findIndex((one) => one.split("#")[0].includes("TODO") && one.includes(key));
+  return line && goToLine(line);
 }
 
 // From a field to the next missing one, in the order of the page.
@@ -158,7 +160,7 @@ function goToNext(event) {
   const next = others.find(isBelow) ?? others[0];
   if (!next) return; // the browser reports the change
   event.preventDefault();
-  goTo(next);
+  goTo(next.place);
 }
 
 function showState() {
@@ -222,4 +224,7 @@ byId("rig").addEventListener("focusin", (event) => {
 window.addEventListener("beforeunload", (event) => { if (isTyped()) event.preventDefault(); });
 byId("preview-record").addEventListener("change", showChannels);
 byId("all-channels").addEventListener("change", showChannels);
-act(null, load);
+act(null, async () => {
+  await load();
+  if (location.hash.startsWith("#field-")) goTo(location.hash.slice("#field-".length).split("-"));
+});

@@ -158,6 +158,17 @@ function updateGroup(section, group) {
   more.textContent = isOpen ? "Hide empty optional rows" : `Show ${count} optional ${count === 1 ? "row" : "rows"}`;
 }
 
+// Focus a field, also one of a row that is hidden.
+export function focusField(control) {
+  const section = control.closest(".group");
+  if (section && control.closest("[hidden]")) {
+    opened.add(section.group.title);
+    updateGroup(section, section.group);
+  }
+  control.scrollIntoView({ block: "center" });
+  control.focus({ preventScroll: true });
+}
+
 export const showGroups = (groups) =>
   keep(byId("rig"), groups, ({ title, rows }) => `${title} ${rows[0].fields.length}`, buildGroup, updateGroup);
 
@@ -166,7 +177,7 @@ export function showMissing(missing, goTo) {
   const wanted = new Set(missing.map((one) => idOf(one.place)));
   keep(byId("missing-list"), missing, (one) => idOf(one.place), (one) => {
     const button = make("button", { type: "button", class: "link" }, byId(idOf(one.place))?.getAttribute("aria-label") ?? one.place.join(" "));
-    button.addEventListener("click", () => goTo(one));
+    button.addEventListener("click", () => goTo(one.place));
     return make("li", { title: one.hint }, button, " ", make("span", { class: "hint" }, one.hint));
   }, () => {});
   for (const control of document.querySelectorAll("[id^=field-]")) {
