@@ -14,6 +14,7 @@ import pytest
 
 from strainwave.errors import InvalidInput
 from strainwave.init import start_study
+from strainwave.io.logs import columns as log_columns
 from strainwave.io.logs.tables import write_table
 from strainwave.io.study import read_study
 
@@ -214,20 +215,6 @@ def test_a_draft_shows_every_column_with_its_channel_and_unit(
     assert missing.status_code == 400
 
 
-def test_an_outline_has_the_extremes_of_every_bin() -> None:
-    rng = np.random.default_rng(1)
-    values = rng.standard_normal(100_000)
-    values[77_777] = 50.0  # a spike of one sample
-    line = overview.outline(values)
-    y = np.array([float(point.split(",")[1]) for point in line.points.split()])
-    assert len(y) == 2 * overview.WIDTH
-    assert (line.low, line.high) == (values.min(), 50.0)
-    assert (y.min(), y.max()) == (0.0, overview.HEIGHT)
-    assert int(np.argmin(y)) // 2 == 77_777 * overview.WIDTH // 100_000
-    assert overview.outline(np.full(3, np.nan)).points == ""
-    assert overview.outline(np.array([1.0, np.inf, 3.0])).high == 3.0
-
-
 def test_a_long_log_is_read_quickly_and_a_few_columns_at_a_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -236,7 +223,7 @@ def test_a_long_log_is_read_quickly_and_a_few_columns_at_a_time(
     write_table(
         tmp_path / "long.parquet", {f"c{k}": rng.standard_normal(n) for k in range(columns)}
     )
-    monkeypatch.setattr(overview, "_MAX_BATCH_BYTES", 2 * 8 * n)  # two columns
+    monkeypatch.setattr(log_columns, "_MAX_BATCH_BYTES", 2 * 8 * n)  # two columns
     tracemalloc.start()
     begin = time.monotonic()
     lines = overview.outlines(tmp_path / "long.parquet")

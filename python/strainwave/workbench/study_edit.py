@@ -41,8 +41,8 @@ def edit_study(path: Path, changes: Sequence[KeyChange]) -> None:
 
     Raises InvalidInput if the file is not TOML, or if it has no such array of tables.
     """
-    text = decode(read_bytes(path, "the study file"), path)
-    write_whole(path.parent, {path.name: changed_text(text, changes, path).encode()})
+    text = changed_text(read_study_text(path), changes, path)
+    write_whole(path.parent, {path.name: text.encode()})
 
 
 def changed_text(text: str, changes: Sequence[KeyChange], path: Path) -> str:
@@ -67,6 +67,16 @@ def parse_draft(text: str, path: Path) -> tomlkit.TOMLDocument:
         return tomlkit.parse("\n".join(lines))
     except (TOMLKitError, ValueError, RecursionError) as error:
         raise InvalidInput(str(error), where=str(path), remedy="correct the text") from error
+
+
+def read_study_text(path: Path) -> str:
+    """The text of a study file; raises InvalidInput if it is not UTF-8."""
+    return decode(read_bytes(path, "the study file"), path)
+
+
+def read_draft(path: Path) -> tomlkit.TOMLDocument:
+    """A study file as tables, like `parse_draft`."""
+    return parse_draft(read_study_text(path), path)
 
 
 def table_of(document: Mapping[str, Any], name: str) -> Mapping[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
@@ -13,14 +12,15 @@ from starlette.requests import Request
 
 from strainwave.errors import InvalidInput
 from strainwave.init import draft_study
-from strainwave.io.atomic_files import decode, read_bytes
 from strainwave.workbench.pages.import_logs import logs_in
-from strainwave.workbench.pages.overview import column_names
+from strainwave.workbench.pages.overview import columns_by_record
 from strainwave.workbench.rig_values import rig_changes
 from strainwave.workbench.study_edit import (
     KeyChange,
     changed_text,
     parse_draft,
+    read_draft,
+    read_study_text,
     table_of,
     table_spans,
     tables_of,
@@ -87,7 +87,7 @@ def propose_experiments(request: Request, body: Body) -> object:
     path, workspace, names = study_file_of(request), workspace_of(request), body.get("logs")
     if not isinstance(names, list) or not names:
         raise InvalidInput("no log is chosen", remedy="choose a log of the folder, or drop one")
-    document = parse_draft(_text(path), path).unwrap()
+    document = read_draft(path).unwrap()
     urdf = table_of(document, "arm").get("urdf")
     robot = workspace.file_of(path, urdf) if isinstance(urdf, str) else None
     tables, n_joints = tables_of(document, "experiment"), len(tables_of(document, "joint"))
@@ -135,14 +135,8 @@ def propose_rig_values(request: Request, body: Body) -> object:
     """Changes that give the study the rig values of another `study`, or of a text with `values`."""
     path, workspace = study_file_of(request), workspace_of(request)
     lender = text_of(body, "study", "")
-    values = _text(workspace.study_file(lender)) if lender else text_of(body, "values")
-    text, columns = _text(path), set[str]()
-    for experiment in tables_of(parse_draft(text, path), "experiment"):
-        with suppress(InvalidInput):
-            columns.update(column_names(workspace.file_of(path, str(experiment.get("file")))))
-    changes = rig_changes(text, values, columns, path)
+    values = read_study_text(workspace.study_file(lender)) if lender else text_of(body, "values")
+    text = read_study_text(path)
+    columns = chain.from_iterable(columns_by_record(request, parse_draft(text, path)).values())
+    changes = rig_changes(text, values, set(columns), path)
     return {"changes": [{"place": c.place, "kind": "text", "value": c.value} for c in changes]}
-
-
-def _text(path: Path) -> str:
-    return decode(read_bytes(path, "the study file"), path)

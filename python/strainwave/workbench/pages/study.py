@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -22,15 +21,14 @@ from strainwave.errors import InvalidInput
 from strainwave.init.draft import placed_arm
 from strainwave.init.units import form_units
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
-from strainwave.io.logs.bags import Bag, is_bag
-from strainwave.io.logs.tables import open_table
+from strainwave.io.logs.columns import read_columns
 from strainwave.io.study import read_study
 from strainwave.report.document.predictions import unit_of
 from strainwave.report.document.rig import arm_picture, describe_arm
 from strainwave.report.figures import Axis, Figure, line_panel
 from strainwave.report.plotly_backend import plotly
 from strainwave.workbench.pages.experiments import experiments_of
-from strainwave.workbench.pages.overview import column_names
+from strainwave.workbench.pages.overview import columns_by_record, log_path, named_record
 from strainwave.workbench.study_edit import (
     KeyChange,
     changed_text,
@@ -131,7 +129,7 @@ def _state(request: Request, path: Path) -> dict[str, Any]:
         state["missing"] = [{"place": place, "hint": hint} for place, hint in missing]
         state["experiments"] = experiments_of(document)
         state["channels"] = _channels(document)
-        state["columns"] = _columns(document, partial(workspace.file_of, path))
+        state["columns"] = columns_by_record(request, document)
         with suppress(InvalidInput):  # the study itself has the message
             state |= _picture(document, workspace, path)
         read_study(workspace.study(workspace.relative(path)))
@@ -169,36 +167,13 @@ def _channels(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     return rows
 
 
-def _columns(document: Mapping[str, Any], file_of: Callable[[str], Path]) -> dict[str, list[str]]:
-    columns: dict[str, list[str]] = {}
-    for experiment in tables_of(document, "experiment"):
-        name = str(experiment.get("name"))
-        try:
-            columns[name] = column_names(file_of(str(experiment.get("file"))))
-        except InvalidInput:
-            columns[name] = []
-    return columns
-
-
 @routes.get("/api/preview/{study:path}")
 def preview(request: Request) -> object:
     """One column of a log after scaling, over its samples."""
-    path, query = study_file_of(request), request.query_params
-    document = parse_draft(decode(read_bytes(path, "the study file"), path), path)
-    wanted = query.get("experiment")
-    named = [e for e in tables_of(document, "experiment") if e.get("name") == wanted]
-    if not named:
-        raise InvalidInput("there is no such experiment", where=path.name)
-    file = workspace_of(request).file_of(path, str(named[0].get("file", "")))
+    query = request.query_params
     column, channel = query.get("column", ""), query.get("channel", "")
-    if is_bag(file):
-        tracks, _ = Bag(file).tracks([column])
-        values = next(track.columns[column] for track in tracks if column in track.columns)
-    else:
-        table = open_table(file)
-        if column not in table.names:
-            raise table.missing_column_error(column, "which the channel needs")
-        values = table.read([column])[column]
+    _, record = named_record(request)
+    values = dict(read_columns(log_path(request, record), [column]))[column]
     unit = "s" if channel == "t" else unit_of(channel)
     entries = (value_of(query.get(key, ""), "number", unit) for key in ("scale", "offset"))
     given = [None if isinstance(entry, str) else entry for entry in entries]
