@@ -164,10 +164,8 @@ def _apply(table: Any, change: KeyChange, path: Path) -> None:
         except (LookupError, TypeError) as error:
             raise _no_place(change, path) from error
         if isinstance(entry, str) and parents[0] == "channels" and position == 1:
-            table[key] = tomlkit.inline_table()  # "column" stands for { column = "column" }
-            table[key]["column"] = entry
-            entry = table[key]
-        table = entry
+            table[key] = _inline({"column": entry})  # which "column" stands for
+        table = table[key]
     if isinstance(table, list) and isinstance(last, int) and last <= len(table):
         if change.value is not None:
             table.insert(last, change.value)
@@ -187,7 +185,9 @@ def _apply(table: Any, change: KeyChange, path: Path) -> None:
 
 
 def _inline(value: Any) -> Any:
-    """A value whose tables are written on one line."""
+    """A value whose tuples are lists, and whose tables are written on one line."""
+    if isinstance(value, tuple):
+        return [_inline(each) for each in value]
     if not isinstance(value, dict):
         return value
     table = tomlkit.inline_table()
@@ -214,10 +214,5 @@ def correction_changes(text: str, corrections: Sequence[Correction]) -> list[Key
         elif each.table not in ("arm", "transmission"):
             continue
         place = (each.table, *entry, *each.key.split("."))
-        changes.append(KeyChange(place, _plain(each.value)))
+        changes.append(KeyChange(place, each.value))
     return changes
-
-
-def _plain(value: Any) -> Any:
-    """Tuples as lists."""
-    return [_plain(one) for one in value] if isinstance(value, tuple) else value

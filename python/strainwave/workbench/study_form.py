@@ -66,6 +66,7 @@ def form_groups(document: Mapping[str, Any]) -> dict[str, list[Row]]:
     if any(joint.get("motion") == "prismatic" for joint in joints):
         ratio = {"gear_ratio": "link rad (or m) per motor rad"}
         keys["joint"] = tuple(replace(k, unit=ratio.get(k.key, k.unit)) for k in keys["joint"])
+    sections = [*_SECTIONS]
     tables: dict[str, dict[Place, Any]] = {
         "Arm": {("arm",): arm},
         "Joints" if len(joints) > 1 else "Joint": {("joint", k): j for k, j in enumerate(joints)},
@@ -76,14 +77,14 @@ def form_groups(document: Mapping[str, Any]) -> dict[str, list[Row]]:
         "Logs": {("channels",): table_of(document, "channels")},
     }
     return {
-        title: [_row(key, each) for key in sorted(keys[name], key=_section) if key.title]
+        title: [
+            _row(key, each)
+            for key in sorted(keys[name], key=lambda key: sections.index(key.group))
+            if key.title
+        ]
         for title, each in tables.items()
         for name in {str(place[0]) for place in each}
     }
-
-
-def _section(key: StudyKey) -> int:
-    return list(_SECTIONS).index(key.group)
 
 
 def _row(key: StudyKey, tables: Mapping[Place, Any]) -> Row:

@@ -25,25 +25,26 @@ from strainwave.workbench.study_edit import (
     table_spans,
     tables_of,
 )
+from strainwave.workbench.study_form import shown
 from strainwave.workbench.web import Body, Routes, message_of, study_file_of, text_of, workspace_of
 
 routes = Routes()
 
-_USES = {
-    "motion": "motion of the arm, for the rigid model",
-    "frequency": "test signal of one joint, for its elasticity",
-    "sweep": "the same signal with a smaller amplitude",
-    "tuning": "step of one joint, for the final fit",
-    "check": "validation, predicted and never fitted",
-}
-_CELLS: dict[str, dict[str, Any]] = {
-    "name": {"title": "Name", "kind": "text", "choices": {}},
-    "file": {"title": "File", "kind": "choice", "choices": {}},  # the logs of the folder
-    "use": {"title": "Use", "kind": "choice", "choices": _USES},
-    "joint": {"title": "Joint", "kind": "number", "choices": {}},
-    "control": {"title": "Control", "kind": "text", "choices": {}, "is_list": True},
-    "start": {"title": "Start [s]", "kind": "number", "choices": {}},
-    "stop": {"title": "Stop [s]", "kind": "number", "choices": {}},
+_USES = (  # value and text of a choice
+    ("motion", "motion: motion of the arm, for the rigid model"),
+    ("frequency", "frequency: test signal of one joint, for its elasticity"),
+    ("sweep", "sweep: the same signal with a smaller amplitude"),
+    ("tuning", "tuning: step of one joint, for the final fit"),
+    ("check", "check: validation, predicted and never fitted"),
+)
+_CELLS = {  # title and kind of a key
+    "name": ("Name", "text"),
+    "file": ("File", "choice"),  # of the logs of the folder
+    "use": ("Use", "choice"),
+    "joint": ("Joint", "number"),
+    "control": ("Control", "text"),
+    "start": ("Start [s]", "number"),
+    "stop": ("Stop [s]", "number"),
 }
 
 
@@ -54,20 +55,14 @@ def experiments_of(document: tomlkit.TOMLDocument) -> list[dict[str, Any]]:
     rows = []
     for index, table in enumerate(tables):
         cells = [
-            {"place": ["experiment", index, key], "value": _shown(table.get(key)), **looks}
-            for key, looks in _CELLS.items()
+            {"place": ["experiment", index, key], "value": shown(table.get(key)), "title": title}
+            | {"kind": kind, "choices": _USES if key == "use" else [], "is_list": key == "control"}
+            for key, (title, kind) in _CELLS.items()
         ]
         first, end = spans[index] if len(spans) == len(tables) else (0, 0)
-        rows.append(
-            {"name": _shown(table.get("name")), "text": "\n".join(lines[first + 1 : end])}
-            | {"cells": cells}
-        )
+        text = "\n".join(lines[first + 1 : end])
+        rows.append({"name": str(table.get("name", "")), "text": text, "cells": cells})
     return rows
-
-
-def _shown(value: object) -> str:
-    text = ", ".join(map(str, value)) if isinstance(value, list) else value
-    return "" if text is None else str(text)
 
 
 @routes.get("/api/experiments/{study:path}")

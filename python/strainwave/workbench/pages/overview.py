@@ -92,7 +92,7 @@ def _row(column: str, line: Outline, channel: str = "", entry: object = None) ->
     """A column with its channel, in SI units if its `entry` in [channels] has numbers."""
     table = entry if isinstance(entry, Mapping) else {}
     scale, offset = table.get("scale", 1.0), table.get("offset", 0.0)
-    unit = "s" if channel == "t" else unit_of(channel)
+    unit = unit_of(channel)
     if not isinstance(scale, int | float) or not isinstance(offset, int | float):
         scale, offset, unit = 1.0, 0.0, ""
     low, high = sorted((scale * line.low + offset, scale * line.high + offset))
