@@ -14,7 +14,7 @@ from strainwave.io.study import read_study
 
 pytest.importorskip("starlette")
 
-from strainwave.workbench.study_edit import KeyChange, changed_text, edit_study, parse_draft
+from strainwave.init.changes import KeyChange, changed_text, edit_study, parse_draft
 from strainwave.workbench.study_form import missing_values, value_of
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from strainwave.domain.arm import gear_laws, kinds
 from strainwave.domain.arm.description import Motion
 from strainwave.domain.study import KeyKind, StudyKey, study_keys
 from strainwave.errors import InvalidInput
+from strainwave.init.changes import parse_draft, table_of, tables_of
 from strainwave.init.draft import TODO, Place, has_todo, todo_places
 from strainwave.init.units import FormUnit, form_units, in_si
-from strainwave.workbench.study_edit import parse_draft, table_of, tables_of
 
 _MARKDOWN = re.compile(r"`|\[([^]]*)\]\([^)]*\)")  # code, or a link and its text
 _SECTIONS = {"": "", "drive": "Gear and drive", "sensors": "Sensors", "placement": "Placement"}

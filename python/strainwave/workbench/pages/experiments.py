@@ -12,10 +12,7 @@ from starlette.requests import Request
 
 from strainwave.errors import InvalidInput
 from strainwave.init import draft_study
-from strainwave.workbench.pages.import_logs import logs_in
-from strainwave.workbench.pages.overview import columns_by_record
-from strainwave.workbench.rig_values import rig_changes
-from strainwave.workbench.study_edit import (
+from strainwave.init.changes import (
     KeyChange,
     changed_text,
     parse_draft,
@@ -25,6 +22,9 @@ from strainwave.workbench.study_edit import (
     table_spans,
     tables_of,
 )
+from strainwave.init.rig_values import rig_changes
+from strainwave.workbench.pages.import_logs import logs_in
+from strainwave.workbench.pages.overview import columns_by_record
 from strainwave.workbench.study_form import shown
 from strainwave.workbench.web import Body, Routes, message_of, study_file_of, text_of, workspace_of
 

@@ -17,6 +17,13 @@ from strainwave.domain import Joint, channel_names
 from strainwave.domain.arm.gear_laws import RIGID
 from strainwave.domain.study import KeyKind
 from strainwave.errors import InvalidInput
+from strainwave.init.changes import (
+    KeyChange,
+    changed_text,
+    parse_draft,
+    table_of,
+    tables_of,
+)
 from strainwave.init.draft import placed_arm
 from strainwave.init.units import form_units
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
@@ -28,13 +35,6 @@ from strainwave.report.figures import Axis, Figure, line_panel
 from strainwave.report.plotly_backend import plotly
 from strainwave.workbench.pages.experiments import experiments_of
 from strainwave.workbench.pages.overview import columns_by_record, log_path, named_record
-from strainwave.workbench.study_edit import (
-    KeyChange,
-    changed_text,
-    parse_draft,
-    table_of,
-    tables_of,
-)
 from strainwave.workbench.study_form import (
     comments_of,
     form_groups,
