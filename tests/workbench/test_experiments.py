@@ -50,6 +50,12 @@ def test_dropped_logs_become_experiments_by_the_rules_of_init(
     assert "pseudo-random" in uses["prbs-j1"]
 
 
+def test_a_log_of_another_folder_becomes_an_experiment(client: TestClient, folder: Path) -> None:
+    (folder / "bad.csv").write_text("x\n1\n")
+    answer = client.post("/api/experiments/arm/study.toml", json={"logs": ["../bad.csv"]})
+    assert 'file = "../bad.csv"' in answer.json()["changes"][0]["value"]
+
+
 def test_an_experiment_is_duplicated_with_its_comments(client: TestClient, folder: Path) -> None:
     state = client.get(API).json()
     row = state["experiments"][0]

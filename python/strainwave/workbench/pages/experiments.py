@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from itertools import chain, count
 from pathlib import Path
@@ -117,12 +118,8 @@ def _drafts(
             for log in logs:
                 yield from _drafts([log], study, urdf, n_joints)
         else:
-            entry = {
-                "name": logs[0].name.split(".")[0],
-                "file": str(logs[0].relative_to(study.parent)),
-                "use": "motion",
-            }
-            yield tomlkit.dumps(entry), error
+            name, file = logs[0].name.split(".")[0], os.path.relpath(logs[0], study.parent)
+            yield tomlkit.dumps({"name": name, "file": file, "use": "motion"}), error
 
 
 @routes.post("/api/rig-values/{study:path}")

@@ -7,17 +7,16 @@ import { onFiles, uploadAll } from "./upload.js";
 
 let state, sources = { logs: [], studies: [] };
 
-const nameOf = (row) => row.cells[0].value;
 const entryOf = (cell) => (cell.place[2] === "file" ? { ...cell, choices: sources.logs } : cell);
 
 function freeName(name) {
-  const names = state.experiments.map(nameOf);
+  const names = state.experiments.map((row) => row.name);
   for (let k = 2; ; k += 1) if (!names.includes(`${name} (${k})`)) return `${name} (${k})`;
 }
 
 function buildRow(row) {
   const index = row.cells[0].place[1], at = (k, ...key) => ({ place: ["experiment", k, ...key], kind: "text" });
-  const duplicate = () => save([{ ...at(index + 1), value: tr.row.text }, { ...at(index + 1, "name"), value: freeName(nameOf(tr.row)) }]);
+  const duplicate = () => save([{ ...at(index + 1), value: tr.row.text }, { ...at(index + 1, "name"), value: freeName(tr.row.name) }]);
   const remove = () => save([{ ...at(index), value: "" }]);
   const cells = row.cells.map((cell) => fieldControl(entryOf(cell), { class: cell.kind === "number" && "short" }));
   const actions = make("div", { class: "row" }, button("Duplicate", {}, duplicate), button("Remove", {}, remove));
@@ -29,9 +28,9 @@ function updateRow(tr, row) {
   tr.row = row;
   for (const [k, control] of tr.querySelectorAll("input, select").entries()) {
     showValue(control, entryOf(row.cells[k]));
-    control.setAttribute("aria-label", `${row.cells[k].title} of ${nameOf(row)}`);
+    control.setAttribute("aria-label", `${row.cells[k].title} of ${row.name}`);
   }
-  for (const one of tr.querySelectorAll("button")) one.setAttribute("aria-label", `${one.textContent} ${nameOf(row)}`);
+  for (const one of tr.querySelectorAll("button")) one.setAttribute("aria-label", `${one.textContent} ${row.name}`);
 }
 
 export function showExperiments(next) {
