@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,8 +14,10 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from strainwave.domain.results.consistency import Correction
+from strainwave.domain.study import KeyKind
 from strainwave.errors import InvalidInput
 from strainwave.init.draft import TODO
+from strainwave.init.units import in_si
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
 
 _TODO = re.compile(rf"(?<![\w\"]){TODO}(?![\w\"])")
@@ -197,6 +200,45 @@ def _inline(value: Any) -> Any:
 
 def _no_place(change: KeyChange, path: Path) -> InvalidInput:
     return InvalidInput(f"has no {'.'.join(map(str, change.place))}", where=str(path))
+
+
+def value_of(text: str, kind: KeyKind, unit: str = "", chosen: str = "") -> Any:
+    """The value in an SI unit of a text that a user types; None if it is empty.
+
+    Numbers without a unit are in the chosen one. Raises InvalidInput if a number is needed and the
+    text is none, or if it has another unit.
+    """
+    stripped = text.strip()
+    if not stripped:
+        return None
+    if kind not in ("number", "numbers") or stripped in ("unknown", TODO):
+        return stripped  # "unknown" is a torque per volt that the records determine
+    stripped = in_si(stripped, unit, chosen)
+    if kind == "numbers":
+        return _numbers(stripped)
+    try:
+        value = float(stripped)
+    except ValueError as error:
+        raise InvalidInput(f"{stripped!r} is not a number", remedy="use a point: 0.25") from error
+    if not math.isfinite(value):
+        raise InvalidInput(f"{stripped!r} is not finite")
+    is_integer = value.is_integer() and "." not in stripped and "e" not in stripped.lower()
+    return int(value) if is_integer else value
+
+
+def _numbers(text: str) -> list[Any]:
+    """A list of numbers, or of lists of numbers: 1, 2 or [1, 0], [0.2, 1], also in brackets."""
+    try:
+        value = parse_draft(f"list = [{text}]", Path("value")).unwrap()["list"]
+    except InvalidInput as error:
+        raise InvalidInput(f"{text!r} is no list of numbers", remedy="write 0, 0, -9.81") from error
+    while len(value) == 1 and isinstance(value[0], list):
+        value = value[0]
+    rows = value if all(isinstance(row, list) for row in value) else [value]
+    for entry in (entry for row in rows for entry in row):
+        if entry != TODO and (isinstance(entry, bool) or not isinstance(entry, int | float)):
+            raise InvalidInput(f"{text!r} is no list of numbers", remedy="write 0, 0, -9.81")
+    return list(value)
 
 
 def correction_changes(text: str, corrections: Sequence[Correction]) -> list[KeyChange]:

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, get_args
 
 from tomlkit.items import Whitespace
 
 from strainwave.domain.arm import gear_laws, kinds
 from strainwave.domain.arm.description import Motion
-from strainwave.domain.study import KeyKind, StudyKey, study_keys
-from strainwave.errors import InvalidInput
-from strainwave.init.changes import parse_draft, table_of, tables_of
+from strainwave.domain.study import StudyKey, study_keys
+from strainwave.init.changes import table_of, tables_of
 from strainwave.init.draft import TODO, Place, has_todo, todo_places
-from strainwave.init.units import FormUnit, form_units, in_si
+from strainwave.init.units import FormUnit, form_units
 
 _MARKDOWN = re.compile(r"`|\[([^]]*)\]\([^)]*\)")  # code, or a link and its text
 _SECTIONS = {"": "", "drive": "Gear and drive", "sensors": "Sensors", "placement": "Placement"}
@@ -152,42 +149,3 @@ def shown(value: Any) -> str:
             return ""
         return ", ".join(f"[{shown(v)}]" if isinstance(v, list) else str(v) for v in value)
     return str(value).lower() if isinstance(value, bool) else str(value)
-
-
-def value_of(text: str, kind: KeyKind, unit: str = "", chosen: str = "") -> Any:
-    """The value in an SI unit of a field's text; None if it is empty.
-
-    Numbers without a unit are in the chosen one. Raises InvalidInput if a number is needed and the
-    text is none, or if it has another unit.
-    """
-    stripped = text.strip()
-    if not stripped:
-        return None
-    if kind not in ("number", "numbers") or stripped in ("unknown", TODO):
-        return stripped  # "unknown" is a torque per volt that the records determine
-    stripped = in_si(stripped, unit, chosen)
-    if kind == "numbers":
-        return _numbers(stripped)
-    try:
-        value = float(stripped)
-    except ValueError as error:
-        raise InvalidInput(f"{stripped!r} is not a number", remedy="use a point: 0.25") from error
-    if not math.isfinite(value):
-        raise InvalidInput(f"{stripped!r} is not finite")
-    is_integer = value.is_integer() and "." not in stripped and "e" not in stripped.lower()
-    return int(value) if is_integer else value
-
-
-def _numbers(text: str) -> list[Any]:
-    """A list of numbers, or of lists of numbers: 1, 2 or [1, 0], [0.2, 1], also in brackets."""
-    try:
-        value = parse_draft(f"list = [{text}]", Path("value")).unwrap()["list"]
-    except InvalidInput as error:
-        raise InvalidInput(f"{text!r} is no list of numbers", remedy="write 0, 0, -9.81") from error
-    while len(value) == 1 and isinstance(value[0], list):
-        value = value[0]
-    rows = value if all(isinstance(row, list) for row in value) else [value]
-    for entry in (entry for row in rows for entry in row):
-        if entry != TODO and (isinstance(entry, bool) or not isinstance(entry, int | float)):
-            raise InvalidInput(f"{text!r} is no list of numbers", remedy="write 0, 0, -9.81")
-    return list(value)

@@ -23,6 +23,7 @@ from strainwave.init.changes import (
     parse_draft,
     table_of,
     tables_of,
+    value_of,
 )
 from strainwave.init.draft import placed_arm
 from strainwave.init.units import form_units
@@ -40,7 +41,6 @@ from strainwave.workbench.study_form import (
     form_groups,
     missing_values,
     shown,
-    value_of,
 )
 from strainwave.workbench.web import (
     Body,
