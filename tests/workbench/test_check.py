@@ -12,8 +12,8 @@ pytest.importorskip("starlette")
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
 
+from strainwave.init.changes import KeyChange, edit_study
 from strainwave.workbench.pages.check import gate_of
-from strainwave.workbench.study_edit import KeyChange, edit_study
 
 API = "/api/check/arm/study.toml"
 

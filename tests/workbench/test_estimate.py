@@ -16,8 +16,8 @@ from strainwave.io.study import read_study
 
 pytest.importorskip("starlette")
 
+from strainwave.init.changes import KeyChange, edit_study
 from strainwave.workbench.pages.estimate import option_arguments, option_groups
-from strainwave.workbench.study_edit import KeyChange, edit_study
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient

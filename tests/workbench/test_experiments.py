@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import time
 import tracemalloc
@@ -12,79 +11,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from strainwave.errors import InvalidInput
 from strainwave.init import start_study
+from strainwave.io.logs import columns as log_columns
 from strainwave.io.logs.tables import write_table
 from strainwave.io.study import read_study
 
 pytest.importorskip("starlette")
 
 from strainwave.workbench.pages import overview
-from strainwave.workbench.rig_values import rig_changes
-from strainwave.workbench.study_edit import KeyChange, changed_text
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
 
 API = "/api/study/arm/study.toml"
-TEXT = """# rig
-[arm]
-kind = "x"
-
-# of all experiments
-
-[[experiment]]
-name = "a"  # first
-file = "a.csv"
-# start = 10
-
-# validation
-[[experiment]]
-name = "b"
-[experiment.prbs]
-order = 3
-
-[options]
-x = '''
-[[experiment]]
-'''
-"""
-
-
-def edited(text: str, index: int, value: str | None) -> str:
-    return changed_text(text, [KeyChange(("experiment", index), value)], Path("study.toml"))
-
-
-def test_tables_are_inserted_and_removed_and_all_other_lines_stay() -> None:
-    text = TEXT.replace("\n[[experiment]]\n'''", "'''")
-    first = '[[experiment]]\nname = "a"  # first\nfile = "a.csv"\n# start = 10\n\n'
-    second = '[[experiment]]\nname = "b"\n[experiment.prbs]\norder = 3\n\n'
-    assert edited(text, 0, None) == text.replace(first, "")
-    assert edited(text, 1, None) == text.replace(second, "")
-    new = '[[experiment]]\nname = "c"  # mine\nfile = TODO\n\n'
-    body = 'name = "c"  # mine\nfile = TODO'
-    assert edited(text, 0, body) == text.replace(first, new + first)
-    assert edited(text, 1, body) == text.replace(first, first + new)
-    assert edited(text, 2, body) == text.replace(second, second + new)
-    for index in range(3):
-        assert edited(edited(text, index, body), index, None) == text
-    assert edited("[arm]\r\n", 0, 'name = "c"') == '[arm]\r\n\n[[experiment]]\nname = "c"\n'
-
-
-@pytest.mark.parametrize(
-    ("text", "index", "value"),
-    [
-        (TEXT, 0, None),  # a text of several lines looks like a table
-        (TEXT.replace("\n[[experiment]]\n'''", "'''"), 2, None),
-        (TEXT.replace("\n[[experiment]]\n'''", "'''"), 3, "name = 1"),
-        ('experiment = [{ name = "a" }]', 0, None),
-        ("[experiment]", 0, "name = 1"),
-        ("[arm]", 0, "name = "),
-    ],
-)
-def test_tables_that_cannot_be_changed_are_refused(text: str, index: int, value: str) -> None:
-    with pytest.raises(InvalidInput):
-        edited(text, index, value)
 
 
 def test_dropped_logs_become_experiments_by_the_rules_of_init(
@@ -109,6 +48,12 @@ def test_dropped_logs_become_experiments_by_the_rules_of_init(
     assert known[0].prbs is not None
     assert "# likely: the input of joint 1 is a pseudo-random" in study.read_text()
     assert "pseudo-random" in uses["prbs-j1"]
+
+
+def test_a_log_of_another_folder_becomes_an_experiment(client: TestClient, folder: Path) -> None:
+    (folder / "bad.csv").write_text("x\n1\n")
+    answer = client.post("/api/experiments/arm/study.toml", json={"logs": ["../bad.csv"]})
+    assert 'file = "../bad.csv"' in answer.json()["changes"][0]["value"]
 
 
 def test_an_experiment_is_duplicated_with_its_comments(client: TestClient, folder: Path) -> None:
@@ -146,42 +91,6 @@ def test_rig_values_of_another_study_are_taken_without_its_comments(
     assert client.post(api, json={"study": "arm/study.toml"}).json()["changes"] == []
 
 
-def test_a_data_sheet_is_a_table_of_values_in_toml_or_json() -> None:
-    draft = (
-        "[arm]\nlink_length = TODO  # [m]\n[[joint]]\n[[joint]]\ngear_ratio = TODO\n[channels]\n"
-    )
-    sheet = {
-        "arm": {"link_length": 0.35, "kind": "serial", "gravity": None},
-        "joint": [{"imu": {"xyz": [0, 0, 1]}}, {"gear_ratio": "TODO", "name": 'a"b'}],
-        "channels": {"a1": {"column": "acc", "scale": 9.81}, "a2": "missing"},
-    }
-    changes = rig_changes(draft, json.dumps(sheet), ["acc"], Path("study.toml"))
-    text = changed_text(draft, changes, Path("study.toml"))
-    assert text == (
-        "[arm]\nlink_length = 0.35  # [m]\n[[joint]]\nimu = {xyz = [0, 0, 1]}\n[[joint]]\n"
-        'gear_ratio = TODO\nname = "a\\"b"\n[channels]\na1 = {column = "acc", scale = 9.81}\n'
-    )
-    toml = '[arm]\nlink_length = 0.35\n[channels]\na1 = { topic = "/a", field = "b", name = "c" }'
-    columns = ["/a.b[c]"]
-    assert len(rig_changes(draft, toml, columns, Path("study.toml"))) == 2
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ("[[joint]]\n", "1 joint(s), and this arm has 2"),
-        ("x = 1\n", "no values of a rig"),
-        ('{"arm": [}', "no valid JSON"),
-        ("[arm", "Remedy"),
-        ('{"arm": {"gravity": [null]}}', "a value that TOML does not have"),
-    ],
-)
-def test_values_that_cannot_be_taken_are_refused(values: str, message: str) -> None:
-    draft = "[arm]\n[[joint]]\n[[joint]]\n"
-    with pytest.raises(InvalidInput, match=message.replace("(", r"\(").replace(")", r"\)")):
-        changed_text(draft, rig_changes(draft, values, [], Path("s")), Path("s"))
-
-
 def rows_of(client: TestClient, study: str, experiment: str) -> dict[str, Any]:
     answer = client.get(f"/api/overview/{study}", params={"experiment": experiment})
     assert answer.status_code == 200, answer.text
@@ -214,20 +123,6 @@ def test_a_draft_shows_every_column_with_its_channel_and_unit(
     assert missing.status_code == 400
 
 
-def test_an_outline_has_the_extremes_of_every_bin() -> None:
-    rng = np.random.default_rng(1)
-    values = rng.standard_normal(100_000)
-    values[77_777] = 50.0  # a spike of one sample
-    line = overview.outline(values)
-    y = np.array([float(point.split(",")[1]) for point in line.points.split()])
-    assert len(y) == 2 * overview.WIDTH
-    assert (line.low, line.high) == (values.min(), 50.0)
-    assert (y.min(), y.max()) == (0.0, overview.HEIGHT)
-    assert int(np.argmin(y)) // 2 == 77_777 * overview.WIDTH // 100_000
-    assert overview.outline(np.full(3, np.nan)).points == ""
-    assert overview.outline(np.array([1.0, np.inf, 3.0])).high == 3.0
-
-
 def test_a_long_log_is_read_quickly_and_a_few_columns_at_a_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -236,7 +131,7 @@ def test_a_long_log_is_read_quickly_and_a_few_columns_at_a_time(
     write_table(
         tmp_path / "long.parquet", {f"c{k}": rng.standard_normal(n) for k in range(columns)}
     )
-    monkeypatch.setattr(overview, "_MAX_BATCH_BYTES", 2 * 8 * n)  # two columns
+    monkeypatch.setattr(log_columns, "_MAX_BATCH_BYTES", 2 * 8 * n)  # two columns
     tracemalloc.start()
     begin = time.monotonic()
     lines = overview.outlines(tmp_path / "long.parquet")

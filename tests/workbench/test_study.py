@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from strainwave.errors import InvalidInput
 from strainwave.init.draft import placed_arm
 from strainwave.io.study import read_study
 
 pytest.importorskip("starlette")
 
-from strainwave.workbench.study_edit import KeyChange, changed_text, edit_study, parse_draft
-from strainwave.workbench.study_form import missing_values, value_of
+from strainwave.init.changes import KeyChange, changed_text, edit_study, parse_draft
+from strainwave.workbench.study_form import missing_values
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
@@ -218,67 +217,6 @@ def test_a_urdf_outside_the_folder_is_not_drawn(client: TestClient, folder: Path
     state = client.get(API).json()
     assert state["arm"] is None
     assert state["error"]
-
-
-@pytest.mark.parametrize(
-    ("text", "kind", "value"),
-    [
-        ("", "number", None),
-        ("8192", "number", 8192),
-        ("1e3", "number", 1000.0),
-        ("unknown", "number", "unknown"),
-        ("0, 0, -9.81", "numbers", [0, 0, -9.81]),
-        ("[1, 0], [0.2, 1]", "numbers", [[1, 0], [0.2, 1]]),
-        ("[[1, 0], [0.2, 1]]", "numbers", [[1, 0], [0.2, 1]]),
-        ("[1.5, 2]", "numbers", [1.5, 2]),
-        ("three-slope", "choice", "three-slope"),
-    ],
-)
-def test_values_of_fields(text: str, kind: Any, value: object) -> None:
-    assert value_of(text, kind) == value
-
-
-@pytest.mark.parametrize(
-    ("text", "kind", "unit", "chosen", "value"),
-    [
-        ("100:1", "number", "link turns per motor turn", "", 0.01),
-        ("-1:160", "number", "link turns per motor turn", "", -0.00625),
-        ("160", "number", "link turns per motor turn", "1/n", 0.00625),
-        ("160", "number", "link turns per motor turn", "n", 160),
-        ("3.5 mN m/V", "number", "N m/V", "", 0.0035),
-        ("3.5", "number", "N m/V", "mN m/V", 0.0035),
-        ("3.5 N·m/V", "number", "N m/V", "mN m/V", 3.5),
-        ("1e3", "number", "Hz", "kHz", 1e6),
-        ("30 deg", "number", "rad", "", 0.523598775598299),
-        ("0, 0, 90 deg", "numbers", "rad", "", [0, 0, 1.5707963267949]),
-        ("[10, 20, 0.3 m] mm", "numbers", "m", "", [0.01, 0.02, 0.3]),
-        ("unknown", "number", "N m/V", "mN m/V", "unknown"),
-    ],
-)
-def test_values_with_units_are_saved_in_si(
-    text: str, kind: Any, unit: str, chosen: str, value: object
-) -> None:
-    assert value_of(text, kind, unit, chosen) == value
-
-
-@pytest.mark.parametrize(
-    ("text", "unit"), [("3 mN m", "m"), ("100:1", "m"), ("5 deg", "counts"), ("3 furlong", "m")]
-)
-def test_a_unit_of_another_quantity_is_refused(text: str, unit: str) -> None:
-    with pytest.raises(InvalidInput, match="is no unit of the value"):
-        value_of(text, "number", unit)
-
-
-def test_zero_has_no_reciprocal() -> None:
-    with pytest.raises(InvalidInput, match="zero has no reciprocal"):
-        value_of("0", "number", "link turns per motor turn", "1/n")
-
-
-@pytest.mark.parametrize("text", ["0,5x", "1 2", "true", "[1, [2]]"])
-def test_wrong_numbers_are_refused(text: str) -> None:
-    for kind in ("number", "numbers"):
-        with pytest.raises(InvalidInput):
-            value_of(text, kind)
 
 
 def test_the_list_of_studies_names_arms_errors_and_verdicts(

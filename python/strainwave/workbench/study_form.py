@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, get_args
 
 from tomlkit.items import Whitespace
 
 from strainwave.domain.arm import gear_laws, kinds
 from strainwave.domain.arm.description import Motion
-from strainwave.domain.study import KeyKind, StudyKey, study_keys
-from strainwave.errors import InvalidInput
+from strainwave.domain.study import StudyKey, study_keys
+from strainwave.init.changes import table_of, tables_of
 from strainwave.init.draft import TODO, Place, has_todo, todo_places
-from strainwave.init.units import FormUnit, form_units, in_si
-from strainwave.workbench.study_edit import parse_draft, table_of, tables_of
+from strainwave.init.units import FormUnit, form_units
 
 _MARKDOWN = re.compile(r"`|\[([^]]*)\]\([^)]*\)")  # code, or a link and its text
 _SECTIONS = {"": "", "drive": "Gear and drive", "sensors": "Sensors", "placement": "Placement"}
@@ -66,6 +63,7 @@ def form_groups(document: Mapping[str, Any]) -> dict[str, list[Row]]:
     if any(joint.get("motion") == "prismatic" for joint in joints):
         ratio = {"gear_ratio": "link rad (or m) per motor rad"}
         keys["joint"] = tuple(replace(k, unit=ratio.get(k.key, k.unit)) for k in keys["joint"])
+    sections = [*_SECTIONS]
     tables: dict[str, dict[Place, Any]] = {
         "Arm": {("arm",): arm},
         "Joints" if len(joints) > 1 else "Joint": {("joint", k): j for k, j in enumerate(joints)},
@@ -76,14 +74,14 @@ def form_groups(document: Mapping[str, Any]) -> dict[str, list[Row]]:
         "Logs": {("channels",): table_of(document, "channels")},
     }
     return {
-        title: [_row(key, each) for key in sorted(keys[name], key=_section) if key.title]
+        title: [
+            _row(key, each)
+            for key in sorted(keys[name], key=lambda key: sections.index(key.group))
+            if key.title
+        ]
         for title, each in tables.items()
         for name in {str(place[0]) for place in each}
     }
-
-
-def _section(key: StudyKey) -> int:
-    return list(_SECTIONS).index(key.group)
 
 
 def _row(key: StudyKey, tables: Mapping[Place, Any]) -> Row:
@@ -151,42 +149,3 @@ def shown(value: Any) -> str:
             return ""
         return ", ".join(f"[{shown(v)}]" if isinstance(v, list) else str(v) for v in value)
     return str(value).lower() if isinstance(value, bool) else str(value)
-
-
-def value_of(text: str, kind: KeyKind, unit: str = "", chosen: str = "") -> Any:
-    """The value in an SI unit of a field's text; None if it is empty.
-
-    Numbers without a unit are in the chosen one. Raises InvalidInput if a number is needed and the
-    text is none, or if it has another unit.
-    """
-    stripped = text.strip()
-    if not stripped:
-        return None
-    if kind not in ("number", "numbers") or stripped in ("unknown", TODO):
-        return stripped  # "unknown" is a torque per volt that the records determine
-    stripped = in_si(stripped, unit, chosen)
-    if kind == "numbers":
-        return _numbers(stripped)
-    try:
-        value = float(stripped)
-    except ValueError as error:
-        raise InvalidInput(f"{stripped!r} is not a number", remedy="use a point: 0.25") from error
-    if not math.isfinite(value):
-        raise InvalidInput(f"{stripped!r} is not finite")
-    is_integer = value.is_integer() and "." not in stripped and "e" not in stripped.lower()
-    return int(value) if is_integer else value
-
-
-def _numbers(text: str) -> list[Any]:
-    """A list of numbers, or of lists of numbers: 1, 2 or [1, 0], [0.2, 1], also in brackets."""
-    try:
-        value = parse_draft(f"list = [{text}]", Path("value")).unwrap()["list"]
-    except InvalidInput as error:
-        raise InvalidInput(f"{text!r} is no list of numbers", remedy="write 0, 0, -9.81") from error
-    while len(value) == 1 and isinstance(value[0], list):
-        value = value[0]
-    rows = value if all(isinstance(row, list) for row in value) else [value]
-    for entry in (entry for row in rows for entry in row):
-        if entry != TODO and (isinstance(entry, bool) or not isinstance(entry, int | float)):
-            raise InvalidInput(f"{text!r} is no list of numbers", remedy="write 0, 0, -9.81")
-    return list(value)

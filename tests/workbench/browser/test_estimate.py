@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from strainwave.workbench.study_edit import KeyChange, edit_study
+from strainwave.init.changes import KeyChange, edit_study
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

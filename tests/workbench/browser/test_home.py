@@ -22,6 +22,7 @@ def follow_link(page: Page, name: str) -> None:
 def test_every_page_is_reached_by_keyboard(visit: Any) -> None:
     page = visit.open("/")
     visit.check_accessibility()
+    assert page.get_by_text("Drop logs or folders anywhere on this page").is_visible()
     follow_link(page, "arm")
     for name, address in (
         ("Study", "/study/"),

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from strainwave.init.changes import KeyChange, edit_study
 from strainwave.workbench.pages.check import run_check
 from strainwave.workbench.runs import Runs
-from strainwave.workbench.study_edit import KeyChange, edit_study
 from workbench_runs import add_run, result_of
 
 if TYPE_CHECKING:

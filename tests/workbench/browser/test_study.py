@@ -54,8 +54,8 @@ def test_from_logs_to_a_complete_study(visit: Any) -> None:
     assert read_study(visit.folder / "rig" / "study.toml").channels["a1"].column == "a2"
 
 
-def open_study(visit: Any) -> Any:
-    page = visit.open("/study/arm/study.toml")
+def open_study(visit: Any, field: str = "") -> Any:
+    page = visit.open(f"/study/arm/study.toml{field}")
     page.wait_for_selector("#state[data-state]")
     return page
 
@@ -188,6 +188,31 @@ def test_the_edited_joint_is_marked_in_the_picture_of_a_draft(visit: Any) -> Non
     assert rings[0]["y"][0] == pytest.approx(joints["y"][1], abs=1e-4)
     page.focus("#field-arm-kind")
     page.wait_for_selector("#arm[data-joint='']")
+
+
+@pytest.mark.parametrize(
+    ("named", "focused"),
+    [
+        ("joint-1-gear_ratio", "joint-1-gear_ratio"),
+        ("joint-3-encoder_counts", "joint-3-encoder_counts"),  # of an optional row
+        ("experiment-0-start", "experiment-0-start"),
+        ("channels-tau_l1-scale", "channels-tau_l1"),  # a scale needs a column
+    ],
+)
+def test_the_field_that_the_address_names_has_the_focus(
+    visit: Any, named: str, focused: str
+) -> None:
+    write_chain(visit, 4)
+    page = open_study(visit, f"#field-{named}")
+    field = page.locator(f"#field-{focused}")
+    visit.wait_until(f"document.activeElement.id === 'field-{focused}'")
+    assert field.is_visible()
+    assert field.evaluate("(one) => one.getBoundingClientRect().bottom <= innerHeight")
+    assert field.evaluate("(one) => one.getBoundingClientRect().top >= 0")
+    page.focus("#reload")
+    page.keyboard.press("Enter")  # reads the file, and leaves the focus
+    visit.wait_until("!document.querySelector('#reload[aria-busy]')")
+    assert page.evaluate("document.activeElement.id") == "reload"
 
 
 def test_units_convert_what_is_shown_and_typed(visit: Any) -> None:

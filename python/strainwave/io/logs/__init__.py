@@ -31,6 +31,7 @@ from strainwave.io.logs.arrays import Data, open_memory_table
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clock_text import time_of
 from strainwave.io.logs.clocks import Track, resample_tracks
+from strainwave.io.logs.columns import open_log
 from strainwave.io.logs.steps import (
     COMMAND_PREFIXES,
     MIN_FILLED_SHARE,
@@ -199,7 +200,7 @@ def _open(study: Study, experiment: Experiment, data: Any) -> LogTable | Bag:
     if data is not None and not isinstance(data, str | Path):
         return open_memory_table(data, f"data[{experiment.name!r}]")
     path = study.log_path(experiment) if data is None else Path(data)
-    return Bag(path) if is_bag(path) else open_table(path)
+    return open_log(path)
 
 
 def _segments(

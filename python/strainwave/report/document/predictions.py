@@ -16,7 +16,7 @@ from strainwave.report.figures.curves import Series
 _MODEL_DASH: Dash = (6.0, 4.0)  # the measured line shows through
 _RESIDUAL_HEIGHT = 0.45  # of a residual panel relative to the panel above
 _MOTOR_UNITS = {"u": "V", "torque": "N m", "theta_m": "rad", "omega_m": "rad/s", "ref": "rad/s"}
-_MOTOR_UNITS |= {"temperature": "°C"}
+_MOTOR_UNITS |= {"temperature": "°C", "t": "s"}
 _PRISMATIC_MOTOR_UNITS = _MOTOR_UNITS | {
     "torque": "N",
     "theta_m": "m",

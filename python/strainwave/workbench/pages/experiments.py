@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
@@ -13,37 +13,39 @@ from starlette.requests import Request
 
 from strainwave.errors import InvalidInput
 from strainwave.init import draft_study
-from strainwave.io.atomic_files import decode, read_bytes
-from strainwave.workbench.pages.import_logs import logs_in
-from strainwave.workbench.pages.overview import column_names
-from strainwave.workbench.rig_values import rig_changes
-from strainwave.workbench.study_edit import (
+from strainwave.init.changes import (
     KeyChange,
     changed_text,
     parse_draft,
+    read_draft,
+    read_study_text,
     table_of,
     table_spans,
     tables_of,
 )
+from strainwave.init.rig_values import rig_changes
+from strainwave.workbench.pages.import_logs import logs_in
+from strainwave.workbench.pages.overview import columns_by_record
+from strainwave.workbench.study_form import shown
 from strainwave.workbench.web import Body, Routes, message_of, study_file_of, text_of, workspace_of
 
 routes = Routes()
 
-_USES = {
-    "motion": "motion of the arm, for the rigid model",
-    "frequency": "test signal of one joint, for its elasticity",
-    "sweep": "the same signal with a smaller amplitude",
-    "tuning": "step of one joint, for the final fit",
-    "check": "validation, predicted and never fitted",
-}
-_CELLS: dict[str, dict[str, Any]] = {
-    "name": {"title": "Name", "kind": "text", "choices": {}},
-    "file": {"title": "File", "kind": "choice", "choices": {}},  # the logs of the folder
-    "use": {"title": "Use", "kind": "choice", "choices": _USES},
-    "joint": {"title": "Joint", "kind": "number", "choices": {}},
-    "control": {"title": "Control", "kind": "text", "choices": {}, "is_list": True},
-    "start": {"title": "Start [s]", "kind": "number", "choices": {}},
-    "stop": {"title": "Stop [s]", "kind": "number", "choices": {}},
+_USES = (  # value and text of a choice
+    ("motion", "motion: motion of the arm, for the rigid model"),
+    ("frequency", "frequency: test signal of one joint, for its elasticity"),
+    ("sweep", "sweep: the same signal with a smaller amplitude"),
+    ("tuning", "tuning: step of one joint, for the final fit"),
+    ("check", "check: validation, predicted and never fitted"),
+)
+_CELLS = {  # title and kind of a key
+    "name": ("Name", "text"),
+    "file": ("File", "choice"),  # of the logs of the folder
+    "use": ("Use", "choice"),
+    "joint": ("Joint", "number"),
+    "control": ("Control", "text"),
+    "start": ("Start [s]", "number"),
+    "stop": ("Stop [s]", "number"),
 }
 
 
@@ -54,20 +56,14 @@ def experiments_of(document: tomlkit.TOMLDocument) -> list[dict[str, Any]]:
     rows = []
     for index, table in enumerate(tables):
         cells = [
-            {"place": ["experiment", index, key], "value": _shown(table.get(key)), **looks}
-            for key, looks in _CELLS.items()
+            {"place": ["experiment", index, key], "value": shown(table.get(key)), "title": title}
+            | {"kind": kind, "choices": _USES if key == "use" else [], "is_list": key == "control"}
+            for key, (title, kind) in _CELLS.items()
         ]
         first, end = spans[index] if len(spans) == len(tables) else (0, 0)
-        rows.append(
-            {"name": _shown(table.get("name")), "text": "\n".join(lines[first + 1 : end])}
-            | {"cells": cells}
-        )
+        text = "\n".join(lines[first + 1 : end])
+        rows.append({"name": str(table.get("name", "")), "text": text, "cells": cells})
     return rows
-
-
-def _shown(value: object) -> str:
-    text = ", ".join(map(str, value)) if isinstance(value, list) else value
-    return "" if text is None else str(text)
 
 
 @routes.get("/api/experiments/{study:path}")
@@ -87,7 +83,7 @@ def propose_experiments(request: Request, body: Body) -> object:
     path, workspace, names = study_file_of(request), workspace_of(request), body.get("logs")
     if not isinstance(names, list) or not names:
         raise InvalidInput("no log is chosen", remedy="choose a log of the folder, or drop one")
-    document = parse_draft(_text(path), path).unwrap()
+    document = read_draft(path).unwrap()
     urdf = table_of(document, "arm").get("urdf")
     robot = workspace.file_of(path, urdf) if isinstance(urdf, str) else None
     tables, n_joints = tables_of(document, "experiment"), len(tables_of(document, "joint"))
@@ -122,12 +118,8 @@ def _drafts(
             for log in logs:
                 yield from _drafts([log], study, urdf, n_joints)
         else:
-            entry = {
-                "name": logs[0].name.split(".")[0],
-                "file": str(logs[0].relative_to(study.parent)),
-                "use": "motion",
-            }
-            yield tomlkit.dumps(entry), error
+            name, file = logs[0].name.split(".")[0], os.path.relpath(logs[0], study.parent)
+            yield tomlkit.dumps({"name": name, "file": file, "use": "motion"}), error
 
 
 @routes.post("/api/rig-values/{study:path}")
@@ -135,14 +127,8 @@ def propose_rig_values(request: Request, body: Body) -> object:
     """Changes that give the study the rig values of another `study`, or of a text with `values`."""
     path, workspace = study_file_of(request), workspace_of(request)
     lender = text_of(body, "study", "")
-    values = _text(workspace.study_file(lender)) if lender else text_of(body, "values")
-    text, columns = _text(path), set[str]()
-    for experiment in tables_of(parse_draft(text, path), "experiment"):
-        with suppress(InvalidInput):
-            columns.update(column_names(workspace.file_of(path, str(experiment.get("file")))))
-    changes = rig_changes(text, values, columns, path)
+    values = read_study_text(workspace.study_file(lender)) if lender else text_of(body, "values")
+    text = read_study_text(path)
+    columns = chain.from_iterable(columns_by_record(request, parse_draft(text, path)).values())
+    changes = rig_changes(text, values, set(columns), path)
     return {"changes": [{"place": c.place, "kind": "text", "value": c.value} for c in changes]}
-
-
-def _text(path: Path) -> str:
-    return decode(read_bytes(path, "the study file"), path)

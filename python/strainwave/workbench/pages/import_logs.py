@@ -10,10 +10,10 @@ from starlette.responses import Response
 
 from strainwave.errors import InvalidInput
 from strainwave.init import draft_study
+from strainwave.init.changes import changed_text
+from strainwave.init.rig_values import is_study_of, rig_changes
 from strainwave.io.atomic_files import write_whole
 from strainwave.workbench.pages.overview import column_names
-from strainwave.workbench.rig_values import is_study_of, rig_changes
-from strainwave.workbench.study_edit import changed_text
 from strainwave.workbench.web import (
     Body,
     Routes,

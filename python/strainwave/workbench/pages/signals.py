@@ -20,6 +20,7 @@ from strainwave.domain.steps import STEPS, Step, files_of
 from strainwave.domain.study import study_keys
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.init.changes import KeyChange, edit_study
 from strainwave.init.signal_features import sequence_of, sequence_under_servo
 from strainwave.io.study import detrendable_channels, step_table, with_steps
 from strainwave.report.document import elastic
@@ -36,7 +37,6 @@ from strainwave.workbench.pages.signal_figures import (
     spectrum_figure,
     time_figure,
 )
-from strainwave.workbench.study_edit import KeyChange, edit_study
 from strainwave.workbench.web import Body, Routes, page, study_of, text_of, workspace_of
 from strainwave.workbench.workspace import experiment_of, fingerprint, segments_of, study_at
 

@@ -2,6 +2,7 @@
 
 export const study = document.body.dataset.study ?? "";
 export const address = (path) => path.split("/").map(encodeURIComponent).join("/");
+export const api = (name) => `/api/${name}/${address(study)}`; // of the study
 export const byId = (id) => document.getElementById(id);
 
 async function request(path, options) {
@@ -47,6 +48,7 @@ export async function act(control, action) {
 }
 
 export const onClick = (element, action) => element.addEventListener("click", () => act(element, action));
+export const onChange = (element, action) => element.addEventListener("change", () => act(element, action));
 
 // Make an element: make("td", { class: "number" }, "12.3", child, ...)
 export function make(tag, attributes = {}, ...children) {
@@ -58,6 +60,23 @@ export function make(tag, attributes = {}, ...children) {
   }
   element.append(...children);
   return element;
+}
+
+export function button(text, attributes, action) {
+  const element = make("button", { type: "button", ...attributes }, text);
+  onClick(element, action);
+  return element;
+}
+
+// Make the options of a list those of `entries`, each a text, or a value and its text; the choice stays if it can.
+export function setOptions(select, entries) {
+  const key = JSON.stringify(entries), { value } = select;
+  if (select.dataset.options === key) return;
+  select.dataset.options = key;
+  select.replaceChildren(...entries.map((entry) => {
+    const [one, text = one] = [entry].flat();
+    return make("option", { value: one, selected: one === value }, text);
+  }));
 }
 
 // Call `action` at most once per frame, with the latest arguments.

@@ -1,54 +1,36 @@
 // Page "Study": the experiments, logs that are added, and rig values of other studies.
-import { act, address, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
+import { act, api, button, byId, getJson, make, onClick, postJson, setOptions, showMessage, study } from "./client.js";
 import { showOverview } from "./overview.js";
 import { save } from "./study.js";
-import { fieldControl, idOf, keep, showValue } from "./study_form.js";
+import { fieldControl, keep, showValue } from "./study_form.js";
 import { onFiles, uploadAll } from "./upload.js";
 
-const api = (name) => `/api/${name}/${address(study)}`;
 let state, sources = { logs: [], studies: [] };
 
-const nameOf = (row) => row.cells[0].value;
-const entryOf = (cell) => ({ ...cell, choices: cell.place[2] === "file" ? sources.logs : Object.keys(cell.choices) });
-
-function buildCell(cell) {
-  const control = fieldControl(idOf(cell.place), entryOf(cell), { class: cell.kind === "number" ? "short" : null });
-  if (cell.kind === "choice") control.options[0].remove(); // there is no default
-  return make("td", {}, control);
-}
+const entryOf = (cell) => (cell.place[2] === "file" ? { ...cell, choices: sources.logs } : cell);
 
 function freeName(name) {
-  const names = state.experiments.map(nameOf);
+  const names = state.experiments.map((row) => row.name);
   for (let k = 2; ; k += 1) if (!names.includes(`${name} (${k})`)) return `${name} (${k})`;
 }
 
 function buildRow(row) {
   const index = row.cells[0].place[1], at = (k, ...key) => ({ place: ["experiment", k, ...key], kind: "text" });
-  const button = (text, changes) => {
-    const one = make("button", { type: "button" }, text);
-    onClick(one, () => save(changes()));
-    return one;
-  };
-  const tr = make("tr", {}, ...row.cells.map((cell) => buildCell(cell)), make("td", {}, make("div", { class: "row" },
-    button("Duplicate", () => [{ ...at(index + 1), value: tr.row.text }, { ...at(index + 1, "name"), value: freeName(nameOf(tr.row)) }]),
-    button("Remove", () => [{ ...at(index), value: "" }]))));
+  const duplicate = () => save([{ ...at(index + 1), value: tr.row.text }, { ...at(index + 1, "name"), value: freeName(tr.row.name) }]);
+  const remove = () => save([{ ...at(index), value: "" }]);
+  const cells = row.cells.map((cell) => fieldControl(entryOf(cell), { class: cell.kind === "number" && "short" }));
+  const actions = make("div", { class: "row" }, button("Duplicate", {}, duplicate), button("Remove", {}, remove));
+  const tr = make("tr", {}, ...[...cells, actions].map((one) => make("td", {}, one)));
   return tr;
 }
 
 function updateRow(tr, row) {
   tr.row = row;
   for (const [k, control] of tr.querySelectorAll("input, select").entries()) {
-    const entry = entryOf(row.cells[k]);
-    if (entry.kind === "choice") for (const one of entry.choices) if (![...control.options].some(({ value }) => value === one)) control.add(new Option(one));
-    showValue(control, entry);
-    for (const one of control.options ?? []) {
-      const { value } = one, meaning = row.cells[k].choices[value];
-      one.setAttribute("value", value); // without, the text is the value
-      one.text = meaning ? `${value}: ${meaning}` : value;
-    }
-    control.setAttribute("aria-label", `${entry.title} of ${nameOf(row)}`);
+    showValue(control, entryOf(row.cells[k]));
+    control.setAttribute("aria-label", `${row.cells[k].title} of ${row.name}`);
   }
-  for (const button of tr.querySelectorAll("button")) button.setAttribute("aria-label", `${button.textContent} ${nameOf(row)}`);
+  for (const one of tr.querySelectorAll("button")) one.setAttribute("aria-label", `${one.textContent} ${row.name}`);
 }
 
 export function showExperiments(next) {
@@ -61,10 +43,10 @@ export function showExperiments(next) {
 
 async function listSources() {
   sources = await getJson(api("experiments"));
-  byId("log").replaceChildren(...sources.logs.map((name) => make("option", {}, name)));
-  byId("lender").replaceChildren(...sources.studies.map((name) => make("option", {}, name)));
-  for (const id of ["log", "add"]) byId(id).disabled = sources.logs.length === 0;
-  for (const id of ["lender", "take"]) byId(id).disabled = sources.studies.length === 0;
+  for (const [list, action, names] of [["log", "add", sources.logs], ["lender", "take", sources.studies]]) {
+    setOptions(byId(list), names);
+    byId(list).disabled = byId(action).disabled = names.length === 0;
+  }
   if (state) showExperiments(state);
 }
 

@@ -1,5 +1,5 @@
 // Pages "Import logs" and "Studies": store what is dropped, draft its study, and go there.
-import { act, address, byId, getJson, make, postJson, showMessage } from "./client.js";
+import { act, address, byId, getJson, make, onChange, postJson, setOptions, showMessage } from "./client.js";
 import { onFiles, uploadAll } from "./upload.js";
 
 const folder = () => byId("folder").value.trim();
@@ -12,7 +12,7 @@ async function showLogs() {
     const box = make("input", { type: "checkbox", id: `log-${name}`, value: name, checked: true });
     return make("label", { for: box.id }, box, ` ${name}`);
   }));
-  byId("urdf").replaceChildren(make("option", { value: "" }, "none"), ...urdfs.map((name) => make("option", {}, name)));
+  setOptions(byId("urdf"), [["", "none"], ...urdfs]);
   if (urdfs.length === 1) byId("urdf").value = urdfs[0];
   byId("chosen").hidden = logs.length === 0;
   return urdfs.length < 2;
@@ -37,7 +37,7 @@ onFiles(async (dropped) => {
   if (await showLogs()) await draft();
   else showMessage("Choose the URDF of the arm, then press Draft the study.");
 });
-byId("folder").addEventListener("change", () => act(null, showLogs));
+onChange(byId("folder"), showLogs);
 byId("import").addEventListener("submit", (event) => {
   event.preventDefault();
   act(byId("draft"), draft);

@@ -1,5 +1,5 @@
 // Page "Study": every signal of a record at once, also while values are missing.
-import { act, address, byId, getJson, make, study } from "./client.js";
+import { act, api, byId, getJson, make, onClick, setOptions, study } from "./client.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const NOTES = `notes of ${study}`; // of an import in this tab
@@ -26,7 +26,7 @@ async function show() {
   const key = JSON.stringify([record.value, state.channels, state.experiments.map((row) => row.cells[1].value)]);
   if (!details.open || !record.value || key === shown) return;
   shown = key;
-  const { file, seconds, rows } = await getJson(`/api/overview/${address(study)}`, { experiment: record.value });
+  const { file, seconds, rows } = await getJson(api("overview"), { experiment: record.value });
   if (key !== shown) return; // another record is chosen meanwhile
   const mapped = rows.filter((row) => row.channel).length;
   byId("overview-facts").textContent = `${file}: ${Math.max(...rows.map((row) => row.samples)).toLocaleString("en")} samples${seconds == null ? "" : `, ${digits(seconds)} s`}; `
@@ -38,9 +38,7 @@ async function show() {
 export function showOverview(next) {
   if (state === undefined) details.open = Boolean(next.error) || NOTES in sessionStorage;
   state = next;
-  const { value } = record;
-  record.replaceChildren(...state.experiments.map((row) => make("option", {}, row.name)));
-  if (state.experiments.some((row) => row.name === value)) record.value = value;
+  setOptions(record, state.experiments.map((row) => row.name));
   return show();
 }
 
@@ -50,4 +48,4 @@ for (const event of ["change", "toggle"]) for (const element of [record, details
 const notes = JSON.parse(sessionStorage.getItem(NOTES) ?? "[]");
 byId("import-notes").hidden = notes.length === 0;
 byId("import-notes").querySelector("ul").replaceChildren(...notes.map((text) => make("li", {}, text)));
-byId("dismiss").addEventListener("click", () => { sessionStorage.removeItem(NOTES); byId("import-notes").remove(); });
+onClick(byId("dismiss"), () => { sessionStorage.removeItem(NOTES); byId("import-notes").remove(); });

@@ -1,12 +1,9 @@
 // Page "Study": the form and the text show the same file; every change is saved at once.
-import { act, address, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
+import { act, api, button, byId, getJson, make, onChange, onClick, postJson, setOptions, showMessage, study } from "./client.js";
 import { showExperiments } from "./experiments.js";
 import { draw } from "./figures.js";
-import { fieldControl, idOf, keep, showGroups, showMissing, showValue } from "./study_form.js";
+import { fieldControl, focusField, idOf, keep, showGroups, showMissing, showValue } from "./study_form.js";
 
-export { fieldControl } from "./study_form.js";
-
-const api = (name) => `/api/${name}/${address(study)}`;
 const STORED = `strainwave history of ${study}`;
 const MAX_STEPS = 50; // of changes that can be undone
 const SCALE_TOLERANCE = 1e-4; // relative; scales such as 0.0174533 have few digits
@@ -48,43 +45,34 @@ async function step(from, to) {
 const undo = () => step("past", "future");
 const redo = () => step("future", "past");
 
-function setOptions(select, options) { // pairs of value and text
-  const key = JSON.stringify(options);
-  if (select.dataset.options === key) return;
-  const { value } = select;
-  select.replaceChildren(...options.map(([one, text]) => make("option", { value: one }, text)));
-  select.dataset.options = key;
-  select.value = value;
-}
-
 const columnsOfRecord = () => state.columns[byId("preview-record").value] ?? [];
 const channelPlace = (row, key) => ["channels", row.channel, key];
 
 function buildChannel(row) {
-  const column = make("select", { id: idOf(["channels", row.channel]), "aria-label": `Column of ${row.channel}` });
-  column.addEventListener("change", () => act(column, () => save(column.value
-    ? [{ place: channelPlace(row, "column"), kind: "text", value: column.value }]
-    : [{ place: ["channels", row.channel], kind: "text", value: "" }])));
-  const unit = make("select", { class: "column-unit", "aria-label": `Unit of the column of ${row.channel}` });
-  unit.addEventListener("change", () => act(unit, () => {
-    const sign = Number(tr.row.scale) < 0 ? -1 : 1;
-    return save([{ place: channelPlace(row, "scale"), kind: "number", value: String(sign * unit.value) }]);
-  }));
-  const look = make("button", { type: "button", "aria-label": `Preview ${row.channel}` }, "Show");
-  onClick(look, () => { previewed = row.channel; return preview(); });
-  const number = (key, fallback) => make("td", {}, fieldControl(idOf(channelPlace(row, key)), channelEntry(row, key), { "aria-label": `${key} of ${row.channel}`, "data-default": fallback }));
-  const tr = make("tr", {}, make("th", { scope: "row" }, row.channel), make("td", {}, column), make("td", {}, unit), number("scale", "1"), number("offset", "0"),
-    make("td", { class: "unit" }, row.unit), make("td", {}, look), make("td", {}, make("details", { class: "reason" }, make("summary"))));
+  const menu = (attributes, changeTo) => {
+    const select = make("select", attributes);
+    onChange(select, () => save([changeTo(select.value)]));
+    return select;
+  };
+  const column = menu({ id: idOf(["channels", row.channel]), "aria-label": `Column of ${row.channel}` },
+    (value) => ({ place: value ? channelPlace(row, "column") : ["channels", row.channel], kind: "text", value }));
+  const unit = menu({ class: "column-unit", "aria-label": `Unit of the column of ${row.channel}` },
+    (factor) => ({ place: channelPlace(row, "scale"), kind: "number", value: String(Number(tr.row.scale) < 0 ? -factor : factor) }));
+  const number = (key, fallback) =>
+    fieldControl(channelEntry(row, key), { "aria-label": `${key} of ${row.channel}`, "data-default": fallback });
+  const look = button("Show", { "aria-label": `Preview ${row.channel}` }, () => { previewed = row.channel; return preview(); });
+  const cells = [column, unit, number("scale", "1"), number("offset", "0"), row.unit, look, make("details", { class: "reason" }, make("summary"))];
+  const tr = make("tr", {}, make("th", { scope: "row" }, row.channel), ...cells.map((one) => make("td", { class: one === row.unit && "unit" }, one)));
   return tr;
 }
 
-const channelEntry = (row, key) => ({ place: channelPlace(row, key), kind: "number", choices: [], value: row[key], unit: row.unit });
+const channelEntry = (row, key) => ({ place: channelPlace(row, key), kind: "number", value: row[key], unit: row.unit });
 
 function updateChannel(tr, row) {
   tr.row = row;
   const columns = columnsOfRecord(), [column, unit, ...numbers] = tr.querySelectorAll("select, input");
   const names = row.column && !columns.includes(row.column) ? [row.column, ...columns] : columns;
-  setOptions(column, [["", columns.includes(row.channel) ? `${row.channel} (same name)` : "none"], ...names.map((name) => [name, name])]);
+  setOptions(column, [["", columns.includes(row.channel) ? `${row.channel} (same name)` : "none"], ...names]);
   column.value = row.column;
   const scale = Math.abs(Number(row.scale || 1));
   const units = row.units.length ? row.units : [{ name: row.unit, factor: 1 }];
@@ -139,15 +127,17 @@ function goToLine(line) {
 
 const lineIn = (message) => Number(/\bline (\d+)/.exec(message ?? "")?.[1] ?? 0);
 
-// Focus the field of a missing value, or its line of the text if the form has none.
-function goTo({ place }) {
-  const control = byId(idOf(place));
-  if (control) {
-    control.scrollIntoView({ block: "center" });
-    return control.focus({ preventScroll: true });
+// Focus the field of a place, or of the channel if it has no column; or a line of the text that lacks the value.
+function goTo(place) {
+  if (place[0] === "channels" && !byId(idOf(place.slice(0, 2)))) {
+    byId("all-channels").checked = true;
+    showChannels();
   }
+  const control = [place, place.slice(0, -1)].map((one) => byId(idOf(one))).find((one) => one && !one.disabled);
+  if (control) return focusField(control);
   const lines = text.value.split("\n"), key = String(place.at(-1));
-  return goToLine(1 + lines.findIndex((one) => one.split("#")[0].includes("TODO") && one.includes(key)));
+  const line = 1 + lines.findIndex((one) => one.split("#")[0].includes("TODO") && one.includes(key));
+  return line && goToLine(line);
 }
 
 // From a field to the next missing one, in the order of the page.
@@ -158,7 +148,7 @@ function goToNext(event) {
   const next = others.find(isBelow) ?? others[0];
   if (!next) return; // the browser reports the change
   event.preventDefault();
-  goTo(next);
+  goTo(next.place);
 }
 
 function showState() {
@@ -173,9 +163,8 @@ function showState() {
 }
 
 async function show() {
-  const focus = document.activeElement?.id, record = byId("preview-record").value;
-  setOptions(byId("preview-record"), state.experiments.map((row) => [row.name, row.name]));
-  byId("preview-record").value = state.experiments.some((row) => row.name === record) ? record : state.experiments[0]?.name ?? "";
+  const focus = document.activeElement?.id;
+  setOptions(byId("preview-record"), state.experiments.map((row) => row.name));
   showGroups(state.groups);
   showChannels();
   showExperiments(state);
@@ -222,4 +211,7 @@ byId("rig").addEventListener("focusin", (event) => {
 window.addEventListener("beforeunload", (event) => { if (isTyped()) event.preventDefault(); });
 byId("preview-record").addEventListener("change", showChannels);
 byId("all-channels").addEventListener("change", showChannels);
-act(null, load);
+act(null, async () => {
+  await load();
+  if (location.hash.startsWith("#field-")) goTo(location.hash.slice("#field-".length).split("-"));
+});

@@ -1,5 +1,5 @@
 // Page "Study": the form. Controls stay the same elements while their values change.
-import { act, byId, make, onClick } from "./client.js";
+import { button, byId, make, onChange, setOptions } from "./client.js";
 import { save } from "./study.js";
 
 const NUMBER = /[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?/gi;
@@ -37,10 +37,11 @@ function inUnit(value, { factor, power }) {
 export function showValue(control, entry) {
   const isTyped = shown.has(control) && control.value !== shown.get(control).text;
   const text = inUnit(entry.value, unitOf(entry));
-  if (control instanceof HTMLSelectElement && ![...control.options].some((one) => one.value === text)) control.prepend(make("option", { value: text }, text));
-  if (!isTyped) control.value = text;
+  if (entry.kind === "choice") setOptions(control, entry.choices.some((one) => [one].flat()[0] === text) ? entry.choices : [text, ...entry.choices]);
   shown.set(control, { entry, text });
-  if (!isTyped) control.setAttribute("aria-invalid", String(isImplausible(entry)));
+  if (isTyped) return;
+  control.value = text;
+  control.setAttribute("aria-invalid", String(isImplausible(entry)));
 }
 
 function isImplausible({ value, range }) {
@@ -48,13 +49,11 @@ function isImplausible({ value, range }) {
   return range != null && value !== "" && !Number.isNaN(size) && (size < range[0] || size > range[1]);
 }
 
-// A control of one key: `entry` has its place, kind, choices, value and title.
-export function fieldControl(id, entry, attributes = {}) {
-  const control = entry.kind === "choice"
-    ? make("select", { id, ...attributes }, make("option", { value: "" }, "default"), ...entry.choices.map((one) => make("option", {}, one)))
-    : make("input", { id, autocomplete: "off", ...attributes });
+// A control of one key: `entry` has its place, kind, choices and value.
+export function fieldControl(entry, attributes = {}) {
+  const control = make(entry.kind === "choice" ? "select" : "input", { id: idOf(entry.place), autocomplete: "off", ...attributes });
   showValue(control, entry);
-  control.addEventListener("change", () => act(control, () => saveField(control)));
+  onChange(control, () => saveField(control));
   return control;
 }
 
@@ -70,14 +69,18 @@ async function saveField(control) {
   }
 }
 
-const entryOf = (row, field) => ({ ...field, kind: row.key.kind, choices: row.choices, units: row.units, range: row.key.range, unit: row.key.unit.split(",")[0], unitKey: `${field.place[0]}.${row.key.key}` });
+const entryOf = ({ key, choices, units }, field) => ({
+  ...field, kind: key.kind, choices: [["", "default"], ...choices], units, range: key.range,
+  unit: key.unit.split(",")[0], unitKey: `${field.place[0]}.${key.key}`,
+});
 
 function unitMenu(row, update) {
-  if (row.units.length < 2) return make("span", {}, row.key.unit.split(",")[0]);
   const entry = entryOf(row, row.fields[0]);
-  const menu = make("select", { "aria-label": `Unit of ${row.key.title}` }, ...row.units.map(({ name }) => make("option", {}, name)));
+  if (row.units.length < 2) return entry.unit;
+  const menu = make("select", { "aria-label": `Unit of ${row.key.title}` });
+  setOptions(menu, row.units.map(({ name }) => name));
   menu.value = unitOf(entry).name || row.units[0].name;
-  menu.addEventListener("change", () => {
+  onChange(menu, () => {
     chosenUnits[entry.unitKey] = menu.value;
     localStorage.setItem(STORED, JSON.stringify(chosenUnits));
     update();
@@ -97,16 +100,14 @@ function copyButton(label, text, rowsOf) {
   const changes = () => rowsOf().flatMap(({ key, fields: [first, ...others] }) => others
     .filter(({ value }) => first.value !== "" && value !== first.value)
     .map(({ place }) => ({ place, kind: key.kind, value: first.value })));
-  const button = make("button", { type: "button", class: "quiet", "aria-label": label, title: label }, text);
-  onClick(button, () => save(changes));
-  return button;
+  return button(text, { class: "quiet", "aria-label": label, title: label }, () => save(changes));
 }
 
 function buildRow(row, count) {
   if (!row.key) return make("tbody", {}, make("tr", {}, make("th", { scope: "rowgroup", class: "section", colspan: count + 3 }, row.section)));
   const { title, key } = row.key, about = `about-${row.fields[0].place[0]}-${key}`;
   const body = make("tbody"), isCopied = count > 1 && row.key.kind !== "text"; // a text is the name of one joint
-  const control = (field, k) => fieldControl(idOf(field.place), entryOf(row, field), { "aria-label": count > 1 ? `${title} of joint ${k + 1}` : title, "aria-describedby": about });
+  const control = (field, k) => fieldControl(entryOf(row, field), { "aria-label": count > 1 ? `${title} of joint ${k + 1}` : title, "aria-describedby": about });
   body.append(
     make("tr", {}, make("th", { scope: "row" }, title, make("button", { type: "button", class: "tip", "aria-label": `About ${title}`, "aria-expanded": "false", "aria-controls": about }, "?")),
       make("td", { class: "unit" }, unitMenu(row, () => updateRow(body, body.row, false))), ...row.fields.map((field, k) => make("td", {}, control(field, k))),
@@ -130,8 +131,7 @@ function updateRow(body, row, isHidden) {
 }
 
 function buildGroup({ title, rows: [{ fields }] }) {
-  const more = make("button", { type: "button", class: "quiet more" });
-  more.addEventListener("click", () => {
+  const more = button("", { class: "quiet more" }, () => {
     if (!opened.delete(title)) opened.add(title);
     updateGroup(section, section.group);
   });
@@ -158,6 +158,17 @@ function updateGroup(section, group) {
   more.textContent = isOpen ? "Hide empty optional rows" : `Show ${count} optional ${count === 1 ? "row" : "rows"}`;
 }
 
+// Focus a field, also one of a row that is hidden.
+export function focusField(control) {
+  const section = control.closest(".group");
+  if (section && control.closest("[hidden]")) {
+    opened.add(section.group.title);
+    updateGroup(section, section.group);
+  }
+  control.scrollIntoView({ block: "center" });
+  control.focus({ preventScroll: true });
+}
+
 export const showGroups = (groups) =>
   keep(byId("rig"), groups, ({ title, rows }) => `${title} ${rows[0].fields.length}`, buildGroup, updateGroup);
 
@@ -165,9 +176,8 @@ export const showGroups = (groups) =>
 export function showMissing(missing, goTo) {
   const wanted = new Set(missing.map((one) => idOf(one.place)));
   keep(byId("missing-list"), missing, (one) => idOf(one.place), (one) => {
-    const button = make("button", { type: "button", class: "link" }, byId(idOf(one.place))?.getAttribute("aria-label") ?? one.place.join(" "));
-    button.addEventListener("click", () => goTo(one));
-    return make("li", { title: one.hint }, button, " ", make("span", { class: "hint" }, one.hint));
+    const label = byId(idOf(one.place))?.getAttribute("aria-label") ?? one.place.join(" ");
+    return make("li", { title: one.hint }, button(label, { class: "link" }, () => goTo(one.place)), " ", make("span", { class: "hint" }, one.hint));
   }, () => {});
   for (const control of document.querySelectorAll("[id^=field-]")) {
     control.classList.toggle("missing", wanted.has(control.id));

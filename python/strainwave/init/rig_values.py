@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from strainwave.errors import InvalidInput
-from strainwave.init.draft import TODO
-from strainwave.workbench.study_edit import (
+from strainwave.init.changes import (
     KeyChange,
     columns_of,
     parse_draft,
     table_of,
     tables_of,
 )
+from strainwave.init.draft import TODO
 
 _TABLES = ("arm", "servo", "transmission")
 _OWN = ("kind", "urdf", "held")  # keys of [arm] that follow from the logs and the URDF

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,8 +14,10 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from strainwave.domain.results.consistency import Correction
+from strainwave.domain.study import KeyKind
 from strainwave.errors import InvalidInput
 from strainwave.init.draft import TODO
+from strainwave.init.units import in_si
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
 
 _TODO = re.compile(rf"(?<![\w\"]){TODO}(?![\w\"])")
@@ -41,8 +44,8 @@ def edit_study(path: Path, changes: Sequence[KeyChange]) -> None:
 
     Raises InvalidInput if the file is not TOML, or if it has no such array of tables.
     """
-    text = decode(read_bytes(path, "the study file"), path)
-    write_whole(path.parent, {path.name: changed_text(text, changes, path).encode()})
+    text = changed_text(read_study_text(path), changes, path)
+    write_whole(path.parent, {path.name: text.encode()})
 
 
 def changed_text(text: str, changes: Sequence[KeyChange], path: Path) -> str:
@@ -67,6 +70,16 @@ def parse_draft(text: str, path: Path) -> tomlkit.TOMLDocument:
         return tomlkit.parse("\n".join(lines))
     except (TOMLKitError, ValueError, RecursionError) as error:
         raise InvalidInput(str(error), where=str(path), remedy="correct the text") from error
+
+
+def read_study_text(path: Path) -> str:
+    """The text of a study file; raises InvalidInput if it is not UTF-8."""
+    return decode(read_bytes(path, "the study file"), path)
+
+
+def read_draft(path: Path) -> tomlkit.TOMLDocument:
+    """A study file as tables, like `parse_draft`."""
+    return parse_draft(read_study_text(path), path)
 
 
 def table_of(document: Mapping[str, Any], name: str) -> Mapping[str, Any]:
@@ -154,10 +167,8 @@ def _apply(table: Any, change: KeyChange, path: Path) -> None:
         except (LookupError, TypeError) as error:
             raise _no_place(change, path) from error
         if isinstance(entry, str) and parents[0] == "channels" and position == 1:
-            table[key] = tomlkit.inline_table()  # "column" stands for { column = "column" }
-            table[key]["column"] = entry
-            entry = table[key]
-        table = entry
+            table[key] = _inline({"column": entry})  # which "column" stands for
+        table = table[key]
     if isinstance(table, list) and isinstance(last, int) and last <= len(table):
         if change.value is not None:
             table.insert(last, change.value)
@@ -177,7 +188,9 @@ def _apply(table: Any, change: KeyChange, path: Path) -> None:
 
 
 def _inline(value: Any) -> Any:
-    """A value whose tables are written on one line."""
+    """A value whose tuples are lists, and whose tables are written on one line."""
+    if isinstance(value, tuple):
+        return [_inline(each) for each in value]
     if not isinstance(value, dict):
         return value
     table = tomlkit.inline_table()
@@ -187,6 +200,45 @@ def _inline(value: Any) -> Any:
 
 def _no_place(change: KeyChange, path: Path) -> InvalidInput:
     return InvalidInput(f"has no {'.'.join(map(str, change.place))}", where=str(path))
+
+
+def value_of(text: str, kind: KeyKind, unit: str = "", chosen: str = "") -> Any:
+    """The value in an SI unit of a text that a user types; None if it is empty.
+
+    Numbers without a unit are in the chosen one. Raises InvalidInput if a number is needed and the
+    text is none, or if it has another unit.
+    """
+    stripped = text.strip()
+    if not stripped:
+        return None
+    if kind not in ("number", "numbers") or stripped in ("unknown", TODO):
+        return stripped  # "unknown" is a torque per volt that the records determine
+    stripped = in_si(stripped, unit, chosen)
+    if kind == "numbers":
+        return _numbers(stripped)
+    try:
+        value = float(stripped)
+    except ValueError as error:
+        raise InvalidInput(f"{stripped!r} is not a number", remedy="use a point: 0.25") from error
+    if not math.isfinite(value):
+        raise InvalidInput(f"{stripped!r} is not finite")
+    is_integer = value.is_integer() and "." not in stripped and "e" not in stripped.lower()
+    return int(value) if is_integer else value
+
+
+def _numbers(text: str) -> list[Any]:
+    """A list of numbers, or of lists of numbers: 1, 2 or [1, 0], [0.2, 1], also in brackets."""
+    try:
+        value = parse_draft(f"list = [{text}]", Path("value")).unwrap()["list"]
+    except InvalidInput as error:
+        raise InvalidInput(f"{text!r} is no list of numbers", remedy="write 0, 0, -9.81") from error
+    while len(value) == 1 and isinstance(value[0], list):
+        value = value[0]
+    rows = value if all(isinstance(row, list) for row in value) else [value]
+    for entry in (entry for row in rows for entry in row):
+        if entry != TODO and (isinstance(entry, bool) or not isinstance(entry, int | float)):
+            raise InvalidInput(f"{text!r} is no list of numbers", remedy="write 0, 0, -9.81")
+    return list(value)
 
 
 def correction_changes(text: str, corrections: Sequence[Correction]) -> list[KeyChange]:
@@ -204,10 +256,5 @@ def correction_changes(text: str, corrections: Sequence[Correction]) -> list[Key
         elif each.table not in ("arm", "transmission"):
             continue
         place = (each.table, *entry, *each.key.split("."))
-        changes.append(KeyChange(place, _plain(each.value)))
+        changes.append(KeyChange(place, each.value))
     return changes
-
-
-def _plain(value: Any) -> Any:
-    """Tuples as lists."""
-    return [_plain(one) for one in value] if isinstance(value, tuple) else value
