@@ -16,6 +16,8 @@ from strainwave.virtual import scara
 pytest.importorskip("starlette")
 
 from strainwave.workbench.pages import compare
+from strainwave.workbench.pages.estimate import snapshot
+from strainwave.workbench.runs import Runs
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
@@ -69,6 +71,40 @@ def test_results_of_the_same_logs_are_not_tested(client: TestClient, folder: Pat
     assert shown["test"] is None
     assert "the same logs" in shown["note"]
     assert all(cell["change"] is None for row in shown["rows"] for cell in row["cells"])
+
+
+@pytest.fixture
+def runs_of_one_study(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two runs as the page Estimate starts them, each with a copy of the study in its folder."""
+    study = folder / "arm" / "study.toml"
+    runs = Runs(study)
+    for name in ("a", "b"):
+        run = runs.prepare(name)
+        (run / "study.toml").write_text(snapshot(study))
+        monkeypatch.chdir(run)
+        sw.identify("study.toml", stages=("rigid",)).save("result.json")
+    return folder
+
+
+def test_runs_of_the_same_logs_are_not_tested(client: TestClient, runs_of_one_study: Path) -> None:
+    paths = {"paths": [A, B]}
+    shown = client.post("/api/compare/arm/study.toml", json=paths).json()
+    assert shown["test"] is None
+    assert "(motion-check" in shown["note"]
+    other = Path(B).with_name("study.toml")
+    text = (runs_of_one_study / other).read_text()
+    (runs_of_one_study / other).write_text(text.replace('file = "../../', 'file = "../../new-'))
+    assert client.post("/api/compare/arm/study.toml", json=paths).json()["test"] is not None
+
+
+def test_a_merged_log_is_a_log_of_the_result(client: TestClient, runs_of_one_study: Path) -> None:
+    file = runs_of_one_study / Path(B).with_name("study.toml")
+    steps = 'steps = [{ kind = "merge", file = "../../motion.parquet" }]'
+    text = f'[arm]\n[[experiment]]\nname = "new"\nfile = "../../new.parquet"\n{steps}\n'
+    file.write_text(text)
+    shown = client.post("/api/compare/arm/study.toml", json={"paths": [A, B]}).json()
+    assert shown["test"] is None
+    assert "(motion.parquet)" in shown["note"]
 
 
 def test_equal_results_agree(client: TestClient, two_runs: Path) -> None:

@@ -89,13 +89,18 @@ def read_results(paths: Mapping[str, Path]) -> list[NamedResult]:
 
 def shared_logs(workspace: Workspace, results: Sequence[NamedResult]) -> list[str]:
     """Names of the logs that several results come from, by their studies in the folder."""
-    counts: Counter[Path] = Counter()
-    for one in results:
-        study = one.result.document.get("study", {})
-        with suppress(InvalidInput):  # the study was deleted, or lies elsewhere
-            files = workspace.files_named(workspace.study(str(study.get("path", ""))))
-            counts.update({path for path in files if path.suffix != ".urdf"})
+    counts = Counter(log for one in results for log in _logs_of(workspace, one))
     return sorted(path.name for path, count in counts.items() if count > 1)
+
+
+def _logs_of(workspace: Workspace, one: NamedResult) -> set[Path]:
+    """Logs of a result by its study, whose path is relative to the run's or the served folder."""
+    name = str(one.result.document.get("study", {}).get("path", ""))
+    for folder in (one.path.parent, workspace.folder):
+        with suppress(InvalidInput):  # the study was deleted, or lies elsewhere
+            files = workspace.files_named(workspace.study(str(folder / name)))
+            return {path for path in files if path.suffix != ".urdf"}
+    return set()
 
 
 def parameter_rows(
