@@ -9,24 +9,21 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import cycle
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
-from scipy import linalg
 from starlette.requests import Request
 from starlette.responses import Response
 
 import strainwave as sw
-from strainwave.domain import ComplexArray, Joint, Parameter, Prediction
+from strainwave.domain import Joint, Parameter, Prediction
 from strainwave.domain.keys import Key, label_of
 from strainwave.domain.messages import plus_minus
-from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export import arm_of
-from strainwave.export.linear_models import Matrices, joint_model, state_space
+from strainwave.export.linear_models import joint_model
 from strainwave.fleet.monitoring import comparison as monitoring
 from strainwave.fleet.monitoring.comparison_output import to_document
 from strainwave.identification.closed_loop import restrict_to_values
@@ -35,7 +32,14 @@ from strainwave.identification.whole_arm.inference.fit_tests import SIGNIFICANCE
 from strainwave.io.results import rigid_band_of
 from strainwave.report.document.blocks import read_figures
 from strainwave.report.document.predictions import unit_of
-from strainwave.report.figures import DASHES, PALETTE, Axis, Figure, Line, Markers, Panel
+from strainwave.report.figures import Figure
+from strainwave.report.figures.comparison import (
+    Scale,
+    changes,
+    poles_and_zeros,
+    ratios,
+    step_responses,
+)
 from strainwave.report.figures.curves import Curve, Series, bode, lines
 from strainwave.report.plotly_backend import plotly, whiskers
 from strainwave.signals.recorded_input import missing_motor_signal
@@ -59,14 +63,10 @@ from strainwave.workbench.workspace import (
     study_at,
 )
 
-_PERIODS = 8.0  # of the resonance, in a step response
-_STEP_POINTS = 600
-_MIN_PENCIL = 1e-10  # of the largest; eigenvalues of smaller ones are at infinity
 _SHARED = (
     "The results come from the same logs ({}): their errors are not independent, so that no test"
     " of a difference applies."
 )
-_MAX_SHOWN_STD = 0.2  # relative; wider intervals would set the scale of the figure
 _GHOST_OPACITY = 0.55  # of the lines of other results
 _MAX_DURATION = 60.0  # [s] of a predicted record
 
@@ -136,44 +136,17 @@ def _cell(parameter: Parameter | None, first: Parameter | None) -> dict[str, Any
     return {"text": text, "low": low, "high": high, "change": change}
 
 
-def interval_figure(results: Sequence[NamedResult], scale: str) -> dict[str, Any]:
-    """Changes from the first result with 95 % intervals, one row per parameter, by joint.
-
-    `scale` is "percent" of the first value, or "std", standard deviations of the first result.
-    """
-    rows = [(p, p.value, p.std) for p in results[0].result if p.value and p.std]
-    if scale == "percent":
-        rows = [row for row in rows if row[2] < _MAX_SHOWN_STD * abs(row[1])]
-    rows.sort(key=lambda row: row[0].joint or 0)
-    joints = [f"joint {p.joint}" if p.joint else "arm" for p, _, _ in rows]
-    sizes = np.array([0.01 * abs(v) if scale == "percent" else std for _, v, std in rows])
-    dots = []
-    for one in results:
-        estimates = [_estimate(one, p.key) for p, _, _ in rows]
-        values = [np.nan if p is None or p.value is None else p.value for p in estimates]
-        stds = [np.nan if p is None or p.std is None else p.std for p in estimates]
-        change = (np.array(values) - np.array([value for _, value, _ in rows])) / sizes
-        dots.append(Series(one.name, change, CI95_STDS * np.array(stds) / sizes))
-    unit = "%" if scale == "percent" else f"standard deviations of {results[0].name}"
-    names = [p.name for p, _, _ in rows]
-    return whiskers((joints, names), dots, f"change from {results[0].name} [{unit}]")
-
-
 def joints_of(results: Sequence[NamedResult]) -> list[int]:
     """Joints that have a linear model of their own in every result."""
-    arms, joints = list[Any](), list[int]()
+    joints = []
     with suppress(InvalidInput):  # a result without parameters
-        arms = list(map(_arm, results))
-    for joint in range(1, min((arm.study.arm.n_joints for arm in arms), default=0) + 1):
-        with suppress(InvalidInput):
-            for arm in arms:
-                joint_model(arm, joint)
-            joints.append(joint)
+        arms = [arm_of(one.result.document, one.path) for one in results]
+        for joint in range(1, min(arm.study.arm.n_joints for arm in arms) + 1):
+            with suppress(InvalidInput):
+                for arm in arms:
+                    joint_model(arm, joint)
+                joints.append(joint)
     return joints
-
-
-def _arm(one: NamedResult) -> Any:
-    return arm_of(one.result.document, one.path)
 
 
 def with_ghosts(figure: dict[str, Any], name: str) -> dict[str, Any]:
@@ -184,74 +157,6 @@ def with_ghosts(figure: dict[str, Any], name: str) -> dict[str, Any]:
         if "fill" not in trace:
             trace["line"]["dash"] = "solid" if trace.get("name") == name else "6px,4px"
     return figure
-
-
-def bode_differences(results: Sequence[NamedResult], joint: int) -> Figure:
-    """Responses over that of the first result, at its frequencies."""
-    responses = [one.result.frequency_response(joint) for one in results]
-    f, first = responses[0].frequencies_hz, responses[0].response
-    curves = [Curve(results[0].name, f, np.ones_like(first))]
-    for one, response in zip(results[1:], responses[1:], strict=True):
-        inside = (f >= response.frequencies_hz[0]) & (f <= response.frequencies_hz[-1])
-        logarithm = np.log(np.abs(response.response)) + 1j * np.unwrap(np.angle(response.response))
-        at = np.interp(np.log(f[inside]), np.log(response.frequencies_hz), logarithm)
-        if inside.any():
-            curves.append(Curve(one.name, f[inside], np.exp(at) / first[inside]))
-    return bode(curves, f"Joint {joint}: responses over that of {results[0].name}")
-
-
-def bode_figure(results: Sequence[NamedResult], joint: int) -> Figure:
-    """Responses of motor velocity to motor torque, with 95 % bands."""
-    curves = []
-    for one in results:
-        response = one.result.frequency_response(joint)
-        stds = response.magnitude_std, response.phase_std
-        curves.append(Curve(one.name, response.frequencies_hz, response.response, *stds))
-    return bode(curves, f"Joint {joint}: motor torque to motor velocity")
-
-
-def step_figure(results: Sequence[NamedResult], joint: int) -> Figure:
-    """Motor and link velocity after a step of the motor torque of 1 N m."""
-    from scipy import signal  # takes half a second
-
-    lines: list[list[Line]] = [[], []]
-    models = [state_space(_arm(one), joint) for one in results]
-    frequencies = [np.abs(np.linalg.eigvals(model.A)).max() / (2.0 * np.pi) for model in models]
-    time = np.linspace(0.0, _PERIODS / min(frequencies), _STEP_POINTS)
-    styles = zip(results, models, cycle(PALETTE), cycle(DASHES), strict=False)
-    for one, model, colour, dash in styles:
-        C, D = np.vstack([model.C[0], np.eye(3)[2]]), np.zeros((2, 1))
-        _, response = signal.step(signal.StateSpace(model.A, model.B[:, :1], C, D), T=time)
-        for panel, velocity in zip(lines, np.asarray(response).T, strict=True):
-            panel.append(Line(time, velocity, one.name, colour, dash))
-    names = ("motor velocity [rad/s]", "link velocity [rad/s]")
-    panels = (Panel(Axis(name), tuple(each)) for name, each in zip(names, lines, strict=True))
-    return Figure(Axis("time after a motor torque of 1 N m [s]"), tuple(panels))
-
-
-def pole_figure(results: Sequence[NamedResult], joint: int) -> Figure:
-    """Poles (crosses) and zeros (circles) of motor torque to motor velocity."""
-    marks = []
-    for one, colour in zip(results, cycle(PALETTE), strict=False):
-        model = state_space(_arm(one), joint)
-        poles = np.asarray(np.linalg.eigvals(model.A), dtype=np.complex128)
-        zeros = _zeros(model)
-        pole_name, zero_name = f"{one.name}, poles", f"{one.name}, zeros"
-        marks.append(Markers(poles.real, poles.imag, pole_name, colour, 9.0, symbol="x"))
-        marks.append(Markers(zeros.real, zeros.imag, zero_name, colour, 9.0, symbol="circle-open"))
-    axis = Axis("imaginary part [rad/s]")
-    return Figure(Axis("real part [rad/s]"), (Panel(axis, tuple(marks), 2.0),))
-
-
-def _zeros(model: Matrices) -> ComplexArray:
-    """Zeros of motor torque to motor velocity: finite eigenvalues of the system pencil."""
-    order = len(model.A)
-    system = np.block([[model.A, model.B[:, :1]], [model.C[:1], model.D[:1, :1]]])
-    mass = np.zeros_like(system)
-    mass[:order, :order] = np.eye(order)
-    alpha, beta = linalg.eig(system, mass, right=False, homogeneous_eigvals=True)
-    is_finite = np.abs(beta) > _MIN_PENCIL * np.abs(beta).max()
-    return np.asarray(alpha[is_finite] / beta[is_finite], dtype=np.complex128)
 
 
 def check_fits(results: Sequence[NamedResult]) -> list[dict[str, Any]]:
@@ -365,10 +270,12 @@ def compare(request: Request, body: Body) -> object:
         except HANDLED as error:
             note = message_of(request, error)
     first = read_figures(results[0].path.parent / "report.html")
+    tables = {one.name: one.result for one in results}
+    scales: tuple[Scale, ...] = get_args(Scale)
     return {
         "names": [one.name for one in results],
         "rows": parameter_rows(results, are_independent=not shared),
-        "intervals": {scale: interval_figure(results, scale) for scale in ("percent", "std")},
+        "intervals": {scale: whiskers(*changes(tables, scale)) for scale in scales},
         "test": document,
         "note": note,
         "joints": joints_of(results),
@@ -384,12 +291,18 @@ def joint_figures(request: Request, body: Body) -> object:
     results, joint = _chosen(request, body.get("paths")), body.get("joint")
     if not isinstance(joint, int):
         raise InvalidInput("the request names no joint", where="joint")
+    curves, models = [], {}
+    for one in results:
+        response = one.result.frequency_response(joint)
+        stds = response.magnitude_std, response.phase_std
+        curves.append(Curve(one.name, response.frequencies_hz, response.response, *stds))
+        models[one.name] = joint_model(arm_of(one.result.document, one.path), joint)
     name = results[0].name
     return {
-        "bode": with_ghosts(plotly(bode_figure(results, joint)), name),
-        "difference": plotly(bode_differences(results, joint)),
-        "step": with_ghosts(plotly(step_figure(results, joint)), name),
-        "poles": plotly(pole_figure(results, joint)),
+        "bode": with_ghosts(plotly(bode(curves, "")), name),
+        "difference": plotly(bode(ratios(curves), "")),
+        "step": with_ghosts(plotly(step_responses(models)), name),
+        "poles": plotly(poles_and_zeros(models)),
     }
 
 
