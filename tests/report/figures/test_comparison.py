@@ -19,7 +19,7 @@ def test_zeros_are_those_of_the_link_on_the_spring() -> None:
     poles, zeros = marks(figure, Markers)
     assert names(figure) == ["a, poles", "a, zeros"]
     assert len(poles.x) == 3
-    modulus = np.abs(np.asarray(zeros.x) + 1j * zeros.y)  # type: ignore[operator]
+    modulus = np.abs(np.asarray(zeros.x) + 1j * zeros.y)
     assert modulus == pytest.approx(np.sqrt([800.0 / 2.0] * 2))
 
 
@@ -31,10 +31,10 @@ def test_a_step_accelerates_the_motor_first() -> None:
 
 
 def test_a_step_ends_at_the_velocity_that_friction_allows() -> None:
-    joint = TwoInertia(1e-4, 2.0, 1e-4, 0.0, 800.0, 1.0, 1.0)
+    joint = TwoInertia(1e-4, 2.0, 1e-4, 0.0, 800.0, 0.3, 1.0)
     motor, link = (line(step_responses({"a": joint}), "a", panel) for panel in (0, 1))
-    assert motor.y[-1] == pytest.approx(0.5, rel=1e-3)
-    assert link.y[-1] == pytest.approx(0.5, rel=1e-3)
+    assert motor.y[-1] == pytest.approx(0.5, rel=1e-2)
+    assert link.y[-1] == pytest.approx(0.5, rel=1e-2)
 
 
 def test_ratios_are_at_the_frequencies_of_the_first() -> None:

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Parameter
+from strainwave.domain import ComplexArray, FloatArray, Parameter
 from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.dynamics.two_inertia import TwoInertia, coefficients, state_space
 from strainwave.numerics.linalg import exponential
@@ -88,7 +88,7 @@ def _step_response(model: TwoInertia, time: FloatArray) -> FloatArray:
     states = [np.array([0.0, 0.0, 0.0, 1.0])]
     for _ in time[1:]:
         states.append(advance @ states[-1])
-    return linear.C @ np.array(states).T[:3]
+    return np.asarray(linear.C @ np.array(states).T[:3])
 
 
 def poles_and_zeros(models: Mapping[str, TwoInertia]) -> Figure:
@@ -103,7 +103,7 @@ def poles_and_zeros(models: Mapping[str, TwoInertia]) -> Figure:
     return Figure(Axis("real part [rad/s]"), (Panel(axis, tuple(marks), 2.0),))
 
 
-def _roots(model: TwoInertia) -> tuple[FloatArray, FloatArray]:
+def _roots(model: TwoInertia) -> tuple[ComplexArray, ComplexArray]:
     """Poles and zeros of (17)."""
     b, a = coefficients(model)
-    return np.roots(a[::-1]), np.roots(b[::-1])
+    return np.roots(a[::-1]).astype(complex), np.roots(b[::-1]).astype(complex)

@@ -42,7 +42,7 @@ from strainwave.report.figures.comparison import (
 )
 from strainwave.report.figures.curves import Curve, Series, bode, lines
 from strainwave.report.plotly_backend import plotly, whiskers
-from strainwave.signals.recorded_input import missing_motor_signal
+from strainwave.workbench.pages.by_hand import usable_experiments
 from strainwave.workbench.pages.runs import describe
 from strainwave.workbench.runs import Runs
 from strainwave.workbench.web import (
@@ -331,10 +331,7 @@ def predicted_record(request: Request, body: Body) -> object:
 
 def records_of(path: Path) -> list[str]:
     """Records of a study that can be predicted: its check records, or all if there are none."""
-    study, arm = study_at(path), Arm.of(study_at(path).arm)
-    usable = [
-        e for e in study.experiments if missing_motor_signal(arm, log_of(path, e.name)) is None
-    ]
+    usable = usable_experiments(path)
     return [e.name for e in usable if e.use == "check"] or [e.name for e in usable]
 
 
