@@ -31,10 +31,10 @@ def test_a_step_accelerates_the_motor_first() -> None:
 
 
 def test_a_step_ends_at_the_velocity_that_friction_allows() -> None:
-    joint = TwoInertia(1e-4, 2.0, 1e-4, 0.0, 800.0, 0.3, 1.0)
+    joint = TwoInertia(1e-4, 0.2, 1e-4, 0.0, 800.0, 0.1, 1.0)
     motor, link = (line(step_responses({"a": joint}), "a", panel) for panel in (0, 1))
-    assert motor.y[-1] == pytest.approx(0.5, rel=1e-2)
-    assert link.y[-1] == pytest.approx(0.5, rel=1e-2)
+    assert motor.y[-1] == pytest.approx(5.0, rel=1e-2)
+    assert link.y[-1] == pytest.approx(5.0, rel=1e-2)
 
 
 def test_ratios_are_at_the_frequencies_of_the_first() -> None:
