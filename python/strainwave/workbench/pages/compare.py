@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import Any, get_args
 
@@ -17,8 +18,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 import strainwave as sw
-from strainwave.domain import Joint, Parameter, Prediction
-from strainwave.domain.keys import Key, label_of
+from strainwave.domain import Parameter, Prediction
+from strainwave.domain.keys import label_of
 from strainwave.domain.messages import plus_minus
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
@@ -31,8 +32,7 @@ from strainwave.identification.trial_values import ChannelTest, starting_values,
 from strainwave.identification.whole_arm.inference.fit_tests import SIGNIFICANCE_LEVEL
 from strainwave.io.results import rigid_band_of
 from strainwave.report.document.blocks import read_figures
-from strainwave.report.document.predictions import unit_of
-from strainwave.report.figures import Figure
+from strainwave.report.document.predictions import difference_figure
 from strainwave.report.figures.comparison import (
     Scale,
     changes,
@@ -40,8 +40,8 @@ from strainwave.report.figures.comparison import (
     ratios,
     step_responses,
 )
-from strainwave.report.figures.curves import Curve, Series, bode, lines
-from strainwave.report.plotly_backend import plotly, whiskers
+from strainwave.report.figures.curves import Curve, bode
+from strainwave.report.plotly_backend import faded, plotly, whiskers
 from strainwave.workbench.pages.by_hand import usable_experiments
 from strainwave.workbench.pages.runs import describe
 from strainwave.workbench.runs import Runs
@@ -67,7 +67,6 @@ _SHARED = (
     "The results come from the same logs ({}): their errors are not independent, so that no test"
     " of a difference applies."
 )
-_GHOST_OPACITY = 0.55  # of the lines of other results
 _MAX_DURATION = 60.0  # [s] of a predicted record
 
 
@@ -78,13 +77,6 @@ class NamedResult:
     name: str
     path: Path
     result: sw.Result
-
-
-def read_results(paths: Mapping[str, Path]) -> list[NamedResult]:
-    """Results by name. Raises InvalidInput for fewer than two, or a file that is no result."""
-    if len(paths) < 2:
-        raise InvalidInput("a comparison needs two results", remedy="choose at least two")
-    return [NamedResult(name, path, sw.read_result(path)) for name, path in paths.items()]
 
 
 def shared_logs(workspace: Workspace, results: Sequence[NamedResult]) -> list[str]:
@@ -107,18 +99,15 @@ def parameter_rows(
     results: Sequence[NamedResult], *, are_independent: bool = True
 ) -> list[dict[str, Any]]:
     """One row per parameter: value, interval, and change from the first result if independent."""
+    tables = [{p.key: p for p in one.result if p.value is not None} for one in results]
     rows = []
-    for key in dict.fromkeys(p.key for one in results for p in one.result if p.value is not None):
-        estimates = [_estimate(one, key) for one in results]
+    for key in dict.fromkeys(chain(*tables)):
+        estimates = [table.get(key) for table in tables]
         unit = next(p.unit for p in estimates if p is not None)
         first = estimates[0] if are_independent else None
         cells = [_cell(p, None if p is first else first) for p in estimates]
         rows.append({"label": label_of(*key), "unit": unit, "cells": cells})
     return rows
-
-
-def _estimate(one: NamedResult, key: Key) -> Parameter | None:
-    return one.result[key] if key in one.result else None  # noqa: SIM401 - it has no `get`
 
 
 def _cell(parameter: Parameter | None, first: Parameter | None) -> dict[str, Any]:
@@ -149,31 +138,15 @@ def joints_of(results: Sequence[NamedResult]) -> list[int]:
     return joints
 
 
-def with_ghosts(figure: dict[str, Any], name: str) -> dict[str, Any]:
-    """The figure with the lines of all but one result faint and dashed."""
-    for trace in figure["data"]:
-        if trace.get("name") != name:
-            trace["opacity"] = _GHOST_OPACITY
-        if "fill" not in trace:
-            trace["line"]["dash"] = "solid" if trace.get("name") == name else "6px,4px"
-    return figure
-
-
 def check_fits(results: Sequence[NamedResult]) -> list[dict[str, Any]]:
     """Fits of check records in percent, one row per record and channel."""
+    checks = [one.result.checks for one in results]
     rows = dict.fromkeys(
-        (record, channel)
-        for one in results
-        for record, fits in one.result.checks.items()
-        for channel in fits
+        (name, channel) for each in checks for name in each for channel in each[name]
     )
     return [
-        {
-            "record": record,
-            "channel": channel,
-            "fits": [one.result.checks.get(record, {}).get(channel) for one in results],
-        }
-        for record, channel in rows
+        {"record": name, "channel": channel, "fits": [e.get(name, {}).get(channel) for e in checks]}
+        for name, channel in rows
     ]
 
 
@@ -189,20 +162,6 @@ def _predicted(
     window = window_of(log, span, arm, band or None, exact_at=values)
     prediction = window.predict(values)
     return prediction, window.residual_tests(prediction)
-
-
-def difference_figure(
-    predictions: Mapping[str, Prediction], channel: str, joints: Sequence[Joint]
-) -> Figure:
-    """Simulated minus measured channel of each result over time."""
-    series = []
-    for name, prediction in predictions.items():
-        if channel in prediction.channels:
-            k = prediction.channels.index(channel)
-            difference = prediction.predicted[:, k] - prediction.measured[:, k]
-            series.append(Series(name, prediction.time, difference))
-    unit = unit_of(channel, joints)
-    return lines(series, "time [s]", f"{channel}, simulated minus measured [{unit}]", "")
 
 
 def test_row(name: str, test: ChannelTest) -> dict[str, Any]:
@@ -259,7 +218,7 @@ def _name(path: Path, here: Path) -> str:
 @routes.post("/api/compare/{study:path}")
 def compare(request: Request, body: Body) -> object:
     """Parameters, joint test, and the joints that have figures."""
-    results = _chosen(request, body.get("paths"))
+    results = _chosen(request, body)
     document: dict[str, Any] | None = None
     shared = shared_logs(workspace_of(request), results)
     note = _SHARED.format(", ".join(shared)) if shared else ""
@@ -288,7 +247,7 @@ def compare(request: Request, body: Body) -> object:
 @routes.post("/api/compare-joint/{study:path}")
 def joint_figures(request: Request, body: Body) -> object:
     """Bode plot, step response, and poles and zeros of a joint in all results."""
-    results, joint = _chosen(request, body.get("paths")), body.get("joint")
+    results, joint = _chosen(request, body), body.get("joint")
     if not isinstance(joint, int):
         raise InvalidInput("the request names no joint", where="joint")
     curves, models = [], {}
@@ -299,9 +258,9 @@ def joint_figures(request: Request, body: Body) -> object:
         models[one.name] = joint_model(arm_of(one.result.document, one.path), joint)
     name = results[0].name
     return {
-        "bode": with_ghosts(plotly(bode(curves, "")), name),
+        "bode": faded(plotly(bode(curves, "")), name),
         "difference": plotly(bode(ratios(curves), "")),
-        "step": with_ghosts(plotly(step_responses(models)), name),
+        "step": faded(plotly(step_responses(models)), name),
         "poles": plotly(poles_and_zeros(models)),
     }
 
@@ -312,7 +271,7 @@ def predicted_record(request: Request, body: Body) -> object:
     path, record = study_of(request), text_of(body, "record")
     log_of(path, record)  # exists
     predictions, tests, notes = dict[str, Prediction](), list[dict[str, Any]](), list[str]()
-    for one in _chosen(request, body.get("paths")):
+    for one in _chosen(request, body):
         key = path, fingerprint(path), record, one.path, one.path.stat().st_mtime_ns
         try:
             predictions[one.name], tested = _predicted(*key)
@@ -340,7 +299,7 @@ def report_figure(request: Request, body: Body) -> object:
     """One figure of the reports of all results."""
     key = body.get("key")
     shown = []
-    for one in _chosen(request, body.get("paths")):
+    for one in _chosen(request, body):
         figure = read_figures(one.path.parent / "report.html").get(str(key))
         shown.append({"name": one.name, "figure": figure})
     return shown
@@ -349,7 +308,7 @@ def report_figure(request: Request, body: Body) -> object:
 @routes.post("/api/save-comparison/{study:path}")
 def save_comparison(request: Request, body: Body) -> object:
     """Start `strainwave compare`, which writes comparison.json and comparison.html."""
-    results = _chosen(request, body.get("paths"))
+    results = _chosen(request, body)
     runs = Runs(study_of(request))
     name = runs.free_name("compare")
     folder = runs.prepare(name)
@@ -358,7 +317,9 @@ def save_comparison(request: Request, body: Body) -> object:
     return describe(runs.start(name, "compare", [command]))
 
 
-def _chosen(request: Request, paths: object) -> list[NamedResult]:
+def _chosen(request: Request, body: Body) -> list[NamedResult]:
+    """The results of a request by name; raises InvalidInput if they are no two results."""
+    paths = body.get("paths")
     workspace, here = workspace_of(request), study_of(request).parent
     if not isinstance(paths, list) or not all(isinstance(path, str) for path in paths):
         raise InvalidInput("no results are chosen", remedy="choose at least two")
@@ -366,4 +327,6 @@ def _chosen(request: Request, paths: object) -> list[NamedResult]:
     for path in map(workspace.resolve, dict.fromkeys(paths)):
         name = _name(path, here)
         named[name if name not in named else workspace.relative(path.parent)] = path
-    return read_results(named)
+    if len(named) < 2:
+        raise InvalidInput("a comparison needs two results", remedy="choose at least two")
+    return [NamedResult(name, path, sw.read_result(path)) for name, path in named.items()]

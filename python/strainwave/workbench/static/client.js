@@ -19,6 +19,9 @@ export const getJson = (path, query = {}) => {
 export const postJson = (path, body = {}) =>
   request(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) });
 
+// The address of a request about the study.
+export const api = (name) => `/api/${name}/${address(study)}`;
+
 // Show a message at the bottom; errors stay until the next message.
 let timer;
 export function showMessage(text, isError = false) {
@@ -47,6 +50,7 @@ export async function act(control, action) {
 }
 
 export const onClick = (element, action) => element.addEventListener("click", () => act(element, action));
+export const onChange = (element, action) => element.addEventListener("change", () => act(element, action));
 
 // Make an element: make("td", { class: "number" }, "12.3", child, ...)
 export function make(tag, attributes = {}, ...children) {
@@ -58,6 +62,22 @@ export function make(tag, attributes = {}, ...children) {
   }
   element.append(...children);
   return element;
+}
+
+// Cells of a table; a row has its head and texts, numbers or cells.
+export const head = (text, kind) => make("th", { scope: "col", class: kind }, text);
+export const cell = (text, kind) => make("td", { class: kind }, text);
+export const number = (text) => cell(text, "number");
+export const row = (title, ...cells) => make("tr", {}, make("th", { scope: "row" }, title),
+  ...cells.map((one) => one instanceof Element ? one : cell(one)));
+
+// Fill a select with texts or [value, text]; keep the wanted choice if there is one.
+export function fill(select, options, wanted) {
+  select.replaceChildren(...options.map((one) => {
+    const [value, text] = Array.isArray(one) ? one : [one, one];
+    return make("option", { value }, text);
+  }));
+  if (wanted !== undefined && [...select.options].some((one) => one.value === String(wanted))) select.value = wanted;
 }
 
 // Call `action` at most once per frame, with the latest arguments.
