@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -68,24 +68,28 @@ def sliders(study: Study, start: AssumedValues, record: str) -> list[dict[str, A
     keys.sort(key=lambda key: (key[1] or 0, key[0] in _LINK_NAMES))
     constants = {key: constant_of(key) for key in keys}
     units = {key: c.unit if c else unit_in(study.arm, key) for key, c in constants.items()}
-    largest: dict[str, float] = {}
-    for key, unit in units.items():
-        largest[unit] = max(largest.get(unit, 0.0), abs(values[key]))
+    sizes = [(unit, abs(values[key])) for key, unit in units.items()]
+    largest = dict(sorted(sizes))
     rows = []
     for key, unit in units.items():
         value, text = values[key], parameter_descriptions().get(base_name(key[0]))
         has_sign = not isinstance(text, ParameterDescription) or text.range == "any"
         is_log = value > 0.0 and not has_sign
         spread = 2.0 * abs(value) or _ZERO_RANGE * largest[unit] or 1.0
-        group = "Link" if key[0] in _LINK_NAMES else "Sensors" if constant_of(key) else "Joint"
         low = value / _RANGE if is_log else value - spread if has_sign else 0.0
         high = value * _RANGE if is_log else value + spread
-        texts = {"symbol": text.symbol, "description": text.description} if text else {}
-        ends = {"value": value, "low": low, "high": high, "is_log": is_log}
-        names = {"name": key[0], "joint": key[1], "label": label_of(*key), "unit": unit}
-        state = {"is_idle": key in idle, "reason": start.reasons.get(key, "")}
-        place = {"group": f"{group} {key[1]}" if key[1] else "Arm"}
-        rows.append({**names, **place, **texts, **ends, **state})
+        group = "Link" if key[0] in _LINK_NAMES else "Sensors" if constants[key] else "Joint"
+        row: dict[str, Any] = {
+            "name": key[0],
+            "joint": key[1],
+            "label": label_of(*key),
+            "unit": unit,
+        }
+        row |= {"group": f"{group} {key[1]}" if key[1] else "Arm"}
+        row |= {"value": value, "low": low, "high": high, "is_log": is_log}
+        row |= {"is_idle": key in idle, "reason": start.reasons.get(key, "")}
+        row |= {"symbol": text.symbol, "description": text.description} if text else {}
+        rows.append(row)
     return rows
 
 
@@ -134,19 +138,16 @@ def simulate(shown: Shown, given: Values) -> Prediction:
     Raises NotIdentifiable with a sentence if these values cannot be simulated, and InvalidInput if
     the record cannot be compared.
     """
-    window, keys = (shown.experiment, *shown.window), frozenset(given)
-    record = _prepared(shown.path, fingerprint(shown.path), window, keys, shown.band_hz)
+    record = _prepared(replace(shown, channels=()), fingerprint(shown.path), frozenset(given))
     return record.predict(given, shown.channels)
 
 
 @lru_cache(maxsize=6)
-def _prepared(
-    path: Path, _stamp: str, window: tuple[str, float, float], keys: frozenset[Key], band: float
-) -> MotionWindow | TorqueWindow:
+def _prepared(shown: Shown, _stamp: str, keys: frozenset[Key]) -> MotionWindow | TorqueWindow:
     """A window of a record for an arm whose known parameters are `keys`."""
-    experiment, first, last = window
-    arm = restrict_to_values(Arm.of(study_at(path).arm), dict.fromkeys(keys, 0.0))
-    return window_of(log_of(path, experiment), (first, last), arm, band or None)
+    arm = restrict_to_values(Arm.of(study_at(shown.path).arm), dict.fromkeys(keys, 0.0))
+    log = log_of(shown.path, shown.experiment)
+    return window_of(log, shown.window, arm, shown.band_hz or None)
 
 
 routes = Routes()
@@ -273,12 +274,11 @@ def _bode(request: Request, body: Body, study: Study, values: Values) -> dict[st
 
 def _window(body: Body, log: Log, duration: float) -> tuple[float, float]:
     """Window of the record, of at most a duration [s]."""
-    begin_time = body.get("from")
-    first, last = float(log.time[0]), float(log.time[-1])
-    if not isinstance(begin_time, int | float) or not math.isfinite(begin_time):
-        begin_time = first
-    begin_time = min(max(float(begin_time), first), last)
-    return begin_time, min(begin_time + duration, last + log.sample_time)
+    first, last, start = float(log.time[0]), float(log.time[-1]), body.get("from")
+    if not isinstance(start, int | float) or not math.isfinite(start):
+        start = first
+    start = min(max(float(start), first), last)
+    return start, min(start + duration, last + log.sample_time)
 
 
 @routes.post("/api/by-hand-save/{study:path}")
