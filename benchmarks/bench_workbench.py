@@ -6,7 +6,6 @@ samples, and curves that follow a slider, within a tenth.
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
 import sys
@@ -26,9 +25,9 @@ from benchmarks.studies.drawn_chains import draw_chain, simulate_chain
 from benchmarks.timing import Row, best_of
 from strainwave.domain import Experiment, Log
 from strainwave.dynamics.simulation import SensorNoise
+from strainwave.io.parameters import parameter_file
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import simulate_study
-from strainwave.workbench.pages.by_hand import parameter_document
 from strainwave.workbench.pages.signal_figures import ShownRecord, View, time_figure
 
 if TYPE_CHECKING:
@@ -54,8 +53,8 @@ def rows() -> list[Row]:
             as_recorded=False,
             sample_time=_SAMPLE_TIME,
         )
-        text = json.dumps(parameter_document(values))
-        (folder / "arm" / "values.json").write_text(text)
+        text = parameter_file(values)
+        (folder / "arm" / "values.json").write_bytes(text)
         size = sum(p.stat().st_size for p in (folder / "arm").iterdir()) / 1e6
         table = [
             Row("workbench, first byte after the start", _first_byte(folder), "limit", _FIRST_PAGE)
@@ -130,7 +129,7 @@ def _write_seven_joints(folder: Path) -> None:
     chains = (draw_chain(seed, (7,), ("imu",)) for seed in count())
     chain = next(chain for chain in chains if chain.engine == "own")
     simulate_chain(chain, folder, 0)
-    (folder / "values.json").write_text(json.dumps(parameter_document(chain.values)))
+    (folder / "values.json").write_bytes(parameter_file(chain.values))
 
 
 def _time(page: Page, address: str, selector: str) -> float:

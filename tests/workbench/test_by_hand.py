@@ -11,13 +11,13 @@ import pytest
 import strainwave as sw
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.trial_values import starting_values
-from strainwave.io.parameters import read_parameters
+from strainwave.io.parameters import parameter_file, read_parameters
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import simulate_study
 
 pytest.importorskip("starlette")
 
-from strainwave.workbench.pages.by_hand import Shown, parameter_document, simulate
+from strainwave.workbench.pages.by_hand import Shown, simulate
 from strainwave.workbench.workspace import study_at
 
 if TYPE_CHECKING:
@@ -29,9 +29,7 @@ SETTING = {"experiment": "step-j1", "start": "arm/truth.json", "from": None}
 
 @pytest.fixture
 def begun(client: TestClient, folder: Path) -> Any:
-    (folder / "arm" / "truth.json").write_text(
-        json.dumps(parameter_document(scara.STIFF.parameters()))
-    )
+    (folder / "arm" / "truth.json").write_bytes(parameter_file(scara.STIFF.parameters()))
     return client.post(f"/api/by-hand-begin/{STUDY}", json=SETTING).json()
 
 
@@ -210,7 +208,7 @@ def test_values_of_one_record_have_sliders_in_that_record_only(
         ("friction_change[step-j2]", 1): 0.1,
         ("accelerometer_delay", 1): 1e-3,
     }
-    (folder / "arm" / "truth.json").write_text(json.dumps(parameter_document(values)))
+    (folder / "arm" / "truth.json").write_bytes(parameter_file(values))
     shown = client.post(f"/api/by-hand-begin/{STUDY}", json=SETTING).json()
     labels = {one["label"] for one in shown["sliders"]}
     assert {"friction_change[step-j1] 1", "accelerometer_delay 1"} <= labels

@@ -15,7 +15,8 @@ from strainwave.virtual import scara
 
 pytest.importorskip("starlette")
 
-from strainwave.workbench.pages import compare
+from strainwave.workbench.pages.estimate import snapshot
+from strainwave.workbench.runs import Runs
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
@@ -71,30 +72,45 @@ def test_results_of_the_same_logs_are_not_tested(client: TestClient, folder: Pat
     assert all(cell["change"] is None for row in shown["rows"] for cell in row["cells"])
 
 
+@pytest.fixture
+def runs_of_one_study(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two runs as the page Estimate starts them, each with a copy of the study in its folder."""
+    study = folder / "arm" / "study.toml"
+    runs = Runs(study)
+    for name in ("a", "b"):
+        run = runs.prepare(name)
+        (run / "study.toml").write_text(snapshot(study))
+        monkeypatch.chdir(run)
+        sw.identify("study.toml", stages=("rigid",)).save("result.json")
+    return folder
+
+
+def test_runs_of_the_same_logs_are_not_tested(client: TestClient, runs_of_one_study: Path) -> None:
+    paths = {"paths": [A, B]}
+    shown = client.post("/api/compare/arm/study.toml", json=paths).json()
+    assert shown["test"] is None
+    assert "(motion-check" in shown["note"]
+    other = Path(B).with_name("study.toml")
+    text = (runs_of_one_study / other).read_text()
+    (runs_of_one_study / other).write_text(text.replace('file = "../../', 'file = "../../new-'))
+    assert client.post("/api/compare/arm/study.toml", json=paths).json()["test"] is not None
+
+
+def test_a_merged_log_is_a_log_of_the_result(client: TestClient, runs_of_one_study: Path) -> None:
+    file = runs_of_one_study / Path(B).with_name("study.toml")
+    steps = 'steps = [{ kind = "merge", file = "../../motion.parquet" }]'
+    text = f'[arm]\n[[experiment]]\nname = "new"\nfile = "../../new.parquet"\n{steps}\n'
+    file.write_text(text)
+    shown = client.post("/api/compare/arm/study.toml", json={"paths": [A, B]}).json()
+    assert shown["test"] is None
+    assert "(motion.parquet)" in shown["note"]
+
+
 def test_equal_results_agree(client: TestClient, two_runs: Path) -> None:
     shutil.copy(two_runs / A, two_runs / B)
     shown = client.post("/api/compare/arm/study.toml", json={"paths": [A, B]}).json()
     assert not shown["test"]["differs"]
     assert all(not cells["cells"][1]["change"] for cells in shown["rows"])
-
-
-def test_linear_models_of_a_joint_are_those_of_the_parameters(two_runs: Path) -> None:
-    results = compare.read_results({"a": two_runs / A, "b": two_runs / B})
-    figure = compare.pole_figure(results, 1)
-    poles, zeros = figure.panels[0].marks[0], figure.panels[0].marks[1]
-    model = results[0].result
-    k = next(
-        p.value for p in model if p.joint == 1 and p.name in ("gear_stiffness", "gear_stiffness_k2")
-    )
-    inertia = model["link_inertia", 1].value
-    modulus = np.abs(np.asarray(zeros.x) + 1j * np.asarray(zeros.y))  # type: ignore[union-attr]
-    assert len(poles.x) == 3  # type: ignore[union-attr]
-    assert k is not None
-    assert inertia is not None
-    assert np.sqrt(k / inertia) == pytest.approx(modulus, rel=1e-3)
-    step: Any = compare.step_figure(results, 1).panels[0].marks[0]
-    assert step.y[0] == pytest.approx(0.0, abs=1e-9)
-    assert step.y[-1] > 0.0
 
 
 def test_figures_of_reports_are_side_by_side(client: TestClient, two_runs: Path) -> None:
@@ -155,10 +171,12 @@ def test_residuals_of_true_and_wrong_values_are_compared_and_tested(
     assert not rows["omega_m1", "b"]["is_independent"]
 
 
-def test_the_changes_are_in_percent_or_standard_deviations(two_runs: Path) -> None:
-    results = compare.read_results({"a": two_runs / A, "b": two_runs / B})
+def test_the_changes_are_in_percent_or_standard_deviations(
+    client: TestClient, two_runs: Path
+) -> None:
+    shown = client.post("/api/compare/arm/study.toml", json={"paths": [A, B]}).json()
     for scale in ("percent", "std"):
-        first, second = compare.interval_figure(results, scale)["data"]
+        first, second = shown["intervals"][scale]["data"]
         assert not any(first["x"])
         rows = zip(*first["y"], second["x"], strict=True)
         changed = {(joint, name): x for joint, name, x in rows if x}

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 from strainwave.errors import InvalidInput
+from strainwave.io.parameters import parameter_file
 from strainwave.virtual import scara
 
 pytest.importorskip("starlette")
 
-from strainwave.workbench.pages.by_hand import parameter_document
 from strainwave.workbench.pages.design import option_flags
 from strainwave.workbench.runs import Runs
 
@@ -42,8 +41,8 @@ def test_a_value_cannot_become_another_option() -> None:
 
 
 def test_a_plan_is_made_shown_and_downloaded(client: TestClient, folder: Path) -> None:
-    truth = json.dumps(parameter_document(scara.STIFF.parameters()))
-    (folder / "arm" / "truth.json").write_text(truth)
+    truth = parameter_file(scara.STIFF.parameters())
+    (folder / "arm" / "truth.json").write_bytes(truth)
     options = {"limit-angle": "0.8", "limit-velocity": "120"}
     body = {"kind": "excite", "parameters": "arm/truth.json", "options": options}
     run = client.post(f"/api/design/{STUDY}", json=body).json()
@@ -63,8 +62,8 @@ def test_a_plan_is_made_shown_and_downloaded(client: TestClient, folder: Path) -
 
 
 def test_errors_of_the_command_line_are_shown(client: TestClient, folder: Path) -> None:
-    truth = json.dumps(parameter_document(scara.STIFF.parameters()))
-    (folder / "arm" / "truth.json").write_text(truth)
+    truth = parameter_file(scara.STIFF.parameters())
+    (folder / "arm" / "truth.json").write_bytes(truth)
     options = {"limit-angle": "x", "limit-velocity": "120"}
     body = {"kind": "excite", "parameters": "arm/truth.json", "options": options}
     run = client.post(f"/api/design/{STUDY}", json=body).json()

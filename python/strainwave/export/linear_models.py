@@ -12,19 +12,29 @@ slope of gravity dg/dq, and P transmits torques to motors behind rigid gears.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from strainwave.domain import ArmDescription, Diagnostic, FloatArray, Place
+from strainwave.domain import (
+    ArmDescription,
+    ComplexArray,
+    Diagnostic,
+    FloatArray,
+    Place,
+    Study,
+)
+from strainwave.domain.arm.assumed_values import assume_missing
 from strainwave.domain.arm.base_parameters import link_inertia, transmission
-from strainwave.domain.keys import JointNumber, Key, label_of
+from strainwave.domain.keys import JointNumber, Key, Values, label_of
 from strainwave.dynamics import two_inertia
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, joint_of
 from strainwave.errors import InvalidInput
 from strainwave.export.source import LINEAR, Export, IdentifiedArm, omission_note
+from strainwave.identification.closed_loop import restrict_to_values
+from strainwave.identification.joint_model.agreement import motor_response
 from strainwave.io.joint_covariance import JointCovariance
 
 SIGNALS = {
@@ -33,6 +43,8 @@ SIGNALS = {
     "outputs": ("motor_velocity", "link_acceleration"),
 }
 """Names of the signals of a joint's model."""
+_TRIAL_RANGE = (100.0, 10.0)  # factors below and above the resonance
+_N_TRIAL_FREQUENCIES = 160
 _SCHEMA = "strainwave/state-space/1"
 
 
@@ -191,6 +203,20 @@ def joint_model(arm: IdentifiedArm, joint: int) -> TwoInertia:
         for row in _parameter_rows(arm, joint)
     ]
     return joint_of(np.array(values), drive.gear_ratio)
+
+
+def trial_response(study: Study, values: Values, joint: int) -> tuple[FloatArray, ComplexArray]:
+    """Frequencies [Hz] around the modes of one joint, and its response with trial values.
+
+    The response is that of motor velocity to motor torque; errors as for `state_space`.
+    """
+    arm = restrict_to_values(Arm.of(study.arm), values)
+    completion = assume_missing(values, arm).values
+    source = IdentifiedArm(replace(study, arm=arm), (), "trial values", completion=completion)
+    model = joint_model(source, joint)
+    high = two_inertia.resonance(model).frequency_hz
+    f = np.geomspace(high / _TRIAL_RANGE[0], high * _TRIAL_RANGE[1], _N_TRIAL_FREQUENCIES)
+    return f, motor_response(model.vector, model.gear_ratio, f)
 
 
 def _parameter_rows(arm: IdentifiedArm, joint: int) -> list[dict[Key, float]]:

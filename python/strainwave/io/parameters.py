@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -40,6 +41,12 @@ def read_parameters(path: Path) -> Values:
         where=str(path),
         remedy="use a result.json, or see the layout in docs/notation.md",
     )
+
+
+def parameter_file(values: Values) -> bytes:
+    """Values as a file that `read_parameters` reads."""
+    entries = [{"name": key[0], "joint": key[1], "value": value} for key, value in values.items()]
+    return json.dumps({"parameters": entries}, indent=1).encode()
 
 
 def read_torque_errors(path: Path) -> dict[int, float]:

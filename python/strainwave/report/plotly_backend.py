@@ -23,6 +23,7 @@ _LOW_PANEL_TICKS = 3  # more tick labels would overlap
 _MAX_DECADES_WITH_DIGITS = 1.5  # over a wider range, 2 and 5 between the decades are clutter
 _HEAT_MAP_FONT_SIZE = 10  # [px] thirty names fit one below the other
 _BAND_OPACITY = 0.18
+_FADED_OPACITY = 0.55
 _ERROR_BAR_WIDTH = 1.2  # [px]
 # [px] of a figure with a row per name: around all rows, of a row, and of each of its dots
 _WHISKER_MARGIN, _WHISKER_ROW, _WHISKER_STEP = 90, 12, 9
@@ -117,6 +118,16 @@ def whiskers(
     names = {"type": "multicategory", "autorange": "reversed", "tickfont": {"size": 10}}
     axes = {"xaxis": {"title": {"text": title}, "zeroline": True}, "yaxis": names}
     return {"data": data, "layout": {**axes, "scattermode": "group", "height": height}}
+
+
+def faded(figure: dict[str, Any], name: str) -> dict[str, Any]:
+    """The figure with all lines faint and dashed but those of a name, which are solid."""
+    for trace in figure["data"]:
+        if trace.get("name") != name:
+            trace["opacity"] = _FADED_OPACITY
+        if "fill" not in trace:
+            trace["line"]["dash"] = "solid" if trace.get("name") == name else "6px,4px"
+    return figure
 
 
 def rounded(values: FloatArray, *, of_each: bool = False) -> list[float | None]:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 HERE = Path(__file__).parent
+_STATIC = sorted(path.name for path in (HERE / "static").iterdir())
 MAX_BODY = 4 << 20  # [bytes] of a JSON request
 
 PAGE_TABS = (
@@ -68,7 +69,8 @@ def study_file_of(request: Request) -> Path:
 def page(request: Request, template: str, title: str, **values: Any) -> HTMLResponse:
     """A page from a template of `templates/`, named without its ending.
 
-    A page of a study gets the tabs of all pages; `study` and `workspace` are its template values.
+    A page of a study gets the tabs of all pages; `study` and `workspace` are its template values. A
+    page has the style and the script of its name in `static/`.
     """
     study = request.path_params.get("study")
     key = request.url.path.split("/")[1]
@@ -86,6 +88,7 @@ def page(request: Request, template: str, title: str, **values: Any) -> HTMLResp
             folder=workspace_of(request).folder.name,
             version=__version__,
             accepted=ACCEPTED,
+            files=[file for file in _STATIC if file.startswith(f"{template}.")],
             **values,
         )
     )

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from strainwave.io.parameters import parameter_file
 from strainwave.virtual import scara
-from strainwave.workbench.pages.by_hand import parameter_document
 
 
 def test_a_slider_moves_the_curves(visit: Any) -> None:
     start = visit.folder / "arm" / "start.json"
-    start.write_text(json.dumps(parameter_document(scara.STIFF.parameters())))
+    start.write_bytes(parameter_file(scara.STIFF.parameters()))
     page = visit.open("/by-hand/arm/study.toml")
     page.select_option("#record", "step-j1")
     page.wait_for_selector("#note[data-record='step-j1']", state="attached")
@@ -29,7 +29,7 @@ def test_a_slider_moves_the_curves(visit: Any) -> None:
 
 def test_changes_are_undone_and_faulty_numbers_refused(visit: Any) -> None:
     start = visit.folder / "arm" / "start.json"
-    start.write_text(json.dumps(parameter_document(scara.STIFF.parameters())))
+    start.write_bytes(parameter_file(scara.STIFF.parameters()))
     page = visit.open("/by-hand/arm/study.toml")
     page.wait_for_selector("#note[data-record]", state="attached")
     # the excited joint of the record is open, the others are folded
@@ -65,7 +65,7 @@ def test_values_that_the_data_do_not_determine_are_marked(visit: Any) -> None:
     start = visit.folder / "arm" / "start.json"
     values = scara.STIFF.parameters()
     del values["gear_damping", 1]
-    start.write_text(json.dumps(parameter_document(values)))
+    start.write_bytes(parameter_file(values))
     page = visit.open("/by-hand/arm/study.toml")
     row = page.locator(".slider", has_text="gear_damping 1")
     row.locator(".chip").wait_for()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from strainwave.domain.arm.link_sensors import all_types
 from strainwave.report import figures
 from strainwave.report.document.blocks import Block, FigureName, Fold, Plot
 from strainwave.report.figures import Axis, Colour, Dash, Figure, Line, Panel
-from strainwave.report.figures.curves import Series
+from strainwave.report.figures.curves import Series, lines
 
 _MODEL_DASH: Dash = (6.0, 4.0)  # the measured line shows through
 _RESIDUAL_HEIGHT = 0.45  # of a residual panel relative to the panel above
@@ -53,6 +53,20 @@ def prediction_figure(
         panels.append(Panel(Axis(f"{channel} [{unit}]"), both))
         panels.append(Panel(Axis(f"residual [{unit}]"), (residual,), _RESIDUAL_HEIGHT))
     return Figure(Axis("time [s]"), tuple(panels))
+
+
+def difference_figure(
+    predictions: Mapping[str, Prediction], channel: str, joints: Sequence[Joint]
+) -> Figure:
+    """Predicted minus measured channel of one record over time, of each prediction that has it."""
+    series = []
+    for name, prediction in predictions.items():
+        if channel in prediction.channels:
+            k = prediction.channels.index(channel)
+            difference = prediction.predicted[:, k] - prediction.measured[:, k]
+            series.append(Series(name, prediction.time, difference))
+    unit = unit_of(channel, joints)
+    return lines(series, "time [s]", f"{channel}, simulated minus measured [{unit}]", "")
 
 
 def unit_of(channel: str, joints: Sequence[Joint] = ()) -> str:

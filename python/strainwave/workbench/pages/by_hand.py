@@ -15,15 +15,14 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from strainwave.domain import (
-    ComplexArray,
-    FloatArray,
+    Experiment,
     FrequencyResponse,
     Log,
     Prediction,
     Study,
     channel_parts,
 )
-from strainwave.domain.arm.assumed_values import AssumedValues, assume_missing
+from strainwave.domain.arm.assumed_values import AssumedValues
 from strainwave.domain.arm.description import ArmDescription, unit_in
 from strainwave.domain.arm.kinds.base import LINK_PARAMETERS
 from strainwave.domain.arm.link_sensors import constant_of
@@ -31,12 +30,9 @@ from strainwave.domain.arm.parameter_table import ParameterDescription, base_nam
 from strainwave.domain.arm.parameters import parameter_descriptions
 from strainwave.domain.keys import Key, Values, label_of
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.two_inertia import resonance
 from strainwave.errors import InvalidInput
-from strainwave.export.linear_models import joint_model
-from strainwave.export.source import IdentifiedArm
+from strainwave.export.linear_models import trial_response
 from strainwave.identification.closed_loop import restrict_to_values
-from strainwave.identification.joint_model.agreement import motor_response
 from strainwave.identification.trial_values import (
     MotionWindow,
     TorqueWindow,
@@ -44,6 +40,7 @@ from strainwave.identification.trial_values import (
     window_of,
 )
 from strainwave.io.atomic_files import read_json, write_whole
+from strainwave.io.parameters import parameter_file
 from strainwave.io.results import response_of, rigid_band_of
 from strainwave.report.document.predictions import prediction_figure
 from strainwave.report.figures.curves import Curve, bode
@@ -57,8 +54,6 @@ from strainwave.workbench.web import Body, Routes, page, study_of, text_of, work
 from strainwave.workbench.workspace import check_name, fingerprint, log_of, study_at
 
 _MAX_POINTS = 600  # of a line
-_DECADES = 1.0  # of a Bode plot below the anti-resonance and above the resonance
-_N_FREQUENCIES = 160
 _RANGE = 10.0  # of a slider, as a factor on either side of its start
 _ZERO_RANGE = 0.1  # of a slider that starts at zero, over the largest value of its unit
 _LINK_NAMES = frozenset(f"link_{name}" for name in LINK_PARAMETERS)
@@ -73,24 +68,28 @@ def sliders(study: Study, start: AssumedValues, record: str) -> list[dict[str, A
     keys.sort(key=lambda key: (key[1] or 0, key[0] in _LINK_NAMES))
     constants = {key: constant_of(key) for key in keys}
     units = {key: c.unit if c else unit_in(study.arm, key) for key, c in constants.items()}
-    largest: dict[str, float] = {}
-    for key, unit in units.items():
-        largest[unit] = max(largest.get(unit, 0.0), abs(values[key]))
+    sizes = [(unit, abs(values[key])) for key, unit in units.items()]
+    largest = dict(sorted(sizes))
     rows = []
     for key, unit in units.items():
         value, text = values[key], parameter_descriptions().get(base_name(key[0]))
         has_sign = not isinstance(text, ParameterDescription) or text.range == "any"
         is_log = value > 0.0 and not has_sign
         spread = 2.0 * abs(value) or _ZERO_RANGE * largest[unit] or 1.0
-        group = "Link" if key[0] in _LINK_NAMES else "Sensors" if constant_of(key) else "Joint"
         low = value / _RANGE if is_log else value - spread if has_sign else 0.0
         high = value * _RANGE if is_log else value + spread
-        texts = {"symbol": text.symbol, "description": text.description} if text else {}
-        ends = {"value": value, "low": low, "high": high, "is_log": is_log}
-        names = {"name": key[0], "joint": key[1], "label": label_of(*key), "unit": unit}
-        state = {"is_idle": key in idle, "reason": start.reasons.get(key, "")}
-        place = {"group": f"{group} {key[1]}" if key[1] else "Arm"}
-        rows.append({**names, **place, **texts, **ends, **state})
+        group = "Link" if key[0] in _LINK_NAMES else "Sensors" if constants[key] else "Joint"
+        row: dict[str, Any] = {
+            "name": key[0],
+            "joint": key[1],
+            "label": label_of(*key),
+            "unit": unit,
+        }
+        row |= {"group": f"{group} {key[1]}" if key[1] else "Arm"}
+        row |= {"value": value, "low": low, "high": high, "is_log": is_log}
+        row |= {"is_idle": key in idle, "reason": start.reasons.get(key, "")}
+        row |= {"symbol": text.symbol, "description": text.description} if text else {}
+        rows.append(row)
     return rows
 
 
@@ -139,39 +138,16 @@ def simulate(shown: Shown, given: Values) -> Prediction:
     Raises NotIdentifiable with a sentence if these values cannot be simulated, and InvalidInput if
     the record cannot be compared.
     """
-    window, keys = (shown.experiment, *shown.window), frozenset(given)
-    record = _prepared(shown.path, fingerprint(shown.path), window, keys, shown.band_hz)
+    record = _prepared(replace(shown, channels=()), fingerprint(shown.path), frozenset(given))
     return record.predict(given, shown.channels)
 
 
 @lru_cache(maxsize=6)
-def _prepared(
-    path: Path, _stamp: str, window: tuple[str, float, float], keys: frozenset[Key], band: float
-) -> MotionWindow | TorqueWindow:
+def _prepared(shown: Shown, _stamp: str, keys: frozenset[Key]) -> MotionWindow | TorqueWindow:
     """A window of a record for an arm whose known parameters are `keys`."""
-    experiment, first, last = window
-    arm = restrict_to_values(Arm.of(study_at(path).arm), dict.fromkeys(keys, 0.0))
-    return window_of(log_of(path, experiment), (first, last), arm, band or None)
-
-
-def joint_response(study: Study, given: Values, joint: int) -> tuple[FloatArray, ComplexArray]:
-    """Frequencies [Hz] and response of motor velocity to motor torque of one joint alone.
-
-    Raises InvalidInput if the joint has no linear model with these values.
-    """
-    arm = restrict_to_values(Arm.of(study.arm), given)
-    values = assume_missing(given, arm).values
-    identified = IdentifiedArm(replace(study, arm=arm), (), "the sliders", completion=values)
-    model = joint_model(identified, joint)
-    high = resonance(model).frequency_hz
-    f = np.geomspace(high / 10.0 ** (2.0 * _DECADES), high * 10.0**_DECADES, _N_FREQUENCIES)
-    return f, motor_response(model.vector, model.gear_ratio, f)
-
-
-def parameter_document(values: Values) -> dict[str, Any]:
-    """Values as a parameter file that the command line reads."""
-    entries = [{"name": key[0], "joint": key[1], "value": value} for key, value in values.items()]
-    return {"parameters": entries}
+    arm = restrict_to_values(Arm.of(study_at(shown.path).arm), dict.fromkeys(keys, 0.0))
+    log = log_of(shown.path, shown.experiment)
+    return window_of(log, shown.window, arm, shown.band_hz or None)
 
 
 routes = Routes()
@@ -188,20 +164,31 @@ def longest_window(arm: ArmDescription) -> float:
     return min(_MAX_DURATION, np.inf if is_rigid else round(_MAX_JOINT_SECONDS / arm.n_joints, 1))
 
 
-@routes.page("/by-hand/{study:path}")
-def _show_by_hand(request: Request) -> Response:
-    path = study_of(request)
-    study, workspace = study_at(path), workspace_of(request)
+def usable_experiments(path: Path) -> list[Experiment]:
+    """Experiments of a study whose logs have the angle and the input of every motor."""
+    study = study_at(path)
     arm = Arm.of(study.arm)
-    records = [
+    return [
         each
         for each in study.experiments
         if missing_motor_signal(arm, log_of(path, each.name)) is None
     ]
-    starts = [workspace.relative(file) for file in workspace.results_of(path)]
-    shown = {"records": records, "starts": starts, "joints": range(1, arm.n_joints + 1)}
-    is_rigid, duration = len(arm.rigid_joints) == arm.n_joints, longest_window(arm)
-    return page(request, "by_hand", "By hand", is_rigid=is_rigid, duration=duration, **shown)
+
+
+@routes.page("/by-hand/{study:path}")
+def _show_by_hand(request: Request) -> Response:
+    path, workspace = study_of(request), workspace_of(request)
+    arm = study_at(path).arm
+    return page(
+        request,
+        "by_hand",
+        "By hand",
+        records=usable_experiments(path),
+        starts=[workspace.relative(file) for file in workspace.results_of(path)],
+        joints=range(1, arm.n_joints + 1),
+        is_rigid=len(arm.rigid_joints) == arm.n_joints,
+        duration=longest_window(arm),
+    )
 
 
 @routes.post("/api/by-hand-begin/{study:path}")
@@ -245,24 +232,28 @@ def _shown(request: Request, body: Body) -> Shown:
         of_joint = (name for name in log.channels if channel_parts(name)[1] == joint)
         names = [*filter(None, map(str, wanted)), *of_joint, f"omega_m{joint}"]
         measured = tuple(name.replace("theta", "omega") for name in names)
-    start = workspace_of(request).resolve(text_of(body, "start"))
-    band = _band_at(start, start.stat().st_mtime_ns) if start.is_file() else 0.0
+    band, _ = _start_of(request, body)
     window = _window(body, log, longest_window(study_at(path).arm))
     return Shown(path, log.name, window, measured, band)
 
 
-@lru_cache(maxsize=8)
-def _band_at(path: Path, _time: int) -> float:
-    """Bandwidth [Hz] of the rigid stage of a result; zero if it has none."""
-    document = read_json(path, "the start", "choose another one")
-    return rigid_band_of(document) if isinstance(document, dict) else 0.0
+def _start_of(
+    request: Request, body: Body, joint: int | None = None
+) -> tuple[float, FrequencyResponse | None]:
+    """Bandwidth [Hz] of the rigid stage, and measured response of a joint, of a starting result.
+
+    The bandwidth is zero, and the response None, if it has none.
+    """
+    path = workspace_of(request).resolve(text_of(body, "start"))
+    return _parts_of(path, path.stat().st_mtime_ns, joint) if path.is_file() else (0.0, None)
 
 
 @lru_cache(maxsize=32)
-def _response_at(path: Path, _time: int, joint: int) -> FrequencyResponse | None:
-    """Measured response of a joint in a result; None if it has none."""
+def _parts_of(path: Path, _time: int, joint: int | None) -> tuple[float, FrequencyResponse | None]:
     document = read_json(path, "the start", "choose another one")
-    return response_of(document, joint) if isinstance(document, dict) else None
+    if not isinstance(document, dict):
+        return 0.0, None
+    return rigid_band_of(document), None if joint is None else response_of(document, joint)
 
 
 def _bode(request: Request, body: Body, study: Study, values: Values) -> dict[str, Any] | None:
@@ -271,11 +262,10 @@ def _bode(request: Request, body: Body, study: Study, values: Values) -> dict[st
     if not isinstance(joint, int):
         return None
     try:
-        curves = [Curve("sliders", *joint_response(study, values, joint))]
+        curves = [Curve("sliders", *trial_response(study, values, joint))]
     except InvalidInput:  # rigid, or a joint of a coupled transmission
         return None
-    start = workspace_of(request).resolve(text_of(body, "start"))
-    measured = _response_at(start, start.stat().st_mtime_ns, joint) if start.is_file() else None
+    _, measured = _start_of(request, body, joint)
     if measured is not None:
         points = measured.frequencies_hz, measured.response[:, 0, 0]
         curves.insert(0, Curve("measured", *points, true=True))
@@ -284,12 +274,11 @@ def _bode(request: Request, body: Body, study: Study, values: Values) -> dict[st
 
 def _window(body: Body, log: Log, duration: float) -> tuple[float, float]:
     """Window of the record, of at most a duration [s]."""
-    begin_time = body.get("from")
-    first, last = float(log.time[0]), float(log.time[-1])
-    if not isinstance(begin_time, int | float) or not math.isfinite(begin_time):
-        begin_time = first
-    begin_time = min(max(float(begin_time), first), last)
-    return begin_time, min(begin_time + duration, last + log.sample_time)
+    first, last, start = float(log.time[0]), float(log.time[-1]), body.get("from")
+    if not isinstance(start, int | float) or not math.isfinite(start):
+        start = first
+    start = min(max(float(start), first), last)
+    return start, min(start + duration, last + log.sample_time)
 
 
 @routes.post("/api/by-hand-save/{study:path}")
@@ -301,7 +290,7 @@ def save_values(request: Request, body: Body) -> object:
     if (path.parent / file).exists():
         raise InvalidInput("exists already", where=file, remedy="choose another name")
     values = check_values(study_at(path), body.get("values"))
-    write_whole(path.parent, {file: _json(values)})
+    write_whole(path.parent, {file: parameter_file(values)})
     return {"file": file}
 
 
@@ -316,13 +305,9 @@ def fit_from_here(request: Request, body: Body) -> object:
         raise InvalidInput("the request names no parameters to hold", where="held")
     runs = Runs(path)
     name = runs.free_name("identify")
-    files = {"study.toml": snapshot(path).encode(), _START: _json(values)}
+    files = {"study.toml": snapshot(path).encode(), _START: parameter_file(values)}
     runs.prepare(name)
     command = ["identify", "study.toml", "--out", ".", "--start", _START]
     if held:
         command += ["--set", f"tuning.hold={json.dumps(held)}"]
     return describe(runs.start(name, "identify", [command], "from sliders", files))
-
-
-def _json(values: Values) -> bytes:
-    return json.dumps(parameter_document(values), indent=1).encode()

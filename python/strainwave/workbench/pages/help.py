@@ -22,6 +22,7 @@ from strainwave.workbench.web import HERE, PAGE_TABS, STUDY_TABS, Routes, page
 
 routes = Routes()
 
+_LINK = re.compile(r"\[([^]\n]*)\]\([^)\n]*\)")  # to a page of the documentation
 _KEYS = (
     ("?", "help on this page"),
     ("/", "go to the filter of the table"),
@@ -37,10 +38,8 @@ def _show_help(request: Request) -> Response:
     if topic not in (topics := _topics()):
         raise InvalidInput("there is no such help", where=topic, remedy="open the help of a page")
     title, text = topics[topic]
-    html = Markup(MarkdownIt("commonmark").enable("table").render(text()))
-    letters = tuple(
-        (f"G {letter}", f"page {name}") for _, name, letter in (*PAGE_TABS, *STUDY_TABS)
-    )
+    html = Markup(MarkdownIt("commonmark").enable("table").render(_LINK.sub(r"\1", text())))
+    letters = [(f"G {letter}", f"page {name}") for _, name, letter in (*PAGE_TABS, *STUDY_TABS)]
     names = [(key, name) for key, (name, _) in topics.items() if key != topic]
     return page(request, "help", title, text=html, keys=(*_KEYS, *letters), topics=names)
 
@@ -60,11 +59,12 @@ def _topics() -> Mapping[str, tuple[str, Callable[[], str]]]:
 
 
 def _study_keys() -> str:
-    parts = []
-    for table, keys in study_keys().items():
-        rows = ((f"`{each.key}`", each.unit, each.default, each.meaning) for each in keys)
-        parts.append(f"## {table}\n\n" + _table(("key", "unit", "default", "meaning"), rows))
-    return _without_links("\n\n".join(parts))
+    heads = ("key", "unit", "default", "meaning")
+    return "\n\n".join(
+        f"## {table}\n\n"
+        + _table(heads, ((f"`{key.key}`", key.unit, key.default, key.meaning) for key in keys))
+        for table, keys in study_keys().items()
+    )
 
 
 def _options() -> str:
@@ -73,16 +73,15 @@ def _options() -> str:
         for stage, each in option_texts().items()
         for key, text in each["options"].items()
     )
-    return _without_links(_table(("option", "default", "meaning"), rows))
+    return _table(("option", "default", "meaning"), rows)
 
 
 def _warnings() -> str:
-    parts = (
+    return "\n\n".join(
         f"## {code}\n\n{each['observed']}\n\n*Meaning.* {each['meaning']}\n\n"
         f"*What to do.* {each['remedy']}"
         for code, each in catalogue().items()
     )
-    return _without_links("\n\n".join(parts))
 
 
 def _table(heads: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> str:
@@ -90,8 +89,3 @@ def _table(heads: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> str:
     return "\n".join(
         f"| {' | '.join(str(each).replace('|', chr(92) + '|') for each in row)} |" for row in lines
     )
-
-
-def _without_links(text: str) -> str:
-    """Markdown without its links, which lead to pages of the documentation."""
-    return re.sub(r"\[([^]\n]*)\]\([^)\n]*\)", r"\1", text)

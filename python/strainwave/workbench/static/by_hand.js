@@ -1,12 +1,12 @@
 // Page "By hand": sliders, simulated curves and Bode plot. One request at a time; the newest values win.
-import { act, address, byId, make, onClick, postJson, showMessage, study } from "./client.js";
+import { act, api, byId, setOptions, head, make, number, onChange, onClick, postJson, showMessage } from "./client.js";
 import { draw } from "./figures.js";
 
-const api = (name) => `/api/${name}/${address(study)}`;
 const STEPS = 1000; // of a slider
 const MIN_WAIT = 2; // [ms]
 let sliders = [], channels = [], busy = false, again = false, latest = 0;
 let shownBode = ""; // as text: a figure that stays is not drawn again
+const channelFields = [byId("channel-a"), byId("channel-b")];
 let past = [], current = "", saved = {}; // values as text: before each change, now, and by file
 
 const setting = () => ({
@@ -37,12 +37,12 @@ async function update() {
       const begin = performance.now();
       const chosen = setting();
       const answer = await postJson(api("by-hand"), {
-        ...chosen, values: values(), channels: [byId("channel-a").value, byId("channel-b").value],
+        ...chosen, values: values(), channels: channelFields.map((field) => field.value),
         joint: Number(byId("joint").value),
       });
       const fits = Object.entries(answer.fits);
-      byId("fit-heads").replaceChildren(...fits.map(([name]) => make("th", { scope: "col", class: "number" }, `fit of ${name}`)));
-      byId("fits").replaceChildren(...fits.map(([, fit]) => make("td", { class: "number" }, fit == null ? "rest" : `${fit.toFixed(1)} %`)));
+      byId("fit-heads").replaceChildren(...fits.map(([name]) => head(`fit of ${name}`, "number")));
+      byId("fits").replaceChildren(...fits.map(([, fit]) => number(fit == null ? "rest" : `${fit.toFixed(1)} %`)));
       if (byId("bode").parentElement.hidden !== !answer.bode) { // the plots get other widths
         byId("bode").parentElement.hidden = !answer.bode;
         window.dispatchEvent(new Event("resize"));
@@ -158,8 +158,7 @@ function openJoint() {
     groups.filter((group) => [kind, `${kind} ${joint}`].includes(group.dataset.group))));
   const own = channels.filter((name) => name.match(/\d+$/)[0] === joint);
   const preferred = [...own, ...channels.filter((name) => !own.includes(name))];
-  byId("channel-a").value = preferred[0];
-  byId("channel-b").value = preferred[Math.min(1, preferred.length - 1)];
+  channelFields.forEach((field, k) => { field.value = preferred[Math.min(k, preferred.length - 1)]; });
 }
 
 async function begin() {
@@ -170,7 +169,7 @@ async function begin() {
   if (request !== latest) return; // another record was chosen in the meantime
   sliders = answer.sliders.map(sliderRow);
   channels = answer.channels;
-  for (const id of ["channel-a", "channel-b"]) byId(id).replaceChildren(...channels.map((name) => make("option", {}, name)));
+  for (const field of channelFields) setOptions(field, channels);
   showSliders();
   const [first, last] = answer.window.map((time) => Number(time.toFixed(3)));
   byId("window").textContent = `Shows ${first} s to ${last} s.`;
@@ -201,15 +200,15 @@ if (byId("record")) {
     return begin();
   };
   let from = "";
-  byId("record").addEventListener("change", () => act(byId("record"), chooseRecord));
-  byId("start").addEventListener("change", () => act(byId("start"), begin));
+  onChange(byId("record"), chooseRecord);
+  onChange(byId("start"), begin);
   byId("from").addEventListener("change", () => {
     const isEmpty = byId("from").value === "" && !byId("from").validity.badInput;
     if (!isEmpty && !isNumber(byId("from"), "Window from", from)) return;
     from = byId("from").value;
     act(byId("from"), begin);
   });
-  for (const id of ["channel-a", "channel-b"]) byId(id).addEventListener("change", update);
+  for (const field of channelFields) field.addEventListener("change", update);
   byId("joint").addEventListener("change", () => { openJoint(); update(); });
   byId("reset").addEventListener("click", () => { sliders.forEach((one) => one.show(one.value)); commit(); update(); });
   byId("undo").addEventListener("click", undo);

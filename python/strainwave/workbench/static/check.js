@@ -1,8 +1,7 @@
 // Page "Check": relations as a table, the signal of each beside it, remedies.
-import { act, address, byId, getJson, make, onClick, postJson, study } from "./client.js";
+import { act, address, api, byId, cell, getJson, make, number, onClick, postJson, row, study } from "./client.js";
 import { draw } from "./figures.js";
 
-const api = (name) => `/api/${name}/${address(study)}`;
 const MARKS = { consistent: "good", overridden: "doubt", suspected: "bad", invalid: "bad", unchecked: "" };
 
 // the signals of all places of a relation, one after the other with each choice
@@ -19,61 +18,58 @@ async function showSignal(places) {
   await draw(byId("signal"), figure);
 }
 
-const evidence = (one) => make("li", {}, `${one.text} (${one.where.join(", ")}): ${one.measured}, expected ${one.expected}`);
+const evidenceItem = (one) => make("li", {}, `${one.text} (${one.where.join(", ")}): ${one.measured}, expected ${one.expected}`);
 // "joint-0-gear_ratio" as people read it
 const fieldTitle = (id) => id.split("-").map((part) => (/^\d+$/.test(part) ? Number(part) + 1 : part)).join(" ");
 
-function relationRow(relation) {
-  const hasSignal = relation.places.some((place) => place.channel);
-  const name = hasSignal
-    ? make("button", { type: "button", class: "link" }, relation.text)
-    : relation.text;
-  if (hasSignal) onClick(name, () => showSignal(relation.places));
-  const verdict = relation.consistent ? "consistent" : "contradiction";
-  return make("tr", {},
-    make("th", { scope: "row" }, name), make("td", {}, relation.where.join(", ")),
-    make("td", { class: "number" }, relation.measured), make("td", { class: "number" }, relation.expected),
-    make("td", { class: relation.consistent ? "good" : "bad" }, verdict));
+function relationRow({ places, text, where, measured, expected, consistent }) {
+  const hasSignal = places.some((place) => place.channel);
+  const name = hasSignal ? make("button", { type: "button", class: "link" }, text) : text;
+  if (hasSignal) onClick(name, () => showSignal(places));
+  return row(name, where.join(", "), number(measured), number(expected),
+    consistent ? cell("consistent", "good") : cell("contradiction", "bad"));
 }
 
-function suspicionBox(suspicion, index) {
-  const box = make("section", {},
-    make("h2", { class: "bad" }, `${suspicion.code}: ${suspicion.where}`),
-    make("p", {}, suspicion.message), make("ul", { "aria-label": "Evidence" }, ...suspicion.evidence.map(evidence)),
-    make("p", {}, make("strong", {}, "Remedy: "), suspicion.remedy));
+function suspicionBox({ code, where, message, remedy, lines, places, fields, evidence }, index) {
   const controls = make("div", { class: "row" });
-  if (suspicion.lines.length) {
-    const button = make("button", { type: "button", class: "remedy" }, "Apply the remedy");
-    onClick(button, async () => show(await postJson(api("apply-remedy"), { index })));
-    controls.append(button, make("code", {}, suspicion.lines.join("; ")));
+  const addButton = (text, kind, action) => {
+    const button = make("button", { type: "button", class: kind }, text);
+    onClick(button, action);
+    controls.append(button);
+  };
+  if (lines.length) {
+    addButton("Apply the remedy", "remedy", async () => show(await postJson(api("apply-remedy"), { index })));
+    controls.append(make("code", {}, lines.join("; ")));
   }
-  const look = make("button", { type: "button" }, "Show the signal");
-  onClick(look, () => showSignal(suspicion.places));
-  if (suspicion.places.some((place) => place.channel)) controls.append(look);
-  controls.append(...suspicion.fields.map((id) =>
+  if (places.some((place) => place.channel)) addButton("Show the signal", null, () => showSignal(places));
+  controls.append(...fields.map((id) =>
     make("a", { class: "button", href: `/study/${address(study)}#field-${id}` }, `Study: ${fieldTitle(id)}`)));
-  box.append(controls);
-  return box;
+  return make("section", {}, make("h2", { class: "bad" }, `${code}: ${where}`),
+    make("p", {}, message), make("ul", { "aria-label": "Evidence" }, ...evidence.map(evidenceItem)),
+    make("p", {}, make("strong", {}, "Remedy: "), remedy), controls);
+}
+
+function showRelations(relations, rows, section) {
+  byId(rows).replaceChildren(...relations.map(relationRow));
+  byId(section).hidden = !relations.length;
 }
 
 function show(gate) {
-  const { document: check } = gate;
+  const { suspected = [], relations = [], warnings = [] } = gate.document ?? {};
   byId("state").textContent = gate.reason;
   byId("state").className = `callout ${MARKS[gate.state]}`;
   byId("state").dataset.state = gate.state;
   byId("go").hidden = !gate.is_open;
   byId("override").hidden = gate.state !== "suspected";
-  byId("suspected").replaceChildren(...(check?.suspected ?? []).map(suspicionBox));
-  const [bad, good] = [false, true].map((isGood) => (check?.relations ?? []).filter((one) => one.consistent === isGood));
-  byId("contradictions").replaceChildren(...bad.map(relationRow));
-  byId("contradicting").hidden = !bad.length;
-  byId("relations").replaceChildren(...good.map(relationRow));
-  byId("passed").hidden = !good.length;
+  byId("suspected").replaceChildren(...suspected.map(suspicionBox));
+  const good = relations.filter((one) => one.consistent);
+  showRelations(relations.filter((one) => !one.consistent), "contradictions", "contradicting");
+  showRelations(good, "relations", "passed");
   byId("passed-count").textContent = `${good.length} relations agree`;
-  const warnings = (check?.warnings ?? []).map((one) => make("li", {}, make("strong", {}, `${one.where}: `), one.message));
-  byId("warnings").replaceChildren(...(warnings.length || !check ? warnings : [make("li", { class: "faint" }, "none")]));
-  const first = check?.suspected.length ? check.suspected[0].places : check?.relations.find((one) => one.places.some((p) => p.channel))?.places;
-  if (first) act(null, () => showSignal(first));
+  byId("warnings").replaceChildren(...warnings.map((one) => make("li", {}, make("strong", {}, `${one.where}: `), one.message)),
+    gate.document && !warnings.length ? make("li", { class: "faint" }, "none") : "");
+  const first = suspected[0] ?? relations.find((one) => one.places.some((place) => place.channel));
+  if (first) act(null, () => showSignal(first.places));
 }
 
 onClick(byId("check"), async () => show(await postJson(api("check"))));

@@ -20,6 +20,9 @@ export const getJson = (path, query = {}) => {
 export const postJson = (path, body = {}) =>
   request(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) });
 
+// The address of a request about the study.
+export const api = (name) => `/api/${name}/${address(study)}`;
+
 // Show a message at the bottom; errors stay until the next message.
 let timer;
 export function showMessage(text, isError = false) {
@@ -68,15 +71,24 @@ export function button(text, attributes, action) {
   return element;
 }
 
+// Cells of a table; a row has its head and texts, numbers or cells.
+export const head = (text, kind) => make("th", { scope: "col", class: kind }, text);
+export const cell = (text, kind) => make("td", { class: kind }, text);
+export const number = (text) => cell(text, "number");
+export const row = (title, ...cells) => make("tr", {}, make("th", { scope: "row" }, title),
+  ...cells.map((one) => one instanceof Element ? one : cell(one)));
+
 // Make the options of a list those of `entries`, each a text, or a value and its text; the choice stays if it can.
-export function setOptions(select, entries) {
-  const key = JSON.stringify(entries), { value } = select;
-  if (select.dataset.options === key) return;
-  select.dataset.options = key;
-  select.replaceChildren(...entries.map((entry) => {
-    const [one, text = one] = [entry].flat();
-    return make("option", { value: one, selected: one === value }, text);
-  }));
+export function setOptions(select, entries, wanted = select.value) {
+  const key = JSON.stringify(entries);
+  if (select.dataset.options !== key) {
+    select.dataset.options = key;
+    select.replaceChildren(...entries.map((entry) => {
+      const [value, text = value] = [entry].flat();
+      return make("option", { value }, text);
+    }));
+  }
+  if ([...select.options].some((one) => one.value === String(wanted))) select.value = wanted;
 }
 
 // Call `action` at most once per frame, with the latest arguments.

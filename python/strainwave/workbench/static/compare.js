@@ -1,9 +1,9 @@
 // Page "Compare": results side by side.
-import { act, address, byId, getJson, make, onClick, postJson, study } from "./client.js";
+import { act, api, byId, cell, setOptions, getJson, head, make, number, onChange, onClick, postJson, row } from "./client.js";
 import { draw } from "./figures.js";
 import { follow } from "./run_events.js";
+import { ofRun } from "./runs.js";
 
-const api = (name) => `/api/${name}/${address(study)}`;
 const LARGE = 3; // standard deviations
 const SELECTS = ["joint", "record", "channel", "figure", "scale"]; // parts of the address
 let paths = [], result;
@@ -27,27 +27,19 @@ async function followAddress() {
   await compare(wanted, query);
 }
 
-// Fill a select; keep the wanted choice if there is one.
-function fill(id, options, wanted) {
-  byId(id).replaceChildren(...options.map(([value, text]) => make("option", { value }, text)));
-  if (options.some(([value]) => String(value) === wanted)) byId(id).value = wanted;
-}
-
 const chosen = () => [...document.querySelectorAll("#results input:checked")].map((box) => box.value);
 const enable = () => { byId("compare").disabled = byId("save").disabled = chosen().length < 2; };
 
 async function listResults() {
   const results = await getJson(api("results"));
   byId("results").replaceChildren(...results.map((one, index) => {
-    const box = make("input", { type: "checkbox", id: `result-${index}`, value: one.path });
+    const box = make("input", { type: "checkbox", id: `result-${index}`, value: one.path, onchange: enable });
     box.checked = one.own && index < 2;
-    box.addEventListener("change", enable);
     return make("label", { for: box.id, title: one.path }, box, ` ${one.name}`, make("span", { class: "hint" }, one.path));
   }), ...(results.length ? [] : [make("p", { class: "faint" }, "No result yet: start a run on the page Estimate.")]));
   enable();
 }
 
-const head = (text, isNumber) => make("th", { scope: "col", class: isNumber ? "number" : null }, text);
 const size = (value) => `${value > 0 ? "+" : ""}${value.toFixed(1)} σ`;
 
 // A value with its decimal point in one column, and its standard deviation.
@@ -68,28 +60,27 @@ function showRows() {
   byId("hidden-rows").textContent = count ? `${count} of ${result.rows.length} rows are unchanged.` : "";
 }
 
-function parameterRow(row) {
-  return make("tr", {}, make("th", { scope: "row" }, row.label), make("td", { class: "unit" }, row.unit), ...row.cells.map((cell) => {
-    const change = cell.change == null ? [] : [make("div", { class: Math.abs(cell.change) > LARGE ? "change large" : "change" }, size(cell.change))];
-    const title = cell.low == null ? null : `95 %: ${cell.low.toPrecision(5)} to ${cell.high.toPrecision(5)}`;
-    return make("td", { class: "number", title }, estimate(cell.text), ...change);
+function parameterRow({ label, unit, cells }) {
+  return row(label, cell(unit, "unit"), ...cells.map(({ text, low, high, change }) => {
+    const title = low == null ? null : `95 %: ${low.toPrecision(5)} to ${high.toPrecision(5)}`;
+    const kind = Math.abs(change) > LARGE ? "change large" : "change";
+    return make("td", { class: "number", title }, estimate(text), change == null ? "" : make("div", { class: kind }, size(change)));
   }));
 }
 
 function showVerdict({ test, note }) {
-  if (!test) {
-    byId("verdict").textContent = note;
-    byId("verdict").className = "callout doubt";
-    return;
-  }
-  const changed = test.pairs.flatMap((pair) => pair.parameters.filter((one) => one.verdict === "differs")
+  byId("verdict").textContent = test ? verdict(test) : note;
+  byId("verdict").className = `callout ${!test ? "doubt" : test.differs ? "bad" : "good"}`;
+  if (test) byId("verdict").dataset.differs = test.differs;
+}
+
+function verdict({ pairs, differs }) {
+  const changed = pairs.flatMap((pair) => pair.parameters.filter((one) => one.verdict === "differs")
     .map((one) => `${one.name}${one.joint ? ` ${one.joint}` : ""} (${pair.first} and ${pair.second}, p = ${one.adjusted_p.toPrecision(2)})`));
-  const joint = test.pairs.filter((pair) => pair.joint_test)
+  const joint = pairs.filter((pair) => pair.joint_test)
     .map((pair) => `Joint test of ${pair.first} and ${pair.second}: p = ${pair.joint_test.p.toPrecision(2)}`);
-  const text = test.differs ? `The results differ. Changed: ${changed.join("; ") || "all parameters together"}.` : "The results agree.";
-  byId("verdict").textContent = `${text} ${joint.length ? `${joint.join("; ")}.` : ""}`;
-  byId("verdict").className = `callout ${test.differs ? "bad" : "good"}`;
-  byId("verdict").dataset.differs = test.differs;
+  const text = differs ? `The results differ. Changed: ${changed.join("; ") || "all parameters together"}.` : "The results agree.";
+  return `${text} ${joint.length ? `${joint.join("; ")}.` : ""}`;
 }
 
 async function compare(wanted, query = new URLSearchParams()) {
@@ -97,17 +88,17 @@ async function compare(wanted, query = new URLSearchParams()) {
   paths = wanted;
   byId("shown").hidden = false;
   showVerdict(result);
-  byId("parameter-heads").replaceChildren(head("parameter"), head("unit"), ...result.names.map((name) => head(name, true)));
+  byId("parameter-heads").replaceChildren(head("parameter"), head("unit"), ...result.names.map((name) => head(name, "number")));
   showRows();
-  byId("check-heads").replaceChildren(head("check record"), head("channel"), ...result.names.map((name) => head(`fit of ${name}`, true)));
-  byId("checks").replaceChildren(...result.checks.map((row) => make("tr", {}, make("th", { scope: "row" }, row.record), make("td", {}, row.channel),
-    ...row.fits.map((fit) => make("td", { class: "number" }, fit == null ? "" : `${fit.toFixed(1)} %`)))));
+  byId("check-heads").replaceChildren(head("check record"), head("channel"), ...result.names.map((name) => head(`fit of ${name}`, "number")));
+  byId("checks").replaceChildren(...result.checks.map(({ record, channel, fits }) =>
+    row(record, channel, ...fits.map((fit) => number(fit == null ? "" : `${fit.toFixed(1)} %`)))));
   const first = result.figures.find((one) => one.key.startsWith("correlation-") && one.title.includes("check"))
     ?? result.figures.find((one) => one.key.startsWith("check"));
-  fill("joint", result.joints.map((joint) => [joint, joint]), query.get("joint"));
-  fill("record", result.records.map((name) => [name, name]), query.get("record"));
-  fill("channel", query.has("channel") ? [[query.get("channel"), query.get("channel")]] : []);
-  fill("figure", result.figures.map((one) => [one.key, one.title]), query.get("figure") ?? first?.key);
+  setOptions(byId("joint"), result.joints, query.get("joint"));
+  setOptions(byId("record"), result.records, query.get("record"));
+  setOptions(byId("channel"), query.getAll("channel"));
+  setOptions(byId("figure"), result.figures.map((one) => [one.key, one.title]), query.get("figure") ?? first?.key);
   byId("no-joint").hidden = result.joints.length > 0;
   byId("joint").parentElement.hidden = !result.joints.length;
   byId("bode").closest(".grid").hidden = !result.joints.length;
@@ -119,17 +110,15 @@ async function compare(wanted, query = new URLSearchParams()) {
 
 const showIntervals = () => draw(byId("intervals"), result.intervals[byId("scale").value]);
 
-const badge = (isGood) => make("span", { class: `badge ${isGood ? "good" : "bad"}` }, isGood ? "passes" : "fails");
+const verdictCell = (isGood, text) => make("td", {},
+  make("span", { class: `badge ${isGood ? "good" : "bad"}` }, isGood ? "passes" : "fails"), make("span", { class: "hint" }, ` ${text}`));
 
-function testRow(row) {
-  return make("tr", {}, make("th", { scope: "row" }, row.channel), make("td", {}, row.name), make("td", { class: "number" }, row.deviation),
-    make("td", { class: "number" }, row.noise), make("td", {}, badge(row.is_white), make("span", { class: "hint" }, ` ${row.whiteness}`)),
-    make("td", {}, badge(row.is_independent), make("span", { class: "hint" }, row.is_independent ? "" : ` ${row.input}`)));
-}
+const testRow = (test) => row(test.channel, test.name, number(test.deviation), number(test.noise),
+  verdictCell(test.is_white, test.whiteness), verdictCell(test.is_independent, test.is_independent ? "" : test.input));
 
 async function showRecord() {
   const shown = await postJson(api("compare-record"), { paths, record: byId("record").value, channel: byId("channel").value });
-  fill("channel", shown.channels.map((name) => [name, name]), shown.channel);
+  setOptions(byId("channel"), shown.channels, shown.channel);
   byId("notes").textContent = shown.notes.join(" ");
   byId("tests").replaceChildren(...shown.tests.map(testRow));
   byId("difference").hidden = !shown.difference;
@@ -144,24 +133,24 @@ async function showJoint() {
 
 async function showFigure() {
   const shown = await postJson(api("compare-figure"), { paths, key: byId("figure").value });
-  const places = shown.map((one) => make("div", { class: "plot", role: "group", "aria-label": `${byId("figure").selectedOptions[0].text} of ${one.name}` }));
-  byId("figures").replaceChildren(...shown.map((one, index) => make("figure", {}, make("figcaption", {}, one.name),
-    one.figure ? places[index] : make("p", { class: "faint" }, "The report has no such figure."))));
-  for (const [index, one] of shown.entries()) if (one.figure) await draw(places[index], one.figure);
+  const kind = byId("figure").selectedOptions[0].text;
+  const places = shown.map(({ name, figure }) => figure
+    ? make("div", { class: "plot", role: "group", "aria-label": `${kind} of ${name}` })
+    : make("p", { class: "faint" }, "The report has no such figure."));
+  byId("figures").replaceChildren(...shown.map(({ name }, k) => make("figure", {}, make("figcaption", {}, name), places[k])));
+  for (const [k, { figure }] of shown.entries()) if (figure) await draw(places[k], figure);
 }
 
 async function save() {
   const run = await postJson(api("save-comparison"), { paths: chosen() });
   await new Promise((resolve) => follow(run.name, () => {}, resolve));
-  const link = (file) => make("a", { href: `/download/${address(study)}?run=${run.name}&file=${file}` }, file);
+  const link = (file) => make("a", { href: ofRun("download", run.name, file) }, file);
   byId("saved").replaceChildren(`${run.name}: `, link("comparison.html"), ", ", link("comparison.json"));
 }
 
 onClick(byId("compare"), async () => { await compare(chosen()); keepAddress(); });
 onClick(byId("save"), save);
 const show = { joint: showJoint, record: showRecord, channel: showRecord, figure: showFigure, scale: showIntervals, "only-changed": showRows };
-for (const [id, action] of Object.entries(show)) {
-  byId(id).addEventListener("change", () => act(byId(id), async () => { await action(); keepAddress(); }));
-}
+for (const [id, action] of Object.entries(show)) onChange(byId(id), async () => { await action(); keepAddress(); });
 window.addEventListener("popstate", () => act(byId("compare"), followAddress));
 act(byId("compare"), async () => { await listResults(); await followAddress(); });

@@ -1,5 +1,5 @@
 // Page "Virtual arm": set, record, identify, and compare with the truth.
-import { act, address, byId, getJson, make, onClick, postJson } from "./client.js";
+import { act, address, byId, cell, getJson, number, onClick, postJson, row } from "./client.js";
 import { follow } from "./run_events.js";
 import { MARKS, activity, duration } from "./runs.js";
 
@@ -19,28 +19,23 @@ function setting() {
   return body;
 }
 
-function row(one) {
-  const isInside = one.ci95 && one.ci95[0] <= one.true && one.true <= one.ci95[1];
-  const inside = one.ci95 ? (isInside ? "yes" : "no") : "";
-  const number = (text) => make("td", { class: "number" }, text);
-  return make("tr", {}, make("th", { scope: "row" }, one.label), make("td", { class: "unit" }, one.unit), number(digits(one.true)),
-    number(one.value == null ? "not identified" : digits(one.value)),
-    number(one.ci95 ? `${digits(one.ci95[0])} to ${digits(one.ci95[1])}` : ""),
-    number(one.percent == null ? "" : one.percent.toFixed(3)), number(one.stds == null ? "" : one.stds.toFixed(1)),
-    make("td", { class: isInside ? "good" : "doubt" }, inside));
-}
+const isInside = ({ ci95, true: truth }) => Boolean(ci95) && ci95[0] <= truth && truth <= ci95[1];
+
+const estimateRow = (one) => row(one.label, cell(one.unit, "unit"), number(digits(one.true)),
+  number(one.value == null ? "not identified" : digits(one.value)),
+  number(one.ci95 ? one.ci95.map(digits).join(" to ") : ""),
+  number(one.percent?.toFixed(3) ?? ""), number(one.stds?.toFixed(1) ?? ""),
+  cell(one.ci95 ? (isInside(one) ? "yes" : "no") : "", isInside(one) ? "good" : "doubt"));
 
 async function showResult(study) {
   const { rows, status, run } = await getJson(`/api/virtual/${address(study)}`);
   const known = rows.filter((one) => one.ci95);
-  const inside = known.filter((one) => one.ci95[0] <= one.true && one.true <= one.ci95[1]).length;
-  byId("verdict").textContent = `${status}: ${inside} of ${known.length} intervals contain the true value.`;
+  byId("verdict").textContent = `${status}: ${known.filter(isInside).length} of ${known.length} intervals contain the true value.`;
   byId("verdict").className = `callout ${MARKS[status] ?? "bad"}`;
   byId("verdict").dataset.status = status;
-  byId("rows").replaceChildren(...rows.map(row));
+  byId("rows").replaceChildren(...rows.map(estimateRow));
   byId("open-report").href = `/report/${address(study)}?run=${run}`;
-  for (const name of ["signals", "design"]) byId(`open-${name}`).href = `/${name}/${address(study)}`;
-  byId("open-hand").href = `/by-hand/${address(study)}`;
+  for (const page of ["signals", "design", "by-hand"]) byId(`open-${page}`).href = `/${page}/${address(study)}`;
   byId("result").hidden = false;
 }
 
@@ -50,17 +45,15 @@ async function start() {
   running = run;
   byId("running").hidden = byId("cancel").hidden = false;
   byId("bar").value = 0;
-  await new Promise((resolve) => follow(run.name, (event) => {
-    const isIdentifying = event.progress?.fraction != null;
+  const end = await new Promise((resolve) => follow(run.name, (event) => {
     byId("activity").textContent = `${activity(event)}, ${duration(event.seconds)}`;
-    if (isIdentifying) byId("bar").value = (1 + event.progress.fraction) / STEPS;
-  }, async (event) => {
-    byId("cancel").hidden = true;
-    byId("activity").textContent = event.state === "done" ? `in ${run.study.replace("/study.toml", "")}` : `${event.state}: ${event.messages?.at(-1) ?? event.note}`;
-    byId("bar").value = 1;
-    if (event.state === "done") await act(null, () => showResult(run.study));
-    resolve();
-  }, run.study));
+    if (event.progress?.fraction != null) byId("bar").value = (1 + event.progress.fraction) / STEPS; // of the second command
+  }, resolve, run.study));
+  byId("cancel").hidden = true;
+  byId("bar").value = 1;
+  const isDone = end.state === "done";
+  byId("activity").textContent = isDone ? `in ${run.study.replace("/study.toml", "")}` : `${end.state}: ${end.messages?.at(-1) ?? end.note}`;
+  if (isDone) await showResult(run.study);
 }
 
 byId("rig").addEventListener("submit", (event) => { event.preventDefault(); act(byId("run"), start); });
