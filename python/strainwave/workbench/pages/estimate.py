@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-import numpy as np
 import tomlkit
 from starlette.requests import Request
 from starlette.responses import Response
@@ -23,7 +22,7 @@ from strainwave.io.atomic_files import decode
 from strainwave.io.result_summaries import Summary, changed_options, summary_of, toml_text
 from strainwave.io.study import with_options
 from strainwave.pipeline import check_stages
-from strainwave.report.figures import DOTTED, Axis, Colour, Figure, Line, Panel, Upright
+from strainwave.report.document.elastic import order_figure
 from strainwave.report.plotly_backend import plotly
 from strainwave.workbench.pages.check import gate_of, require_open
 from strainwave.workbench.pages.runs import REPORTS, arguments_of, describe, last_message
@@ -107,8 +106,6 @@ def _choices(hint: Any) -> tuple[str, ...]:
 
 routes = Routes()
 
-_MAX_SHOWN = 24  # singular values; those of the noise follow
-
 
 @routes.get("/api/orders/{study:path}")
 def show_orders(request: Request) -> object:
@@ -126,15 +123,16 @@ def show_orders(request: Request) -> object:
         model = record.state_space
         if model is None:
             continue
-        values = np.asarray(model.singular_values, dtype=float)[:_MAX_SHOWN]
-        index = np.arange(1.0, len(values) + 1.0)
-        line = Line(index, values / values[0], "singular values", Colour.MEASURED, size=7.0)
-        order = Upright(model.order + 0.5, f"order {model.order}", dash=DOTTED)
-        axis = Axis("singular value / largest", log=True)
-        figure = Figure(Axis("number", step=1.0), (Panel(axis, (line,)),), uprights=(order,))
-        entry = {"order": model.order, "horizon": model.horizon, "figure": plotly(figure)}
         signals = record.signals
-        shown.append(entry | {"experiment": signals.experiment.name, "joint": signals.joint})
+        shown.append(
+            {
+                "experiment": signals.experiment.name,
+                "joint": signals.joint,
+                "order": model.order,
+                "horizon": model.horizon,
+                "figure": plotly(order_figure(model)),
+            }
+        )
     if not shown:
         raise NotIdentifiable("no record excites a joint such that a state-space model exists")
     return shown
