@@ -44,15 +44,12 @@ def check_options(options: ServerOptions) -> None:
         raise InvalidInput(
             "the workbench runs on Linux and macOS only", remedy="use the command line"
         )
-    if not options.folder.is_dir():
-        raise InvalidInput(
-            "is not a folder", where=str(options.folder), remedy="name the folder of your studies"
-        )
-    for folder in options.allowed:
+    folders = [(options.folder, str(options.folder), "your studies")]
+    folders += [(each, f"--allow {each}", "the logs") for each in options.allowed]
+    for folder, where, content in folders:
         if not folder.is_dir():
-            raise InvalidInput(
-                "is not a folder", where=f"--allow {folder}", remedy="name the folder of the logs"
-            )
+            remedy = f"name the folder of {content}"
+            raise InvalidInput("is not a folder", where=where, remedy=remedy)
 
 
 def token_from(file: Path | None) -> str:

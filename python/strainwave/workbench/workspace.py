@@ -23,7 +23,7 @@ from typing import Any
 
 from strainwave.domain import Experiment, Log, Study
 from strainwave.domain.steps import files_of
-from strainwave.errors import InvalidInput
+from strainwave.errors import InvalidInput, entry_of
 from strainwave.io.atomic_files import decode, parse_toml, read_small
 from strainwave.io.logs import read_segments
 from strainwave.io.logs.bags import BAG_SUFFIXES
@@ -246,8 +246,6 @@ def free_path(parent: Path, name: str) -> Path:
 
 
 _MAX_BYTES = 256 << 20  # of all logs in memory
-
-
 _STUDY_SIZE = 10_000  # [bytes] of a study, or of a fault
 _cache: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()  # value and size by key
 _cache_lock = Lock()
@@ -284,12 +282,9 @@ def study_at(path: Path) -> Study:
 
 def experiment_of(path: Path, name: str) -> Experiment:
     """An experiment of a study file; raises InvalidInput if there is none of that name."""
-    experiments = study_at(path).experiments
-    for experiment in experiments:
-        if experiment.name == name:
-            return experiment
-    names = ", ".join(e.name for e in experiments)
-    raise InvalidInput(f"there is no experiment {name!r}", remedy=f"choose from: {names}")
+    return entry_of(
+        {each.name: each for each in study_at(path).experiments}, name, "experiment", ""
+    )
 
 
 def log_of(path: Path, experiment: str) -> Log:

@@ -2,6 +2,7 @@
 
 export const study = document.body.dataset.study ?? "";
 export const address = (path) => path.split("/").map(encodeURIComponent).join("/");
+export const api = (name) => `/api/${name}/${address(study)}`; // a request about the study
 export const byId = (id) => document.getElementById(id);
 
 async function request(path, options) {
@@ -57,6 +58,13 @@ export function make(tag, attributes = {}, ...children) {
     else if (value !== false && value != null) element.setAttribute(key, value);
   }
   element.append(...children);
+  return element;
+}
+
+// A button that runs an asynchronous action.
+export function button(text, attributes, action) {
+  const element = make("button", { type: "button", ...attributes }, text);
+  onClick(element, action);
   return element;
 }
 
