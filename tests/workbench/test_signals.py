@@ -15,8 +15,8 @@ from strainwave.io.study import read_study
 
 pytest.importorskip("starlette")
 
+from strainwave.io.kept_files import fingerprint
 from strainwave.workbench.pages.estimate import snapshot
-from strainwave.workbench.workspace import fingerprint
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient

@@ -19,6 +19,7 @@ from strainwave.domain.messages import plus_minus
 from strainwave.domain.study import Options, study_options
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.io.atomic_files import decode
+from strainwave.io.kept_files import study_at
 from strainwave.io.result_summaries import Summary, changed_options, summary_of, toml_text
 from strainwave.io.study import with_options
 from strainwave.pipeline import check_stages
@@ -43,7 +44,6 @@ from strainwave.workbench.web import (
     text_of,
     workspace_of,
 )
-from strainwave.workbench.workspace import study_at
 
 
 def option_groups(options: Options) -> dict[str, list[dict[str, Any]]]:

@@ -13,12 +13,12 @@ from starlette.requests import Request
 from strainwave.domain import FloatArray, channel_names
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
+from strainwave.io.kept_files import cached, stamp_of
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.tables import open_table, release_reader_memory
 from strainwave.report.document.predictions import unit_of
 from strainwave.workbench.study_edit import columns_of, parse_draft, table_of, tables_of
 from strainwave.workbench.web import Routes, study_file_of, workspace_of
-from strainwave.workbench.workspace import cached, stamp_of
 
 T = TypeVar("T")
 

@@ -20,6 +20,7 @@ from strainwave.domain.study import study_keys
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.init.signal_features import sequences_of
+from strainwave.io.kept_files import experiment_of, fingerprint, segments_of, study_at
 from strainwave.io.study import detrendable_channels, step_table, with_steps
 from strainwave.report.document import elastic
 from strainwave.report.document.predictions import unit_of
@@ -35,7 +36,6 @@ from strainwave.report.plotly_backend import plotly
 from strainwave.signals.marks import marks_of
 from strainwave.workbench.study_edit import KeyChange, edit_study
 from strainwave.workbench.web import Body, Routes, page, study_of, text_of, workspace_of
-from strainwave.workbench.workspace import experiment_of, fingerprint, segments_of, study_at
 
 routes = Routes()
 _POINTS = (200, 6000)  # smallest and largest number of points of a line
