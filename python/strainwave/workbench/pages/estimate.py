@@ -20,7 +20,13 @@ from strainwave.domain.study import Options, study_options
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.io.atomic_files import decode
 from strainwave.io.kept_files import study_at
-from strainwave.io.result_summaries import Summary, changed_options, summary_of, toml_text
+from strainwave.io.result_summaries import (
+    Summary,
+    changed_options,
+    key_parameters,
+    summary_of,
+    toml_text,
+)
 from strainwave.io.study import with_options
 from strainwave.pipeline import check_stages
 from strainwave.report.document.elastic import order_figure
@@ -122,12 +128,6 @@ _STAGE_CHOICES = (
 )
 _SNAPSHOT, _RESULT = "study.toml", "result.json"
 _READING_TIME = 0.1  # [s] of results in one answer
-_MAX_COLUMNS = 4  # of several parameters, unless the user chooses more
-_KEY_PARAMETERS = (
-    *("gear_stiffness", "link_inertia", "inertia"),
-    *("motor_coulomb_friction", "rigid_inertia", "motor_viscous_friction"),
-)
-"""The first of these that results have are the columns of the table."""
 
 
 @routes.page("/estimate/{study:path}")
@@ -162,7 +162,7 @@ def _table(request: Request, runs: Runs) -> dict[str, Any]:
         summaries[run.name] = summary_of(runs.path(run.name) / _RESULT)
     units = {p.label: p.unit for one in summaries.values() for p in one.parameters.values()}
     columns = [label for label in request.query_params.getlist("column") if label in units]
-    columns = columns or _key_columns(list(units))
+    columns = columns or key_parameters(units)
     rows: list[dict[str, Any]] = []
     rig: Mapping[str, str] = {}
     for run in listed:
@@ -180,16 +180,6 @@ def _table(request: Request, runs: Runs) -> dict[str, Any]:
         "total": runs.count(),
         "runs": rows[::-1],
     }
-
-
-def _key_columns(labels: list[str]) -> list[str]:
-    """The first of the key parameters, each with all joints."""
-    columns: list[str] = []
-    for name in _KEY_PARAMETERS:
-        group = [label for label in labels if f"{label} ".startswith(f"{name} ")]
-        if not columns or len(columns) + len(group) <= _MAX_COLUMNS:
-            columns += group
-    return columns
 
 
 def _row(request: Request, runs: Runs, run: Run, summary: Summary) -> dict[str, Any]:

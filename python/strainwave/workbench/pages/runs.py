@@ -16,6 +16,7 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
+from urllib.parse import quote
 from zipfile import ZIP_DEFLATED, ZipFile
 
 from starlette.background import BackgroundTask
@@ -182,12 +183,8 @@ async def run_events(request: Request) -> Response:
 
 
 def _event(runs: Runs, name: str) -> tuple[Run, str]:
-    try:
-        run = runs.get(name)
-        return run, json.dumps(describe(run) | _state(runs, run))
-    except InvalidInput as error:  # deleted in the meantime
-        run = Run.damaged(name, str(error))
-        return run, json.dumps(describe(run))
+    run = runs.listed(name)  # may be deleted in the meantime
+    return run, json.dumps(describe(run) | (_state(runs, run) if run.commands else {}))
 
 
 @routes.page("/report/{study:path}")
@@ -333,7 +330,8 @@ def download_script(request: Request) -> Response:
     script = python_script(run)
     if not script:
         raise InvalidInput(f"the run {run.name!r} identifies nothing", remedy="choose another run")
-    headers = {"content-disposition": f'attachment; filename="{run.name}.py"'}
+    name = quote(f"{run.name}.py")  # of any letters
+    headers = {"content-disposition": f"attachment; filename*=utf-8''{name}"}
     return PlainTextResponse(script, headers=headers)
 
 
